@@ -197,7 +197,6 @@ class MotionTracker:
         alone = moved is None and not cameras
         on = repeated(self._velocity_step, self._velocity_step_s, step_s, self._config, alone=alone)
         onward = compose(last.pose, on.pose)
-        self._blind = onward if alone else None
         # After a long gap it says nothing any more: it would be one of many places that look alike.
         if alone or on.covariance[0, 0] <= OPEN_M**2:
             self._by_velocity.predict(onward, on.covariance + last.dispute)
@@ -206,6 +205,7 @@ class MotionTracker:
             self._by_velocity.predict(last.pose, on.covariance + last.dispute)
         for predictor in predictors:
             predictor.guesses = [self._turned(guess, last, gyro) for guess in predictor.guesses]
+        self._blind = self._by_velocity.guesses[0].pose if alone else None
         guesses = [guess for predictor in predictors for guess in predictor.guesses]
         return sorted(guesses, key=Motion.volume)
 

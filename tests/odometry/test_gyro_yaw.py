@@ -129,3 +129,22 @@ def test_where_nothing_matches_wheels_that_slip_in_a_turn_follow_the_gyroscope(
     assert slipped > 0.5
     assert off < 0.05 * slipped if sign > 0 else off == pytest.approx(slipped)
     assert gyro.unfit == (sign < 0)
+
+
+def test_who_is_blind_runs_on_no_longer_for_a_gyroscope() -> None:
+    """It tells turns and no way: at constant velocity nobody goes on for seconds."""
+    odometry, gyro = ScriptedOdometry(), YawGyro()
+    tracker = MotionTracker(odometry, None, PredictionConfig(), MatchConfig(), gyro)
+    rows, number, ahead = said(15.0), 0, np.zeros(2)
+    for stamp_s in (np.arange(1, 141) * 0.1).tolist():
+        while number < len(rows) and rows[number].stamp_s <= stamp_s + 0.01:
+            gyro.add(rows[number])
+            number += 1
+        ahead = ahead + 0.05 * np.array([np.cos(heading(stamp_s)), np.sin(heading(stamp_s))])
+        true = np.array([*ahead, heading(stamp_s) - heading(0.1)])
+        odometry.answer = lambda _, true=true, on=stamp_s <= 4.0: motion_at(true) if on else None  # type: ignore[misc]
+        tracked = tracker.track(SOME, stamp_s)
+        if stamp_s <= 4.0:
+            seen = tracked.pose
+    assert gyro.turn(gyro.moment(14.0), gyro.moment(14.0)) is not None
+    assert float(np.hypot(*(tracked.pose - seen)[:2])) < 1.0
