@@ -2,34 +2,34 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Container, Mapping
 from itertools import combinations
 
 import numpy as np
 
 from slam.mapping.polygons import inside
-from slam.mapping.room_outline import Outline, room_outline, seen_from
+from slam.mapping.room_outline import Outline, room_outline
 from slam.mapping.rooms import RoomMap
 from slam.mapping.wall_segments import WallPoints
-from slam.measurements import FloatArray
 
 
-def room_outlines(rooms: RoomMap, points: WallPoints, way_map: FloatArray) -> dict[int, Outline]:
+def room_outlines(
+    rooms: RoomMap, own: Mapping[int, WallPoints], entered: Container[int]
+) -> dict[int, Outline]:
     """The outline of each room by its label, the largest first.
 
     Parameters
     ----------
-    points
-        Of all that is straight.
-    way_map
-        (N, 2) where the robot has been.
+    own
+        The points of each room's walls, by its label.
+    entered
+        Labels of the rooms in which the robot has been.
     """
-    owners, entered = seen_from(rooms, points), set(rooms.at(way_map).tolist())
 
     def drawn(label: int, *others: Outline) -> Outline | None:
-        return room_outline(rooms, label, points.chosen((owners == label).any(axis=0)), others)
+        return room_outline(rooms, label, own[label], others)
 
-    found = {label: drawn(label) for label in range(1, int(rooms.labels.max(initial=0)) + 1)}
+    found = {label: drawn(label) for label in own}
     # What nobody was in, and has no walls, lies behind a window.
     outlines = {
         label: outline

@@ -43,22 +43,22 @@ def floor_plan(contents: MapContents, config: Config) -> FloorPlan:
     way = contents.trajectory.positions_m[:, :2]
     segments = wall_segments(points, cell_m, 3 * cell_m)
     rooms = segment_rooms(grid, segments, way)
-    outlines = room_outlines(rooms, points, way)
     entered, owners = set(rooms.at(way).tolist()), seen_from(rooms, points)
+    labels = range(1, int(rooms.labels.max(initial=0)) + 1)
+    own = {label: points.chosen((owners == label).any(axis=0)) for label in labels}
+    outlines = room_outlines(rooms, own, entered)
     fits: list[list[WallFit | None]] = []
     for label, outline in outlines.items():
-        own = points.chosen((owners == label).any(axis=0))
         fits.append(
             [
-                fit_wall(face, outline.ends(edge), own, poses, cell_m) if face.seen else None
+                fit_wall(face, outline.ends(edge), own[label], poses, cell_m) if face.seen else None
                 for edge, face in enumerate(outline.faces)
             ]
         )
     sure = iter(sure_walls(sides_of(outlines, fits), segments, rooms))
     fits = [[fit if next(sure) else None for fit in ones] for ones in fits]
     covariance = _covariance([fit for ones in fits for fit in ones if fit], contents, config)
-    found: list[Room] = []
-    first = 0
+    found, first = list[Room](), 0
     for (label, outline), ones in zip(outlines.items(), fits, strict=True):
         last = first + 2 * sum(fit is not None for fit in ones)
         own_covariance = covariance[first:last, first:last]

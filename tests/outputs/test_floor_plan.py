@@ -24,7 +24,7 @@ from slam.graph.joint_covariance import joint_covariance
 from slam.mapping.floor_plan import FloorPlan
 from slam.mapping.occupancy_grid import FREE
 from slam.mapping.polygons import inside
-from slam.mapping.room_outline import area_m2
+from slam.mapping.room_outline import area_m2, seen_from
 from slam.mapping.room_outlines import room_outlines
 from slam.mapping.rooms import RoomMap
 from slam.mapping.wall_segments import wall_points
@@ -171,7 +171,9 @@ def test_no_place_lies_in_two_rooms() -> None:
     at = rooms.middles(*np.nonzero(labels))
     labels[labels > 0] = 1 + ((at[:, 0] > 6.0) & (at[:, 1] > 2.0))
     way = contents.trajectory.positions_m[:, :2]
-    large, small = room_outlines(rooms, points, way).values()
+    owners = seen_from(rooms, points)
+    own = {label: points.chosen((owners == label).any(axis=0)) for label in (1, 2)}
+    large, small = room_outlines(rooms, own, set(rooms.at(way).tolist())).values()
     assert [area_m2(one.corners_m) for one in (large, small)] == pytest.approx([20.0, 1.0], abs=0.3)
     places = np.random.default_rng(0).uniform((0.0, 0.0), (7.0, 3.0), (20_000, 2))
     assert not (inside(places, large.corners_m) & inside(places, small.corners_m)).any()
