@@ -267,15 +267,16 @@ def test_without_scripts_or_webgl_the_rest_is_there(page: Path) -> None:
 
 
 def test_it_prints(page: Path) -> None:
-    with visit(page, color_scheme="dark") as seen:
+    with visit(page, color_scheme="dark", viewport={"width": 390, "height": 500}) as seen:
         ready(seen)
+        assert not seen.page.locator("#charts .uplot").count()
         seen.page.emulate_media(media="print")
         assert not seen.page.locator("#work").is_visible() and seen.page.locator("svg.map").is_visible()
         background = "getComputedStyle(document.querySelector('section')).backgroundColor"
         assert seen.value(background) == "rgb(255, 255, 255)"
         seen.page.emulate_media(media="screen")
         seen.value("dispatchEvent(new Event('beforeprint'))")
-        assert not seen.value("Scanweave.dark()")
+        assert not seen.value("Scanweave.dark()") and seen.page.locator("#charts .uplot").count()
         seen.value("dispatchEvent(new Event('afterprint'))")
         assert seen.value("Scanweave.dark()")
     sound(seen, page)

@@ -48,10 +48,11 @@
     if (!data.charts || !data.charts.length) return;
     document.getElementById("charts").hidden = false;
     let width = 0, waiting = null;
-    // They are drawn when they come into sight, and anew where the page has become wider or narrower.
-    new IntersectionObserver((entries, observer) => {
-      if (!entries.some(entry => entry.isIntersecting)) return;
+    // They are drawn when they come into sight or are printed, and anew where the page has become wider or narrower.
+    const observer = new IntersectionObserver(entries => entries.some(entry => entry.isIntersecting) && show(), {rootMargin: "300px"});
+    function show() {
       observer.disconnect();
+      removeEventListener("beforeprint", show);
       draw();
       width = innerWidth;
       S.on("theme", draw);
@@ -62,6 +63,8 @@
           width = innerWidth;
         }, 150);
       });
-    }, {rootMargin: "300px"}).observe(document.getElementById("charts"));
+    }
+    observer.observe(document.getElementById("charts"));
+    addEventListener("beforeprint", show);
   }, 70);
 })(Scanweave);
