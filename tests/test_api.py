@@ -183,9 +183,9 @@ def test_progress_rises_to_the_whole(from_memory: bool, another_day: SyntheticLo
     slam.localize_log(house, log, on_progress=reported.append)
     house.close()
     stages = [list(progress) for _, progress in itertools.groupby(reported, lambda one: one.stage)]
-    assert [stage[0].stage for stage in stages] == ["mapping", "writing", "localising"]
+    assert [stage[0].stage for stage in stages] == ["mapping", "optimising", "writing", "localising"]
     assert reported[mapped - 1].stage == "writing"
-    for stage in (stages[0], stages[2]):
+    for stage in (stages[0], stages[3]):
         shares = [one.share for one in stage if one.share is not None]
         assert shares == sorted(shares) and shares[0] >= 0.0 and shares[-1] == 1.0
         assert [one.readings for one in stage] == sorted(one.readings for one in stage)

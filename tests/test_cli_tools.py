@@ -174,7 +174,9 @@ def test_demo(scanweave: Scanweave, tmp_path: Path, monkeypatch: pytest.MonkeyPa
     monkeypatch.setattr("slam.cli.demo._DURATION_S", 6.0)
     outcome = scanweave("demo", "-o", tmp_path / "demo", "--seed", 3)
     assert outcome.code == 0
-    assert all(line.startswith("warning: ") for line in outcome.err.splitlines()), outcome.err
+    # Where it takes long, how far it is stands among them.
+    said = re.compile(r"warning: |\w+: [\d,]+ scans and frames")
+    assert all(said.match(line) for line in outcome.err.splitlines()), outcome.err
     assert {path.name for path in (tmp_path / "demo").iterdir()} == RESULTS | {"simulated-3", "layers"}
     found = re.search(r"([\d.]+) m RMSE against the ground truth", outcome.out)
     assert found is not None and float(found[1]) < 0.02
@@ -226,11 +228,13 @@ def test_an_interrupt_waits_for_the_scan_to_end(
 ) -> None:
     seen: list[int] = []
 
-    def build(dataset: object, settings: object, on_scan: Callable[[int], None], checkpoint: object) -> None:
-        on_scan(1)
+    def build(
+        dataset: object, settings: object, on_step: Callable[[str, int], None], checkpoint: object
+    ) -> None:
+        on_step("mapping", 1)
         signal.raise_signal(signal.SIGINT)
         seen.append(1)  # compiled code may run here, and gets to its end
-        on_scan(2)
+        on_step("mapping", 2)
         seen.append(2)
 
     monkeypatch.setattr("slam.app.map_run.build_map", build)

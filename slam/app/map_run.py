@@ -94,13 +94,12 @@ def run_into(
         viewer = stack.enter_context(recording(record))
         file = stack.enter_context(opened_map(folder, identity, resume=resume))
 
-        def on_reading(count: int) -> None:
-            on_progress(Progress("mapping", count, dataset.report.share))
+        def on_step(stage: str, count: int) -> None:
+            on_progress(Progress(stage, count, dataset.report.share if stage == "mapping" else None))
 
-        result = build_map(dataset, config, on_reading, Checkpoint(file))
+        result = build_map(dataset, config, on_step, Checkpoint(file))
         give_back()
         readings = result.scans.stamps_s.size
-        on_progress(Progress("mapping", readings, 1.0))
         on_progress(Progress("writing", readings))
         made = Exports(result.map, config, result.ground)
         before = time.perf_counter()

@@ -14,7 +14,7 @@ class Progress:
     Attributes
     ----------
     stage
-        What is being done: ``mapping``, ``localising``, ``writing``.
+        What is being done: ``mapping``, ``optimising``, ``writing``, ``localising``.
     readings
         Scans and frames so far.
     share

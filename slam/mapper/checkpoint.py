@@ -37,6 +37,8 @@ class Checkpoint:
     """
 
     def __init__(self, file: MapFile | None = None) -> None:
+        # Called after each that was computed: a sign of life.
+        self.on_answer: Callable[[], None] = lambda: None
         self._file = file
         self._count = 0
         self._waiting = bytearray()
@@ -66,6 +68,7 @@ class Checkpoint:
         if self._file is not None:
             self._remember(question, key, answer)
             self._file.commit_if_due()
+        self.on_answer()
         return answer
 
     def findings(self, compute: Callable[[], list[Finding]]) -> list[Finding]:

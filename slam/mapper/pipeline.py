@@ -5,6 +5,8 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import partial
+from typing import TypeAlias
 
 from slam.config import Config, calibrated
 from slam.datasets.dataset import Dataset
@@ -28,11 +30,13 @@ from slam.vision.color_registration import ColorRegistration
 from slam.vision.prefetch import prefetched
 from slam.vision.prepared_frame import FramePreparer, PreparedFrame
 
+OnStep: TypeAlias = Callable[[str, int], None]
+
 
 def build_map(
     dataset: Dataset,
     config: Config,
-    on_scan: Callable[[int], None] | None = None,
+    on_step: OnStep | None = None,
     checkpoint: Checkpoint | None = None,
     odometries: Odometries = STANDARD,
 ) -> MapResult:
@@ -44,8 +48,8 @@ def build_map(
         The log.
     config
         The effective configuration.
-    on_scan
-        Called with the number of scans and frames so far, for a progress bar.
+    on_step
+        Called with the stage, ``mapping`` or ``optimising``, and the number of scans and frames so far.
     checkpoint
         Keeps what a run finds out, so that it can go on where it was interrupted; None keeps nothing.
     odometries
@@ -71,15 +75,20 @@ def build_map(
     leader = _front_end(choice, dataset, config, checkpoint, registrations, mountings, odometries)
     mapper = Mapper(config, leader)
     clock += [time.perf_counter()] * 2
-    tally = _feed(mapper, dataset, choice, prepare, on_scan)
+    tally = _feed(mapper, dataset, choice, prepare, on_step)
     if not mountings and (mountings := mapper.learned_mountings()):
         # The way up to there was mapped without these cameras; now they are known from its beginning.
         clock[2] = time.perf_counter()
         checkpoint.begin_again(findings, registrations, mountings)
         mapper = Mapper(config, PlanarRobot(config, checkpoint, registrations, mountings, odometries))
-        tally = _feed(mapper, dataset, choice, prepare, on_scan)
+        tally = _feed(mapper, dataset, choice, prepare, on_step)
     clock.append(time.perf_counter())
     reading_s = clock[3] - clock[2] - sum(mapper.stage_seconds.values())
+    dataset.report.note_share(1.0)
+    if on_step:
+        on_step("mapping", mapper.scan_count)
+        checkpoint.on_answer = partial(on_step, "optimising", mapper.scan_count)
+        checkpoint.on_answer()
     result = mapper.finish()
     result.stage_seconds = {
         "sensors looked at": clock[1] - clock[0],
@@ -148,7 +157,7 @@ def _feed(
     dataset: Dataset,
     choice: SensorChoice,
     prepare: FramePreparer | None,
-    on_scan: Callable[[int], None] | None,
+    on_step: OnStep | None,
 ) -> SensorTally:
     """Hand the whole log to a mapper, frames prefetched; how much of it there was."""
     tally = SensorTally(choice)
@@ -158,8 +167,8 @@ def _feed(
         measurements = prefetched(used, prepare)
     for measurement in measurements:
         mapper.add(measurement)
-        if on_scan:
-            on_scan(mapper.scan_count)
+        if on_step:
+            on_step("mapping", mapper.scan_count)
     if mapper.scan_count == 0:
         raise DatasetError(
             f"{dataset.name} holds no scan or frame that can be mapped; "

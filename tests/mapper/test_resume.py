@@ -89,12 +89,12 @@ def attempt(log: Log, config: Config, path: Path, stop_at: float = math.inf) -> 
     """Map, going on where the map is begun; die at a scan, or finish the map."""
     file = MapFile.resume(path) or MapFile.create(path)
 
-    def on_scan(count: int) -> None:
+    def on_step(stage: str, count: int) -> None:
         if count >= stop_at:
             raise InterruptedHere
 
     try:
-        result = build_map(log, config, on_scan, Checkpoint(file))  # type: ignore[arg-type]
+        result = build_map(log, config, on_step, Checkpoint(file))  # type: ignore[arg-type]
     except InterruptedHere:
         file.commit()
         file.close()
@@ -160,14 +160,14 @@ class TestTheSameMap:
             file = MapFile.resume(tmp_path / "broken.db") or MapFile.create(tmp_path / "broken.db")
             counted = 0
 
-            def on_scan(count: int, stop_at: int = stop_at) -> None:
+            def on_step(stage: str, count: int, stop_at: int = stop_at) -> None:
                 nonlocal counted
                 counted = max(counted, count + MOMENTS * (len(passes) > 1))
                 if counted >= stop_at:
                     raise InterruptedHere
 
             with pytest.raises(InterruptedHere):
-                build_map(log, config, on_scan, Checkpoint(file))  # type: ignore[arg-type]
+                build_map(log, config, on_step, Checkpoint(file))  # type: ignore[arg-type]
             file.commit()
             file.close()
         before = len(passes)
