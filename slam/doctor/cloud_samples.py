@@ -43,6 +43,12 @@ class CloudSamples:
     _tracker: CloudTracker | None = None
     _tracked: tuple[float, TrackedCloud] | None = None
     _newest: PointCloud | None = None
+    _first: PointCloud | None = None
+
+    @property
+    def untimed_s(self) -> float:
+        """How long a turn takes whose points do not tell their times; 0 where they do."""
+        return 0.0 if self.turn_s.values else self.interval_s.median() or 0.0
 
     def add(self, cloud: PointCloud, *, compared: bool) -> None:
         """Take the next cloud; its motion is found only where it will be compared with that of another."""
@@ -73,11 +79,22 @@ class CloudSamples:
         """The step from the cloud before; after a gap everything begins anew."""
         before = self._tracked
         if before is None or not 0.0 < cloud.stamp_s - before[0] < GAP_S or self._tracker is None:
-            self._tracker, before = CloudTracker(_CONFIG, None), None
-        tracked = self._tracker.track(cloud)
-        if tracked.new_keyframe:
-            self._tracker.add_keyframe(tracked)
-        self._tracked = cloud.stamp_s, tracked
+            self._tracker, before, self._first = CloudTracker(_CONFIG, None), None, None
+        tracked = _next(self._tracker, cloud)
+        if self._first is not None and tracked.motion is not None:
+            # The first was straightened as if the robot stood: both once more, by how it moves.
+            self._tracker = CloudTracker(_CONFIG, None, twist=self._tracker.twist)
+            before = self._first.stamp_s, _next(self._tracker, self._first)
+            tracked = _next(self._tracker, cloud)
+        self._tracked, self._first = (cloud.stamp_s, tracked), cloud if before is None else None
         if before is not None and tracked.motion is not None:
             step = before[1].pose.between(tracked.pose)
             self.steps[-1].append(SensorStep(before[0], cloud.stamp_s, step))
+
+
+def _next(tracker: CloudTracker, cloud: PointCloud) -> TrackedCloud:
+    """Where the next cloud is, taken into the local map where it is a keyframe."""
+    tracked = tracker.track(cloud)
+    if tracked.new_keyframe:
+        tracker.add_keyframe(tracked)
+    return tracked

@@ -5,23 +5,24 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
-from typing import TypeAlias
+from typing import Any, TypeAlias
 
 import numpy as np
 
 from fusion.estimation import FEWEST
 from slam.config import Config
+from slam.config.calibration import Calibration
+from slam.datasets.corrections import corrected
 from slam.datasets.recording import fewer_frames
-from slam.doctor.camera_samples import SensorStep
-from slam.doctor.finding import Finding
-from slam.doctor.imu import imu_findings
+from slam.doctor.finding import Finding, remedied
+from slam.doctor.imu import handed, imu_findings
 from slam.doctor.in_space import Base, camera_findings, cloud_findings, findings_against, seen_by
 from slam.doctor.lost_sign import lost_sign
 from slam.doctor.own_body import blocked_beams, blocked_finding, without
 from slam.doctor.pair import Pair
 from slam.doctor.paired_motions import BaseTrack, mended_rows
 from slam.doctor.samples import Samples, WheelSamples
-from slam.doctor.scan_motion import Steps, track_stretches
+from slam.doctor.scan_motion import ScanMotion, Steps, track_stretches
 from slam.doctor.stretches import Stretches
 from slam.doctor.wheels_and_lidar import compare
 from slam.measurements import LaserScan, Measurement
@@ -85,7 +86,7 @@ def examine(log: Iterable[Measurement], registrations: Registrations | None = No
     with fewer_frames(log, lambda _, stamps_s: Stretches().choose(stamps_s)):
         samples = Samples.of(log)
     findings, unknown = _repeated_scans(samples), list[str]()
-    vouching = list[SensorStep]()
+    vouched_for = False  # the IMUs, by a 2D lidar
     wheels = max(samples.wheels.items(), key=lambda item: item[1].count, default=None)
     for name, lidar in samples.lidars.items():
         if not lidar.stretches:
@@ -99,11 +100,13 @@ def examine(log: Iterable[Measurement], registrations: Registrations | None = No
             continue
         stretches, scale = _within_reach(stretches, config)
         tracked = track_stretches(stretches, config)
-        if not vouching:
-            vouching = Steps.of(tracked, config).in_space()
+        by_imus = None if vouched_for else _by_imus(samples, tracked, config)
+        vouched_for = vouched_for or by_imus is not None
         if wheels is None:
+            findings += [_or_upside_down(one, name) for one in by_imus or []]
             continue
-        pair = Pair(wheels[0], name, wheels[1].rows(), stretches, scale)
+        side = 0.0 if by_imus is None else handed(by_imus)
+        pair = Pair(wheels[0], name, wheels[1].rows(), stretches, scale, side)
         found, left_open = compare(pair, tracked, config)
         if not (found or left_open):
             with fewer_frames(log, None):
@@ -111,12 +114,17 @@ def examine(log: Iterable[Measurement], registrations: Registrations | None = No
             found = [lost] if lost else []
         findings += found
         unknown += left_open
+        own = [
+            one for one in found if one.kind in ("mirrored", "field of view") and "lidars" in one.remedies[0]
+        ]
+        if by_imus and own:
+            # What contradicts the IMU is the lidar's own mistake.
+            mended = remedied(Calibration(), own, only_sure=False)
+            again: Any = [list(corrected(scans, mended)) for scans in stretches]
+            by_imus = _by_imus(samples, track_stretches(again, config), config)
+        findings += by_imus or []
     vouched = any(lidar.stretches for lidar in samples.lidars.values()) and not unknown
     findings += _in_space(samples, wheels, findings, vouched=vouched)
-    if vouching:
-        findings += [
-            one for name, imu in samples.imus.items() for one in imu_findings(name, imu, vouching, None)
-        ]
     lenses = [one.sensor for one in findings if one.kind == "lens"]
     found_apart = registrations(lenses) if registrations else registrations_in(log, lenses, config)
     apart = [name for name, one in found_apart.items() if one.accepted]
@@ -141,7 +149,7 @@ def _in_space(
     for clouds in list(samples.clouds.values())[: 0 if samples.lidars else 1]:
         steps = [step for stretch in clouds.steps for step in stretch]
         for name, imu in samples.imus.items():
-            found += imu_findings(name, imu, steps, clouds.T_base_lidar)
+            found += imu_findings(name, imu, steps, clouds.T_base_lidar, clouds.untimed_s)
     known = None if wheels is None else mended_rows(wheels[0], wheels[1].rows(), findings)
     if wheels is None or known is None:
         return found
@@ -159,6 +167,23 @@ def _in_space(
     measured = {one.sensor for one in against if one.kind == "depth scale" and one.sensor in units}
     found = [one for one in found if one.kind != "depth scale" or one.sensor not in measured]
     return found + [replace(one, sure=one.sure or one.sensor in measured) for one in against]
+
+
+def _by_imus(samples: Samples, tracked: list[ScanMotion], config: Config) -> list[Finding] | None:
+    """What is wrong with IMUs beside a 2D lidar; None where there are none, or it tells no motion."""
+    steps = Steps.of(tracked, config).in_space()
+    if not (steps and samples.imus):
+        return None
+    return [one for name, imu in samples.imus.items() for one in imu_findings(name, imu, steps, None)]
+
+
+def _or_upside_down(finding: Finding, lidar: str) -> Finding:
+    """Of an IMU beside a lidar alone: which of them is upside down nobody tells."""
+    if finding.kind != "turn rates" or (finding.value or 0.0) > 0.0:
+        return finding
+    remedies = (*finding.remedies, {"lidars": {lidar: {"upside_down": True}}})
+    text = f"{finding.text}, or {lidar} is upside down"
+    return replace(finding, text=text, remedies=remedies, sure=False)
 
 
 def _within_reach(stretches: list[list[LaserScan]], config: Config) -> tuple[list[list[LaserScan]], float]:

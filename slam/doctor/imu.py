@@ -73,11 +73,16 @@ class TurnFit:
 
 
 def imu_findings(
-    name: str, samples: ImuSamples, steps: Sequence[SensorStep], T_base_lidar: gtsam.Pose3 | None
+    name: str,
+    samples: ImuSamples,
+    steps: Sequence[SensorStep],
+    T_base_lidar: gtsam.Pose3 | None,
+    untimed_s: float = 0.0,
 ) -> list[Finding]:
     """What is wrong with an IMU, by itself and beside the lidar whose motions are given.
 
-    Beside a 2D lidar, whose ``T_base_lidar`` is None, its mounting does not matter.
+    Beside a 2D lidar, whose ``T_base_lidar`` is None, its mounting does not matter. Turns that last
+    ``untimed_s`` and do not tell when a point was seen may be matched as of any moment of that.
     """
     rows = samples.rows()
     if len(rows) < FEWEST:
@@ -86,7 +91,17 @@ def imu_findings(
     if T_base_lidar is None:
         return [*found, *_in_the_plane(name, rows, steps)]
     fit = turn_fit(rows, steps)
-    return found if fit is None else [*found, *_clock(name, fit), *_sits(name, samples, fit, T_base_lidar)]
+    if fit is None:
+        return found
+    return [*found, *_clock(name, fit, untimed_s), *_sits(name, samples, fit, T_base_lidar)]
+
+
+def handed(found: Sequence[Finding]) -> float:
+    """Whether IMUs turn as a 2D lidar does (1) or the other way (-1), by what is found; 0: it is open."""
+    by_kind = {one.kind: one for one in found}
+    if by_kind.keys() & {"axes", "no agreement"}:
+        return 0.0
+    return math.copysign(1.0, by_kind["turn rates"].value or 1.0) if "turn rates" in by_kind else 1.0
 
 
 def turn_fit(rows: FloatArray, steps: Sequence[SensorStep]) -> TurnFit | None:
@@ -217,10 +232,11 @@ def _in_the_plane(name: str, rows: FloatArray, steps: Sequence[SensorStep]) -> l
     ]
 
 
-def _clock(name: str, fit: TurnFit) -> list[Finding]:
+def _clock(name: str, fit: TurnFit, untimed_s: float = 0.0) -> list[Finding]:
     """Stamps that are ahead of the lidar's or behind."""
-    half_s = half_interval(fit.ahead_sigma_s)
-    if abs(fit.ahead_s) <= _CLOCK_S + half_s or half_s > GAP_S / FEWEST:
+    open_ = half_interval(fit.ahead_sigma_s) > GAP_S / FEWEST
+    half_s = half_interval(fit.ahead_sigma_s) + 0.5 * untimed_s
+    if open_ or abs(fit.ahead_s) <= _CLOCK_S + half_s:
         return []
     return [
         Finding(

@@ -30,6 +30,8 @@ class Pair:
         Scans of the lidar.
     range_scale
         What their ranges have been multiplied by to be a lidar's at all.
+    handed
+        As `slam.doctor.imu.handed`; 0 without an IMU.
     """
 
     wheels: str
@@ -37,6 +39,7 @@ class Pair:
     rows: FloatArray
     stretches: list[list[LaserScan]]
     range_scale: float = 1.0
+    handed: float = 0.0
 
     @property
     def mounting(self) -> gtsam.Pose2:

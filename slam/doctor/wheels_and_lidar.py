@@ -165,7 +165,10 @@ def _mirrored(pair: Pair, relation: Relation) -> Finding:
         for one in (relation.mirrored(), relation)
     ]
     sure = abs(misses[0] - misses[1]) > gate() and min(misses) < gate(3)
-    remedies = (of_lidar, of_wheels) if misses[0] <= misses[1] + gate() else (of_wheels, of_lidar)
+    by_lidar = misses[0] <= misses[1] + gate()
+    if not sure and pair.handed:
+        sure, by_lidar = True, pair.handed < 0.0
+    remedies = (of_lidar, of_wheels) if by_lidar else (of_wheels, of_lidar)
     told = "it is mounted upside down" if remedies[0] is of_lidar else "the wheels take left for right"
     other = "" if sure else ", or the wheels take left for right: these two cannot tell which"
     return Finding(

@@ -26,7 +26,7 @@ from slam.mapping.elevation import elevation
 from slam.mapping.occupancy_grid import OccupancyGrid
 from slam.mapping.polygons import cells_inside
 from slam.measurements import BoolArray, FloatArray, Pose, spatial
-from slam.storage.map_contents import MapContents, SavedFactor
+from slam.storage.map_contents import MapContents, SavedFactor, parts_of
 from slam.storage.map_edits import CLOUD, FRAME, MEASURED, REPAIRED, AppliedEdits, erased_bits, regions_of
 from slam.storage.map_sessions import MapSession
 from slam.trajectory.poses import Poses
@@ -105,7 +105,7 @@ def settled(
         base.stamps_s,
         Poses.of(bases_of(base, base.node_poses)),
         Poses.of(bases),
-        [(session.keyframes, session.poses) for session in sessions],
+        parts_of(base, sessions),
         told,
     )
     return MapContents(

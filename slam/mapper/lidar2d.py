@@ -147,9 +147,6 @@ class PlanarRobot:
         led, stamps_s = self._cameras.led()
         before = self.readings.keyframe_wheels()
         self.readings.restamp(led, stamps_s)
-        if len(led) == self.readings.scan_count:
-            clocks = [camera.clock for camera in self._cameras.cameras.values() if camera.clock.known]
-            self.readings.clock_sigma_s = max((clock.sigma_s for clock in clocks), default=0.0)
         if self._wheels is not None:
             self._wheels.learn_clock(self._cameras.scan_turns, final=True)
             used = self._wheels.clock_was_used

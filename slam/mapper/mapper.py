@@ -23,7 +23,7 @@ from slam.mapper.protocol import SENSORS, FrontEnd, Sensor, Tracked
 from slam.mapper.scan_record import ScanRecorder
 from slam.mapper.tags import PlaceAnchors
 from slam.measurements import FloatArray, GnssFix
-from slam.storage.map_contents import MapContents, SavedFactor
+from slam.storage.map_contents import MapContents, SavedFactor, clock_sigma_s
 from slam.trajectory.carried import carried_covariances, late_covariances
 
 
@@ -135,8 +135,6 @@ class Mapper:
             self._places.check(graph, way(), outcome, self._config)
         at = front_end.readings.keyframe_readings()
         covariances = carried_covariances(trajectory, at, *told)
-        if sigma_s := front_end.readings.clock_sigma_s:
-            covariances += late_covariances(trajectory, int(at[0]), sigma_s)
         clock.append(time.perf_counter())
         factors = zip(edges, outcome.kept.tolist(), strict=True)
         result = MapResult(
@@ -159,6 +157,9 @@ class Mapper:
             },
         )
         front_end.complete(result)
+        if sigma_s := clock_sigma_s(result.map):
+            # The map holds them.
+            covariances += late_covariances(trajectory, int(at[0]), [(len(trajectory), sigma_s)])
         drawing_s = time.perf_counter() - clock[2]
         result.stage_seconds["map"] = drawing_s - result.stage_seconds.get("fusion", 0.0)
         result.notes += [note for sensor in self._sensors.values() for note in sensor.notes()]

@@ -56,7 +56,14 @@ class TrackedCloud:
 
 
 class CloudTracker:
-    """State of the odometry."""
+    """State of the odometry.
+
+    Parameters
+    ----------
+    twist
+        (6,) as `CloudVelocity.twist`, of a robot that moves as it begins; None of one that stands, or where
+        nobody knows.
+    """
 
     def __init__(
         self,
@@ -64,13 +71,14 @@ class CloudTracker:
         wheels: WheelTracker | None,
         result_cache: ResultCache = COMPUTED,
         imu: ImuTracker | None = None,
+        twist: FloatArray | None = None,
     ) -> None:
         self._config, self._wheels, self._result_cache = config, wheels, result_cache
         self._imu = imu
         self._turns = config.cloud_odometry
         self._odometry: CloudOdometry | None = None
         self._matcher: TurnMatcher | None = None
-        self._velocity = CloudVelocity()
+        self._velocity = CloudVelocity(twist)
         # Without wheels or an IMU nobody knows the way along a tunnel.
         self._open = OpenWay(config.wheels.greatest_speed_m_s)
         self._pose = gtsam.Pose3()
@@ -81,6 +89,11 @@ class CloudTracker:
         self._rolls: deque[tuple[float, FloatArray]] = deque()
         self.voxel_m = 0.0
 
+    @property
+    def twist(self) -> FloatArray:
+        """(6,) how it moves by the last sure match."""
+        return self._velocity.twist
+
     def track(self, cloud: PointCloud) -> TrackedCloud:
         """Find the pose of the next cloud at its stamp; where it cannot be matched it is guessed."""
         step_s = 0.0 if self._stamp_s is None else cloud.stamp_s - self._stamp_s
@@ -89,7 +102,8 @@ class CloudTracker:
         self._stamp_s = cloud.stamp_s
         if self._imu is not None and deskewed(cloud, self._turns):
             cloud = self._imu.straightened(cloud, self._velocity.twist)
-        twist = self._velocity.at(expected, cloud.stamp_s) if guesses else np.zeros(6)
+        moves = guesses or self._matcher is None
+        twist = self._velocity.at(expected, cloud.stamp_s) if moves else np.zeros(6)
         seen = DeskewedCloud.of(cloud, twist, self._turns)
         if len(seen.points) < self._turns.least_pairs:
             self._lost += 1

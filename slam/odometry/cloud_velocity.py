@@ -19,14 +19,14 @@ class CloudVelocity:
     Attributes
     ----------
     twist
-        As last measured; zero before.
+        As last measured; before as given, or zero.
     known
-        Whether it was measured since the local map began.
+        Whether it was measured since the local map began, or given.
     """
 
-    def __init__(self) -> None:
-        self.twist: FloatArray = np.zeros(6)
-        self.known = False
+    def __init__(self, twist: FloatArray | None = None) -> None:
+        self.twist: FloatArray = np.zeros(6) if twist is None else twist
+        self.known = twist is not None
         self._determined: FloatArray = np.zeros(6)
         self._pose, self._stamp_s, self._step_s = gtsam.Pose3(), -np.inf, np.inf
 

@@ -17,7 +17,7 @@ from slam.mapper.map_result import drawn
 from slam.outputs.finished_map import Map, load_map
 from slam.sessions.joined_files import write_sessions
 from slam.storage.map_clouds import MapClouds
-from slam.storage.map_contents import MapContents, SavedFactor
+from slam.storage.map_contents import MapContents, SavedFactor, parts_of
 from slam.storage.map_edits import FRAME, AppliedEdits
 from slam.storage.map_file import MAP_NAME, MapFile
 from slam.storage.map_frames import MapFrames
@@ -88,7 +88,7 @@ def _alone(base: MapContents, nodes: int, sessions: Sequence[MapSession], config
         base.stamps_s[:nodes],
         Poses.of(bases_of(base, base.node_poses[:nodes])),
         Poses.of(bases),
-        [(session.keyframes, session.poses) for session in sessions],
+        parts_of(base, sessions),
         pose_covariances(poses, bases, edges, kept, config),
     )
     return replace(

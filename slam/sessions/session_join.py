@@ -19,7 +19,7 @@ from slam.mapping.keyframe_grid import lidar_grids
 from slam.measurements import Pose
 from slam.outputs.finished_map import Map
 from slam.sessions.placing import Placing
-from slam.storage.map_contents import MapContents, SavedFactor
+from slam.storage.map_contents import MapContents, SavedFactor, parts_of
 from slam.trajectory.poses import Poses
 from slam.trajectory.resettled import resettled
 
@@ -93,7 +93,7 @@ def join(
         np.concatenate([one.contents.stamps_s for one in both]),
         Poses.of(before),
         Poses.of(bases),
-        [(session.keyframes, session.poses) for one in both for session in one.sessions],
+        [part for one in both for part in parts_of(one.contents, one.sessions)],
         told,
     )
     return JoinedMap(

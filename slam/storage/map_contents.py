@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -31,6 +32,7 @@ from slam.storage.map_file import MapFile
 from slam.storage.map_frames import MapFrames
 from slam.storage.map_parts import Unpack, read_grids, read_trajectory
 from slam.storage.map_places import MapPlaces, places_of_file
+from slam.storage.map_sessions import MapSession
 from slam.storage.map_soundness import (
     of,
     require,
@@ -181,6 +183,27 @@ class MapContents:
         """Where colour cameras sit beside their depth cameras, as far as the run has asked, by name."""
         learned = {name: one.registration for name, one in self.cameras.items()}
         return {name: found for name, found in learned.items() if found is not None}
+
+
+def clock_sigma_s(contents: MapContents, nodes: slice = slice(None)) -> float:
+    """By how much the stamps of all poses around some nodes may be off together; 0 but of a camera on wheels.
+
+    Without a lidar's scan the stamps are those of the cameras, by what their clocks are less the wheels'.
+    """
+    if not contents.planar or any(scan is not None for scan in contents.measured_scans[nodes]):
+        return 0.0
+    # An offset is 0 where it is not known.
+    known = [camera.clock_sigma_s for camera in contents.cameras.values() if camera.clock_offset_s]
+    return max(known, default=0.0)
+
+
+def parts_of(contents: MapContents, sessions: Sequence[MapSession]) -> list[tuple[int, int, float]]:
+    """Keyframes, poses and `clock_sigma_s` of the first sessions of a map."""
+    ends = itertools.accumulate(one.keyframes for one in sessions)
+    return [
+        (one.keyframes, one.poses, clock_sigma_s(contents, slice(end - one.keyframes, end)))
+        for one, end in zip(sessions, ends, strict=True)
+    ]
 
 
 def write_contents(file: MapFile, contents: MapContents) -> None:

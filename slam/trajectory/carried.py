@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 import scipy
 from numpy.typing import NDArray
@@ -60,32 +62,46 @@ def carried_covariances(
     )
 
 
-def late_covariances(trajectory: Trajectory, held: int, sigma_s: float) -> FloatArray:
-    """What a shared error of all stamps does to the poses of a robot on a floor, one of which is held.
+def late_covariances(trajectory: Trajectory, held: int, sessions: Sequence[tuple[int, float]]) -> FloatArray:
+    """What an error that a session's stamps share does to the poses of a robot on a floor, one of them held.
 
     Parameters
     ----------
     trajectory
-        N poses in the map.
+        N poses in the map, one session after the other.
     held
-        Number of the pose on which the others are laid: where it moves, they are all off.
-    sigma_s
-        Standard deviation of the error.
+        Number of the pose, of the first session, on which the others are laid: where it moves, all are off.
+    sessions
+        Of each how many poses it has, and the standard deviation of its error in seconds; errors of two
+        sessions are independent.
 
     Returns
     -------
     (N, 3, 3) of x, y, yaw, along the axes of the map.
     """
+    ends = np.cumsum([poses for poses, _ in sessions])
+    speeds = np.concatenate(
+        [_speeds(trajectory[end - n : end]) for end, (n, _) in zip(ends, sessions, strict=True)]
+    )
+    x, y, _ = _from(trajectory, np.full(len(trajectory), held)).T
+    along_x, along_y, turn = speeds[held]
+    held_off = sessions[0][1] * np.column_stack(
+        [along_x - turn * y, along_y + turn * x, np.full_like(x, turn)]
+    )
+    off = np.repeat([sigma_s for _, sigma_s in sessions], np.diff(ends, prepend=0))[:, None] * speeds
+    off[: ends[0]] -= held_off[: ends[0]]
+    held_off[: ends[0]] = 0.0
+    return np.einsum("kni,knj->nij", [off, held_off], [off, held_off])
+
+
+def _speeds(trajectory: Trajectory) -> FloatArray:
+    """(N, 3) along the axes of the map and about the vertical, of one session."""
     stamps_s, order = np.unique(trajectory.stamps_s, return_index=True)
     rows = trajectory[order].to_planar()
     rows[:, 2] = np.unwrap(rows[:, 2])
     ends = [trajectory.stamps_s + share * GAP_S for share in (-0.5, 0.5)]
     before, after = (np.column_stack([np.interp(end, stamps_s, row) for row in rows.T]) for end in ends)
-    speeds = (after - before) / GAP_S
-    x, y, _ = _from(trajectory, np.full(len(trajectory), held)).T
-    along_x, along_y, turn = speeds[held]
-    off = speeds - np.column_stack([along_x - turn * y, along_y + turn * x, np.full_like(x, turn)])
-    return sigma_s**2 * off[:, :, None] * off[:, None, :]
+    return np.asarray((after - before) / GAP_S)
 
 
 def _left_over(steps: FloatArray, ends: FloatArray) -> FloatArray:

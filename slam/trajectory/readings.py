@@ -17,16 +17,9 @@ from slam.trajectory.spread import spread_correction, steadied
 
 
 class Readings:
-    """Stamps and motion of every reading; numbers only, so that it stays small on a long log.
-
-    Attributes
-    ----------
-    clock_sigma_s
-        By how much the stamps of all scans may be off together.
-    """
+    """Stamps and motion of every reading; numbers only, so that it stays small on a long log."""
 
     def __init__(self) -> None:
-        self.clock_sigma_s = 0.0
         self._stamps_s = array("d")
         self._told_s = array("d")
         self._wheel_poses = array("d")

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from slam.estimates import Trajectory
 from slam.measurements import FloatArray
-from slam.trajectory.carried import carried_covariances
+from slam.trajectory.carried import carried_covariances, late_covariances
 from slam.trajectory.poses import Poses
 from slam.trajectory.spread import spread_correction
 
@@ -22,7 +22,7 @@ def resettled(
     keyframe_stamps_s: FloatArray,
     before: Poses,
     after: Poses,
-    sessions: Sequence[tuple[int, int]],
+    sessions: Sequence[tuple[int, int, float]],
     told: tuple[FloatArray, FloatArray],
 ) -> tuple[Trajectory, FloatArray]:
     """A trajectory of one or several sessions and its covariances, carried along with its keyframes.
@@ -36,15 +36,16 @@ def resettled(
     before, after
         K bases at the keyframes, by which the trajectory was made, and where they are now.
     sessions
-        How many keyframes and poses each session has.
+        How many keyframes and poses each has, and by how much its stamps may be off together, as
+        `slam.storage.map_contents.parts_of` tells.
     told
         Covariances (K, d, d) of ``after``, and (K - 1, d, d) of the steps, as `carried_covariances` takes
         them.
     """
     covariances, steps = told
-    positions, quaternions, uncertain, first, node = [], [], [], 0, 0
+    positions, quaternions, uncertain, held, first, node = [], [], [], [], 0, 0
     # One session at a time: their clocks may overlap.
-    for keyframes, poses in sessions:
+    for keyframes, poses, _ in sessions:
         part, nodes = slice(first, first + poses), slice(node, node + keyframes)
         first, node = part.stop, nodes.stop
         own = trajectory[part]
@@ -56,10 +57,14 @@ def resettled(
         ways = steps[nodes.start : nodes.stop - 1]
         ways = np.add.reduceat(ways[: kept[-1]], kept[:-1]) if len(kept) > 1 else ways[:0]
         uncertain.append(carried_covariances(carried, readings, covariances[nodes][kept], ways))
+        held.append(readings[0])
         positions.append(carried.positions_m)
         quaternions.append(carried.quaternions_xyzw)
     found = Trajectory(trajectory.stamps_s, np.concatenate(positions), np.concatenate(quaternions))
-    return found, np.concatenate(uncertain)
+    whole = np.concatenate(uncertain)
+    if any(sigma_s for *_, sigma_s in sessions):
+        whole += late_covariances(found, int(held[0]), [(poses, sigma_s) for _, poses, sigma_s in sessions])
+    return found, whole
 
 
 def _readings_of(keyframes_s: FloatArray, stamps_s: FloatArray) -> tuple[Indices, Indices]:

@@ -9,6 +9,7 @@ from functools import cache
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
+import gtsam
 import numpy as np
 import pytest
 from gyro_world import beside, imu_of
@@ -18,7 +19,7 @@ from slam.datasets import open_dataset
 from slam.datasets.corrections import corrected
 from slam.doctor.diagnosis import diagnose
 from slam.doctor.finding import Finding, remedied
-from slam.measurements import ImuReading, Measurement, WheelOdometry
+from slam.measurements import ImuReading, LaserScan, Measurement, WheelOdometry
 from slam.simulation.synthetic_log import write_synthetic_log
 
 Change = Callable[[ImuReading], ImuReading]
@@ -60,12 +61,38 @@ def test_nothing_is_wrong_with_a_sound_one(wheels: bool) -> None:
         (turned(2.0), "2.0. times too large", 0.5),
     ],
 )
-def test_turn_rates_are_mended(change: Change, said: str, scale: float) -> None:
-    wrong = with_imu(change, wheels=False)
+@pytest.mark.parametrize("wheels", [True, False])
+def test_turn_rates_are_mended(change: Change, said: str, scale: float, wheels: bool) -> None:
+    wrong = with_imu(change, wheels=wheels)
     (finding,) = of_imu(wrong)
-    assert finding.kind == "turn rates" and finding.sure and finding.value == pytest.approx(scale, rel=0.03)
+    assert finding.kind == "turn rates" and finding.value == pytest.approx(scale, rel=0.03)
+    # Without wheels nobody tells whether the lidar is upside down instead.
+    assert finding.sure == (wheels or scale > 0.0) and len(finding.remedies) == (1 if finding.sure else 2)
     assert re.search(said, finding.text)
-    assert of_imu(list(corrected(wrong, remedied(Calibration(), [finding], only_sure=True)))) == []
+    assert of_imu(list(corrected(wrong, remedied(Calibration(), [finding], only_sure=False)))) == []
+
+
+def upside_down(one: Measurement) -> Measurement:
+    return replace(one, ranges_m=one.ranges_m[::-1].copy()) if isinstance(one, LaserScan) else one
+
+
+def left_for_right(one: Measurement) -> Measurement:
+    if not isinstance(one, WheelOdometry):
+        return one
+    pose = one.T_odom_base
+    return replace(one, T_odom_base=gtsam.Pose2(pose.x(), -pose.y(), -pose.theta()))
+
+
+@pytest.mark.parametrize(("mirrored", "kind"), [(upside_down, "lidars"), (left_for_right, "wheels")])
+def test_an_imu_tells_who_is_mirrored(mirrored: Callable[[Measurement], Measurement], kind: str) -> None:
+    wrong = [mirrored(one) for one in with_imu(lambda one: one)]
+    (finding,) = diagnose(wrong)
+    (remedy,) = finding.remedies
+    assert finding.kind == "mirrored" and finding.sure and list(remedy) == [kind]
+    assert diagnose(list(corrected(wrong, remedied(Calibration(), [finding], only_sure=True)))) == []
+    # One that nobody understands is no witness.
+    (finding, _) = diagnose([mirrored(one) for one in with_imu(turned(0.0))])
+    assert finding.kind == "mirrored" and len(finding.remedies) == 2
 
 
 @pytest.mark.parametrize("ahead_s", [0.05, -0.2])

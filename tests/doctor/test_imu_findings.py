@@ -7,11 +7,13 @@ from dataclasses import replace
 import gtsam
 import numpy as np
 import pytest
-from cloud_world import look
+from cloud_world import T_BASE_LIDAR as PILLARED
+from cloud_world import base, look, look_on_the_way
 from imu_world import T_BASE_IMU, readings, walk
 
 from fusion.estimation import half_interval
 from slam.doctor.camera_samples import SensorStep
+from slam.doctor.cloud_samples import CloudSamples
 from slam.doctor.finding import Finding
 from slam.doctor.imu import ImuSamples, imu_findings, turn_fit
 from slam.doctor.samples import Samples
@@ -30,11 +32,11 @@ def steps() -> list[SensorStep]:
     return found
 
 
-def findings(said: list[ImuReading]) -> dict[str, Finding]:
+def findings(said: list[ImuReading], untimed_s: float = 0.0) -> dict[str, Finding]:
     samples = ImuSamples()
     for reading in said:
         samples.add(reading)
-    return {one.kind: one for one in imu_findings("imu", samples, steps(), T_BASE_LIDAR)}
+    return {one.kind: one for one in imu_findings("imu", samples, steps(), T_BASE_LIDAR, untimed_s)}
 
 
 SAID = list(readings(walk, 12.0))
@@ -50,6 +52,13 @@ def test_a_clock_is_told_with_its_interval(ahead_s: float) -> None:
     assert set(found) == {"clock"}
     low_s, high_s = found["clock"].interval or (0.0, 0.0)
     assert low_s <= ahead_s <= high_s and high_s - low_s < 0.02 and found["clock"].sure
+
+
+def test_a_turn_without_times_tells_a_clock_to_half_of_it() -> None:
+    late = [[replace(one, stamp_s=one.stamp_s + ahead_s) for one in SAID] for ahead_s in (0.04, 0.2)]
+    assert findings(late[0], untimed_s=0.1) == {}
+    low_s, high_s = findings(late[1], untimed_s=0.1)["clock"].interval or (0.0, 0.0)
+    assert low_s < 0.16 < 0.24 < high_s < 0.27
 
 
 def test_a_mounting_is_learned() -> None:
@@ -122,3 +131,15 @@ def test_a_robot_that_hardly_turns_tells_of_no_mounting(seed: int) -> None:
         samples.add(replace(one, gyro_rad_s=turn))
     found = imu_findings("imu", samples, straight, T_BASE_LIDAR)
     assert "mounting" not in {one.kind for one in found}
+
+
+def test_a_stretch_begins_as_fast_as_the_robot_is() -> None:
+    """Clouds taken on the way: the first step is as true as those after it."""
+    twist, samples = np.array([0.0, 0.0, 1.5, 0.4, 0.0, 0.0]), CloudSamples()
+    for n in range(5):
+        pose = base(-1.2, -0.8, 0.3).compose(gtsam.Pose3.Expmap(0.1 * n * twist))
+        samples.add(look_on_the_way(pose, twist, 0.1 * n, seed=n), compared=True)
+    true = PILLARED.inverse().compose(gtsam.Pose3.Expmap(0.1 * twist)).compose(PILLARED)
+    (stretch,) = samples.steps
+    offs = [gtsam.Pose3.Logmap(true.between(step.motion)) for step in stretch]
+    assert len(offs) == 4 and max(np.linalg.norm(off[:3]) for off in offs) < 0.002

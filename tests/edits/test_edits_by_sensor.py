@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from pathlib import Path
 
 import gtsam
@@ -16,6 +17,7 @@ from room_world import LESS, T_BODY_CAMERA, furnished, render, turning_walk
 
 import slam
 from slam.config import load_config
+from slam.edits.remaking import settled
 from slam.errors import ScanweaveError
 from slam.mapping.layered_map import DEPTH, OCCUPANCY
 from slam.mapping.occupancy_grid import OccupancyGrid
@@ -24,6 +26,10 @@ from slam.matching.planar import between, compose
 from slam.measurements import FloatArray, LaserScan, RgbdFrame, WheelOdometry, pose2_from_row
 from slam.outputs.finished_map import Map
 from slam.simulation.synthetic_log import write_synthetic_log
+from slam.storage.map_contents import parts_of
+from slam.storage.map_edits import AppliedEdits
+from slam.trajectory.carried import late_covariances
+from slam.vision.learned_camera import LearnedCamera
 
 __all__ = ["scanweave"]  # a fixture
 
@@ -73,6 +79,21 @@ def test_every_kind_of_map_is_made_anew_turned_and_undone(kind: str, request: py
     assert turned.trajectory.positions_m == pytest.approx(np.column_stack([-y, x, z]), abs=1e-6)
     assert content(turned.undone()) == content(saved)
     turned.check()
+
+
+def test_a_map_that_is_turned_keeps_the_error_of_a_clock_in_its_covariances(robot: Map) -> None:
+    """As if a camera alone had led; beside it what the same map tells of a lidar."""
+    learned = {"camera": LearnedCamera(clock_offset_s=0.02, clock_sigma_s=0.05)}
+    alone = replace(robot.contents, measured_scans=(), cameras=learned)
+    turns, config = [AppliedEdits("", turned=gtsam.Pose2(0.0, 0.0, 1.0))], load_config(None, PLAIN)
+    led, by_lidar = (settled(one, turns, config, config, robot.sessions) for one in (alone, robot.contents))
+    assert led.covariances is not None and by_lidar.covariances is not None
+    (readings, poses, sigma_s) = parts_of(alone, robot.sessions)[0]
+    assert (readings, poses, sigma_s) == (len(alone.node_poses), len(led.trajectory), 0.05)
+    first = int(np.flatnonzero(led.trajectory.stamps_s == led.stamps_s[0])[0])
+    late = late_covariances(led.trajectory, first, [(poses, sigma_s)])
+    assert led.covariances - by_lidar.covariances == pytest.approx(late, abs=1e-12)
+    assert np.abs(late).max() > 1e-9
 
 
 def test_what_is_erased_of_clouds_stays_away_at_other_heights_too(clouds: Map) -> None:

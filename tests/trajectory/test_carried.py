@@ -104,8 +104,23 @@ def test_stamps_that_are_off_together_move_all_that_does_not_move_as_what_is_hel
             (laid.rotations * true.rotations.inv()).as_rotvec()[:, 2],
         ]
     )
-    found = late_covariances(true.trajectory(stamps_s), held, sigma_s)
+    trajectory = true.trajectory(stamps_s)
+    found = late_covariances(trajectory, held, [(len(trajectory), sigma_s)])
     inner = slice(20, -20)
     np.testing.assert_allclose(found[inner], (off[:, :, None] * off[:, None, :])[inner], atol=1e-6)
     assert found[held] == pytest.approx(np.zeros((3, 3)), abs=1e-12)
     assert np.sqrt(found[inner, 1, 1].max()) > 0.003
+
+
+def test_a_session_on_its_own_clock_is_off_by_its_speed_and_by_what_moves_the_frame() -> None:
+    """Both drive along x at 0.1 m/s, the first turned by nothing, the second the other way round."""
+    there, back = line(), line(yaw=np.pi)
+    both = Trajectory(
+        np.concatenate([there.stamps_s, back.stamps_s]),
+        np.concatenate([there.positions_m, 3.0 * back.positions_m]),
+        np.concatenate([there.quaternions_xyzw, back.quaternions_xyzw]),
+    )
+    found = late_covariances(both, 5, [(11, 0.01), (11, 0.02)])
+    assert found[2:9] == pytest.approx(np.zeros((7, 3, 3)), abs=1e-15)
+    assert found[13:20, 0, 0] == pytest.approx((0.1 * 0.01) ** 2 + (0.3 * 0.02) ** 2)
+    assert late_covariances(both, 5, [(11, 0.0), (11, 0.0)]) == pytest.approx(np.zeros((22, 3, 3)))
