@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import argparse
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -69,7 +69,7 @@ def planar_pairs(case: Case) -> Iterator[tuple[FloatArray, FloatArray]]:
         view = ScanView.of(scan, case.config)
         novel = sensor.novel(view, gtsam.Pose2(), None)
         places = sensor.propose(view, [Keyframe(gtsam.Pose2(), 0.0, novel)], None)
-        right, wrong = rivals(sensor, view, pose2_from_row(case.truth[n]), places)
+        right, wrong = rivals(sensor, view, pose2_from_row(case.truth[n]), filter(None, places))
         counts = [np.array(sensor.counted(pose, novel)) for pose in (*right, *wrong)]
         if right and wrong:
             shares = [kinds[:3] / max(kinds[:3].sum(), 1) for kinds in counts]
@@ -101,7 +101,7 @@ def cloud_pairs(first: Path, second: Path, config: Config) -> Iterator[tuple[Flo
 
 
 def rivals(
-    sensor: PlanarSensor | CloudSensor, view: Any, true: Pose, places: Sequence[Pose]
+    sensor: PlanarSensor | CloudSensor, view: Any, true: Pose, places: Iterable[Pose]
 ) -> tuple[list[Pose], list[Pose]]:
     """The true pose, if it can be aligned, and the wrong ones of some places, aligned where they can be."""
     motion = sensor.align(view, true)

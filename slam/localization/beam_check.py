@@ -7,7 +7,6 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import ndimage
 
 from fusion.kernel import kernel
 from slam.localization.beams import FREE, NEAR, UNKNOWN, WALL, follow, looked_up
@@ -72,21 +71,28 @@ class BeamCounts(NamedTuple):
 
 def known_space(grid: OccupancyGrid) -> KnownSpace:
     """Prepare a grid for `check_beams`."""
-    walls = grid.states().T == OCCUPIED
-    distance_m = grid.resolution_m * np.asarray(ndimage.distance_transform_edt(~walls))
-    if not walls.any():
-        distance_m[:] = np.inf
+    walls = grid.states() == OCCUPIED
     # A wall that long beams have brushed past, and none has met, stands where free space ends.
-    free_m = grid.resolution_m * np.asarray(
-        ndimage.distance_transform_edt(np.pad(grid.probabilities().T < _SURELY_FREE, 1))
-    )
-    cells = np.where(free_m[1:-1, 1:-1] > _WALL_REACH_M, FREE, UNKNOWN).astype(np.uint8)
-    cells[distance_m <= _WALL_REACH_M] = NEAR
+    brushed = np.pad(grid.probabilities() >= _SURELY_FREE, 1, constant_values=True)
+    free = ~_within(brushed, _WALL_REACH_M / grid.resolution_m)[1:-1, 1:-1]
+    cells = np.where(free, np.uint8(FREE), np.uint8(UNKNOWN))
+    cells[_within(walls, _WALL_REACH_M / grid.resolution_m)] = NEAR
     cells[walls] = WALL
-    clear = (cells == FREE) & (distance_m > _CLEAR_M)
+    clear = (cells == FREE) & ~_within(walls, _CLEAR_M / grid.resolution_m)
+    cells, clear = cells.T, np.ascontiguousarray(clear.T)
     # In one piece: beams are followed through it as it lies in memory, and a large map is copied no more.
     cells = np.ascontiguousarray(cells[:, :, None])
     return KnownSpace(cells, clear, row_from_pose2(grid.T_map_grid), grid.resolution_m)
+
+
+def _within(cells: BoolArray, reach_cells: float) -> BoolArray:
+    """Which cells lie so near the middle of one of these; a reach of a few, or distances would cost less."""
+    reach = int(reach_cells)
+    wide, near = np.pad(cells, reach), cells.copy()
+    for row, column in np.ndindex(2 * reach + 1, 2 * reach + 1):
+        if math.hypot(row - reach, column - reach) <= reach_cells:
+            near |= wide[row : row + cells.shape[0], column : column + cells.shape[1]]
+    return near
 
 
 def in_clear_space(space: KnownSpace, pose: FloatArray, points: AnyFloatArray) -> BoolArray:

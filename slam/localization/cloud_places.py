@@ -14,7 +14,7 @@ import numpy as np
 
 from fusion.height_band import HeightBand
 from slam.config import Config
-from slam.localization.global_search import search_map
+from slam.localization.global_search import at_once, search_map
 from slam.localization.known_clouds import TILE
 from slam.localization.scan_view import first_in_cells
 from slam.localization.whole_map_field import WholeMapField
@@ -88,7 +88,7 @@ class CloudPlaces:
         if self._field is None or not len(seen):
             return []
         most = self._config.cloud_localization.places
-        found = search_map(self._field, seen, self._config.localization, most)
+        found = at_once(search_map(self._field, seen, self._config.localization, most))
         return [self._lifted(place.pose) for place in found]
 
     def _lifted(self, pose: FloatArray) -> gtsam.Pose3:

@@ -7,8 +7,9 @@ comes near it, for rooms are alike.
 from __future__ import annotations
 
 import math
+from collections.abc import Generator
 from concurrent.futures import ThreadPoolExecutor
-from typing import NamedTuple, TypeAlias
+from typing import NamedTuple, TypeAlias, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,8 +27,11 @@ _DIVE = 64
 # More blocks than that are alike where too little is seen: the best are as good as any, and find as much.
 _MOST_BLOCKS = 1 << 16
 
+T = TypeVar("T")
 Pixels: TypeAlias = NDArray[np.int32]
 Nodes: TypeAlias = NDArray[np.int64]
+# Work that halts each time it has looked at so many blocks as are kept: no reading waits for all of it.
+Steps: TypeAlias = Generator[None, None, T]
 
 
 class Place(NamedTuple):
@@ -63,19 +67,31 @@ def search_map(
     settings: LocalizationConfig,
     most: int,
     window: Window | None = None,
-) -> list[Place]:
+) -> Steps[list[Place]]:
     """`search_everywhere` for points (M, 2), base frame, as it is set; of so many of them as matter."""
     if len(points) == 0:
         return []
-    return search_everywhere(
-        field,
-        points[:: -(-len(points) // _POINTS)],
-        settings.search_least_score,
-        settings.search_keep_share,
-        most,
-        settings.search_threads,
-        window,
+    return (
+        yield from search_everywhere(
+            field,
+            points[:: -(-len(points) // _POINTS)],
+            settings.search_least_score,
+            settings.search_keep_share,
+            most,
+            settings.search_threads,
+            window,
+        )
     )
+
+
+def at_once(steps: Steps[T]) -> T:
+    """What work in steps comes to."""
+    while True:
+        try:
+            next(steps)
+        except StopIteration as ended:
+            found: T = ended.value
+            return found
 
 
 def search_everywhere(
@@ -86,7 +102,7 @@ def search_everywhere(
     most: int,
     threads: int = 1,
     window: Window | None = None,
-) -> list[Place]:
+) -> Steps[list[Place]]:
     """Every place with a score near the best, best first; the same for any number of threads.
 
     Parameters
@@ -114,7 +130,7 @@ def search_everywhere(
     columns, rows = _rotated_pixels(np.asarray(points, np.float64), yaws, field.cell_m)
     with ThreadPoolExecutor(threads) as pool:
         search = _Search(field, columns, rows, pool, threads, window)
-        nodes, scores = search.descend(math.ceil(least_score * 255.0 * len(points)), keep_share)
+        nodes, scores = yield from search.descend(math.ceil(least_score * 255.0 * len(points)), keep_share)
     # By score, then place and yaw: the order does not depend on who found it.
     order = np.lexsort((nodes[:, 0], nodes[:, 2], nodes[:, 1], -scores))
     nodes, scores = nodes[order], scores[order]
@@ -174,28 +190,29 @@ class _Search:
             self._lowest = np.maximum(self._lowest, lowest.astype(np.int64))
             self._highest = np.minimum(self._highest, highest.astype(np.int64))
         self._pool, self._threads = pool, threads
+        self._room = _MOST_BLOCKS
 
-    def descend(self, bar: int, keep_share: float) -> tuple[Nodes, Nodes]:
+    def descend(self, bar: int, keep_share: float) -> Steps[tuple[Nodes, Nodes]]:
         """All poses with a score sum of at least the bar, and of the share of the best: (n, 3) and (n,)."""
         # Of the widest blocks, most can hold anything: begin where there are at least some.
         level = max(len(self._field.levels) - 3, 0)
         height, width = self._field.standing[level].shape
         grid = np.indices((len(self._pixels[0]), height, width)).reshape(3, -1).T
         nodes = self._inside(level, grid[:, [0, 2, 1]] * np.array([1, 1 << level, 1 << level], np.int64))
-        nodes, bounds = self._bounded(level, nodes, bar)
+        nodes, bounds = yield from self._bounded(level, nodes, bar)
         while level > 0:
             if len(nodes):
-                bar = max(bar, math.ceil(keep_share * self._dive(level, nodes)))
+                bar = max(bar, math.ceil(keep_share * (yield from self._dive(level, nodes))))
             nodes = nodes[bounds >= bar]
             level -= 1
-            nodes, bounds = self._bounded(level, self._quarters(level, nodes), bar)
+            nodes, bounds = yield from self._bounded(level, self._quarters(level, nodes), bar)
         kept = bounds >= keep_share * bounds.max(initial=0)
         return nodes[kept], bounds[kept]
 
-    def _dive(self, level: int, nodes: Nodes) -> int:
+    def _dive(self, level: int, nodes: Nodes) -> Steps[int]:
         """A score that some pose of the blocks has: that of the best, if the likeliest blocks lead to it."""
         for below in range(level - 1, -1, -1):
-            nodes, bounds = self._bounded(below, self._quarters(below, nodes[:_DIVE]), 0)
+            nodes, bounds = yield from self._bounded(below, self._quarters(below, nodes[:_DIVE]), 0)
         return int(bounds.max(initial=0))
 
     def _quarters(self, level: int, nodes: Nodes) -> Nodes:
@@ -210,16 +227,23 @@ class _Search:
         inside = ((corner <= self._highest) & (corner + (1 << level) > self._lowest)).all(axis=1)
         return np.ascontiguousarray(nodes[inside])
 
-    def _bounded(self, level: int, nodes: Nodes, bar: int) -> tuple[Nodes, Nodes]:
+    def _bounded(self, level: int, nodes: Nodes, bar: int) -> Steps[tuple[Nodes, Nodes]]:
         """Those of blocks that can hold a score of at least the bar, and upper bounds of it; best first."""
         bounds = np.empty(len(nodes), np.int64)
 
         def part(first: int) -> None:
-            share = slice(first, None, self._threads)
+            share = slice(first, begin + self._room, self._threads)
             pictures = self._field.levels[level], self._field.standing[level]
             _bound(*pictures, self._field.unknown, level, *self._pixels, nodes[share], bar, bounds[share])
 
-        list(self._pool.map(part, range(self._threads)))
+        begin = 0
+        while begin < len(nodes):
+            list(self._pool.map(part, range(begin, begin + self._threads)))
+            looked_at = min(self._room, len(nodes) - begin)
+            begin, self._room = begin + looked_at, self._room - looked_at
+            if not self._room:
+                yield
+                self._room = _MOST_BLOCKS
         likeliest = np.argsort(-bounds, kind="stable")[: min(np.sum(bounds >= max(bar, 0)), _MOST_BLOCKS)]
         return nodes[likeliest], bounds[likeliest]
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Generic
 
@@ -107,7 +108,9 @@ class HypothesisSet(Generic[V, N]):
         self._log = KeyframeLog(sensor, config.window_m)
         self._view: V | None = None
         self.members: list[Hypothesis] = []
+        self._search: tuple[Iterator[Pose | None], Pose] | None = None
         self._search_at_m = 0.0
+        self._sought = False
         self._within: Measured | None = None
         self._led_nats = 0.0
 
@@ -115,7 +118,7 @@ class HypothesisSet(Generic[V, N]):
         """Begin anew: nothing is known."""
         self._log.keyframes.clear()
         self.members.clear()
-        self._search_at_m = 0.0
+        self._search, self._search_at_m, self._sought = None, 0.0, False
 
     def due(self, view: V, pose: Pose) -> bool:
         """Whether a reading at ``T_odom_base`` should be weighed."""
@@ -148,11 +151,24 @@ class HypothesisSet(Generic[V, N]):
                 self._settle(member, composed(member.pose, step))
         elif dead_reckoned is not None and not bound:
             self._take_in(dead_reckoned.pose, self._config.nowhere_nats)
-        if newest.travelled_m >= self._search_at_m:
+        if self._search is None and newest.travelled_m >= self._search_at_m:
             self._search_at_m = newest.travelled_m + self._sensor.search_every_m
-            for found in self._sensor.propose(view, self._log.keyframes, self._within):
-                self._take_in(found, 0.0)
+            self._search = iter(self._sensor.propose(view, self._log.keyframes, self._within)), pose
+        self.seek()
         self._prune()
+
+    def seek(self) -> None:
+        """Go on with the search that is under way, by as much as one reading may cost."""
+        if self._search is None:
+            return
+        search, searched_at = self._search
+        for found in search:
+            if found is None:
+                break
+            self._take_in(composed(found, between(searched_at, self._log.keyframes[-1].pose)), 0.0)
+        else:
+            self._search, self._sought = None, True
+            self._prune()
 
     def propose(self, pose: Pose, odometry_pose: Pose) -> None:
         """Take in ``T_map_base`` that another sensor has found, and ``T_odom_base`` at that moment."""
@@ -177,7 +193,7 @@ class HypothesisSet(Generic[V, N]):
     def winner(self) -> Hypothesis | None:
         """The hypothesis that is confident; None while there is none."""
         probabilities = self.probabilities()
-        if not self.members or len(self._log.keyframes) < self._sensor.least_keyframes:
+        if not (self.members and self._sought) or len(self._log.keyframes) < self._sensor.least_keyframes:
             return None
         best = int(probabilities.argmax())
         return self.members[best] if probabilities[best] >= self._config.confident_probability else None
@@ -189,7 +205,12 @@ class HypothesisSet(Generic[V, N]):
         """
         probabilities = self.probabilities()
         crowded = len(self.members) == self._config.hypotheses
-        if self._within is None or crowded or probabilities.sum() < self._config.confident_probability:
+        if (
+            self._within is None
+            or not self._sought
+            or crowded
+            or probabilities.sum() < self._config.confident_probability
+        ):
             return None
         poses = [member.measured for member in self.members]
         return mixed(self._within.pose, poses, probabilities / probabilities.sum())

@@ -148,6 +148,7 @@ class StateMachine(Generic[V, N]):
             return math.nan, ()
         self._unknown.append((observed.stamp_s, observed.pose))
         if not self._hypotheses.due(observed.view, observed.pose):
+            self._hypotheses.seek()
             return math.nan, ()
         known = None if predicted is None else self._in_map(predicted)
         bound = known is not None and not self._contradicted

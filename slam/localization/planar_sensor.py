@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import sys
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -57,6 +57,8 @@ class PlanarSensor:
 
     def __init__(self, walls: Walls, config: Config) -> None:
         self._walls, self._config, self._settings = walls, config, config.localization
+        # Made here: no reading waits for them.
+        self._field, self._space = walls.field, walls.space
         self._noise = config.match
         self._odometry = ScanOdometry(config)
         self._searches = 0
@@ -110,11 +112,11 @@ class PlanarSensor:
     def counted(self, pose: Pose, novel: NovelSurfaces) -> BeamCounts:
         """What the beams of a scan say of ``T_map_base``."""
         row = row_from_pose2(pose)
-        return check_beams(self._walls.space, self._walls.tile(row).fine, row, novel.laser, novel.points)
+        return check_beams(self._space, self._walls.tile(row).fine, row, novel.laser, novel.points)
 
     def propose(
         self, view: ScanView, keyframes: Sequence[Keyframe[NovelSurfaces]], within: Measured | None
-    ) -> list[Pose]:
+    ) -> Iterator[Pose | None]:
         """See `Sensor`.
 
         By turns for all of the last path, which is rarer, and for the newest scan, which no drift has bent.
@@ -131,8 +133,8 @@ class PlanarSensor:
         seen = np.concatenate(points)
         seen = seen[first_in_cells(seen, settings.novel_cell_m)[0]]
         window = None if within is None else Window.of(within, settings.gate_sigmas)
-        found = search_map(self._walls.field, seen, settings, settings.hypotheses, window)
-        return [pose2_from_row(place.pose) for place in found]
+        found = yield from search_map(self._field, seen, settings, settings.hypotheses, window)
+        yield from (pose2_from_row(place.pose) for place in found)
 
     def _without_dynamic_points(self, view: ScanView, known: Pose | None) -> ScanView:
         """A scan without what stands in the midst of known free space, if the pose is tracked: people.
@@ -142,7 +144,7 @@ class PlanarSensor:
         if known is None:
             return view
         pose = compose(row_from_pose2(known), row_from_pose2(self._odometry.expected_step(view.stamp_s).pose))
-        keep = ~in_clear_space(self._walls.space, pose, view.points.points_base)
+        keep = ~in_clear_space(self._space, pose, view.points.points_base)
         return (
             view.only(keep) if not keep.all() and keep.mean() >= self._settings.least_inlier_share else view
         )

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Any, Generic, Protocol, TypeVar
 
@@ -119,8 +119,10 @@ class Sensor(Protocol[V, N]):
         """
         ...
 
-    def propose(self, view: V, keyframes: Sequence[Keyframe[N]], within: Measured | None) -> Sequence[Pose]:
-        """``T_map_base`` of every place where the newest keyframe may be.
+    def propose(
+        self, view: V, keyframes: Sequence[Keyframe[N]], within: Measured | None
+    ) -> Iterable[Pose | None]:
+        """``T_map_base`` of every place of the newest keyframe; None where a reading has waited enough.
 
         Parameters
         ----------

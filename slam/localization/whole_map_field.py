@@ -74,12 +74,14 @@ def build_whole_map_field(
     unknown = round(255.0 * _UNKNOWN)
     free, stands = np.zeros(level.shape, np.bool_), np.ones(level.shape, np.bool_)
     if grid is not None:
-        columns, rows = np.meshgrid(*(np.arange(size) + 0.5 for size in level.shape[::-1]))
-        middles = [origin_x, origin_y] + cell_m * np.column_stack([columns.ravel(), rows.ravel()])
-        known = looked_up(grid.states() == FREE, grid.cells_of(middles), outside=False)
-        free = known.reshape(level.shape)
-        room = 2 * math.ceil(_STANDING_ROOM_M / cell_m) + 1
-        stands = ndimage.binary_dilation(free, np.ones((room, room), np.bool_))
+        known, (rows, columns) = grid.states() == FREE, level.shape
+        middles = [origin_x, origin_y] + cell_m * (np.arange(columns)[:, None] * [1, 0] + 0.5)
+        for row in range(rows):  # one at a time stays in the processor's own memory
+            above = np.array([0.0, cell_m * row])
+            free[row] = looked_up(known, grid.cells_of(middles + above), outside=False)
+        room, stands = 2 * math.ceil(_STANDING_ROOM_M / cell_m) + 1, free
+        for shape in ((room, 1), (1, room)):
+            stands = ndimage.binary_dilation(stands, np.ones(shape, np.bool_))
     levels, standing = [np.where(free, level, np.maximum(level, np.uint8(unknown)))], [stands]
     while max(standing[-1].shape) > 1:
         levels.append(_pool_twice(levels[-1], 1 << (len(levels) - 1), unknown))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from dataclasses import replace
 
 import gtsam
@@ -185,6 +186,28 @@ def test_together_they_are_as_wide_as_each_is_and_tell_nothing_where_room_is_sho
     crowded: HypothesisSet[int, None] = HypothesisSet(Places({0.0: 9.0}), LocalizationConfig(hypotheses=1))
     crowded.add_keyframe(0, ORIGIN, known, bound=True)
     assert crowded.together() is None
+
+
+class SlowPlaces(Places):
+    """Proposes one place a reading, the rivals last."""
+
+    def propose(self, view: int, keyframes: object, within: Measured | None) -> Iterator[Pose | None]:  # type: ignore[override]
+        for pose in super().propose(view, keyframes, within):
+            yield pose
+            yield None
+
+
+def test_a_search_over_several_readings_moves_with_the_robot_and_none_wins_before_its_end() -> None:
+    hypotheses: HypothesisSet[int, None] = HypothesisSet(SlowPlaces({0.0: 9.0, 3.0: 9.0}), CONFIG)
+    hypotheses.add_keyframe(0, ORIGIN, Measured(gtsam.Pose2(0.0, 0.0, 0.0), np.eye(3)))
+    assert hypotheses.probabilities().max() > CONFIG.confident_probability and hypotheses.winner() is None
+    hypotheses.add_keyframe(0, gtsam.Pose2(1.0, 0.0, 0.0), None)
+    assert {round(member.pose.x(), 6) for member in hypotheses.members} == {1.0, 4.0}
+    hypotheses.seek()
+    assert hypotheses.winner() is None, "two places are alike"
+    hypotheses.clear()
+    hypotheses.seek()
+    assert hypotheses.members == [], "what was begun elsewhere has ended"
 
 
 def test_what_is_seen_twice_from_one_place_is_one_witness() -> None:
