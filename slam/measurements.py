@@ -203,6 +203,9 @@ class PointCloud:
         Mounting of the lidar on the robot.
     sensor
         Name of the sensor, as the log tells it.
+    intensities
+        (N,) how much of the beam each point sent back, in the sensor's own steps; None where the log does
+        not tell it.
 
     Examples
     --------
@@ -218,6 +221,7 @@ class PointCloud:
     times_s: FloatArray | None = None
     T_base_lidar: gtsam.Pose3 = field(default_factory=lambda: gtsam.Pose3())
     sensor: str = "lidar"
+    intensities: Float32Array | None = None
 
     __repr__ = one_line
 

@@ -126,7 +126,8 @@ def write_log(folder: Path, clouds: Sequence[PointCloud], poses: Sequence[gtsam.
     mounting = {"translation_m": T_BASE_LIDAR.translation().tolist(), "quaternion_xyzw": [0.0, 0.0, 0.0, 1.0]}
     (folder / "points" / "calibration.yaml").write_text(yaml.safe_dump({"T_base_lidar": mounting}))
     for number, cloud in enumerate(clouds):
-        rows = np.column_stack([cloud.points_lidar, np.zeros(len(cloud.points_lidar))]).astype("<f4")
+        bright = np.zeros(len(cloud.points_lidar)) if cloud.intensities is None else cloud.intensities
+        rows = np.column_stack([cloud.points_lidar, bright]).astype("<f4")
         (folder / "points" / f"{number:06d}.bin").write_bytes(rows.tobytes())
     (folder / "times.txt").write_text("".join(f"{cloud.stamp_s:.6f}\n" for cloud in clouds))
     lines = []

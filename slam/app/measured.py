@@ -77,7 +77,7 @@ def _with_arrays(measurement: Any, number: int) -> Any:
     if isinstance(measurement, WheelOdometry) and not isinstance(pose, gtsam.Pose2):
         raise DatasetError(f"number {number}: T_odom_base is {pose!r}; give gtsam.Pose2(x_m, y_m, yaw_rad)")
     changed: dict[str, Any] = {}
-    singles = (("ranges_m", 1), ("points_lidar", 2), ("depth_m", 2))
+    singles = (("ranges_m", 1), ("points_lidar", 2), ("intensities", 1), ("depth_m", 2))
     doubles = (("times_s", 1), ("gyro_rad_s", 1), ("specific_force_m_s2", 1))
     kinds = ((np.float32, singles), (np.float64, doubles), (np.uint8, (("color", 3),)))
     for kind, name, axes in ((kind, *one) for kind, names in kinds for one in names):

@@ -13,6 +13,7 @@ import gtsam
 from slam.datasets.account import Account
 from slam.datasets.cloud_files import CLOUD_SUFFIXES, CloudFile, Parsed, read_cloud
 from slam.datasets.dataset import RecordFault
+from slam.datasets.point_intensity import intensities_of
 from slam.datasets.point_times import PointTimes
 from slam.datasets.recording import Numbered
 from slam.datasets.stamped_files import BAD_STAMP, StampedFile, fields_of, image_path, stamp_of
@@ -60,7 +61,11 @@ class CloudFolder:
                 continue
             account.report.accept("cloud")
             times_s = times.of(cloud.fields, cloud.fields.__getitem__, file.stamp_s)
-            yield file.number, PointCloud(file.stamp_s, cloud.points_lidar, times_s, self.T_base_lidar)
+            bright = intensities_of(cloud.fields, cloud.fields.__getitem__)
+            seen = PointCloud(
+                file.stamp_s, cloud.points_lidar, times_s, self.T_base_lidar, intensities=bright
+            )
+            yield file.number, seen
         if times.choice:
             account.report.note(f"lidar: {times.choice}", 1)
 

@@ -19,7 +19,7 @@ NO_LASPY = "clouds in LAS or LAZ, which the extra reads: pip install 'scanweave[
 
 
 def read_las_points(path: Path) -> dict[str, NDArray[Any]]:
-    """Columns x, y and z in metres, scaled and shifted, and the times of points where there are any.
+    """Columns x, y and z in metres, scaled and shifted, and times and intensities where there are any.
 
     Raises
     ------
@@ -45,6 +45,7 @@ def read_las_points(path: Path) -> dict[str, NDArray[Any]]:
             columns = {axis: np.asarray(getattr(rows, axis), dtype=np.float64) for axis in "xyz"}
         if "gps_time" in rows.point_format.dimension_names:
             columns["timestamp"] = np.asarray(rows.gps_time)
+        columns["intensity"] = np.asarray(rows.intensity)
     except laspy.errors.LaspyException as error:
         raise ValueError(str(error)) from error
     except (struct.error, TypeError, OverflowError, EOFError, RuntimeError, MemoryError) as error:

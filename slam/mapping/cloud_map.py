@@ -19,7 +19,7 @@ from slam.matching.plane_voxels import surface_normals
 from slam.measurements import AnyFloatArray, BoolArray, Float32Array, FloatArray
 from slam.vision.prefetch import prefetched
 
-_Span: TypeAlias = tuple[int, int]  # where rows begin in a file, and how many they are
+_Span: TypeAlias = tuple[int, int, int]  # where rows begin in a file, how many they are and their columns
 
 # Side of a tile in voxels; of a cell of neighbours: wider than what a lidar is off by.
 _TILE_VOXELS, _NORMAL_VOXELS = 512.0, 1.5
@@ -34,7 +34,7 @@ class CloudTiles:
     Parameters
     ----------
     clouds
-        (N, 3) points of each keyframe, base frame.
+        (N, 3) points of each keyframe, base frame, or (N, 4) with their intensities.
     poses
         ``T_map_base`` of each.
     file
@@ -56,10 +56,12 @@ class CloudTiles:
             if not np.isfinite(pose.matrix()).all():
                 raise ScanweaveError(f"pose {number} of {len(poses)} keyframes is not finite; see the report")
         seen = enumerate(zip(clouds, poses, strict=True))
-        for placed, tiles in prefetched(seen, lambda one: _by_tile(one[0], moved(*one[1]), voxel_m), 1):
-            begin, _ = self._keep(placed)
+        self._columns = 4
+        for placed, tiles in prefetched(seen, lambda one: _by_tile(one[0], _placed(*one[1]), voxel_m), 1):
+            begin, _, columns = self._keep(placed)
+            self._columns = max(self._columns, columns)
             for tile, count in tiles:
-                pieces[tile].append((begin, count))
+                pieces[tile].append((begin, count, columns))
                 begin += count * placed.strides[0]
         self._tiles, heights = list[_Span](), [np.zeros(0, np.float32)]
         for _, parts in sorted(pieces.items()):
@@ -82,25 +84,29 @@ class CloudTiles:
             away = np.einsum("ij,ij->i", normals, self._path[rows[:, 3].astype(np.int64)] - points) < 0.0
             normals[away] *= -1.0
             colors = by_height(points, self._usual)
-            return ColoredCloud(points.astype(np.float32), colors, normals.astype(np.float32))
+            bright = rows[:, 4].astype(np.float32) if self._columns > 4 else None
+            return ColoredCloud(points.astype(np.float32), colors, normals.astype(np.float32), bright)
 
         return prefetched((self._rows(tile) for tile in self._tiles), colored, most_waiting=1)
 
     def _keep(self, rows: AnyFloatArray) -> _Span:
-        """Write rows (N, 4) of points and the number of their keyframe; where they are."""
-        span = self._file.seek(0, os.SEEK_END), len(rows)
+        """Write rows: points, the number of their keyframe, maybe their intensity; where they are."""
+        span = self._file.seek(0, os.SEEK_END), len(rows), rows.shape[1]
         self._file.write(rows.astype(np.float32, copy=False).data)
         return span
 
     def _rows(self, span: _Span) -> FloatArray:
-        """Rows (N, 4) that were written."""
-        self._file.seek(span[0])
-        rows = np.fromfile(self._file, np.float32, 4 * span[1])
-        return rows.reshape(-1, 4).astype(np.float64)
+        """Rows that were written; an intensity that others have and these do not is NaN."""
+        begin, count, columns = span
+        rows = np.empty((count, self._columns))
+        self._file.seek(begin)
+        rows[:, :columns] = np.fromfile(self._file, np.float32, columns * count).reshape(-1, columns)
+        rows[:, columns:] = np.nan
+        return rows
 
     def _thinned(self, spans: Sequence[_Span]) -> FloatArray:
-        """Rows (M, 4) of a tile, the first of each voxel; many more are never held."""
-        kept, waiting, most = np.zeros((0, 4)), list[FloatArray](), 0
+        """Rows of a tile, the first of each voxel; many more are never held."""
+        kept, waiting, most = np.zeros((0, self._columns)), list[FloatArray](), 0
         for span in spans:
             waiting.append(self._rows(span))
             most += span[1]
@@ -109,12 +115,18 @@ class CloudTiles:
         return thin_to_voxels(np.concatenate([kept, *waiting]), self._voxel_m)
 
 
+def _placed(rows: FloatArray, T_map_base: gtsam.Pose3) -> FloatArray:
+    """Rows (N, 3 or 4) of points, and what stands beside them, in the map."""
+    points = moved(rows, T_map_base)
+    return points if rows.shape[1] == 3 else np.column_stack([points, rows[:, 3:]])
+
+
 def _by_tile(
     number: int, points: FloatArray, voxel_m: float
 ) -> tuple[Float32Array, list[tuple[tuple[int, int], int]]]:
-    """Rows (M, 4) of points (N, 3) in the map, one a voxel, tile by tile; the tiles, and the rows of each."""
+    """Rows of `CloudTiles` of points (N, 3 or 4) in the map, one a voxel, tile by tile; the rows of each."""
     points = thin_to_voxels(points, voxel_m)
-    rows = np.empty((len(points), 4), np.float32)
+    rows = np.empty((len(points), 1 + points.shape[1]), np.float32)
     if not len(points):
         return rows, []
     x, y = (np.floor(points[:, axis] / (_TILE_VOXELS * voxel_m)).astype(np.int64) for axis in (0, 1))
@@ -127,12 +139,12 @@ def _by_tile(
     begins = np.flatnonzero(np.concatenate([[True], ordered[1:] != ordered[:-1]]))
     first, counts = order[begins], np.diff(begins, append=len(order))
     places = zip(x[first].tolist(), y[first].tolist(), strict=True)
-    rows[:, :3], rows[:, 3] = points, number
+    rows[:, :3], rows[:, 3], rows[:, 4:] = points[:, :3], number, points[:, 3:]
     return rows.take(order, axis=0), list(zip(places, counts.tolist(), strict=True))
 
 
-def _usual(heights: FloatArray) -> tuple[float, float]:
-    """The lowest and the highest usual height."""
+def _usual(heights: AnyFloatArray) -> tuple[float, float]:
+    """The lowest and the highest usual one."""
     if not len(heights):
         return 0.0, 0.0
     low, high = np.percentile(heights, _USUAL_PERCENT)
@@ -141,7 +153,12 @@ def _usual(heights: FloatArray) -> tuple[float, float]:
 
 def by_height(points: FloatArray, usual: tuple[float, float] | None = None) -> Colors:
     """(N, 3) RGB of the heights, between the usual ones; by default the usual of these points."""
-    low, high = _usual(points[:, 2]) if usual is None else usual
-    share = np.clip((points[:, 2] - low) / max(high - low, 1e-6), 0.0, 1.0) * (len(_RAMP) - 1)
+    return ramp(points[:, 2], usual)
+
+
+def ramp(values: AnyFloatArray, usual: tuple[float, float] | None = None) -> Colors:
+    """(N, 3) RGB of values (N,), from blue to red between the usual ones."""
+    low, high = _usual(values) if usual is None else usual
+    share = np.clip((values - low) / max(high - low, 1e-6), 0.0, 1.0) * (len(_RAMP) - 1)
     channels = [np.interp(share, np.arange(len(_RAMP)), _RAMP[:, channel]) for channel in range(3)]
     return np.column_stack(channels).astype(np.uint8)

@@ -1,5 +1,6 @@
 """Clouds as bytes and back: points in whole steps, each as the way from the one before, packed by Zstandard.
 
+Intensities, where there are any, follow as they are (float32), their upper bytes first apart from the lower.
 Maps of schema 5 and before packed them by zlib, at seven times the cost and the same size.
 """
 
@@ -22,14 +23,15 @@ _HEAD = struct.Struct("<dI")
 _ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
 
 
-def packed_cloud(points: FloatArray) -> bytes:
-    """Points (N, 3), rounded to steps of `STEP_M`, in their order.
+def packed_cloud(rows: FloatArray) -> bytes:
+    """Points (N, 3), rounded to steps of `STEP_M`, in their order; a fourth column is their intensities.
 
     Raises
     ------
     ScanweaveError
         Where a point is not finite.
     """
+    points = rows[:, :3]
     reach_m = float(np.abs(points).max(initial=0.0))
     if not np.isfinite(reach_m):
         raise ScanweaveError(f"a cloud holds a point at {reach_m}; only finite points can be kept")
@@ -38,12 +40,14 @@ def packed_cloud(points: FloatArray) -> bytes:
     differences = np.diff(steps, axis=0, prepend=np.zeros((1, 3), np.int32))
     # The sign goes to the lowest bit: upper bytes of short ways are all zero, whichever way they go.
     signless = ((differences << 1) ^ (differences >> 31)).astype("<i4")
-    planes = signless.T.copy().view(np.uint8).reshape(-1, 4).T
-    return _HEAD.pack(step_m, len(steps)) + zstd.compress(planes.tobytes(), 1)
+    planes = signless.T.copy().view(np.uint8).reshape(-1, 4).T.tobytes()
+    if rows.shape[1] > 3:
+        planes += rows[:, 3].astype("<f4").view(np.uint8).reshape(-1, 4).T.tobytes()
+    return _HEAD.pack(step_m, len(steps)) + zstd.compress(planes, 1)
 
 
 def unpacked_cloud(content: bytes) -> FloatArray:
-    """Points (N, 3) of packed bytes.
+    """Points (N, 3) of packed bytes, or (N, 4) with their intensities.
 
     Raises
     ------
@@ -53,25 +57,28 @@ def unpacked_cloud(content: bytes) -> FloatArray:
     if len(content) < _HEAD.size:
         raise ValueError("a cloud that ends too soon")
     step_m, count = _HEAD.unpack_from(content)
-    size = 3 * np.dtype(np.int32).itemsize * count
+    sizes = [columns * np.dtype(np.int32).itemsize * count for columns in (3, 4)]
     if not 0.0 < step_m < np.inf:
         raise ValueError(f"a packed cloud in steps of {step_m:g} m")
     packed = content[_HEAD.size :]
     unpacker: Any = zstd.ZstdDecompressor() if packed.startswith(_ZSTD_MAGIC) else zlib.decompressobj()
     try:
-        plain = unpacker.decompress(packed, min(size, _MOST_BYTES) + 1)
+        plain = unpacker.decompress(packed, min(sizes[-1], _MOST_BYTES) + 1)
     except (zlib.error, zstd.ZstdError) as error:
         raise ValueError(f"a packed cloud that is damaged: {error}") from error
-    if len(plain) != size or not unpacker.eof or unpacker.unused_data:
+    if len(plain) not in sizes or not unpacker.eof or unpacker.unused_data:
         raise ValueError(f"a packed cloud that is not of {count} points")
-    points = np.empty((count, 3))
-    _added_up(np.frombuffer(plain, np.uint8).reshape(4, 3, count), step_m, points)
-    return points
+    rows = np.empty((count, 3 + (len(plain) > sizes[0])))
+    planes = np.frombuffer(plain, np.uint8)
+    _added_up(planes[: sizes[0]].reshape(4, 3, count), step_m, rows)
+    if rows.shape[1] > 3:
+        rows[:, 3] = np.ascontiguousarray(planes[sizes[0] :].reshape(4, count).T).view("<f4")[:, 0]
+    return rows
 
 
 @kernel(nogil=True)
 def _added_up(planes, step_m, points):  # type: ignore[no-untyped-def]
-    """Points (N, 3) of the bytes (4, 3, N) of the ways from each to the next."""
+    """Points (N, 3 or 4) of the bytes (4, 3, N) of the ways from each to the next."""
     for axis in range(3):
         steps = ZERO
         for i in range(points.shape[0]):

@@ -84,11 +84,14 @@ class ColoredCloud:
         (N, 3) RGB.
     normals_map
         (N, 3) unit vectors towards where the surface was seen from.
+    intensities
+        (N,) of a lidar's points, in its own steps, NaN where one does not tell it; None where none does.
     """
 
     points_map: Float32Array
     colors: Colors
     normals_map: Float32Array
+    intensities: Float32Array | None = None
 
 
 @dataclass(frozen=True, slots=True)

@@ -6,11 +6,12 @@ from dataclasses import replace
 
 import gtsam
 import numpy as np
+from numpy.typing import NDArray
 
 from fusion.height_band import thin_to_voxels
 from fusion.kernel import ZERO, kernel
 from slam.config.clouds import CloudOdometryConfig
-from slam.measurements import FloatArray, PointCloud
+from slam.measurements import Float32Array, FloatArray, PointCloud
 
 # Times that span less than the first are no turn, more than the second are by no clock of a lidar.
 _SHORTEST_TURN_S, _LONGEST_TURN_S = 2e-3, 2.0
@@ -27,15 +28,15 @@ def base_points(cloud: PointCloud, twist: FloatArray, config: CloudOdometryConfi
         (6,) motion of the base a second, GTSAM's tangent, by which the turn is deskewed where the points'
         times are known.
     """
-    points = np.asarray(cloud.points_lidar).reshape(-1, 3)
-    T = cloud.T_base_lidar
-    placed, numbers = np.empty((len(points), 3)), np.empty(len(points), np.int64)
-    rotation, least_m, most_m = T.rotation().matrix(), config.range_min_m, config.range_max_m
-    count = _within(points, rotation, T.translation(), least_m**2, most_m**2, placed, numbers)
-    placed = placed[:count]
-    if count and cloud.times_s is not None and deskewed(cloud, config) and twist.any():
-        _straighten(placed, np.asarray(cloud.times_s, dtype=np.float64)[numbers[:count]], twist)
+    placed, numbers = _usable(cloud, config)
+    if len(placed) and cloud.times_s is not None and deskewed(cloud, config) and twist.any():
+        _straighten(placed, np.asarray(cloud.times_s, dtype=np.float64)[numbers], twist)
     return placed
+
+
+def usable_intensities(cloud: PointCloud, config: CloudOdometryConfig) -> Float32Array | None:
+    """(M,) of the points of `base_points`; None where the cloud does not tell them."""
+    return None if cloud.intensities is None else cloud.intensities[_usable(cloud, config)[1]]
 
 
 def deskewed(cloud: PointCloud, config: CloudOdometryConfig) -> bool:
@@ -72,8 +73,18 @@ def voxel_of(points: FloatArray, config: CloudOdometryConfig) -> float:
 
 
 def thinned(points: FloatArray, voxel_m: float) -> FloatArray:
-    """One point a voxel."""
+    """One point a voxel, the first; rows (N, 3 or more) keep what stands beside it."""
     return thin_to_voxels(points, voxel_m)
+
+
+def _usable(cloud: PointCloud, config: CloudOdometryConfig) -> tuple[FloatArray, NDArray[np.int64]]:
+    """(M, 3) points that are neither too near nor too far, base frame, and their numbers (M,)."""
+    points = np.asarray(cloud.points_lidar).reshape(-1, 3)
+    T = cloud.T_base_lidar
+    placed, numbers = np.empty((len(points), 3)), np.empty(len(points), np.int64)
+    rotation, least_m, most_m = T.rotation().matrix(), config.range_min_m, config.range_max_m
+    count = _within(points, rotation, T.translation(), least_m**2, most_m**2, placed, numbers)
+    return placed[:count], numbers[:count]
 
 
 def _straighten(points: FloatArray, times_s: FloatArray, twist: FloatArray) -> None:

@@ -13,10 +13,10 @@ from fusion.estimation import gate
 from fusion.time_alignment import GAP_S
 from slam.config import Config
 from slam.estimates import MotionEstimate
-from slam.matching.cloud_points import base_points, deskewed, voxel_of
+from slam.matching.cloud_points import base_points, deskewed, usable_intensities, voxel_of
 from slam.matching.local_cloud import REACH
 from slam.matching.planar import between
-from slam.measurements import FloatArray, ImuReading, PointCloud
+from slam.measurements import Float32Array, FloatArray, ImuReading, PointCloud
 from slam.odometry.cloud_odometry import CloudOdometry
 from slam.odometry.cloud_velocity import LONGEST_STEP_S, CloudVelocity
 from slam.odometry.imu_tracker import ImuTracker
@@ -81,6 +81,7 @@ class CloudTracker:
         self._velocity = CloudVelocity(twist)
         # Without wheels or an IMU nobody knows the way along a tunnel.
         self._open = OpenWay(config.wheels.greatest_speed_m_s)
+        self._cloud: PointCloud | None = None
         self._pose = gtsam.Pose3()
         self._keyframe = gtsam.Pose3()
         self._stamp_s: float | None = None
@@ -102,6 +103,7 @@ class CloudTracker:
         self._stamp_s = cloud.stamp_s
         if self._imu is not None and deskewed(cloud, self._turns):
             cloud = self._imu.straightened(cloud, self._velocity.twist)
+        self._cloud = cloud
         moves = guesses or self._matcher is None
         twist = self._velocity.at(expected, cloud.stamp_s) if moves else np.zeros(6)
         seen = DeskewedCloud.of(cloud, twist, self._turns)
@@ -127,6 +129,10 @@ class CloudTracker:
                 seen.points, expected, new_keyframe=self._lost >= self._config.match.lost_after
             )
         return self._matched(cloud, seen, motion)
+
+    def intensities(self) -> Float32Array | None:
+        """(N,) of the points of the newest cloud that was tracked; None where it does not tell them."""
+        return None if self._cloud is None else usable_intensities(self._cloud, self._turns)
 
     def roll(self, stamp_s: float, pose: FloatArray) -> None:
         """Take where the wheels say that the robot is, (3,) in their odom frame."""

@@ -17,7 +17,7 @@ from slam.mapping.elevation import Elevation, elevation
 from slam.mapping.floor_plan import FloorPlan
 from slam.mapping.layered_map import PASSED_BY, LayeredMap
 from slam.matching.local_cloud import moved
-from slam.measurements import AnyFloatArray, spatial
+from slam.measurements import AnyFloatArray, Float32Array, spatial
 from slam.outputs.floorplan import floor_plan
 from slam.outputs.lidar_cloud import lidar_cloud
 from slam.storage.colmap import write_colmap
@@ -243,16 +243,19 @@ class Exports:
         write_mesh_glb(out, self._surface.mesh)
         return [out]
 
-    def _scans(self) -> Iterator[tuple[str, gtsam.Pose3, AnyFloatArray, Colors | None]]:
+    def _scans(
+        self,
+    ) -> Iterator[tuple[str, gtsam.Pose3, AnyFloatArray, Colors | None, Float32Array | None]]:
         """The clouds of the 3D lidar where they were taken; of images alone their surface as one."""
         found = self.contents
         if found.clouds is None:
-            yield "surface", gtsam.Pose3(), self._surface.cloud.points_map, self._surface.cloud.colors
+            yield "surface", gtsam.Pose3(), self._surface.cloud.points_map, self._surface.cloud.colors, None
         for key, points in enumerate(found.clouds or ()):
             assert found.clouds is not None
             T_base_lidar = found.clouds.T_base_lidar(key)
             pose = spatial(found.node_poses[key]).compose(T_base_lidar)
-            yield f"keyframe {key}", pose, moved(points, T_base_lidar.inverse()), None
+            placed = moved(points, T_base_lidar.inverse())
+            yield f"keyframe {key}", pose, placed, None, found.clouds.intensities(key)
 
     def _mounts(self) -> dict[str, gtsam.Pose3]:
         """Where each sensor sits on the base, as far as the map tells."""
@@ -289,8 +292,9 @@ class Exports:
                 begun_s if found.clouds is None else found.clouds.stamp_s(n),
                 moved(points.astype(np.float64), pose),
                 colors,
+                bright,
             )
-            for n, (_, pose, points, colors) in enumerate(self._scans())
+            for n, (_, pose, points, colors, bright) in enumerate(self._scans())
         )
         seen = found.frames is not None or found.clouds is not None
         folder = folder / "results" if folder.exists() else folder.with_suffix("")

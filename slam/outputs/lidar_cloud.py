@@ -38,7 +38,8 @@ def lidar_cloud(found: MapContents, config: Config, ground: Elevation | None) ->
     clouds = found.clouds
     assert clouds is not None
     with tempfile.TemporaryFile(prefix="scanweave-cloud-") as file:
-        tiles = CloudTiles(clouds, poses, config.grid.resolution_m, file)
+        rows = (clouds.rows(key) for key in range(len(clouds)))
+        tiles = CloudTiles(rows, poses, config.grid.resolution_m, file)
         give_back()
         if ground is None:
             yield LidarCloud(_Parts(tiles.cloud), lambda points: np.zeros(len(points), np.bool_), None)

@@ -11,14 +11,21 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slam.errors import LibraryError, MapFileError
-from slam.measurements import AnyFloatArray
+from slam.measurements import AnyFloatArray, Float32Array
 from slam.storage.files import replacing
 
 
 def write_e57(
-    path: Path, scans: Iterable[tuple[str, gtsam.Pose3, AnyFloatArray, NDArray[np.uint8] | None]]
+    path: Path,
+    scans: Iterable[tuple[str, gtsam.Pose3, AnyFloatArray, NDArray[np.uint8] | None, Float32Array | None]],
 ) -> None:
-    """Write scans: name, ``T_map_scanner``, (N, 3) points in the scanner's frame, and (N, 3) RGB if known.
+    """Write scans.
+
+    Parameters
+    ----------
+    scans
+        Name, ``T_map_scanner``, (N, 3) points in the scanner's frame, and if known (N, 3) RGB and (N,)
+        intensities.
 
     Raises
     ------
@@ -34,8 +41,10 @@ def write_e57(
     try:
         with replacing(path) as temporary:
             file = pye57.E57(str(temporary), mode="w")
-            for name, pose, points, colors in scans:
+            for name, pose, points, colors, bright in scans:
                 columns: dict[str, Any] = {f"cartesian{axis}": points[:, k] for k, axis in enumerate("XYZ")}
+                if bright is not None:
+                    columns["intensity"] = bright
                 if colors is not None:
                     columns |= {
                         f"color{name}": colors[:, k] for k, name in enumerate(("Red", "Green", "Blue"))

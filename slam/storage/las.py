@@ -1,4 +1,4 @@
-"""Clouds as LAS 1.4, which survey programs open: points in whole millimetres, colours, ground told apart."""
+"""Clouds as LAS 1.4, which survey programs open: points in millimetres, colours, intensities, the ground."""
 
 from __future__ import annotations
 
@@ -8,13 +8,14 @@ import numpy as np
 
 from slam.errors import LibraryError
 from slam.mapping.dense_map import ColoredCloud
-from slam.measurements import BoolArray
+from slam.measurements import BoolArray, Float32Array
 from slam.storage.files import replacing
 
 _WITH_COLOURS = 7  # point format
 _OTHER, _GROUND = 1, 2  # classes of ASPRS: unclassified, ground
 _STEP_M = 0.001
 _COLOUR_STEP = 257  # colours of 16 bits
+_MOST = 65535.0
 
 
 def write_las(path: Path, cloud: ColoredCloud, is_ground: BoolArray) -> None:
@@ -23,7 +24,7 @@ def write_las(path: Path, cloud: ColoredCloud, is_ground: BoolArray) -> None:
     Parameters
     ----------
     is_ground
-        (N,) of the points.
+        (N,) of the points, whose intensities are of 16 bits, see `sixteen_bits`.
 
     Raises
     ------
@@ -44,6 +45,18 @@ def write_las(path: Path, cloud: ColoredCloud, is_ground: BoolArray) -> None:
     rows = laspy.LasData(header)
     rows.x, rows.y, rows.z = cloud.points_map.T.astype(np.float64)
     rows.red, rows.green, rows.blue = cloud.colors.T.astype(np.uint16) * _COLOUR_STEP
+    if cloud.intensities is not None:
+        rows.intensity = np.rint(np.nan_to_num(cloud.intensities)).astype(np.uint16)
     rows.classification = np.where(is_ground, _GROUND, _OTHER).astype(np.uint8)
     with replacing(path) as temporary, temporary.open("wb") as file:
         rows.write(file, do_compress=False)
+
+
+def sixteen_bits(intensities: Float32Array) -> Float32Array:
+    """As the format wants them (ASPRS 2019, Sec. 2.6): the sensor's whole range over 16 bits.
+
+    That range is taken to be 0 to 1, eight bits or sixteen: the narrowest that holds them all.
+    """
+    greatest = float(np.nanmax(intensities, initial=0.0))
+    whole = next((one for one in (1.0, _MOST / _COLOUR_STEP, _MOST) if greatest <= one), greatest)
+    return (intensities.clip(0.0) * (_MOST / whole)).astype(np.float32)

@@ -12,7 +12,7 @@ from slam.errors import MapFileError
 from slam.mapping.dense_map import ColoredCloud
 from slam.measurements import BoolArray, Float32Array
 from slam.storage.files import make_folder
-from slam.storage.las import write_las
+from slam.storage.las import sixteen_bits, write_las
 from slam.storage.pcd import write_pcd
 from slam.storage.ply import write_cloud_ply
 
@@ -79,6 +79,8 @@ def export_cloud(format_: str, out: Path, cloud: LidarCloud) -> list[Path]:
     whole = _joined(cloud.stays)
     if not len(whole.points_map):
         raise MapFileError(f"there are no points to write to {out}; the map shows none")
+    if name == "las" and whole.intensities is not None:
+        whole = replace(whole, intensities=sixteen_bits(whole.intensities))
     is_ground = cloud.is_ground(whole.points_map)
     if name == format_:
         if out.is_dir() or not out.suffix:
@@ -103,8 +105,13 @@ def _joined(parts: Iterable[ColoredCloud]) -> ColoredCloud:
         np.zeros((0, 3), np.float32), np.zeros((0, 3), np.uint8), np.zeros((0, 3), np.float32)
     )
     held = [nothing, *parts]
-    columns = ([getattr(part, name) for part in held] for name in ("points_map", "colors", "normals_map"))
-    return ColoredCloud(*(np.concatenate(column) for column in columns))
+    bright = [part.intensities for part in held if part.intensities is not None]
+    return ColoredCloud(
+        np.concatenate([part.points_map for part in held]),
+        np.concatenate([part.colors for part in held]),
+        np.concatenate([part.normals_map for part in held]),
+        np.concatenate(bright) if bright else None,
+    )
 
 
 def _part(cloud: ColoredCloud, chosen: BoolArray) -> ColoredCloud:
@@ -114,4 +121,5 @@ def _part(cloud: ColoredCloud, chosen: BoolArray) -> ColoredCloud:
         points_map=cloud.points_map[chosen],
         colors=cloud.colors[chosen],
         normals_map=cloud.normals_map[chosen],
+        intensities=None if cloud.intensities is None else cloud.intensities[chosen],
     )

@@ -11,7 +11,7 @@ import numpy as np
 
 from slam.errors import MapFileError
 from slam.mapping.cloud_packing import packed_cloud, unpacked_cloud
-from slam.measurements import FloatArray
+from slam.measurements import Float32Array, FloatArray
 from slam.storage.map_edits import mask_of
 from slam.storage.map_file import MapFile
 from slam.storage.map_soundness import FARTHEST_M, of, require, sound_stamp
@@ -46,8 +46,8 @@ class MapClouds:
         """The points of every keyframe, those of one in memory at a time."""
         return (self.points(key) for key in range(len(self)))
 
-    def add(self, stamp_s: float, points: FloatArray, T_base_lidar: gtsam.Pose3) -> int:
-        """Write the points (N, 3), base frame, of the next keyframe; its number.
+    def add(self, stamp_s: float, rows: FloatArray, T_base_lidar: gtsam.Pose3) -> int:
+        """Write the points (N, 3), base frame, of the next keyframe, or (N, 4) with intensities; its number.
 
         Raises
         ------
@@ -65,7 +65,7 @@ class MapClouds:
                     f"{stamp_s:.6f} s comes; map anew, without --resume"
                 )
             return key
-        return self._file.append(CLOUDS, stamp_s, pack(T_base_lidar), packed_cloud(points))
+        return self._file.append(CLOUDS, stamp_s, pack(T_base_lidar), packed_cloud(rows))
 
     def points(self, key: int, *, everything: bool = False) -> FloatArray:
         """The points (N, 3) of a keyframe, base frame; what edits have taken away only if all are asked for.
@@ -77,13 +77,22 @@ class MapClouds:
         MapFileError
             Where its row is damaged.
         """
+        return np.ascontiguousarray(self.rows(key, everything=everything)[:, :3])
+
+    def intensities(self, key: int, *, everything: bool = False) -> Float32Array | None:
+        """(N,) of the points, in the sensor's own steps; None where its log did not tell them."""
+        rows = self.rows(key, everything=everything)
+        return rows[:, 3].astype(np.float32) if rows.shape[1] > 3 else None
+
+    def rows(self, key: int, *, everything: bool = False) -> FloatArray:
+        """`points`, with `intensities` as a fourth column where there are any."""
         content = self._row(key)[2]
         with self._file.blaming(CLOUDS, key):
-            points = unpacked_cloud(cast(bytes, content))
-            require(np.abs(points).max(initial=0.0) < FARTHEST_M, "a point is beyond the Earth")
+            rows = unpacked_cloud(cast(bytes, content))
+            require(np.abs(rows[:, :3]).max(initial=0.0) < FARTHEST_M, "a point is beyond the Earth")
             if not everything and key in self._erased:
-                points = points[~mask_of(self._erased[key], len(points))]
-        return points
+                rows = rows[~mask_of(self._erased[key], len(rows))]
+        return rows
 
     def without(self, erased: Mapping[int, bytes]) -> MapClouds:
         """The same clouds, other points of them taken away."""

@@ -13,7 +13,7 @@ Value: TypeAlias = int | float | str | bytes | None
 _TYPES: Final = {"INTEGER": int, "REAL": float, "TEXT": str, "BLOB": bytes}
 
 # Raised when a table changes; a reader refuses what is newer than itself.
-SCHEMA_VERSION: Final = 6
+SCHEMA_VERSION: Final = 7
 APPLICATION_ID: Final = 0x5CA9EA7E
 
 
@@ -154,7 +154,7 @@ TABLES: Final = (
 
 def tables_of(version: int) -> tuple[Table, ...]:
     """The tables of a schema: the first had no clouds, the second nothing that was learned of cameras, the
-    third no covariances, the fourth no edits; the fifth packed clouds by zlib.
+    third no covariances, the fourth no edits; the fifth packed clouds by zlib, the sixth without intensities.
     """
     return TABLES[: TABLES.index(CHECKPOINT) + version]
 

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from slam.errors import MapFileError
 from slam.estimates import Trajectory
 from slam.mapping.occupancy_grid import StateArray
-from slam.measurements import FloatArray
+from slam.measurements import Float32Array, FloatArray
 from slam.storage import ros_messages as ros
 
 _MAP, _BASE = "map", "base_link"
@@ -43,7 +43,7 @@ def write_results_bag(
     plan: Plan | None,
     trajectory: Trajectory,
     mounts: Mapping[str, gtsam.Pose3],
-    points: Iterable[tuple[float, FloatArray, NDArray[np.uint8] | None]],
+    points: Iterable[tuple[float, FloatArray, NDArray[np.uint8] | None, Float32Array | None]],
 ) -> Path:
     """Write a bag: ``/map`` and ``/path`` once, ``/pose`` and ``/tf`` at each reading, ``/points`` in it.
 
@@ -54,7 +54,7 @@ def write_results_bag(
     mounts
         Where each sensor sits on the base, for ``/tf_static``.
     points
-        Stamp, (N, 3) in the map frame and (N, 3) RGB of each cloud, if it has colours.
+        Stamp, (N, 3) in the map frame, and (N, 3) RGB and (N,) intensities of each cloud, if it has any.
 
     Raises
     ------
@@ -90,8 +90,9 @@ def write_results_bag(
             for stamp_s, pose, message in zip(stamps_s, poses, stamped, strict=True):
                 send("/pose", stamp_s, message)
                 send("/tf", stamp_s, ros.transforms(stamp_s, _MAP, {_BASE: pose}))
-            for stamp_s, placed, colors in points:
-                send("/points", stamp_s, ros.cloud_message(_rows(placed, colors), stamp_s, _MAP))
+            for stamp_s, placed, colors, bright in points:
+                rows = _rows(placed, colors, bright)
+                send("/points", stamp_s, ros.cloud_message(rows, stamp_s, _MAP))
     except (WriterError, OSError) as error:
         raise MapFileError(f"cannot write {folder}: {error}; give a folder that is not there yet") from error
     return folder / f"{folder.name}.mcap"
@@ -117,10 +118,15 @@ def _grid(plan: Plan, stamp_s: float) -> Any:
     return ros.new(_GRID, header=header, info=about, data=plan.states.astype(np.int8).ravel())
 
 
-def _rows(points: FloatArray, colors: NDArray[np.uint8] | None) -> NDArray[np.void]:
-    """Points with their colours as viewers take them: 0x00RRGGBB."""
+def _rows(
+    points: FloatArray, colors: NDArray[np.uint8] | None, intensities: Float32Array | None
+) -> NDArray[np.void]:
+    """Points with intensities, and their colours as viewers take them: 0x00RRGGBB."""
     names = [(name, "<f4") for name in "xyz"]
-    rows = np.zeros(len(points), names if colors is None else [*names, ("rgb", "<u4")])
+    names += [] if colors is None else [("rgb", "<u4")]
+    rows = np.zeros(len(points), names if intensities is None else [*names, ("intensity", "<f4")])
+    if intensities is not None:
+        rows["intensity"] = intensities
     for axis, name in enumerate("xyz"):
         rows[name] = points[:, axis]
     if colors is not None:

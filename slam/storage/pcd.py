@@ -1,4 +1,4 @@
-"""Clouds as binary PCD of the Point Cloud Library: place, normal, colour, and whether it is ground."""
+"""Clouds as binary PCD of the Point Cloud Library: place, normal, colour, ground, intensity."""
 
 from __future__ import annotations
 
@@ -13,6 +13,8 @@ from slam.storage.files import replacing
 _NAMES = ("x", "y", "z", "normal_x", "normal_y", "normal_z")
 _FIELDS = (*_NAMES, "rgb", "label")
 _ROW = np.dtype([*((name, "<f4") for name in _NAMES), ("rgb", "<u4"), ("label", "<u4")])
+_INTENSITY = "intensity"
+_BRIGHT_ROW = np.dtype([*_ROW.descr, (_INTENSITY, "<f4")])
 _GROUND = 2  # as in LAS; else 1
 
 
@@ -29,20 +31,23 @@ def write_pcd(path: Path, cloud: ColoredCloud, is_ground: BoolArray) -> None:
     MapFileError
         Where the file cannot be written.
     """
-    count = len(cloud.points_map)
-    rows = np.empty(count, _ROW)
+    count, bright = len(cloud.points_map), cloud.intensities
+    fields, row = (_FIELDS, _ROW) if bright is None else ((*_FIELDS, _INTENSITY), _BRIGHT_ROW)
+    rows = np.empty(count, row)
     for name, values in zip(_NAMES, np.hstack([cloud.points_map, cloud.normals_map]).T, strict=True):
         rows[name] = values
     red, green, blue = cloud.colors.T.astype(np.uint32)
     rows["rgb"] = red << 16 | green << 8 | blue
     rows["label"] = np.where(is_ground, _GROUND, 1)
+    if bright is not None:
+        rows[_INTENSITY] = bright
     header = [
         "# .PCD v0.7 - Point Cloud Data file format",
         "VERSION 0.7",
-        f"FIELDS {' '.join(_FIELDS)}",
-        f"SIZE {' '.join(['4'] * len(_FIELDS))}",
-        f"TYPE {' '.join(['F'] * len(_NAMES))} U U",
-        f"COUNT {' '.join(['1'] * len(_FIELDS))}",
+        f"FIELDS {' '.join(fields)}",
+        f"SIZE {' '.join(['4'] * len(fields))}",
+        f"TYPE {' '.join(row[name].kind.upper() for name in fields)}",
+        f"COUNT {' '.join(['1'] * len(fields))}",
         f"WIDTH {count}",
         "HEIGHT 1",
         "VIEWPOINT 0 0 0 1 0 0 0",

@@ -22,6 +22,7 @@ _VERTEX = np.dtype([(name, "<f4") for name in _POSITION + _NORMAL] + [(name, "u1
 _VERTEX_LINES = [f"property float {name}" for name in _POSITION + _NORMAL] + [
     f"property uchar {name}" for name in _COLOR
 ]
+_INTENSITY = "intensity"
 _FACE = np.dtype([("count", "u1"), ("vertex_indices", "<i4", (3,))])
 _FACE_LINE = "property list uchar int vertex_indices"
 
@@ -44,20 +45,25 @@ def write_mesh_ply(path: Path, mesh: ColoredMesh) -> None:
 def write_cloud_ply(path: Path, parts: Iterable[ColoredCloud]) -> None:
     """Write the parts of a point cloud with normals and colours, whole or not at all; one is held at a time.
 
+    Where they have intensities, so has the file.
+
     Raises
     ------
     MapFileError
         Where the cloud is empty or the file cannot be written.
     """
-    count = 0
+    count, lines = 0, _VERTEX_LINES
     with replacing(path) as temporary, tempfile.TemporaryFile(prefix="scanweave-cloud-") as body:
         for part in parts:
-            body.write(_vertices(part.points_map, part.normals_map, part.colors).data)
+            rows = _vertices(part.points_map, part.normals_map, part.colors, part.intensities)
+            if part.intensities is not None:
+                lines = [*_VERTEX_LINES, f"property float {_INTENSITY}"]
+            body.write(rows.data)
             count += len(part.points_map)
         _refuse_nothing(path, count, "points")
         body.seek(0)
         with temporary.open("wb") as stream:
-            stream.write(_header({"vertex": (_VERTEX_LINES, count)}))
+            stream.write(_header({"vertex": (lines, count)}))
             shutil.copyfileobj(body, stream)
 
 
@@ -74,6 +80,7 @@ def read_cloud_ply(path: Path) -> ColoredCloud:
         points, normals, colors = (
             np.column_stack([columns[name] for name in names]) for names in (_POSITION, _NORMAL, _COLOR)
         )
+        bright = columns.get(_INTENSITY)
         if colors.dtype != np.uint8:
             raise ValueError(f"colours of type {colors.dtype}, not uchar")
     except OSError as error:
@@ -82,12 +89,18 @@ def read_cloud_ply(path: Path) -> ColoredCloud:
         raise MapFileError(f"{path}: points without {error}; wanted are normals and colours") from error
     except ValueError as error:
         raise MapFileError(f"{path}: {error}; save the map again") from error
-    return ColoredCloud(points.astype(np.float32), colors, normals.astype(np.float32))
+    told = None if bright is None else bright.astype(np.float32)
+    return ColoredCloud(points.astype(np.float32), colors, normals.astype(np.float32), told)
 
 
-def _vertices(points: Float32Array, normals: Float32Array, colors: Colors) -> NDArray[np.void]:
+def _vertices(
+    points: Float32Array, normals: Float32Array, colors: Colors, intensities: Float32Array | None = None
+) -> NDArray[np.void]:
     """Points as rows of a file."""
-    rows = np.empty(len(points), _VERTEX)
+    bright = [] if intensities is None else [(_INTENSITY, "<f4")]
+    rows = np.empty(len(points), [*_VERTEX.descr, *bright])
+    if intensities is not None:
+        rows[_INTENSITY] = intensities
     for names, values in ((_POSITION, points), (_NORMAL, normals), (_COLOR, colors)):
         for axis, name in enumerate(names):
             rows[name] = values[:, axis]

@@ -71,13 +71,17 @@ COLUMNS = dict(zip("xyz", POINTS.T, strict=True))
 @pytest.mark.parametrize(("suffix", "write"), [("pcd", write_pcd), ("ply", write_ply)])
 def test_pcd_and_ply_give_points_and_their_times(tmp_path: Path, suffix: str, write: Any) -> None:
     for k in (9, 10):
-        write(tmp_path / f"{k}.{suffix}", COLUMNS | {"t": np.arange(5, dtype=np.float32) * 25})
+        write(
+            tmp_path / f"{k}.{suffix}",
+            COLUMNS | {"t": np.arange(5, dtype=np.float32) * 25, "i": np.arange(5, dtype=np.uint8)},
+        )
     (tmp_path / "times.txt").write_text("# seconds\n5.0\n6.0\n")
     dataset = open_dataset(tmp_path)
     first, second = (m for m in dataset if isinstance(m, PointCloud))
     assert (first.stamp_s, second.stamp_s) == (5.0, 6.0)
     assert (first.points_lidar == VALID).all()
     assert first.times_s == pytest.approx([0.0, 0.025, 0.1], abs=1e-6)
+    assert first.intensities is not None and first.intensities.tolist() == [0.0, 1.0, 4.0]
     assert any("milliseconds after the stamp" in note for note in dataset.report.notes)
 
 

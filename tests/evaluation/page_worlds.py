@@ -121,7 +121,7 @@ def contents(rounds: int = 2, **changes: Any) -> MapContents:
 
 
 def cloud() -> ColoredCloud:
-    """Two walls and a floor."""
+    """Two walls and a floor, the brighter the farther along x."""
     steps = np.linspace(-3.0, 3.0, 40)
     u, v = (one.ravel() for one in np.meshgrid(steps, steps))
     parts = [
@@ -132,7 +132,7 @@ def cloud() -> ColoredCloud:
     points = np.vstack(parts).astype(np.float32)
     colors = np.repeat(np.array([[120, 90, 60], [60, 120, 200], [60, 200, 120]], np.uint8), len(u), axis=0)
     normals = np.repeat(np.array([[0, 0, 1], [0, -1, 0], [-1, 0, 0]], np.float32), len(u), axis=0)
-    return ColoredCloud(points, colors, normals)
+    return ColoredCloud(points, colors, normals, points[:, 0] + 3.0)
 
 
 def report(found: MapContents | None = None, beside: Beside | None = None) -> ReportData:

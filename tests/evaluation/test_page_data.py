@@ -137,8 +137,11 @@ class Clouds:
         return self._count
 
     def __iter__(self):  # type: ignore[no-untyped-def]
-        generator = np.random.default_rng(0)
-        return (generator.uniform(-3.0, 3.0, (20_000, 3)) for _ in range(self._count))
+        return (self.rows(key)[:, :3] for key in range(self._count))
+
+    def rows(self, key: int) -> np.ndarray:
+        rows = np.random.default_rng(key).uniform(-3.0, 3.0, (20_000, 4))
+        return rows[:, :3] if key % 2 else rows
 
 
 def spatial_map(**changes: Any) -> MapContents:
@@ -156,6 +159,8 @@ def test_a_map_of_a_3d_lidar_has_a_cloud_of_a_stated_size(tmp_path: Path) -> Non
     assert not data["planar"] and data["nodes"]["poses"].shape == (60, 7)
     assert 150_000 < len(data["cloud"]["points"]) <= 200_000 and "THREE" in html
     assert any(line.startswith("The cloud: ") and "of 1,200,000 points" in line for line in data["limits"])
+    blue, red = data["cloud"]["bright"].min(axis=0), data["cloud"]["bright"].max(axis=0)
+    assert len(data["cloud"]["bright"]) == len(data["cloud"]["points"]) and (blue < red).all()
     high = data["cloud"]["low"] + data["cloud"]["step_m"] * data["cloud"]["points"].max(axis=0)
     # Cubes of 6 m that are turned and moved by the way.
     assert (high > [4.0, 4.0, 2.9]).all() and (high < [5.8, 5.5, 3.0]).all()

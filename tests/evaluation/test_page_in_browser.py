@@ -227,6 +227,12 @@ def test_charts_and_the_cloud_are_drawn(page: Path) -> None:
             seen.click(f"#cloud-{name}")
         seen.page.wait_for_timeout(200)
         shot = seen.page.locator("#cloud canvas").screenshot()
+        seen.click("#cloud-intensity")
+        seen.page.wait_for_timeout(200)
+        bright = seen.page.locator("#cloud canvas").screenshot()
+        seen.click("#cloud-intensity")
+        seen.page.wait_for_timeout(200)
+        assert bright != shot and seen.page.locator("#cloud canvas").screenshot() == shot
         assert (
             len(np.unique(np.asarray(Image.open(io.BytesIO(shot)).convert("RGB")).reshape(-1, 3), axis=0))
             > 20

@@ -28,6 +28,16 @@ def test_the_nearest_steps_come_back(points: np.ndarray) -> None:
     assert packed_cloud(found) == content  # what was rounded once is lossless
 
 
+def test_intensities_come_back_as_they_were() -> None:
+    rows = np.random.default_rng(1).normal(size=(50, 4))
+    rows[:, 3] = np.float32(300.0 * rows[:, 3])
+    rows[7, 3] = np.nan
+    found = unpacked_cloud(packed_cloud(rows))
+    np.testing.assert_array_equal(found[:, 3], rows[:, 3])
+    np.testing.assert_array_equal(found[:, :3], unpacked_cloud(packed_cloud(rows[:, :3])))
+    assert unpacked_cloud(packed_cloud(rows[:0])).shape == (0, 3)  # nothing tells nothing
+
+
 def test_far_points_take_coarser_steps() -> None:
     points = np.array([[1e7, -1e7, 3.0], [-1e7, 1e7, -3.0]])
     found = unpacked_cloud(packed_cloud(points))

@@ -61,6 +61,18 @@ def test_they_come_back(tmp_path: Path) -> None:
     saved.close()
 
 
+def test_intensities_come_back_without_those_of_erased_points(tmp_path: Path) -> None:
+    rows = np.column_stack([clouds()[2], np.arange(80.0)])
+    kept = MapClouds(MapFile.temporary())
+    kept.add(0.0, rows, LIDAR)
+    kept.add(0.5, clouds()[2], LIDAR)
+    found = kept.without({0: np.packbits(np.arange(80) < 30).tobytes()})
+    np.testing.assert_array_equal(found.intensities(0), np.arange(30.0, 80.0))
+    np.testing.assert_array_equal(found.intensities(0, everything=True), np.arange(80.0))
+    np.testing.assert_array_equal(found.points(0), kept.points(1)[30:])
+    assert found.points(0).flags.c_contiguous and found.intensities(1) is None
+
+
 def test_frames_beside_clouds_sit_on_bases(tmp_path: Path) -> None:
     frames = [replace(frame, T_base_camera=MOUNT) for frame in box_frames(count=2)]
     saved = load_map(write(tmp_path / "map.db", clouds(), frames))

@@ -32,6 +32,8 @@ PROFILES: dict[str, tuple[int, str, float]] = {
     "RNG19_RFL8_SIG16_NIR16_DUAL": (16, "<I", 0.001),
     "RNG15_RFL8_NIR8": (4, "<H", 0.008),
 }
+# Where photons stand, or the reflectivity, by the bytes of a pixel, and whether the profile is LEGACY.
+SIGNAL_AT = {(12, True): 6, (12, False): 6, (16, False): 8, (4, False): 2}
 
 
 def metadata(profile: str, *, sections: bool = True) -> str:
@@ -99,11 +101,13 @@ def packets(told_m: Any, clock_s: float, frame: int, profile: str) -> Iterator[t
             at_ns = round(1e9 * (clock_s + TURN_S * number / COLUMNS))
             data += struct.pack("<QH", at_ns, number)
             data += struct.pack("<HI", frame, 90112 * number // COLUMNS) if legacy else struct.pack("<H", 1)
-            for away_m in told_m[number]:
+            for bright, away_m in enumerate(told_m[number], 1):
                 steps = round(float(away_m) / step_m)
                 # What stands above the bits of the range is flags, or how bright it was.
                 flags = 0xA << 28 if legacy else 0x53 << 24 if form == "<I" else 0x8000
-                data += struct.pack(form, steps | flags).ljust(size, b"\x2a")
+                pixel = bytearray(struct.pack(form, steps | flags).ljust(size, b"\x2a"))
+                struct.pack_into("<H" if size > 4 else "<B", pixel, SIGNAL_AT[size, legacy], bright)
+                data += pixel
             data += struct.pack("<I", 0xFFFFFFFF) if legacy else b""
         data += b"" if legacy else bytes(32)
         yield (first + IN_PACKET) / COLUMNS, data

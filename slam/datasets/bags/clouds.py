@@ -15,6 +15,7 @@ from slam.datasets.bags.decoding import stamp_of
 from slam.datasets.budget import LARGEST_BYTES
 from slam.datasets.cloud_files import is_return
 from slam.datasets.dataset import RecordFault
+from slam.datasets.point_intensity import intensities_of
 from slam.datasets.point_times import LONGEST_TURN_S, PointTimes
 from slam.measurements import Float32Array, Measurement, PointCloud
 
@@ -60,9 +61,11 @@ class CloudReader:
         if not valid.any():
             raise RecordFault(NO_POINTS, f"{len(points)} points")
         chosen = slice(None) if valid.all() else valid
-        times_s = self.times.of(rows.dtype.names or (), lambda name: rows[name][chosen], stamp_s)
+        names = rows.dtype.names or ()
+        times_s = self.times.of(names, lambda name: rows[name][chosen], stamp_s)
+        bright = intensities_of(names, lambda name: rows[name][chosen])
         kept = np.ascontiguousarray(points[chosen])
-        return PointCloud(stamp_s, kept, times_s, self.T_base_lidar, self.topic)
+        return PointCloud(stamp_s, kept, times_s, self.T_base_lidar, self.topic, bright)
 
 
 @dataclass(slots=True)
@@ -103,7 +106,9 @@ class TurnReader:
             for one in pieces
         ]
         points = np.concatenate([one.points_lidar for one in pieces])
-        return [replace(pieces[0], points_lidar=points, times_s=np.concatenate(times_s))]
+        told = [one.intensities for one in pieces if one.intensities is not None]
+        bright = np.concatenate(told) if len(told) == len(pieces) else None
+        return [replace(pieces[0], points_lidar=points, times_s=np.concatenate(times_s), intensities=bright)]
 
 
 def direction_rad(points: Float32Array) -> float:

@@ -23,12 +23,13 @@ from slam.measurements import FloatArray
 NOT_READ = "packets of an Ouster whose metadata cannot be used"
 FRAMES = "os_sensor", "os_lidar", "os_imu"  # as its driver calls them
 
-# Of a pixel: its bytes, the form of the range in front, the bits of it that are range, metres a step.
+# Of a pixel: its bytes, the form of the range in front, the bits of it that are range, metres a step; form
+# and place of how much came back: photons, or where they are not sent the reflectivity.
 _PIXELS = {
-    "LEGACY": (12, "<u4", 0xFFFFF, 0.001),
-    "RNG19_RFL8_SIG16_NIR16": (12, "<u4", 0x7FFFF, 0.001),
-    "RNG19_RFL8_SIG16_NIR16_DUAL": (16, "<u4", 0x7FFFF, 0.001),
-    "RNG15_RFL8_NIR8": (4, "<u2", 0x7FFF, 0.008),
+    "LEGACY": (12, "<u4", 0xFFFFF, 0.001, "<u2", 6),
+    "RNG19_RFL8_SIG16_NIR16": (12, "<u4", 0x7FFFF, 0.001, "<u2", 6),
+    "RNG19_RFL8_SIG16_NIR16_DUAL": (16, "<u4", 0x7FFFF, 0.001, "<u2", 8),
+    "RNG15_RFL8_NIR8": (4, "<u2", 0x7FFF, 0.008, "u1", 2),
 }
 _LARGEST_PACKET, _MOST_COLUMNS = 65_507, 4096  # what UDP carries; of the mode with the most
 _MOST_FILES, _MOST_BYTES = 64, 1 << 22
@@ -103,7 +104,7 @@ def _model(told: dict[str, Any]) -> OusterModel:
     rows, each = int(told.get("pixels_per_column", len(up))), int(told.get("columns_per_packet", 16))
     if up.shape != (rows,) or aside.shape != (rows,) or not 0 < columns <= _MOST_COLUMNS or each < 1:
         raise ValueError(f"{columns} columns of {rows} pixels with {up.size} and {aside.size} angles")
-    size, _, bits, step_m = _PIXELS[profile]
+    size, _, bits, step_m, _, _ = _PIXELS[profile]
     if rows * each * size > _LARGEST_PACKET:
         raise ValueError(f"{each} columns of {rows} pixels in a packet")
     packet = _packet(profile, rows, each)
@@ -127,8 +128,10 @@ def _model(told: dict[str, Any]) -> OusterModel:
 
 def _packet(profile: str, rows: int, each: int) -> np.dtype[Any]:
     """The structured type of a packet of so many columns."""
-    size, form, _, _ = _PIXELS[profile]
-    pixel = np.dtype({"names": ["steps"], "formats": [form], "offsets": [0], "itemsize": size})
+    size, form, _, _, bright, at = _PIXELS[profile]
+    pixel = np.dtype(
+        {"names": ["steps", "bright"], "formats": [form, bright], "offsets": [0, at], "itemsize": size}
+    )
     column: list[Any] = [("stamp_ns", "<u8"), ("number", "<u2")]
     if profile == "LEGACY":
         column += [("frame", "<u2"), ("encoder", "<u4"), ("pixels", pixel, (rows,)), ("status", "<u4")]

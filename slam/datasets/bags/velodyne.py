@@ -12,7 +12,7 @@ from slam.datasets.dataset import RecordFault
 
 NO_DECODER = "packets of a lidar, which the extra reads: pip install 'scanweave[velodyne]'"
 NOT_DECODED = "packets of a Velodyne that tell no cloud"
-_FIELDS = ("x", "y", "z", "time")
+_FIELDS = ("x", "y", "z", "intensity", "time")
 
 
 class VelodyneDecoder:

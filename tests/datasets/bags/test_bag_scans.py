@@ -102,6 +102,7 @@ def test_times_of_points_are_found_by_name_and_their_unit_by_the_turn(
     (found,), dataset = read(tmp_path, cloud({**XYZ, "intensity": XYZ["x"], name: values}))
     assert isinstance(found, PointCloud) and found.times_s is not None
     assert found.points_lidar.tolist() == [[1, 1, 1], [2, 2, 2], [3, 3, 3]]  # without NaN and the origin
+    assert found.intensities is not None and found.intensities.tolist() == [1, 2, 3]
     start_s = -0.1 if name == "time" else 0.0
     assert found.times_s == pytest.approx(start_s + np.array([0.0, 0.025, 0.05]), abs=1e-6)
     assert any(said in note and f"field {name} " in note for note in dataset.report.notes)

@@ -13,6 +13,7 @@ from slam.datasets.bags.ouster import DAMAGED, LATE, Ouster
 from slam.datasets.bags.ouster_model import NOT_READ, OusterModel
 from slam.datasets.dataset import RecordFault
 from slam.errors import DatasetError
+from slam.measurements import PointCloud
 from tools.layouts import ouster
 from tools.layouts.judge import problems
 from tools.layouts.world import placed
@@ -39,6 +40,8 @@ def test_packets_in_a_bag_are_turns_with_the_metadata_beside_it(profile: str, tm
     sample = ouster.bag(tmp_path, profile, inside=profile == PROFILE)
     dataset = open_dataset(sample.path, strict=True)
     assert problems(dataset, sample) == [] and not dataset.report.ignored
+    bright = next(one for one in dataset if isinstance(one, PointCloud)).intensities
+    assert bright is not None and (np.diff(np.unique(bright)) == 1.0).all() and bright.max() == ouster.ROWS
 
 
 def test_a_capture_of_a_sensor_without_a_clock(tmp_path: Path) -> None:

@@ -3,7 +3,7 @@
 (S => {
   const element = S.element;
 
-  function scene(canvas, {points, colors, low, step_m, up}) {
+  function scene(canvas, {points, colors, bright, low, step_m, up}) {
     const renderer = new THREE.WebGLRenderer({canvas, antialias: true, alpha: true});
     renderer.outputColorSpace = "srgb-linear"; // the colours are shown as they are told
     renderer.setClearColor(0, 0);
@@ -52,7 +52,11 @@
     S.on("theme", render);
     home();
     render();
-    return {count, home, render, larger: times => {
+    const paint = values => {
+      geometry.setAttribute("color", new THREE.BufferAttribute(values, 3, true));
+      render();
+    };
+    return {count, home, bright: bright && (on => paint(on ? bright : colors)), larger: times => {
       material.size *= times;
       render();
     }};
@@ -73,10 +77,16 @@
       box.replaceChildren(element("p", {class: "soft", textContent: `No cloud can be shown: this browser offers no WebGL (${error.message}). The plan above shows the map from above.`}));
       return;
     }
+    const brightness = element("button", {type: "button", id: "cloud-intensity", textContent: "By intensity", ariaPressed: "false", onclick: () => {
+      const on = brightness.ariaPressed !== "true";
+      brightness.ariaPressed = String(on);
+      shown.bright(on);
+    }});
     section.firstChild.append(
       element("button", {type: "button", id: "cloud-home", textContent: "Whole cloud", onclick: shown.home}),
       element("button", {type: "button", id: "cloud-larger", textContent: "Larger points", onclick: () => shown.larger(1.4)}),
       element("button", {type: "button", id: "cloud-smaller", textContent: "Smaller points", onclick: () => shown.larger(1 / 1.4)}),
+      ...shown.bright ? [brightness] : [],
       element("span", {class: "soft", textContent: `${S.count(shown.count)} points; drag to turn, right button to shift, wheel to come nearer`}),
     );
   }, 64);
