@@ -6,6 +6,8 @@ VENV := .venv
 BIN := $(VENV)/bin
 # Processes that the tests are spread over; each needs some 1.2 GB.
 WORKERS ?= 2
+# Containers may ask Python to keep no bytecode: then every process compiles all that it imports.
+unexport PYTHONDONTWRITEBYTECODE
 # Python compiles of the packages what is imported; pip would compile all 13,000 files.
 PIP := $(BIN)/python -m pip --disable-pip-version-check install --progress-bar off --no-compile
 
