@@ -28,18 +28,18 @@ def run(log: Path, *overrides: str) -> MapResult:
     return build_map(open_dataset(log), load_config(None, overrides))
 
 
-@pytest.fixture(scope="module")
+@pytest.fixture(scope="session")
 def long_log(tmp_path_factory: pytest.TempPathFactory) -> SyntheticLog:
     """A drive of a round and a half: loops close."""
     return write_synthetic_log(tmp_path_factory.mktemp("long"), duration_s=60.0)
 
 
-@pytest.fixture(scope="module")
+@pytest.fixture(scope="session")
 def short_log(tmp_path_factory: pytest.TempPathFactory) -> SyntheticLog:
     return write_synthetic_log(tmp_path_factory.mktemp("short"), duration_s=20.0)
 
 
-@pytest.fixture(scope="module")
+@pytest.fixture(scope="session")
 def mapped(long_log: SyntheticLog) -> MapResult:
     return run(long_log.log_path)
 

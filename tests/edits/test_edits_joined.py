@@ -17,7 +17,7 @@ from slam.simulation.synthetic_log import write_synthetic_log
 @pytest.fixture(scope="module")
 def logs(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
     folder = tmp_path_factory.mktemp("logs")
-    lengths = {"first": 34.0, "later": 30.0}
+    lengths = {"first": 34.0, "later": 18.0}
     first, later = (
         write_synthetic_log(folder / part, seed=seed, duration_s=length).log_path
         for seed, (part, length) in enumerate(lengths.items(), start=1)

@@ -160,9 +160,12 @@ def edited(frames: list[RgbdFrame], path: Path, edit: Callable[[int, RgbdFrame],
 
 
 class TestMishaps:
-    @pytest.mark.parametrize(("first", "count"), [(30, 3), (30, 14), (0, 4)])
+    @pytest.mark.parametrize(("first", "count"), [(30, 2), (30, 14), (0, 4)])
     def test_a_dead_camera(self, first: int, count: int, frames: list[RgbdFrame], tmp_path: Path) -> None:
-        """Black frames without depth for a moment, for long, and at the beginning: every frame has a pose."""
+        """Black frames without depth for a moment, for long, and at the beginning: every frame has a pose.
+
+        After a moment those that were seen lie where they were, across the gap too.
+        """
         path = edited(
             frames, tmp_path / "log", lambda n, frame: blind(frame) if first <= n < first + count else frame
         )
@@ -175,16 +178,9 @@ class TestMishaps:
             edge for edge in (factor.edge for factor in result.map.factors) if edge.kind is EdgeKind.ASSUMED
         ]
         assert bool(assumed) == (count > 10 or first == 0)
-
-    def test_after_a_short_death_the_map_is_whole(self, frames: list[RgbdFrame], tmp_path: Path) -> None:
-        """Two black frames: those that were seen lie where they were, across the gap too."""
-        path = edited(frames, tmp_path / "log", lambda n, frame: blind(frame) if 30 <= n < 32 else frame)
-        result = run(path)
-        alive = np.r_[0:30, 32:COUNT]
-        off = result.map.trajectory.positions_m - np.array(
-            [pose.translation() - walk()[0].translation() for pose in walk()]
-        )
-        assert np.linalg.norm(off[alive], axis=1).max() < 0.02
+        true_m = np.array([pose.translation() - walk()[0].translation() for pose in walk()])
+        off_m = np.linalg.norm(result.map.trajectory.positions_m - true_m, axis=1)
+        assert count != 2 or np.delete(off_m, np.arange(first, first + count)).max() < 0.02
 
     @pytest.mark.parametrize("missing", [2, 5])
     def test_a_gap_in_time(self, missing: int, frames: list[RgbdFrame], tmp_path: Path) -> None:

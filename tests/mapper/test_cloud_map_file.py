@@ -18,7 +18,6 @@ from slam.cli import main
 from slam.mapper.checkpoint import Checkpoint
 from slam.matching.local_cloud import moved
 from slam.outputs.finished_map import load_map
-from tools.kill_trials import run_trials
 
 COUNT = 9
 SETTINGS = [
@@ -107,14 +106,6 @@ def test_interrupted_and_resumed(
     assert scanweave("map", log, "-o", out, "--resume", *SETTINGS, *OCTOMAP).code == 0
     for name in ("map.db", "trajectory.tum", "graph.g2o", "map.pgm", "cloud.ply"):
         assert (out / name).read_bytes() == (mapped / name).read_bytes(), name
-
-
-def test_killed(log: Path, tmp_path: Path) -> None:
-    """SIGKILL, by the tool that does it many times."""
-    settings = (*SMALL, "dense_map.enabled=false")
-    found = run_trials(log, tmp_path, kills=1, seed=5, settings=settings, begins_s=1.0)
-    assert (found.kills, found.faults) == (1, [])
-    assert found.finished >= 1
 
 
 def test_a_log_that_is_in_the_map_is_not_joined_again(scanweave: Scanweave, log: Path, mapped: Path) -> None:

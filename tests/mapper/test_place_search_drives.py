@@ -47,21 +47,17 @@ def streets(seeds: Sequence[Sequence[int]], truth: FloatArray) -> FloatArray:
     return np.concatenate(found)
 
 
-def drive(
-    seeds: Sequence[Sequence[int]], steps: Sequence[Sequence[float]], turned_rad: float | None
-) -> tuple[MapResult, FloatArray]:
-    """The map, and the true poses; without a turn there are no wheels."""
+def seen_along(
+    seeds: Sequence[Sequence[int]], steps: Sequence[Sequence[float]]
+) -> tuple[list[LaserScan], FloatArray]:
+    """The scans, and the true poses."""
     truth = way((0.0, 0.0, 0.0), steps)
     walls = streets(seeds, truth)
     near = [walls[np.hypot(*(walls[:, :2] - pose[:2]).T) < SIGHT_M + 1.0] for pose in truth]
     scans = [within_sight(scan) for scan in scans_along(truth, near, fov_rad=2.0 * np.pi, beams=361)]
     for n in range(GAP.start, GAP.stop):
         scans[n] = a_post(scans[n])
-    if turned_rad is None:
-        return mapped_drive(scans, None), truth
-    by_wheels = np.array(steps)
-    by_wheels[GAP, 2] += turned_rad / (GAP.stop - GAP.start)
-    return mapped_drive(scans, way((5.0, 1.0, -2.0), by_wheels.tolist())), truth
+    return scans, truth
 
 
 def within_sight(scan: LaserScan) -> LaserScan:
@@ -91,18 +87,21 @@ def wrong_loops(result: MapResult, truth: FloatArray) -> list[float]:
 
 def test_a_chain_that_was_bent_closes_in_the_second_round(monkeypatch: pytest.MonkeyPatch) -> None:
     steps = [*ROUND, *ROUND[:SIDE_STEPS]]
-    result, truth = drive(ALL_DIFFERENT, steps, -0.7)
+    scans, truth = seen_along(ALL_DIFFERENT, steps)
+    turned = np.array(steps)
+    turned[GAP, 2] -= 0.7 / (GAP.stop - GAP.start)
+    by_wheels = way((5.0, 1.0, -2.0), turned.tolist())
+    result = mapped_drive(scans, by_wheels)
     assert worst_m(result, truth) < 0.3
     assert wrong_loops(result, truth) == []
     monkeypatch.setattr(PlaceSearch, "search", lambda *_: [])
-    assert worst_m(drive(ALL_DIFFERENT, steps, -0.7)[0], truth) > 5.0, (
-        "the estimate alone finds the place, too"
-    )
+    alone = worst_m(mapped_drive(scans, by_wheels), truth)
+    assert alone > 5.0, "the estimate alone finds the place, too"
 
 
 def test_a_street_that_looks_like_another_closes_nothing() -> None:
-    result, truth = drive(LOOK_ALIKE, ROUND[:-40], None)
-    assert wrong_loops(result, truth) == []
+    scans, truth = seen_along(LOOK_ALIKE, ROUND[:-40])
+    assert wrong_loops(mapped_drive(scans, None), truth) == []
 
 
 def test_who_may_have_turned_unseen_is_asked_which_way_the_corridor_is() -> None:

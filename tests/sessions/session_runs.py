@@ -72,7 +72,7 @@ class Sessions:
 def sessions_in(folder: Path) -> Sessions:
     """Write the logs."""
     first = write_synthetic_log(folder / "first", seed=1, duration_s=34.0)
-    later = write_synthetic_log(folder / "later", seed=2, duration_s=30.0)
+    later = write_synthetic_log(folder / "later", seed=2, duration_s=22.0)
     begin_s = float(first.truth.stamps_s[0])
     return Sessions(
         first,
