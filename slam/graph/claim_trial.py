@@ -84,10 +84,10 @@ class ClaimTrial:
         for n in np.argsort(apart_m, kind="stable").tolist():
             if len(chosen) == config.near or apart_m[n] > self._stretches.window_m:
                 break
-            if not chosen and apart_m[n] > config.reach_m:
+            if not chosen and apart_m[n] > self._submaps.wide_m(config.reach_m, 1.0):
                 break
             far = all(abs(way_m(around[n]) - way_m(one)) > self._stretches.spacing_m for one in chosen)
-            if far and way_m(key) - way_m(around[n]) > config.least_path_m:
+            if far and way_m(key) - way_m(around[n]) > self._submaps.least_path_m:
                 chosen.append(around[n])
         return chosen
 

@@ -17,15 +17,20 @@ import numpy as np
 from fusion.estimation import FEWEST, median_to_sigma
 from slam.config.stages import GraphConfig
 from slam.graph.edge import GUESSES, Edge, EdgeKind
-from slam.graph.keyframe_graph import KeyframeGraph, graph_of, row_of, unmeasured
+from slam.graph.keyframe_graph import KeyframeGraph, graph_of, row_of, together, unmeasured
 from slam.graph.relative_uncertainty import composed, inverse, moved
 from slam.matching.motion import Motion
 from slam.matching.planar import adjoint, between, rotate_covariance
 from slam.measurements import FloatArray
 
 
-def settle_wheels(graph: KeyframeGraph) -> None:
-    """Let steps that wheels alone tell be as certain as wheels have proved, unless loops refuse that."""
+def settle_wheels(graph: KeyframeGraph, least_m: float) -> None:
+    """Let steps that wheels alone tell be as certain as wheels have proved, unless loops refuse that.
+
+    Proved on long stretches that matches tell throughout. Where scans lie so far apart that there are hardly
+    any, on single steps of ``least_m`` and more, in the directions that a match tells better; and then along
+    corridors, too, wheels are as certain as that.
+    """
     edges = graph.graph.edges
     alone = [n for n, edge in enumerate(edges) if edge.kind is EdgeKind.WHEEL and edge.trusted]
     steps = np.zeros(len(graph), np.bool_)
@@ -38,18 +43,50 @@ def settle_wheels(graph: KeyframeGraph) -> None:
         and edge.target - edge.source > 1
         and told[edge.target - 1] - told[edge.source] + steps[edge.source] == 0
     ]
-    if not alone or len(longer) < FEWEST:
+    sparse = len(longer) < FEWEST
+    errors = _errors_of_steps(edges, least_m) if sparse else _errors_of_stretches(graph, longer)
+    if not alone or len(errors) < FEWEST:
         return
-    rows = graph.rows()
-    ends = np.array([(edge.source, edge.target) for edge in longer])
-    claimed = np.array([row_of(edge.T_source_target) for edge in longer])
-    off = _off(claimed, composed(inverse(rows[ends[:, 0]]), rows[ends[:, 1]]))
-    sigmas = np.sqrt([np.diag(edge.covariance) for edge in longer])
-    scale = np.minimum(median_to_sigma() * np.median(np.abs(off) / sigmas, axis=0), 1.0)
+    counts = np.isfinite(errors).sum(axis=0)
+    errors[:, counts < FEWEST] = np.inf
+    scale = np.minimum(median_to_sigma() * np.nanmedian(np.abs(errors), axis=0), 1.0)
+    for n, edge in enumerate(edges[:-1] if sparse else []):
+        # Of the two in a corridor the first tells the way, and of the turn nothing; the next the turn.
+        if edge.kind is EdgeKind.WHEEL and edge.covariance[2, 2] > math.pi**2:
+            for k, shares in ((n, [*scale[:2], 1.0]), (n + 1, [1.0, 1.0, scale[2]])):
+                edges[k] = replace(edges[k], covariance=edges[k].covariance * np.outer(shares, shares))
     for n in alone:
         edge = edges[n]
         edges[n] = replace(edge, covariance=edge.covariance * np.outer(scale, scale), trusted=False)
         graph.add_edge(replace(edge, kind=EdgeKind.ASSUMED))
+
+
+def _errors_of_stretches(graph: KeyframeGraph, longer: Sequence[Edge]) -> FloatArray:
+    """(K, 3) errors of wheels on long stretches, in the sigmas that they claim."""
+    rows = graph.rows()
+    ends = np.array([(edge.source, edge.target) for edge in longer])
+    claimed = np.array([row_of(edge.T_source_target) for edge in longer])
+    off = _off(claimed, composed(inverse(rows[ends[:, 0]]), rows[ends[:, 1]]))
+    return off / np.sqrt([np.diag(edge.covariance) for edge in longer])
+
+
+def _errors_of_steps(edges: Sequence[Edge], least_m: float) -> FloatArray:
+    """(K, 3) errors of wheels on steps that a match tells, too; not a number where that is less sure."""
+    single = [edge for edge in edges if edge.target == edge.source + 1]
+    wheels = together(edge for edge in single if edge.kind is EdgeKind.WHEEL)
+    matches = together(edge for edge in single if edge.kind is EdgeKind.LIDAR)
+    both = [
+        (wheels[ends], match)
+        for ends, match in matches.items()
+        if ends in wheels and math.hypot(match.pose[0], match.pose[1]) >= least_m
+    ]
+    if not both:
+        return np.zeros((0, 3))
+    claimed, found = (np.array([motion.pose for motion in motions]) for motions in zip(*both, strict=True))
+    variances, known = (
+        np.array([np.diag(motion.covariance) for motion in motions]) for motions in zip(*both, strict=True)
+    )
+    return np.where(known < variances, _off(claimed, found) / np.sqrt(variances), np.nan)
 
 
 class FaultySteps:

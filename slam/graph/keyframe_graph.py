@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slam.config.stages import GraphConfig
-from slam.graph.edge import Edge, EdgeKind
+from slam.graph.edge import GUESSES, Edge, EdgeKind
 from slam.graph.loop_closure import LoopCandidate, judged
 from slam.graph.pose_graph import BatchResult, PoseGraph
 from slam.graph.relative_uncertainty import UncertaintyGraph
@@ -124,13 +124,33 @@ class KeyframeGraph:
 
         edges = [edge for edge, keep in zip(self.graph.edges, kept, strict=True) if keep]
         most = self._config.lost_sigma_m**2
-        motions = together(edges).items()
-        held = [ends for ends, motion in motions if np.linalg.eigvalsh(motion.covariance[:2, :2])[-1] <= most]
+        motions, unproved = together(edges).items(), self._unproved(kept)
+        held = [
+            ends
+            for ends, motion in motions
+            if ends not in unproved and np.linalg.eigvalsh(motion.covariance[:2, :2])[-1] <= most
+        ]
         # A fix may be off by metres, and yet is no guess.
         held += [(edge.source, edge.target) for edge in edges if edge.kind in _PLACES]
         sources, targets = np.array(held, np.int64).reshape(-1, 2).T
         joined = coo_array((np.ones(len(held)), (sources, targets)), shape=(len(self), len(self)))
         return np.asarray(connected_components(joined, directed=False)[1], np.int64)
+
+    def _unproved(self, kept: BoolArray) -> set[tuple[int, int]]:
+        """Steps that wheels alone tell, where one of them must be expected to be grossly wrong.
+
+        As often as one of the steps is that matches tell, too.
+        """
+        wheels, proved, wrong = set[tuple[int, int]](), set[tuple[int, int]](), set[tuple[int, int]]()
+        for edge, keep in zip(self.graph.edges, kept, strict=True):
+            ends = edge.source, edge.target
+            if edge.kind is EdgeKind.WHEEL and edge.target == edge.source + 1:
+                wheels.add(ends)
+                wrong |= set() if keep else {ends}
+            elif edge.kind not in GUESSES and keep:
+                proved.add(ends)
+        alone = wheels - proved
+        return alone if len(alone) * len(wrong & proved) >= len(wheels & proved) > 0 else set()
 
     def optimize(self, inlier_probability: float) -> BatchResult:
         """Solve everything anew; a loop that disagrees with the others is marked as refused."""

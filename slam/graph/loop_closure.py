@@ -250,12 +250,13 @@ class LoopCloser:
         self, key: int, poses: FloatArray, uncertainty: UncertaintyGraph
     ) -> list[tuple[int, FloatArray]]:
         """Places that may see the same as the keyframe, nearest first, with the relative covariance."""
-        config = self._config
-        travelled = self.submaps.travelled_m(key)
-        places = self.submaps.places(key)
-        places = places[[travelled - self.submaps.travelled_m(p) > config.least_path_m for p in places]]
+        config, submaps = self._config, self.submaps
+        travelled = submaps.travelled_m(key)
+        places = submaps.places(key)
+        places = places[[travelled - submaps.travelled_m(p) > submaps.least_path_m for p in places]]
         distance = np.hypot(*(poses[places, :2] - poses[key, :2]).T)
-        places = places[distance <= config.reach_m + config.greatest_half_width_m]
+        reach_m = submaps.wide_m(config.reach_m, 1.0)
+        places = places[distance <= reach_m + config.greatest_half_width_m]
         if places.size == 0:
             return []
         distance = np.hypot(*(poses[places, :2] - poses[key, :2]).T)
@@ -266,11 +267,11 @@ class LoopCloser:
         for n in np.argsort(distance):
             if len(chosen) == config.near:
                 break
-            if slack[n] > config.greatest_half_width_m or distance[n] > config.reach_m + slack[n]:
+            if slack[n] > config.greatest_half_width_m or distance[n] > reach_m + slack[n]:
                 continue
-            at_m = self.submaps.travelled_m(places[n])
+            at_m = submaps.travelled_m(places[n])
             # Two places on one pass by the same spot tell the same: take the nearest of each pass.
-            if all(abs(at_m - self.submaps.travelled_m(p)) > config.least_path_m for p, _ in chosen):
+            if all(abs(at_m - submaps.travelled_m(p)) > config.least_path_m for p, _ in chosen):
                 chosen.append((int(places[n]), covariances[n]))
         return chosen
 

@@ -84,6 +84,9 @@ class PlaceSearch:
         held = believed_edges(edges, kept, poses)
         if self._stretches is None or self._sets is None:
             self._stretches = Stretches(self._submaps, self._config, self._match)
+            self._reach_m = max(self._reach_m, self._submaps.least_path_m)
+            # Where scans lie far apart only the whole run has told how far wheels can be believed.
+            self._corrected = self._stretches.spacing_m > 0.5 * self._config.reach_m
             # Claims on both sides of a step that may be grossly wrong say nothing of each other.
             measured = {edge.source for edge in held if edge.kind not in GUESSES}
             sure = (edge for edge in held if edge.trusted or edge.source in measured)

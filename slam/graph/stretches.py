@@ -31,7 +31,7 @@ class Stretches:
     def __init__(self, submaps: SubmapStore, config: LoopConfig, match: MatchConfig) -> None:
         self._config, self._match, self._submaps = config, match, submaps
         way_m = np.array([submaps.travelled_m(key) for key in range(len(submaps))])
-        self.spacing_m = 0.5 * config.reach_m
+        self.spacing_m = submaps.wide_m(0.5 * config.reach_m, 1.0)
         middles_m = np.arange(0.0, way_m[-1] + config.reach_m, self.spacing_m)
         self.keys = np.unique(np.searchsorted(way_m, np.minimum(middles_m, way_m[-1])))
         self._way_m = way_m[self.keys]
@@ -60,7 +60,7 @@ class Stretches:
         apart_m
             (K,) their distance by the estimate.
         """
-        earlier = self._way_m[number] - self._way_m > self._config.least_path_m
+        earlier = self._way_m[number] - self._way_m > self._submaps.least_path_m
         (others,) = np.nonzero(possible & earlier & self._determined)
         likest = others[np.argsort(-self._bank.likeness(number, others), kind="stable")]
         near = others[apart_m[others] <= self.window_m]

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from fusion.estimation import FEWEST
 from slam.config.stages import LoopConfig, MatchConfig
 from slam.matching.correlative import LikelihoodField, build_field
 from slam.matching.local_map import LocalMap, OrientedPoints
@@ -46,7 +47,7 @@ class SubmapStore:
 
     def __init__(self, loop: LoopConfig, match: MatchConfig) -> None:
         # What comes later on the way may come back here, and is no part of this place.
-        self._half, self._half_m, self._reach_m = loop.half_keyframes, 0.5 * loop.least_path_m, loop.reach_m
+        self._half, self._path_m, self._reach_m = loop.half_keyframes, loop.least_path_m, loop.reach_m
         self._match = match
         self._scans: list[OrientedPoints] = []
         self._surfaces: list[OrientedPoints] = []
@@ -100,12 +101,12 @@ class SubmapStore:
         if key in self._cache:
             self._cache.move_to_end(key)
             return self._cache[key]
-        half = self._half
+        half, half_m = self._half, 0.5 * self.least_path_m
         members = [
             k
             for k in range(max(0, key - half), min(len(self._scans), key + half + 1))
             if self._sessions[k] == self._sessions[key]
-            and abs(self._travelled_m[k] - self._travelled_m[key]) <= self._half_m
+            and abs(self._travelled_m[k] - self._travelled_m[key]) <= half_m
         ]
         # It does not hold the store that holds it: at the end of a run all of them go at once.
         build = partial(_local_map, self._surfaces, self._poses, key, members, self._match)
@@ -116,6 +117,18 @@ class SubmapStore:
             self._cache.popitem(last=False)
         return submap
 
+    def wide_m(self, least_m: float, scans: float) -> float:
+        """A length that holds so many scans as a rule, but no less than ``least_m``."""
+        return max(least_m, scans * self._travelled_m[-1] / max(len(self), FEWEST))
+
+    @property
+    def least_path_m(self) -> float:
+        """Way round below which it is no loop: the surroundings of both ends would share scans.
+
+        Where scans lie far apart, one alone sees too little of a corridor: each surroundings has a few.
+        """
+        return self.wide_m(self._path_m, 0.5 * _RUN_SCANS)
+
     def pose(self, key: int | np.integer[Any]) -> FloatArray:
         """(3,) of a keyframe, odometry frame."""
         return self._poses[key]
@@ -123,7 +136,8 @@ class SubmapStore:
     def run(self, key: int) -> OrientedPoints:
         """What is seen on the way to a keyframe and on from it, in its frame: a point a cell."""
         travelled_m = np.array(self._travelled_m)
-        members = np.flatnonzero(np.abs(travelled_m - travelled_m[key]) <= self._reach_m)
+        reach_m = self.wide_m(self._reach_m, 2.0)
+        members = np.flatnonzero(np.abs(travelled_m - travelled_m[key]) <= reach_m)
         members = members[:: 1 + len(members) // _RUN_SCANS]
         parts = [
             self._surfaces[k].moved(between(self._poses[key], self._poses[k]))

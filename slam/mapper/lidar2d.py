@@ -153,7 +153,7 @@ class PlanarRobot:
             self.readings.read_wheels_at(self._wheels.clock.significant_s, None if used else led)
         stamps_s = self.readings.scan_stamps_s()[self.readings.keyframe_scans()]
         self._chain.settle(graph, stamps_s, before, self.readings.keyframe_wheels())
-        settle_wheels(graph)
+        settle_wheels(graph, self._config.loops.reach_m)
 
     def search_again(self, graph: KeyframeGraph, kept: BoolArray) -> list[LoopCandidate]:
         """Places all over the map; where they show which step was wrong, the graph begins without it."""

@@ -149,6 +149,11 @@ class LocalMap:
         known, whole = (object_evidence(scan.points, gain) for gain in gains)
         return np.stack([known, whole - known]) / points_a_witness(judged)
 
+    def contradicted(self, scan: OrientedPoints, pose: FloatArray) -> float:
+        """Share of a scan's points (base frame) that contradict the map at a pose (3,)."""
+        weights, contradicts = self._fits(scan, Motion(pose, np.zeros((3, 3))))
+        return float((1.0 - weights) @ contradicts) / len(scan)
+
     def _fits(self, scan: OrientedPoints, at: Motion) -> tuple[FloatArray, BoolArray]:
         """(M,) robust weights of a scan's points, and whether they contradict the map.
 

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import special
 
-from fusion.estimation import CONFIDENCE, half_interval
+from fusion.estimation import CONFIDENCE, FEWEST, half_interval
 from fusion.time_alignment import GAP_S, clock_offset, turns_between
 from slam.measurements import FloatArray
 
@@ -131,7 +131,9 @@ class ClockLearner:
         if not final and recorded_s < self._due_s:
             return
         self._due_s = max(_FIRST_S, _GROWTH * recorded_s)
-        found = [offset for stretch in self._stretches() if (offset := self._offset(robot, *stretch))]
+        found = [
+            offset for stretch in self._stretches(len(robot)) if (offset := self._offset(robot, *stretch))
+        ]
         self.clock = SensorClock()
         if not found:
             return
@@ -144,10 +146,10 @@ class ClockLearner:
         if sigma_s < _GREATEST_SIGMA_S:
             self.clock = SensorClock(offset_s, math.hypot(sigma_s, _JITTER_S), len(found))
 
-    def _stretches(self) -> list[tuple[float, float]]:
-        """Where to look, evenly over the run."""
+    def _stretches(self, turns: int) -> list[tuple[float, float]]:
+        """Where to look, evenly over a run of so many turns; in each are enough to compare."""
         first_s, last_s = self.turns.oldest_s, self.turns.newest_s
-        count = max(1, int((last_s - first_s) / _STRETCH_S))
+        count = max(1, min(int((last_s - first_s) / _STRETCH_S), 2 * turns // (3 * FEWEST)))
         return list(pairwise(np.linspace(first_s, last_s, count + 1).tolist()))
 
     def _offset(self, robot: Turns, first_s: float, last_s: float) -> tuple[float, float] | None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections import deque
 
 import numpy as np
@@ -26,13 +27,23 @@ class SurfelOdometry:
     """Coarse and fine point-to-line alignment; a correlative search where the guesses fail."""
 
     def __init__(self, config: Config) -> None:
-        self._match = config.match
+        self._match, self._sight_m = config.match, config.scan.range_max_m
+        self._least_overlap = config.loops.least_overlap
+        self._ways_m: deque[float] = deque(maxlen=config.match.local_map_keyframes)
+        self._last = np.zeros(3)
         self._keyframes: deque[OrientedPoints] = deque(maxlen=config.match.local_map_keyframes)
         self._images: deque[RangeImage] = deque(maxlen=config.match.local_map_keyframes)
         self._local_map: LocalMap | None = None
 
     def add_keyframe(self, points: ScanPoints, pose: FloatArray) -> None:
         """Take a scan at a pose (3,) of the odometry frame into the local map."""
+        step, self._last = between(self._last, pose), pose
+        way_m = math.hypot(step[0], step[1]) + (self._ways_m[-1] if self._ways_m else 0.0)
+        # What lies farther back on the way is another visit, not the step before: that closes loops.
+        while self._ways_m and way_m - self._ways_m[0] > self._sight_m:
+            for remembered in (self._ways_m, self._keyframes, self._images):
+                remembered.popleft()
+        self._ways_m.append(way_m)
         self._keyframes.append(OrientedPoints.surface(points).moved(pose))
         self._images.append(RangeImage.of(points.points_base, pose, points.points_base))
         self._local_map = None
@@ -56,7 +67,8 @@ class SurfelOdometry:
             # Another guess than the most certain one has led along a corridor, where all looks alike.
             away = compose(best.pose, weak * (weak @ between(best.pose, guesses[0].pose)))
             best = local_map.align(scan, away)
-        if best.inlier_share < self._match.least_inlier_share:
+        share = best.inlier_share
+        if share < self._match.least_inlier_share and not self._fits_what_is_known(local_map, scan, best):
             return None
         return motion_from_alignment(best, self._match)
 
@@ -74,6 +86,12 @@ class SurfelOdometry:
         if local_map is None:
             return np.zeros((2, 0))
         return local_map.evidence(OrientedPoints.from_scan(points), pose, other)
+
+    def _fits_what_is_known(self, local_map: LocalMap, scan: OrientedPoints, best: Alignment) -> bool:
+        """Whether few points agree only because the robot looks at ground that no scan has seen."""
+        known = best.inlier_share + local_map.contradicted(scan, best.pose)
+        fits = best.inlier_share >= self._match.confident_inlier_share * known
+        return fits and known >= self._least_overlap
 
     def _known(self) -> LocalMap | None:
         """The local map, built when first asked for; None before the first keyframe."""

@@ -25,7 +25,7 @@ SURE = np.eye(3) * 0.01**2
 class Way:
     """The drive as submaps, stretches, sets and loop closer know it; a match fits up to a keyframe."""
 
-    window_m, spacing_m = 3.0, 0.5
+    window_m, spacing_m, least_path_m = 3.0, 0.5, CONFIG.least_path_m
 
     def __init__(self, fits_before: int = 1000, degenerate: bool = False) -> None:
         self.submaps, self.fits_before, self.degenerate = self, fits_before, degenerate
@@ -33,6 +33,9 @@ class Way:
 
     def travelled_m(self, key: int) -> float:
         return float(key)
+
+    def wide_m(self, least_m: float, scans: float) -> float:
+        return max(least_m, scans * self.spacing_m)
 
     def pose(self, key: int) -> FloatArray:
         return np.array([float(key % 100), 0.0, 0.0])

@@ -9,8 +9,9 @@ import pytest
 from slam.config.stages import GraphConfig
 from slam.graph.edge import Edge, EdgeKind
 from slam.graph.faulty_steps import FaultySteps, settle_wheels
-from slam.graph.keyframe_graph import KeyframeGraph
+from slam.graph.keyframe_graph import KeyframeGraph, together
 from slam.graph.place_search import believed_edges
+from slam.mapper.planar_chain import edges_of
 from slam.matching.motion import Motion
 from slam.matching.planar import between, compose
 from slam.measurements import FloatArray, pose2_from_row
@@ -63,6 +64,9 @@ def bent(*turns: tuple[int, float]) -> FloatArray:
     return between(poses[5], poses[70])
 
 
+OPEN = np.diag([900.0, 1e-6, 1e-6])
+
+
 def test_a_turn_in_the_gap_explains_a_claim_however_far_that_leads() -> None:
     assert np.hypot(*(bent((GAP, 1.2)) - bent())[:2]) > 15.0
     assert squares((GAP,), bent((GAP, 1.2))) < 4.0
@@ -94,7 +98,7 @@ def test_wheels_alone_are_as_certain_as_long_stretches_prove(proved: bool) -> No
             off = between(POSES[key], POSES[key + 10]) + [0.01, 0.01, 0.02] * rng.standard_normal(3)
             far = Edge(key, key + 10, pose2_from_row(off), BY_WHEELS, EdgeKind.WHEEL, trusted=False)
             graph.add_edge(far)
-    settle_wheels(graph)
+    settle_wheels(graph, 0.9)
     of_gap = [edge for edge in graph.graph.edges if (edge.source, edge.target) == (GAP, GAP + 1)]
     sigmas = [float(np.sqrt(edge.covariance[2, 2])) for edge in of_gap]
     if proved:
@@ -102,6 +106,27 @@ def test_wheels_alone_are_as_certain_as_long_stretches_prove(proved: bool) -> No
         assert sigmas == [pytest.approx(0.02, rel=0.5), pytest.approx(0.8)]
     else:
         assert sigmas == [pytest.approx(0.8)]
+
+
+@pytest.mark.parametrize("least_m", [0.9, 3.0])
+def test_scans_far_apart_prove_wheels_step_by_step(least_m: float) -> None:
+    """Half of them match, in a corridor: across and in turn wheels are proved, along it they claim on."""
+    graph, rng = KeyframeGraph(gtsam.Pose2(), GraphConfig()), np.random.default_rng(0)
+    match = Motion(STEP, np.diag([900.0, 1e-6, 1e-6]))
+    for key in range(1, 80):
+        wheels = Motion(STEP + [0.05, 0.02, 0.01] * rng.standard_normal(3), BY_WHEELS)
+        seen = {"match": match if key % 2 else None, "match_open": bool(key % 2)}
+        edges = edges_of(key, STEP, wheels=wheels, cameras=[], config=GraphConfig(), **seen)
+        graph.add_keyframe(pose2_from_row(STEP), edges)
+    settle_wheels(graph, least_m)
+    edges = [edge for edge in graph.graph.edges if edge.kind is EdgeKind.WHEEL]
+    assert any(edge.trusted for edge in edges) == (least_m > 1.0)
+    if least_m > 1.0:
+        return
+    claimed = np.sqrt(np.diag(BY_WHEELS))
+    for motion in together(edges).values():
+        sigmas = np.sqrt(np.diag(motion.covariance)).tolist()
+        assert sigmas == pytest.approx([claimed[0], 0.02, 0.01], rel=0.5)
 
 
 def test_where_measurements_contradict_each_other_both_are_in_doubt() -> None:

@@ -312,3 +312,13 @@ class TestLoops:
             traces.append(np.trace(covariances, axis1=1, axis2=2))
         assert traces[1][0] < 0.5 * traces[0][0]
         assert traces[1][1] == pytest.approx(traces[0][1])
+
+    @pytest.mark.parametrize("gaps", [range(40, 44), range(20, 60)])
+    def test_wheels_that_were_often_wrong_hold_nothing_alone(self, gaps: range) -> None:
+        """Once in ten steps that a scan tells, too: then one of forty that none tells is wrong as well."""
+        graph, ahead = empty(), Motion(AHEAD, ROUGH)
+        for n in range(80):
+            wheels = step(compose(AHEAD, np.array([0.0, 0.0, 1.5])), ROUGH) if n % 10 == 5 else ahead
+            follow(graph, AHEAD, None if n in gaps else step(), ahead if n in gaps else wheels)
+        pieces = len(set(graph.pieces(graph.optimize(PROBABILITY).kept)))
+        assert pieces == (1 if len(gaps) < 10 else len(gaps) + 1)

@@ -38,6 +38,13 @@ def test_the_neighbours_by_way() -> None:
     np.testing.assert_allclose(seen_x(store, 10), [-2.0, -1.0, 0.0, 1.0, 2.0], atol=1e-6)
 
 
+def test_scans_far_apart_are_joined_over_a_longer_way() -> None:
+    """Mean spacing over the way, the first metre of which has no keyframe behind it: 7.7 m."""
+    store = store_of(30, 8.0)
+    np.testing.assert_allclose(seen_x(store, 10), [-16.0, -8.0, 0.0, 8.0, 16.0], atol=1e-6)
+    np.testing.assert_allclose(np.unique(store.run(10).points[:, 0]), [-8.0, 0.0, 8.0], atol=1e-6)
+
+
 def test_sessions_share_no_submap() -> None:
     """Three keyframes each; the odometry of the second session begins where that of the first ended."""
     store = store_of(3)

@@ -13,12 +13,18 @@ def heading(stamps: FloatArray) -> FloatArray:
 
 
 def learned(
-    offset_s: float, *, sigma_rad: float = 0.001, duration_s: float = 40.0, turns: float = 1.0, wrong: int = 0
+    offset_s: float,
+    *,
+    sigma_rad: float = 0.001,
+    duration_s: float = 40.0,
+    turns: float = 1.0,
+    wrong: int = 0,
+    period_s: float = 0.1,
 ) -> ClockLearner:
-    """A camera at 15 Hz whose clock is ahead of a robot's at 10 Hz."""
+    """A camera at 15 Hz whose clock is ahead of a robot's at 10 Hz, or at another period."""
     rng = np.random.default_rng(3)
     robot, learner = Turns(), ClockLearner()
-    for stamp_s in np.arange(0.0, duration_s, 0.1):
+    for stamp_s in np.arange(0.0, duration_s, period_s):
         robot.add(stamp_s, turns * heading(stamp_s) + rng.normal(0.0, sigma_rad))
     frames = np.arange(0.01, duration_s, 1 / 15)
     jumps = set(rng.choice(frames.size, wrong, replace=False))
@@ -52,6 +58,12 @@ def test_wrong_matches_of_the_camera_do_not_move_it() -> None:
 def test_a_long_run_is_taken_in_stretches() -> None:
     clock = learned(-0.03, duration_s=300.0).clock
     assert clock.offset_s == pytest.approx(-0.03, abs=0.003)
+
+
+def test_scans_many_seconds_apart_tell_it_in_longer_stretches() -> None:
+    clock = learned(-0.12, duration_s=1200.0, period_s=7.3).clock
+    assert clock.stretches >= 2
+    assert clock.offset_s == pytest.approx(-0.12, abs=0.02)
 
 
 @pytest.mark.parametrize("learner", [learned(0.03, turns=0.0), learned(0.03, duration_s=0.5), ClockLearner()])

@@ -181,3 +181,27 @@ def test_along_a_corridor_the_surest_guess_leads_though_another_finds_the_walls(
     motion = odometry.match(points_at(corridor(), truth), [sure, behind])
     assert motion is not None and motion.degenerate
     np.testing.assert_allclose(row_from_pose2(motion.T_reference_base), truth, atol=0.02)
+
+
+def test_ground_that_nobody_saw_is_no_contradiction() -> None:
+    """A room known by a third of it, seen whole; and with things where it was seen to be empty."""
+    odometry = make("surfel")
+    odometry.add_keyframe(points_at(room(), np.zeros(3), beams=721, fov_rad=0.66 * math.pi), np.zeros(3))
+    whole = points_at(room(), np.zeros(3), beams=721)
+    motion = odometry.match(whole, [guess_at(np.array([0.05, 0.03, 0.02]))])
+    assert motion is not None
+    assert motion.inlier_share < 0.4
+    np.testing.assert_allclose(row_from_pose2(motion.T_reference_base), 0.0, atol=0.01)
+    behind = whole.points_base[:, :1] < -1.0
+    stands_before = np.where(behind, -0.5 * whole.points_base, whole.points_base)
+    assert odometry.match(ScanPoints(stands_before, whole.normals_base), [guess_at(np.zeros(3))]) is None
+
+
+def test_what_lies_farther_back_than_a_lidar_reaches_is_another_visit() -> None:
+    odometry = at_home("surfel", "scan.range_max_m=10")
+    far = points_at(room(), HOME, beams=721)
+    for x in (4.0, 8.0):
+        odometry.add_keyframe(NOTHING, np.array([x, 0.0, 0.0]))
+    assert odometry.match(far, [guess_at(HOME)]) is not None
+    odometry.add_keyframe(NOTHING, np.array([12.0, 0.0, 0.0]))
+    assert odometry.match(far, [guess_at(HOME)]) is None
