@@ -1,50 +1,36 @@
-"""What people leave in the lidar's grid of simulated drives, at the true poses: cells, before and after.
+"""What people leave in the lidar's grid of drives that were simulated and mapped: cells, before and after.
 
     python tools/passers_by.py --rig xu2024 --homes 61 62 63 [--duration 60]
 
-Left: occupied with the people's beams and not without them. Lost: fixed, and taken out with the people.
+Left: occupied with the people's beams and not without them; by everything, by what beams have passed alone,
+and with what was followed from scan to scan too. Lost: fixed, and taken out with the people.
 """
 
 from __future__ import annotations
 
 import argparse
-from collections.abc import Iterator
 from dataclasses import replace
 
 import gtsam
 import numpy as np
 
+from slam.app.measured import Measured
 from slam.config import Config
+from slam.mapper.pipeline import build_map
 from slam.mapping.keyframe_grid import layer_settings
 from slam.mapping.layer_builder import LayerBuilder
+from slam.mapping.layered_map import OCCUPANCY
 from slam.mapping.occupancy_grid import OCCUPIED, OccupancyGrid
 from slam.mapping.passers_by import without_passers_by
-from slam.matching.planar import between
-from slam.measurements import BoolArray, LaserScan, row_from_pose2
+from slam.measurements import BoolArray, LaserScan, pose2_from_row
 from slam.simulation.drive import simulate_drive
 from slam.simulation.drive_faults import DriveFaults
-from slam.simulation.events import ScanEvent
+from slam.simulation.events import OdometryEvent, ScanEvent
 from slam.simulation.faults import Fault
 from slam.simulation.home import generate_home
 from slam.simulation.rigs import RIGS
 
 Placed = list[tuple[LaserScan, gtsam.Pose2]]
-
-
-def keyframes(rig: str, home: int, duration_s: float | None, config: Config) -> Iterator[ScanEvent]:
-    """Sweeps as far apart as keyframes are."""
-    blind = replace(RIGS[rig], cameras=())
-    newest = None
-    for event in simulate_drive(
-        generate_home(home, "home"), blind, home, DriveFaults(person=True), duration_s
-    ):
-        if isinstance(event, ScanEvent):
-            pose = row_from_pose2(event.T_map_base)
-            step = np.full(3, np.inf) if newest is None else between(newest, pose)
-            far = np.hypot(step[0], step[1]) > config.keyframes.distance_m
-            if far or abs(step[2]) > config.keyframes.angle_rad:
-                newest = pose
-                yield event
 
 
 def drawn(placed: Placed, config: Config) -> OccupancyGrid:
@@ -76,21 +62,40 @@ def main() -> None:
     parser.add_argument("--homes", type=int, nargs="+", default=[61])
     parser.add_argument("--duration", type=float, help="seconds; one tour if absent")
     arguments = parser.parse_args()
-    config, sums = Config(), np.zeros(4, dtype=int)
-    print("| home | occupied | left by people | left now | lost |\n|---|---|---|---|---|")
+    config, sums = Config(), np.zeros(6, dtype=int)
+    print("| home | occupied | left by people | by passes | and followed | lost | and followed |")
+    print("|---|---|---|---|---|---|---|")
+    blind = replace(RIGS[arguments.rig], cameras=())
     for home in arguments.homes:
-        events = list(keyframes(arguments.rig, home, arguments.duration, config))
-        placed = [(event.scan, event.T_map_base) for event in events]
-        alone = [
-            np.where(event.fault == Fault.PERSON, np.float32(np.nan), event.scan.ranges_m) for event in events
-        ]
-        known = drawn(
-            [(replace(scan, ranges_m=r), pose) for (scan, pose), r in zip(placed, alone, strict=True)], config
+        events = list(
+            simulate_drive(
+                generate_home(home, "home"), blind, home, DriveFaults(person=True), arguments.duration
+            )
         )
+        person = {one.scan.stamp_s: one.fault == Fault.PERSON for one in events if isinstance(one, ScanEvent)}
+        told = [
+            event.scan if isinstance(event, ScanEvent) else event.reading
+            for event in events
+            if isinstance(event, ScanEvent | OdometryEvent)
+        ]
+        made = build_map(Measured(told), config).map
+        placed = [
+            (scan, pose2_from_row(pose))
+            for scan, pose in zip(made.measured_scans, made.keyframe_poses, strict=True)
+            if scan is not None
+        ]
+        alone = [
+            (replace(scan, ranges_m=np.where(person[scan.stamp_s], np.float32(np.nan), scan.ranges_m)), pose)
+            for scan, pose in placed
+        ]
         grid = drawn(placed, config)
         static = without_passers_by(grid, placed, layer_settings(config).lidar).static
-        truth, before, after = (occupied(one, grid) for one in (known, grid, static))
-        row = [truth.sum(), (before & ~truth).sum(), (after & ~truth).sum(), (truth & before & ~after).sum()]
+        truth, before, passed, after = (
+            occupied(one, grid) for one in (drawn(alone, config), grid, static, made.grids[OCCUPANCY])
+        )
+        left = [np.count_nonzero(one & ~truth) for one in (before, passed, after)]
+        lost = [np.count_nonzero(truth & before & ~one) for one in (passed, after)]
+        row = [np.count_nonzero(truth), *left, *lost]
         sums += np.array(row)
         print(f"| {home} | {' | '.join(str(one) for one in row)} |", flush=True)
     print(f"| **all** | {' | '.join(str(one) for one in sums)} |")

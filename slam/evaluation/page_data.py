@@ -248,7 +248,7 @@ def _repairs(found: MapContents) -> dict[str, Any]:
         if before is None or after is None or before is after:
             parts.append(np.zeros((0, 2), np.int16))
             continue
-        was, now = np.isfinite(before.ranges_m), np.isfinite(after.ranges_m)
+        was, now = np.isfinite(before.ranges_m), np.isfinite(after.ranges_m) & (after.ranges_m > 0.0)
         changed = now & (after.ranges_m != before.ranges_m)
         chosen = [(after, changed & ~was), (after, changed & was), (before, changed & was)]
         rows = [_centimetres(_points_base(scan, which)[::step]) for scan, which in chosen]

@@ -26,6 +26,7 @@ from slam.mapper.planar_chain import PlanarChain
 from slam.mapper.protocol import Tracked
 from slam.mapper.robot_cameras import CameraPoses, RobotCameras
 from slam.mapper.tags import TagFinder
+from slam.mapping.moving_things import MovingThings
 from slam.matching.local_map import OrientedPoints
 from slam.matching.motion import Motion
 from slam.matching.planar import between
@@ -81,6 +82,7 @@ class PlanarRobot:
         self._places = PlaceSearch(self._closer, config.loops, config.match, config.graph, checkpoint)
         self._pictures = CameraKeyframes(config, checkpoint, registrations)
         self._fusion = KeyframeFusion(config.fusion) if config.fusion.enabled else None
+        self._moving = MovingThings(config.scan.range_max_m)
         self._camera_poses: CameraPoses = {}
         self._scan_stamp_s = -np.inf
         self._newest: _Moment | None = None
@@ -128,6 +130,7 @@ class PlanarRobot:
         self._seen = surface.only(slice(len(self._seen)))
         self._closer.add_keyframe(self._seen, moment.tracked.pose, self._travelled_m, surface=surface)
         self._keyframe_scans.append(moment.scan)
+        self._moving.keep(moment.scan)
         if self._fusion is not None and moment.scan is not None:
             self._fusion.add(key, moment.scan, self._cameras.pictures(moment.camera_poses))
         self._cameras.look_for_tags()
@@ -188,6 +191,7 @@ class PlanarRobot:
         if self._fusion is not None:
             scans, result.fused = self._fusion.repair(scans)
             result.notes += [] if result.fused is None else [result.fused.note]
+        scans = self._moving.taken_from(scans)
         result.stage_seconds["fusion"] = time.perf_counter() - started
         result.add_cameras(self._cameras.records(self._registrations), self._pictures.frames)
         result.map = replace(result.map, measured_scans=self._keyframe_scans, keyframe_scans=scans)
@@ -235,6 +239,10 @@ class PlanarRobot:
         ]
         cameras = [Motion(step.motion, step.covariance) for step in steps]
         tracked = self._tracker.track(points, stamp_s, cameras)
+        if tracked.motion is None:
+            self._moving.lose()
+        if scan is not None:
+            self._moving.add(scan, tracked.pose)
         if scan is not None and tracked.confident:
             self._cameras.note_scan_turn(stamp_s, tracked.pose[2])
             if self._wheels is not None:

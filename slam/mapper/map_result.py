@@ -91,7 +91,8 @@ def drawn(found: MapContents, config: Config) -> tuple[MapContents, list[str]]:
     """
     settled, warnings = config, list[str]()
     try:
-        grids = lidar_grids(found.keyframe_scans, found.keyframe_poses, config)
+        scans, measured = found.keyframe_scans, found.measured_scans
+        grids = lidar_grids(scans, found.keyframe_poses, config, measured)
     except ScanweaveError as error:  # a map that would not fit in memory
         warnings.append(f"No grid was built: {error}")
         grids = {}

@@ -3,15 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
+import numpy as np
+
+from fusion.bayes import evidence_steps
 from fusion.height_band import HeightBand
 from slam.config import Config
 from slam.errors import ConfigError
 from slam.mapping.depth_grid import DepthModel
 from slam.mapping.layer_builder import LayerBuilder, LayerSettings
 from slam.mapping.layered_map import OCCUPANCY, PASSED_BY, DecisionRule, LayeredMap
-from slam.mapping.lidar_layer import LidarModel
-from slam.mapping.occupancy_grid import OccupancyGrid
+from slam.mapping.lidar_layer import LidarModel, lidar_board
+from slam.mapping.occupancy_grid import OccupancyGrid, Steps
 from slam.mapping.passers_by import without_passers_by
 from slam.measurements import FloatArray, LaserScan, pose2_from_row
 
@@ -52,9 +56,12 @@ def depth_model(config: Config) -> DepthModel:
 
 
 def lidar_grids(
-    scans: Sequence[LaserScan | None], poses: FloatArray, config: Config
+    scans: Sequence[LaserScan | None],
+    poses: FloatArray,
+    config: Config,
+    measured: Sequence[LaserScan | None] = (),
 ) -> dict[str, OccupancyGrid]:
-    """The lidar's grid of keyframe scans at their poses, and what stood there for a while and has gone.
+    """The lidar's grid of keyframe scans at their poses, and what moved or stood there for a while.
 
     Parameters
     ----------
@@ -62,6 +69,8 @@ def lidar_grids(
         In the order of time.
     poses
         (K, 3) map frame.
+    measured
+        The same as they were measured: what is negative in the scans alone was taken out as moving.
 
     Returns
     -------
@@ -84,8 +93,34 @@ def lidar_grids(
         return {}
     if grid.resolution_m > settings.resolution_m:
         return {OCCUPANCY: grid}
-    static, passed_by = without_passers_by(grid, placed, settings.lidar)
-    return {OCCUPANCY: static} if passed_by is None else {OCCUPANCY: static, PASSED_BY: passed_by}
+    static, stood = without_passers_by(grid, placed, settings.lidar)
+    gone = _moved(scans, poses, measured, grid, settings)
+    if stood is not None:
+        gone = np.maximum(gone, stood.steps)
+    return {OCCUPANCY: static} | ({PASSED_BY: replace(grid, steps=gone)} if gone.any() else {})
+
+
+def _moved(
+    scans: Sequence[LaserScan | None],
+    poses: FloatArray,
+    measured: Sequence[LaserScan | None],
+    grid: OccupancyGrid,
+    settings: LayerSettings,
+) -> Steps:
+    """Evidence of what was taken out of measured scans as moving, in the cells of their grid."""
+    steps, cell_m = np.zeros(grid.shape, np.int32), grid.resolution_m
+    corner = round(grid.T_map_grid.y() / cell_m), round(grid.T_map_grid.x() / cell_m)
+    for scan, was, pose in zip(scans, measured, poses, strict=False):
+        if scan is was or scan is None or was is None:
+            continue
+        moving = (scan.ranges_m < 0.0) & (was.ranges_m > 0.0)
+        if moving.any():
+            alone = replace(was, ranges_m=np.where(moving, was.ranges_m, np.float32(np.nan)))
+            board = lidar_board(alone, pose2_from_row(pose), settings.lidar, cell_m)
+            row, col = board.row - corner[0], board.col - corner[1]
+            rows, cols = board.steps.shape
+            steps[row : row + rows, col : col + cols] += np.maximum(board.steps, 0)
+    return np.minimum(steps, evidence_steps(settings.p_max)).astype(np.int16)
 
 
 def grid_of_keyframes(

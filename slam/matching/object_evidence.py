@@ -14,8 +14,8 @@ from fusion.kernel import NONE, kernel
 from slam.measurements import AnyFloatArray, FloatArray
 
 # Neighbouring points further apart than this are on different objects; a wall is cut at every metre.
-_GAP_M = 0.2
-_LONGEST_M = 1.0
+GAP_M = 0.2
+LONGEST_M = 1.0
 
 
 def object_evidence(points: AnyFloatArray, gain: FloatArray) -> FloatArray:
@@ -35,7 +35,7 @@ def _number_objects(points, objects):  # type: ignore[no-untyped-def]
         y = points[i, 1]
         gap = math.hypot(x - before_x, y - before_y)
         reach = math.hypot(x - first_x, y - first_y)
-        if i == 0 or gap > _GAP_M or reach > _LONGEST_M:
+        if i == 0 or gap > GAP_M or reach > LONGEST_M:
             number += 1
             first_x = x
             first_y = y

@@ -84,6 +84,7 @@ def join(
     factors = [replace(factor, kept=bool(keep)) for factor, keep in zip(factors, kept, strict=True)]
     joined = [factor for factor in factors if factor.edge.loop is not None and factor.edge.loop >= own_loops]
     scans = [*known.keyframe_scans, *session.keyframe_scans]
+    measured = [*known.measured_scans, *session.measured_scans]
     before = [base for one in (known, session) for base in bases_of(one, one.node_poses)]
     bases = [*bases_of(known, after[:nodes]), *bases_of(session, after[nodes:])]
     told = pose_covariances(after, bases, [factor.edge for factor in factors], kept, config)
@@ -101,13 +102,13 @@ def join(
             node_poses=after,
             stamps_s=np.concatenate([known.stamps_s, session.stamps_s]),
             readings=np.concatenate([known.readings, session.readings]),
-            measured_scans=[*known.measured_scans, *session.measured_scans],
+            measured_scans=measured,
             keyframe_scans=scans,
             factors=factors,
             loops=loops,
             trajectory=trajectory,
             covariances=covariances,
-            grids=lidar_grids(scans, np.array([row_of(base) for base in bases]), config),
+            grids=lidar_grids(scans, np.array([row_of(base) for base in bases]), config, measured),
             cameras={**session.cameras, **known.cameras},
             ground_m=known.ground_m,
         ),

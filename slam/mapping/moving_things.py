@@ -1,0 +1,245 @@
+"""What moves, followed from scan to scan of a 2D lidar, and its beams taken out of the keyframes' scans.
+
+Keyframes alone cannot tell a person who stands still for a while from a chair. But he came and went: then he
+stood in space that was seen free a moment before, or was a moment after.
+"""
+
+from __future__ import annotations
+
+import math
+from bisect import bisect_left, bisect_right
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fusion.kernel import ZERO, kernel
+from fusion.time_alignment import GAP_S
+from slam.matching.object_evidence import GAP_M, LONGEST_M
+from slam.matching.planar import compose
+from slam.measurements import BoolArray, FloatArray, LaserScan, row_from_pose2
+
+
+class _Sweep(NamedTuple):
+    """The small things of a scan.
+
+    Attributes
+    ----------
+    scan, laser, reach_m
+        The scan, (3,) where its laser was in the odometry frame, and how far it sees.
+    beams, points, begun
+        (M,) the beams that met them, (M, 2) where, odometry frame, and (T + 1,) where each thing begins.
+    moves
+        (2, T) by what was before, and by what comes after: 2 where it moves, 1 where nothing but this scan
+        tells it, else 0.
+    """
+
+    scan: LaserScan
+    laser: FloatArray
+    reach_m: float
+    beams: NDArray[np.int32]
+    points: FloatArray
+    begun: NDArray[np.int32]
+    moves: NDArray[np.int8]
+
+    @classmethod
+    def of(cls, scan: LaserScan, pose: FloatArray, reach_m: float) -> _Sweep:
+        """Of a scan whose base was at a pose (3,)."""
+        laser, size = compose(pose, row_from_pose2(scan.T_base_laser)), scan.ranges_m.size
+        beams, points, begun = np.empty(size, np.int32), np.empty((size, 2)), np.zeros(size + 1, np.int32)
+        seen = scan.ranges_m, scan.start_angle_rad, scan.step_rad, reach_m
+        things = _small_things(laser, *seen, GAP_M, LONGEST_M, beams, points, begun)
+        count, moves = begun[things], np.zeros((2, things), np.int8)
+        small = beams[:count].copy(), points[:count].copy(), begun[: things + 1].copy()
+        return cls(scan, laser, reach_m, *small, moves)
+
+    def free_in(self, other: _Sweep, free: BoolArray) -> None:
+        """Take out of ``free`` (M,) what another scan did not see through."""
+        scan = other.scan
+        seen = scan.ranges_m, scan.start_angle_rad, scan.step_rad, other.reach_m
+        _seen_free(self.points, other.laser, *seen, GAP_M / 2, free)
+
+    def follow(self, other: _Sweep, side: int, free: BoolArray | None = None) -> bool:
+        """Tell what moves, by what does in a scan beside, and was ``free`` (M,); whether any is new."""
+        free = np.zeros(len(self.beams), np.bool_) if free is None else free
+        theirs = other.points, other.begun, other.moves[side]
+        return bool(_follow(self.points, self.begun, free, *theirs, GAP_M, self.moves[side]))
+
+
+class MovingThings:
+    """Finds them while the scans of a run come.
+
+    A thing hangs together and is small. It moves where a third of it was seen free at both of two moments
+    before, or after, and so was what is there in the scan before; or where that has something that moves: who
+    stands still is followed. What moves off was there before: it is followed back over the keyframes. A beam
+    without a return says nothing, for what is dark gives none either.
+
+    Parameters
+    ----------
+    range_max_m
+        Readings beyond are none.
+    """
+
+    def __init__(self, range_max_m: float) -> None:
+        self._range_max_m = range_max_m
+        # Those of two moments; so many of them are judged.
+        self._sweeps: list[_Sweep] = []
+        self._judged = 0
+        self._keyframes: list[_Sweep | None] = []
+
+    def add(self, scan: LaserScan, pose: FloatArray) -> None:
+        """Take the next scan, whose base was at a pose (3,) in the odometry frame."""
+        if self._sweeps and not 0.0 < scan.stamp_s - self._sweeps[-1].scan.stamp_s <= GAP_S:
+            self.lose()
+        self._sweeps.append(_Sweep.of(scan, pose, min(self._range_max_m, scan.range_max_m)))
+        while scan.stamp_s - self._sweeps[self._judged].scan.stamp_s >= 2 * GAP_S:
+            self._judge()
+        newest_s = self._sweeps[self._judged].scan.stamp_s
+        old = max(bisect_right(self._sweeps, newest_s - 2 * GAP_S, key=_stamp_s) - 1, 0)
+        del self._sweeps[:old]
+        self._judged -= old
+
+    def lose(self) -> None:
+        """Nobody knows how the next scan lies to those before."""
+        while self._judged < len(self._sweeps):
+            self._judge()
+        self._sweeps, self._judged = [], 0
+
+    def keep(self, scan: LaserScan | None) -> None:
+        """The newest scan is a keyframe's; nothing is known of another."""
+        newest = self._sweeps[-1] if self._sweeps else None
+        self._keyframes.append(newest if newest is not None and newest.scan is scan else None)
+
+    def taken_from(self, scans: Sequence[LaserScan | None]) -> list[LaserScan | None]:
+        """The keyframes' scans, repaired or not, without what moves: its beams are negative."""
+        self.lose()
+        left = list(scans)
+        for key, (scan, sweep) in enumerate(zip(scans, self._keyframes, strict=True)):
+            moves = sweep is not None and (sweep.moves == 2).any(axis=0)
+            if scan is not None and sweep is not None and np.any(moves):
+                beams = sweep.beams[np.repeat(moves, np.diff(sweep.begun))]
+                ranges_m = scan.ranges_m.copy()
+                ranges_m[beams] = -np.abs(ranges_m[beams])
+                left[key] = replace(scan, ranges_m=ranges_m)
+        return left
+
+    def _judge(self) -> None:
+        """Tell what moves in the next scan that nobody has judged."""
+        sweeps, number = self._sweeps, self._judged
+        sweep, now_s = sweeps[number], sweeps[number].scan.stamp_s
+        self._judged += 1
+        beside = sweeps[max(number - 1, 0)]
+        # Who walks leaves the place where he stood in the longer time, and in part in the shorter one.
+        away_s = GAP_S, 2 * GAP_S
+        before = [bisect_right(sweeps, now_s - ago_s, key=_stamp_s) - 1 for ago_s in away_s]
+        after = [bisect_left(sweeps, now_s + in_s, key=_stamp_s) for in_s in away_s]
+        for side, others in enumerate((before, after)):
+            known = min(others) >= 0 and max(others) < len(sweeps)
+            free = np.full(len(sweep.beams), known)
+            for other in others if known else ():
+                sweep.free_in(sweeps[other], free)
+            sweep.follow(beside, side, free)
+        follower = sweep
+        for keyframe in reversed(self._keyframes):
+            if keyframe is None:
+                break
+            if keyframe.scan.stamp_s < now_s:
+                if not keyframe.follow(follower, 1):
+                    break
+                follower = keyframe
+
+
+def _stamp_s(sweep: _Sweep) -> float:
+    """When it was taken."""
+    return sweep.scan.stamp_s
+
+
+@kernel
+def _small_things(  # type: ignore[no-untyped-def]
+    laser, ranges_m, start_rad, step_rad, reach_m, apart_m, widest_m, beams, points, begun
+):
+    """Write the beams and points of the small things of `_Sweep`, where each begins; how many there are."""
+    things, count, small = ZERO, ZERO, True
+    for beam in range(ranges_m.size + 1):
+        range_m = 0.0
+        x = math.inf
+        y = math.inf
+        if beam < ranges_m.size:
+            range_m = np.float64(ranges_m[beam])
+            if not 0.0 < range_m <= reach_m:
+                continue
+            angle_rad = laser[2] + start_rad + beam * step_rad
+            x = laser[0] + range_m * math.cos(angle_rad)
+            y = laser[1] + range_m * math.sin(angle_rad)
+        first = np.int64(begun[things])
+        if count > first and math.hypot(x - points[count - 1, 0], y - points[count - 1, 1]) > apart_m:
+            if small and count - first > 2:
+                things += 1
+                begun[things] = count
+                first = count
+            count, small = first, True
+        if beam < ranges_m.size:
+            beams[count] = beam
+            points[count, 0] = x
+            points[count, 1] = y
+            small = small and math.hypot(x - points[first, 0], y - points[first, 1]) <= widest_m
+            count += 1
+    return things
+
+
+@kernel
+def _seen_free(  # type: ignore[no-untyped-def]
+    points, laser, ranges_m, start_rad, step_rad, reach_m, margin_m, free
+):
+    """Take out of ``free`` which of points (M, 2) a scan did not see through, nor with the beams beside."""
+    cos, sin = math.cos(laser[2]), math.sin(laser[2])
+    turn = abs(2.0 * math.pi / step_rad)
+    for i in range(free.size):
+        if free[i]:
+            dx = points[i, 0] - laser[0]
+            dy = points[i, 1] - laser[1]
+            far_m = math.sqrt(dx * dx + dy * dy) + margin_m
+            bearing_rad = math.atan2(cos * dy - sin * dx, cos * dx + sin * dy)
+            beam = math.floor((bearing_rad - start_rad) / step_rad % turn + 0.5)
+            aside = math.ceil(margin_m / abs(far_m * step_rad))
+            for near in range(beam - aside, beam + aside + 1):
+                free[i] = free[i] and 0 <= near < ranges_m.size and far_m < ranges_m[near] <= reach_m
+
+
+@kernel
+def _follow(  # type: ignore[no-untyped-def]
+    points, begun, free, others, others_begun, others_move, apart_m, moves
+):
+    """Write `_Sweep.moves`, by which points (M, 2) were free and the things of a scan beside."""
+    new = False
+    for thing in range(moves.size):
+        first, last = begun[thing], begun[thing + 1]
+        size = last - first
+        seen = ZERO
+        x = 0.0
+        y = 0.0
+        for i in range(first, last):
+            seen += free[i]
+            x += points[i, 0] / size
+            y += points[i, 1] / size
+        told = ZERO
+        if 3 * seen >= size and seen > 2:
+            told += 1
+        beside = ZERO
+        for other in range(others_move.size):
+            if others_move[other] > beside:
+                begin, end = others_begun[other], others_begun[other + 1]
+                dx = x
+                dy = y
+                for j in range(begin, end):
+                    dx -= others[j, 0] / (end - begin)
+                    dy -= others[j, 1] / (end - begin)
+                if math.sqrt(dx * dx + dy * dy) < apart_m:
+                    beside = np.int64(others_move[other])
+        if told + beside > 1:
+            told = 2
+        new = new or told > moves[thing]
+        moves[thing] = max(moves[thing], told)
+    return new
