@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from dataclasses import replace
 from pathlib import Path
 
 from slam.app.map_folder import Left, left_in
@@ -16,7 +17,7 @@ from slam.datasets.dataset import Dataset
 from slam.errors import MapFileError
 from slam.foreign import plain
 from slam.measurements import Measurement
-from slam.outputs.finished_map import Map, load_map
+from slam.outputs.finished_map import Map
 from slam.storage.map_file import MAP_NAME
 from slam.storage.map_identity import MapIdentity, current_versions, identity_of
 from slam.temporary import TemporaryFolder
@@ -179,5 +180,4 @@ def _in_memory(dataset: Dataset, identity: MapIdentity, on_progress: OnProgress 
     run = run_into(
         kept_in.path, dataset, identity, on_progress=on_progress or silent, exports=False, report=False
     )
-    run.map.close()
-    return MapRun(load_map(kept_in.path, kept_in), None, ())
+    return MapRun(replace(run.map, _folder=kept_in), None, ())
