@@ -24,7 +24,7 @@ from slam.mapper.scan_record import ScanRecorder
 from slam.mapper.tags import PlaceAnchors
 from slam.measurements import FloatArray, GnssFix
 from slam.storage.map_contents import MapContents, SavedFactor, clock_sigma_s
-from slam.trajectory.carried import carried_covariances, late_covariances
+from slam.trajectory.carried import carried_covariances, late_covariances, unseen_covariances
 
 
 class Mapper:
@@ -135,6 +135,8 @@ class Mapper:
             self._places.check(graph, way(), outcome, self._config)
         at = front_end.readings.keyframe_readings()
         covariances = carried_covariances(trajectory, at, *told)
+        placed, wheels = front_end.readings.placed(), front_end.readings.wheels()
+        covariances += unseen_covariances(trajectory, placed, wheels, covariances.shape[1])
         clock.append(time.perf_counter())
         factors = zip(edges, outcome.kept.tolist(), strict=True)
         result = MapResult(

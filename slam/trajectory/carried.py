@@ -8,6 +8,7 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
+from fusion.estimation import TINY
 from fusion.time_alignment import GAP_S
 from slam.estimates import Trajectory
 from slam.measurements import FloatArray
@@ -60,6 +61,54 @@ def carried_covariances(
     return np.where(
         share < 0.0, start - share * onward, np.where(share > 1.0, stop + (share - 1.0) * onward, inside)
     )
+
+
+def unseen_covariances(
+    trajectory: Trajectory, scans: NDArray[np.int64], wheels: Poses | None, size: int
+) -> FloatArray:
+    """How uncertain poses are besides where no scan was placed for a while: in gaps, and outside.
+
+    From the last scan to the next the error is a Brownian bridge. Wheels drift with the way as they do
+    elsewhere, and what they miss the next scan by may have come about at any moment, as by a slip. Without
+    wheels the robot may be anywhere that it comes to, as fast as it moves elsewhere.
+
+    Parameters
+    ----------
+    scans
+        (S,) increasing numbers of the readings that were placed by a scan, S > 0.
+    wheels
+        N poses, odom frame; None without wheels.
+    size
+        3 on a floor, 6 in space.
+
+    Returns
+    -------
+    (N, 3, 3) of x, y, yaw, or (N, 6, 6) of x, y, z and a rotation vector: along the axes of the map.
+    """
+    poses, power = Poses.of_trajectory(trajectory), 2 if wheels is None else 1
+    missed, way = poses[scans[:-1]].between(poses[scans[1:]]), trajectory.stamps_s
+    if wheels is not None:
+        missed = wheels[scans[:-1]].between(wheels[scans[1:]]).between(missed)
+        way = np.concatenate([[0.0], np.cumsum(path_lengths(wheels))])
+    # Of position and rotation.
+    squares = np.square(missed.offsets()).reshape(-1, 2, 3).sum(axis=2)
+    apart_s, lengths = np.diff(trajectory.stamps_s[scans]), np.diff(way[scans]) ** power
+    usual = (apart_s > 0.0) & (apart_s <= GAP_S)
+    rates = squares[usual].sum(axis=0) / max(float(lengths[usual].sum()), TINY)
+    over = lengths[:, None] * rates + (squares if wheels is not None else 0.0)
+    last = np.searchsorted(scans, np.arange(len(trajectory)), side="right") - 1
+    seen = scans[np.maximum(last, 0)]
+    since = way - way[seen]
+    told = np.zeros((len(trajectory), 2))
+    outside = (last < 0) | (last == len(scans) - 1)
+    told[outside] = np.abs(since[outside, None]) ** power * rates
+    inside = np.flatnonzero(~outside)
+    inside = inside[apart_s[last[inside]] > GAP_S]
+    gap = last[inside]
+    share = (since[inside] / (way[scans[gap + 1]] - way[scans[gap]]))[:, None]
+    told[inside] = share * (1.0 - share) * over[gap]
+    covariances = told[:, [0, 0, 1] if size == 3 else [0, 0, 0, 1, 1, 1], None] * np.eye(size)
+    return covariances if wheels is None else _moved(covariances, _from(trajectory, seen))
 
 
 def late_covariances(trajectory: Trajectory, held: int, sessions: Sequence[tuple[int, float]]) -> FloatArray:

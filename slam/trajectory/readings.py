@@ -11,7 +11,7 @@ import scipy
 from numpy.typing import NDArray
 
 from slam.estimates import Trajectory
-from slam.measurements import FloatArray, Pose, spatial
+from slam.measurements import BoolArray, FloatArray, Pose, spatial
 from slam.trajectory.poses import Poses
 from slam.trajectory.spread import spread_correction, steadied
 
@@ -118,6 +118,20 @@ class Readings:
         """(K,) number of each keyframe among all readings."""
         return np.array(self._scan_readings, dtype=np.int64)[self.keyframe_scans()]
 
+    def placed(self) -> NDArray[np.int64]:
+        """Numbers of the readings that a scan has placed; the way between them is the wheels', or a guess."""
+        return np.array(self._scan_readings, dtype=np.int64)[self._trusted()]
+
+    def wheels(self) -> Poses | None:
+        """The wheels' pose at every reading, odom frame; None without wheels."""
+        rows = np.array(self._wheel_poses).reshape(-1, 3)
+        known = np.flatnonzero(~np.isnan(rows[:, 0]))
+        if not known.size:
+            return None
+        # Only what came before the first odometry reading is unknown: the wheels had not turned yet.
+        rows[: known[0]] = rows[known[0]]
+        return Poses.planar(rows)
+
     def trajectory(self, keyframe_poses: Sequence[Pose]) -> Trajectory:
         """A pose for every reading.
 
@@ -126,21 +140,19 @@ class Readings:
         keyframe_poses
             (K,) optimised poses, map frame, K > 0.
         """
-        stamps_s = np.array(self._stamps_s)
-        wheels = np.array(self._wheel_poses).reshape(-1, 3)
-        known = np.flatnonzero(~np.isnan(wheels[:, 0]))
-        if known.size:
-            # Only what came before the first odometry reading is unknown: the wheels had not turned yet.
-            wheels[: known[0]] = wheels[known[0]]
-        motion = Poses.planar(wheels) if known.size else None
-        poses = self._scans_of(Poses.of(keyframe_poses), motion)
-        trusted = np.array(self._scan_trusted, dtype=np.bool_)
-        trusted[self.keyframe_scans()] = True
-        scans, poses = np.array(self._scan_readings)[trusted], poses[trusted]
+        stamps_s, motion = np.array(self._stamps_s), self.wheels()
+        trusted, scans = self._trusted(), self.placed()
+        poses = self._scans_of(Poses.of(keyframe_poses), motion)[trusted]
         if motion is None:
             motion = _motion_without_wheels(stamps_s, scans, poses)
         found = spread_correction(motion, scans, poses).trajectory(stamps_s)
         return at_stamps(found, np.array(self._told_s))
+
+    def _trusted(self) -> BoolArray:
+        """(S,) which scans hold the others: keyframes, and what is trusted."""
+        trusted = np.array(self._scan_trusted, dtype=np.bool_)
+        trusted[self.keyframe_scans()] = True
+        return trusted
 
     def _scans_of(self, keyframe_poses: Poses, wheels: Poses | None) -> Poses:
         """Poses of the scans: as matched between keyframes, noise taken out by the wheels' motion."""

@@ -5,7 +5,7 @@ import pytest
 
 from slam.estimates import Trajectory
 from slam.measurements import FloatArray
-from slam.trajectory.carried import carried_covariances, late_covariances
+from slam.trajectory.carried import carried_covariances, late_covariances, unseen_covariances
 from slam.trajectory.poses import Poses
 
 ENDS = np.array([np.diag([1e-4, 2e-4, 1e-6]), np.diag([3e-4, 5e-4, 9e-6])])
@@ -124,3 +124,38 @@ def test_a_session_on_its_own_clock_is_off_by_its_speed_and_by_what_moves_the_fr
     assert found[2:9] == pytest.approx(np.zeros((7, 3, 3)), abs=1e-15)
     assert found[13:20, 0, 0] == pytest.approx((0.1 * 0.01) ** 2 + (0.3 * 0.02) ** 2)
     assert late_covariances(both, 5, [(11, 0.0), (11, 0.0)]) == pytest.approx(np.zeros((22, 3, 3)))
+
+
+def test_where_no_scan_was_placed_wheels_may_have_slipped_at_any_moment() -> None:
+    """Scans at 0 to 1 s and again at 5 s; the wheels say 4 m between, the scans 3 m and a turn of 0.2."""
+    stamps_s = np.arange(0.0, 7.01, 0.25)
+    scans = np.flatnonzero((stamps_s <= 1.0) | (np.abs(stamps_s - 5.0) < 1e-9))
+    wheels = Poses.planar(np.column_stack([stamps_s, 0.0 * stamps_s, 0.0 * stamps_s]))
+    share = np.clip((stamps_s - 1.0) / 4.0, 0.0, 1.0)
+    rows = np.column_stack([stamps_s - share, 0.0 * stamps_s, 0.2 * share])
+    trajectory = Poses.planar(rows).trajectory(stamps_s)
+    found = unseen_covariances(trajectory, scans, wheels, 3)
+    middle = int(np.flatnonzero(stamps_s == 3.0)[0])
+    assert not found[scans].any()
+    assert found[middle, 0, 0] == pytest.approx(0.25 * 1.0, rel=1e-6)
+    assert found[middle, 2, 2] == pytest.approx(0.25 * 0.2**2, rel=1e-6)
+    # A turn at the last scan would have moved what is 1.5 m on.
+    assert found[middle, 1, 1] == pytest.approx(0.25 * (1.0 + (1.5 * 0.2) ** 2), rel=1e-6)
+    # After the last scan wheels are as good as they are between scans: here without a fault.
+    assert not found[-1].any()
+    np.testing.assert_allclose(
+        unseen_covariances(trajectory, scans, wheels, 6)[middle][np.ix_([0, 1, 5], [0, 1, 5])], found[middle]
+    )
+
+
+def test_without_wheels_a_robot_may_be_anywhere_that_it_comes_to() -> None:
+    stamps_s = np.arange(0.0, 6.01, 0.25)
+    scans = np.flatnonzero((stamps_s <= 2.0) | (stamps_s >= 4.0) & (stamps_s <= 5.0))
+    trajectory = Poses.planar(np.column_stack([2.0 * stamps_s, 0.0 * stamps_s, 0.0 * stamps_s])).trajectory(
+        stamps_s
+    )
+    found = unseen_covariances(trajectory, scans, None, 3)
+    assert not found[scans].any()
+    # 2 m/s: a second from either end; a second after the last.
+    for stamp_s in (3.0, 6.0):
+        assert found[stamps_s == stamp_s][0] == pytest.approx(np.diag([4.0, 4.0, 0.0]))
