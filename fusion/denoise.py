@@ -91,8 +91,9 @@ def denoise(
     least_grade
         A single pair below it is left alone.
     least_probability
-        What is less likely to be right is not put in: a hole is better than an invention. The mean of two
-        readings that agree invents nothing, and is taken however likely both look through glass.
+        What is less likely to be right is not put in: a hole is better than an invention. A line over a hole
+        must be as likely for each of its ends. The mean of two readings that agree invents nothing, and is
+        taken however likely both look through glass.
 
     Raises
     ------
@@ -250,7 +251,10 @@ def _put_in(
     chance = judged[best, beam]
     hole = found.source == Provenance.HOLE
     kind = np.where(hole, np.where(best == 0, Provenance.FILLED, Provenance.INTERPOLATED), found.source)
-    least = np.where(kind == Provenance.AVERAGED, 0.0, least_probability)
+    # A line over a hole is right where both of its ends are: they may have gone through one pane together.
+    line = hole & (kind == Provenance.INTERPOLATED)
+    least = np.where(line, math.sqrt(max(least_probability, 0.0)), least_probability)
+    least = np.where(kind == Provenance.AVERAGED, 0.0, least)
     taken = np.flatnonzero(chance >= np.maximum(least, 0.0))
     at = found.source.size - 1 - taken if scan.step_rad < 0.0 else taken
     value, kind = found.beams[best[taken], taken, 0], kind[taken]

@@ -2,10 +2,11 @@
 
     PYTHONPATH=. python tools/plan_homes.py --homes 101 102 [--seed 5] [--seconds 40] [--json FILE]
 
-Simulates the keyframes of drives of `xu2024` alone, repairs their scans as a run does, and draws the layers:
-by Table 3 and cautiously without fusion, with repaired scans, and with gaps of glass closed. Scores as in
-`tools/plan_trials.py`; ``f1_thin`` is F1 with the occupied cells thinned to lines one cell wide (Zhang and
-Suen 1984), ``panes`` the share of the glass doors within 4 m of the way of which half is in the map.
+Simulates the keyframes of drives of `xu2024` alone, and all scans, repairs the scans of the keyframes as
+a run does, and draws the layers: by Table 3 and cautiously without fusion, with repaired scans, with gaps of
+glass closed, and without what moves from scan to scan, by true poses. Scores as in `tools/plan_trials.py`;
+``f1_thin`` is F1 with the occupied cells thinned to lines one cell wide (Zhang and Suen 1984), ``panes`` the
+share of the glass doors within 4 m of the way of which half is in the map.
 """
 
 from __future__ import annotations
@@ -33,6 +34,7 @@ from slam.mapper.map_result import depth_grid
 from slam.mapping.glass_gaps import with_glass
 from slam.mapping.keyframe_grid import grid_of_keyframes
 from slam.mapping.layered_map import DecisionRule, LayeredMap
+from slam.mapping.moving_things import MovingThings
 from slam.mapping.occupancy_grid import OCCUPIED, UNKNOWN
 from slam.measurements import row_from_pose2
 from slam.simulation.drive import Drive, prepare_drive
@@ -75,12 +77,11 @@ def main() -> None:
 def scores_of(drive: Drive, home: int) -> dict[str, dict[str, float]]:
     """Of each way to draw the layers, its scores."""
     config = load_config(None, [f"layers.robot_height_m={RIG.robot_height_m:g}"])
-    keys, raw, repaired = keyframes(drive, np.random.default_rng([home, drive.seed, _STREAM]), config)
+    keys, raw, repaired, fixed = keyframes(drive, np.random.default_rng([home, drive.seed, _STREAM]), config)
     poses = np.array([row_from_pose2(pose) for pose in keys.poses])
     depth = depth_grid(keys.frames, keys.frame_poses, config)
-    first, fused = (grid_of_keyframes(scans, poses, config) for scans in (raw, repaired))
-    assert fused is not None
-    closed = with_glass(fused, repaired, poses, config)
+    first, fused, still = (grid_of_keyframes(scans, poses, config) for scans in (raw, repaired, fixed))
+    assert fused is not None and still is not None
     truth = true_grid(drive.home, *truth_bands_m(RIG)["robot"], GRID_RESOLUTION_M)
     way = drive.tour.poses_at(np.arange(0.0, drive.tour.duration_s, 0.02))[:, :2]
     stamps = np.array([scan.stamp_s for scan in raw])
@@ -92,7 +93,8 @@ def scores_of(drive: Drive, home: int) -> dict[str, dict[str, float]]:
         ("no fusion, Table 3", first, DecisionRule("corrected")),
         ("no fusion", first, DecisionRule()),
         ("repaired scans", fused, DecisionRule()),
-        ("and gaps of glass", closed, DecisionRule()),
+        ("and gaps of glass", with_glass(fused, repaired, poses, config), DecisionRule()),
+        ("and what moves", with_glass(still, fixed, poses, config), DecisionRule()),
     ):
         layers = LayeredMap(grid, depth, rule)
         states = StateGrid(layers.states("decision"), layers.resolution_m, layers.T_map_grid)
@@ -107,20 +109,21 @@ def scores_of(drive: Drive, home: int) -> dict[str, dict[str, float]]:
     return found
 
 
-def keyframes(drive: Drive, random: np.random.Generator, config: Any) -> tuple[Any, list[Any], list[Any]]:
-    """Poses, frames and scans of a drive's keyframes; the scans as they were recorded, and repaired."""
+def keyframes(drive: Drive, random: np.random.Generator, config: Any) -> tuple[Any, Any, Any, Any]:
+    """Poses, frames and scans of a drive's keyframes; scans as recorded, repaired, and without what moves."""
     scene, schedules = Scene(drive.home), drive.schedules
-    fusion = KeyframeFusion(config.fusion)
+    fusion, moving = KeyframeFusion(config.fusion), MovingThings(config.scan.range_max_m)
     keys = SimpleNamespace(poses=[], true_poses=[], frames=[], frame_poses=[])
     scans, last = [], None
     for at in np.flatnonzero(schedules[LIDAR].kept).tolist():
         base = drive.base_at(float(schedules[LIDAR].true_s[at]))
+        scan = drive._scan(scene, schedules[LIDAR], at).scan
+        moving.add(scan, row_from_pose2(base))
         step = None if last is None else last.between(base)
         near = step is not None and np.hypot(step.x(), step.y()) < config.keyframes.distance_m
         if step is not None and near and abs(step.theta()) < config.keyframes.angle_rad:
             continue
         last = base
-        scan = drive._scan(scene, schedules[LIDAR], at).scan
         pose = base.compose(gtsam.Pose2(*(_NOISE * random.standard_normal(3))))
         pictures = []
         for camera in RIG.cameras:
@@ -138,10 +141,12 @@ def keyframes(drive: Drive, random: np.random.Generator, config: Any) -> tuple[A
                     )
                 )
         fusion.add(len(scans), scan, pictures)
+        moving.keep(scan)
         scans.append(scan)
         keys.poses.append(pose)
         keys.true_poses.append(base)
-    return keys, scans, fusion.repair(scans)[0]
+    repaired = fusion.repair(scans)[0]
+    return keys, scans, repaired, moving.taken_from(repaired)
 
 
 def panes_in(inside: Any, drive: Drive, truth: TrueGrid, way: Any) -> list[list[bool]]:

@@ -25,7 +25,7 @@ from slam.mapper.map_result import drawn
 from slam.mapping.elevation import elevation
 from slam.mapping.occupancy_grid import OccupancyGrid
 from slam.mapping.polygons import cells_inside
-from slam.measurements import BoolArray, FloatArray, Pose, spatial
+from slam.measurements import BoolArray, FloatArray, LaserScan, Pose, spatial
 from slam.storage.map_contents import MapContents, SavedFactor, parts_of
 from slam.storage.map_edits import CLOUD, FRAME, MEASURED, REPAIRED, AppliedEdits, erased_bits, regions_of
 from slam.storage.map_sessions import MapSession
@@ -192,6 +192,15 @@ def _moved(pose: Pose, T_new_old: gtsam.Pose2) -> Pose:
     return gtsam.Pose3(T_new_old).compose(pose)
 
 
+def _unrepaired(measured: LaserScan | None, mended: LaserScan | None) -> LaserScan | None:
+    """A scan as measured, without what was taken out of the repaired one as moving."""
+    if measured is None or mended is None or not (mended.ranges_m < 0.0).any():
+        return measured
+    return replace(
+        measured, ranges_m=np.where(mended.ranges_m < 0.0, -np.abs(measured.ranges_m), measured.ranges_m)
+    )
+
+
 def _seen(
     found: MapContents, base: MapContents, entries: Sequence[AppliedEdits], before: Config, config: Config
 ) -> MapContents:
@@ -201,7 +210,7 @@ def _seen(
     measured, mended = base.measured_scans, base.keyframe_scans
     repaired = any(one is not other for one, other in zip(measured, mended, strict=True))
     if config.fusion.enabled < before.fusion.enabled:
-        mended, repaired = measured, False
+        mended, repaired = [_unrepaired(*both) for both in zip(measured, mended, strict=True)], False
     band = (config.layers.robot_height_m, config.layers.climb_m, config.cloud_map)
     if clouds is not None and band != (before.layers.robot_height_m, before.layers.climb_m, before.cloud_map):
         if repaired or base.ground_m is None:

@@ -17,7 +17,7 @@ from room_world import LESS, T_BODY_CAMERA, furnished, render, turning_walk
 
 import slam
 from slam.config import load_config
-from slam.edits.remaking import settled
+from slam.edits.remaking import _unrepaired, settled
 from slam.errors import ScanweaveError
 from slam.mapping.layered_map import DEPTH, OCCUPANCY
 from slam.mapping.occupancy_grid import OccupancyGrid
@@ -202,3 +202,12 @@ def test_surfaces_are_written_again_only_where_they_would_be_others(camera: Map,
     assert cloud.stat().st_mtime_ns == written
     named.edited({"turn": {"degrees": 90}}, out=tmp_path)
     assert cloud.read_bytes() != content_
+
+
+def test_what_moved_stays_out_of_scans_whose_repairs_are_left_out() -> None:
+    measured = LaserScan(0.0, np.array([1.0, np.nan, 3.0, 4.0], np.float32), 0.0, 0.1, 20.0)
+    mended = replace(measured, ranges_m=np.array([-1.1, 2.0, 3.0, 4.1], np.float32))
+    left = _unrepaired(measured, mended)
+    assert left is not None
+    assert np.array_equal(left.ranges_m, np.array([-1.0, np.nan, 3.0, 4.0], np.float32), equal_nan=True)
+    assert _unrepaired(measured, replace(mended, ranges_m=np.abs(mended.ranges_m))) is measured

@@ -74,14 +74,22 @@ def test_a_hole_of_the_lidar_is_filled_from_the_camera_and_others_stay():
     ranges = scan.ranges_m.copy()
     ranges[at] = np.inf
     ranges[at + 30 : at + 43] = np.inf  # many together may be glass, which the camera looks through too
-    ranges[3] = np.inf  # behind the camera's back
     result = fusion.denoise(with_ranges(scan, ranges), image, RIG)
     assert result.lidar_source[at] in (FILLED, INTERPOLATED)
     assert result.ranges_m[at] == pytest.approx(scan.ranges_m[at], abs=0.03)
     assert result.lidar_probability[at] >= 0.95 and 0.0 < result.lidar_sigma_m[at] < 0.1
     assert np.isnan(result.lidar_probability[np.isin(result.lidar_source, (MEASURED, HOLE))]).all()
     assert (result.lidar_source[at + 30 : at + 43] == HOLE).all()
-    assert result.lidar_source[3] == INTERPOLATED  # by its own neighbours
+
+
+def test_a_line_over_a_hole_must_be_likely_for_both_of_its_ends():
+    scan, image = pair()
+    ranges = scan.ranges_m.copy()
+    ranges[3] = np.inf  # behind the camera's back
+    broken = with_ranges(scan, ranges)
+    told = float(fusion.denoise(broken, image, RIG, least_probability=0.5).lidar_probability[3])
+    for least, source in ((0.999 * told**2, INTERPOLATED), (told, HOLE)):
+        assert fusion.denoise(broken, image, RIG, least_probability=least).lidar_source[3] == source
 
 
 @settings(max_examples=15, deadline=None)
