@@ -22,15 +22,16 @@ from slam.measurements import AnyFloatArray, FloatArray, row_from_pose2
 
 # Points in a search: more tell the same.
 _POINTS = 150
-# Blocks whose best quarters are looked at first, level by level, to know what is worth looking at.
+# Blocks whose best eighths are looked at first, level by level, to know what is worth looking at.
 _DIVE = 64
-# More blocks than that are alike where too little is seen: the best are as good as any, and find as much.
+# Blocks of a level that are looked at, those in the best eighth as many: where there are more, too little is
+# seen, and the best find as much. No reading waits for more of a search.
 _MOST_BLOCKS = 1 << 16
 
 T = TypeVar("T")
 Pixels: TypeAlias = NDArray[np.int32]
 Nodes: TypeAlias = NDArray[np.int64]
-# Work that halts each time it has looked at so many blocks as are kept: no reading waits for all of it.
+# Work that halts where a reading has waited enough, and what it comes to.
 Steps: TypeAlias = Generator[None, None, T]
 
 
@@ -126,7 +127,10 @@ def search_everywhere(
     turns = math.ceil(2.0 * math.pi * reach_m / field.cell_m)
     yaws: FloatArray = np.arange(turns, dtype=np.float64) * (2.0 * math.pi / turns)
     if window is not None:
-        yaws = yaws[np.abs((yaws - window.yaw + np.pi) % (2.0 * np.pi) - np.pi) <= window.half_yaw]
+        # One after the other, for they are searched in blocks.
+        away = (yaws - window.yaw + np.pi) % (2.0 * np.pi) - np.pi
+        order = np.argsort(away)
+        yaws = yaws[order[np.abs(away[order]) <= window.half_yaw]]
     columns, rows = _rotated_pixels(np.asarray(points, np.float64), yaws, field.cell_m)
     with ThreadPoolExecutor(threads) as pool:
         search = _Search(field, columns, rows, pool, threads, window)
@@ -169,8 +173,24 @@ def _rotated_pixels(points: FloatArray, yaws: FloatArray, cell_m: float) -> tupl
     )
 
 
+class _Seen(NamedTuple):
+    """Where the points are in blocks of turns.
+
+    Attributes
+    ----------
+    columns, rows
+        (blocks, M) the least pixels from the robot's own, of all turns of a block.
+    pooled
+        The level of the map that is pooled as wide as the blocks are, by the farthest point's way in them.
+    """
+
+    columns: Pixels
+    rows: Pixels
+    pooled: int
+
+
 class _Search:
-    """Bounds of blocks of poses; a block (yaw, x, y) of level k is of 2^k pixels a side."""
+    """Bounds of blocks of poses; a block (turns, x, y) of level k is of 2^k turns and 2^k pixels a side."""
 
     def __init__(
         self,
@@ -181,7 +201,7 @@ class _Search:
         threads: int,
         window: Window | None,
     ) -> None:
-        self._field, self._pixels = field, (columns, rows)
+        self._field, self._seen = field, [_Seen(columns, rows, 0)]
         # Pixels x and y, lowest and highest.
         self._lowest, self._highest = np.zeros(2, np.int64), np.array(field.levels[0].shape[::-1]) - 1
         if window is not None:
@@ -194,47 +214,69 @@ class _Search:
 
     def descend(self, bar: int, keep_share: float) -> Steps[tuple[Nodes, Nodes]]:
         """All poses with a score sum of at least the bar, and of the share of the best: (n, 3) and (n,)."""
-        # Of the widest blocks, most can hold anything: begin where there are at least some.
-        level = max(len(self._field.levels) - 3, 0)
-        height, width = self._field.standing[level].shape
-        grid = np.indices((len(self._pixels[0]), height, width)).reshape(3, -1).T
-        nodes = self._inside(level, grid[:, [0, 2, 1]] * np.array([1, 1 << level, 1 << level], np.int64))
-        nodes, bounds = yield from self._bounded(level, nodes, bar)
+        # The least blocks all of which can be looked at.
+        level = 0
+        while self._count(level) > _MOST_BLOCKS and self._widen():
+            level += 1
+        turns = np.arange(len(self._seen[level].columns))
+        y, x = np.nonzero(self._field.standing[level])
+        places = np.column_stack([x, y])[None].repeat(len(turns), axis=0) << level
+        nodes = np.insert(places.reshape(-1, 2), 0, turns.repeat(len(x)), axis=1)
+        nodes, bounds = yield from self._bounded(level, self._inside(level, nodes), bar)
         while level > 0:
             if len(nodes):
                 bar = max(bar, math.ceil(keep_share * (yield from self._dive(level, nodes))))
             nodes = nodes[bounds >= bar]
             level -= 1
-            nodes, bounds = yield from self._bounded(level, self._quarters(level, nodes), bar)
+            nodes, bounds = yield from self._bounded(level, self._eighths(level, nodes), bar)
         kept = bounds >= keep_share * bounds.max(initial=0)
         return nodes[kept], bounds[kept]
+
+    def _count(self, level: int) -> int:
+        """How many blocks of a level there are."""
+        return int(self._field.standing[level].sum()) * len(self._seen[level].columns)
+
+    def _widen(self) -> bool:
+        """Prepare the next level; False where no picture is pooled as wide as its blocks are."""
+        level = len(self._seen)
+        turns = len(self._seen[0].columns)
+        first = np.arange(0, turns, 1 << level)
+        seen = np.stack(self._seen[0][:2])
+        least: Pixels = np.minimum.reduceat(seen, first, axis=1)
+        wide = (1 << level) + int((np.maximum.reduceat(seen, first, axis=1) - least).max())
+        pooled = (wide - 1).bit_length()
+        if pooled >= len(self._field.levels):
+            return False
+        self._seen.append(_Seen(least[0], least[1], pooled))
+        return True
 
     def _dive(self, level: int, nodes: Nodes) -> Steps[int]:
         """A score that some pose of the blocks has: that of the best, if the likeliest blocks lead to it."""
         for below in range(level - 1, -1, -1):
-            nodes, bounds = yield from self._bounded(below, self._quarters(below, nodes[:_DIVE]), 0)
+            nodes, bounds = yield from self._bounded(below, self._eighths(below, nodes[:_DIVE]), 0)
         return int(bounds.max(initial=0))
 
-    def _quarters(self, level: int, nodes: Nodes) -> Nodes:
-        """The quarters, of a level, of blocks of the next."""
-        corners = np.array([[0, 0, 0], [0, 1, 0], [0, 0, 1], [0, 1, 1]]) << level
-        quarters = (nodes[:, None, :] + corners).reshape(-1, 3)
-        return self._inside(level, quarters)
+    def _eighths(self, level: int, nodes: Nodes) -> Nodes:
+        """The eighths, of a level, of blocks of the next."""
+        halves = np.indices((2, 2, 2)).reshape(3, -1).T * np.array([1, 1 << level, 1 << level])
+        parts: Nodes = nodes[:, None, :] * np.array([2, 1, 1]) + halves
+        return self._inside(level, parts.reshape(-1, 3))
 
     def _inside(self, level: int, nodes: Nodes) -> Nodes:
-        """Those of blocks of a level that have a pixel where to look."""
+        """Those of blocks of a level that have a turn, and a pixel where to look."""
         corner = nodes[:, 1:]
         inside = ((corner <= self._highest) & (corner + (1 << level) > self._lowest)).all(axis=1)
+        inside &= nodes[:, 0] < len(self._seen[level].columns)
         return np.ascontiguousarray(nodes[inside])
 
     def _bounded(self, level: int, nodes: Nodes, bar: int) -> Steps[tuple[Nodes, Nodes]]:
         """Those of blocks that can hold a score of at least the bar, and upper bounds of it; best first."""
-        bounds = np.empty(len(nodes), np.int64)
+        bounds, seen = np.empty(len(nodes), np.int64), self._seen[level]
 
         def part(first: int) -> None:
             share = slice(first, begin + self._room, self._threads)
-            pictures = self._field.levels[level], self._field.standing[level]
-            _bound(*pictures, self._field.unknown, level, *self._pixels, nodes[share], bar, bounds[share])
+            pictures = self._field.levels[seen.pooled], self._field.standing[level]
+            _bound(*pictures, self._field.unknown, level, *seen, nodes[share], bar, bounds[share])
 
         begin = 0
         while begin < len(nodes):
@@ -244,17 +286,18 @@ class _Search:
             if not self._room:
                 yield
                 self._room = _MOST_BLOCKS
-        likeliest = np.argsort(-bounds, kind="stable")[: min(np.sum(bounds >= max(bar, 0)), _MOST_BLOCKS)]
+        most = min(np.sum(bounds >= max(bar, 0)), _MOST_BLOCKS // 8)
+        likeliest = np.argsort(-bounds, kind="stable")[:most]
         return nodes[likeliest], bounds[likeliest]
 
 
 @kernel(nogil=True)
-def _bound(picture, standing, unknown, level, columns, rows, nodes, bar, bounds):  # type: ignore[no-untyped-def]
-    """Upper bound of the score sum over robot pixels x..x+w-1, y..y+w-1, w = 2^k, of each block.
+def _bound(picture, standing, unknown, level, columns, rows, pooled, nodes, bar, bounds):  # type: ignore[no-untyped-def]
+    """Upper bound of the score sum over all poses of each block.
 
     -1 where the robot cannot stand in any of them, or the sum will not reach ``bar``.
     """
-    width = 1 << level
+    width = 1 << pooled
     count = columns.shape[1]
     for n in range(nodes.shape[0]):
         turn = nodes[n, 0]
@@ -263,10 +306,12 @@ def _bound(picture, standing, unknown, level, columns, rows, nodes, bar, bounds)
         bounds[n] = -1
         if not standing[y >> level, x >> level]:
             continue
+        x += width - 1
+        y += width - 1
         total = ZERO
         for i in range(count):
-            c = columns[turn, i] + x + width - 1
-            r = rows[turn, i] + y + width - 1
+            c = columns[turn, i] + x
+            r = rows[turn, i] + y
             if 0 <= c < picture.shape[1] and 0 <= r < picture.shape[0]:
                 total += picture[r, c]
             else:

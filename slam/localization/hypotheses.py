@@ -110,7 +110,6 @@ class HypothesisSet(Generic[V, N]):
         self.members: list[Hypothesis] = []
         self._search: tuple[Iterator[Pose | None], Pose] | None = None
         self._search_at_m = 0.0
-        self._sought = False
         self._within: Measured | None = None
         self._led_nats = 0.0
 
@@ -118,7 +117,7 @@ class HypothesisSet(Generic[V, N]):
         """Begin anew: nothing is known."""
         self._log.keyframes.clear()
         self.members.clear()
-        self._search, self._search_at_m, self._sought = None, 0.0, False
+        self._search, self._search_at_m = None, 0.0
 
     def due(self, view: V, pose: Pose) -> bool:
         """Whether a reading at ``T_odom_base`` should be weighed."""
@@ -167,7 +166,7 @@ class HypothesisSet(Generic[V, N]):
                 break
             self._take_in(composed(found, between(searched_at, self._log.keyframes[-1].pose)), 0.0)
         else:
-            self._search, self._sought = None, True
+            self._search = None
             self._prune()
 
     def propose(self, pose: Pose, odometry_pose: Pose) -> None:
@@ -191,9 +190,13 @@ class HypothesisSet(Generic[V, N]):
         return np.asarray(weights / (weights.sum() + math.exp(nowhere_nats - greatest)))
 
     def winner(self) -> Hypothesis | None:
-        """The hypothesis that is confident; None while there is none."""
+        """The hypothesis that is confident; None while there is none, or a search may find it a rival."""
         probabilities = self.probabilities()
-        if not (self.members and self._sought) or len(self._log.keyframes) < self._sensor.least_keyframes:
+        if (
+            not self.members
+            or self._search is not None
+            or len(self._log.keyframes) < self._sensor.least_keyframes
+        ):
             return None
         best = int(probabilities.argmax())
         return self.members[best] if probabilities[best] >= self._config.confident_probability else None
@@ -207,7 +210,7 @@ class HypothesisSet(Generic[V, N]):
         crowded = len(self.members) == self._config.hypotheses
         if (
             self._within is None
-            or not self._sought
+            or self._search is not None
             or crowded
             or probabilities.sum() < self._config.confident_probability
         ):

@@ -12,7 +12,7 @@ import numpy as np
 from slam.config import Config
 from slam.estimates import MotionEstimate
 from slam.localization.beam_check import BeamCounts, check_beams, in_clear_space
-from slam.localization.global_search import Window, at_once, search_map
+from slam.localization.global_search import Window, search_map
 from slam.localization.known_map import Walls
 from slam.localization.odometry import ScanOdometry
 from slam.localization.poses import Measured, between
@@ -133,7 +133,7 @@ class PlanarSensor:
         seen = np.concatenate(points)
         seen = seen[first_in_cells(seen, settings.novel_cell_m)[0]]
         window = None if within is None else Window.of(within, settings.gate_sigmas)
-        found = at_once(search_map(self._field, seen, settings, settings.hypotheses, window))
+        found = yield from search_map(self._field, seen, settings, settings.hypotheses, window)
         yield from (pose2_from_row(place.pose) for place in found)
 
     def _without_dynamic_points(self, view: ScanView, known: Pose | None) -> ScanView:
