@@ -95,7 +95,7 @@ def fused(folder: Path) -> Path:
     rig = RIGS["xu2024"]
     cameras = [replace(one, model=replace(one.model, intrinsics=few)) for one in rig.cameras[2:]]
     rig = replace(rig, cameras=tuple(cameras))
-    record_drive(generate_home(0), rig, 7, folder / "drive", duration_s=8.0, formats=("folder",))
+    record_drive(generate_home(0), rig, 7, folder / "drive", duration_s=5.0, formats=("folder",))
     return folder / "drive"
 
 
@@ -138,7 +138,7 @@ def test_ten_lines_from_a_log_to_arrays(
     # People walk in the corridor: what stood for a while is a layer of its own.
     assert layers.is_dir() == (make in (fused, corridor))
     nearest = np.abs(way.stamps_s[None] - found.stamps_s[:, None]).argmin(axis=1)
-    assert len(found) > 0.5 * len(set(nearest)) > 20
+    assert len(found) > 0.5 * len(set(nearest)) > 10
     apart_m = np.linalg.norm(way.positions_m[nearest] - found.positions_m, axis=1)
     assert np.median(apart_m) < 0.02 and apart_m.max() < 0.2
 

