@@ -153,7 +153,12 @@ class PlaceSearch:
         sets, trial, stretches = self._sets, self._trial, self._stretches
         assert sets is not None and trial is not None and stretches is not None
         seen, reach_m = _Known(poses, known), self._config.reach_m
-        found = [one for one in sets.largest() if np.ptp(self._ways(one)) >= reach_m]
+        chance = 1.0 - self._config.inlier_probability
+        found = [
+            one
+            for one in sets.largest()
+            if np.ptp(self._ways(one)) >= reach_m or chance * self._odds(one[0], seen) >= 1.0
+        ]
         judged = [self._cost(one, seen) for one in found]
         costs = np.array([cost for cost, *_ in judged])
         gains = self._gate * np.array([len(one) for one in found]) - costs
@@ -168,7 +173,11 @@ class PlaceSearch:
             # What contradicts more than one fault explains must be confirmed by what lies around.
             if costs[n] > 2.0 * self._gate and len(more) <= refused:
                 continue
-            net_m = (len(found[n]) + len(more) - refused) * stretches.spacing_m
+            held = len(found[n]) + len(more) - refused
+            # What only a fault explains is seen as often as along a dense way, however far apart.
+            if judged[n][2] is not None and held < 4:
+                continue
+            net_m = held * stretches.spacing_m
             # As long as it is seen from either end; where all of the map would pass, as a loop must be.
             map_m = float(np.ptp(poses[:, :2], axis=0).max())
             anywhere = math.sqrt(self._gate) * judged[n][1] > map_m
@@ -206,6 +215,23 @@ class PlaceSearch:
         if plain <= explained:
             return plain, sigma_m, None
         return explained, sigma_m, min(faulty)[1]
+
+    def _odds(self, claim: LoopCandidate, known: Known) -> float:
+        """How many times likelier what is known makes a claim than chance: that puts it anywhere in a window.
+
+        Zero where scans are so dense that a place is claimed several times.
+        """
+        assert self._stretches is not None
+        if self._stretches.spacing_m <= self._config.reach_m:
+            return 0.0
+        said, way = claimed(claim), known(claim.place, claim.keyframe)
+        if not np.isfinite(way.covariance).all():
+            return 0.0
+        expected = way.widened(said.covariance)
+        density = math.exp(-0.5 * expected.squared_mahalanobis(said.pose)) / math.sqrt(
+            (2.0 * math.pi) ** 3 * expected.volume()
+        )
+        return density * 2.0 * math.pi * (2.0 * self._stretches.window_m) ** 2
 
     def _ways(self, members: Iterable[LoopCandidate]) -> FloatArray:
         """Way from the start to the keyframes of a set."""
