@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from fusion.time_alignment import GAP_S
 from slam.config import Config
 from slam.errors import DatasetError, GraphError
 from slam.graph.edge import Edge, EdgeKind
@@ -171,7 +172,12 @@ class Mapper:
             result.warnings += self._places.warnings
         if self._gnss.unused:
             result.unused[self._gnss.sensor] = self._gnss.unused
-        result.warnings += _apart(graph.pieces(outcome.kept), result.map.stamps_s - scans.stamps_s[0])
+        begun_s, limits = (
+            scans.stamps_s[0],
+            (self._config.match.search_half_width_m, self._config.loops.reach_m),
+        )
+        result.warnings += _apart(graph.pieces(outcome.kept), result.map.stamps_s - begun_s)
+        result.warnings += _unseen(trajectory.stamps_s - begun_s, placed, covariances, *limits)
         return result
 
     @property
@@ -229,4 +235,37 @@ def _apart(pieces: NDArray[np.int64], stamps_s: FloatArray) -> list[str]:
         f"The map is in {len(parts)} pieces, and how they lie to each other is a guess: the first ends "
         f"before {begins_s[1]:.0f} s, the largest has {share:.0%} of the keyframes. Wheels, more scans or "
         "a place seen again would join them"
+    ]
+
+
+def _unseen(
+    stamps_s: FloatArray, placed: NDArray[np.int64], covariances: FloatArray, most_m: float, lever_m: float
+) -> list[str]:
+    """A warning where no scan was placed for a while, and poses became more uncertain than a match mends.
+
+    Parameters
+    ----------
+    stamps_s, covariances
+        (N,) since the start, and (N, d, d), of all poses.
+    placed
+        (S,) numbers of those that a scan has placed.
+    most_m, lever_m
+        As uncertain as that may be what lies so far from the robot.
+    """
+    variances_m2 = covariances[:, 0, 0] + covariances[:, 1, 1]
+    off_m2 = variances_m2 + lever_m**2 * covariances[:, -1, -1]
+    found = []
+    for gap in np.flatnonzero(np.diff(stamps_s[placed]) > GAP_S):
+        first, last = placed[gap], placed[gap + 1]
+        at = first + int(off_m2[first : last + 1].argmax())
+        if off_m2[at] - off_m2[first] > most_m**2:
+            found.append((off_m2[at] - off_m2[first], at, first, last))
+    if not found:
+        return []
+    _, at, first, last = max(found)
+    others = f", and {len(found) - 1} times more" if len(found) > 1 else ""
+    position_m, turn_rad = np.sqrt([variances_m2[at], covariances[at, -1, -1]])
+    return [
+        f"No scan was placed from {stamps_s[first]:.1f} to {stamps_s[last]:.1f} s{others}: poses there are "
+        f"uncertain by up to {position_m:.2f} m and {np.degrees(turn_rad):.1f} degrees (one sigma)"
     ]
