@@ -24,7 +24,7 @@ from slam.mapper.scan_record import ScanRecorder
 from slam.mapper.tags import PlaceAnchors
 from slam.measurements import FloatArray, GnssFix
 from slam.storage.map_contents import MapContents, SavedFactor
-from slam.trajectory.carried import carried_covariances, late_covariances
+from slam.trajectory.carried import carried_covariances, late_covariances, unseen_covariances
 
 
 class Mapper:
@@ -135,6 +135,8 @@ class Mapper:
             self._places.check(graph, way(), outcome, self._config)
         at = front_end.readings.keyframe_readings()
         covariances = carried_covariances(trajectory, at, *told)
+        if (scans_alone := front_end.readings.seen_alone()).size:
+            covariances += unseen_covariances(trajectory, scans_alone, covariances.shape[1])
         if sigma_s := front_end.readings.clock_sigma_s:
             covariances += late_covariances(trajectory, int(at[0]), sigma_s)
         clock.append(time.perf_counter())

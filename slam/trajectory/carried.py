@@ -6,6 +6,7 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
+from fusion.estimation import TINY
 from fusion.time_alignment import GAP_S
 from slam.estimates import Trajectory
 from slam.measurements import FloatArray
@@ -58,6 +59,41 @@ def carried_covariances(
     return np.where(
         share < 0.0, start - share * onward, np.where(share > 1.0, stop + (share - 1.0) * onward, inside)
     )
+
+
+def unseen_covariances(trajectory: Trajectory, scans: NDArray[np.int64], size: int) -> FloatArray:
+    """How uncertain poses are besides, where a robot without wheels was not seen: in gaps, and outside.
+
+    There it may be anywhere that it comes to from the last place that was seen, and from which it comes to
+    the next, as fast as it moves elsewhere (a Brownian bridge over the time of the gap).
+
+    Parameters
+    ----------
+    scans
+        (S,) increasing numbers of the readings that were placed by a scan.
+    size
+        3 on a floor, 6 in space.
+
+    Returns
+    -------
+    (N, 3, 3) of x, y, yaw, or (N, 6, 6) of x, y, z and a rotation vector: along the axes of the map.
+    """
+    seen, numbers = trajectory[scans], np.arange(len(trajectory))
+    times_s = np.diff(seen.stamps_s)
+    usual = (times_s > 0.0) & (times_s <= GAP_S)
+    sum_s2 = float(times_s[usual] @ times_s[usual])
+    turns = scipy.spatial.transform.Rotation.from_quat(seen.quaternions_xyzw)
+    ways = np.asarray(np.linalg.norm(np.diff(seen.positions_m, axis=0), axis=1))[usual]
+    turned = np.asarray((turns[:-1].inv() * turns[1:]).magnitude())[usual]
+    way, turn = (float(one @ one) / max(sum_s2, TINY) for one in (ways, turned))
+    last = np.searchsorted(scans, numbers, side="right") - 1
+    since_s = trajectory.stamps_s - seen.stamps_s[np.maximum(last, 0)]
+    until_s = seen.stamps_s[np.minimum(last + 1, len(scans) - 1)] - trajectory.stamps_s
+    outside = (last < 0) | (last == len(scans) - 1)
+    inside = np.where(since_s + until_s > GAP_S, since_s * until_s, 0.0)
+    spread = np.where(outside, since_s**2, inside).clip(0.0)
+    variances = [way, way, turn] if size == 3 else [way] * 3 + [turn] * 3
+    return np.asarray(spread[:, None, None] * np.diag(variances))
 
 
 def late_covariances(trajectory: Trajectory, held: int, sigma_s: float) -> FloatArray:

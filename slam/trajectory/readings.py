@@ -125,6 +125,11 @@ class Readings:
         """(K,) number of each keyframe among all readings."""
         return np.array(self._scan_readings, dtype=np.int64)[self.keyframe_scans()]
 
+    def seen_alone(self) -> NDArray[np.int64]:
+        """Numbers of the readings that a scan has placed, where no wheels tell the way between; else none."""
+        alone = np.isnan(np.array(self._wheel_poses)).all()
+        return np.array(self._scan_readings if alone else [], dtype=np.int64)
+
     def trajectory(self, keyframe_poses: Sequence[Pose]) -> Trajectory:
         """A pose for every reading.
 

@@ -87,6 +87,27 @@ class TestMishaps:
         assert EdgeKind.WHEEL in {factor.edge.kind for factor in result.map.factors}
         assert errors_m(result, short_log.truth.to_planar()[::2]).max() < 0.03
 
+    @pytest.mark.parametrize("stands", [False, True])
+    def test_scans_only_with_a_gap_claim_no_more_than_is_known(
+        self, short_log: SyntheticLog, tmp_path: Path, stands: bool
+    ) -> None:
+        """Nothing tells whether the robot is back where it was, or at a place that looks the same."""
+        first: list[list[str]] = []
+
+        def gap(number: int, fields: list[str]) -> Iterable[list[str]]:
+            at_s = stamp(fields) - 1000.0
+            if not 4.0 < at_s < 12.0:
+                first[:] = [fields] if at_s <= 4.0 and fields[0] == "FLASER" else first
+                yield with_stamp(first[0], stamp(fields)) if stands and first and at_s > 4.0 else fields
+
+        log = edited(short_log, tmp_path / "gap.log", gap)
+        result = run(log, "sensors.wheels=false")
+        trajectory, covariances = result.map.trajectory, result.map.covariances
+        assert covariances is not None
+        after_s = trajectory.stamps_s - trajectory.stamps_s[0]
+        sigmas_m = np.sqrt(covariances[:, [0, 1], [0, 1]])
+        assert sigmas_m[after_s < 3.5].max() < 0.05 and sigmas_m[after_s > 12.0].min() > 1.0
+
     def test_odometry_only(self, short_log: SyntheticLog, tmp_path: Path) -> None:
         log = edited(
             short_log, tmp_path / "wheels.log", lambda number, fields: [fields] * (fields[0] == "ODOM")

@@ -5,7 +5,7 @@ import pytest
 
 from slam.estimates import Trajectory
 from slam.measurements import FloatArray
-from slam.trajectory.carried import carried_covariances, late_covariances
+from slam.trajectory.carried import carried_covariances, late_covariances, unseen_covariances
 from slam.trajectory.poses import Poses
 
 ENDS = np.array([np.diag([1e-4, 2e-4, 1e-6]), np.diag([3e-4, 5e-4, 9e-6])])
@@ -109,3 +109,18 @@ def test_stamps_that_are_off_together_move_all_that_does_not_move_as_what_is_hel
     np.testing.assert_allclose(found[inner], (off[:, :, None] * off[:, None, :])[inner], atol=1e-6)
     assert found[held] == pytest.approx(np.zeros((3, 3)), abs=1e-12)
     assert np.sqrt(found[inner, 1, 1].max()) > 0.003
+
+
+def test_where_nobody_saw_it_a_robot_may_have_gone_as_fast_as_it_goes() -> None:
+    """A tenth of a metre a tenth of a second; scans are missing from 0.3 s to 1.3 s, and past 1.5 s."""
+    trajectory = Trajectory(
+        0.1 * np.arange(20.0), line(count=20).positions_m, line(count=20).quaternions_xyzw
+    )
+    scans = np.array([0, 1, 2, 3, 13, 14, 15])
+    for size, x, yaw in ((3, 0, 2), (6, 0, 5)):
+        found = unseen_covariances(trajectory, scans, size)
+        assert found.shape == (20, size, size) and not found[scans].any()
+        assert found[8, x, x] == pytest.approx(0.5**2) and found[4, x, x] == pytest.approx(0.1 * 0.9)
+        assert found[19, x, x] == pytest.approx(0.4**2)
+        assert not found[:, yaw].any()  # it never turned
+    assert not unseen_covariances(trajectory, np.array([7]), 3).any()  # nothing tells how fast
