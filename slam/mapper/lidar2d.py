@@ -258,8 +258,7 @@ class PlanarRobot:
     def _moved_on(self, tracked: TrackedScan) -> bool:
         """Whether a scan is far enough from the last keyframe to be the next."""
         last, limits = self._chain.last, self._config.keyframes
-        # What is told after a gap that nothing bridged is a guess, even "as before": its step says so.
-        if last is None or (tracked.wheels is None and tracked.dispute.any()):
+        if last is None:
             return True
         step = between(last.pose, tracked.pose)
         return bool(np.hypot(step[0], step[1]) > limits.distance_m or abs(step[2]) > limits.angle_rad)
