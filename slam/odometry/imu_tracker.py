@@ -138,15 +138,17 @@ class ImuTracker:
             )
         edges_s = np.linspace(first_s, last_s, SLICES + 1)
         turns = self._readings.turns(cloud.stamp_s + edges_s, cloud.stamp_s, bias)
-        slices = np.clip(np.searchsorted(edges_s, cloud.times_s, side="right") - 1, 0, SLICES - 1)
-        share = (cloud.times_s - edges_s[slices]) / (edges_s[1] - edges_s[0])
         T_imu_lidar = T_imu_base.compose(cloud.T_base_lidar)
-        mounting = T_imu_lidar.rotation().matrix()
-        points = cloud.points_lidar @ mounting.T + T_imu_lidar.translation()
+        mounting, lever = T_imu_lidar.rotation().matrix(), T_imu_lidar.translation()
+        # As the lidar is turned and moved by them, so that each point is gone over once.
+        moved = (turns @ lever - lever) @ mounting
+        poses = np.concatenate([mounting.T @ turns @ mounting, moved[:, :, None]], axis=2)
+        ways = np.stack([velocity, 0.5 * acceleration]) @ mounting
+        points = np.empty((len(cloud.points_lidar), 3), np.float32)
+        per_slice_s = (last_s - first_s) / SLICES
         times_s = np.asarray(cloud.times_s, dtype=np.float64)
-        _turned(points, slices, share, np.asarray(turns), times_s, np.stack([velocity, 0.5 * acceleration]))
-        points = (points - T_imu_lidar.translation()) @ mounting
-        return replace(cloud, points_lidar=points.astype(np.float32), times_s=None)
+        _turned(cloud.points_lidar, times_s, first_s, per_slice_s, poses, ways, points)
+        return replace(cloud, points_lidar=points, times_s=None)
 
     def took(
         self,
@@ -317,19 +319,22 @@ def alike(seen: gtsam.Pose3, told: gtsam.Pose3) -> bool:
 
 
 @kernel
-def _turned(points, slices, share, turns, times_s, ways):  # type: ignore[no-untyped-def]
-    """Turn points (N, 3), in place, by the turns (S + 1, 3, 3) about their slices, and move them on.
+def _turned(points, times_s, first_s, per_slice_s, poses, ways, found):  # type: ignore[no-untyped-def]
+    """Points (N, 3) into ``found``, by the poses (S + 1, 3, 4) about their slices, and moved on.
 
     Within a slice a turn is so small that its chord is its arc.
     """
     for i in range(points.shape[0]):
-        n = slices[i]
         t = times_s[i]
-        part = share[i]
-        x = points[i, 0]
-        y = points[i, 1]
-        z = points[i, 2]
+        slices = (t - first_s) / per_slice_s
+        n = min(max(int(slices), 0), poses.shape[0] - 2)
+        part = slices - n
+        x = np.float64(points[i, 0])
+        y = np.float64(points[i, 1])
+        z = np.float64(points[i, 2])
         for k in range(3):
-            begun = turns[n, k, 0] * x + turns[n, k, 1] * y + turns[n, k, 2] * z
-            ended = turns[n + 1, k, 0] * x + turns[n + 1, k, 1] * y + turns[n + 1, k, 2] * z
-            points[i, k] = begun + part * (ended - begun) + t * (ways[0, k] + t * ways[1, k])
+            begun = poses[n, k, 0] * x + poses[n, k, 1] * y + poses[n, k, 2] * z + poses[n, k, 3]
+            ended = (
+                poses[n + 1, k, 0] * x + poses[n + 1, k, 1] * y + poses[n + 1, k, 2] * z + poses[n + 1, k, 3]
+            )
+            found[i, k] = begun + part * (ended - begun) + t * (ways[0, k] + t * ways[1, k])

@@ -16,12 +16,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from fusion.estimation import gate
 from fusion.time_alignment import GAP_S
 from slam.config.stages import MatchConfig, PredictionConfig
 from slam.estimates import MotionEstimate
 from slam.matching.match_covariance import OPEN_M
 from slam.matching.motion import Motion, log_likelihood
-from slam.matching.planar import between, compose
+from slam.matching.planar import between, compose, wrap
 from slam.matching.scan_points import ScanPoints
 from slam.measurements import FloatArray, row_from_pose2
 from slam.odometry.constant_velocity import repeated
@@ -109,6 +110,8 @@ class MotionTracker:
         self._stamp_s = 0.0
         self._velocity_step = np.zeros(3)
         self._velocity_step_s = 0.0
+        # Sums of squared ways, turns and times, by which it moves as a rule.
+        self._squares = np.zeros(3)
         # Where the velocity leads if there is nothing else to go by, and for how long it alone has led.
         self._blind: FloatArray | None = None
         self._blind_s = 0.0
@@ -221,6 +224,8 @@ class MotionTracker:
         """Take a step (3,): one that repeats the velocity teaches none, nor the next, that mends it."""
         if told and not self._blind_s and abs(step_s) > SHORTEST_STEP_S:
             self._velocity_step, self._velocity_step_s = step, step_s
+            if step_s <= GAP_S:
+                self._squares += step[0] ** 2 + step[1] ** 2, step[2] ** 2, step_s**2
         self._blind_s = 0.0 if told else self._blind_s + abs(step_s)
         if self._blind_s >= GAP_S:
             self._velocity_step = np.zeros(3)
@@ -251,6 +256,8 @@ class MotionTracker:
             return motion, np.outer(offset, offset)
         if (offset := self._another_corridor(motion, step_s)) is not None:
             return motion, np.outer(offset, offset)
+        if (unseen := self._out_of_sight(motion, step_s, gyro)) is not None:
+            return motion, unseen
         rivals = [
             *self._rivals(points, motion, [*self._by_camera.guesses, *self._by_wheels.guesses], guesses),
             *self._rivals(points, motion, self._by_window, self._by_window),
@@ -308,6 +315,27 @@ class MotionTracker:
         offset = between(row_from_pose2(motion.T_reference_base), self._by_wheels.guesses[0].pose)
         elsewhere = math.hypot(offset[0], offset[1]) > self._noise.search_half_width_m
         return offset if elsewhere and abs(offset[2]) > 0.25 * math.pi else None
+
+    def _out_of_sight(
+        self, motion: MotionEstimate, step_s: float, gyro: GyroMoment | None
+    ) -> FloatArray | None:
+        """How uncertain (3, 3) a match is after a gap in which nothing told the way; None if it was short.
+
+        As fast as it moves as a rule it has left what a match finds, and what fits there may be a place that
+        looks the same. Any way and turn from none to twice that are evenly spread; a heading that the
+        gyroscope confirms is as it was matched.
+        """
+        if self._by_camera.guesses or self._by_wheels.guesses or step_s <= GAP_S or not self._squares[2]:
+            return None
+        way2, turn2 = self._squares[:2] / self._squares[2] * step_s**2
+        if way2 <= self._noise.search_half_width_m**2:
+            return None
+        turn = None if self._last is None else self.gyro_turn(self._last, gyro)
+        if self._last is not None and turn is not None:
+            off = wrap(float(row_from_pose2(motion.T_reference_base)[2] - self._last.pose[2]) - turn[0])
+            if off**2 <= gate() * (turn[1] + float(motion.covariance[2, 2])):
+                turn2 = 0.0
+        return np.diag([way2, way2, min(turn2, math.pi**2)]) / 3.0
 
     def _rivals(
         self, points: ScanPoints, motion: MotionEstimate, contesting: list[Motion], asked: list[Motion]

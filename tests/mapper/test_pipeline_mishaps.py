@@ -87,6 +87,23 @@ class TestMishaps:
         assert EdgeKind.WHEEL in {factor.edge.kind for factor in result.map.factors}
         assert errors_m(result, short_log.truth.to_planar()[::2]).max() < 0.03
 
+    def test_scans_only_with_a_gap_claim_no_more_than_is_known(
+        self, short_log: SyntheticLog, tmp_path: Path
+    ) -> None:
+        """Nothing tells whether the robot is back where it was, or at a place that looks the same."""
+
+        def gap(number: int, fields: list[str]) -> Iterable[list[str]]:
+            if not 1004.0 < stamp(fields) < 1012.0:
+                yield fields
+
+        log = edited(short_log, tmp_path / "gap.log", gap)
+        result = run(log, "sensors.wheels=false")
+        trajectory, covariances = result.map.trajectory, result.map.covariances
+        assert covariances is not None
+        after_s = trajectory.stamps_s - trajectory.stamps_s[0]
+        sigmas_m = np.sqrt(covariances[:, [0, 1], [0, 1]])
+        assert sigmas_m[after_s < 3.5].max() < 0.05 and sigmas_m[after_s > 12.0].min() > 1.0
+
     def test_odometry_only(self, short_log: SyntheticLog, tmp_path: Path) -> None:
         log = edited(
             short_log, tmp_path / "wheels.log", lambda number, fields: [fields] * (fields[0] == "ODOM")

@@ -159,3 +159,4 @@ def test_without_wheels_a_robot_may_be_anywhere_that_it_comes_to() -> None:
     # 2 m/s: a second from either end; a second after the last.
     for stamp_s in (3.0, 6.0):
         assert found[stamps_s == stamp_s][0] == pytest.approx(np.diag([4.0, 4.0, 0.0]))
+    assert not unseen_covariances(trajectory, np.array([7]), None, 3).any()  # nothing tells how fast
