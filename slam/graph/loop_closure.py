@@ -331,35 +331,25 @@ def search_place(
         return candidate.refused("the scan has too few points")
     basin_m = match.coarse_cell_m
     if width > basin_m or yaw * config.reach_m > basin_m:
-        seen = search_window(
+        found = search_window(
             submap.field, scan.thinned(match.search_points), guess, width, yaw, match.search_least_score
         )
-        candidate = replace(candidate, score=seen.score)
-        if not seen.found:
+        candidate = replace(candidate, score=found.score)
+        if not found.found:
             return candidate.refused("no pose in the window scores enough")
-        guess = seen.pose
-    found = submap.local_map.align(scan, guess)
-    motion = motion_from_alignment(found, match)
+        guess = found.pose
+    motion = motion_from_alignment(submap.local_map.align(scan, guess), match)
     motion = replace(motion, covariance=motion.covariance * config.caution)
-    share = found.inlier_share
-    if config.least_overlap <= share < config.least_inlier_share and submap.local_map.images:
-        # Scans lie far apart: of what most points see, no scan of the place has told.
-        share /= share + submap.local_map.contradicted(scan, found.pose)
-    return _judge(replace(candidate, motion=motion), motion, share, guess, config, basin_m)
+    return _judge(replace(candidate, motion=motion), motion, guess, config, basin_m)
 
 
 def _judge(
-    candidate: LoopCandidate,
-    motion: MotionEstimate,
-    share: float,
-    guess: FloatArray,
-    config: LoopConfig,
-    basin_m: float,
+    candidate: LoopCandidate, motion: MotionEstimate, guess: FloatArray, config: LoopConfig, basin_m: float
 ) -> LoopCandidate:
-    """Accept or refuse a refined match, of which that share of the readings agrees that could."""
+    """Accept or refuse a refined match."""
     moved = between(guess, row_from_pose2(motion.T_reference_base))
     moved_m = math.hypot(moved[0], moved[1])
-    if share < config.least_inlier_share:
+    if motion.inlier_share < config.least_inlier_share:
         return candidate.refused("too few points fit")
     if motion.residual_m > config.greatest_residual_m:
         return candidate.refused("residual too large")

@@ -15,7 +15,6 @@ from slam.config.stages import LoopConfig, MatchConfig
 from slam.matching.correlative import LikelihoodField, build_field
 from slam.matching.local_map import LocalMap, OrientedPoints
 from slam.matching.planar import between
-from slam.matching.visibility import RangeImage
 from slam.measurements import FloatArray
 
 # So many scans of a run are enough to draw it, and so far around, in its cells.
@@ -110,9 +109,7 @@ class SubmapStore:
             and abs(self._travelled_m[k] - self._travelled_m[key]) <= half_m
         ]
         # It does not hold the store that holds it: at the end of a run all of them go at once.
-        far_apart = self.wide_m(0.0, 1.0) > self._reach_m
-        seen = self._scans if far_apart else None
-        build = partial(_local_map, self._surfaces, self._poses, key, members, self._match, seen)
+        build = partial(_local_map, self._surfaces, self._poses, key, members, self._match)
         submap = Submap(build, self._match.cell_m)
         self._cache[key] = submap
         # The places along two of them: what the next attempts look at.
@@ -162,13 +159,7 @@ def _local_map(
     key: int,
     members: list[int],
     match: MatchConfig,
-    scans: Sequence[OrientedPoints] | None,
 ) -> LocalMap:
-    """The scans of some keyframes in the frame of one; and what ``scans`` of them have looked through."""
-    placed = [between(poses[key], poses[k]) for k in members]
-    parts = [surfaces[k].moved(pose) for k, pose in zip(members, placed, strict=True)]
-    looked = (
-        [] if scans is None else [(scans[k].points, pose) for k, pose in zip(members, placed, strict=True)]
-    )
-    images = [RangeImage.of(points, pose, points) for points, pose in looked]
-    return LocalMap.build(parts, match, images)
+    """The scans of some keyframes in the frame of one."""
+    parts = [surfaces[k].moved(between(poses[key], poses[k])) for k in members]
+    return LocalMap.build(parts, match)

@@ -5,15 +5,13 @@ import logging
 
 import numpy as np
 import pytest
-from flat_worlds import corridor, points_at, room
+from flat_worlds import corridor, points_at
 
 from slam.config.stages import LoopConfig, MatchConfig
-from slam.graph.loop_closure import LoopCandidate, LoopCloser, search_place
+from slam.graph.loop_closure import LoopCandidate, LoopCloser
 from slam.graph.relative_uncertainty import UncertaintyGraph
-from slam.graph.submaps import Submap
-from slam.matching.local_map import LocalMap, OrientedPoints
+from slam.matching.local_map import OrientedPoints
 from slam.matching.planar import between, compose
-from slam.matching.visibility import RangeImage
 from slam.measurements import FloatArray, row_from_pose2
 from slam.simulation.floor_plan import TOUR_M, walls
 
@@ -281,18 +279,3 @@ def test_a_corridor_confirms_a_place_that_is_nearly_known_and_finds_none(
     assert loop.motion is not None and loop.motion.degenerate
     assert loop.accepted == accepted
     assert ("open direction" in loop.reason) != accepted
-
-
-@pytest.mark.parametrize("told", [False, True])
-def test_where_scans_lie_far_apart_what_a_place_knows_must_fit(told: bool) -> None:
-    """A place that was seen to a third, and a scan of it all."""
-    known = OrientedPoints.from_scan(points_at(room(), np.zeros(3), beams=721, fov_rad=0.66 * np.pi))
-    images = [RangeImage.of(known.points, np.zeros(3), known.points)] if told else []
-    place = Submap(lambda: LocalMap.build([known], MATCH, images), MATCH.cell_m)
-    begun, guess = LoopCandidate(0, 1, 0.1, 0.01, 1.0, None, False, ""), np.array([0.04, 0.02, 0.01])
-    whole = OrientedPoints.from_scan(points_at(room(), np.zeros(3), beams=721))
-    loop = search_place(begun, place, whole, guess, LoopConfig(), MATCH)
-    assert loop.accepted is told
-    behind = whole.points[:, :1] < -1.0
-    stands_before = OrientedPoints(np.where(behind, -0.5 * whole.points, whole.points), whole.normals)
-    assert not search_place(begun, place, stands_before, guess, LoopConfig(), MATCH).accepted
