@@ -10,6 +10,7 @@ from typing import Any, TypeAlias
 import numpy as np
 
 from fusion.estimation import FEWEST
+from fusion.time_alignment import GAP_S
 from slam.config import Config
 from slam.config.calibration import Calibration
 from slam.datasets.corrections import corrected
@@ -85,7 +86,7 @@ def examine(log: Iterable[Measurement], registrations: Registrations | None = No
     config = Config()
     with fewer_frames(log, lambda _, stamps_s: Stretches().choose(stamps_s)):
         samples = Samples.of(log)
-    findings, unknown = _repeated_scans(samples), list[str]()
+    findings, unknown = [*_repeated_scans(samples), *_stamps(samples)], list[str]()
     vouched_for = False  # the IMUs, by a 2D lidar
     wheels = max(samples.wheels.items(), key=lambda item: item[1].count, default=None)
     for name, lidar in samples.lidars.items():
@@ -215,3 +216,20 @@ def _repeated_scans(samples: Samples) -> list[Finding]:
         for name, lidar in samples.lidars.items()
         if lidar.repeated >= FEWEST and 2 * lidar.repeated > lidar.count
     ]
+
+
+def _stamps(samples: Samples) -> list[Finding]:
+    """Lidars whose stamps do not tell when they saw what they say."""
+    found, wheels = list[Finding](), [np.diff(one.rows()[:, 0]) for one in samples.wheels.values()]
+    for name, lidar in samples.lidars.items():
+        count = lidar.count - lidar.repeated
+        slow_s = [lidar.interval_s.median() or 0.0, *(float(np.median(one)) for one in wheels if one.size)]
+        if undated := lidar.undated >= FEWEST and 2 * lidar.undated > count:
+            text = f"{lidar.undated} of {count} scans are stamped no later than the scan before"
+        elif len(slow_s) > 1 and min(slow_s) > FEWEST * GAP_S:
+            text = f"its scans come every {slow_s[0]:.4g} s, the wheels' readings every {slow_s[1]:.4g} s"
+        else:
+            continue
+        effect = "if stamps are no seconds, clocks, speeds and all that was joined over time are wrong"
+        found.append(Finding(name, "stamps", text, effect, sure=undated))
+    return found

@@ -125,6 +125,12 @@ class Relation:
         covariance = self.covariance / scale**2
         return replace(self, alpha=self.alpha / scale, beta=self.beta / scale, covariance=covariance)
 
+    def with_lever_scaled(self, scale: float) -> Relation:
+        """Of ranges and wheels that were both multiplied by a scale."""
+        scales = np.array([1.0, 1.0, scale, scale])
+        covariance = self.covariance * np.outer(scales, scales)
+        return replace(self, beta=self.beta * scale, covariance=covariance)
+
     def with_wheels_turned(self, turned: complex) -> Relation:
         """Of wheels whose steps are turned by a complex number of length one."""
         return replace(self, alpha=self.alpha / turned)

@@ -10,6 +10,7 @@ import numpy as np
 
 from fusion.estimation import FEWEST
 from slam.datasets.corrections import Unwound, repeats
+from slam.datasets.dataset import Thinned
 from slam.doctor.camera_samples import CameraSamples
 from slam.doctor.cloud_samples import CloudSamples
 from slam.doctor.imu import ImuSamples, rising
@@ -57,13 +58,17 @@ class LidarSamples:
     ----------
     stretches
         Lists of scans, each within a few seconds.
-    count, repeated
-        Scans in all, and those that are the one before to the bit.
+    count, repeated, undated
+        Scans in all, those that are the one before to the bit, and others that are stamped no later than it.
+    interval_s
+        From scan to scan.
     """
 
     stretches: list[list[LaserScan]] = field(default_factory=list)
     count: int = 0
     repeated: int = 0
+    undated: int = 0
+    interval_s: Thinned = field(default_factory=Thinned)
     _open: list[LaserScan] = field(default_factory=list)
     _stride: int = 1
     _begun: int = 0
@@ -75,6 +80,9 @@ class LidarSamples:
         if repeats(self._newest, scan) and np.isfinite(scan.ranges_m).any():
             self.repeated += 1
             return
+        if self._newest is not None:
+            self.interval_s.add(scan.stamp_s - self._newest.stamp_s)
+            self.undated += scan.stamp_s <= self._newest.stamp_s
         self._newest = scan
         if self._open:
             since_s = scan.stamp_s - self._open[-1].stamp_s

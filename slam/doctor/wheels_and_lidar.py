@@ -59,6 +59,9 @@ def compare(pair: Pair, tracked: list[ScanMotion], config: Config) -> tuple[list
     if not fits_as_read(wheels, reading, relation, config):
         return [*findings, _unfit(pair)], []
     relation = relation.of_ranges_scaled(pair.range_scale)
+    if pair.range_scale != 1.0 and _in_order(relation):
+        both, relation = _both_lengths(pair, relation)
+        findings += both
     axes, relation, forward = _axes(pair, wheels, reading, relation)
     findings += axes + _mounting(pair, relation, forward, config)
     findings += _lengths(pair, relation)
@@ -320,6 +323,26 @@ def _lengths(pair: Pair, relation: Relation) -> list[Finding]:
             interval=(low, high),
         )
     ]
+
+
+def _both_lengths(pair: Pair, relation: Relation) -> tuple[list[Finding], Relation]:
+    """Ranges beyond those of rooms, and wheels of the same lengths: both in one unit; the relation in metres.
+
+    The lever of the lidar, which is known in metres, tells which; without one only what no lidar reaches.
+    """
+    lever_m = abs(complex(pair.mounting.x(), pair.mounting.y()))
+    told = _unit(lever_m / abs(relation.beta)) if lever_m and relation.beta else None
+    if told is None and pair.range_scale > _UNITS[0]:
+        return [], relation
+    unit = told or _UNITS[0]
+    text = f"its lengths are {1.0 / unit:g} times too long, as are those of"
+    effect, sure = "the map has the wrong size, or there is none", told is not None
+    of_lidar, of_wheels = pair.of_lidar(range_scale=unit), pair.of_wheels(scale=unit)
+    findings = [
+        Finding(pair.lidar, "range scale", f"{text} {pair.wheels}", effect, (of_lidar,), sure, unit),
+        Finding(pair.wheels, "scale", f"{text} {pair.lidar}", effect, (of_wheels,), sure, unit),
+    ]
+    return findings, relation.with_lever_scaled(unit)
 
 
 def _unit(scale: float) -> float | None:

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import special
 
-from fusion.estimation import CONFIDENCE, half_interval
+from fusion.estimation import CONFIDENCE, FEWEST, half_interval
 from fusion.time_alignment import GAP_S, clock_offset, turns_between
 from slam.measurements import FloatArray
 
@@ -147,7 +147,8 @@ class ClockLearner:
     def _stretches(self) -> list[tuple[float, float]]:
         """Where to look, evenly over the run."""
         first_s, last_s = self.turns.oldest_s, self.turns.newest_s
-        count = max(1, int((last_s - first_s) / _STRETCH_S))
+        # Stamps in other units, or a damaged one, must not make more stretches than readings can fill.
+        count = max(1, min(int((last_s - first_s) / _STRETCH_S), len(self.turns) // FEWEST))
         return list(pairwise(np.linspace(first_s, last_s, count + 1).tolist()))
 
     def _offset(self, robot: Turns, first_s: float, last_s: float) -> tuple[float, float] | None:

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
+import gtsam
 import numpy as np
 import pytest
 from flat_worlds import corridor, sweep
@@ -49,6 +51,53 @@ def test_a_mistake_is_named_with_what_mends_it(name: str) -> None:
         return  # nothing mends it, or nobody can tell which of two does
     mended = remedied(Calibration(), findings, only_sure=False)
     assert diagnose(corrected(wrong, mended)) == []
+
+
+def longer(log: Log, factor: float) -> Log:
+    """Ranges and wheels."""
+    return MISTAKES["odometry scaled"].make(MISTAKES["ranges in mm or cm"].make(log, factor), factor)
+
+
+def seated(log: Log, x_m: float) -> Log:
+    """A lidar that is told to sit ahead of where wheels turn by so much."""
+    mount = gtsam.Pose2(x_m, 0.0, 0.0)
+    return [replace(one, T_base_laser=mount) if isinstance(one, LaserScan) else one for one in log]
+
+
+@pytest.mark.parametrize("unit", [1e-3, 1e-2])
+def test_ranges_and_wheels_in_one_wrong_unit_are_both_named(unit: float) -> None:
+    found = diagnose(longer(sound(), 1.0 / unit))
+    assert [(one.kind, one.value, one.sure) for one in found] == [
+        ("range scale", unit, True),
+        ("scale", unit, True),
+    ]
+    mended = remedied(Calibration(), found, only_sure=True)
+    assert diagnose(corrected(longer(sound(), 1.0 / unit), mended)) == []
+
+
+def test_without_a_lever_only_what_no_lidar_reaches_is_told_and_as_perhaps() -> None:
+    at_once = seated(sound(), 0.0)
+    found = diagnose(longer(at_once, 1e3))
+    assert [(one.kind, one.sure) for one in found[:2]] == [("range scale", False), ("scale", False)]
+
+
+def test_wide_places_are_no_wrong_unit() -> None:
+    lever_m = next(one for one in sound() if isinstance(one, LaserScan)).T_base_laser.x()
+    assert diagnose(seated(longer(sound(), 20.0), 20.0 * lever_m)) == []
+
+
+@pytest.mark.parametrize(
+    ("stamp_s", "sure"),
+    [
+        (lambda one_s: 1e3 * one_s, False),
+        (lambda one_s: 1e6 * one_s, False),
+        (lambda one_s: 0.0, True),
+        (lambda one_s: np.floor(one_s), True),
+    ],
+)
+def test_stamps_that_tell_no_time_are_named(stamp_s: Callable[[float], float], sure: bool) -> None:
+    found = diagnose([replace(one, stamp_s=float(stamp_s(one.stamp_s))) for one in sound()])
+    assert [(one.kind, one.sure) for one in found] == [("stamps", sure)]
 
 
 def test_what_two_sensors_cannot_tell_apart_is_not_sure_and_names_both() -> None:

@@ -77,3 +77,10 @@ def test_headings_wrap_and_stamps_that_go_back_tell_nothing() -> None:
     turns.add_turn(5.0, 5.2, 1.0)
     assert turns.newest_s == 5.1
     assert (Turns().oldest_s, Turns().newest_s) == (-np.inf, -np.inf)
+
+
+def test_stamps_in_microseconds_make_no_more_stretches_than_readings_fill() -> None:
+    learner, stamps = ClockLearner(), 0.05 * np.arange(400)
+    for stamp_s, yaw in zip(1e6 * stamps, heading(stamps), strict=True):
+        learner.turns.add(float(stamp_s), float(yaw))
+    assert 1 < len(learner._stretches()) <= 20
