@@ -86,7 +86,8 @@ class LidarSamples:
         self._newest = scan
         if self._open:
             since_s = scan.stamp_s - self._open[-1].stamp_s
-            if 0.0 <= since_s < SPACING_S:
+            # Slack for stamps that jitter.
+            if 0.0 <= since_s < 0.9 * SPACING_S:
                 return
             if not 0.0 <= since_s < FEWEST * SPACING_S or len(self._open) >= FEWEST:
                 self.close()
