@@ -9,6 +9,7 @@ from dataclasses import dataclass, field
 
 import gtsam
 import numpy as np
+from scipy import special
 
 from fusion.estimation import FEWEST, SETTLED, gate, half_interval, median_to_sigma
 from fusion.time_alignment import GAP_S, STEP_S
@@ -136,6 +137,10 @@ def turn_fit(rows: FloatArray, steps: Sequence[SensorStep]) -> TurnFit | None:
     pulls = np.einsum("ij,ij->i", slope, apart)
     left_s = float(pulls.sum() / moved.sum())
     ahead_sigma_s = float(np.linalg.norm(pulls - left_s * moved) / moved.sum())
+    # As wide as Student's interval: three or four steps may have all the weight.
+    alike = float(moved.sum() ** 2 / (moved @ moved))
+    student = float(special.stdtrit(max(alike - 1.0, 1.0), float(special.ndtr(half_interval(1.0)))))
+    ahead_sigma_s *= student / half_interval(1.0)
     best_s += float(np.clip(left_s, -STEP_S, STEP_S))
     # A rotation about an axis is told by what turns about the other two.
     information = np.linalg.eigvalsh(np.trace(spread) * np.eye(3) - spread)[0]

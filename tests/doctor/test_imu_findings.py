@@ -115,6 +115,35 @@ def test_straight_ways_tell_nothing_of_a_clock() -> None:
     assert within >= 14  # with the spread of all steps for that of those which tell, 2
 
 
+def test_a_clock_that_three_turns_tell_is_as_uncertain_as_three_are() -> None:
+    """Nearly all steps turn evenly and tell no time."""
+    rng, within = np.random.default_rng(1), 0
+    stamps_s = np.arange(0.0, 30.0, 0.005)
+    rate = np.interp(
+        stamps_s, [0.0, 5.0, 5.3, 15.0, 15.3, 22.0, 22.3, 30.0], [0, 0, 0.8, 0.8, 0, 0, -0.8, -0.8]
+    )
+    rows = np.column_stack(
+        [stamps_s, np.zeros((len(rate), 2)), rate, np.tile([0.0, 0.0, 9.8], (len(rate), 1))]
+    )
+    angle = np.cumsum(rate) * 0.005
+    for _ in range(40):
+        said = []
+        for begun_s in np.arange(1.0, 29.0, 0.3):
+            turn = float(np.diff(np.interp([begun_s, begun_s + 0.3], stamps_s, angle))[0])
+            off = 2e-3 * rng.standard_normal(3)
+            said.append(
+                SensorStep(
+                    begun_s,
+                    begun_s + 0.3,
+                    gtsam.Pose3(gtsam.Rot3.Rz(turn) * gtsam.Rot3.Expmap(off), np.zeros(3)),
+                )
+            )
+        fit = turn_fit(rows, said)
+        assert fit is not None
+        within += abs(fit.ahead_s) <= half_interval(fit.ahead_sigma_s)
+    assert within >= 24  # as a normal interval 20: errors of so few are still told a little too small
+
+
 @pytest.mark.parametrize("seed", range(6))
 def test_a_robot_that_hardly_turns_tells_of_no_mounting(seed: int) -> None:
     rng = np.random.default_rng(seed)
