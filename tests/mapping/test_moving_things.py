@@ -63,6 +63,7 @@ def on_him(scan: LaserScan, number: int, at: tuple[float, float]) -> FloatArray:
         ([*COMING, *STANDING, *GOING], True),
         (STANDING, False),
         ([None] * 20, False),
+        ([*[None] * 10, STAND, *[None] * 10], False),  # but one scan tells it
     ],
 )
 def test_who_comes_or_goes_is_taken_out_wherever_he_stood_and_nothing_else(
@@ -88,7 +89,7 @@ def test_nobody_is_followed_past_a_moment_that_was_lost() -> None:
 
 
 def test_a_thing_too_wide_for_a_person_never_moves() -> None:
-    wall = [np.concatenate([room(), box(1.0, y, 1.1, y + 1.5)]) for y in np.arange(-1.5, 0.5, 0.1)]
+    wall = [np.concatenate([room(), box(x, -0.7, x + 0.1, 0.7)]) for x in np.arange(2.2, 0.5, -0.1)]
     moving, scans = MovingThings(20.0), []
     for number, world in enumerate(wall):
         scans.append(sweep(world, np.zeros(3), beams=721, stamp_s=0.1 * number))
