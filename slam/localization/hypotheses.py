@@ -156,6 +156,11 @@ class HypothesisSet(Generic[V, N]):
         self.seek()
         self._prune()
 
+    @property
+    def seeking(self) -> bool:
+        """Whether a search is under way."""
+        return self._search is not None
+
     def seek(self) -> None:
         """Go on with the search that is under way, by as much as one reading may cost."""
         if self._search is None:

@@ -90,7 +90,8 @@ class SurfelOdometry:
     def _fits_what_is_known(self, local_map: LocalMap, scan: OrientedPoints, best: Alignment) -> bool:
         """Whether few points agree only because the robot looks at ground that no scan has seen."""
         known = best.inlier_share + local_map.contradicted(scan, best.pose)
-        fits = best.inlier_share >= self._match.confident_inlier_share * known
+        least_share = max(self._match.confident_inlier_share, self._match.least_inlier_share)
+        fits = best.inlier_share >= least_share * known
         return fits and known >= self._least_overlap
 
     def _known(self) -> LocalMap | None:

@@ -127,6 +127,9 @@ def _stretches(sensor: Sensor[Any, Any], path: Side, config: Config) -> Iterator
         if view is None or not hypotheses.due(view, pose):
             continue
         hypotheses.add_keyframe(view, pose, None)
+        # No reading waits here.
+        while hypotheses.seeking:
+            hypotheses.seek()
         members = sorted(hypotheses.members, key=lambda member: -member.total(kidnap_nats))
         now = [(key, member.pose, member.total(kidnap_nats)) for member in members[: config.loops.near]]
         if now and (not likeliest or now[0][2] > likeliest[0][2]):
