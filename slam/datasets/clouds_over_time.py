@@ -61,9 +61,9 @@ class CloudFolder:
                 continue
             account.report.accept("cloud")
             times_s = times.of(cloud.fields, cloud.fields.__getitem__, file.stamp_s)
-            bright = intensities_of(cloud.fields, cloud.fields.__getitem__)
+            intensities = intensities_of(cloud.fields, cloud.fields.__getitem__)
             seen = PointCloud(
-                file.stamp_s, cloud.points_lidar, times_s, self.T_base_lidar, intensities=bright
+                file.stamp_s, cloud.points_lidar, times_s, self.T_base_lidar, intensities=intensities
             )
             yield file.number, seen
         if times.choice:

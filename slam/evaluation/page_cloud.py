@@ -29,19 +29,19 @@ def cloud_data(found: MapContents, cloud: ColoredCloud | None) -> tuple[dict[str
     """The coloured cloud of the images, or else of the 3D lidar, and a line that tells of its size.
 
     Points are (N, 3) in steps of ``step_m`` from ``low``, map frame; ``up`` is the upward direction. A
-    hand-held camera does not know it, yet most of what faces up is a floor or a table. ``bright`` are colours
-    by intensity, where a lidar told any that differ.
+    hand-held camera does not know it, yet most of what faces up is a floor or a table. ``by_intensity`` are
+    colours by intensity, where a lidar told any that differ.
     """
     up = np.array([0.0, 0.0, 1.0])
-    bright: AnyFloatArray | None = None
+    intensities: AnyFloatArray | None = None
     if cloud is not None and len(cloud.points_map):
         total, step = len(cloud.points_map), max(1, -(-len(cloud.points_map) // _POINTS))
         points, colors = cloud.points_map[::step].astype(np.float64), cloud.colors[::step]
-        bright = None if cloud.intensities is None else cloud.intensities[::step]
+        intensities = None if cloud.intensities is None else cloud.intensities[::step]
         if not found.planar and found.clouds is None:
             up = _upward(cloud.normals_map)
     elif found.clouds is not None and len(found.clouds):
-        points, bright, total = _of_keyframes(found.clouds, found)
+        points, intensities, total = _of_keyframes(found.clouds, found)
         colors = by_height(points)
     else:
         return None, []
@@ -50,8 +50,8 @@ def cloud_data(found: MapContents, cloud: ColoredCloud | None) -> tuple[dict[str
     step_m = max(float((high - low).max()), 1e-3) / _STEPS
     steps = np.rint((points[inside] - low) / step_m).astype(np.uint16)
     data = {"points": steps, "colors": colors[inside], "low": low, "step_m": step_m, "up": up}
-    if bright is not None and np.ptp(bright := np.nan_to_num(bright[inside])):
-        data["bright"] = ramp(bright)
+    if intensities is not None and np.ptp(intensities := np.nan_to_num(intensities[inside])):
+        data["by_intensity"] = ramp(intensities)
     return data, [f"The cloud: {len(steps):,} of {total:,} points, evenly taken."]
 
 
@@ -64,8 +64,8 @@ def _of_keyframes(clouds: MapClouds, found: MapContents) -> tuple[FloatArray, Fl
         rows = rows[:: max(1, -(-len(rows) // share))]
         parts.append(moved(rows, spatial(pose)))
         told.append(rows[:, 3] if rows.shape[1] > 3 else np.full(len(rows), np.nan))
-    bright = np.concatenate(told)
-    return np.vstack(parts), None if np.isnan(bright).all() else bright, total
+    intensities = np.concatenate(told)
+    return np.vstack(parts), None if np.isnan(intensities).all() else intensities, total
 
 
 def _upward(normals: NDArray[np.float32]) -> FloatArray:

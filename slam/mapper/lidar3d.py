@@ -151,9 +151,9 @@ class CloudLidar:
         self._stamps_s.append(self._stamp_s)
         self._tracker.add_keyframe(tracked)
         kept_m = min(_KEPT_SHARE * self._tracker.voxel_m, self._config.grid.resolution_m)
-        rows, bright = tracked.points, self._tracker.intensities()
-        if bright is not None:
-            rows = np.column_stack([rows, bright])
+        rows, intensities = tracked.points, self._tracker.intensities()
+        if intensities is not None:
+            rows = np.column_stack([rows, intensities])
         self._clouds.add(self._stamp_s, thinned(rows, kept_m), self._T_base_lidar)
         self._cameras.add_keyframe(key, self._stamp_s, tracked.points, self._T_base_lidar)
         residual_m = np.nan if tracked.motion is None else tracked.motion.residual_m

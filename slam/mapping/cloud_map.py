@@ -84,8 +84,8 @@ class CloudTiles:
             away = np.einsum("ij,ij->i", normals, self._path[rows[:, 3].astype(np.int64)] - points) < 0.0
             normals[away] *= -1.0
             colors = by_height(points, self._usual)
-            bright = rows[:, 4].astype(np.float32) if self._columns > 4 else None
-            return ColoredCloud(points.astype(np.float32), colors, normals.astype(np.float32), bright)
+            intensities = rows[:, 4].astype(np.float32) if self._columns > 4 else None
+            return ColoredCloud(points.astype(np.float32), colors, normals.astype(np.float32), intensities)
 
         return prefetched((self._rows(tile) for tile in self._tiles), colored, most_waiting=1)
 

@@ -292,9 +292,9 @@ class Exports:
                 begun_s if found.clouds is None else found.clouds.stamp_s(n),
                 moved(points.astype(np.float64), pose),
                 colors,
-                bright,
+                intensities,
             )
-            for n, (_, pose, points, colors, bright) in enumerate(self._scans())
+            for n, (_, pose, points, colors, intensities) in enumerate(self._scans())
         )
         seen = found.frames is not None or found.clouds is not None
         folder = folder / "results" if folder.exists() else folder.with_suffix("")

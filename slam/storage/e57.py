@@ -41,10 +41,10 @@ def write_e57(
     try:
         with replacing(path) as temporary:
             file = pye57.E57(str(temporary), mode="w")
-            for name, pose, points, colors, bright in scans:
+            for name, pose, points, colors, intensities in scans:
                 columns: dict[str, Any] = {f"cartesian{axis}": points[:, k] for k, axis in enumerate("XYZ")}
-                if bright is not None:
-                    columns["intensity"] = bright
+                if intensities is not None:
+                    columns["intensity"] = intensities
                 if colors is not None:
                     columns |= {
                         f"color{name}": colors[:, k] for k, name in enumerate(("Red", "Green", "Blue"))

@@ -105,12 +105,12 @@ def _joined(parts: Iterable[ColoredCloud]) -> ColoredCloud:
         np.zeros((0, 3), np.float32), np.zeros((0, 3), np.uint8), np.zeros((0, 3), np.float32)
     )
     held = [nothing, *parts]
-    bright = [part.intensities for part in held if part.intensities is not None]
+    intensities = [part.intensities for part in held if part.intensities is not None]
     return ColoredCloud(
         np.concatenate([part.points_map for part in held]),
         np.concatenate([part.colors for part in held]),
         np.concatenate([part.normals_map for part in held]),
-        np.concatenate(bright) if bright else None,
+        np.concatenate(intensities) if intensities else None,
     )
 
 

@@ -90,8 +90,8 @@ def write_results_bag(
             for stamp_s, pose, message in zip(stamps_s, poses, stamped, strict=True):
                 send("/pose", stamp_s, message)
                 send("/tf", stamp_s, ros.transforms(stamp_s, _MAP, {_BASE: pose}))
-            for stamp_s, placed, colors, bright in points:
-                rows = _rows(placed, colors, bright)
+            for stamp_s, placed, colors, intensities in points:
+                rows = _rows(placed, colors, intensities)
                 send("/points", stamp_s, ros.cloud_message(rows, stamp_s, _MAP))
     except (WriterError, OSError) as error:
         raise MapFileError(f"cannot write {folder}: {error}; give a folder that is not there yet") from error

@@ -14,7 +14,7 @@ _NAMES = ("x", "y", "z", "normal_x", "normal_y", "normal_z")
 _FIELDS = (*_NAMES, "rgb", "label")
 _ROW = np.dtype([*((name, "<f4") for name in _NAMES), ("rgb", "<u4"), ("label", "<u4")])
 _INTENSITY = "intensity"
-_BRIGHT_ROW = np.dtype([*_ROW.descr, (_INTENSITY, "<f4")])
+_INTENSITY_ROW = np.dtype([*_ROW.descr, (_INTENSITY, "<f4")])
 _GROUND = 2  # as in LAS; else 1
 
 
@@ -31,16 +31,16 @@ def write_pcd(path: Path, cloud: ColoredCloud, is_ground: BoolArray) -> None:
     MapFileError
         Where the file cannot be written.
     """
-    count, bright = len(cloud.points_map), cloud.intensities
-    fields, row = (_FIELDS, _ROW) if bright is None else ((*_FIELDS, _INTENSITY), _BRIGHT_ROW)
+    count, intensities = len(cloud.points_map), cloud.intensities
+    fields, row = (_FIELDS, _ROW) if intensities is None else ((*_FIELDS, _INTENSITY), _INTENSITY_ROW)
     rows = np.empty(count, row)
     for name, values in zip(_NAMES, np.hstack([cloud.points_map, cloud.normals_map]).T, strict=True):
         rows[name] = values
     red, green, blue = cloud.colors.T.astype(np.uint32)
     rows["rgb"] = red << 16 | green << 8 | blue
     rows["label"] = np.where(is_ground, _GROUND, 1)
-    if bright is not None:
-        rows[_INTENSITY] = bright
+    if intensities is not None:
+        rows[_INTENSITY] = intensities
     header = [
         "# .PCD v0.7 - Point Cloud Data file format",
         "VERSION 0.7",

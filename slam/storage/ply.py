@@ -80,7 +80,7 @@ def read_cloud_ply(path: Path) -> ColoredCloud:
         points, normals, colors = (
             np.column_stack([columns[name] for name in names]) for names in (_POSITION, _NORMAL, _COLOR)
         )
-        bright = columns.get(_INTENSITY)
+        intensities = columns.get(_INTENSITY)
         if colors.dtype != np.uint8:
             raise ValueError(f"colours of type {colors.dtype}, not uchar")
     except OSError as error:
@@ -89,7 +89,7 @@ def read_cloud_ply(path: Path) -> ColoredCloud:
         raise MapFileError(f"{path}: points without {error}; wanted are normals and colours") from error
     except ValueError as error:
         raise MapFileError(f"{path}: {error}; save the map again") from error
-    told = None if bright is None else bright.astype(np.float32)
+    told = None if intensities is None else intensities.astype(np.float32)
     return ColoredCloud(points.astype(np.float32), colors, normals.astype(np.float32), told)
 
 
@@ -97,8 +97,8 @@ def _vertices(
     points: Float32Array, normals: Float32Array, colors: Colors, intensities: Float32Array | None = None
 ) -> NDArray[np.void]:
     """Points as rows of a file."""
-    bright = [] if intensities is None else [(_INTENSITY, "<f4")]
-    rows = np.empty(len(points), [*_VERTEX.descr, *bright])
+    last = [] if intensities is None else [(_INTENSITY, "<f4")]
+    rows = np.empty(len(points), [*_VERTEX.descr, *last])
     if intensities is not None:
         rows[_INTENSITY] = intensities
     for names, values in ((_POSITION, points), (_NORMAL, normals), (_COLOR, colors)):

@@ -159,8 +159,8 @@ def test_a_map_of_a_3d_lidar_has_a_cloud_of_a_stated_size(tmp_path: Path) -> Non
     assert not data["planar"] and data["nodes"]["poses"].shape == (60, 7)
     assert 150_000 < len(data["cloud"]["points"]) <= 200_000 and "THREE" in html
     assert any(line.startswith("The cloud: ") and "of 1,200,000 points" in line for line in data["limits"])
-    blue, red = data["cloud"]["bright"].min(axis=0), data["cloud"]["bright"].max(axis=0)
-    assert len(data["cloud"]["bright"]) == len(data["cloud"]["points"]) and (blue < red).all()
+    blue, red = data["cloud"]["by_intensity"].min(axis=0), data["cloud"]["by_intensity"].max(axis=0)
+    assert len(data["cloud"]["by_intensity"]) == len(data["cloud"]["points"]) and (blue < red).all()
     high = data["cloud"]["low"] + data["cloud"]["step_m"] * data["cloud"]["points"].max(axis=0)
     # Cubes of 6 m that are turned and moved by the way.
     assert (high > [4.0, 4.0, 2.9]).all() and (high < [5.8, 5.5, 3.0]).all()

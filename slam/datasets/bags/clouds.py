@@ -63,9 +63,9 @@ class CloudReader:
         chosen = slice(None) if valid.all() else valid
         names = rows.dtype.names or ()
         times_s = self.times.of(names, lambda name: rows[name][chosen], stamp_s)
-        bright = intensities_of(names, lambda name: rows[name][chosen])
+        intensities = intensities_of(names, lambda name: rows[name][chosen])
         kept = np.ascontiguousarray(points[chosen])
-        return PointCloud(stamp_s, kept, times_s, self.T_base_lidar, self.topic, bright)
+        return PointCloud(stamp_s, kept, times_s, self.T_base_lidar, self.topic, intensities)
 
 
 @dataclass(slots=True)
@@ -107,8 +107,10 @@ class TurnReader:
         ]
         points = np.concatenate([one.points_lidar for one in pieces])
         told = [one.intensities for one in pieces if one.intensities is not None]
-        bright = np.concatenate(told) if len(told) == len(pieces) else None
-        return [replace(pieces[0], points_lidar=points, times_s=np.concatenate(times_s), intensities=bright)]
+        intensities = np.concatenate(told) if len(told) == len(pieces) else None
+        return [
+            replace(pieces[0], points_lidar=points, times_s=np.concatenate(times_s), intensities=intensities)
+        ]
 
 
 def direction_rad(points: Float32Array) -> float:

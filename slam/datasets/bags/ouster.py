@@ -57,7 +57,7 @@ class Ouster:
     _first_ns: int = 0
     _stamps_ns: NDArray[Any] = field(default_factory=lambda: np.zeros(0, np.int64))
     _steps: NDArray[Any] = field(default_factory=lambda: np.zeros(0, np.uint32))
-    _bright: NDArray[Any] = field(default_factory=lambda: np.zeros(0, np.uint16))
+    _intensities: NDArray[Any] = field(default_factory=lambda: np.zeros(0, np.uint16))
 
     def add(self, recorded_s: float, packet: bytes) -> SimpleNamespace | None:
         """The turn that a packet completes, with the fields of a PointCloud2; None where it completes none.
@@ -93,10 +93,10 @@ class Ouster:
             self._frame, self._first_ns = frame, first_ns
             self._stamps_ns = np.full(len(model.sent), -1, np.int64)
             self._steps = np.zeros(model.ahead.shape[:2], np.uint32)
-            self._bright = np.zeros(model.ahead.shape[:2], np.uint16)
+            self._intensities = np.zeros(model.ahead.shape[:2], np.uint16)
         self._stamps_ns[numbers] = stamps_ns
         self._steps[numbers] = columns["pixels"]["steps"] & model.bits
-        self._bright[numbers] = columns["pixels"]["bright"]
+        self._intensities[numbers] = columns["pixels"]["intensity"]
         return self.rest() if before is None and (self._stamps_ns[model.sent] >= 0).all() else before
 
     def rest(self) -> SimpleNamespace | None:
@@ -122,7 +122,7 @@ class Ouster:
         first_ns = int(self._stamps_ns[self._stamps_ns >= 0].min())
         times_s = (self._stamps_ns[at] - first_ns) * 1e-9
         columns = {axis: points[:, k] for k, axis in enumerate("xyz")}
-        columns |= {"time": times_s, "intensity": self._bright[at, row]}
+        columns |= {"time": times_s, "intensity": self._intensities[at, row]}
         return as_cloud(header_at(self._stamp_s(first_ns), FRAMES[1]), columns)
 
     def imu(self, recorded_s: float, packet: bytes) -> SimpleNamespace:

@@ -128,9 +128,14 @@ def _model(told: dict[str, Any]) -> OusterModel:
 
 def _packet(profile: str, rows: int, each: int) -> np.dtype[Any]:
     """The structured type of a packet of so many columns."""
-    size, form, _, _, bright, at = _PIXELS[profile]
+    size, form, _, _, intensities, at = _PIXELS[profile]
     pixel = np.dtype(
-        {"names": ["steps", "bright"], "formats": [form, bright], "offsets": [0, at], "itemsize": size}
+        {
+            "names": ["steps", "intensity"],
+            "formats": [form, intensities],
+            "offsets": [0, at],
+            "itemsize": size,
+        }
     )
     column: list[Any] = [("stamp_ns", "<u8"), ("number", "<u2")]
     if profile == "LEGACY":

@@ -3,7 +3,7 @@
 (S => {
   const element = S.element;
 
-  function scene(canvas, {points, colors, bright, low, step_m, up}) {
+  function scene(canvas, {points, colors, by_intensity, low, step_m, up}) {
     const renderer = new THREE.WebGLRenderer({canvas, antialias: true, alpha: true});
     renderer.outputColorSpace = "srgb-linear"; // the colours are shown as they are told
     renderer.setClearColor(0, 0);
@@ -56,7 +56,7 @@
       geometry.setAttribute("color", new THREE.BufferAttribute(values, 3, true));
       render();
     };
-    return {count, home, bright: bright && (on => paint(on ? bright : colors)), larger: times => {
+    return {count, home, byIntensity: by_intensity && (on => paint(on ? by_intensity : colors)), larger: times => {
       material.size *= times;
       render();
     }};
@@ -80,13 +80,13 @@
     const brightness = element("button", {type: "button", id: "cloud-intensity", textContent: "By intensity", ariaPressed: "false", onclick: () => {
       const on = brightness.ariaPressed !== "true";
       brightness.ariaPressed = String(on);
-      shown.bright(on);
+      shown.byIntensity(on);
     }});
     section.firstChild.append(
       element("button", {type: "button", id: "cloud-home", textContent: "Whole cloud", onclick: shown.home}),
       element("button", {type: "button", id: "cloud-larger", textContent: "Larger points", onclick: () => shown.larger(1.4)}),
       element("button", {type: "button", id: "cloud-smaller", textContent: "Smaller points", onclick: () => shown.larger(1 / 1.4)}),
-      ...shown.bright ? [brightness] : [],
+      ...shown.byIntensity ? [brightness] : [],
       element("span", {class: "soft", textContent: `${S.count(shown.count)} points; drag to turn, right button to shift, wheel to come nearer`}),
     );
   }, 64);
