@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from fusion.time_alignment import GAP_S
 from slam.config import Config
 from slam.errors import DatasetError, GraphError
+from slam.estimates import Trajectory
 from slam.graph.edge import Edge, EdgeKind
 from slam.graph.keyframe_graph import KeyframeGraph
 from slam.graph.loop_closure import LoopCandidate
@@ -25,7 +26,12 @@ from slam.mapper.scan_record import ScanRecorder
 from slam.mapper.tags import PlaceAnchors
 from slam.measurements import FloatArray, GnssFix
 from slam.storage.map_contents import MapContents, SavedFactor, clock_sigma_s
-from slam.trajectory.carried import carried_covariances, late_covariances, unseen_covariances
+from slam.trajectory.carried import (
+    carried_covariances,
+    grown_covariances,
+    late_covariances,
+    unseen_covariances,
+)
 
 
 class Mapper:
@@ -172,12 +178,9 @@ class Mapper:
             result.warnings += self._places.warnings
         if self._gnss.unused:
             result.unused[self._gnss.sensor] = self._gnss.unused
-        begun_s, limits = (
-            scans.stamps_s[0],
-            (self._config.match.search_half_width_m, self._config.loops.reach_m),
-        )
-        result.warnings += _apart(graph.pieces(outcome.kept), result.map.stamps_s - begun_s)
-        result.warnings += _unseen(trajectory.stamps_s - begun_s, placed, covariances, *limits)
+        result.warnings += _apart(graph.pieces(outcome.kept), result.map.stamps_s - scans.stamps_s[0])
+        limits = self._config.match.search_half_width_m, self._config.loops.reach_m
+        result.warnings += _unseen(trajectory, placed, covariances, *limits)
         return result
 
     @property
@@ -239,33 +242,34 @@ def _apart(pieces: NDArray[np.int64], stamps_s: FloatArray) -> list[str]:
 
 
 def _unseen(
-    stamps_s: FloatArray, placed: NDArray[np.int64], covariances: FloatArray, most_m: float, lever_m: float
+    trajectory: Trajectory, placed: NDArray[np.int64], covariances: FloatArray, most_m: float, lever_m: float
 ) -> list[str]:
     """A warning where no scan was placed for a while, and poses became more uncertain than a match mends.
 
     Parameters
     ----------
-    stamps_s, covariances
-        (N,) since the start, and (N, d, d), of all poses.
+    covariances
+        (N, d, d) of all poses.
     placed
         (S,) numbers of those that a scan has placed.
     most_m, lever_m
         As uncertain as that may be what lies so far from the robot.
     """
-    variances_m2 = covariances[:, 0, 0] + covariances[:, 1, 1]
-    off_m2 = variances_m2 + lever_m**2 * covariances[:, -1, -1]
     found = []
-    for gap in np.flatnonzero(np.diff(stamps_s[placed]) > GAP_S):
-        first, last = placed[gap], placed[gap + 1]
-        at = first + int(off_m2[first : last + 1].argmax())
-        if off_m2[at] - off_m2[first] > most_m**2:
-            found.append((off_m2[at] - off_m2[first], at, first, last))
+    for gap in np.flatnonzero(np.diff(trajectory.stamps_s[placed]) > GAP_S):
+        first, last = int(placed[gap]), int(placed[gap + 1])
+        grown = np.diagonal(grown_covariances(trajectory, covariances, first, last), axis1=1, axis2=2)
+        variances = np.column_stack([grown[:, 0] + grown[:, 1], grown[:, -1]]).clip(0.0)
+        off_m2 = variances @ [1.0, lever_m**2]
+        at = int(off_m2.argmax())
+        if off_m2[at] > most_m**2:
+            found.append((float(off_m2[at]), first, last, *np.sqrt(variances[at]).tolist()))
     if not found:
         return []
-    _, at, first, last = max(found)
+    _, first, last, position_m, turn_rad = max(found)
+    from_s, to_s = trajectory.stamps_s[[first, last]] - trajectory.stamps_s[0]
     others = f", and {len(found) - 1} times more" if len(found) > 1 else ""
-    position_m, turn_rad = np.sqrt([variances_m2[at], covariances[at, -1, -1]])
     return [
-        f"No scan was placed from {stamps_s[first]:.1f} to {stamps_s[last]:.1f} s{others}: poses there are "
+        f"No scan was placed from {from_s:.1f} to {to_s:.1f} s{others}: against what was before, poses are "
         f"uncertain by up to {position_m:.2f} m and {np.degrees(turn_rad):.1f} degrees (one sigma)"
     ]

@@ -399,19 +399,9 @@ class MotionTracker:
     def _judge(self, motion: MotionEstimate, gyro: GyroMoment | None) -> None:
         """Let a match that is certain score the predictors."""
         last = self._last
-        if motion.degenerate:
+        if motion.inlier_share < _JUDGE_INLIER_SHARE or motion.degenerate:
             return
         pose = row_from_pose2(motion.T_reference_base)
-        if (
-            self._wheels is not None
-            and self._by_wheels.guesses
-            and last is not None
-            and last.motion is not None
-        ):
-            guess = self._by_wheels.guesses[0].pose
-            self._wheels.learn_scale(between(last.pose, guess), between(last.pose, pose))
-        if motion.inlier_share < _JUDGE_INLIER_SHARE:
-            return
         if self._gyro is not None:
             self._gyro.learn(gyro, float(pose[2]), float(motion.covariance[2, 2]))
         if last is None:
@@ -424,3 +414,6 @@ class MotionTracker:
             return
         if not self._wheels.moved:
             self._wheels.dead |= math.hypot(pose[0], pose[1]) > self._noise.search_half_width_m
+        if self._by_wheels.guesses and last.determined:
+            guess = self._by_wheels.guesses[0].pose
+            self._wheels.learn_scale(between(last.pose, guess), between(last.pose, pose))

@@ -8,7 +8,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from fusion.estimation import FEWEST, TINY
 from fusion.time_alignment import GAP_S
 from slam.config.stages import WheelConfig
 from slam.matching.motion import Motion
@@ -47,9 +46,8 @@ class WheelTracker:
     def __init__(self, config: WheelConfig, gyro: YawGyro | None = None) -> None:
         self._config, self._gyro = config, gyro
         self._gaps = WheelGaps()
-        # Way as told and as matched since the last metre was full, and what each of the last metres was.
-        self._told_m = self._true_m = self._learned_m = 0.0
-        self._ratios: deque[float] = deque(maxlen=FEWEST**2)
+        # Sums over steps; what they begin with holds the scale at one until some metres are known.
+        self._told_m2 = self._true_m2 = 1.0
         self._scale = np.ones(3)
         self._clocks = ClockLearner()
         # Stamps and poses (3,) of the last while, stamps rising; the newest first.
@@ -155,20 +153,15 @@ class WheelTracker:
     def learn_scale(self, step: FloatArray, matched: FloatArray) -> None:
         """Learn what a metre of the wheels is from a step (3,) as `motion` told it and as it was matched.
 
-        The median of all metres of which both tell much the same: some matches are wrong.
+        Least squares over all steps of which both tell much the same.
         """
-        told = math.hypot(step[0], step[1])
-        along = float(step[:2] @ matched[:2]) / max(told, TINY)
-        if abs(along - told) > self._config.distance_share * told:
+        told, true = math.hypot(step[0], step[1]), float(np.hypot(matched[0], matched[1]))
+        if abs(true - told) > self._config.distance_share * told or step[:2] @ matched[:2] <= 0.0:
             return
-        self._told_m += told / self._scale[0]
-        self._true_m += along
-        if self._told_m >= 1.0:
-            self._ratios.append(self._true_m / self._told_m)
-            self._learned_m += self._told_m
-            self._told_m = self._true_m = 0.0
-            if self._learned_m >= FEWEST:
-                self._scale[:2] = np.median(self._ratios)
+        told /= self._scale[0]
+        self._told_m2 += told * told
+        self._true_m2 += told * true
+        self._scale[:2] = self._true_m2 / self._told_m2
 
     def pose_at(self, stamp_s: float, *, in_order: bool = True) -> FloatArray | None:
         """Pose (3,) in the odom frame at a stamp of the lidar's clock; None before any reading.

@@ -111,6 +111,19 @@ def unseen_covariances(
     return covariances if wheels is None else _moved(covariances, _from(trajectory, seen))
 
 
+def grown_covariances(trajectory: Trajectory, covariances: FloatArray, first: int, last: int) -> FloatArray:
+    """(last - first + 1, d, d) by how much poses are more uncertain than if the first held them rigidly.
+
+    Parameters
+    ----------
+    covariances
+        (N, d, d) of all poses, along the axes of the map.
+    """
+    rows = np.arange(first, last + 1)
+    held = np.repeat(covariances[[first]], len(rows), axis=0)
+    return covariances[rows] - _moved(held, _from(trajectory, np.full(len(trajectory), first))[rows])
+
+
 def late_covariances(trajectory: Trajectory, held: int, sessions: Sequence[tuple[int, float]]) -> FloatArray:
     """What an error that a session's stamps share does to the poses of a robot on a floor, one of them held.
 
