@@ -10,7 +10,8 @@ from slam.matching.motion import Motion
 from slam.matching.planar import compose
 from slam.matching.scan_points import ScanPoints
 from slam.measurements import FloatArray, WheelOdometry, pose2_from_row
-from slam.odometry.motion_tracker import MotionTracker, TrackedScan
+from slam.odometry.motion_tracker import MotionTracker
+from slam.odometry.tracked_scan import TrackedScan
 from slam.odometry.wheel_tracker import WheelMoment, WheelTracker
 
 NOTHING = ScanPoints(np.zeros((0, 2), np.float32), np.zeros((0, 2), np.float32))

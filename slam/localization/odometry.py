@@ -16,8 +16,9 @@ from slam.measurements import FloatArray, PointCloud, Pose, WheelOdometry, pose2
 from slam.odometry.clock_learner import Turns
 from slam.odometry.cloud_tracker import CloudTracker, TrackedCloud
 from slam.odometry.constant_velocity import repeated
-from slam.odometry.motion_tracker import MotionTracker, TrackedScan
+from slam.odometry.motion_tracker import MotionTracker
 from slam.odometry.surfel_odometry import SurfelOdometry
+from slam.odometry.tracked_scan import TrackedScan
 from slam.odometry.wheel_tracker import WheelTracker
 
 # So many readings in a row that match nothing cut the thread: wheels do not tell that a robot is kidnapped.

@@ -36,7 +36,8 @@ from slam.odometry import STANDARD, Odometries
 from slam.odometry.cached_odometry import CachedOdometry
 from slam.odometry.clock_learner import Turns
 from slam.odometry.gyro_yaw import YawGyro
-from slam.odometry.motion_tracker import MotionTracker, TrackedScan
+from slam.odometry.motion_tracker import MotionTracker
+from slam.odometry.tracked_scan import TrackedScan
 from slam.odometry.wheel_tracker import WheelTracker
 from slam.trajectory.readings import Readings
 from slam.vision.color_registration import ColorRegistration

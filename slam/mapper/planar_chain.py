@@ -18,7 +18,8 @@ from slam.mapper.robot_cameras import CameraPoses, CameraStep, RobotCameras
 from slam.matching.motion import Motion
 from slam.matching.planar import between, compose
 from slam.measurements import FloatArray, pose2_from_row, row_from_pose2
-from slam.odometry.motion_tracker import MotionTracker, TrackedScan
+from slam.odometry.motion_tracker import MotionTracker
+from slam.odometry.tracked_scan import TrackedScan
 from slam.odometry.wheel_tracker import WheelTracker
 
 # A keyframe that matched nothing was guessed to this share of a step that nothing measured.

@@ -12,7 +12,7 @@ from __future__ import annotations
 import math
 from collections import deque
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -29,6 +29,7 @@ from slam.odometry.constant_velocity import repeated
 from slam.odometry.gyro_yaw import GyroMoment, YawGyro
 from slam.odometry.lidar_odometry import LidarOdometry
 from slam.odometry.predictor import Predictor
+from slam.odometry.tracked_scan import TrackedScan
 from slam.odometry.wheel_tracker import SHORTEST_STEP_S, WheelMoment, WheelTracker, thrown_aside
 
 # What a scan and another sensor differ by though both are right: x, y, yaw.
@@ -43,47 +44,6 @@ _LEAST_SHARE = 0.02
 _WINDOW_S = 1.0
 # Only a match that this share of the points agrees with may judge a predictor.
 _JUDGE_INLIER_SHARE = 0.8
-
-
-@dataclass(frozen=True, slots=True)
-class TrackedScan:
-    """Where a scan was taken, in the odometry frame.
-
-    Attributes
-    ----------
-    pose
-        (3,) x, y, yaw of the base.
-    motion
-        The lidar match; None where nothing fitted and the pose is dead reckoning.
-    wheels
-        Where the wheels alone say that the robot was; None without wheels.
-    dispute
-        (3, 3) covariance on top of the match's where wheels contradicted it and neither is likelier by far;
-        zero otherwise.
-    gyro
-        How far the gyroscope had turned; None without one.
-    """
-
-    pose: FloatArray
-    motion: MotionEstimate | None
-    wheels: WheelMoment | None
-    dispute: FloatArray
-    gyro: GyroMoment | None = None
-
-    @property
-    def open(self) -> bool:
-        """Whether the lidar matched, and left a direction open, as along a corridor."""
-        return self.motion is not None and self.motion.degenerate
-
-    @property
-    def determined(self) -> bool:
-        """Whether it matched in all directions."""
-        return self.motion is not None and not self.open
-
-    @property
-    def confident(self) -> bool:
-        """Whether the lidar matched and nothing contradicts it; the first scan is the origin, and sure."""
-        return not self.dispute.any() and (self.motion is not None or not self.pose.any())
 
 
 class MotionTracker:

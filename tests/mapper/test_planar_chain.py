@@ -19,7 +19,7 @@ from slam.mapper.tags import TagFinder
 from slam.matching.motion import Motion
 from slam.measurements import FloatArray, pose2_from_row
 from slam.odometry.clock_learner import Turns
-from slam.odometry.motion_tracker import TrackedScan
+from slam.odometry.tracked_scan import TrackedScan
 
 CONFIG = GraphConfig()
 CONFIDENT = np.eye(3) * 0.01**2

@@ -11,7 +11,8 @@ from slam.matching.motion import Motion
 from slam.matching.planar import between, compose
 from slam.matching.scan_points import ScanPoints
 from slam.measurements import FloatArray, WheelOdometry, pose2_from_row
-from slam.odometry.motion_tracker import MotionTracker, TrackedScan
+from slam.odometry.motion_tracker import MotionTracker
+from slam.odometry.tracked_scan import TrackedScan
 from slam.odometry.wheel_tracker import WheelTracker
 
 SOME = ScanPoints(np.zeros((250, 2), np.float32), np.zeros((250, 2), np.float32))

@@ -16,9 +16,10 @@ from slam.matching.motion import Motion
 from slam.matching.planar import between, compose
 from slam.matching.scan_points import ScanPoints
 from slam.measurements import FloatArray, WheelOdometry, row_from_pose2
-from slam.odometry.motion_tracker import MotionTracker, TrackedScan
+from slam.odometry.motion_tracker import MotionTracker
 from slam.odometry.predictor import Predictor
 from slam.odometry.surfel_odometry import SurfelOdometry
+from slam.odometry.tracked_scan import TrackedScan
 from slam.odometry.wheel_tracker import WheelTracker
 
 
