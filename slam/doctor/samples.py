@@ -14,7 +14,6 @@ from slam.datasets.dataset import Thinned
 from slam.doctor.camera_samples import CameraSamples
 from slam.doctor.cloud_samples import CloudSamples
 from slam.doctor.imu import ImuSamples, rising
-from slam.doctor.stretches import LEAST_STEP_S
 from slam.measurements import (
     FloatArray,
     ImuReading,
@@ -25,7 +24,7 @@ from slam.measurements import (
     WheelOdometry,
 )
 
-# Between scans of a stretch: a robot hardly moves meanwhile.
+# Scans of a stretch lie no nearer: a robot hardly moves between.
 SPACING_S = 0.1
 _STRETCHES = 2 * FEWEST
 
@@ -87,7 +86,7 @@ class LidarSamples:
         self._newest = scan
         if self._open:
             since_s = scan.stamp_s - self._open[-1].stamp_s
-            if 0.0 <= since_s < LEAST_STEP_S:
+            if 0.0 <= since_s < SPACING_S:
                 return
             if not 0.0 <= since_s < FEWEST * SPACING_S or len(self._open) >= FEWEST:
                 self.close()

@@ -21,7 +21,6 @@ from slam.doctor.diagnosis import diagnose, examine
 from slam.doctor.finding import Finding, remedied
 from slam.doctor.own_body import blocked_beams
 from slam.doctor.relation import relate
-from slam.doctor.samples import LidarSamples
 from slam.doctor.wheel_steps import Reading, WheelSteps
 from slam.doctor.wheels_and_lidar import fits_as_read
 from slam.mapper.pipeline import settled
@@ -99,16 +98,6 @@ def test_wide_places_are_no_wrong_unit() -> None:
 def test_stamps_that_tell_no_time_are_named(stamp_s: Callable[[float], float], sure: bool) -> None:
     found = diagnose([replace(one, stamp_s=float(stamp_s(one.stamp_s))) for one in sound()])
     assert [(one.kind, one.sure) for one in found] == [("stamps", sure)]
-
-
-def test_stamps_that_jitter_cost_no_scans() -> None:
-    scan, rng = next(one for one in sound() if isinstance(one, LaserScan)), np.random.default_rng(0)
-    samples = LidarSamples()
-    for n in range(200):
-        ranges_m = scan.ranges_m + np.float32(0.001 * n)
-        samples.add(replace(scan, stamp_s=0.1 * n + rng.normal(0.0, 0.002), ranges_m=ranges_m))
-    samples.close()
-    assert sum(map(len, samples.stretches)) > 190
 
 
 def test_what_two_sensors_cannot_tell_apart_is_not_sure_and_names_both() -> None:
