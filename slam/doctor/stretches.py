@@ -8,8 +8,10 @@ from dataclasses import dataclass
 
 from fusion.time_alignment import GAP_S
 
-# Seconds of a stretch, readings a second in it, stretches that are kept: between half as many and so many.
-_LASTS_S, _RATE_HZ, _MOST = 2.0, 10.0, 12
+# Seconds of a stretch, stretches that are kept: between half as many and so many.
+_LASTS_S, _MOST = 2.0, 12
+# Readings lie no nearer: ten a second, with slack for stamps that jitter.
+_LEAST_STEP_S = 0.09
 
 
 @dataclass(slots=True)
@@ -52,11 +54,10 @@ class Stretches:
                 self.thinned = True
                 self._stride *= 2
             return True
-        # Slack for stamps that jitter.
         if self._number % self._stride:
             self._newest_s = stamp_s
             return False
-        if since_s < 0.9 / _RATE_HZ:
+        if since_s < _LEAST_STEP_S:
             return False
         self._newest_s = stamp_s
         return True
