@@ -119,9 +119,9 @@ def grown_covariances(trajectory: Trajectory, covariances: FloatArray, first: in
     covariances
         (N, d, d) of all poses, along the axes of the map.
     """
-    rows = np.arange(first, last + 1)
-    held = np.repeat(covariances[[first]], len(rows), axis=0)
-    return covariances[rows] - _moved(held, _from(trajectory, np.full(len(trajectory), first))[rows])
+    rows = slice(first, last + 1)
+    shifts = trajectory.positions_m[rows] - trajectory.positions_m[first]
+    return covariances[rows] - _moved(np.repeat(covariances[[first]], len(shifts), axis=0), shifts)
 
 
 def late_covariances(trajectory: Trajectory, held: int, sessions: Sequence[tuple[int, float]]) -> FloatArray:
