@@ -340,9 +340,7 @@ def test_constant_velocity_leads_no_more_after_a_while() -> None:
 @pytest.mark.parametrize(
     ("gap_s", "wheels", "variance"), [(5.9, False, 12.0), (5.9, True, 0.0), (0.3, False, 0.0)]
 )
-def test_a_match_after_a_gap_that_nothing_bridges_may_be_a_place_that_looks_the_same(
-    gap_s: float, wheels: bool, variance: float
-) -> None:
+def test_a_gap_that_nothing_bridges_leaves_a_match_open(gap_s: float, wheels: bool, variance: float) -> None:
     """1 m/s as a rule: anywhere within the way of then, evenly spread."""
     run = Run(wheels=wheels)
     run.see_the_truth()
