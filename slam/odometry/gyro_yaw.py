@@ -96,7 +96,9 @@ class YawGyro:
     def turn(
         self, begun: GyroMoment | None, ended: GyroMoment | None, *, chained: bool = False
     ) -> tuple[float, float] | None:
-        """Turn between two moments and its variance; None where readings are missing, or it is unfit.
+        """Turn between two moments and its variance; None where it is unfit, or does not tell.
+
+        That is where readings are missing, and where a scan comes after what is stamped later.
 
         Parameters
         ----------
@@ -105,6 +107,8 @@ class YawGyro:
             same for as long as it takes to wander off by what it is uncertain of.
         """
         if begun is None or ended is None or begun.piece != ended.piece or self.unfit:
+            return None
+        if begun.stamp_s >= ended.stamp_s:
             return None
         told = _told(begun, ended)
         variance = self._noise(begun, ended) + float(told @ self._spread @ told)
