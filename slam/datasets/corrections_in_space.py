@@ -9,7 +9,7 @@ import gtsam
 import numpy as np
 
 from slam.config.calibration import CameraCorrection, CloudCorrection, GnssCorrection, ImuCorrection, Mounting
-from slam.measurements import Float32Array, GnssFix, ImuReading, PointCloud, RgbdFrame
+from slam.measurements import Float32Array, FloatArray, GnssFix, ImuReading, PointCloud, RgbdFrame
 from slam.vision.camera_frame import T_BODY_CAMERA
 
 
@@ -45,13 +45,32 @@ class CloudCorrector:
 
     def __call__(self, cloud: PointCloud) -> PointCloud:
         """A cloud."""
-        given = self._correction
+        given, times_s = self._correction, cloud.times_s
+        if times_s is not None:
+            times_s = times_s * given.times_scale
+        elif given.turn_s != 0.0:
+            times_s = turn_times(cloud.points_lidar, given.turn_s, given.cut_deg)
         return replace(
             cloud,
             points_lidar=raised(cloud.points_lidar, given.elevation_deg) * np.float32(given.range_scale),
-            times_s=None if cloud.times_s is None else cloud.times_s * given.times_scale,
+            times_s=times_s,
             T_base_lidar=cloud.T_base_lidar if self._mounting is None else self._mounting,
         )
+
+
+def turn_times(points_lidar: Float32Array, turn_s: float, cut_deg: float) -> FloatArray:
+    """Seconds from the middle of a turn at which a spinning lidar saw its points, by their bearings, (N,).
+
+    Parameters
+    ----------
+    points_lidar
+        (N, 3), frame of the lidar.
+    turn_s, cut_deg
+        See `slam.config.calibration.CloudCorrection`.
+    """
+    bearings_rad = np.arctan2(points_lidar[:, 1], points_lidar[:, 0]).astype(np.float64)
+    from_cut = np.mod(bearings_rad / (2.0 * math.pi) - cut_deg / 360.0, 1.0)
+    return turn_s * (from_cut - 0.5)
 
 
 def raised(points_lidar: Float32Array, elevation_deg: float) -> Float32Array:
