@@ -132,6 +132,6 @@ class Samples:
                 )
             elif isinstance(measurement, ImuReading):
                 samples.imus.setdefault(measurement.sensor, ImuSamples()).add(measurement)
-        for lidar in samples.lidars.values():
+        for lidar in [*samples.lidars.values(), *samples.clouds.values()]:
             lidar.close()
         return samples
