@@ -132,6 +132,8 @@ class Samples:
                 )
             elif isinstance(measurement, ImuReading):
                 samples.imus.setdefault(measurement.sensor, ImuSamples()).add(measurement)
-        for lidar in [*samples.lidars.values(), *samples.clouds.values()]:
+        for lidar in samples.lidars.values():
             lidar.close()
+        for clouds in samples.clouds.values():
+            clouds.close()
         return samples
