@@ -1,4 +1,4 @@
-"""What the doctor keeps of a 3D lidar: its motions in stretches spread over the log."""
+"""What the doctor keeps of a 3D lidar: stretches of clouds spread over the log, and its motions in them."""
 
 from __future__ import annotations
 
@@ -28,11 +28,14 @@ class CloudSamples:
 
     Attributes
     ----------
+    clouds
+        Those of each stretch that wait to be matched, thinned.
     interval_s, turn_s
         Between clouds, and what the times of a cloud's points span.
     """
 
     steps: list[list[SensorStep]] = field(default_factory=list)
+    clouds: list[list[PointCloud]] = field(default_factory=list)
     points: list[FloatArray] = field(default_factory=list)
     count: int = 0
     repeated: int = 0
@@ -51,7 +54,7 @@ class CloudSamples:
         return 0.0 if self.turn_s.values else self.interval_s.median() or 0.0
 
     def add(self, cloud: PointCloud, *, compared: bool) -> None:
-        """Take the next cloud; its motion is found only where it will be compared with that of another."""
+        """Take the next cloud; it is kept for its motion only where that will be compared with another's."""
         self.count += 1
         if repeats(self._newest, cloud):
             self.repeated += 1
@@ -63,17 +66,25 @@ class CloudSamples:
         self._newest, self.T_base_lidar = cloud, cloud.T_base_lidar
         if not self._stretches.wants(cloud.stamp_s):
             return
-        points, times_s, step = cloud.points_lidar, cloud.times_s, -(-len(cloud.points_lidar) // _MOST_POINTS)
-        times_s = None if times_s is None else times_s[::step]
-        thinned = PointCloud(cloud.stamp_s, points[::step], times_s, sensor=cloud.sensor)
+        step = -(-len(cloud.points_lidar) // _MOST_POINTS)
+        points = cloud.points_lidar[::step].copy()  # not a view, which would keep the whole
+        times_s = None if cloud.times_s is None else cloud.times_s[::step]
+        thinned = PointCloud(cloud.stamp_s, points, times_s, sensor=cloud.sensor)
         if self._stretches.begins:
             if self._stretches.thinned:
-                del self.steps[1::2], self.points[1::2]
-            self.steps.append([])
+                del self.clouds[1::2], self.points[1::2]
+            self.clouds.append([])
             self.points.append(thinned.points_lidar.astype(np.float64))
         if compared:
             # Stamped at its beginning, what straightens a turn would swing from step to step.
-            self._track(at_middle_of_turn(thinned, _CONFIG.cloud_odometry))
+            self.clouds[-1].append(at_middle_of_turn(thinned, _CONFIG.cloud_odometry))
+
+    def close(self) -> None:
+        """Find the motions of the stretches that were not given up."""
+        while self.clouds:
+            self.steps.append([])
+            for cloud in self.clouds.pop(0):
+                self._track(cloud)
 
     def _track(self, cloud: PointCloud) -> None:
         """The step from the cloud before; after a gap everything begins anew."""

@@ -134,4 +134,6 @@ class Samples:
                 samples.imus.setdefault(measurement.sensor, ImuSamples()).add(measurement)
         for lidar in samples.lidars.values():
             lidar.close()
+        for clouds in samples.clouds.values():
+            clouds.close()
         return samples

@@ -17,7 +17,7 @@ from slam.doctor.cloud_samples import CloudSamples
 from slam.doctor.finding import Finding
 from slam.doctor.imu import ImuSamples, imu_findings, turn_fit
 from slam.doctor.samples import Samples
-from slam.measurements import ImuReading
+from slam.measurements import ImuReading, PointCloud
 
 T_BASE_LIDAR = gtsam.Pose3(gtsam.Rot3.Yaw(0.5), np.array([0.1, 0.0, 0.3]))
 
@@ -168,7 +168,21 @@ def test_a_stretch_begins_as_fast_as_the_robot_is() -> None:
     for n in range(5):
         pose = base(-1.2, -0.8, 0.3).compose(gtsam.Pose3.Expmap(0.1 * n * twist))
         samples.add(look_on_the_way(pose, twist, 0.1 * n, seed=n), compared=True)
+    samples.close()
     true = PILLARED.inverse().compose(gtsam.Pose3.Expmap(0.1 * twist)).compose(PILLARED)
     (stretch,) = samples.steps
     offs = [gtsam.Pose3.Logmap(true.between(step.motion)) for step in stretch]
     assert len(offs) == 4 and max(np.linalg.norm(off[:3]) for off in offs) < 0.002
+
+
+def test_only_stretches_that_are_kept_are_matched() -> None:
+    """Of a long log every second stretch is given up, and no cloud is kept whole."""
+    samples, points = CloudSamples(), np.zeros((32_000, 3), np.float32)
+    for n in range(300):
+        points = points + np.float32(1.0)
+        samples.add(PointCloud(0.1 * n, points), compared=True)
+    kept = [cloud for stretch in samples.clouds for cloud in stretch]
+    assert len(samples.clouds) == len(samples.points) < 10 and len(kept) < 200
+    assert all(cloud.points_lidar.base is None for cloud in kept)
+    samples.close()
+    assert len(samples.steps) == len(samples.points) and not samples.clouds
