@@ -47,7 +47,7 @@ def packed_cloud(rows: FloatArray) -> bytes:
 
 
 def unpacked_cloud(content: bytes, *, intensities: bool = True) -> FloatArray:
-    """Points (N, 3) of packed bytes, or (N, 4) with their intensities, where there are any and they are asked.
+    """Points (N, 3) of packed bytes, or (N, 4) with their intensities where they are asked for.
 
     Raises
     ------
