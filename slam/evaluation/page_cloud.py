@@ -63,7 +63,8 @@ def _of_keyframes(clouds: MapClouds, found: MapContents) -> tuple[FloatArray, Fl
         total += len(rows)
         rows = rows[:: max(1, -(-len(rows) // share))]
         parts.append(moved(rows, spatial(pose)))
-        told.append(rows[:, 3] if rows.shape[1] > 3 else np.full(len(rows), np.nan))
+        # A view would keep the whole keyframe.
+        told.append(rows[:, 3].copy() if rows.shape[1] > 3 else np.full(len(rows), np.nan))
     intensities = np.concatenate(told)
     return np.vstack(parts), None if np.isnan(intensities).all() else intensities, total
 

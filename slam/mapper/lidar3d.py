@@ -22,6 +22,7 @@ from slam.graph.cloud_loops import CloudLoopCloser
 from slam.graph.edge import Edge, EdgeKind
 from slam.graph.keyframe_graph import KeyframeGraph, unmeasured
 from slam.graph.loop_closure import LoopCandidate
+from slam.heap import give_back
 from slam.mapper.checkpoint import Checkpoint
 from slam.mapper.cloud_cameras import CloudCameras
 from slam.mapper.map_result import MapResult
@@ -196,6 +197,9 @@ class CloudLidar:
 
     def complete(self, result: MapResult) -> None:
         """The clouds, and the plan of what stands in the robot's way."""
+        # The looks of all places, and what the final optimisation has left.
+        self._closer = None
+        give_back()
         result.map = replace(result.map, clouds=self._clouds)
         result.add_cameras(self._cameras.records(), self._cameras.frames)
         result.notes.append(f"3D lidar: voxels of {self._tracker.voxel_m:.2f} m")

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import os
-from collections import defaultdict
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from typing import IO, TypeAlias
 
 import gtsam
 import numpy as np
+from numpy.typing import NDArray
 
 from fusion.estimation import FEWEST
 from fusion.height_band import thin_to_voxels
@@ -22,7 +22,7 @@ from slam.vision.prefetch import prefetched
 _Span: TypeAlias = tuple[int, int, int]  # where rows begin in a file, how many they are and their columns
 
 # Side of a tile in voxels; of a cell of neighbours: wider than what a lidar is off by.
-_TILE_VOXELS, _NORMAL_VOXELS = 512.0, 1.5
+_TILE_VOXELS, _NORMAL_VOXELS = 256.0, 1.5
 # Blue, green, yellow, red from the lowest to the highest usual height.
 _RAMP = np.array([[40, 60, 160], [40, 160, 120], [230, 210, 60], [200, 60, 40]], dtype=np.float64)
 _USUAL_PERCENT = (1.0, 99.0)
@@ -51,7 +51,7 @@ class CloudTiles:
     ) -> None:
         self._voxel_m, self._file = voxel_m, file
         self._path = np.array([pose.translation() for pose in poses]).reshape(-1, 3)
-        pieces: defaultdict[tuple[int, int], list[_Span]] = defaultdict(list)
+        pieces = [np.zeros((0, 5), np.int64)]
         for number, pose in enumerate(poses):
             if not np.isfinite(pose.matrix()).all():
                 raise ScanweaveError(f"pose {number} of {len(poses)} keyframes is not finite; see the report")
@@ -60,12 +60,14 @@ class CloudTiles:
         for placed, tiles in prefetched(seen, lambda one: _by_tile(one[0], _placed(*one[1]), voxel_m), 1):
             begin, _, columns = self._keep(placed)
             self._columns = max(self._columns, columns)
-            for tile, count in tiles:
-                pieces[tile].append((begin, count, columns))
-                begin += count * placed.strides[0]
+            begins = begin + placed.strides[0] * (np.cumsum(tiles[:, 2]) - tiles[:, 2])
+            pieces.append(np.column_stack([tiles[:, :2], begins, tiles[:, 2], np.full(len(tiles), columns)]))
         self._tiles, heights = list[_Span](), [np.zeros(0, np.float32)]
-        for _, parts in sorted(pieces.items()):
-            rows = self._thinned(parts)
+        parts = np.concatenate(pieces)
+        parts = parts[np.lexsort((parts[:, 2], parts[:, 1], parts[:, 0]))]
+        ends = np.flatnonzero(np.diff(parts[:, :2], axis=0).any(axis=1)) + 1
+        for tile in np.split(parts[:, 2:], ends) if len(parts) else []:
+            rows = self._thinned(tile.tolist())
             heights.append(rows[::FEWEST, 2].astype(np.float32))
             self._tiles.append(self._keep(rows))
         self._usual = _usual(np.concatenate(heights))
@@ -121,14 +123,15 @@ def _placed(rows: FloatArray, T_map_base: gtsam.Pose3) -> FloatArray:
     return points if rows.shape[1] == 3 else np.column_stack([points, rows[:, 3:]])
 
 
-def _by_tile(
-    number: int, points: FloatArray, voxel_m: float
-) -> tuple[Float32Array, list[tuple[tuple[int, int], int]]]:
-    """Rows of `CloudTiles` of points (N, 3 or 4) in the map, one a voxel, tile by tile; the rows of each."""
+def _by_tile(number: int, points: FloatArray, voxel_m: float) -> tuple[Float32Array, NDArray[np.int64]]:
+    """Rows of `CloudTiles` of points (N, 3 or 4) in the map, one a voxel, tile by tile.
+
+    With them (T, 3) place of each tile, and how many rows it has.
+    """
     points = thin_to_voxels(points, voxel_m)
     rows = np.empty((len(points), 1 + points.shape[1]), np.float32)
     if not len(points):
-        return rows, []
+        return rows, np.zeros((0, 3), np.int64)
     x, y = (np.floor(points[:, axis] / (_TILE_VOXELS * voxel_m)).astype(np.int64) for axis in (0, 1))
     columns = int(np.ptp(y)) + 1
     # Small numbers sort ten times as fast.
@@ -138,9 +141,8 @@ def _by_tile(
     ordered = numbers[order]
     begins = np.flatnonzero(np.concatenate([[True], ordered[1:] != ordered[:-1]]))
     first, counts = order[begins], np.diff(begins, append=len(order))
-    places = zip(x[first].tolist(), y[first].tolist(), strict=True)
     rows[:, :3], rows[:, 3], rows[:, 4:] = points[:, :3], number, points[:, 3:]
-    return rows.take(order, axis=0), list(zip(places, counts.tolist(), strict=True))
+    return rows.take(order, axis=0), np.column_stack([x[first], y[first], counts])
 
 
 def _usual(heights: AnyFloatArray) -> tuple[float, float]:

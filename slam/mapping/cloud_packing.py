@@ -46,8 +46,8 @@ def packed_cloud(rows: FloatArray) -> bytes:
     return _HEAD.pack(step_m, len(steps)) + zstd.compress(planes, 1)
 
 
-def unpacked_cloud(content: bytes) -> FloatArray:
-    """Points (N, 3) of packed bytes, or (N, 4) with their intensities.
+def unpacked_cloud(content: bytes, *, intensities: bool = True) -> FloatArray:
+    """Points (N, 3) of packed bytes, or (N, 4) with their intensities where they are asked for.
 
     Raises
     ------
@@ -68,7 +68,7 @@ def unpacked_cloud(content: bytes) -> FloatArray:
         raise ValueError(f"a packed cloud that is damaged: {error}") from error
     if len(plain) not in sizes or not unpacker.eof or unpacker.unused_data:
         raise ValueError(f"a packed cloud that is not of {count} points")
-    rows = np.empty((count, 3 + (len(plain) > sizes[0])))
+    rows = np.empty((count, 3 + (intensities and len(plain) > sizes[0])))
     planes = np.frombuffer(plain, np.uint8)
     _added_up(planes[: sizes[0]].reshape(4, 3, count), step_m, rows)
     if rows.shape[1] > 3:

@@ -38,6 +38,7 @@ class MapClouds:
         self._count = 0 if begun else file.count(CLOUDS)
         # Points, stamp and lidar of a keyframe are asked for one after the other.
         self._newest: tuple[int, tuple[Value, ...]] = (-1, ())
+        self._sound = set[int]()  # rows whose checksum was found right: they are read several times
 
     def __len__(self) -> int:
         return self._count
@@ -77,18 +78,18 @@ class MapClouds:
         MapFileError
             Where its row is damaged.
         """
-        return np.ascontiguousarray(self.rows(key, everything=everything)[:, :3])
+        return self.rows(key, everything=everything, intensities=False)
 
     def intensities(self, key: int, *, everything: bool = False) -> Float32Array | None:
         """(N,) of the points, in the sensor's own steps; None where its log did not tell them."""
         rows = self.rows(key, everything=everything)
         return rows[:, 3].astype(np.float32) if rows.shape[1] > 3 else None
 
-    def rows(self, key: int, *, everything: bool = False) -> FloatArray:
-        """`points`, with `intensities` as a fourth column where there are any."""
+    def rows(self, key: int, *, everything: bool = False, intensities: bool = True) -> FloatArray:
+        """`points`, with `intensities` as a fourth column where there are any and they are asked for."""
         content = self._row(key)[2]
         with self._file.blaming(CLOUDS, key):
-            rows = unpacked_cloud(cast(bytes, content))
+            rows = unpacked_cloud(cast(bytes, content), intensities=intensities)
             require(np.abs(rows[:, :3]).max(initial=0.0) < FARTHEST_M, "a point is beyond the Earth")
             if not everything and key in self._erased:
                 rows = rows[~mask_of(self._erased[key], len(rows))]
@@ -130,5 +131,6 @@ class MapClouds:
         if not 0 <= key < len(self):
             raise IndexError(f"cloud {key} of {len(self)}")
         if key != self._newest[0]:
-            self._newest = key, self._file.row(CLOUDS, key)
+            self._newest = key, self._file.row(CLOUDS, key, again=key in self._sound)
+            self._sound.add(key)
         return self._newest[1]

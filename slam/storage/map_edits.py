@@ -244,11 +244,11 @@ class UneditedFile(MapFile):
                 if cast(int, row) < 0:  # so many rows there were
                     self._counts[cast(str, source)] = -1 - cast(int, row)
 
-    def row(self, table: Table, number: int) -> tuple[Value, ...]:
+    def row(self, table: Table, number: int, *, again: bool = False) -> tuple[Value, ...]:
         """The values of a row as they were."""
         place = self._before.get((table.name, number))
         if place is None:
-            return self._edited.row(table, number)
+            return self._edited.row(table, number, again=again)
         values = of(list, unpack(cast(bytes, self._edited.row(EDITS, place)[2])))
         with self.blaming(table, number):
             require(

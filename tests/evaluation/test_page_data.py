@@ -5,8 +5,10 @@ from __future__ import annotations
 import base64
 import io
 import math
+import tracemalloc
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import gtsam
@@ -179,6 +181,20 @@ def test_of_a_camera_alone_which_way_is_up_is_found(tmp_path: Path) -> None:
     write_report(tmp_path / "report.html", report(made, Beside(cloud=tilted)))
     data = page_data((tmp_path / "report.html").read_text())
     assert data["unit"] == "frame" and not data["layers"] and len(data["images"]["node"]) == 2
+
+
+def test_the_cloud_holds_no_keyframe_whole() -> None:
+    class Clouds(list[np.ndarray]):
+        def rows(self, key: int) -> np.ndarray:
+            return self[0] + float(key)
+
+    clouds = Clouds([np.random.default_rng(1).normal(size=(20_000, 4))] * 50)  # 640 kB each
+    found: Any = SimpleNamespace(clouds=clouds, node_poses=[gtsam.Pose3()] * 50, planar=False)
+    tracemalloc.start()
+    data, _ = cloud_data(found, None)
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert data is not None and len(data["points"]) == len(data["by_intensity"]) and peak < 25e6
 
 
 def test_a_localised_drive_is_coloured_by_sigma_and_confidence(tmp_path: Path) -> None:
