@@ -114,7 +114,9 @@ class CloudCorrection(SensorCorrection):
         le=2,
         description="how long a turn takes, < 0 clockwise: times of points that tell none, by their bearings",
     )
-    cut_deg: float = Field(default=180.0, ge=-360, le=360, description="bearing at which a turn begins and ends")
+    cut_deg: float = Field(
+        default=180.0, ge=-360, le=360, description="bearing at which a turn begins and ends"
+    )
     elevation_deg: float = Field(
         default=0.0, ge=-10, le=10, description="by how much all beams look too low: 0.205 for KITTI odometry"
     )

@@ -9,7 +9,15 @@ import gtsam
 import numpy as np
 
 from slam.config.calibration import CameraCorrection, CloudCorrection, GnssCorrection, ImuCorrection, Mounting
-from slam.measurements import Float32Array, FloatArray, GnssFix, ImuReading, PointCloud, RgbdFrame
+from slam.measurements import (
+    AnyFloatArray,
+    Float32Array,
+    FloatArray,
+    GnssFix,
+    ImuReading,
+    PointCloud,
+    RgbdFrame,
+)
 from slam.vision.camera_frame import T_BODY_CAMERA
 
 
@@ -64,13 +72,17 @@ def turn_times(points_lidar: Float32Array, turn_s: float, cut_deg: float) -> Flo
     Parameters
     ----------
     points_lidar
-        (N, 3), frame of the lidar.
+        (N, 3), frame of the lidar; of one that is no number the time is 0.
     turn_s, cut_deg
         See `slam.config.calibration.CloudCorrection`.
     """
-    bearings_rad = np.arctan2(points_lidar[:, 1], points_lidar[:, 0]).astype(np.float64)
-    from_cut = np.mod(bearings_rad / (2.0 * math.pi) - cut_deg / 360.0, 1.0)
-    return turn_s * (from_cut - 0.5)
+    from_cut = np.mod(bearings_rad(points_lidar) / math.tau - cut_deg / 360.0, 1.0)
+    return np.nan_to_num(turn_s * (from_cut - 0.5))
+
+
+def bearings_rad(points: AnyFloatArray) -> FloatArray:
+    """Of points (N, 3) about the upright axis, counter-clockwise from x, (N,)."""
+    return np.arctan2(points[:, 1], points[:, 0], dtype=np.float64)
 
 
 def raised(points_lidar: Float32Array, elevation_deg: float) -> Float32Array:

@@ -13,6 +13,7 @@ from slam.datasets.corrections import repeats
 from slam.datasets.dataset import Thinned
 from slam.doctor.camera_samples import SensorStep
 from slam.doctor.stretches import Stretches
+from slam.doctor.turning import Turn, turn_of
 from slam.matching.cloud_points import at_middle_of_turn
 from slam.measurements import FloatArray, PointCloud
 from slam.odometry.cloud_tracker import CloudTracker, TrackedCloud
@@ -32,6 +33,8 @@ class CloudSamples:
         Those of each stretch that wait to be matched, thinned.
     interval_s, turn_s
         Between clouds, and what the times of a cloud's points span.
+    turn
+        How it spins, where its points do not tell their times and it shows.
     """
 
     steps: list[list[SensorStep]] = field(default_factory=list)
@@ -41,6 +44,7 @@ class CloudSamples:
     repeated: int = 0
     interval_s: Thinned = field(default_factory=Thinned)
     turn_s: Thinned = field(default_factory=Thinned)
+    turn: Turn | None = None
     T_base_lidar: gtsam.Pose3 = field(default_factory=lambda: gtsam.Pose3())
     _stretches: Stretches = field(default_factory=Stretches)
     _tracker: CloudTracker | None = None
@@ -50,8 +54,8 @@ class CloudSamples:
 
     @property
     def untimed_s(self) -> float:
-        """How long a turn takes whose points do not tell their times; 0 where they do."""
-        return 0.0 if self.turn_s.values else self.interval_s.median() or 0.0
+        """How long a turn takes of whose points nobody knows the times; 0 where they are known."""
+        return 0.0 if self.turn_s.values or self.turn else self.interval_s.median() or 0.0
 
     def add(self, cloud: PointCloud, *, compared: bool) -> None:
         """Take the next cloud; it is kept for its motion only where that will be compared with another's."""
@@ -75,16 +79,19 @@ class CloudSamples:
                 del self.clouds[1::2], self.points[1::2]
             self.clouds.append([])
             self.points.append(thinned.points_lidar.astype(np.float64))
-        if compared:
+        if compared or times_s is None:
             # Stamped at its beginning, what straightens a turn would swing from step to step.
             self.clouds[-1].append(at_middle_of_turn(thinned, _CONFIG.cloud_odometry))
 
-    def close(self) -> None:
-        """Find the motions of the stretches that were not given up."""
+    def close(self, *, compared: bool) -> None:
+        """Find how it spins, and the motions of the stretches that were not given up."""
+        if not self.turn_s.values:
+            self.turn = turn_of(self.clouds, self.interval_s.median() or 0.0, _CONFIG)
         while self.clouds:
+            clouds = self.clouds.pop(0)
             self.steps.append([])
-            for cloud in self.clouds.pop(0):
-                self._track(cloud)
+            for cloud in clouds if compared else []:
+                self._track(cloud if self.turn is None else self.turn.timed(cloud))
 
     def _track(self, cloud: PointCloud) -> None:
         """The step from the cloud before; after a gap everything begins anew."""

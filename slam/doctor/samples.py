@@ -135,5 +135,5 @@ class Samples:
         for lidar in samples.lidars.values():
             lidar.close()
         for clouds in samples.clouds.values():
-            clouds.close()
+            clouds.close(compared=bool(samples.wheels or samples.imus))
         return samples

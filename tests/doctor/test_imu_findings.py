@@ -168,7 +168,7 @@ def test_a_stretch_begins_as_fast_as_the_robot_is() -> None:
     for n in range(5):
         pose = base(-1.2, -0.8, 0.3).compose(gtsam.Pose3.Expmap(0.1 * n * twist))
         samples.add(look_on_the_way(pose, twist, 0.1 * n, seed=n), compared=True)
-    samples.close()
+    samples.close(compared=True)
     true = PILLARED.inverse().compose(gtsam.Pose3.Expmap(0.1 * twist)).compose(PILLARED)
     (stretch,) = samples.steps
     offs = [gtsam.Pose3.Logmap(true.between(step.motion)) for step in stretch]
@@ -184,5 +184,5 @@ def test_only_stretches_that_are_kept_are_matched() -> None:
     kept = [cloud for stretch in samples.clouds for cloud in stretch]
     assert len(samples.clouds) == len(samples.points) < 10 and len(kept) < 200
     assert all(cloud.points_lidar.base is None for cloud in kept)
-    samples.close()
+    samples.close(compared=True)
     assert len(samples.steps) == len(samples.points) and not samples.clouds

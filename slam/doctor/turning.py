@@ -1,0 +1,228 @@
+"""The turn of a spinning lidar whose points do not tell when they were seen, by what its own motion bends.
+
+A point that was seen ``t`` after the middle of a turn lies off by ``t (v + w x p)``, v and w the lidar's
+velocities. As it was seen by its bearing, ``t`` is ``turn_s`` times the share of the circle from where a turn
+begins, less a half. Two clouds of different places see the same walls at different bearings: their
+distances from each other's planes, linear in the pose as in the alignment, are so in ``turn_s``. Its sign is
+the sense of the turn, and the beginning that explains most is the cut.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from itertools import pairwise
+from typing import TypeAlias
+
+import gtsam
+import numpy as np
+
+from fusion.estimation import ROUNDS, TINY, gate
+from slam.config import Config
+from slam.datasets.corrections_in_space import bearings_rad, turn_times
+from slam.doctor.finding import Finding
+from slam.matching.cloud_alignment import align_cloud
+from slam.matching.cloud_points import SLICES, base_points
+from slam.matching.plane_voxels import PlaneVoxels
+from slam.measurements import FloatArray, PointCloud
+from slam.odometry.cloud_tracker import CloudTracker, TrackedCloud
+
+# Of so many turns one is recorded at least; so many pairs of clouds must agree, of so many points each.
+_TURNS, _PAIRS, _POINTS = 5, 6, 4000
+_THICKNESS = 0.2  # of planes of bent clouds, in voxels
+
+
+@dataclass(frozen=True, slots=True)
+class Turn:
+    """How a lidar spins.
+
+    Attributes
+    ----------
+    turn_s, sigma_s
+        How long a turn takes, < 0 clockwise seen from above.
+    cut_deg
+        Bearing at which it begins and ends.
+    """
+
+    turn_s: float
+    sigma_s: float
+    cut_deg: float
+
+    def finding(self, name: str) -> Finding:
+        """What the log does not tell of the lidar of a name."""
+        sense, turn_s = "clockwise" if self.turn_s < 0.0 else "counter-clockwise", round(self.turn_s, 4)
+        cut_deg = (self.cut_deg + 180.0) % 360.0 - 180.0
+        return Finding(
+            name,
+            "turn",
+            f"its points tell no times; they were seen in a turn of {abs(turn_s):.3f} s, {sense}, that "
+            f"begins at {cut_deg:.0f} degrees",
+            "walls are bent by the robot's own motion",
+            ({"lidars_3d": {name: {"turn_s": turn_s, "cut_deg": cut_deg}}},),
+            sure=True,
+            value=turn_s,
+        )
+
+    def timed(self, cloud: PointCloud) -> PointCloud:
+        """A cloud whose points tell their times, its stamp in the middle of its turn."""
+        return replace(cloud, times_s=turn_times(cloud.points_lidar, self.turn_s, self.cut_deg))
+
+
+@dataclass(frozen=True, slots=True)
+class _Moving:
+    """A cloud, where it was seen, and the (6,) twist of the lidar then."""
+
+    cloud: PointCloud
+    pose: gtsam.Pose3
+    twist: FloatArray
+
+
+_Pair: TypeAlias = tuple[_Moving, _Moving, float]
+_NONE = Turn(0.0, 0.0, 180.0)
+
+
+def turn_of(stretches: Sequence[Sequence[PointCloud]], interval_s: float, config: Config) -> Turn | None:
+    """How a lidar spins whose points tell no times; None where nothing is bent, or nothing tells.
+
+    Parameters
+    ----------
+    stretches
+        Clouds one after the other, lidar's frame, thinned: as many stretches are looked at as it takes.
+    interval_s
+        From cloud to cloud: a whole number of turns.
+    """
+    if interval_s <= 0.0 or not (stretches and _looks_round(stretches[0])):
+        return None
+    pairs, fit, within_s = list[_Pair](), None, 0.0
+    for clouds in _spread_out(stretches):
+        pairs += _pairs(clouds, config)
+        fit = _fit(pairs, _NONE, config) if len(pairs) >= _PAIRS else None
+        if fit is None:
+            continue
+        within_s = math.sqrt(gate()) * fit.sigma_s
+        # Planes of bent clouds hold back: at first it looks half as long.
+        if abs(fit.turn_s) + within_s < 0.5 * interval_s / (_TURNS + 0.5):
+            return None
+        if abs(fit.turn_s) > within_s and len(pairs) >= 2 * _PAIRS:
+            break
+    known = fit is not None and abs(fit.turn_s) > within_s
+    return _settled(pairs, fit, interval_s, config) if fit is not None and known else None
+
+
+def _settled(pairs: Sequence[_Pair], fit: Turn, interval_s: float, config: Config) -> Turn | None:
+    """The whole share of the interval that clouds tell once straightened, and where they agree best."""
+    for _ in range(ROUNDS):
+        before, fit = fit, _fit(pairs, fit, config) or fit
+        if abs(fit.turn_s - before.turn_s) <= fit.sigma_s:
+            break
+    if abs(fit.turn_s) < interval_s / (_TURNS + 0.5):
+        return None
+    shares = [math.copysign(interval_s / turns, fit.turn_s) for turns in range(1, _TURNS + 1)]
+    again = [_fit(pairs, replace(fit, turn_s=share), config) or fit for share in shares]
+    # What straightens them as it should, they tell once more.
+    told, turn_s = min(zip(again, shares, strict=True), key=lambda one: abs(one[0].turn_s / one[1] - 1.0))
+    best = replace(told, turn_s=turn_s)
+    for slices in (4, 2, 1):
+        cuts_deg = [best.cut_deg + side * slices * 360.0 / SLICES for side in (0.0, -1.0, 1.0)]
+        tried = [replace(best, cut_deg=one % 360.0) for one in cuts_deg]
+        best = max(tried, key=lambda turn: sum(_agreement(pair, turn, config) for pair in pairs))
+    return best
+
+
+def _agreement(pair: _Pair, turn: Turn, config: Config) -> float:
+    """Share of a cloud's points on planes of the other, both as a turn straightens them."""
+    first, second, voxel_m = pair
+    known, seen = (
+        base_points(turn.timed(one.cloud), one.twist, config.cloud_odometry) for one in (first, second)
+    )
+    planes = PlaneVoxels.build(known, voxel_m, config.cloud_odometry.thickness_m)
+    guess = first.pose.between(second.pose)
+    found = align_cloud(seen[:: -(-len(seen) // _POINTS)], planes, guess, ROUNDS, 0.5 * voxel_m)
+    return 0.0 if found is None else found.agreement
+
+
+def _fit(pairs: Sequence[_Pair], now: Turn, config: Config) -> Turn | None:
+    """The turn that explains most, from pairs as that of now straightens them; sigma by how they differ."""
+    told = [one for first, second, voxel_m in pairs if (one := _told(first, second, voxel_m, now, config))]
+    if not told:
+        return None
+    weights, sums = (np.array(one) for one in zip(*told, strict=True))
+    # In a sharp turn points leave their planes: what it claims to tell is no more than others do.
+    most = 1.0 / (1.0 + weights / np.maximum(np.median(weights, axis=0), TINY))
+    weights, sums = weights * most, sums * most
+    whole = np.maximum(weights.sum(axis=0), TINY)
+    best = int(np.argmax(sums.sum(axis=0) ** 2 / whole))
+    turn_s = float(sums[:, best].sum() / whole[best])
+    apart = sums[:, best] - turn_s * weights[:, best]
+    return Turn(turn_s, float(np.linalg.norm(apart) / whole[best]), best * 360.0 / SLICES)
+
+
+def _told(
+    first: _Moving, second: _Moving, voxel_m: float, now: Turn, config: Config
+) -> tuple[FloatArray, FloatArray] | None:
+    """Least squares of the turn for each cut, the pose between left open: weights and sums, (C,)."""
+    ways = config.cloud_odometry
+    known, seen = (base_points(now.timed(one.cloud), one.twist, ways) for one in (first, second))
+    planes = PlaneVoxels.build(known, voxel_m, _THICKNESS * voxel_m)
+    seen = seen[:: -(-len(seen) // _POINTS)]
+    guess = first.pose.between(second.pose)
+    found = align_cloud(seen, planes, guess, ROUNDS, 0.5 * voxel_m)
+    if found is None:
+        return None
+    turned = found.pose.rotation().matrix()
+    placed = seen @ turned.T + found.pose.translation()
+    paired = planes.pairs(placed)
+    own, there, normals = seen[paired.found], placed[paired.found], paired.normals
+    off_m = np.sum(normals * (there - paired.centers), axis=1)
+    weights = 1.0 / ((_THICKNESS * voxel_m) ** 2 + off_m**2)  # Cauchy
+    slopes = np.hstack([np.cross(own, normals @ turned), normals @ turned])
+    # What a second of the turn moves a point by, across the plane, and the plane itself.
+    moved, moves = (
+        np.sum(normals * (one[3:] + np.cross(one[:3], points)) @ rotation.T, axis=1)
+        for one, points, rotation in ((second.twist, own, turned), (first.twist, there, np.eye(3)))
+    )
+    cuts = np.append(np.arange(SLICES) * (360.0 / SLICES), now.cut_deg)[None, :]
+    shares, shares_there = (
+        np.mod(bearings_rad(points)[:, None] / math.tau - cuts / 360.0, 1.0) - 0.5 for points in (own, there)
+    )
+    slope = moved[:, None] * shares - moves[:, None] * shares_there
+    left = off_m - now.turn_s * slope[:, -1]
+    hessian = slopes.T @ (weights[:, None] * slopes) + TINY * np.eye(6)
+    explained = np.linalg.solve(hessian, (slopes * weights[:, None]).T)
+    slope = slope[:, :-1] - slopes @ (explained @ slope[:, :-1])
+    left = left - slopes @ (explained @ left)
+    return np.asarray(weights @ slope**2), np.asarray(-(weights * left) @ slope)
+
+
+def _pairs(clouds: Sequence[PointCloud], config: Config) -> list[_Pair]:
+    """Begin, middle and end of a stretch against each other, with the voxel of their planes."""
+    tracker, tracked = CloudTracker(config, None), list[tuple[PointCloud, TrackedCloud]]()
+    for cloud in clouds:
+        found = tracker.track(cloud)
+        if found.new_keyframe:
+            tracker.add_keyframe(found)
+        if found.motion is not None or not tracked:
+            tracked.append((cloud, found))
+    if len(tracked) < 3 or any(one[0].stamp_s >= other[0].stamp_s for one, other in pairwise(tracked)):
+        return []
+    chosen = []
+    for number in (0, len(tracked) // 2, len(tracked) - 1):
+        before, after = tracked[max(number - 1, 0)], tracked[min(number + 1, len(tracked) - 1)]
+        way = gtsam.Pose3.Logmap(before[1].pose.between(after[1].pose))
+        cloud, found = tracked[number]
+        chosen.append(_Moving(cloud, found.pose, way / (after[0].stamp_s - before[0].stamp_s)))
+    return [(one, other, tracker.voxel_m) for one, other in [*pairwise(chosen), (chosen[0], chosen[2])]]
+
+
+def _looks_round(clouds: Sequence[PointCloud]) -> bool:
+    """Whether a lidar sees more than half a circle: what sees less may not spin."""
+    bearings = [bearings_rad(cloud.points_lidar) for cloud in clouds]
+    slices = np.floor(np.concatenate([*bearings, np.zeros(1)]) / math.tau * SLICES)
+    return len(np.unique(slices[np.isfinite(slices)])) > SLICES // 2
+
+
+def _spread_out(stretches: Sequence[Sequence[PointCloud]]) -> Iterator[Sequence[PointCloud]]:
+    """Every fourth first, then those between."""
+    for begin in (0, 2, 1, 3):
+        yield from stretches[begin::4]

@@ -1,0 +1,111 @@
+"""A spinning lidar whose points tell no times: its turn is found by what the lidar's motion bends."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import gtsam
+import numpy as np
+import pytest
+
+from slam.config import Config
+from slam.config.calibration import CloudCorrection
+from slam.datasets.corrections_in_space import CloudCorrector
+from slam.doctor.cloud_samples import CloudSamples
+from slam.doctor.in_space import cloud_findings
+from slam.doctor.turning import turn_of
+from slam.measurements import FloatArray, PointCloud
+
+INTERVAL_S = 0.1
+# Of a lidar that drives on and turns a little.
+TWIST = np.array([0.0, 0.0, 0.12, 6.0, 0.0, 0.0])
+
+
+def street(rng: np.random.Generator) -> FloatArray:
+    """(N, 3) points on the ground, on houses along both sides of a way, and on walls across it."""
+    walls = []
+    for number in range(24):
+        x, side = 4.0 * number - 20.0, (-1.0) ** number
+        y = side * (6.0 + 3.0 * (number % 3))
+        front = np.array([[x, y, -1.5], [3.0, 0.0, 0.0], [0.0, 0.0, 5.0]])
+        end = np.array([[x, y, -1.5], [0.0, side * 4.0, 0.0], [0.0, 0.0, 5.0]])
+        walls += [front, end]
+    ground = np.array([[-20.0, -15.0, -1.5], [100.0, 0.0, 0.0], [0.0, 30.0, 0.0]])
+    parts = [
+        wall[0] + rng.random((count, 2)) @ wall[1:]
+        for wall, count in [(ground, 6000), *[(wall, 500) for wall in walls]]
+    ]
+    return np.vstack(parts)
+
+
+def clouds(turn_s: float, cut_deg: float, count: int = 84, seed: int = 0) -> list[PointCloud]:
+    """Of a drive, each point as it is seen at its time; ``turn_s`` 0 sees all at once."""
+    rng, found = np.random.default_rng(seed), list[PointCloud]()
+    for number in range(count):
+        pose = gtsam.Pose3.Expmap(0.5 * number * INTERVAL_S * TWIST)
+        points = street(rng)
+        seen = pose.transformTo(points.T).T
+        bearings = np.arctan2(seen[:, 1], seen[:, 0])
+        times_s = turn_s * (np.mod(bearings / math.tau - cut_deg / 360.0, 1.0) - 0.5)
+        # As seen from where it was a moment later: to first order, the turns are small.
+        velocities = 0.5 * (TWIST[3:] + np.cross(TWIST[:3], seen))
+        seen = seen - times_s[:, None] * velocities + 0.01 * rng.standard_normal(seen.shape)
+        found.append(PointCloud(10.0 + number * INTERVAL_S, seen.astype(np.float32), None, sensor="lidar"))
+    return found
+
+
+def stretches(found: list[PointCloud]) -> list[list[PointCloud]]:
+    """Two seconds each."""
+    return [found[begin : begin + 21] for begin in range(0, len(found), 21)]
+
+
+@pytest.mark.parametrize(("turn_s", "cut_deg"), [(-0.1, 180.0), (0.1, 90.0)])
+def test_a_turn_its_sense_and_its_cut_are_found(turn_s: float, cut_deg: float) -> None:
+    turn = turn_of(stretches(clouds(turn_s, cut_deg)), INTERVAL_S, Config())
+    assert turn is not None
+    assert turn.turn_s == pytest.approx(turn_s)
+    assert abs((turn.cut_deg - cut_deg + 180.0) % 360.0 - 180.0) < 12.0
+
+
+def test_clouds_that_were_seen_at_once_have_no_turn() -> None:
+    assert turn_of(stretches(clouds(0.0, 180.0)), INTERVAL_S, Config()) is None
+
+
+def test_what_sees_half_a_circle_may_not_spin() -> None:
+    ahead = [
+        replace(one, points_lidar=one.points_lidar[one.points_lidar[:, 0] > 0.0])
+        for one in clouds(-0.1, 180.0, 42)
+    ]
+    assert turn_of(stretches(ahead), INTERVAL_S, Config()) is None
+
+
+def test_of_nothing_no_turn_is_told() -> None:
+    assert turn_of([], INTERVAL_S, Config()) is None
+    still = clouds(-0.1, 180.0, 1)
+    assert turn_of([still * 5], INTERVAL_S, Config()) is None
+    empty = PointCloud(1.0, np.full((5, 3), np.nan, np.float32), None)
+    assert turn_of([[empty] * 5], 0.0, Config()) is None
+
+
+def test_the_doctor_tells_the_turn_and_its_remedy_times_the_points() -> None:
+    samples = CloudSamples()
+    for cloud in clouds(-0.1, 180.0):
+        samples.add(cloud, compared=False)
+    samples.close(compared=False)
+    assert samples.untimed_s == 0.0
+    (finding,) = cloud_findings("lidar", samples)
+    assert finding.kind == "turn" and finding.sure
+    assert "0.100 s, clockwise" in finding.text
+    told = CloudCorrection.model_validate(finding.remedies[0]["lidars_3d"]["lidar"])
+    ahead, left, behind, odd = np.array([[5, 0, 0], [0, 5, 0], [-5, -0.1, 0], [np.nan, 1, 1]], np.float32)
+    cloud = PointCloud(1.0, np.stack([ahead, left, behind, odd]), None)
+    times_s = CloudCorrector(told)(cloud).times_s
+    assert times_s == pytest.approx([0.0, -0.025, -0.05 + 0.1, 0.0], abs=0.006)
+
+
+def test_a_lidar_that_tells_times_is_left_alone() -> None:
+    times_s = np.array([0.0, 0.1])
+    cloud = PointCloud(1.0, np.array([[1, 0, 0], [0, 1, 0]], np.float32), times_s)
+    found = CloudCorrector(CloudCorrection(turn_s=-0.1))(cloud)
+    assert found.times_s is not None and found.times_s.tolist() == times_s.tolist()
