@@ -1,8 +1,10 @@
 """Its presence lets every test folder import the helpers in this one: pytest puts this folder on the path."""
 
 import signal
+from collections.abc import Iterator
 from typing import Any
 
+import browser
 import hypothesis
 import pytest
 
@@ -24,6 +26,13 @@ def open3d() -> Any:
         return load_open3d()
     except ScanweaveError as error:
         pytest.skip(f"NOT TESTED: {error}")
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _one_browser() -> Iterator[None]:
+    """The browser that a file's tests have opened ends with them."""
+    yield
+    browser.close()
 
 
 @pytest.fixture(autouse=True)
