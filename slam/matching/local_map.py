@@ -163,11 +163,8 @@ class LocalMap:
         """
         weights = terms_at(scan.points, scan.normals, at.pose, self.fine, 0.5 * self.config.cell_m)[:, 3]
         x, y = scan.points.astype(np.float64).T
-        one, none = np.ones_like(x), np.zeros_like(x)
-        variance = sum(
-            np.einsum("im,ij,jm->m", axis, at.covariance, axis)
-            for axis in (np.stack([one, none, -y]), np.stack([none, one, x]))
-        )
+        (xx, xy, xt), (_, yy, yt), (_, _, tt) = at.covariance.tolist()
+        variance = xx + yy + 2.0 * (yt * x - xt * y) + tt * (x * x + y * y)
         margins_m = 0.5 * self.config.coarse_cell_m + np.sqrt(variance)
         passed = seen_through(transform_points(scan.points, at.pose), self._images, margins_m)
         # All but what scans have looked through since: who walks leaves a trail in the map.
