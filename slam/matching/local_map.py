@@ -15,7 +15,7 @@ from slam.matching.coarse_to_fine import align_coarse_to_fine
 from slam.matching.match_covariance import points_a_witness, weak_direction
 from slam.matching.motion import Motion
 from slam.matching.object_evidence import object_evidence
-from slam.matching.planar import transform_into, transform_points
+from slam.matching.planar import diagonal, transform_into, transform_points
 from slam.matching.point_to_line import Alignment, align, terms_at
 from slam.matching.scan_points import ScanPoints
 from slam.matching.score_spread import score_spread
@@ -121,7 +121,7 @@ class LocalMap:
 
     def align_held(self, scan: OrientedPoints, guess: FloatArray) -> Alignment:
         """Align a scan that must stay near its guess in every direction."""
-        return self._align(scan, guess, _HELD_POINTS * np.diag([1.0, 1.0, 0.0]))
+        return self._align(scan, guess, _HELD_POINTS * diagonal(1.0, 1.0, 0.0))
 
     def judge(self, scan: OrientedPoints, pose: FloatArray) -> Alignment:
         """Hessian, residual and inlier share of a scan (base frame) at a pose (3,), without moving it."""
@@ -163,7 +163,7 @@ class LocalMap:
         """
         weights = terms_at(scan.points, scan.normals, at.pose, self.fine, 0.5 * self.config.cell_m)[:, 3]
         x, y = scan.points.astype(np.float64).T
-        (xx, xy, xt), (_, yy, yt), (_, _, tt) = at.covariance.tolist()
+        (xx, _, xt), (_, yy, yt), (_, _, tt) = at.covariance.tolist()
         variance = xx + yy + 2.0 * (yt * x - xt * y) + tt * (x * x + y * y)
         margins_m = 0.5 * self.config.coarse_cell_m + np.sqrt(variance)
         passed = seen_through(transform_points(scan.points, at.pose), self._images, margins_m)

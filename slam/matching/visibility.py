@@ -129,7 +129,7 @@ def _take_nearest(points, nearest_m):  # type: ignore[no-untyped-def]
 def _stands_before(  # type: ignore[no-untyped-def]
     points, moved, views, first, images_m, reach_m, scan, margins_m, nearest_m, ranges_m, newest, before
 ):
-    """Write the distance of the nearest of points (M, 2), once ``moved`` by a pose (3,), that may be in the way.
+    """Write the distance of the nearest of points (M, 2), ``moved`` by a pose (3,), that stands in the way.
 
     ``nearest_m`` (B,) are zeros: first how far it has to be free by bearing. Points of a bearing hang
     together: the ``newest`` (B,), and the one ``before`` each (M,).
