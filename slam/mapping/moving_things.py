@@ -19,7 +19,7 @@ from fusion.kernel import ZERO, kernel
 from fusion.time_alignment import GAP_S
 from slam.matching.object_evidence import GAP_M, LONGEST_M
 from slam.matching.planar import compose
-from slam.measurements import FloatArray, LaserScan, row_from_pose2
+from slam.measurements import Float32Array, FloatArray, LaserScan, row_from_pose2
 
 
 class _Sweep(NamedTuple):
@@ -127,7 +127,7 @@ class MovingThings:
         away_s = GAP_S, 2 * GAP_S
         before = [bisect_right(sweeps, now_s - ago_s, key=_stamp_s) - 1 for ago_s in away_s]
         after = [bisect_left(sweeps, now_s + in_s, key=_stamp_s) for in_s in away_s]
-        views, known = list[FloatArray](), []
+        views, known = list[FloatArray | Float32Array](), []
         for numbers in (before, after):
             known.append(min(numbers) >= 0 and max(numbers) < len(sweeps))
             others = [sweeps[number] if known[-1] else sweep for number in numbers]

@@ -19,7 +19,7 @@ from slam.matching.planar import diagonal, transform_into, transform_points
 from slam.matching.point_to_line import Alignment, align, terms_at
 from slam.matching.scan_points import ScanPoints
 from slam.matching.score_spread import score_spread
-from slam.matching.surfel_map import SurfelMap, build_surfel_map
+from slam.matching.surfel_map import SurfelMap, build_surfel_maps
 from slam.matching.visibility import RangeImage, RangeImages, seen_through, standing_before
 from slam.measurements import BoolArray, Float32Array, FloatArray
 
@@ -97,13 +97,9 @@ class LocalMap:
         points = OrientedPoints(
             np.concatenate([part.points for part in parts]), np.concatenate([part.normals for part in parts])
         )
-        return cls(
-            points,
-            build_surfel_map(points.points, points.normals, config.coarse_cell_m),
-            build_surfel_map(points.points, points.normals, config.cell_m),
-            config,
-            images,
-        )
+        cells_m = config.cell_m, config.coarse_cell_m
+        fine, coarse = build_surfel_maps(points.points, points.normals, cells_m)
+        return cls(points, coarse, fine, config, images)
 
     def align(self, scan: OrientedPoints, guess: FloatArray) -> Alignment:
         """Align a scan (base frame) from a guess (3,), coarse first, then fine.

@@ -7,6 +7,7 @@ robot in one room is never pulled to the far face of its walls.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -51,15 +52,36 @@ def build_surfel_map(points: AnyFloatArray, normals: AnyFloatArray, cell_m: floa
     cell_m
         Edge of a cell, metres.
     """
-    corners = np.zeros(4)
+    return build_surfel_maps(points, normals, (cell_m,))[0]
+
+
+def build_surfel_maps(
+    points: AnyFloatArray, normals: AnyFloatArray, cells_m: Sequence[float]
+) -> list[SurfelMap]:
+    """`build_surfel_map` for several cells, the finest first: the others gather its surfels.
+
+    Where an edge is a whole multiple of the finest, the finest cells lie within those, and each point counts
+    in the cell that it is in.
+    """
+    corners, found = np.zeros(4), list[SurfelMap]()
     _bound(points, corners)
     low_x, low_y, high_x, high_y = corners.tolist()
-    origin_x, origin_y = low_x - 2.0 * cell_m, low_y - 2.0 * cell_m
-    rows, columns = (int((high - low) / cell_m) + 3 for low, high in ((origin_y, high_y), (origin_x, high_x)))
-    cells, after = np.full((rows, columns), -1, np.int32), np.empty(len(points), np.int32)
-    sums = np.empty((len(points), 6))
-    count = _build(points, normals, origin_x, origin_y, cell_m, cells, after, sums)
-    return SurfelMap(cells, after[:count].copy(), sums[:count].copy(), origin_x, origin_y, cell_m)
+    for cell_m in cells_m:
+        origin_x, origin_y = low_x - 2.0 * cell_m, low_y - 2.0 * cell_m
+        spans = (origin_y, high_y), (origin_x, high_x)
+        rows, columns = (int((high - low) / cell_m) + 3 for low, high in spans)
+        most = len(found[0].surfels) if found else len(points)
+        cells, after, sums = (
+            np.full((rows, columns), -1, np.int32),
+            np.empty(most, np.int32),
+            np.empty((most, 6)),
+        )
+        place = origin_x, origin_y, cell_m, cells, after, sums
+        count = _gather(found[0].surfels, *place) if found else _build(points, normals, *place)
+        found.append(SurfelMap(cells, after[:count].copy(), sums[:count].copy(), origin_x, origin_y, cell_m))
+    for one in found:
+        _average(one.surfels)
+    return found
 
 
 @kernel
@@ -81,7 +103,7 @@ def _bound(points, corners):  # type: ignore[no-untyped-def]
 
 @kernel
 def _build(points, normals, origin_x, origin_y, cell_m, cells, after, sums):  # type: ignore[no-untyped-def]
-    """Number the cells' sides that have points, and average those points; how many there are."""
+    """Number the cells' sides that have points, and sum up those points; how many there are."""
     count = ZERO
     for i in range(points.shape[0]):
         x = points[i, 0]
@@ -111,13 +133,40 @@ def _build(points, normals, origin_x, origin_y, cell_m, cells, after, sums):  # 
         sums[k, 2] += nx
         sums[k, 3] += ny
         sums[k, 4] += 1.0
-    for k in range(count):
+    return count
+
+
+@kernel
+def _gather(finer, origin_x, origin_y, cell_m, cells, after, sums):  # type: ignore[no-untyped-def]
+    """As `_build`, of the sums of finer cells."""
+    count = ZERO
+    for i in range(finer.shape[0]):
+        row = math.floor((finer[i, 1] / finer[i, 4] - origin_y) / cell_m)
+        column = math.floor((finer[i, 0] / finer[i, 4] - origin_x) / cell_m)
+        k = cells[row, column]
+        while k >= 0 and sums[k, 5] != finer[i, 5]:
+            k = after[k]
+        if k < 0:
+            k = count
+            after[k] = cells[row, column]
+            cells[row, column] = k
+            sums[k] = finer[i]
+            count += 1
+            continue
+        for n in range(5):
+            sums[k, n] += finer[i, n]
+    return count
+
+
+@kernel
+def _average(sums):  # type: ignore[no-untyped-def]
+    """Turn sums over points into mean places and normals."""
+    for k in range(sums.shape[0]):
         length = math.hypot(sums[k, 2], sums[k, 3])
         sums[k, 0] = sums[k, 0] / sums[k, 4]
         sums[k, 1] = sums[k, 1] / sums[k, 4]
         sums[k, 2] = sums[k, 2] / length
         sums[k, 3] = sums[k, 3] / length
-    return count
 
 
 @kernel(inline="always")
