@@ -19,7 +19,7 @@ from fusion.kernel import ZERO, kernel
 from fusion.time_alignment import GAP_S
 from slam.matching.object_evidence import GAP_M, LONGEST_M
 from slam.matching.planar import compose
-from slam.measurements import Float32Array, FloatArray, LaserScan, row_from_pose2
+from slam.measurements import BoolArray, FloatArray, LaserScan, row_from_pose2
 
 
 class _Sweep(NamedTuple):
@@ -27,9 +27,8 @@ class _Sweep(NamedTuple):
 
     Attributes
     ----------
-    scan, view
-        The scan; (6,) where its laser was in the odometry frame, its first bearing, the step of its bearings
-        and how far it sees.
+    scan, laser, reach_m
+        The scan, (3,) where its laser was in the odometry frame, and how far it sees.
     beams, points, begun
         (M,) the beams that met them, (M, 2) where, odometry frame, and (T + 1,) where each thing begins.
     moves
@@ -38,7 +37,8 @@ class _Sweep(NamedTuple):
     """
 
     scan: LaserScan
-    view: FloatArray
+    laser: FloatArray
+    reach_m: float
     beams: NDArray[np.int32]
     points: FloatArray
     begun: NDArray[np.int32]
@@ -48,16 +48,24 @@ class _Sweep(NamedTuple):
     def of(cls, scan: LaserScan, pose: FloatArray, reach_m: float) -> _Sweep:
         """Of a scan whose base was at a pose (3,)."""
         laser, size = compose(pose, row_from_pose2(scan.T_base_laser)), scan.ranges_m.size
-        view = np.array([*laser.tolist(), scan.start_angle_rad, scan.step_rad, reach_m])
         beams, points, begun = np.empty(size, np.int32), np.empty((size, 2)), np.zeros(size + 1, np.int32)
-        things = _small_things(view, scan.ranges_m, GAP_M, LONGEST_M, beams, points, begun)
+        seen = scan.ranges_m, scan.start_angle_rad, scan.step_rad, reach_m
+        things = _small_things(laser, *seen, GAP_M, LONGEST_M, beams, points, begun)
         count, moves = begun[things], np.zeros((2, things), np.int8)
-        return cls(scan, view, beams[:count].copy(), points[:count].copy(), begun[: things + 1].copy(), moves)
+        small = beams[:count].copy(), points[:count].copy(), begun[: things + 1].copy()
+        return cls(scan, laser, reach_m, *small, moves)
 
-    @property
-    def things(self) -> tuple[FloatArray, NDArray[np.int32], NDArray[np.int8]]:
-        """What `_follow` asks for."""
-        return self.points, self.begun, self.moves
+    def free_in(self, other: _Sweep, free: BoolArray) -> None:
+        """Take out of ``free`` (M,) what another scan did not see through."""
+        scan = other.scan
+        seen = scan.ranges_m, scan.start_angle_rad, scan.step_rad, other.reach_m
+        _seen_free(self.points, other.laser, *seen, GAP_M / 2, free)
+
+    def follow(self, other: _Sweep, side: int, free: BoolArray | None = None) -> bool:
+        """Tell what moves, by what does in a scan beside, and was ``free`` (M,); whether any is new."""
+        free = np.zeros(len(self.beams), np.bool_) if free is None else free
+        theirs = other.points, other.begun, other.moves[side]
+        return bool(_follow(self.points, self.begun, free, *theirs, GAP_M, self.moves[side]))
 
 
 class MovingThings:
@@ -127,20 +135,18 @@ class MovingThings:
         away_s = GAP_S, 2 * GAP_S
         before = [bisect_right(sweeps, now_s - ago_s, key=_stamp_s) - 1 for ago_s in away_s]
         after = [bisect_left(sweeps, now_s + in_s, key=_stamp_s) for in_s in away_s]
-        views, known = list[FloatArray | Float32Array](), []
-        for numbers in (before, after):
-            known.append(min(numbers) >= 0 and max(numbers) < len(sweeps))
-            others = [sweeps[number] if known[-1] else sweep for number in numbers]
-            views += [part for other in others for part in (other.view, other.scan.ranges_m)]
-        free = np.empty(len(sweep.beams), np.bool_)
-        moves = _judge_things(*sweep.things, *beside.things, *known, *views, free, GAP_M)
+        for side, others in enumerate((before, after)):
+            known = min(others) >= 0 and max(others) < len(sweeps)
+            free = np.full(len(sweep.beams), known)
+            for other in others if known else ():
+                sweep.free_in(sweeps[other], free)
+            sweep.follow(beside, side, free)
         follower = sweep
-        for keyframe in reversed(self._keyframes if moves else ()):
+        for keyframe in reversed(self._keyframes):
             if keyframe is None:
                 break
             if keyframe.scan.stamp_s < now_s:
-                free = np.zeros(len(keyframe.beams), np.bool_)
-                if not _follow(*keyframe.things, *follower.things, 1, free, GAP_M):
+                if not keyframe.follow(follower, 1):
                     break
                 follower = keyframe
 
@@ -152,7 +158,7 @@ def _stamp_s(sweep: _Sweep) -> float:
 
 @kernel
 def _small_things(  # type: ignore[no-untyped-def]
-    view, ranges_m, apart_m, widest_m, beams, points, begun
+    laser, ranges_m, start_rad, step_rad, reach_m, apart_m, widest_m, beams, points, begun
 ):
     """Write the beams and points of the small things of `_Sweep`, where each begins; how many there are."""
     things, count, small = ZERO, ZERO, True
@@ -162,11 +168,11 @@ def _small_things(  # type: ignore[no-untyped-def]
         y = math.inf
         if beam < ranges_m.size:
             range_m = np.float64(ranges_m[beam])
-            if not 0.0 < range_m <= view[5]:
+            if not 0.0 < range_m <= reach_m:
                 continue
-            angle_rad = view[2] + view[3] + beam * view[4]
-            x = view[0] + range_m * math.cos(angle_rad)
-            y = view[1] + range_m * math.sin(angle_rad)
+            angle_rad = laser[2] + start_rad + beam * step_rad
+            x = laser[0] + range_m * math.cos(angle_rad)
+            y = laser[1] + range_m * math.sin(angle_rad)
         first = np.int64(begun[things])
         if count > first and math.hypot(x - points[count - 1, 0], y - points[count - 1, 1]) > apart_m:
             if small and count - first > 2:
@@ -184,65 +190,31 @@ def _small_things(  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _judge_things(  # type: ignore[no-untyped-def]
-    points,
-    begun,
-    moves,
-    others,
-    others_begun,
-    others_move,
-    known_before,
-    known_after,
-    view_a,
-    ranges_a,
-    view_b,
-    ranges_b,
-    view_c,
-    ranges_c,
-    view_d,
-    ranges_d,
-    free,
-    apart_m,
+def _seen_free(  # type: ignore[no-untyped-def]
+    points, laser, ranges_m, start_rad, step_rad, reach_m, margin_m, free
 ):
-    """Write `_Sweep.moves` by two scans before, two after, and the things beside; whether any comes off."""
-    free[:] = known_before
-    _seen_free(points, view_a, ranges_a, 0.5 * apart_m, free)
-    _seen_free(points, view_b, ranges_b, 0.5 * apart_m, free)
-    _follow(points, begun, moves, others, others_begun, others_move, 0, free, apart_m)
-    free[:] = known_after
-    _seen_free(points, view_c, ranges_c, 0.5 * apart_m, free)
-    _seen_free(points, view_d, ranges_d, 0.5 * apart_m, free)
-    _follow(points, begun, moves, others, others_begun, others_move, 1, free, apart_m)
-    return np.any(moves[1])
-
-
-@kernel
-def _seen_free(points, view, ranges_m, margin_m, free):  # type: ignore[no-untyped-def]
     """Take out of ``free`` which of points (M, 2) a scan did not see through, nor with the beams beside."""
-    cos, sin = math.cos(view[2]), math.sin(view[2])
-    turn = abs(2.0 * math.pi / view[4])
+    cos, sin = math.cos(laser[2]), math.sin(laser[2])
+    turn = abs(2.0 * math.pi / step_rad)
     for i in range(free.size):
         if free[i]:
-            dx = points[i, 0] - view[0]
-            dy = points[i, 1] - view[1]
+            dx = points[i, 0] - laser[0]
+            dy = points[i, 1] - laser[1]
             far_m = math.sqrt(dx * dx + dy * dy) + margin_m
             bearing_rad = math.atan2(cos * dy - sin * dx, cos * dx + sin * dy)
-            beam = math.floor((bearing_rad - view[3]) / view[4] % turn + 0.5)
-            aside = math.ceil(margin_m / abs(far_m * view[4]))
+            beam = math.floor((bearing_rad - start_rad) / step_rad % turn + 0.5)
+            aside = math.ceil(margin_m / abs(far_m * step_rad))
             for near in range(beam - aside, beam + aside + 1):
-                free[i] = free[i] and 0 <= near < ranges_m.size and far_m < ranges_m[near] <= view[5]
+                free[i] = free[i] and 0 <= near < ranges_m.size and far_m < ranges_m[near] <= reach_m
 
 
 @kernel
 def _follow(  # type: ignore[no-untyped-def]
-    points, begun, moves, others, others_begun, others_move, side, free, apart_m
+    points, begun, free, others, others_begun, others_move, apart_m, moves
 ):
-    """Write a side of `_Sweep.moves`, by which points were free and the things of a scan beside.
-
-    Returns whether any is new.
-    """
+    """Write `_Sweep.moves`, by which points (M, 2) were free and the things of a scan beside."""
     new = False
-    for thing in range(moves.shape[1]):
+    for thing in range(moves.size):
         first, last = begun[thing], begun[thing + 1]
         size = last - first
         seen = ZERO
@@ -256,8 +228,8 @@ def _follow(  # type: ignore[no-untyped-def]
         if 3 * seen >= size and seen > 2:
             told += 1
         beside = ZERO
-        for other in range(others_move.shape[1]):
-            if others_move[side, other] > beside:
+        for other in range(others_move.size):
+            if others_move[other] > beside:
                 begin, end = others_begun[other], others_begun[other + 1]
                 dx = x
                 dy = y
@@ -265,9 +237,9 @@ def _follow(  # type: ignore[no-untyped-def]
                     dx -= others[j, 0] / (end - begin)
                     dy -= others[j, 1] / (end - begin)
                 if math.sqrt(dx * dx + dy * dy) < apart_m:
-                    beside = np.int64(others_move[side, other])
+                    beside = np.int64(others_move[other])
         if told + beside > 1:
             told = 2
-        new = new or told > moves[side, thing]
-        moves[side, thing] = max(moves[side, thing], told)
+        new = new or told > moves[thing]
+        moves[thing] = max(moves[thing], told)
     return new

@@ -174,5 +174,6 @@ class LocalMap:
         """Coarse, then fine, both tied to the same guess."""
         config = self.config
         levels = (self.coarse, config.cell_m), (self.fine, 0.5 * config.cell_m)
-        how = config.iterations, prior, config.correlated_beams, (config.floor_m, config.floor_rad)
-        return align_coarse_to_fine(scan.points, scan.normals, guess, *levels, *how)
+        lags, settled = config.correlated_beams, (config.floor_m, config.floor_rad)
+        rows = scan.points, scan.normals
+        return align_coarse_to_fine(*rows, guess, *levels, config.iterations, prior, lags, settled)

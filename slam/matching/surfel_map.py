@@ -66,21 +66,19 @@ def build_surfel_maps(
     corners, found = np.zeros(4), list[SurfelMap]()
     _bound(points, corners)
     low_x, low_y, high_x, high_y = corners.tolist()
+    weights = np.broadcast_to(1.0, len(points))
     for cell_m in cells_m:
         origin_x, origin_y = low_x - 2.0 * cell_m, low_y - 2.0 * cell_m
         spans = (origin_y, high_y), (origin_x, high_x)
         rows, columns = (int((high - low) / cell_m) + 3 for low, high in spans)
-        most = len(found[0].surfels) if found else len(points)
-        cells, after, sums = (
-            np.full((rows, columns), -1, np.int32),
-            np.empty(most, np.int32),
-            np.empty((most, 6)),
-        )
-        place = origin_x, origin_y, cell_m, cells, after, sums
-        count = _gather(found[0].surfels, *place) if found else _build(points, normals, *place)
-        found.append(SurfelMap(cells, after[:count].copy(), sums[:count].copy(), origin_x, origin_y, cell_m))
+        cells, after = np.full((rows, columns), -1, np.int32), np.empty(len(points), np.int32)
+        sums = np.empty((len(points), 6))
+        count = _build(points, normals, weights, origin_x, origin_y, cell_m, cells, after, sums)
+        surfels = sums[:count].copy()
+        found.append(SurfelMap(cells, after[:count].copy(), surfels, origin_x, origin_y, cell_m))
+        points, normals, weights = surfels[:, :2], surfels[:, 2:4], surfels[:, 4]
     for one in found:
-        _average(one.surfels)
+        _point(one.surfels)
     return found
 
 
@@ -102,8 +100,10 @@ def _bound(points, corners):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _build(points, normals, origin_x, origin_y, cell_m, cells, after, sums):  # type: ignore[no-untyped-def]
-    """Number the cells' sides that have points, and sum up those points; how many there are."""
+def _build(  # type: ignore[no-untyped-def]
+    points, normals, weights, origin_x, origin_y, cell_m, cells, after, sums
+):
+    """Number the cells' sides that have points, and average those points; how many there are."""
     count = ZERO
     for i in range(points.shape[0]):
         x = points[i, 0]
@@ -128,45 +128,25 @@ def _build(points, normals, origin_x, origin_y, cell_m, cells, after, sums):  # 
             sums[k, 0] = sums[k, 1] = sums[k, 2] = sums[k, 3] = sums[k, 4] = 0.0
             sums[k, 5] = side
             count += 1
-        sums[k, 0] += x
-        sums[k, 1] += y
-        sums[k, 2] += nx
-        sums[k, 3] += ny
-        sums[k, 4] += 1.0
+        weight = weights[i]
+        sums[k, 0] += weight * x
+        sums[k, 1] += weight * y
+        sums[k, 2] += weight * nx
+        sums[k, 3] += weight * ny
+        sums[k, 4] += weight
+    for k in range(count):
+        for column in range(4):
+            sums[k, column] /= sums[k, 4]
     return count
 
 
 @kernel
-def _gather(finer, origin_x, origin_y, cell_m, cells, after, sums):  # type: ignore[no-untyped-def]
-    """As `_build`, of the sums of finer cells."""
-    count = ZERO
-    for i in range(finer.shape[0]):
-        row = math.floor((finer[i, 1] / finer[i, 4] - origin_y) / cell_m)
-        column = math.floor((finer[i, 0] / finer[i, 4] - origin_x) / cell_m)
-        k = cells[row, column]
-        while k >= 0 and sums[k, 5] != finer[i, 5]:
-            k = after[k]
-        if k < 0:
-            k = count
-            after[k] = cells[row, column]
-            cells[row, column] = k
-            sums[k] = finer[i]
-            count += 1
-            continue
-        for n in range(5):
-            sums[k, n] += finer[i, n]
-    return count
-
-
-@kernel
-def _average(sums):  # type: ignore[no-untyped-def]
-    """Turn sums over points into mean places and normals."""
-    for k in range(sums.shape[0]):
-        length = math.hypot(sums[k, 2], sums[k, 3])
-        sums[k, 0] = sums[k, 0] / sums[k, 4]
-        sums[k, 1] = sums[k, 1] / sums[k, 4]
-        sums[k, 2] = sums[k, 2] / length
-        sums[k, 3] = sums[k, 3] / length
+def _point(surfels):  # type: ignore[no-untyped-def]
+    """Make the mean normals as long as one."""
+    for k in range(surfels.shape[0]):
+        length = math.hypot(surfels[k, 2], surfels[k, 3])
+        surfels[k, 2] /= length
+        surfels[k, 3] /= length
 
 
 @kernel(inline="always")
