@@ -11,6 +11,7 @@ import math
 import struct
 import zlib
 from dataclasses import fields
+from operator import attrgetter
 from typing import Any
 
 import gtsam
@@ -39,6 +40,7 @@ _RECORDS: dict[int, type] = {
 }
 _NUMBER_OF = {record: number for number, record in _RECORDS.items()}
 _FIELDS = {number: tuple(field.name for field in fields(record)) for number, record in _RECORDS.items()}
+_PARTS = {number: attrgetter(*names) for number, names in _FIELDS.items()}
 _DTYPES = tuple(np.dtype(name) for name in ("f8", "f4", "i8", "i4", "i2", "i1", "u1", "?"))
 _DTYPE_NUMBER = {dtype: number for number, dtype in enumerate(_DTYPES)}
 _DEEPEST = 8
@@ -132,16 +134,20 @@ def _pack(value: Any, out: bytearray) -> None:
     number = _NUMBER_OF.get(type(value))
     if number is not None:
         out += b"o" + bytes([number])
-        for name in _FIELDS[number]:
-            _pack(getattr(value, name), out)
+        for part in _PARTS[number](value):
+            _pack(part, out)
+    elif isinstance(value, float):
+        out += b"d" + _F8.pack(value)
     elif isinstance(value, np.ndarray):
         _pack_array(value, out)
     elif value is None:
         out += b"N"
     elif isinstance(value, bool | np.bool_):
         out += b"T" if value else b"F"
-    elif isinstance(value, float):
-        out += b"d" + _F8.pack(value)
+    elif isinstance(value, gtsam.Pose2):
+        # Cosine and sine, not the angle: that would come back with another last bit.
+        rotation = value.rotation()
+        out += b"2" + _POSE2.pack(value.x(), value.y(), rotation.c(), rotation.s())
     elif isinstance(value, int | np.integer):
         out += b"i" + _I8.pack(value)
     elif isinstance(value, str | bytes):
@@ -151,10 +157,6 @@ def _pack(value: Any, out: bytearray) -> None:
         out += (b"l" if isinstance(value, list) else b"t") + _U4.pack(len(value))
         for item in value:
             _pack(item, out)
-    elif isinstance(value, gtsam.Pose2):
-        # Cosine and sine, not the angle: that would come back with another last bit.
-        rotation = value.rotation()
-        out += b"2" + _POSE2.pack(value.x(), value.y(), rotation.c(), rotation.s())
     elif isinstance(value, gtsam.Pose3):
         out += b"3" + _POSE3.pack(*value.matrix()[:3].ravel())
     else:
@@ -164,9 +166,9 @@ def _pack(value: Any, out: bytearray) -> None:
 def _pack_array(array: np.ndarray[Any, Any], out: bytearray) -> None:
     """Append an array; the order of its memory is kept, by it the last bits of a product may differ."""
     fortran = array.flags.f_contiguous and not array.flags.c_contiguous
-    head = bytes([_DTYPE_NUMBER[array.dtype], fortran, array.ndim])
-    out += b"a" + head + struct.pack(f"<{array.ndim}I", *array.shape)
-    out += np.ascontiguousarray(array.T if fortran else array).reshape(-1).view(np.uint8).data
+    head = b"a", _DTYPE_NUMBER[array.dtype], fortran, array.ndim
+    out += struct.pack(f"<c3B{array.ndim}I", *head, *array.shape)
+    out += np.ascontiguousarray(array.T if fortran else array).data
 
 
 def _unpack(content: bytes, at: int, depth: int) -> tuple[Any, int]:
