@@ -5,6 +5,7 @@ from __future__ import annotations
 import gc
 import logging
 import os
+import pickle
 import signal
 import struct
 import sys
@@ -12,8 +13,9 @@ import threading
 import warnings
 from collections.abc import Callable
 from contextlib import suppress
-from typing import TypeAlias
+from typing import TypeAlias, TypeVar, cast
 
+T = TypeVar("T")
 Tell: TypeAlias = Callable[[bytes], None]
 
 _LENGTH = struct.Struct("<I")
@@ -66,6 +68,26 @@ class Forked:
         content = bytes(self._received[:size])
         del self._received[:size]
         return content
+
+
+def begun(compute: Callable[[], T]) -> Callable[[], T]:
+    """Begin to compute a value on another core; who asks for it waits, or computes it where no core was free.
+
+    It takes the way through `pickle` and comes back equal, as the arrays and plain values that it is made of.
+    """
+    if not is_core_free():
+        return compute
+    copy = Forked(lambda tell: tell(pickle.dumps(compute(), pickle.HIGHEST_PROTOCOL)))
+
+    def value() -> T:
+        try:
+            content = copy.receive()
+        finally:
+            copy.close()
+        # It is our own copy that sends this; what it failed in fails here too.
+        return compute() if content is None else cast(T, pickle.loads(content))
+
+    return value
 
 
 def is_core_free() -> bool:

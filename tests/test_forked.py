@@ -7,9 +7,11 @@ import signal
 import threading
 import time
 
+import numpy as np
 import pytest
 
-from slam.forked import Forked, Tell, is_core_free
+from slam import forked
+from slam.forked import Forked, Tell, begun, is_core_free
 
 
 def test_all_that_is_told_comes_in_its_order_however_much_waits() -> None:
@@ -63,3 +65,23 @@ def test_no_copy_is_made_beside_a_thread_or_on_one_core(monkeypatch: pytest.Monk
     monkeypatch.setattr(os, "sched_getaffinity", lambda _: {0, 1})
     monkeypatch.setattr(threading, "active_count", lambda: 2)
     assert not is_core_free()
+
+
+@pytest.mark.parametrize("free", [True, False])
+def test_a_value_that_was_begun_is_what_is_computed(free: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(forked, "is_core_free", lambda: free)
+    numbers, here = np.arange(1e6), os.getpid()
+    value, who = begun(lambda: ({"twice": 2.0 * numbers}, os.getpid()))()
+    np.testing.assert_array_equal(value["twice"], 2.0 * numbers)
+    assert (who == here) is not free
+
+
+def test_what_fails_in_the_copy_fails_here(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(forked, "is_core_free", lambda: True)
+
+    def compute() -> int:
+        raise ValueError("no such number")
+
+    value = begun(compute)
+    with pytest.raises(ValueError, match="no such number"):
+        value()

@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import json
+import os
 import time
+from collections.abc import Callable
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 from fusion.showing import one_line
 from slam.app.map_folder import finished_map, opened_map
@@ -14,18 +17,21 @@ from slam.app.progress import OnProgress, Progress
 from slam.datasets.dataset import Dataset
 from slam.errors import ScanweaveError
 from slam.evaluation.map_report import ReportData, RunCost, beside_of
+from slam.evaluation.page_data import map_data
 from slam.evaluation.report import write_report
+from slam.forked import begun
 from slam.heap import give_back
 from slam.mapper.checkpoint import Checkpoint
 from slam.mapper.pipeline import build_map
 from slam.outputs.exports import Exports
 from slam.outputs.finished_map import Map, load_map
 from slam.storage.files import make_folder
-from slam.storage.map_contents import write_contents
+from slam.storage.map_contents import MapContents, write_contents
 from slam.storage.map_facts import write_facts
 from slam.storage.map_file import MAP_NAME
 from slam.storage.map_identity import NOTES, WARNINGS, MapIdentity
 from slam.storage.map_places import write_places
+from slam.storage.map_sessions import sessions_of
 from slam.viewer.map_recording import record_map
 from slam.viewer.viewer import recording
 
@@ -101,6 +107,7 @@ def run_into(
         give_back()
         readings = result.scans.stamps_s.size
         on_progress(Progress("writing", readings))
+        head = _head(result.map, identity) if report else None
         made = Exports(result.map, config, result.ground)
         before = time.perf_counter()
         files, missing = _written(folder, made) if exports else ([], [])
@@ -123,17 +130,25 @@ def run_into(
     give_back()
     if report:
         try:
-            cost = RunCost(time.perf_counter() - started, time.process_time())
+            cost = RunCost(time.perf_counter() - started, sum(os.times()[:4]))
             beside = beside_of(dataset, result, files, missing)
             data = ReportData(
                 identity.log_name, dataset.report, result, config, cost, beside, saved.sessions, saved.digest
             )
-            write_report(folder / "report.html", data)
+            write_report(folder / "report.html", data, head() if head else None)
         except BaseException:
             saved.close()
             raise
         written.append(folder / "report.html")
     return MapRun(saved, data, (*files, folder / MAP_NAME, *written), dataset.report.dropped_count)
+
+
+def _head(found: MapContents, identity: MapIdentity) -> Callable[[], dict[str, Any]] | None:
+    """The map as the data of its page, begun; None of one with images or clouds, which are in its file."""
+    if found.frames is not None or found.clouds is not None:
+        return None
+    sessions = sessions_of(identity.to_meta(), len(found.node_poses), len(found.trajectory))
+    return begun(lambda: map_data(found, identity.config, title=identity.log_name, sessions=sessions))
 
 
 def _written(folder: Path, made: Exports) -> tuple[list[Path], list[str]]:
