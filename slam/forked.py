@@ -11,11 +11,11 @@ import struct
 import sys
 import threading
 import warnings
+import weakref
 from collections.abc import Callable
 from contextlib import suppress
-from typing import TypeAlias, TypeVar, cast
+from typing import Any, TypeAlias
 
-T = TypeVar("T")
 Tell: TypeAlias = Callable[[bytes], None]
 
 _LENGTH = struct.Struct("<I")
@@ -31,6 +31,8 @@ class Forked:
     ----------
     number
         The number of the process.
+    close
+        Ends it, wherever it is.
     """
 
     def __init__(self, work: Callable[[Tell], None]) -> None:
@@ -45,18 +47,12 @@ class Forked:
             _work(work, target)
         gc.unfreeze()
         os.close(target)
+        self.close = weakref.finalize(self, _end, self._source, self.number)
 
     def receive(self) -> bytes | None:
         """The next that it has sent, waited for; None where nothing comes any more."""
         content = self._read(_LENGTH.size)
         return None if content is None else self._read(*_LENGTH.unpack(content))
-
-    def close(self) -> None:
-        """End it, wherever it is."""
-        os.close(self._source)
-        with suppress(ProcessLookupError):
-            os.kill(self.number, signal.SIGKILL)
-        os.waitpid(self.number, 0)
 
     def _read(self, size: int) -> bytes | None:
         """So many bytes, or None."""
@@ -70,24 +66,32 @@ class Forked:
         return content
 
 
-def begun(compute: Callable[[], T]) -> Callable[[], T]:
-    """Begin to compute a value on another core; who asks for it waits, or computes it where no core was free.
+class Begun:
+    """Values that are computed one after the other on another core, from now on, and asked for in that order.
 
-    It takes the way through `pickle` and comes back equal, as the arrays and plain values that it is made of.
+    Where no core was free, or the copy has failed, each is computed when it is asked for. A value takes the
+    way through `pickle`: arrays and plain values come back equal.
     """
-    if not is_core_free():
-        return compute
-    copy = Forked(lambda tell: tell(pickle.dumps(compute(), pickle.HIGHEST_PROTOCOL)))
 
-    def value() -> T:
-        try:
-            content = copy.receive()
-        finally:
-            copy.close()
-        # It is our own copy that sends this; what it failed in fails here too.
-        return compute() if content is None else cast(T, pickle.loads(content))
+    def __init__(self, *computes: Callable[[], Any]) -> None:
+        self._left = list(computes)
+        self._copy: Forked | None = None
 
-    return value
+        def work(tell: Tell) -> None:
+            for compute in computes:
+                tell(pickle.dumps(compute(), pickle.HIGHEST_PROTOCOL))
+
+        if is_core_free():
+            self._copy = Forked(work)
+
+    def __call__(self) -> Any:
+        """The next value."""
+        compute = self._left.pop(0)
+        content = None if self._copy is None else self._copy.receive()
+        if self._copy is not None and (content is None or not self._left):
+            self._copy.close()
+            self._copy = None
+        return compute() if content is None else pickle.loads(content)  # it is our own copy that has sent it
 
 
 def is_core_free() -> bool:
@@ -98,6 +102,13 @@ def is_core_free() -> bool:
     """
     alone = threading.current_thread() is threading.main_thread() and threading.active_count() == 1
     return sys.platform == "linux" and alone and len(os.sched_getaffinity(0)) > 1
+
+
+def _end(source: int, number: int) -> None:
+    """End a copy, wherever it is."""
+    os.close(source)
+    os.kill(number, signal.SIGKILL)
+    os.waitpid(number, 0)
 
 
 def _work(work: Callable[[Tell], None], target: int) -> None:

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from slam import forked
-from slam.forked import Forked, Tell, begun, is_core_free
+from slam.forked import Begun, Forked, Tell, is_core_free
 
 
 def test_all_that_is_told_comes_in_its_order_however_much_waits() -> None:
@@ -56,6 +56,14 @@ def test_it_does_not_heed_an_interrupt_and_ends_when_it_is_closed() -> None:
         os.kill(copy.number, 0)
 
 
+def test_nobody_is_left_where_it_is_forgotten() -> None:
+    copy = Forked(lambda tell: time.sleep(60.0))
+    number = copy.number
+    del copy
+    with pytest.raises(ProcessLookupError):
+        os.kill(number, 0)
+
+
 def test_no_copy_is_made_beside_a_thread_or_on_one_core(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(threading, "active_count", lambda: 1)
     monkeypatch.setattr(os, "sched_getaffinity", lambda _: {0, 1})
@@ -71,9 +79,9 @@ def test_no_copy_is_made_beside_a_thread_or_on_one_core(monkeypatch: pytest.Monk
 def test_a_value_that_was_begun_is_what_is_computed(free: bool, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(forked, "is_core_free", lambda: free)
     numbers, here = np.arange(1e6), os.getpid()
-    value, who = begun(lambda: ({"twice": 2.0 * numbers}, os.getpid()))()
-    np.testing.assert_array_equal(value["twice"], 2.0 * numbers)
-    assert (who == here) is not free
+    value = Begun(lambda: {"twice": 2.0 * numbers}, os.getpid)
+    np.testing.assert_array_equal(value()["twice"], 2.0 * numbers)
+    assert (value() == here) is not free
 
 
 def test_what_fails_in_the_copy_fails_here(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -82,6 +90,7 @@ def test_what_fails_in_the_copy_fails_here(monkeypatch: pytest.MonkeyPatch) -> N
     def compute() -> int:
         raise ValueError("no such number")
 
-    value = begun(compute)
+    value = Begun(compute, os.getpid)
     with pytest.raises(ValueError, match="no such number"):
         value()
+    assert value() == os.getpid()

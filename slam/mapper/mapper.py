@@ -13,7 +13,7 @@ from fusion.time_alignment import GAP_S
 from slam.config import Config
 from slam.errors import DatasetError, GraphError
 from slam.estimates import Trajectory
-from slam.forked import begun
+from slam.forked import Begun
 from slam.graph.edge import Edge, EdgeKind
 from slam.graph.keyframe_graph import KeyframeGraph
 from slam.graph.loop_closure import LoopCandidate
@@ -138,7 +138,7 @@ class Mapper:
                 bases = front_end.bases(graph.poses())
                 trajectory = front_end.readings.trajectory(bases)
         clock.append(time.perf_counter())
-        told = begun(lambda: pose_covariances(graph.poses(), bases, edges, outcome.kept, self._config))
+        told = Begun(lambda: pose_covariances(graph.poses(), bases, edges, outcome.kept, self._config))
         if self._places is not None:
             self._places.check(graph, way(), outcome, self._config)
         factors = zip(edges, outcome.kept.tolist(), strict=True)
