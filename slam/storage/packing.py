@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 import struct
 import zlib
+from collections.abc import Callable
 from dataclasses import fields
 from operator import attrgetter
 from typing import Any
@@ -104,16 +105,35 @@ class Unpacker:
     def __init__(self, size: int) -> None:
         self._left = _LARGEST_BYTES + _GROWTH * size
 
-    def __call__(self, content: bytes) -> Any:
-        """As `unpack_small`."""
+    def __call__(self, content: bytes, read: Callable[[bytes], Any] | None = None) -> Any:
+        """As `unpack_small`, or what another function than `unpack` reads in the bytes."""
         self._left -= _I8.unpack_from(content)[0] if len(content) >= _I8.size else 0
         if self._left < 0:
             raise MapFileError("it unpacks to more than any map")
-        return unpack_small(content)
+        return (read or unpack)(_inflated(content))
 
 
 def unpack_small(content: bytes) -> Any:
     """The value of compressed bytes; `MapFileError` as in `unpack`."""
+    return unpack(_inflated(content))
+
+
+def is_in_plane(content: bytes) -> bool:
+    """Whether a packed pose is one of the plane."""
+    return content[:1] == b"2"
+
+
+def last_text(content: bytes) -> str:
+    """The text that a packed record ends with; `MapFileError` where there is none."""
+    for end in range(len(content), 4, -1):
+        size = len(content) - end
+        if content[end - 5 : end] == b"s" + _U4.pack(size):
+            return content[end:].decode("utf-8", "replace")
+    raise MapFileError("a record without a text at its end")
+
+
+def _inflated(content: bytes) -> bytes:
+    """Compressed bytes as they were."""
     if len(content) < _I8.size:
         raise MapFileError("compressed values end too soon")
     (size,) = _I8.unpack_from(content)
@@ -126,7 +146,7 @@ def unpack_small(content: bytes) -> Any:
         raise MapFileError(f"compressed values are damaged: {error}") from error
     if len(plain) != size or not unpacker.eof:
         raise MapFileError(f"compressed values are not the {size} bytes that they should be")
-    return unpack(plain)
+    return plain
 
 
 def _pack(value: Any, out: bytearray) -> None:
