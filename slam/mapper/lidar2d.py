@@ -175,7 +175,8 @@ class PlanarRobot:
 
     def search_again(self, graph: KeyframeGraph, kept: BoolArray) -> list[LoopCandidate]:
         """Places all over the map; where they show which step was wrong, the graph begins without it."""
-        found = self._places.search(graph.rows(), graph.graph.edges, kept, graph.loops)
+        stamps_s = self.readings.scan_stamps_s()[self.readings.keyframe_scans()]
+        found = self._places.search(graph.rows(), stamps_s, graph.graph.edges, kept, graph.loops)
         if self._places.fault is not None:
             graph.graph.doubt(*self._places.fault)
         if not found:
