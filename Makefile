@@ -21,9 +21,11 @@ INSTALLED_DEV := $(VENV)/.installed-dev
 demo: $(INSTALLED)
 	$(BIN)/scanweave demo
 
-# Types are checked meanwhile: that takes one core half a minute, where nothing of it is kept.
+# Types are checked meanwhile: that takes one core half a minute, where nothing of it is kept. In a fresh clone one
+# process loads all first: Python compiles it for 12 s, which else each of the workers would do.
 test: style
 	@$(BIN)/mypy >$(VENV)/.types 2>&1 & types=$$!; \
+	  test -d tests/__pycache__ || $(BIN)/python -m pytest --collect-only -qq >/dev/null 2>&1; \
 	  $(BIN)/python -m pytest -n $(WORKERS) --dist worksteal; tests=$$?; \
 	  wait $$types; types=$$?; cat $(VENV)/.types; exit $$((tests | types))
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import shutil
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -54,6 +54,30 @@ class Visit:
         self.page.locator(selector).first.click()
 
 
+# The driver, and a browser with and one without WebGL, with what ends them.
+_open: dict[object, Any] = {}
+_ends = ExitStack()
+
+
+def opened(webgl: bool = True) -> Any:
+    """The browser that the tests of a file share: to start one takes a second, a visit a quarter."""
+    executable = chromium()
+    playwright = pytest.importorskip("playwright.sync_api", reason="no Playwright: the page was NOT tested")
+    if not _open:
+        _open["driver"] = _ends.enter_context(playwright.sync_playwright())
+    if webgl not in _open:
+        arguments = _ARGUMENTS if webgl else [*_ARGUMENTS[:2], "--disable-gpu", "--disable-3d-apis"]
+        launched = _open["driver"].chromium.launch(executable_path=executable, args=arguments)
+        _open[webgl] = _ends.enter_context(launched)
+    return _open[webgl]
+
+
+def close() -> None:
+    """End the browsers, and the loop of events that the driver runs in this thread."""
+    _open.clear()
+    _ends.close()
+
+
 @contextmanager
 def visit(
     path: Path, width: int = 1300, height: int = 900, webgl: bool = True, **options: Any
@@ -65,23 +89,16 @@ def visit(
     options
         Of the browser's context: ``color_scheme``, ``java_script_enabled``, ``reduced_motion``.
     """
-    executable = chromium()
-    playwright = pytest.importorskip("playwright.sync_api", reason="no Playwright: the page was NOT tested")
-    arguments = _ARGUMENTS if webgl else [*_ARGUMENTS[:2], "--disable-gpu", "--disable-3d-apis"]
-    with playwright.sync_playwright() as driver:
-        browser = driver.chromium.launch(executable_path=executable, args=arguments)
-        try:
-            options = {"viewport": {"width": width, "height": height}, "reduced_motion": "reduce", **options}
-            page = browser.new_context(**options).new_page()
-            seen = Visit(page)
-            page.on("request", lambda asked: seen.requests.append(asked.url))
-            page.on("pageerror", lambda error: seen.complaints.append(str(error)))
-            page.on("console", lambda said: seen.complaints.append(said.text))
-            page.goto(path.resolve().as_uri())
-            yield seen
-            seen.requests[:] = [one for one in seen.requests if not one.startswith(("data:", "blob:"))]
-        finally:
-            browser.close()
+    options = {"viewport": {"width": width, "height": height}, "reduced_motion": "reduce", **options}
+    with opened(webgl).new_context(**options) as context:
+        page = context.new_page()
+        seen = Visit(page)
+        page.on("request", lambda asked: seen.requests.append(asked.url))
+        page.on("pageerror", lambda error: seen.complaints.append(str(error)))
+        page.on("console", lambda said: seen.complaints.append(said.text))
+        page.goto(path.resolve().as_uri())
+        yield seen
+        seen.requests[:] = [one for one in seen.requests if not one.startswith(("data:", "blob:"))]
 
 
 def ready(seen: Visit) -> Visit:

@@ -74,7 +74,7 @@ def corridor(folder: Path) -> Path:
     if not whole.exists():
         pytest.skip(f"{whole} is not there: a map of a real CARMEN log stays UNTESTED here")
     with gzip.open(whole, "rt") as lines:
-        (folder / "fr079.log").write_text("".join(itertools.islice(lines, 1500)))
+        (folder / "fr079.log").write_text("".join(itertools.islice(lines, 1000)))
     return folder / "fr079.log"
 
 

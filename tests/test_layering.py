@@ -30,7 +30,7 @@ FLOORS: tuple[frozenset[str], ...] = (
     frozenset({"slam.estimates"}),
     frozenset({"slam.config", "slam.measurements"}),
     frozenset({"slam.errors", "slam.result_cache", "fusion"}),
-    frozenset({"slam.foreign", "slam.heap", "slam.temporary", "slam.zstandard"}),
+    frozenset({"slam.foreign", "slam.forked", "slam.heap", "slam.later", "slam.temporary", "slam.zstandard"}),
     frozenset({"slam"}),  # the package's own __init__: it names what is public, and loads none of it
     frozenset({"slam.version"}),
 )

@@ -26,7 +26,7 @@ try:
     main()
 except SystemExit as end:
     assert not end.code, end.code
-print(json.dumps(sorted(sys.modules)))
+print(json.dumps(sorted(name for name, module in sys.modules.items() if hasattr(module, "__file__"))))
 """
 
 
@@ -52,7 +52,7 @@ def test_help_loads_nothing() -> None:
 
 
 def test_what_is_in_a_map_takes_no_kernel_and_no_reader(house: tuple[Path, set[str]]) -> None:
-    assert loaded("info", str(house[0])) == {"pydantic", "numpy", "gtsam"}
+    assert loaded("info", str(house[0])) == {"pydantic", "numpy"}
 
 
 def test_a_map_is_written_again_without_what_makes_maps(house: tuple[Path, set[str]], tmp_path: Path) -> None:

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import sys
+import threading
+
 import pytest
 
 import slam.cli.progress as shown
@@ -21,3 +24,18 @@ def test_a_file_is_told_a_line_now_and_then(
         "mapping: 1,200 scans and frames, 25% of the log",
         "mapping: 2,000 scans and frames",
     ]
+
+
+def test_a_bar_is_drawn_without_a_thread(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(sys.stderr, "isatty", lambda: True, raising=False)
+    monkeypatch.setenv("TTY_COMPATIBLE", "1")
+    before = threading.active_count()
+    with shown.progress_bar() as show:
+        show(Progress("mapping", 100, 0.1))
+        show(Progress("optimising", 1234, None))
+        assert threading.active_count() == before
+    told = capsys.readouterr().err
+    assert "mapping" in told
+    assert "1,234 scans and frames" in told

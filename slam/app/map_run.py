@@ -3,10 +3,14 @@
 from __future__ import annotations
 
 import json
+import os
 import time
+from collections.abc import Callable
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
+from typing import Any
 
 from fusion.showing import one_line
 from slam.app.map_folder import finished_map, opened_map
@@ -14,18 +18,22 @@ from slam.app.progress import OnProgress, Progress
 from slam.datasets.dataset import Dataset
 from slam.errors import ScanweaveError
 from slam.evaluation.map_report import ReportData, RunCost, beside_of
+from slam.evaluation.page_data import map_data
 from slam.evaluation.report import write_report
+from slam.forked import Begun, is_core_free
 from slam.heap import give_back
 from slam.mapper.checkpoint import Checkpoint
+from slam.mapper.map_result import MapResult
 from slam.mapper.pipeline import build_map
 from slam.outputs.exports import Exports
 from slam.outputs.finished_map import Map, load_map
 from slam.storage.files import make_folder
-from slam.storage.map_contents import write_contents
+from slam.storage.map_contents import MapContents, write_contents
 from slam.storage.map_facts import write_facts
 from slam.storage.map_file import MAP_NAME
 from slam.storage.map_identity import NOTES, WARNINGS, MapIdentity
 from slam.storage.map_places import write_places
+from slam.storage.map_sessions import sessions_of
 from slam.viewer.map_recording import record_map
 from slam.viewer.viewer import recording
 
@@ -101,9 +109,8 @@ def run_into(
         give_back()
         readings = result.scans.stamps_s.size
         on_progress(Progress("writing", readings))
-        made = Exports(result.map, config, result.ground)
         before = time.perf_counter()
-        files, missing = _written(folder, made) if exports else ([], [])
+        beside_file = _beside_file(folder, result, identity, exports=exports, report=report)
         result.stage_seconds["files for other programs"] = time.perf_counter() - before
         if viewer is not None:
             record_map(viewer, result, config)
@@ -113,27 +120,49 @@ def run_into(
         write_places(file, result.map.places, result.map.node_poses[0])
         file.add_meta(NOTES, json.dumps(result.notes))
         file.add_meta(WARNINGS, json.dumps(result.warnings))
+        files, missing = beside_file()
         file.seal()
     result.stage_seconds["map.db"] = time.perf_counter() - before
     # One in memory at a time: what is handed out is what anybody reads from the file.
-    del made
     result.map = replace(result.map, grids={})
     saved, data = load_map(folder), None
     result.map = saved.contents
     give_back()
     if report:
         try:
-            cost = RunCost(time.perf_counter() - started, time.process_time())
+            head = beside_file()
+            cost = RunCost(time.perf_counter() - started, sum(os.times()[:4]))
             beside = beside_of(dataset, result, files, missing)
             data = ReportData(
                 identity.log_name, dataset.report, result, config, cost, beside, saved.sessions, saved.digest
             )
-            write_report(folder / "report.html", data)
+            write_report(folder / "report.html", data, head)
         except BaseException:
             saved.close()
             raise
         written.append(folder / "report.html")
     return MapRun(saved, data, (*files, folder / MAP_NAME, *written), dataset.report.dropped_count)
+
+
+def _beside_file(
+    folder: Path, result: MapResult, identity: MapIdentity, *, exports: bool, report: bool
+) -> Callable[[], Any]:
+    """What is made while ``map.db`` is written: files for other programs, as `_written`, and `_head`.
+
+    Images and clouds are in the file, which is open here: their files are written first. There, and where
+    no core is free, the head is None.
+    """
+    made = Exports(result.map, identity.config, result.ground)
+    export: Callable[[], Any] = partial(_written, folder, made) if exports else lambda: ([], [])
+    if result.map.frames is not None or result.map.clouds is not None or not is_core_free():
+        return iter([export(), None]).__next__
+    return Begun(export, partial(_head, result.map, identity) if report else lambda: None)
+
+
+def _head(found: MapContents, identity: MapIdentity) -> dict[str, Any]:
+    """The map as the data of its page."""
+    sessions = sessions_of(identity.to_meta(), len(found.node_poses), len(found.trajectory))
+    return map_data(found, identity.config, title=identity.log_name, sessions=sessions)
 
 
 def _written(folder: Path, made: Exports) -> tuple[list[Path], list[str]]:

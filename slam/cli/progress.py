@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import signal
 import sys
 import time
@@ -88,7 +89,8 @@ def progress_bar(unit: str = "scans and frames", first: str = "") -> Iterator[Sh
         TextColumn("{task.fields[rate]}"),
         TimeRemainingColumn(elapsed_when_finished=True),
     )
-    with Bars(*columns, console=Console(stderr=True), transient=True) as bars:
+    # Drawn by who works: beside a thread that draws it no copy of the process could help, see `slam.forked`.
+    with Bars(*columns, console=Console(stderr=True), transient=True, auto_refresh=False) as bars:
         show = _Bars(bars)
         yield tell_and_show
 
@@ -116,13 +118,14 @@ class _Bars:
         self._task: Any = None
         self._stage = ""
         self._first = 0
+        self._drawn_s = -math.inf
 
     def __call__(self, progress: Progress) -> None:
         """Show how far it is."""
         if progress.stage != self._stage:
             if self._task is not None:
                 self._bars.remove_task(self._task)
-            self._stage, self._first = progress.stage, progress.readings
+            self._stage, self._first, self._drawn_s = progress.stage, progress.readings, -math.inf
             self._task = self._bars.add_task(progress.stage, total=None, readings=0, rate="")
         task = next(task for task in self._bars.tasks if task.id == self._task)
         done, elapsed_s = progress.readings - self._first, task.elapsed or 0.0
@@ -133,3 +136,7 @@ class _Bars:
             readings=f"{progress.readings:,}",
             rate=f"{done / elapsed_s:,.0f}/s" if done and elapsed_s > 0.0 else "",
         )
+        now_s = time.monotonic()
+        if self._bars.live.refresh_per_second * (now_s - self._drawn_s) >= 1.0:
+            self._bars.refresh()
+            self._drawn_s = now_s

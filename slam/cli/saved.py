@@ -11,6 +11,7 @@ import typer
 
 from slam.cli.app import JsonOption, command, folder_of, say, tell
 from slam.errors import ScanweaveError
+from slam.later import load_later
 
 MapArgument = Annotated[
     Path, typer.Argument(metavar="MAP", help="a folder that 'scanweave map' has made, or its map.db")
@@ -47,6 +48,7 @@ class Format(StrEnum):
 @command()
 def info(map_: MapArgument, as_json: JsonOption = False) -> None:
     """Tell what is in a map: sensors, keyframes, loops, grid, settings, versions."""
+    load_later("gtsam")
     from slam.evaluation.map_info import map_info, render_info
 
     found = map_info(map_)

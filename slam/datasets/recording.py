@@ -50,25 +50,25 @@ def fewer_frames(log: Any, choose: FrameChoice | None) -> Iterator[None]:
 
 
 @contextmanager
-def read_once(log: Any) -> Iterator[None]:
+def read_once(log: Any, then: Callable[[], None] | None = None) -> Iterator[None]:
     """A log of scans and odometry is decoded once, meanwhile: further passes take it from memory.
 
     The first pass afterwards does so too, and frees it. One with cameras or clouds, one of more than
-    `_MOST_KEPT_BYTES` and one of another reader is read anew.
+    `_MOST_KEPT_BYTES` and one of another reader is read anew. ``then`` is called once it is in memory.
     """
     while hasattr(log, "log"):
         log = log.log
     if not isinstance(log, Recording):
         yield
         return
-    log.keeps = True
+    log.keeps, log.when_kept = True, then
     try:
         yield
     except BaseException:
         log.kept = None
         raise
     finally:
-        log.keeps = False
+        log.keeps, log.when_kept = False, None
 
 
 @dataclass(frozen=True, slots=True)
@@ -113,8 +113,8 @@ class Recording:
         Whether frames come at all; without them a log beside the cameras is read many times as fast.
     choose_frames
         Asked once a camera which of its frames come; None for all.
-    keeps, kept
-        Whether a whole pass is kept, and what one has left; see `read_once`.
+    keeps, kept, when_kept
+        Whether a whole pass is kept, what one has left, and what is done then; see `read_once`.
     """
 
     __repr__ = one_line
@@ -135,6 +135,7 @@ class Recording:
         self.calibration_files: tuple[Path, ...] = ()
         self.choose_frames: FrameChoice | None = None
         self.keeps = False
+        self.when_kept: Callable[[], None] | None = None
         self.kept: tuple[list[Measurement], ReadReport] | None = None
         self._load, self._truth, self._strict, self._remedy = load, truth, strict, remedy
 
@@ -187,6 +188,8 @@ class Recording:
             raise DatasetError(_nothing_usable(self.path, report, self._remedy))
         if kept is not None:
             self.kept = kept, report
+            if self.when_kept is not None:
+                self.when_kept()
 
     def _again(self, kept: list[Any], report: ReadReport, *, free: bool) -> Iterator[Measurement]:
         """A pass from memory."""

@@ -7,7 +7,6 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, cast
 
-import gtsam
 import numpy as np
 
 from slam.config import Config, leaves
@@ -15,15 +14,13 @@ from slam.errors import MapFileError, UnfinishedMapError
 from slam.estimates import Trajectory
 from slam.foreign import plain
 from slam.mapping.layered_map import DEPTH, OCCUPANCY
-from slam.mapping.occupancy_grid import FREE, OCCUPIED, OccupancyGrid, StateArray
-from slam.measurements import LaserScan
+from slam.mapping.occupancy_grid import FREE, OCCUPIED, StateArray
 from slam.storage.map_file import MapFile, map_path
 from slam.storage.map_identity import MapIdentity
 from slam.storage.map_parts import read_grids, read_trajectory
 from slam.storage.map_sessions import MapSession, sessions_of
-from slam.storage.map_soundness import of
-from slam.storage.map_tables import CLOUDS, EDITS, FACTORS, FRAMES, KEYFRAMES, LOOPS
-from slam.storage.packing import Unpacker, unpack
+from slam.storage.map_tables import CLOUDS, EDITS, FACTORS, FRAMES, GRIDS, KEYFRAMES, LOOPS
+from slam.storage.packing import Unpacker, is_in_plane, last_text
 
 
 def map_info(path: Path) -> dict[str, Any]:
@@ -67,7 +64,7 @@ def _finished(file: MapFile) -> dict[str, Any]:
         "factors_refused": {str(kind): count for (kept, kind), count in factors if not kept},
         "loops": file.count(LOOPS),
         "loops_accepted": file.tally(LOOPS, "accepted")[1,],
-        "grids": _grids(read_grids(file, small), identity.config),
+        "grids": _grids(file, small, identity.config),
         **({"edits": edits} if edits else {}),
         **_origin(identity),
         "digest": file.content_digest(),
@@ -77,7 +74,7 @@ def _finished(file: MapFile) -> dict[str, Any]:
 def _is_planar(file: MapFile) -> bool:
     """Whether the robot stays on a floor."""
     with file.blaming(KEYFRAMES, 0):
-        return isinstance(unpack(cast(bytes, file.row(KEYFRAMES, 0)[2])), gtsam.Pose2)
+        return is_in_plane(cast(bytes, file.row(KEYFRAMES, 0)[2]))
 
 
 def _extent(trajectory: Trajectory, sessions: Sequence[MapSession]) -> dict[str, float]:
@@ -148,13 +145,15 @@ def _sensors(file: MapFile, small: Unpacker) -> dict[str, int]:
 
 def _sensor(scan: bytes | None, small: Unpacker) -> str:
     """Whose scan a keyframe has; nothing of none."""
-    return "" if scan is None else of(LaserScan, small(scan)).sensor
+    return "" if scan is None else str(small(scan, last_text))
 
 
-def _grids(grids: Mapping[str, OccupancyGrid], config: Config) -> dict[str, Any]:
+def _grids(file: MapFile, small: Unpacker, config: Config) -> dict[str, Any]:
     """Every grid, and what they decide where there are two."""
+    both = (DEPTH,) in file.tally(GRIDS, "name")
+    grids = read_grids(file, small, placed=both)
     found = {name: _grid(grid.states(), grid.resolution_m) for name, grid in grids.items()}
-    if DEPTH not in grids:
+    if not both:
         return found
     from slam.mapping.keyframe_grid import layers_of_grids
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -19,8 +20,13 @@ from slam.evaluation.saved_page import map_work_page
 from slam.evaluation.work_page import WorkPage
 
 
-def write_report(path: Path, data: ReportData) -> None:
+def write_report(path: Path, data: ReportData, head: dict[str, Any] | None = None) -> None:
     """Write the report as one HTML file that asks nothing of the network.
+
+    Parameters
+    ----------
+    head
+        `map_data` of the map without its digest, where it is there already.
 
     Raises
     ------
@@ -28,7 +34,7 @@ def write_report(path: Path, data: ReportData) -> None:
         Where the folder is missing, not writable or full; an older report then stays as it was.
     """
     result = data.result
-    truth, page = data.beside.truth, _page(data)
+    truth, page = data.beside.truth, _page(data, head)
     degenerate = result.scans.degenerate[result.map.readings] > 0.0
     write_page(
         path,
@@ -88,10 +94,12 @@ def _duration(seconds: float) -> str:
     return f"{minutes} min {rest:02d} s" if minutes else f"{seconds:.1f} s"
 
 
-def _page(data: ReportData) -> WorkPage:
+def _page(data: ReportData, head: dict[str, Any] | None) -> WorkPage:
     """The plan to work in."""
     found, truth = data.result.map, data.beside.truth
-    head = map_data(found, data.config, title=data.log_name, sessions=data.sessions, digest=data.digest)
+    if head is None:
+        head = map_data(found, data.config, title=data.log_name, sessions=data.sessions)
+    head["digest"] = data.digest
     head["charts"] = map_charts(data.result, data.unit, truth)
     if truth is not None:
         head["truth"] = {"xy": truth.true_positions_m[:, :2].astype(np.float32)}

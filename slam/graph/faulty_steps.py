@@ -14,7 +14,7 @@ from functools import cached_property
 
 import numpy as np
 
-from fusion.estimation import FEWEST, median_to_sigma
+from fusion.estimation import FEWEST, TINY, gate, median_to_sigma
 from slam.config.stages import GraphConfig
 from slam.graph.edge import GUESSES, Edge, EdgeKind
 from slam.graph.keyframe_graph import KeyframeGraph, graph_of, row_of, together, unmeasured
@@ -103,6 +103,11 @@ class FaultySteps:
         A step as certain as this is not wrong; nor one that turns the surroundings no more than this.
     lever_m
         How far these are.
+    stamps_s
+        (n,) of the keyframes: in the time of a part the robot went and turned no farther than it does as a
+        rule, and what is told on top, however many claims say so.
+    probability
+        Share of the steps that are no faster than that rule; of true differences that pass the gate.
 
     Attributes
     ----------
@@ -118,8 +123,10 @@ class FaultySteps:
         config: GraphConfig,
         least_m: float,
         lever_m: float,
+        stamps_s: FloatArray,
+        probability: float,
     ) -> None:
-        self._poses = poses
+        self._poses, self._gate = poses, gate(3, probability)
         limit = unmeasured(config, planar=True)
         held: dict[int, FloatArray] = {}
         guessed = np.ones(len(poses), np.bool_)
@@ -149,6 +156,12 @@ class FaultySteps:
         for n, (first, last) in enumerate(self._ends):
             numbers[first:last] = n
         self.known = graph_of(len(poses), believed, numbers)
+        took_s = np.diff(stamps_s)
+        speeds = _moves(_off(poses[:-1], poses[1:])) / np.where(took_s > 0.0, took_s, np.inf)[:, None]
+        begun, ended = self._ends.T
+        time_s = np.abs(stamps_s[ended] - stamps_s[begun])[:, None]
+        told = _moves(_off(poses[begun], poses[ended]))
+        self._farthest = told + time_s * np.quantile(speeds, probability, axis=0)
 
     @cached_property
     def _bounded(self) -> FloatArray:
@@ -162,37 +175,53 @@ class FaultySteps:
         return bounded
 
     def explain(
-        self, start: int, end: int, expected: Motion, claimed: FloatArray
-    ) -> tuple[float, tuple[int, int]]:
-        """Squared sigmas by which a claim is off, at the least, where one part is wrong; and which part.
+        self, start: int, end: int, expected: Motion, claim: Motion
+    ) -> tuple[float, float, tuple[int, int]]:
+        """Squared sigmas by which a claim is off, at the least, where one part is wrong.
 
         Parameters
         ----------
         expected
-            The end seen from the start, were nothing wrong.
-        claimed
-            (3,) the same, as claimed.
+            The end seen from the start, were nothing wrong; as uncertain as that and the claim are.
+        claim
+            The same, as claimed.
 
         Returns
         -------
-        Infinite where no part of the way may be wrong; the ends of the part.
+        Of any part, and of one that the robot can have moved so; infinite where there is none. The ends of
+        the latter.
         """
         within = (self._ends[:, 0] >= start) & (self._ends[:, 1] <= end)
         if not within.any():
-            return math.inf, (start, end)
+            return math.inf, math.inf, (start, end)
         first, last = self._ends[within].T
         poses = self._poses
         # From the end of each part to the end of the way, and what the part must have been.
         rest = composed(inverse(poses[last]), poses[[end]])
         to_part = composed(inverse(poses[[start]]), poses[first])
-        needed = composed(composed(inverse(to_part), claimed[None]), inverse(rest))
-        off = _off(composed(inverse(poses[first]), poses[last]), needed)
-        covariances = self._bounded[within] + moved(
-            np.repeat(expected.covariance[None], len(rest), axis=0), rest
-        )
-        squares = np.einsum("ki,ki->k", off, np.linalg.solve(covariances, off[..., None])[..., 0])
-        best = int(squares.argmin())
-        return float(squares[best]), (int(first[best]), int(last[best]))
+        needed = _off(to_part, composed(claim.pose[None], inverse(rest)))
+        off = _off(_off(poses[first], poses[last]), needed)
+        around = moved(np.repeat(expected.covariance[None], len(rest), axis=0), rest)
+        squares = _squares(off, self._bounded[within] + around)
+        # What is farther than it can have gone the ways to the part and on from it must explain.
+        shares = np.minimum(1.0, self._farthest[within] / np.maximum(_moves(needed), TINY))
+        beyond = _off(needed * shares[:, [0, 0, 1]], needed)
+        ways = moved(self.known.relative_covariances(start, first, poses), inverse(composed(to_part, needed)))
+        ways += moved(self.known.relative_covariances(end, last, poses) + claim.covariance, rest)
+        possible = np.where(_squares(beyond, ways) > self._gate, np.inf, squares)
+        best = int(possible.argmin())
+        return float(squares.min()), float(possible[best]), (int(first[best]), int(last[best]))
+
+
+def _moves(motions: FloatArray) -> FloatArray:
+    """(K, 2) way and turn of motions (K, 3)."""
+    return np.column_stack([np.hypot(motions[:, 0], motions[:, 1]), np.abs(motions[:, 2])])
+
+
+def _squares(off: FloatArray, covariances: FloatArray) -> FloatArray:
+    """(K,) squared sigmas."""
+    squares: FloatArray = np.einsum("ki,ki->k", off, np.linalg.solve(covariances, off[..., None])[..., 0])
+    return squares
 
 
 def _off(told: FloatArray, found: FloatArray) -> FloatArray:

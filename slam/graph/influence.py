@@ -174,7 +174,10 @@ def _forward(first: NDArray[np.int32], below: NDArray[np.int32], lower: FloatArr
     """Solve by a lower triangle of ones on the diagonal, by columns, for each column of x (N, m)."""
     for column in range(len(x)):
         solved = x[column]
-        if solved.any():
+        empty = True
+        for one in range(len(solved)):
+            empty = empty and solved[one] == 0.0
+        if not empty:
             for k in range(first[column], first[column + 1]):
                 if below[k] > column:
                     other = x[below[k]]  # a row by itself: its loop then runs in vectors

@@ -83,7 +83,8 @@ class KeyframeGraph:
                 self.graph.add_edge(edge)
             else:
                 self.add_edge(edge)
-        covariance = together(edges)[key - 1, key].covariance
+        steps = [_in_plane(edge) for edge in edges if edge.source == key - 1 and edge.target == key]
+        covariance = steps[0] if len(steps) == 1 else np.linalg.inv(np.linalg.inv(steps).sum(axis=0))
         self.uncertainty.add_edge(key - 1, key, np.array(row_of(step)), covariance)
         return key
 

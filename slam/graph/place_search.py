@@ -65,7 +65,12 @@ class PlaceSearch:
         self.fault: tuple[int, int] | None = None
 
     def search(
-        self, poses: FloatArray, edges: Sequence[Edge], kept: BoolArray, loops: Sequence[LoopCandidate]
+        self,
+        poses: FloatArray,
+        stamps_s: FloatArray,
+        edges: Sequence[Edge],
+        kept: BoolArray,
+        loops: Sequence[LoopCandidate],
     ) -> list[LoopCandidate]:
         """Loops that the estimate of the last optimisation lets one believe, none twice.
 
@@ -73,6 +78,8 @@ class PlaceSearch:
         ----------
         poses
             (n, 3) of all keyframes, map frame.
+        stamps_s
+            (n,) of them.
         edges, kept
             Of the graph, and which of them the optimisation has kept.
         loops
@@ -97,7 +104,8 @@ class PlaceSearch:
             self._sets = ClaimSets(odometry, ways_m, chain, self._reach_m)
             self._trial = ClaimTrial(self._closer, self._stretches, self._sets, self._config, self._reach_m)
         least_m, lever_m = self._match.coarse_cell_m, self._config.reach_m
-        self._faulty = FaultySteps(edges, held, poses, self._graph, least_m, lever_m)
+        probability = self._config.inlier_probability
+        self._faulty = FaultySteps(edges, held, poses, self._graph, least_m, lever_m, stamps_s, probability)
         known = self._faulty.known
         if self._corrected:
             near = self._closer.close_again(poses, known, loops)
@@ -169,7 +177,12 @@ class PlaceSearch:
             rivals = (m for m in np.flatnonzero(2.0 * gains > gains[n]).tolist() if m != n)
             if any(sets.contradiction(found[n], found[m], seen) > gains[m] for m in rivals):
                 continue
-            more, refused = trial.hold(found[n])
+            fits, refused = trial.hold(found[n])
+            # One that fits where it cannot be shows that these places look alike.
+            bends = [self._bend(one, seen(one.place, one.keyframe)) for one in fits]
+            most = costs[n] + self._gate
+            more = [one for one, bend in zip(fits, bends, strict=True) if min(bend[0], bend[2]) <= most]
+            refused += len(fits) - len(more)
             # What contradicts more than one fault explains must be confirmed by what lies around.
             if costs[n] > 2.0 * self._gate and len(more) <= refused:
                 continue
@@ -200,21 +213,21 @@ class PlaceSearch:
             return math.inf, sigma_m, None
         if not math.isfinite(sigma_m):
             return 0.0, sigma_m, None
-        claims = [claimed(one) for one in members]
-        ways = [way.widened(claim.covariance) for way, claim in zip(expected, claims, strict=True)]
-        squares = [way.squared_mahalanobis(claim.pose) for way, claim in zip(ways, claims, strict=True)]
-        assert self._faulty is not None
-        faulty = [
-            self._faulty.explain(one.place, one.keyframe, way, claim.pose)
-            for one, way, claim in zip(members, ways, claims, strict=True)
-        ]
-        plain, explained = (
-            float(np.median(squares)),
-            self._gate + float(np.median([cost for cost, _ in faulty])),
-        )
-        if plain <= explained:
+        asked = [self._bend(one, way) for one, way in zip(members, expected, strict=True)]
+        plain, likeliest, possible = np.median([one[:3] for one in asked], axis=0).tolist()
+        if plain <= self._gate + likeliest:
             return plain, sigma_m, None
-        return explained, sigma_m, min(faulty)[1]
+        return self._gate + possible, sigma_m, min(one[2:] for one in asked)[1]
+
+    def _bend(self, claim: LoopCandidate, way: Motion) -> tuple[float, float, float, tuple[int, int]]:
+        """Squared sigmas by which a claim is off what is known, and what `FaultySteps.explain` tells."""
+        if not np.isfinite(way.covariance).all():
+            return 0.0, math.inf, math.inf, (claim.place, claim.keyframe)
+        said = claimed(claim)
+        way = way.widened(said.covariance)
+        assert self._faulty is not None
+        explained = self._faulty.explain(claim.place, claim.keyframe, way, said)
+        return way.squared_mahalanobis(said.pose), *explained
 
     def _odds(self, claim: LoopCandidate, known: Known) -> float:
         """How many times likelier what is known makes a claim than chance: that puts it anywhere in a window.

@@ -372,8 +372,10 @@ class PoseGraph:
         shape = (self._dimension, self._dimension)
         if edge.covariance.shape != shape or not np.isfinite(edge.covariance).all():
             raise GraphError(f"{name}: the covariance must be a finite {shape} matrix")
-        if np.linalg.eigvalsh(edge.covariance)[0] <= 0.0:
-            raise GraphError(f"{name}: the covariance is not positive definite")
+        try:
+            np.linalg.cholesky(edge.covariance)
+        except np.linalg.LinAlgError:
+            raise GraphError(f"{name}: the covariance is not positive definite") from None
 
 
 def _check_finite(pose: Pose) -> None:

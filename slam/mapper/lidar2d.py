@@ -56,7 +56,13 @@ class _Moment:
 
 
 class PlanarRobot:
-    """Scans, wheels and cameras of a robot on a floor; see `slam.mapper.protocol.FrontEnd`."""
+    """Scans, wheels and cameras of a robot on a floor; see `slam.mapper.protocol.FrontEnd`.
+
+    Parameters
+    ----------
+    ahead
+        Whether only where scans were taken is asked, see `slam.mapper.forerunner`.
+    """
 
     def __init__(
         self,
@@ -65,6 +71,8 @@ class PlanarRobot:
         registrations: Mapping[str, ColorRegistration] | None = None,
         mountings: Mapping[str, LearnedMounting] | None = None,
         odometries: Odometries = STANDARD,
+        *,
+        ahead: bool = False,
     ) -> None:
         self.readings = Readings()
         checkpoint, registrations = checkpoint or Checkpoint(), registrations or {}
@@ -83,7 +91,7 @@ class PlanarRobot:
         self._places = PlaceSearch(self._closer, config.loops, config.match, config.graph, checkpoint)
         self._pictures = CameraKeyframes(config, checkpoint, registrations)
         self._fusion = KeyframeFusion(config.fusion) if config.fusion.enabled else None
-        self._moving = MovingThings(config.scan.range_max_m)
+        self._moving, self._ahead = MovingThings(config.scan.range_max_m), ahead
         self._camera_poses: CameraPoses = {}
         self._scan_stamp_s = -np.inf
         self._newest: _Moment | None = None
@@ -124,8 +132,7 @@ class PlanarRobot:
         """Remember a keyframe, and try the places that it may have come back to."""
         moment = self._newest
         assert moment is not None
-        if moment.points is not None:
-            self._tracker.add_keyframe(moment.points, moment.tracked)
+        self.extend_local_map()
         surface = OrientedPoints.surface(moment.points or ScanPoints.none())
         # What is seen is the first part of it: kept once.
         self._seen = surface.only(slice(len(self._seen)))
@@ -141,6 +148,13 @@ class PlanarRobot:
             if moment.scan is None:
                 tried += self._pictures.close(graph.poses())
         return tried
+
+    def extend_local_map(self) -> None:
+        """Let later scans be matched to the newest moment too, which is a keyframe."""
+        moment = self._newest
+        assert moment is not None
+        if moment.points is not None:
+            self._tracker.add_keyframe(moment.points, moment.tracked)
 
     def refuse(self) -> None:
         """Whatever a scan sees is a map."""
@@ -161,7 +175,8 @@ class PlanarRobot:
 
     def search_again(self, graph: KeyframeGraph, kept: BoolArray) -> list[LoopCandidate]:
         """Places all over the map; where they show which step was wrong, the graph begins without it."""
-        found = self._places.search(graph.rows(), graph.graph.edges, kept, graph.loops)
+        stamps_s = self.readings.scan_stamps_s()[self.readings.keyframe_scans()]
+        found = self._places.search(graph.rows(), stamps_s, graph.graph.edges, kept, graph.loops)
         if self._places.fault is not None:
             graph.graph.doubt(*self._places.fault)
         if not found:
@@ -242,7 +257,7 @@ class PlanarRobot:
         tracked = self._tracker.track(points, stamp_s, cameras)
         if tracked.motion is None:
             self._moving.lose()
-        if scan is not None:
+        if scan is not None and not self._ahead:
             self._moving.add(scan, tracked.pose)
         if scan is not None and tracked.confident:
             self._cameras.note_scan_turn(stamp_s, tracked.pose[2])

@@ -13,6 +13,7 @@ from fusion.time_alignment import GAP_S
 from slam.config import Config
 from slam.errors import DatasetError, GraphError
 from slam.estimates import Trajectory
+from slam.forked import Begun
 from slam.graph.edge import Edge, EdgeKind
 from slam.graph.keyframe_graph import KeyframeGraph
 from slam.graph.loop_closure import LoopCandidate
@@ -137,14 +138,9 @@ class Mapper:
                 bases = front_end.bases(graph.poses())
                 trajectory = front_end.readings.trajectory(bases)
         clock.append(time.perf_counter())
-        told = pose_covariances(graph.poses(), bases, edges, outcome.kept, self._config)
+        told = Begun(lambda: pose_covariances(graph.poses(), bases, edges, outcome.kept, self._config))
         if self._places is not None:
             self._places.check(graph, way(), outcome, self._config)
-        at = front_end.readings.keyframe_readings()
-        covariances = carried_covariances(trajectory, at, *told)
-        placed, wheels = front_end.readings.placed(), front_end.readings.wheels()
-        covariances += unseen_covariances(trajectory, placed, wheels, covariances.shape[1])
-        clock.append(time.perf_counter())
         factors = zip(edges, outcome.kept.tolist(), strict=True)
         result = MapResult(
             MapContents(
@@ -152,7 +148,6 @@ class Mapper:
                 stamps_s=stamps_s,
                 readings=numbers,
                 trajectory=trajectory,
-                covariances=covariances,
                 factors=[SavedFactor(edge, kept) for edge, kept in factors],
                 loops=graph.loops,
                 georeference=self._gnss.georeference,
@@ -162,15 +157,20 @@ class Mapper:
             {
                 **self.stage_seconds,
                 "final optimisation": clock[1] - clock[0],
-                "full trajectory": clock[2] - clock[1],
             },
         )
         front_end.complete(result)
+        clock.append(time.perf_counter())
+        at = front_end.readings.keyframe_readings()
+        covariances = carried_covariances(trajectory, at, *told())
+        placed, wheels = front_end.readings.placed(), front_end.readings.wheels()
+        covariances += unseen_covariances(trajectory, placed, wheels, covariances.shape[1])
+        result.map = replace(result.map, covariances=covariances)
         if sigma_s := clock_sigma_s(result.map):
             # The map holds them.
             covariances += late_covariances(trajectory, int(at[0]), [(len(trajectory), sigma_s)])
-        drawing_s = time.perf_counter() - clock[2]
-        result.stage_seconds["map"] = drawing_s - result.stage_seconds.get("fusion", 0.0)
+        result.stage_seconds["map"] = clock[2] - clock[1] - result.stage_seconds.get("fusion", 0.0)
+        result.stage_seconds["full trajectory"] = time.perf_counter() - clock[2]
         result.notes += [note for sensor in self._sensors.values() for note in sensor.notes()]
         result.notes += self._gnss.notes()
         if self._places is not None:

@@ -16,6 +16,7 @@ from slam.doctor.diagnosis import Registrations, diagnose, registrations_in
 from slam.doctor.finding import Finding, remedied
 from slam.errors import DatasetError
 from slam.mapper.checkpoint import Checkpoint
+from slam.mapper.forerunner import Forerunner
 from slam.mapper.imu_start import start_of
 from slam.mapper.lidar2d import PlanarRobot
 from slam.mapper.lidar3d import CloudLidar
@@ -60,11 +61,26 @@ def build_map(
     DatasetError
         Where the log holds nothing that can be mapped.
     """
-    checkpoint, clock = checkpoint or Checkpoint(), [time.perf_counter()]
+    checkpoint = checkpoint or Checkpoint()
+    with Forerunner(dataset, odometries, checkpoint) as forerunner:
+        return _mapped(dataset, config, on_step, checkpoint, odometries, forerunner)
+
+
+def _mapped(
+    dataset: Dataset,
+    config: Config,
+    on_step: OnStep | None,
+    checkpoint: Checkpoint,
+    odometries: Odometries,
+    forerunner: Forerunner,
+) -> MapResult:
+    """See `build_map`."""
+    clock = [time.perf_counter()]
     registered = _Registered(dataset, config)
-    with read_once(dataset):
+    with read_once(dataset, partial(forerunner.start, config)):
         findings = checkpoint.findings(lambda: findings_of(dataset, config, registered))
         if (mended := settled(config, findings)) != config:
+            forerunner.stop()
             registered = _Registered(dataset, config := mended)
         choice = SensorChoice.of(dataset, config.sensors)
     registrations = checkpoint.registrations(lambda: registered(choice.cameras))
@@ -75,6 +91,8 @@ def build_map(
     leader = _front_end(choice, dataset, config, checkpoint, registrations, mountings, odometries)
     mapper = Mapper(config, leader)
     clock += [time.perf_counter()] * 2
+    if not checkpoint.replaying:
+        forerunner.start(config)
     tally = _feed(mapper, dataset, choice, prepare, on_step)
     if not mountings and (mountings := mapper.learned_mountings()):
         # The way up to there was mapped without these cameras; now they are known from its beginning.

@@ -34,16 +34,21 @@ def head_on(scan: LaserScan, noise: RangeNoise, cell_m: float) -> LaserScan:
     half = max(2, round(0.5 * _LOBE_RAD / abs(scan.step_rad)))
     limits = np.tan(_LOBE_RAD), 2.0 * noise.floor_m, 2.0 * noise.share, cell_m
     # What was taken away has been as flat as it was.
-    met = _flat(np.abs(np.asarray(scan.ranges_m, dtype=np.float32)), half, abs(float(scan.step_rad)), limits)
+    ranges_m = np.abs(np.asarray(scan.ranges_m, dtype=np.float32))
+    met = np.zeros(ranges_m.size, np.bool_)
+    _flat(ranges_m, half, abs(float(scan.step_rad)), limits, met)
     return replace(scan, ranges_m=np.where(met, scan.ranges_m, np.float32(np.nan)))
 
 
 @kernel
 def _flat(
-    ranges_m: Float32Array, half: int, step_rad: float, limits: tuple[float, float, float, float]
-) -> BoolArray:
-    """(N,) beams in a window that fits a line across them: by its slope, and by what is left."""
-    found = np.zeros(ranges_m.size, np.bool_)
+    ranges_m: Float32Array,
+    half: int,
+    step_rad: float,
+    limits: tuple[float, float, float, float],
+    found: BoolArray,
+) -> None:
+    """Mark (N,) beams in a window that fits a line across them: by its slope, and by what is left."""
     turns = step_rad**2 * half * (half + 1) * (2 * half + 1) / 3
     for middle in range(half, ranges_m.size - half):
         total = squares = moment = 0.0
@@ -58,8 +63,8 @@ def _flat(
         left = (squares - total * mean - slope * moment) / count
         spread = limits[1] + limits[2] * mean
         if abs(slope) < limits[0] * mean and left < spread**2 and spread <= limits[3]:
-            found[middle - half : middle + half + 1] = True
-    return found
+            for beam in range(-half, half + 1):
+                found[middle + beam] = True
 
 
 def straight_runs(cells: BoolArray, resolution_m: float) -> BoolArray:

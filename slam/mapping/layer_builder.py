@@ -100,12 +100,12 @@ class LayerBuilder:
         if key in self._seen:
             return False
         settings = self._settings
+        footprint = footprint_board(under, settings.robot_radius_m, settings.resolution_m)
         for name, board in self._boards(reading, T_map_base):
             self._check_room(board.box())
             heights = board.steps.shape[2] if board.steps.ndim == 3 else 1
             tiles = self._tiles.setdefault(name, EvidenceTiles(settings.memory_mb, heights))
             tiles.add(board)
-            footprint = footprint_board(under, settings.robot_radius_m, settings.resolution_m)
             if footprint is not None:
                 tiles.add(footprint)
         self._seen.add(key)

@@ -15,7 +15,7 @@ from fusion.kernel import kernel
 from slam.errors import ConfigError
 from slam.mapping.evidence_tiles import Board
 from slam.mapping.occupancy_grid import Steps
-from slam.mapping.ray_tracing import HIT, TAKEN, Box, Evidence, beam_ends, draw_lines
+from slam.mapping.ray_tracing import HIT, TAKEN, Box, Evidence, beam_ends, mark_lines
 from slam.measurements import FloatArray, LaserScan
 
 
@@ -122,35 +122,34 @@ def weigh_beams(
     -------
     (rows, cols); where several beams end in one cell, the nearest decides.
     """
-    away = ends - laser_cells
-    range_m = np.hypot(away[:, 0], away[:, 1]) * cell_m
-    margins = margin_sigmas * noise.sigma_m(range_m) / np.maximum(range_m, 1e-6)
-    short = np.empty_like(ends)
-    _shorten(ends, kinds, *laser_cells, margins, short)
-    steps: Steps = draw_lines(short, kinds, box, *laser_cells, miss_step)
-    _mark_hits(ends, kinds, box, range_m / cell_m, hit_steps, steps)
+    steps, sigma_m = np.zeros(box[2:], np.int16), (noise.floor_m, noise.share, noise.per_m)
+    how = sigma_m, margin_sigmas, hit_steps, miss_step
+    _weigh(ends, kinds, box, laser_cells, cell_m, *how, np.empty_like(ends), steps.reshape(-1))
     return steps
 
 
-@kernel
-def _shorten(ends, kinds, x_cells, y_cells, margins, short):  # type: ignore[no-untyped-def]
-    """Write where beams that were stopped clear no more, their margins (N,) shares of their length."""
+@kernel(error_model="numpy")
+def _weigh(  # type: ignore[no-untyped-def]
+    ends, kinds, box, laser, cell_m, sigma_m, margin_sigmas, hit_steps, miss_step, short, steps
+):
+    """Write the steps of `weigh_beams`, row after row; ``short`` is room for where beams clear no more."""
     for beam in range(kinds.size):
-        stopped = kinds[beam] == HIT or kinds[beam] == TAKEN
-        share = max(0.0, 1.0 - margins[beam]) if stopped else 1.0
-        short[beam, 0] = x_cells + share * (ends[beam, 0] - x_cells)
-        short[beam, 1] = y_cells + share * (ends[beam, 1] - y_cells)
-
-
-@kernel
-def _mark_hits(ends, kinds, box, range_cells, hit_steps, steps):  # type: ignore[no-untyped-def]
-    """Put the evidence of each hit into its cell, unless there is more in it."""
+        away_x, away_y = ends[beam, 0] - laser[0], ends[beam, 1] - laser[1]
+        range_m = math.hypot(away_x, away_y) * cell_m
+        share = 1.0
+        if kinds[beam] == HIT or kinds[beam] == TAKEN:
+            margin_m = margin_sigmas * (sigma_m[0] + sigma_m[1] * range_m + sigma_m[2] * range_m * range_m)
+            share = max(0.0, 1.0 - margin_m / max(range_m, 1e-6))
+        short[beam, 0] = laser[0] + share * away_x
+        short[beam, 1] = laser[1] + share * away_y
+    mark_lines(short, kinds, box, laser[0], laser[1], miss_step, steps)
     for beam in range(kinds.size):
         if kinds[beam] == HIT:
             row = min(math.floor(ends[beam, 1]) - box[0], box[2] - 1)
             column = min(math.floor(ends[beam, 0]) - box[1], box[3] - 1)
-            place = min(np.int64(range_cells[beam]), hit_steps.size - 1)
-            steps[row, column] = max(steps[row, column], hit_steps[place])
+            range_cells = math.hypot(ends[beam, 0] - laser[0], ends[beam, 1] - laser[1])
+            place = min(np.int64(range_cells), hit_steps.size - 1)
+            steps[row * box[3] + column] = max(steps[row * box[3] + column], hit_steps[place])
 
 
 @lru_cache(maxsize=8)

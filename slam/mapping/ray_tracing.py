@@ -118,34 +118,13 @@ def _shoot(  # type: ignore[no-untyped-def]
     return row, col, math.floor(high_y) + 1 - row, math.floor(high_x) + 1 - col
 
 
-def draw_lines(
-    ends: FloatArray, kinds: Evidence, box: Box, x_cells: float, y_cells: float, mark: int
-) -> NDArray[np.int16]:
-    """The board of a scan: which cells of its box its beams pass, those of their ends included.
-
-    Parameters
-    ----------
-    ends
-        As from `beam_ends`, or nearer to the laser.
-    kinds, box
-        From `beam_ends`.
-    x_cells, y_cells
-        The laser.
-    mark
-        What is put into the cells.
-
-    Returns
-    -------
-    (rows, cols), zero where no beam passes; row 0 at the lowest y.
-    """
-    board = np.zeros((box[2], box[3]), np.int16)
-    _draw(ends, kinds, box, x_cells, y_cells, mark, board.reshape(-1))
-    return board
-
-
 @kernel(error_model="numpy")
-def _draw(ends, kinds, box, x_cells, y_cells, mark, board):  # type: ignore[no-untyped-def]
-    """Draw the board of `draw_lines`, row after row: lines of cells, one a step along the longer axis."""
+def mark_lines(ends, kinds, box, x_cells, y_cells, mark, board):  # type: ignore[no-untyped-def]
+    """Put a mark into the cells that beams pass, those of their ends included: one a step of the longer axis.
+
+    ``board`` (rows * cols,) is the box of `beam_ends`, row after row, the lowest y first; the ends may be
+    nearer to the laser than there.
+    """
     first_row, first_col, rows, cols = box
     # A place a hair below a border may be rounded onto it when the corner is taken off.
     last_x, last_y = cols - TINY, rows - TINY

@@ -15,11 +15,11 @@ from slam.matching.coarse_to_fine import align_coarse_to_fine
 from slam.matching.match_covariance import points_a_witness, weak_direction
 from slam.matching.motion import Motion
 from slam.matching.object_evidence import object_evidence
-from slam.matching.planar import transform_into, transform_points
+from slam.matching.planar import diagonal, transform_into, transform_points
 from slam.matching.point_to_line import Alignment, align, terms_at
 from slam.matching.scan_points import ScanPoints
 from slam.matching.score_spread import score_spread
-from slam.matching.surfel_map import SurfelMap, build_surfel_map
+from slam.matching.surfel_map import SurfelMap, build_surfel_maps
 from slam.matching.visibility import RangeImage, RangeImages, seen_through, standing_before
 from slam.measurements import BoolArray, Float32Array, FloatArray
 
@@ -97,13 +97,9 @@ class LocalMap:
         points = OrientedPoints(
             np.concatenate([part.points for part in parts]), np.concatenate([part.normals for part in parts])
         )
-        return cls(
-            points,
-            build_surfel_map(points.points, points.normals, config.coarse_cell_m),
-            build_surfel_map(points.points, points.normals, config.cell_m),
-            config,
-            images,
-        )
+        cells_m = config.cell_m, config.coarse_cell_m
+        fine, coarse = build_surfel_maps(points.points, points.normals, cells_m)
+        return cls(points, coarse, fine, config, images)
 
     def align(self, scan: OrientedPoints, guess: FloatArray) -> Alignment:
         """Align a scan (base frame) from a guess (3,), coarse first, then fine.
@@ -121,7 +117,7 @@ class LocalMap:
 
     def align_held(self, scan: OrientedPoints, guess: FloatArray) -> Alignment:
         """Align a scan that must stay near its guess in every direction."""
-        return self._align(scan, guess, _HELD_POINTS * np.diag([1.0, 1.0, 0.0]))
+        return self._align(scan, guess, _HELD_POINTS * diagonal(1.0, 1.0, 0.0))
 
     def judge(self, scan: OrientedPoints, pose: FloatArray) -> Alignment:
         """Hessian, residual and inlier share of a scan (base frame) at a pose (3,), without moving it."""
@@ -163,11 +159,8 @@ class LocalMap:
         """
         weights = terms_at(scan.points, scan.normals, at.pose, self.fine, 0.5 * self.config.cell_m)[:, 3]
         x, y = scan.points.astype(np.float64).T
-        one, none = np.ones_like(x), np.zeros_like(x)
-        variance = sum(
-            np.einsum("im,ij,jm->m", axis, at.covariance, axis)
-            for axis in (np.stack([one, none, -y]), np.stack([none, one, x]))
-        )
+        (xx, _, xt), (_, yy, yt), (_, _, tt) = at.covariance.tolist()
+        variance = xx + yy + 2.0 * (yt * x - xt * y) + tt * (x * x + y * y)
         margins_m = 0.5 * self.config.coarse_cell_m + np.sqrt(variance)
         passed = seen_through(transform_points(scan.points, at.pose), self._images, margins_m)
         # All but what scans have looked through since: who walks leaves a trail in the map.
@@ -181,5 +174,6 @@ class LocalMap:
         """Coarse, then fine, both tied to the same guess."""
         config = self.config
         levels = (self.coarse, config.cell_m), (self.fine, 0.5 * config.cell_m)
-        lags = config.correlated_beams
-        return align_coarse_to_fine(scan.points, scan.normals, guess, *levels, config.iterations, prior, lags)
+        lags, settled = config.correlated_beams, (config.floor_m, config.floor_rad)
+        rows = scan.points, scan.normals
+        return align_coarse_to_fine(*rows, guess, *levels, config.iterations, prior, lags, settled)

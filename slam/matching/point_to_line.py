@@ -82,8 +82,8 @@ def align(
         in units of points.
     """
     pose, hessian = start.astype(np.float64), np.empty((3, 3))
-    terms = np.empty((0, 5))
-    found = align_into(points, normals, guess, *surfel_map, kernel_m, iterations, prior, terms, pose, hessian)
+    how = kernel_m, iterations, (SETTLED, SETTLED), prior, np.empty((0, 5))
+    found = align_into(points, normals, guess, *surfel_map, *how, pose, hessian)
     return alignment_of(pose, hessian, found, len(points))
 
 
@@ -111,7 +111,8 @@ def terms_at(
     """
     terms = np.zeros((points.shape[0], 5))
     square = np.zeros((3, 3))
-    align_into(points, normals, pose, *surfel_map, kernel_m, 0, square, terms, pose, square)
+    how = kernel_m, 0, (SETTLED, SETTLED), square, terms
+    align_into(points, normals, pose, *surfel_map, *how, pose, square)
     return terms
 
 
@@ -128,6 +129,7 @@ def align_into(  # type: ignore[no-untyped-def]
     cell_m,
     kernel_m,
     iterations,
+    settled,
     prior,
     terms,
     pose,
@@ -216,7 +218,7 @@ def align_into(  # type: ignore[no-untyped-def]
         px -= cos * s0 - sin * s1
         py -= sin * s0 + cos * s1
         yaw -= s2
-        if math.hypot(s0, s1) < SETTLED and abs(s2) < SETTLED:
+        if math.hypot(s0, s1) < settled[0] and abs(s2) < settled[1]:
             converged = True
             break
     pose[0], pose[1], pose[2] = px, py, yaw

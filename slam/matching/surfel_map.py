@@ -7,6 +7,7 @@ robot in one room is never pulled to the far face of its walls.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -51,15 +52,34 @@ def build_surfel_map(points: AnyFloatArray, normals: AnyFloatArray, cell_m: floa
     cell_m
         Edge of a cell, metres.
     """
-    corners = np.zeros(4)
+    return build_surfel_maps(points, normals, (cell_m,))[0]
+
+
+def build_surfel_maps(
+    points: AnyFloatArray, normals: AnyFloatArray, cells_m: Sequence[float]
+) -> list[SurfelMap]:
+    """`build_surfel_map` for several cells, the finest first: the others gather its surfels.
+
+    Where an edge is a whole multiple of the finest, the finest cells lie within those, and each point counts
+    in the cell that it is in.
+    """
+    corners, found = np.zeros(4), list[SurfelMap]()
     _bound(points, corners)
     low_x, low_y, high_x, high_y = corners.tolist()
-    origin_x, origin_y = low_x - 2.0 * cell_m, low_y - 2.0 * cell_m
-    rows, columns = (int((high - low) / cell_m) + 3 for low, high in ((origin_y, high_y), (origin_x, high_x)))
-    cells, after = np.full((rows, columns), -1, np.int32), np.empty(len(points), np.int32)
-    sums = np.empty((len(points), 6))
-    count = _build(points, normals, origin_x, origin_y, cell_m, cells, after, sums)
-    return SurfelMap(cells, after[:count].copy(), sums[:count].copy(), origin_x, origin_y, cell_m)
+    weights = np.broadcast_to(1.0, len(points))
+    for cell_m in cells_m:
+        origin_x, origin_y = low_x - 2.0 * cell_m, low_y - 2.0 * cell_m
+        spans = (origin_y, high_y), (origin_x, high_x)
+        rows, columns = (int((high - low) / cell_m) + 3 for low, high in spans)
+        cells, after = np.full((rows, columns), -1, np.int32), np.empty(len(points), np.int32)
+        sums = np.empty((len(points), 6))
+        count = _build(points, normals, weights, origin_x, origin_y, cell_m, cells, after, sums)
+        surfels = sums[:count].copy()
+        found.append(SurfelMap(cells, after[:count].copy(), surfels, origin_x, origin_y, cell_m))
+        points, normals, weights = surfels[:, :2], surfels[:, 2:4], surfels[:, 4]
+    for one in found:
+        _point(one.surfels)
+    return found
 
 
 @kernel
@@ -80,7 +100,9 @@ def _bound(points, corners):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _build(points, normals, origin_x, origin_y, cell_m, cells, after, sums):  # type: ignore[no-untyped-def]
+def _build(  # type: ignore[no-untyped-def]
+    points, normals, weights, origin_x, origin_y, cell_m, cells, after, sums
+):
     """Number the cells' sides that have points, and average those points; how many there are."""
     count = ZERO
     for i in range(points.shape[0]):
@@ -106,18 +128,25 @@ def _build(points, normals, origin_x, origin_y, cell_m, cells, after, sums):  # 
             sums[k, 0] = sums[k, 1] = sums[k, 2] = sums[k, 3] = sums[k, 4] = 0.0
             sums[k, 5] = side
             count += 1
-        sums[k, 0] += x
-        sums[k, 1] += y
-        sums[k, 2] += nx
-        sums[k, 3] += ny
-        sums[k, 4] += 1.0
+        weight = weights[i]
+        sums[k, 0] += weight * x
+        sums[k, 1] += weight * y
+        sums[k, 2] += weight * nx
+        sums[k, 3] += weight * ny
+        sums[k, 4] += weight
     for k in range(count):
-        length = math.hypot(sums[k, 2], sums[k, 3])
-        sums[k, 0] = sums[k, 0] / sums[k, 4]
-        sums[k, 1] = sums[k, 1] / sums[k, 4]
-        sums[k, 2] = sums[k, 2] / length
-        sums[k, 3] = sums[k, 3] / length
+        for column in range(4):
+            sums[k, column] /= sums[k, 4]
     return count
+
+
+@kernel
+def _point(surfels):  # type: ignore[no-untyped-def]
+    """Make the mean normals as long as one."""
+    for k in range(surfels.shape[0]):
+        length = math.hypot(surfels[k, 2], surfels[k, 3])
+        surfels[k, 2] /= length
+        surfels[k, 3] /= length
 
 
 @kernel(inline="always")

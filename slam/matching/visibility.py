@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from fusion.estimation import TINY
 from fusion.kernel import NONE, kernel
-from slam.matching.planar import between, transform_points
+from slam.matching.planar import between
 from slam.measurements import AnyFloatArray, BoolArray, FloatArray
 
 
@@ -43,7 +43,7 @@ class RangeImage(NamedTuple):
         By a margin (M,), and so are those beside them by as much, or by a bearing.
         """
         less = np.zeros(len(points), np.bool_)
-        own = np.zeros((1, 3)), np.array([0, len(self.nearest_m)]), self.nearest_m
+        own = np.array([[0.0, 0.0, 1.0, 0.0]]), np.array([0, len(self.nearest_m)]), self.nearest_m
         _less_far(np.asarray(points, np.float64), *own, margins_m, sign, less)
         return less
 
@@ -53,15 +53,15 @@ class RangeImages(NamedTuple):
 
     Attributes
     ----------
-    poses
-        (I, 3) of them.
+    views
+        (I, 4) x, y, cosine and sine of the yaw of each.
     first
         (I + 1,) where the bearings of each begin, and the end.
     nearest_m
         Of all.
     """
 
-    poses: FloatArray
+    views: FloatArray
     first: NDArray[np.int64]
     nearest_m: FloatArray
 
@@ -69,10 +69,10 @@ class RangeImages(NamedTuple):
     def of(cls, images: Iterable[RangeImage]) -> RangeImages:
         """In their order."""
         images = list(images)
-        counts = [len(image.nearest_m) for image in images]
+        x, y, yaw = np.array([image.pose for image in images]).reshape(-1, 3).T
         return cls(
-            np.array([image.pose for image in images]).reshape(-1, 3),
-            np.cumsum([0, *counts]),
+            np.column_stack([x, y, np.cos(yaw), np.sin(yaw)]),
+            np.cumsum([0, *[len(image.nearest_m) for image in images]]),
             np.concatenate([np.zeros(0), *[image.nearest_m for image in images]]),
         )
 
@@ -97,22 +97,11 @@ def standing_before(
     No image may have seen through what stands there, and ``reach_m`` around. A point that lies farther than
     the scan's (N, 2), base frame, by their margins (N,), says nothing of it: so most need not be looked at.
     """
-    here = transform_points(points, between(pose, np.zeros(3)))
-    nearest_m = np.full(_bearing_count(scan), np.nan)
-    bearings, ranges_m = np.empty(len(points), np.int64), np.empty(len(points))
-    _before(here, scan, margins_m, np.zeros(len(nearest_m)), bearings, ranges_m)
-    left = np.flatnonzero(bearings >= 0)
-    while len(left):
-        numbers = np.full(len(nearest_m), -1)
-        _nearest(left, bearings, ranges_m, numbers)
-        asked = numbers[numbers >= 0]
-        seen = seen_through(points[asked], images, np.full(len(asked), reach_m))
-        stands = asked[~seen]
-        nearest_m[bearings[stands]] = ranges_m[stands]
-        # Behind what was seen through the next one may stand.
-        bearings[asked[seen]] = -1
-        left = left[(bearings[left] >= 0) & np.isnan(nearest_m[bearings[left]])]
-    return RangeImage(pose, nearest_m)
+    farthest_m, ranges_m = np.zeros(_bearing_count(scan)), np.empty(len(points))
+    newest, before = np.empty(len(farthest_m), np.int64), np.empty(len(points), np.int64)
+    room = farthest_m, ranges_m, newest, before
+    _stands_before(points, between(pose, np.zeros(3)), *images, reach_m, scan, margins_m, *room)
+    return RangeImage(pose, farthest_m)
 
 
 def _bearing_count(beams: AnyFloatArray) -> int:
@@ -137,12 +126,15 @@ def _take_nearest(points, nearest_m):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _before(points, scan, margins_m, reach_m, bearings, ranges_m):  # type: ignore[no-untyped-def]
-    """Write the bearing and the distance of points (M, 2); -1 for what cannot be in the scan's way.
+def _stands_before(  # type: ignore[no-untyped-def]
+    points, moved, views, first, images_m, reach_m, scan, margins_m, nearest_m, ranges_m, newest, before
+):
+    """Write the distance of the nearest of points (M, 2), ``moved`` by a pose (3,), that stands in the way.
 
-    ``reach_m`` (B,) are zeros, for how far it has to be free by bearing.
+    ``nearest_m`` (B,) are zeros: first how far it has to be free by bearing. Points of a bearing hang
+    together: the ``newest`` (B,), and the one ``before`` each (M,).
     """
-    count = reach_m.size
+    count = nearest_m.size
     for i in range(scan.shape[0]):
         x = np.float64(scan[i, 0])
         y = np.float64(scan[i, 1])
@@ -150,45 +142,63 @@ def _before(points, scan, margins_m, reach_m, bearings, ranges_m):  # type: igno
         bearing = math.floor(math.atan2(y, x) / (2.0 * math.pi) * count)
         aside = math.ceil(math.asin(margins_m[i] / max(range_m, margins_m[i])) * count / (2.0 * math.pi))
         for near in range(bearing - aside, bearing + aside + 1):
-            reach_m[near % count] = max(reach_m[near % count], range_m - margins_m[i])
+            nearest_m[near % count] = max(nearest_m[near % count], range_m - margins_m[i])
+    for bearing in range(count):
+        newest[bearing] = NONE
+    cos, sin = math.cos(moved[2]), math.sin(moved[2])
     for i in range(points.shape[0]):
-        x = points[i, 0]
-        y = points[i, 1]
+        x = cos * points[i, 0] - sin * points[i, 1] + moved[0]
+        y = sin * points[i, 0] + cos * points[i, 1] + moved[1]
         ranges_m[i] = math.sqrt(x * x + y * y)
-        bearings[i] = math.floor(math.atan2(y, x) / (2.0 * math.pi) * count) % count
-        if ranges_m[i] >= reach_m[bearings[i]] + TINY:
-            bearings[i] = NONE
+        bearing = math.floor(math.atan2(y, x) / (2.0 * math.pi) * count) % count
+        if ranges_m[i] < nearest_m[bearing] + TINY:
+            before[i] = newest[bearing]
+            newest[bearing] = i
+    for bearing in range(count):
+        seen = True
+        while seen:
+            # Behind what was seen through the next one may stand.
+            seen = False
+            nearest_m[bearing] = math.nan
+            nearest = NONE
+            i = newest[bearing]
+            while i >= 0:
+                if ranges_m[i] < math.inf and not ranges_m[i] >= nearest_m[bearing]:
+                    nearest = i
+                    nearest_m[bearing] = ranges_m[i]
+                i = before[i]
+            if nearest >= 0:
+                x, y = points[nearest, 0], points[nearest, 1]
+                for image in range(views.shape[0]):
+                    seen = seen or _beyond(x, y, views, first, images_m, image, reach_m, 1)
+                if seen:
+                    ranges_m[nearest] = math.inf
 
 
 @kernel
-def _nearest(left, bearings, ranges_m, numbers):  # type: ignore[no-untyped-def]
-    """Write which of the points with these numbers is nearest, by bearing."""
-    for i in left:
-        other = numbers[bearings[i]]
-        if other < 0 or ranges_m[i] < ranges_m[other]:
-            numbers[bearings[i]] = i
-
-
-@kernel
-def _less_far(points, poses, first, nearest_m, margins_m, sign, less):  # type: ignore[no-untyped-def]
+def _less_far(points, views, first, images_m, margins_m, sign, less):  # type: ignore[no-untyped-def]
     """See `RangeImage.less_far`, of points (M, 2) and `RangeImages`; what is marked is passed over."""
-    for image in range(poses.shape[0]):
-        begun = first[image]
-        count = first[image + 1] - begun
-        cos = math.cos(poses[image, 2])
-        sin = math.sin(poses[image, 2])
+    for image in range(views.shape[0]):
         for i in range(less.size):
-            if less[i]:
-                continue
-            dx = points[i, 0] - poses[image, 0]
-            dy = points[i, 1] - poses[image, 1]
-            x = cos * dx + sin * dy
-            y = cos * dy - sin * dx
-            range_m = math.sqrt(x * x + y * y)
-            margin_m = margins_m[i]
-            bearing = math.floor(math.atan2(y, x) / (2.0 * math.pi) * count) % count
-            if not sign * (nearest_m[begun + bearing] - range_m) > margin_m:
-                continue
-            aside = math.ceil(math.asin(margin_m / max(range_m, margin_m)) * count / (2.0 * math.pi))
-            left = sign * (nearest_m[begun + (bearing - aside) % count] - range_m) > margin_m
-            less[i] = left and sign * (nearest_m[begun + (bearing + aside) % count] - range_m) > margin_m
+            x, y = points[i, 0], points[i, 1]
+            less[i] = less[i] or _beyond(x, y, views, first, images_m, image, margins_m[i], sign)
+
+
+@kernel(inline="always")
+def _beyond(x, y, views, first, images_m, image, margin_m, sign):  # type: ignore[no-untyped-def]
+    """Whether a range image is beyond a point and those beside it, or nearer where the sign is minus."""
+    begun = first[image]
+    count = first[image + 1] - begun
+    dx = x - views[image, 0]
+    dy = y - views[image, 1]
+    ahead = views[image, 2] * dx + views[image, 3] * dy
+    left = views[image, 2] * dy - views[image, 3] * dx
+    range_m = math.sqrt(ahead * ahead + left * left)
+    bearing = math.floor(math.atan2(left, ahead) / (2.0 * math.pi) * count) % count
+    if not sign * (images_m[begun + bearing] - range_m) > margin_m:
+        return False
+    aside = math.ceil(math.asin(margin_m / max(range_m, margin_m)) * count / (2.0 * math.pi))
+    return (
+        sign * (images_m[begun + (bearing - aside) % count] - range_m) > margin_m
+        and sign * (images_m[begun + (bearing + aside) % count] - range_m) > margin_m
+    )

@@ -9,6 +9,9 @@ from slam.measurements import FloatArray
 from slam.odometry.lidar_odometry import LidarOdometry
 from slam.result_cache import ResultCache
 
+# What it asks for.
+MATCH, NEAR, EVIDENCE = QUESTIONS = "scan", "held scan", "evidence"
+
 
 class CachedOdometry:
     """See `slam.odometry.lidar_odometry.LidarOdometry`; the keyframes reach the odometry in any case."""
@@ -20,19 +23,19 @@ class CachedOdometry:
     def match(self, points: ScanPoints, guesses: list[Motion]) -> MotionEstimate | None:
         """Pose of the scan's base in the odometry frame, or None where nothing fits."""
         return self._result_cache.cached(
-            "scan", float(guesses[0].pose[0]), lambda: self._odometry.match(points, guesses)
+            MATCH, float(guesses[0].pose[0]), lambda: self._odometry.match(points, guesses)
         )
 
     def match_near(self, points: ScanPoints, pose: FloatArray) -> MotionEstimate | None:
         """The best pose of the scan that stays close to ``pose`` (3,), however badly it fits."""
         return self._result_cache.cached(
-            "held scan", float(pose[0]), lambda: self._odometry.match_near(points, pose)
+            NEAR, float(pose[0]), lambda: self._odometry.match_near(points, pose)
         )
 
     def evidence(self, points: ScanPoints, pose: FloatArray, other: Motion) -> FloatArray:
         """What every object in a scan says for a pose (3,) against another one, in points; (2, K)."""
         return self._result_cache.cached(
-            "evidence", float(pose[0]), lambda: self._odometry.evidence(points, pose, other)
+            EVIDENCE, float(pose[0]), lambda: self._odometry.evidence(points, pose, other)
         )
 
     def add_keyframe(self, points: ScanPoints, pose: FloatArray) -> None:

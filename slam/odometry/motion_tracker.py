@@ -254,10 +254,11 @@ class MotionTracker:
         After a while without a scan the robot may have turned. From a pose that is in dispute both ways lead
         on: what was asked there is not asked again.
         """
+        if not motion.degenerate or (self._last is not None and self._last.dispute.any()):
+            return None
         matched = row_from_pose2(motion.T_reference_base)
         turned = compose(matched, np.array([0.0, 0.0, math.pi]))
-        asked = motion.degenerate and (self._last is None or not self._last.dispute.any())
-        if not asked or not all(guess.holds(turned) for guess in guesses):
+        if not all(guess.holds(turned) for guess in guesses):
             return None
         held = self._odometry.match_near(points, turned)
         if held is None or held.inlier_share < self._noise.least_inlier_share:

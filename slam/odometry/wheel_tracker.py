@@ -11,7 +11,7 @@ import numpy as np
 from fusion.time_alignment import GAP_S
 from slam.config.stages import WheelConfig
 from slam.matching.motion import Motion
-from slam.matching.planar import between, compose
+from slam.matching.planar import between, compose, diagonal
 from slam.measurements import FloatArray, WheelOdometry
 from slam.odometry.clock_learner import ClockLearner, SensorClock, Turns
 from slam.odometry.gyro_yaw import GyroMoment, YawGyro
@@ -148,7 +148,7 @@ class WheelTracker:
         """
         guessed_m = abs(ended.guessed_m - begun.guessed_m)
         metres2 = (self._config.swing_m_per_rad * step[2]) ** 2 + guessed_m**2
-        return np.diag([metres2, metres2, (_TURN_PER_M * guessed_m) ** 2])
+        return diagonal(metres2, metres2, (_TURN_PER_M * guessed_m) ** 2)
 
     def learn_scale(self, step: FloatArray, matched: FloatArray) -> None:
         """Learn what a metre of the wheels is from a step (3,) as `motion` told it and as it was matched.
@@ -212,7 +212,7 @@ class WheelTracker:
         turn_rad = abs(float(step[2]))
         sigma_m = config.floor_m + config.distance_share * path_m
         sigma_rad = config.floor_rad + config.turn_share * turn_rad + config.turn_per_m_rad * path_m
-        return np.diag([sigma_m**2, sigma_m**2, sigma_rad**2])
+        return diagonal(sigma_m**2, sigma_m**2, sigma_rad**2)
 
 
 def thrown_aside(motion: Motion) -> FloatArray:

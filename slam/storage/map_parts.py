@@ -35,19 +35,19 @@ def read_trajectory(file: MapFile, small: Unpack) -> Trajectory:
     )
 
 
-def read_grids(file: MapFile, small: Unpack) -> dict[str, OccupancyGrid]:
-    """The grids alone; `MapFileError` where a row is damaged."""
+def read_grids(file: MapFile, small: Unpack, *, placed: bool = True) -> dict[str, OccupancyGrid]:
+    """The grids alone, or not even where they lie; `MapFileError` where a row is damaged."""
     if file.count(GRIDS) > _MOST_GRIDS:
         raise MapFileError(f"{file.path} holds {file.count(GRIDS)} grids; make the map anew")
-    return dict(file.parsed(GRIDS, lambda row: _grid(row, small)))
+    return dict(file.parsed(GRIDS, lambda row: _grid(row, small, placed)))
 
 
-def _grid(row: tuple[Any, ...], small: Unpack) -> tuple[str, OccupancyGrid]:
+def _grid(row: tuple[Any, ...], small: Unpack, placed: bool) -> tuple[str, OccupancyGrid]:
     """A row of the grids, with its name."""
     name, rows, cols, resolution_m, corner, cells = row
     steps = of(np.ndarray, small(cells))
     require(steps.shape == (rows, cols), "its cells have another size")
-    T_map_grid = of(gtsam.Pose2, unpack(corner))
+    T_map_grid: Any = of(gtsam.Pose2, unpack(corner)) if placed else None
     if steps.dtype == np.float32:  # log-odds, in maps of the first schemas
         require((np.abs(steps) < np.inf).all(), "its cells are not finite")
         return name, sound_grid(OccupancyGrid.of_log_odds(steps, resolution_m, T_map_grid))

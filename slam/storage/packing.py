@@ -10,7 +10,9 @@ from __future__ import annotations
 import math
 import struct
 import zlib
+from collections.abc import Callable
 from dataclasses import fields
+from operator import attrgetter
 from typing import Any
 
 import gtsam
@@ -39,6 +41,7 @@ _RECORDS: dict[int, type] = {
 }
 _NUMBER_OF = {record: number for number, record in _RECORDS.items()}
 _FIELDS = {number: tuple(field.name for field in fields(record)) for number, record in _RECORDS.items()}
+_PARTS = {number: attrgetter(*names) for number, names in _FIELDS.items()}
 _DTYPES = tuple(np.dtype(name) for name in ("f8", "f4", "i8", "i4", "i2", "i1", "u1", "?"))
 _DTYPE_NUMBER = {dtype: number for number, dtype in enumerate(_DTYPES)}
 _DEEPEST = 8
@@ -102,16 +105,35 @@ class Unpacker:
     def __init__(self, size: int) -> None:
         self._left = _LARGEST_BYTES + _GROWTH * size
 
-    def __call__(self, content: bytes) -> Any:
-        """As `unpack_small`."""
+    def __call__(self, content: bytes, read: Callable[[bytes], Any] | None = None) -> Any:
+        """As `unpack_small`, or what another function than `unpack` reads in the bytes."""
         self._left -= _I8.unpack_from(content)[0] if len(content) >= _I8.size else 0
         if self._left < 0:
             raise MapFileError("it unpacks to more than any map")
-        return unpack_small(content)
+        return (read or unpack)(_inflated(content))
 
 
 def unpack_small(content: bytes) -> Any:
     """The value of compressed bytes; `MapFileError` as in `unpack`."""
+    return unpack(_inflated(content))
+
+
+def is_in_plane(content: bytes) -> bool:
+    """Whether a packed pose is one of the plane."""
+    return content[:1] == b"2"
+
+
+def last_text(content: bytes) -> str:
+    """The text that a packed record ends with; `MapFileError` where there is none."""
+    for end in range(len(content), 4, -1):
+        size = len(content) - end
+        if content[end - 5 : end] == b"s" + _U4.pack(size):
+            return content[end:].decode("utf-8", "replace")
+    raise MapFileError("a record without a text at its end")
+
+
+def _inflated(content: bytes) -> bytes:
+    """Compressed bytes as they were."""
     if len(content) < _I8.size:
         raise MapFileError("compressed values end too soon")
     (size,) = _I8.unpack_from(content)
@@ -124,7 +146,7 @@ def unpack_small(content: bytes) -> Any:
         raise MapFileError(f"compressed values are damaged: {error}") from error
     if len(plain) != size or not unpacker.eof:
         raise MapFileError(f"compressed values are not the {size} bytes that they should be")
-    return unpack(plain)
+    return plain
 
 
 def _pack(value: Any, out: bytearray) -> None:
@@ -132,16 +154,20 @@ def _pack(value: Any, out: bytearray) -> None:
     number = _NUMBER_OF.get(type(value))
     if number is not None:
         out += b"o" + bytes([number])
-        for name in _FIELDS[number]:
-            _pack(getattr(value, name), out)
+        for part in _PARTS[number](value):
+            _pack(part, out)
+    elif isinstance(value, float):
+        out += b"d" + _F8.pack(value)
     elif isinstance(value, np.ndarray):
         _pack_array(value, out)
     elif value is None:
         out += b"N"
     elif isinstance(value, bool | np.bool_):
         out += b"T" if value else b"F"
-    elif isinstance(value, float):
-        out += b"d" + _F8.pack(value)
+    elif isinstance(value, gtsam.Pose2):
+        # Cosine and sine, not the angle: that would come back with another last bit.
+        rotation = value.rotation()
+        out += b"2" + _POSE2.pack(value.x(), value.y(), rotation.c(), rotation.s())
     elif isinstance(value, int | np.integer):
         out += b"i" + _I8.pack(value)
     elif isinstance(value, str | bytes):
@@ -151,10 +177,6 @@ def _pack(value: Any, out: bytearray) -> None:
         out += (b"l" if isinstance(value, list) else b"t") + _U4.pack(len(value))
         for item in value:
             _pack(item, out)
-    elif isinstance(value, gtsam.Pose2):
-        # Cosine and sine, not the angle: that would come back with another last bit.
-        rotation = value.rotation()
-        out += b"2" + _POSE2.pack(value.x(), value.y(), rotation.c(), rotation.s())
     elif isinstance(value, gtsam.Pose3):
         out += b"3" + _POSE3.pack(*value.matrix()[:3].ravel())
     else:
@@ -164,9 +186,9 @@ def _pack(value: Any, out: bytearray) -> None:
 def _pack_array(array: np.ndarray[Any, Any], out: bytearray) -> None:
     """Append an array; the order of its memory is kept, by it the last bits of a product may differ."""
     fortran = array.flags.f_contiguous and not array.flags.c_contiguous
-    head = bytes([_DTYPE_NUMBER[array.dtype], fortran, array.ndim])
-    out += b"a" + head + struct.pack(f"<{array.ndim}I", *array.shape)
-    out += np.ascontiguousarray(array.T if fortran else array).reshape(-1).view(np.uint8).data
+    head = b"a", _DTYPE_NUMBER[array.dtype], fortran, array.ndim
+    out += struct.pack(f"<c3B{array.ndim}I", *head, *array.shape)
+    out += np.ascontiguousarray(array.T if fortran else array).data
 
 
 def _unpack(content: bytes, at: int, depth: int) -> tuple[Any, int]:

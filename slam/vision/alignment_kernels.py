@@ -8,142 +8,182 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fusion.kernel import ZERO, kernel
+from fusion.kernel import kernel
 
-_LEAST_NORMAL_COSINE = 0.8  # two surfaces turned further apart are not the same
+_LEAST_NORMAL_COSINE = np.float32(0.8)  # two surfaces turned further apart are not the same
+
+
+def room_for_points() -> tuple[NDArray[np.float32], NDArray[np.int32]]:
+    """What `surface_part` works in: so many points' terms stay in the nearest cache."""
+    return np.empty((17, 256), np.float32), np.empty(256, np.int32)
 
 
 def surface_part(
-    points: NDArray[Any],
-    normals: NDArray[Any],
+    points: NDArray[np.float32],
     T: NDArray[Any],
-    inverse_depth: NDArray[Any],
-    surface_normals: NDArray[Any],
-    camera: tuple[float, float, float, float],
-    gate_m: float,
-    kernel: float,
-    depth_floor_m: float,
-    depth_share: float,
-    hessian: NDArray[Any],
-    gradient: NDArray[Any],
-    information: NDArray[Any],
-    seen: NDArray[Any],
-    residuals: NDArray[Any],
+    planes: NDArray[np.float32],
+    camera: NDArray[np.float32],
+    limits: NDArray[np.float32],
+    room: tuple[NDArray[np.float32], NDArray[np.int32]],
+    sums: NDArray[Any],
+    seen: NDArray[np.float32],
+    residuals: NDArray[np.float32],
+    *,
+    informed: bool,
 ) -> None:
     """Add the point-to-plane terms of one view; ``T`` maps the frame into the view.
 
-    ``hessian`` squares the view's noisy normals, and so a flat wall seems to tell motion along itself. The
-    product of both surfaces' normals, whose noise is independent, does not: that is the ``information``.
+    The Hessian squares the view's noisy normals, and so a flat wall seems to tell motion along itself. The
+    product of both surfaces' normals, whose noise is independent, does not: that is the information.
+
+    Parameters
+    ----------
+    points
+        (6, N) points of the frame, and their normals.
+    planes
+        (H, W, 4) of the view, see `slam.vision.surface.Surface`.
+    camera
+        (6,) of the view: fx, fy, cx, cy, width, height.
+    limits
+        (4,) gate in metres, scale of the kernel in standard deviations, floor and share of the depth's.
+    room
+        By `room_for_points`.
+    sums
+        (2, 6, 7) Hessian and residual's gradient; if ``informed``, the information and a column of no use.
+    seen, residuals
+        (N,) 1 where any view has a surface; least residual in standard deviations.
     """
-    view = (T, inverse_depth, surface_normals, *camera)
-    limits = (gate_m, kernel, depth_floor_m, depth_share)
-    terms = np.empty((19, 256))  # so many points' terms stay in the nearest cache
-    _surface_part(points, normals, *view, *limits, hessian, gradient, information, seen, residuals, terms)
+    pose = T.astype(np.float32)
+    _surface_part(points, pose, planes.reshape(-1, 4), camera, limits, *room, sums, seen, residuals, informed)
 
 
 @kernel(nogil=True)
 def _surface_part(  # type: ignore[no-untyped-def]
-    points,
-    normals,
-    T,
-    inverse_depth,
-    surface_normals,
-    fx,
-    fy,
-    cx,
-    cy,
-    gate_m,
-    kernel,
-    depth_floor_m,
-    depth_share,
-    hessian,
-    gradient,
-    information,
-    seen,
-    residuals,
-    terms,
+    points, T, planes, camera, limits, room, at, sums, seen, residuals, informed
 ):
-    """Add up the terms of blocks of points, in ``terms`` (19, block)."""
-    inverse_fx, inverse_fy, inverse_kernel = 1.0 / fx, 1.0 / fy, 1.0 / kernel
-    height, width = inverse_depth.shape
+    """Add up the terms of blocks of points.
+
+    The rows of ``room``: the derivative by the view's normal (6), the distance, its weight, the points in the
+    view (3), their pixels off the centre (2), the view's planes (4).
+    """
+    m = room
+    for first in range(0, points.shape[1], at.size):
+        end = min(first + at.size, points.shape[1])
+        px, py, pz = points[0, first:end], points[1, first:end], points[2, first:end]
+        ox, oy, oz = points[3, first:end], points[4, first:end], points[5, first:end]
+        _place(px, py, pz, T, camera, m[8], m[9], m[10], m[11], m[12], at)
+        _look_up(planes, at, px.size, m[13], m[14], m[15], m[16])
+        _turn(m[14], m[15], m[16], ox, oy, oz, T, m[3], m[4], m[5], m[7])
+        met = m[13], m[14], m[15], m[16]
+        part = seen[first:end], residuals[first:end]
+        _judge(m[8], m[9], m[10], m[11], m[12], met, camera, limits, m[6], m[7], *part)
+        _moment(px, py, pz, m[3], m[4], m[5], m[0], m[1], m[2])
+        for a in range(6):
+            _add_up(m[7], m[a], m[0], m[1], m[2], m[3], m[4], m[5], m[6], px.size, sums[0, a])
+        if informed:
+            _moment(px, py, pz, ox, oy, oz, m[8], m[9], m[10])
+            for a in range(6):
+                _add_up(m[7], m[a], m[8], m[9], m[10], ox, oy, oz, m[6], px.size, sums[1, a])
+
+
+@kernel(nogil=True, error_model="numpy")
+def _place(px, py, pz, T, camera, x, y, z, du, dv, at):  # type: ignore[no-untyped-def]
+    """Points in the view, their pixels off the centre, and the number of the pixel; -1 outside the image."""
+    nothing, half, one = np.float32(0.0), np.float32(0.5), np.float32(1.0)
     r00, r01, r02, tx = T[0, 0], T[0, 1], T[0, 2], T[0, 3]
     r10, r11, r12, ty = T[1, 0], T[1, 1], T[1, 2], T[1, 3]
     r20, r21, r22, tz = T[2, 0], T[2, 1], T[2, 2], T[2, 3]
-    count = ZERO
-    for i in range(points.shape[0]):
-        if count == terms.shape[1]:
-            _add_up(terms, count, hessian, gradient, information)
-            count = ZERO
-        px, py, pz = points[i, 0], points[i, 1], points[i, 2]
-        z = r20 * px + r21 * py + r22 * pz + tz
-        if z <= 0.0:
-            continue
-        x = r00 * px + r01 * py + r02 * pz + tx
-        y = r10 * px + r11 * py + r12 * pz + ty
-        inverse_z = 1.0 / z
-        u = math.floor(fx * x * inverse_z + cx + 0.5)
-        v = math.floor(fy * y * inverse_z + cy + 0.5)
-        if u < 0 or v < 0 or u >= width or v >= height or inverse_depth[v, u] <= 0.0:
-            continue
-        seen[i] = 1
-        nx, ny, nz = surface_normals[v, u, 0], surface_normals[v, u, 1], surface_normals[v, u, 2]
-        # The view's normal, seen from the frame.
-        mx = r00 * nx + r10 * ny + r20 * nz
-        my = r01 * nx + r11 * ny + r21 * nz
-        mz = r02 * nx + r12 * ny + r22 * nz
-        ox, oy, oz = normals[i, 0], normals[i, 1], normals[i, 2]
-        if mx * ox + my * oy + mz * oz < _LEAST_NORMAL_COSINE:
-            continue
-        qz = 1.0 / inverse_depth[v, u]
-        if abs(z - qz) > gate_m * max(1.0, z * z) * 2.0:
-            continue
-        r = nx * (x - (u - cx) * inverse_fx * qz) + ny * (y - (v - cy) * inverse_fy * qz) + nz * (z - qz)
-        inverse_sigma = 1.0 / (depth_floor_m + depth_share * z * z)
-        normalised = abs(r) * inverse_sigma
-        residuals[i] = min(residuals[i], normalised)
-        share = normalised * inverse_kernel
-        weight = inverse_sigma / (1.0 + share * share)
-        weight *= weight
-        jx, jy, jz = py * mz - pz * my, pz * mx - px * mz, px * my - py * mx
-        terms[0, count], terms[1, count], terms[2, count] = jx, jy, jz
-        terms[3, count], terms[4, count], terms[5, count] = mx, my, mz
-        terms[6, count], terms[7, count], terms[8, count] = weight * jx, weight * jy, weight * jz
-        terms[9, count], terms[10, count], terms[11, count] = weight * mx, weight * my, weight * mz
-        terms[12, count] = py * oz - pz * oy
-        terms[13, count] = pz * ox - px * oz
-        terms[14, count] = px * oy - py * ox
-        terms[15, count], terms[16, count], terms[17, count] = ox, oy, oz
-        terms[18, count] = r
-        count += 1
-    _add_up(terms, count, hessian, gradient, information)
+    fx, fy, cx, cy, width, height = camera[0], camera[1], camera[2], camera[3], camera[4], camera[5]
+    for i in range(px.size):
+        across = r00 * px[i] + r01 * py[i] + r02 * pz[i] + tx
+        down = r10 * px[i] + r11 * py[i] + r12 * pz[i] + ty
+        depth = r20 * px[i] + r21 * py[i] + r22 * pz[i] + tz
+        inverse = one / (depth if depth > nothing else one)
+        u = np.floor(fx * across * inverse + cx + half)
+        v = np.floor(fy * down * inverse + cy + half)
+        inside = (depth > nothing) & (u >= nothing) & (v >= nothing) & (u < width) & (v < height)
+        x[i], y[i], z[i], du[i], dv[i] = across, down, depth, u - cx, v - cy
+        at[i] = np.int32(v * width + u if inside else -one)
 
 
 @kernel(nogil=True)
-def _add_up(
-    terms: NDArray[Any],
-    count: int,
-    hessian: NDArray[Any],
-    gradient: NDArray[Any],
-    information: NDArray[Any],
-) -> None:
-    """Add products of ``terms`` (19, N): derivative by the view's normal (6), the same times its weight (6),
-    derivative by the point's own normal (6), distance.
-    """
-    for a in range(6):
-        weighted = terms[6 + a, :count]
-        gradient[a] -= _dot(weighted, terms[18, :count])
-        for b in range(6):
-            hessian[a, b] += _dot(weighted, terms[b, :count])
-            information[a, b] += _dot(weighted, terms[12 + b, :count])
+def _look_up(planes, at, count, inverse, nx, ny, nz):  # type: ignore[no-untyped-def]
+    """The view's planes at pixels; of inverse depth 0 where there is none."""
+    nothing = np.float32(0.0)
+    for i in range(count):
+        pixel = max(at[i], 0)
+        inverse[i] = planes[pixel, 0] if at[i] >= 0 else nothing
+        nx[i] = planes[pixel, 1]
+        ny[i] = planes[pixel, 2]
+        nz[i] = planes[pixel, 3]
+
+
+@kernel(nogil=True)
+def _turn(nx, ny, nz, ox, oy, oz, T, mx, my, mz, alike):  # type: ignore[no-untyped-def]
+    """The view's normals, seen from the frame; whether they are alike to its own, 1 or 0."""
+    nothing, one = np.float32(0.0), np.float32(1.0)
+    r00, r01, r02 = T[0, 0], T[0, 1], T[0, 2]
+    r10, r11, r12 = T[1, 0], T[1, 1], T[1, 2]
+    r20, r21, r22 = T[2, 0], T[2, 1], T[2, 2]
+    for i in range(ox.size):
+        a = r00 * nx[i] + r10 * ny[i] + r20 * nz[i]
+        b = r01 * nx[i] + r11 * ny[i] + r21 * nz[i]
+        c = r02 * nx[i] + r12 * ny[i] + r22 * nz[i]
+        cosine = a * ox[i] + b * oy[i] + c * oz[i]
+        mx[i], my[i], mz[i] = a, b, c
+        alike[i] = one if cosine >= _LEAST_NORMAL_COSINE else nothing
+
+
+@kernel(nogil=True, error_model="numpy")
+def _judge(  # type: ignore[no-untyped-def]
+    x, y, z, du, dv, planes, camera, limits, distance, weight, seen, residuals
+):
+    """Distance to the plane; its weight, of those alike: 0 where it is no partner; the least residuals."""
+    nothing, one, never = np.float32(0.0), np.float32(1.0), np.float32(np.inf)
+    inverse, nx, ny, nz = planes
+    inverse_fx, inverse_fy, gate_m = one / camera[0], one / camera[1], limits[0] + limits[0]
+    inverse_kernel, floor_m, share = one / limits[1], limits[2], limits[3]
+    for i in range(seen.size):
+        known = inverse[i] > nothing
+        seen[i] = one if known else seen[i]
+        depth = one / (inverse[i] if known else one)
+        aside = nx[i] * (x[i] - du[i] * inverse_fx * depth) + ny[i] * (y[i] - dv[i] * inverse_fy * depth)
+        off = aside + nz[i] * (z[i] - depth)
+        square = z[i] * z[i]
+        near = known & (weight[i] > nothing) & (abs(z[i] - depth) <= gate_m * max(one, square))
+        inverse_sigma = one / (floor_m + share * square)
+        sigmas = abs(off) * inverse_sigma
+        tail = sigmas * inverse_kernel
+        root = inverse_sigma / (one + tail * tail)
+        distance[i] = off
+        residuals[i] = min(residuals[i], sigmas if near else never)
+        weight[i] = root * root if near else nothing
+
+
+@kernel(nogil=True)
+def _moment(px, py, pz, nx, ny, nz, x, y, z):  # type: ignore[no-untyped-def]
+    """Cross products of points and normals."""
+    for i in range(px.size):
+        x[i] = py[i] * nz[i] - pz[i] * ny[i]
+        y[i] = pz[i] * nx[i] - px[i] * nz[i]
+        z[i] = px[i] * ny[i] - py[i] * nx[i]
 
 
 @kernel(nogil=True, fastmath=True)
-def _dot(first: NDArray[Any], second: NDArray[Any]) -> float:
-    """Inner product, in the order that vector instructions like."""
-    total = 0.0
-    for i in range(first.size):
-        total += first[i] * second[i]
-    return total
+def _add_up(weight, factor, a, b, c, d, e, f, g, count, sums):  # type: ignore[no-untyped-def]
+    """Add weighted products of a factor with each of seven others, in the order that vectors like."""
+    s0 = s1 = s2 = s3 = s4 = s5 = s6 = np.float32(0.0)
+    for i in range(count):
+        weighted = weight[i] * factor[i]
+        s0 += weighted * a[i]
+        s1 += weighted * b[i]
+        s2 += weighted * c[i]
+        s3 += weighted * d[i]
+        s4 += weighted * e[i]
+        s5 += weighted * f[i]
+        s6 += weighted * g[i]
+    for k, s in enumerate((s0, s1, s2, s3, s4, s5, s6)):
+        sums[k] += s
 
 
 def feature_part(

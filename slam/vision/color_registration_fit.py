@@ -134,7 +134,7 @@ def _refusal(halves: Sequence[_Half], gain: float, apart: float, depth: CameraIn
     asked = math.sqrt(gate())
     moves = [_distance_px(half.guess, Guess(depth.fx, depth.cx, depth.cy), depth) for half in halves]
     if gain < _LEAST_GAIN:
-        return f"another camera explains {100 * gain:.1f} % more of the held-out matches, 1 % is asked"
+        return f"another camera explains {100 * gain:z.1f} % more of the held-out matches, 1 % is asked"
     if clear < asked:
         return f"the gain of another camera is {clear:.1f} standard errors, {asked:.1f} are asked"
     if over_rescaled < asked:

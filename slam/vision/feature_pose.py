@@ -1,4 +1,7 @@
-"""Pose from matched features without a guess: PnP-RANSAC, then least squares (Yang2021 Eq. (3)-(6))."""
+"""Pose from matched features without a guess: PnP-RANSAC by three points (Ke2017), then least squares.
+
+The squares are those of Yang2021 Eq. (3)-(6).
+"""
 
 from __future__ import annotations
 
@@ -63,16 +66,24 @@ def pose_from_features(
         iterationsCount=_ROUNDS,
         reprojectionError=tolerance_px,
         confidence=CONFIDENCE,
+        flags=cv2.SOLVEPNP_AP3P,
     )
-    if not found or inliers is None or len(inliers) < least_inliers:
+    if not found or inliers is None:
         return None
-    chosen = inliers[:, 0]
-    rotation, translation = cv2.solvePnPRefineLM(
-        points[chosen], observed[chosen], camera, np.zeros(0), rotation, translation
-    )
-    if not (np.isfinite(rotation).all() and np.isfinite(translation).all()):
+    mask = np.zeros(len(points), bool)
+    mask[inliers[:, 0]] = True
+    # The pose by three points is a little off: more agree with that by all.
+    for _ in range(2):
+        if np.count_nonzero(mask) < least_inliers:
+            return None
+        rotation, translation = cv2.solvePnPRefineLM(
+            points[mask], observed[mask], camera, np.zeros(0), rotation, translation
+        )
+        if not (np.isfinite(rotation).all() and np.isfinite(translation).all()):
+            return None
+        expected = cv2.projectPoints(points, rotation, translation, camera, None)[0][:, 0]
+        mask = np.linalg.norm(expected - observed, axis=1) <= tolerance_px
+    if np.count_nonzero(mask) < least_inliers:
         return None
     T_camera_reference = gtsam.Pose3(gtsam.Rot3.Expmap(rotation.ravel()), translation.ravel())
-    mask = np.zeros(len(points), bool)
-    mask[chosen] = True
     return FeaturePose(T_camera_reference.inverse(), mask)

@@ -13,8 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fusion.estimation import FEWEST, SETTLED, TINY, median_to_sigma
-from slam.measurements import CameraIntrinsics, FloatArray
-from slam.vision.alignment_kernels import feature_part, surface_part
+from slam.measurements import AnyFloatArray, CameraIntrinsics, Float32Array, FloatArray
+from slam.vision.alignment_kernels import feature_part, room_for_points, surface_part
 from slam.vision.surface import Surface, SurfacePoints
 
 _THINNED = 4
@@ -128,16 +128,14 @@ def align(
         Of the pixels in ``landmarks``.
     """
     # A few points lead near; all of them are asked for the last millimetres.
-    few = SurfacePoints(*(np.ascontiguousarray(rows[::_THINNED]) for rows in (points.points, points.normals)))
-    coarse = _Work.of(few, landmarks)
+    coarse = _Work.of(points.every(_THINNED), landmarks)
     near, _ = _descend(
         coarse, views, intrinsics, guess, settings, settings.coarse_iterations, 10 * SETTLED, 4.0
     )
     fine = _Work.of(points, landmarks)
     rounds = settings.iterations - settings.coarse_iterations
     pose, step = _descend(fine, views, intrinsics, near, settings, rounds, SETTLED, 1.0)
-    if step >= SETTLED:
-        fine.linearize(views, intrinsics, pose, settings, 1.0)
+    fine.linearize(views, intrinsics, pose, settings, 1.0, informed=True)
     return fine.conclude(pose, settings, converged=step < 10 * SETTLED)
 
 
@@ -175,8 +173,9 @@ class _Work:
 
     points: SurfacePoints
     landmarks: Landmarks
-    point_residuals: FloatArray
-    seen: NDArray[np.uint8]
+    room: tuple[Float32Array, NDArray[np.int32]]
+    point_residuals: Float32Array
+    seen: Float32Array
     feature_residuals: FloatArray
     information: tuple[FloatArray, FloatArray]
 
@@ -187,8 +186,9 @@ class _Work:
         return cls(
             points,
             landmarks,
-            np.full(count, np.inf),
-            np.zeros(count, np.uint8),
+            room_for_points(),
+            np.full(count, np.inf, np.float32),
+            np.zeros(count, np.float32),
             np.full(len(landmarks.points), np.inf),
             (zeros, zeros),
         )
@@ -200,30 +200,33 @@ class _Work:
         pose: gtsam.Pose3,
         settings: AlignmentSettings,
         slack: float,
+        *,
+        informed: bool = False,
     ) -> tuple[FloatArray, FloatArray]:
-        """Normal equations (6, 6), (6,) of both parts, weighted by their correlations."""
-        self.seen[:] = 0
+        """Normal equations (6, 6), (6,) of both parts, weighted by their correlations.
+
+        With the information of the surfaces, where ``informed``.
+        """
+        self.seen[:] = 0.0
         self.point_residuals[:] = np.inf
-        depth_h, depth_g, depth_i = np.zeros((6, 6)), np.zeros(6), np.zeros((6, 6))
+        sums = np.zeros((2, 6, 7))
+        gate_m, kernel = settings.gate_m * slack, settings.kernel_sigmas * slack
+        limits = np.array([gate_m, kernel, settings.depth_floor_m, settings.depth_share], np.float32)
         for surface, view_pose in views:
             c = surface.intrinsics
             surface_part(
-                self.points.points,
-                self.points.normals,
+                self.points.rows,
                 view_pose.between(pose).matrix(),
-                surface.inverse_depth,
-                surface.normals,
-                (c.fx, c.fy, c.cx, c.cy),
-                settings.gate_m * slack,
-                settings.kernel_sigmas * slack,
-                settings.depth_floor_m,
-                settings.depth_share,
-                depth_h,
-                depth_g,
-                depth_i,
+                surface.planes,
+                np.array([c.fx, c.fy, c.cx, c.cy, c.width, c.height], np.float32),
+                limits,
+                self.room,
+                sums,
                 self.seen,
                 self.point_residuals,
+                informed=informed,
             )
+        (depth_h, depth_i), depth_g = sums[:, :, :6], -sums[0, :, 6]
         feature_h, feature_g = np.zeros((6, 6)), np.zeros(6)
         feature_part(
             self.landmarks.points,
@@ -231,7 +234,7 @@ class _Work:
             self.landmarks.sigma_px,
             pose.inverse().matrix(),
             (k.fx, k.fy, k.cx, k.cy),
-            settings.kernel_sigmas * slack,
+            kernel,
             feature_h,
             feature_g,
             self.feature_residuals,
@@ -242,8 +245,8 @@ class _Work:
         return hessian, gradient
 
     def conclude(self, pose: gtsam.Pose3, settings: AlignmentSettings, *, converged: bool) -> JointAlignment:
-        """Judge the residuals of the last linearisation, which was done at this pose or a hair beside it."""
-        seen = self.seen > 0
+        """Judge the residuals of the last linearisation, which was done at this pose."""
+        seen = self.seen > 0.0
         agreeing = self.point_residuals[self.point_residuals < settings.kernel_sigmas]
         matched = self.feature_residuals[self.feature_residuals < settings.kernel_sigmas]
         point_scale = _robust_scale(agreeing, 1)
@@ -266,7 +269,7 @@ class _Work:
         )
 
 
-def _robust_scale(residuals: FloatArray, degrees: int) -> float:
+def _robust_scale(residuals: AnyFloatArray, degrees: int) -> float:
     """Sigma of normalised residuals; 1 where there are too few to tell."""
     if residuals.size < FEWEST:
         return 1.0

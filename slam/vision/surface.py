@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from slam.measurements import CameraIntrinsics, Float32Array, FloatArray
+from slam.measurements import CameraIntrinsics, Float32Array
 from slam.vision.plane_windows import fit_planes
 
 
@@ -21,28 +21,49 @@ class Surface:
 
     Attributes
     ----------
-    inverse_depth
-        (H, W) smoothed, 1/m; 0 where there is no surface.
-    normals
-        (H, W, 3) unit, towards the camera, camera frame; zero where there is none.
+    planes
+        (H, W, 4) smoothed inverse depth, 1/m, and unit normal towards the camera, camera frame; zero where
+        there is no surface. What is asked of a pixel lies together.
     intrinsics
-        Of these images.
+        Of this image.
     """
 
-    inverse_depth: Float32Array
-    normals: Float32Array
+    planes: Float32Array
     intrinsics: CameraIntrinsics
+
+    @property
+    def inverse_depth(self) -> Float32Array:
+        """(H, W) smoothed, 1/m; 0 where there is no surface."""
+        return self.planes[..., 0]
+
+    @property
+    def normals(self) -> Float32Array:
+        """(H, W, 3) unit, towards the camera, camera frame; zero where there is none."""
+        return self.planes[..., 1:]
 
 
 @dataclass(frozen=True, slots=True)
 class SurfacePoints:
-    """What a frame is matched by: (N, 3) points and unit normals, camera frame."""
+    """What a frame is matched by: points and unit normals, camera frame, the six rows of an array (6, N)."""
 
-    points: FloatArray
-    normals: FloatArray
+    rows: Float32Array
+
+    @property
+    def points(self) -> Float32Array:
+        """(N, 3)."""
+        return self.rows[:3].T
+
+    @property
+    def normals(self) -> Float32Array:
+        """(N, 3)."""
+        return self.rows[3:].T
+
+    def every(self, step: int) -> SurfacePoints:
+        """Some of them, evenly."""
+        return SurfacePoints(np.ascontiguousarray(self.rows[:, ::step]))
 
     def __len__(self) -> int:
-        return len(self.points)
+        return self.rows.shape[1]
 
 
 def working_depth(
@@ -80,12 +101,10 @@ def surface_of(
         What lies behind is left out.
     """
     inverse, k = _inverse(depth_m, farthest_m), intrinsics
-    smooth = np.zeros_like(inverse)
-    normals = np.zeros((*inverse.shape, 3), np.float32)
-    planes = fit_planes(inverse, radius, 1, k.fx, k.fy, k.cx, k.cy)
-    inner = tuple(slice(radius, radius + side) for side in planes.shape[:2])
-    smooth[inner], normals[inner] = planes[..., 0], planes[..., 1:]
-    return Surface(smooth, normals, intrinsics)
+    planes = np.zeros((*inverse.shape, 4), np.float32)
+    fitted = fit_planes(inverse, radius, 1, k.fx, k.fy, k.cx, k.cy)
+    planes[tuple(slice(radius, radius + side) for side in fitted.shape[:2])] = fitted
+    return Surface(planes, intrinsics)
 
 
 def points_of(
@@ -97,11 +116,11 @@ def points_of(
     k = intrinsics
     planes = fit_planes(inverse, radius, step, k.fx, k.fy, k.cx, k.cy)
     found = np.nonzero(planes[..., 0])
-    planes = planes[found].astype(np.float64)
-    z = 1.0 / planes[:, 0]
+    inverse, *normals = planes[found].T
+    z = np.float32(1.0) / inverse
     rows, columns = (radius + step * places for places in found)
-    points = np.stack([(columns - k.cx) / k.fx * z, (rows - k.cy) / k.fy * z, z], axis=1)
-    return SurfacePoints(points, np.ascontiguousarray(planes[:, 1:]))
+    ways = (columns - k.cx) / k.fx * z, (rows - k.cy) / k.fy * z
+    return SurfacePoints(np.array([*ways, z, *normals], np.float32))
 
 
 def _inverse(depth_m: Float32Array, farthest_m: float) -> Float32Array:

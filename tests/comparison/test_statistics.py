@@ -12,7 +12,7 @@ from slam.comparison.statistics import interval_of, paired
 VALUES = st.lists(st.floats(-1e3, 1e3), min_size=1, max_size=6)
 
 
-@settings(max_examples=15, deadline=None)
+@settings(max_examples=8, deadline=None)
 @given(st.dictionaries(st.text(max_size=3), VALUES, min_size=1, max_size=4), st.floats(-10.0, 10.0))
 def test_the_interval_holds_the_median_within_the_values_and_moves_with_them(
     groups: dict[str, list[float]], shift: float

@@ -39,7 +39,7 @@ def test_a_flaser_line_gives_its_odometry_then_its_scan(tmp_path: Path) -> None:
     assert any("laser pose" in note for note in dataset.report.notes)
 
 
-@QUIET
+@settings(QUIET, max_examples=60)
 @given(
     st.lists(
         st.from_regex(r"-?([0-9]{1,17}(\.[0-9]{0,8})?|\.[0-9]{1,8})(e-?[0-9]{1,2})?", fullmatch=True),

@@ -143,7 +143,7 @@ def test_memory_does_not_grow_with_the_log(tmp_path: Path) -> None:
         assert count == 3 * repeats
         return peak
 
-    short, long = peak_of(400), peak_of(8000)
+    short, long = peak_of(400), peak_of(3000)
     assert long < 1.3 * short + 50_000
 
 

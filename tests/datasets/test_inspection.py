@@ -135,7 +135,7 @@ def test_the_median_holds_and_memory_stays_flat_on_a_long_stream() -> None:
         assert summary["longest_gap_s"] == pytest.approx(0.25)
         return peak
 
-    assert peak_of(60_000) < 1.5 * peak_of(6_000)
+    assert peak_of(25_000) < 1.5 * peak_of(5_000)
 
 
 @pytest.mark.parametrize(

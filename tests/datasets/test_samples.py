@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 import struct
 import sys
 from pathlib import Path
@@ -27,15 +28,16 @@ from tools.layouts.cameras import nyu_to_color
 from tools.layouts.foxglove import recorded
 from tools.layouts.judge import problems
 from tools.layouts.lidar_bags import captured
-from tools.layouts.samples import LAYOUTS
+from tools.layouts.samples import LAYOUTS, Sample
 
+NYU = "NYU Depth V2, raw dumps"
 NAMES = [
     "Player log of Radish",
     "Rawseeds",
     "nuScenes, sweeps of one scene",
     "LAS clouds",
     "PointCloud of ROS 1's first years",
-    "NYU Depth V2, raw dumps",
+    NYU,
     "Velodyne packets, .pcap",
     "Foxglove, a lidar as protobuf",
     "Foxglove, a flat lidar as JSON",
@@ -43,8 +45,16 @@ NAMES = [
 ]
 
 
+@pytest.fixture(scope="module")
+def nyu(tmp_path_factory: pytest.TempPathFactory) -> Sample:
+    """A sample that takes long to write."""
+    return LAYOUTS[NYU].write(tmp_path_factory.mktemp("nyu"))
+
+
 @pytest.mark.parametrize("name", NAMES)
-def test_a_sample_is_read_as_it_was_written(name: str, tmp_path: Path) -> None:
+def test_a_sample_is_read_as_it_was_written(
+    name: str, tmp_path: Path, request: pytest.FixtureRequest
+) -> None:
     for word, library in (
         ("LAS", "laspy"),
         ("Velodyne", "velodyne_decoder"),
@@ -52,7 +62,7 @@ def test_a_sample_is_read_as_it_was_written(name: str, tmp_path: Path) -> None:
     ):
         if word in name:
             pytest.importorskip(library)
-    sample = LAYOUTS[name].write(tmp_path)
+    sample = request.getfixturevalue("nyu") if name == NYU else LAYOUTS[name].write(tmp_path)
     dataset = open_dataset(sample.path, strict=True)
     assert problems(dataset, sample) == []
 
@@ -152,8 +162,8 @@ def test_a_capture_without_the_extra_names_it(tmp_path: Path, monkeypatch: pytes
         read(path)
 
 
-def test_depth_of_a_kinect_in_steps(tmp_path: Path) -> None:
-    path = LAYOUTS["NYU Depth V2, raw dumps"].write(tmp_path).path
+def test_depth_of_a_kinect_in_steps(nyu: Sample, tmp_path: Path) -> None:
+    path = Path(shutil.copytree(nyu.path, tmp_path / nyu.path.name))
     first, second, *_ = sorted(path.glob("d-*.pgm"))
     cv2.imwrite(
         str(first), np.full((480, 640), 1092.5 - 351.3 / 2.0, np.float64).astype(np.uint16).byteswap()

@@ -15,7 +15,7 @@ from slam.simulation.synthetic_log import write_synthetic_log
 @pytest.fixture(scope="module")
 def in_mm(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A log with odometry in millimetres, and scans upside down."""
-    path = write_synthetic_log(tmp_path_factory.mktemp("mm"), seed=1, duration_s=60.0).log_path
+    path = write_synthetic_log(tmp_path_factory.mktemp("mm"), seed=1, duration_s=40.0).log_path
     lines = []
     for line in path.read_text().splitlines():
         words = line.split()

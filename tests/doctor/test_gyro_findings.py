@@ -28,7 +28,7 @@ Change = Callable[[ImuReading], ImuReading]
 @cache
 def drive() -> tuple[list[Measurement], list[ImuReading]]:
     with TemporaryDirectory() as folder:
-        log = write_synthetic_log(Path(folder), seed=1, duration_s=60.0)
+        log = write_synthetic_log(Path(folder), seed=1, duration_s=45.0)
         return list(open_dataset(log.log_path)), imu_of(log.truth)
 
 

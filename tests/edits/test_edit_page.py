@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 import yaml
-from browser import chromium
+from browser import opened
 from edit_maps import content
 from view_server import Served, served
 
@@ -69,13 +69,8 @@ class Sheet:
 @contextmanager
 def browser() -> Iterator[Sheet]:
     """A page of 1300 pixels; the test is skipped, loudly, without Chromium."""
-    found, playwright = chromium(), pytest.importorskip("playwright.sync_api")
-    with playwright.sync_playwright() as running:
-        opened = running.chromium.launch(executable_path=found, args=["--no-sandbox"])
-        try:
-            yield Sheet(opened.new_page(viewport={"width": 1300, "height": 900}))
-        finally:
-            opened.close()
+    with opened().new_page(viewport={"width": 1300, "height": 900}) as page:
+        yield Sheet(page)
 
 
 def test_every_control_of_the_page_that_came_by_mail(served: Served, tmp_path: Path) -> None:

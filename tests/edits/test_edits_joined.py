@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 from pathlib import Path
 
 import numpy as np
@@ -17,7 +18,7 @@ from slam.simulation.synthetic_log import write_synthetic_log
 @pytest.fixture(scope="module")
 def logs(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
     folder = tmp_path_factory.mktemp("logs")
-    lengths = {"first": 34.0, "later": 18.0}
+    lengths = {"first": 34.0, "later": 12.0}
     first, later = (
         write_synthetic_log(folder / part, seed=seed, duration_s=length).log_path
         for seed, (part, length) in enumerate(lengths.items(), start=1)
@@ -30,19 +31,28 @@ def house(logs: tuple[Path, Path]) -> Map:
     return slam.map_log(logs[0])
 
 
-def test_edits_stay_when_a_session_joins_and_can_be_undone(
-    house: Map, logs: tuple[Path, Path], tmp_path: Path
-) -> None:
-    polygon = box(house)
+@pytest.fixture(scope="module")
+def edited(house: Map, tmp_path_factory: pytest.TempPathFactory) -> Map:
+    """The house turned, a box erased for good, a place named."""
     edits = {
-        "erase": [{"polygon": polygon.tolist(), "later": True}],
+        "erase": [{"polygon": box(house).tolist(), "later": True}],
         "turn": {"degrees": 90.0},
         "places": [{"name": "dock", "position": [0.5, 0.2]}],
     }
-    edited = house.edited(edits)
+    return house.edited(edits, out=tmp_path_factory.mktemp("edited") / "map")
+
+
+@pytest.fixture(scope="module")
+def joined(edited: Map, logs: tuple[Path, Path], tmp_path_factory: pytest.TempPathFactory) -> Map:
+    return slam.join(edited, logs[1], out=tmp_path_factory.mktemp("joined") / "map").map
+
+
+def test_edits_stay_when_a_session_joins_and_can_be_undone(
+    house: Map, edited: Map, joined: Map, logs: tuple[Path, Path], tmp_path: Path
+) -> None:
+    polygon = box(house)
     turned = polygon @ np.array([[0.0, 1.0], [-1.0, 0.0]])
     assert occupied(edited, turned) == 0
-    joined = slam.join(edited, logs[1], out=tmp_path / "joined").map
     assert len(joined.sessions) == 2 and joined.edits == edited.edits
     assert occupied(joined, turned) == 0
     assert joined.places["dock"] == pytest.approx([-0.2, 0.5, np.pi / 2], abs=0.05)
@@ -75,23 +85,20 @@ def test_edits_stay_when_the_map_is_resumed(logs: tuple[Path, Path], tmp_path: P
 
 
 def test_edits_stay_when_an_interrupted_session_goes_on(
-    house: Map, logs: tuple[Path, Path], tmp_path: Path
+    house: Map, edited: Map, joined: Map, logs: tuple[Path, Path], tmp_path: Path
 ) -> None:
     """As if it had not been interrupted, to the byte; the map is as it was until then."""
-    polygon = box(house)
-    edits = {"erase": [{"polygon": polygon.tolist(), "later": True}], "turn": {"degrees": 90.0}}
-    known = house.edited(edits, out=tmp_path / "known")
-    whole = slam.join(known, logs[1], out=tmp_path / "whole").map
+    known = load_map(shutil.copytree(edited.path.parent, tmp_path / "known"))
 
     def interrupt(progress: Progress) -> None:
-        if progress.stage == "mapping" and progress.readings > 40:
+        if progress.stage == "mapping" and progress.readings > 25:
             raise KeyboardInterrupt
 
     before = content(known)
     with pytest.raises(KeyboardInterrupt):
         slam.join(known, logs[1], on_progress=interrupt)
     assert content(known) == before
-    joined = slam.join(load_map(known.path), logs[1], resume=True).map
-    assert joined.edits == known.edits
-    assert content(joined) == content(whole)
-    assert occupied(joined, polygon @ np.array([[0.0, 1.0], [-1.0, 0.0]])) == 0
+    resumed = slam.join(load_map(known.path), logs[1], resume=True).map
+    assert resumed.edits == known.edits
+    assert content(resumed) == content(joined)
+    assert occupied(resumed, box(house) @ np.array([[0.0, 1.0], [-1.0, 0.0]])) == 0

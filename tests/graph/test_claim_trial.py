@@ -111,10 +111,10 @@ def test_without_loops_no_place_is_searched() -> None:
     closer = type("NoSubmaps", (), {"submaps": None})()
     match, graph = MatchConfig(), GraphConfig()
     search = PlaceSearch(closer, LoopConfig(enabled=False), match, graph)  # type: ignore[arg-type]
-    assert search.search(np.zeros((3, 3)), [], np.zeros(0, np.bool_), []) == []
+    assert search.search(np.zeros((3, 3)), np.arange(3.0), [], np.zeros(0, np.bool_), []) == []
     with pytest.raises(TypeError):
         PlaceSearch(closer, LoopConfig(), match, graph).search(  # type: ignore[arg-type]
-            np.zeros((3, 3)), [], np.zeros(0, np.bool_), []
+            np.zeros((3, 3)), np.arange(3.0), [], np.zeros(0, np.bool_), []
         )
 
 

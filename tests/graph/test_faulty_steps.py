@@ -1,16 +1,19 @@
 """A claim that one wrong step explains is told from one that none does; wheels are as good as they proved."""
 
 from collections.abc import Sequence
+from types import SimpleNamespace
 
 import gtsam
 import numpy as np
 import pytest
 
-from slam.config.stages import GraphConfig
+from slam.config.stages import GraphConfig, LoopConfig, MatchConfig
+from slam.estimates import MotionEstimate
 from slam.graph.edge import Edge, EdgeKind
 from slam.graph.faulty_steps import FaultySteps, settle_wheels
 from slam.graph.keyframe_graph import KeyframeGraph, together
-from slam.graph.place_search import believed_edges
+from slam.graph.loop_closure import LoopCandidate
+from slam.graph.place_search import PlaceSearch, believed_edges
 from slam.mapper.planar_chain import edges_of
 from slam.matching.motion import Motion
 from slam.matching.planar import between, compose
@@ -45,14 +48,22 @@ def walked(steps: list[FloatArray]) -> FloatArray:
 POSES = walked([STEP] * (COUNT - 1))
 
 
-def squares(gaps: tuple[int, ...], claimed: FloatArray, loops: Sequence[tuple[int, int]] = ()) -> float:
+def squares(
+    gaps: tuple[int, ...],
+    claimed: FloatArray,
+    loops: Sequence[tuple[int, int]] = (),
+    gap_s: float = 30.0,
+) -> float:
     edges = chain(gaps)
     for n, (place, key) in enumerate(loops):
         told = pose2_from_row(between(POSES[place], POSES[key]))
         edges.append(Edge(place, key, told, SURE, EdgeKind.LOOP, trusted=False, loop=n))
-    faulty = FaultySteps(edges, edges, POSES, GraphConfig(), 0.3, 3.0)
+    stamps_s = np.arange(float(COUNT))
+    for key in gaps:
+        stamps_s[key + 1 :] += gap_s
+    faulty = FaultySteps(edges, edges, POSES, GraphConfig(), 0.3, 3.0, stamps_s, 0.99)
     known = Motion(between(POSES[5], POSES[70]), np.diag([0.3, 0.3, 0.03]) ** 2)
-    return faulty.explain(5, 70, known, claimed)[0]
+    return faulty.explain(5, 70, known, Motion(claimed, SURE))[1]
 
 
 def bent(*turns: tuple[int, float]) -> FloatArray:
@@ -80,6 +91,41 @@ def test_a_step_is_not_wrong_where_loops_on_both_sides_tell_it() -> None:
     assert squares(gaps, claimed) < 4.0
     assert squares(gaps, claimed, [(30, 75)]) > 20.0
     assert squares(gaps, claimed, [(30, 38), (45, 58)]) < 4.0
+
+
+@pytest.mark.parametrize(("far_m", "gap_s"), [(20.0, 15.0), (5.0, 0.2)])
+def test_no_step_is_farther_than_a_robot_goes_in_its_time(far_m: float, gap_s: float) -> None:
+    """However long the gap, nothing else is uncertain enough for the rest."""
+    claimed = bent() + np.array([far_m, 0.0, 0.0])
+    assert squares((GAP,), claimed, gap_s=gap_s) == np.inf
+    assert squares((GAP,), claimed, gap_s=2.0 * far_m) < np.inf
+
+
+@pytest.mark.parametrize("repeats", [True, False])
+def test_a_fault_is_not_believed_where_places_look_like_their_neighbours(repeats: bool) -> None:
+    """Claims across the gap agree that it was wrong; what follows from them fits within a matched run."""
+    edges, steps = chain(), [STEP.copy() for _ in range(COUNT - 1)]
+    steps[GAP][2] += 1.2
+    turned = walked(steps)
+
+    def claim(place: int, key: int, pose: FloatArray) -> LoopCandidate:
+        motion = MotionEstimate(pose2_from_row(pose), SURE, 0.9, 0.9, 0.01, True, False, np.zeros(3))
+        return LoopCandidate(place, key, 0.0, 0.0, 1.0, motion, True, "")
+
+    across = [claim(key - 12, key, between(turned[key - 12], turned[key])) for key in range(42, 54)]
+    members, entailed = across[::2], across[1::2]
+    if repeats:
+        entailed = [claim(key - 12, key, np.zeros(3)) for key in range(12, 40)]
+    search = PlaceSearch(SimpleNamespace(submaps=None), LoopConfig(), MatchConfig(), GraphConfig())  # type: ignore[arg-type]
+    search._submaps = SimpleNamespace(travelled_m=float)  # type: ignore[assignment]
+    search._stretches = SimpleNamespace(spacing_m=1.5)  # type: ignore[assignment]
+    search._sets = SimpleNamespace(largest=lambda: [members], remove=len)  # type: ignore[assignment]
+    search._trial = SimpleNamespace(hold=lambda _: (entailed, 0))  # type: ignore[assignment]
+    stamps_s = np.arange(float(COUNT)) + 30.0 * (np.arange(COUNT) > GAP)
+    search._faulty = FaultySteps(edges, edges, POSES, GraphConfig(), 0.3, 3.0, stamps_s, 0.99)
+    believed = search._believed(POSES, search._faulty.known)
+    assert believed == ([] if repeats else [*members, *entailed])
+    assert search.fault == (None if repeats else (GAP, GAP + 1))
 
 
 def test_a_gap_of_several_steps_is_one_fault() -> None:

@@ -160,17 +160,18 @@ def edited(frames: list[RgbdFrame], path: Path, edit: Callable[[int, RgbdFrame],
 
 
 class TestMishaps:
-    @pytest.mark.parametrize(("first", "count"), [(30, 2), (30, 14), (0, 4)])
+    @pytest.mark.parametrize(("first", "count"), [(30, 2), (20, 14), (0, 4)])
     def test_a_dead_camera(self, first: int, count: int, frames: list[RgbdFrame], tmp_path: Path) -> None:
         """Black frames without depth for a moment, for long, and at the beginning: every frame has a pose.
 
         After a moment those that were seen lie where they were, across the gap too.
         """
+        frames = frames[: COUNT if count == 2 else first + count + 8]
         path = edited(
             frames, tmp_path / "log", lambda n, frame: blind(frame) if first <= n < first + count else frame
         )
         result = run(path)
-        assert len(result.map.trajectory) == COUNT
+        assert len(result.map.trajectory) == len(frames)
         assert np.isfinite(result.map.trajectory.positions_m).all()
         unmatched = np.flatnonzero(np.isnan(result.scans.inlier_shares))
         assert set(range(max(first, 1), first + count)) <= set(unmatched.tolist())
@@ -178,7 +179,7 @@ class TestMishaps:
             edge for edge in (factor.edge for factor in result.map.factors) if edge.kind is EdgeKind.ASSUMED
         ]
         assert bool(assumed) == (count > 10 or first == 0)
-        true_m = np.array([pose.translation() - walk()[0].translation() for pose in walk()])
+        true_m = np.array([pose.translation() - walk()[0].translation() for pose in walk()[: len(frames)]])
         off_m = np.linalg.norm(result.map.trajectory.positions_m - true_m, axis=1)
         assert count != 2 or np.delete(off_m, np.arange(first, first + count)).max() < 0.02
 

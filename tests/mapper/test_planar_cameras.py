@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from flat_worlds import box, sweep
 from memory_drives import MemoryLog
-from room_world import LESS, T_BODY_CAMERA, blind, furnished, render
+from room_world import SMALL, T_BODY_CAMERA, blind, furnished, render
 from typer.testing import CliRunner
 
 from slam.cli import app
@@ -68,7 +68,7 @@ def drive() -> list[tuple[int, Measurement]]:
         stamp_s = 100.0 + 0.1 * n
         on_floor = gtsam.Pose3(gtsam.Rot3.Rz(pose[2]), np.array([pose[0], pose[1], 0.0]))
         frame = render(
-            furnished(), on_floor * MOUNT, LESS, stamp_s - 0.01, noise=(0.001, 0.0012), seed=n, smooth=False,
+            furnished(), on_floor * MOUNT, SMALL, stamp_s - 0.01, noise=(0.001, 0.0012), seed=n, smooth=False,
             T_base_camera=MOUNT,
         )  # fmt: skip
         wheels = compose(wheels, SLIP if n in GAP else STEP)
@@ -210,7 +210,7 @@ def test_one_answer_to_which_map(whole_run: MapResult, tmp_path: Path) -> None:
     np.testing.assert_array_equal(loaded.values, decision.values)
     # Not the lidar's, which looks over what is low.
     more = (loaded.values == OCCUPIED) & (layers.states("lidar") != OCCUPIED)
-    assert np.count_nonzero(more) > 10
+    assert np.count_nonzero(more) > 3
     file = MapFile.create(tmp_path / "map.db")
     for key, value in MapIdentity(config, "log", "0", {}).to_meta().items():
         file.add_meta(key, value)

@@ -12,7 +12,7 @@ import gtsam
 import numpy as np
 import pytest
 from flat_worlds import box, sweep
-from room_world import LESS, T_BODY_CAMERA, furnished, render
+from room_world import SMALL, T_BODY_CAMERA, furnished, render
 
 from slam.config import Config, load_config
 from slam.datasets import open_dataset
@@ -64,7 +64,7 @@ def drive() -> list[Measurement]:
         stamp_s = 100.0 + 0.1 * n
         on_floor = gtsam.Pose3(pose2_from_row(pose))
         frame = render(
-            furnished(), on_floor * MOUNT, LESS, stamp_s - 0.01, noise=(0.001, 0.0012), seed=n, smooth=False,
+            furnished(), on_floor * MOUNT, SMALL, stamp_s - 0.01, noise=(0.001, 0.0012), seed=n, smooth=False,
             T_base_camera=MOUNT,
         )  # fmt: skip
         scan = sweep(WALLS, pose, beams=181, fov_rad=math.pi, sigma_m=0.01, seed=rng, stamp_s=stamp_s)

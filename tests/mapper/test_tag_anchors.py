@@ -10,7 +10,7 @@ import gtsam
 import numpy as np
 import pytest
 import yaml
-from tag_world import SIDE_M, TAGS, ahead_of, drive, way
+from tag_world import SIDE_M, TAGS, ahead_of, drive, usual, way
 
 import slam
 from slam.app.measured import Measured
@@ -35,7 +35,7 @@ def surveyed(number: int, off_m: float = 0.0, **changes: object) -> SurveyedPlac
 def mapped(places: KnownPlaces | None, log: list[Measurement] | None = None) -> slam.Map:
     sensors = PLAIN.sensors.model_copy(update={"tags": places})
     return slam.map_log(
-        Measured(drive() if log is None else log), PLAIN.model_copy(update={"sensors": sensors})
+        Measured(usual() if log is None else log), PLAIN.model_copy(update={"sensors": sensors})
     )
 
 

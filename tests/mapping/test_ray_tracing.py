@@ -3,7 +3,7 @@ import pytest
 
 from fusion.depth_model import RangeNoise
 from slam.mapping.lidar_layer import weigh_beams
-from slam.mapping.ray_tracing import HIT, beam_ends, draw_lines
+from slam.mapping.ray_tracing import HIT, beam_ends, mark_lines
 
 LETTERS = {0: ".", -1: "o", 2: "#"}
 
@@ -82,7 +82,8 @@ def test_random_lines_stay_near_the_true_one_and_are_connected():
         x, y, angle, reach = rng.uniform([-9, -9, -7, 0.1], [9, 9, 7, 40])
         ends, kinds, box = beam_ends(np.array([reach], dtype=np.float32), x, y, angle, 0.1, 1.0, 50.0, 3.0)
         np.testing.assert_allclose(ends[0], [x + reach * np.cos(angle), y + reach * np.sin(angle)], atol=1e-5)
-        board = draw_lines(ends, kinds, box, x, y, -3)
+        board = np.zeros(box[2:], np.int16)
+        mark_lines(ends, kinds, box, x, y, -3, board.reshape(-1))
         rows, cols = np.nonzero(board)
         centres = np.column_stack([cols + box[1] + 0.5 - x, rows + box[0] + 0.5 - y])
         across = np.abs(centres @ [-np.sin(angle), np.cos(angle)])

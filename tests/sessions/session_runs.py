@@ -72,14 +72,15 @@ class Sessions:
 def sessions_in(folder: Path) -> Sessions:
     """Write the logs."""
     first = write_synthetic_log(folder / "first", seed=1, duration_s=34.0)
-    later = write_synthetic_log(folder / "later", seed=2, duration_s=22.0)
+    later = write_synthetic_log(folder / "later", seed=2, duration_s=19.0)
     begin_s = float(first.truth.stamps_s[0])
+    later_log = part_of(later.log_path, folder / "later.log", begin_s + 9.0, begin_s + 99.0)
     return Sessions(
         first,
         later,
-        part_of(later.log_path, folder / "later.log", begin_s + 9.0, begin_s + 99.0),
+        later_log,
         part_of(first.log_path, folder / "prefix.log", begin_s, begin_s + 20.0),
-        mirror_of(later.log_path, folder / "mirrored.log"),
+        mirror_of(later_log, folder / "mirrored.log"),
     )
 
 

@@ -24,7 +24,7 @@ from slam.simulation.steering import STEP_S
 from slam.storage.tum import read_tum
 
 HOME, SEED = 1, 5
-CUT_S = 150.0
+CUT_S = 60.0
 USUAL = CAMPUS_FAULTS["usual"]
 
 

@@ -78,7 +78,7 @@ def test_surfaces_are_as_sure_as_they_say(place: gtsam.Pose3) -> None:
 
 def test_features_are_as_sure_as_they_say() -> None:
     """Independent errors of half to two pixels: the measured residual sets the scale."""
-    nothing = SurfacePoints(np.zeros((0, 3)), np.zeros((0, 3)))
+    nothing = SurfacePoints(np.zeros((6, 0), np.float32))
     for sigma_px in (0.5, 2.0):
         found, residuals = [], []
         for trial in range(100):

@@ -50,6 +50,19 @@ def test_noise_is_averaged() -> None:
     assert np.abs(error[3:]).max() < 0.006
 
 
+@pytest.mark.parametrize("seed", range(5))
+def test_all_that_agree_are_counted_though_most_do_not(seed: int) -> None:
+    """By the pose of three points alone 3 of 100 that agree with the true one are left out."""
+    rng = np.random.default_rng(seed)
+    points = before(POSES[0], 300, seed)
+    pixels = project(points, POSES[0]) + 0.7 * rng.standard_normal((300, 2))
+    pixels[:180] = rng.uniform([0, 0], [160, 120], (180, 2))
+    result = found(points, pixels)
+    assert result is not None
+    assert result.inliers[180:].mean() > 0.99
+    assert np.abs(error_of(result.T_reference_camera, POSES[0])).max() < 0.01
+
+
 def test_the_same_features_give_the_same_pose() -> None:
     points = before(POSES[0], 60)
     pixels = project(points, POSES[0]) + np.random.default_rng(2).standard_normal((60, 2))

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import replace
-from itertools import islice
 from pathlib import Path
 
 import gtsam
@@ -14,7 +12,7 @@ from room_world import MIDDLE, furnished, looking, render
 
 from slam.config import load_config
 from slam.datasets import open_dataset
-from slam.measurements import Measurement, RgbdFrame
+from slam.measurements import RgbdFrame
 from slam.vision.color_registration import register_features
 from slam.vision.registration_pairs import registrations_of
 
@@ -51,9 +49,11 @@ def test_a_short_log_tells_where_its_colour_camera_sits(beside: bool) -> None:
 
 @pytest.mark.skipif(not REDKITCHEN.is_dir(), reason=f"REAL LOG ABSENT, not tested: {REDKITCHEN}")
 @pytest.mark.parametrize("first", [100, 200, 300])
-def test_fifty_frames_of_a_kinect_tell_that_its_colour_is_not_registered(first: int) -> None:
-    frames: Iterator[Measurement] = (one for one in open_dataset(REDKITCHEN) if isinstance(one, RgbdFrame))
-    (found,) = registrations_of(islice(frames, first, first + 50), ["camera"], load_config(None)).values()
+def test_fifty_frames_of_a_kinect_tell_that_its_colour_is_not_registered(first: int, tmp_path: Path) -> None:
+    for file in REDKITCHEN.iterdir():
+        if not file.name.startswith("frame-") or first <= int(file.name[6:12]) < first + 50:
+            (tmp_path / file.name).symlink_to(file)
+    (found,) = registrations_of(open_dataset(tmp_path), ["camera"], load_config(None)).values()
     assert found.accepted, found.reason
     # 529 px by the whole log, 585 if colour were registered. Of ten such windows seven tell it.
     assert found.intrinsics_color.fx == pytest.approx(529.0, abs=14.0)

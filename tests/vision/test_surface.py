@@ -110,5 +110,5 @@ def test_points_are_the_surface_at_every_so_manyth_pixel(count: int) -> None:
     lattice = np.zeros(surface.inverse_depth.shape, bool)
     lattice[3::step, 3::step] = True
     on = lattice & (surface.inverse_depth > 0.0)
-    np.testing.assert_array_equal(points.points[:, 2], 1.0 / surface.inverse_depth[on].astype(np.float64))
+    np.testing.assert_array_equal(points.points[:, 2], np.float32(1.0) / surface.inverse_depth[on])
     np.testing.assert_array_equal(points.normals, surface.normals[on])

@@ -1,0 +1,135 @@
+"""Work done in a copy of this process, on another core: Python's lock lets threads do one thing at a time."""
+
+from __future__ import annotations
+
+import gc
+import logging
+import os
+import pickle
+import signal
+import struct
+import sys
+import threading
+import warnings
+import weakref
+from collections.abc import Callable
+from contextlib import suppress
+from typing import Any, TypeAlias
+
+Tell: TypeAlias = Callable[[bytes], None]
+
+_LENGTH = struct.Struct("<I")
+
+
+class Forked:
+    """A function at work in a copy of this process, which sends what it finds.
+
+    The copy shares this one's memory, as it is at that moment. It sends without waiting for who receives,
+    keeps still, and ends with this process, whatever ends it: its pipe breaks.
+
+    Attributes
+    ----------
+    number
+        The number of the process.
+    close
+        Ends it, wherever it is.
+    """
+
+    def __init__(self, work: Callable[[Tell], None]) -> None:
+        self._source, target = os.pipe()
+        self._received = bytearray()
+        gc.freeze()  # or else the copy's collector would write to, and so copy, all that it shares
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", DeprecationWarning)  # of threads, which libraries end before
+            self.number = os.fork()
+        if self.number == 0:
+            os.close(self._source)
+            _work(work, target)
+        gc.unfreeze()
+        os.close(target)
+        self.close = weakref.finalize(self, _end, self._source, self.number)
+
+    def receive(self) -> bytes | None:
+        """The next that it has sent, waited for; None where nothing comes any more."""
+        content = self._read(_LENGTH.size)
+        return None if content is None else self._read(*_LENGTH.unpack(content))
+
+    def _read(self, size: int) -> bytes | None:
+        """So many bytes, or None."""
+        while len(self._received) < size:
+            block = os.read(self._source, 1 << 16)
+            if not block:
+                return None
+            self._received += block
+        content = bytes(self._received[:size])
+        del self._received[:size]
+        return content
+
+
+class Begun:
+    """Values that are computed one after the other on another core, from now on, and asked for in that order.
+
+    Where no core was free, or the copy has failed, each is computed when it is asked for. A value takes the
+    way through `pickle`: arrays and plain values come back equal.
+    """
+
+    def __init__(self, *computes: Callable[[], Any]) -> None:
+        self._left = list(computes)
+        self._copy: Forked | None = None
+
+        def work(tell: Tell) -> None:
+            for compute in computes:
+                tell(pickle.dumps(compute(), pickle.HIGHEST_PROTOCOL))
+
+        if is_core_free():
+            self._copy = Forked(work)
+
+    def __call__(self) -> Any:
+        """The next value."""
+        compute = self._left.pop(0)
+        content = None if self._copy is None else self._copy.receive()
+        if self._copy is not None and (content is None or not self._left):
+            self._copy.close()
+            self._copy = None
+        return compute() if content is None else pickle.loads(content)  # it is our own copy that has sent it
+
+
+def is_core_free() -> bool:
+    """Whether a copy of this process would have a core of its own, and can be made.
+
+    Not beside other threads, whose locks it would find closed for ever; they are also those of a server, or
+    of one who maps several logs at a time.
+    """
+    alone = threading.current_thread() is threading.main_thread() and threading.active_count() == 1
+    return sys.platform == "linux" and alone and len(os.sched_getaffinity(0)) > 1
+
+
+def _end(source: int, number: int) -> None:
+    """End a copy, wherever it is."""
+    os.close(source)
+    os.kill(number, signal.SIGKILL)
+    os.waitpid(number, 0)
+
+
+def _work(work: Callable[[Tell], None], target: int) -> None:
+    """What a copy does; it never returns."""
+    waiting = bytearray()
+
+    def tell(content: bytes) -> None:
+        waiting.extend(_LENGTH.pack(len(content)) + content)
+        with suppress(BlockingIOError):
+            del waiting[: os.write(target, waiting)]
+
+    try:
+        signal.signal(signal.SIGINT, signal.SIG_IGN)  # it is for who made the copy
+        warnings.simplefilter("ignore")
+        logging.disable()
+        os.set_blocking(target, False)
+        work(tell)
+        os.set_blocking(target, True)
+        while waiting:
+            del waiting[: os.write(target, waiting)]
+    except BaseException:
+        pass  # who receives goes on alone, and finds it too
+    finally:
+        os._exit(0)

@@ -1,0 +1,116 @@
+"""Scans matched ahead in another process: the same map, whatever becomes of it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+import slam
+from slam import forked
+from slam.app.mapping import run_log
+from slam.mapper import forerunner, pipeline
+from slam.mapper.checkpoint import Checkpoint
+from slam.simulation.synthetic_log import write_synthetic_log
+
+
+@pytest.fixture(scope="module")
+def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A drive of 25 s."""
+    return write_synthetic_log(tmp_path_factory.mktemp("log"), duration_s=25.0).log_path
+
+
+class Counted:
+    """How many answers the run found ahead, and how often another process was made."""
+
+    def __init__(self, monkeypatch: pytest.MonkeyPatch, *, free: bool) -> None:
+        self.found = self.made = 0
+        found_ahead, start = Checkpoint._found_ahead, forked.Forked.__init__
+        for module in (forerunner, forked):
+            monkeypatch.setattr(module, "is_core_free", lambda: free)
+
+        def count(checkpoint: Checkpoint, question: str, key: float) -> Any:
+            answer = found_ahead(checkpoint, question, key)
+            self.found += answer[0] is not None
+            return answer
+
+        def make(copy: forked.Forked, work: Any) -> None:
+            self.made += work.__qualname__.startswith("Forerunner")
+            start(copy, work)
+
+        monkeypatch.setattr(Checkpoint, "_found_ahead", count)
+        monkeypatch.setattr(forked.Forked, "__init__", make)
+
+
+@pytest.fixture
+def alone(log: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[bytes]:
+    """What a run with one core writes."""
+    with monkeypatch.context() as patch:
+        Counted(patch, free=False)
+        yield mapped(log, tmp_path / "alone")
+
+
+def mapped(log: Path, out: Path) -> bytes:
+    """The way and the whole contents of a map, as bytes."""
+    run = run_log(log, out=out)
+    run.map.close()
+    return (out / "trajectory.tum").read_bytes() + run.map.digest.encode() + (out / "map.pgm").read_bytes()
+
+
+def test_the_same_map_with_a_second_core(
+    log: Path, alone: bytes, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    counted = Counted(monkeypatch, free=True)
+    assert mapped(log, tmp_path / "two") == alone
+    assert counted.made == 1
+    assert counted.found >= 125  # each scan but the first was matched
+
+
+@pytest.mark.parametrize("after", [0, 30])
+def test_the_same_map_where_the_other_process_dies(
+    after: int, log: Path, alone: bytes, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    counted = Counted(monkeypatch, free=True)
+    receive = forked.Forked.receive
+    left = iter(range(after))
+    monkeypatch.setattr(
+        forked.Forked, "receive", lambda copy: None if next(left, None) is None else receive(copy)
+    )
+    assert mapped(log, tmp_path / "died") == alone
+    assert counted.found == after
+
+
+def test_answers_to_something_else_are_not_taken(
+    log: Path, alone: bytes, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    counted = Counted(monkeypatch, free=True)
+    receive, skip = forked.Forked.receive, iter([*[False] * 20, True])
+
+    def out_of_step(copy: forked.Forked) -> bytes | None:
+        if next(skip, False):
+            receive(copy)
+        return receive(copy)
+
+    monkeypatch.setattr(forked.Forked, "receive", out_of_step)
+    assert mapped(log, tmp_path / "out of step") == alone
+    assert counted.found == 20
+
+
+def test_where_the_doctor_mends_a_sensor_it_begins_again(
+    log: Path, alone: bytes, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def nearer(config: slam.Config, findings: Any) -> slam.Config:
+        scan = config.scan.model_copy(update={"range_max_m": 4.0})
+        return config.model_copy(update={"scan": scan})
+
+    monkeypatch.setattr(pipeline, "settled", nearer)
+    with monkeypatch.context() as patch:
+        Counted(patch, free=False)
+        as_alone = mapped(log, tmp_path / "one")
+    assert as_alone != alone
+    counted = Counted(monkeypatch, free=True)
+    assert mapped(log, tmp_path / "two") == as_alone
+    assert counted.made == 2
+    assert counted.found >= 125
