@@ -107,7 +107,8 @@ def areas_m2(layers: LayeredMap) -> tuple[float, float]:
 def _map(layers: LayeredMap) -> Picture:
     """The map to drive by, what only the lidar saw free in a kind of its own."""
     kinds = _kinds(layers, "decision")
-    kinds[layers.free_at_lidar_height() & (kinds == _UNSEEN)] = _LIDAR_HEIGHT
+    if layers.names:
+        kinds[layers.free_at_lidar_height() & (kinds == _UNSEEN)] = _LIDAR_HEIGHT
     return Picture("map", kinds, _SHADES)
 
 
@@ -116,7 +117,8 @@ def _parts(layers: LayeredMap) -> list[Picture]:
     percent = layers.percent()
     grey = np.rint(np.linspace(254.0, 0.0, 101)).astype(int).tolist()
     shades = [(0, 0, 0), *((shade, shade, shade) for shade in grey)]
-    found = [Picture("probability", (percent + 1).astype(np.uint8), shades)]
+    percent += 1
+    found = [Picture("probability", percent.view(np.uint8), shades)]
     found += [Picture(name, _kinds(layers, name), _SHADES) for name in layers.names if name != "decision"]
     if layers.lidar is not None and layers.depth is not None:
         lidar, depth = layers.states("lidar"), layers.states("depth")
@@ -139,19 +141,18 @@ def _gone(layers: LayeredMap, passed_by: OccupancyGrid) -> Picture:
 
 def _kinds(layers: LayeredMap, name: LayerName) -> NDArray[np.uint8]:
     """States of a layer as kinds."""
-    states = layers.states(name)
-    kinds = np.zeros(states.shape, np.uint8)
-    kinds[states == FREE], kinds[states == OCCUPIED] = _FREE, _WALL
-    return kinds
+    kinds = layers.states(name).view(np.uint8)
+    kinds += 1  # from unknown, free and occupied to 0, 1 and more than any kind, in place
+    return np.minimum(kinds, _WALL, out=kinds)
 
 
 def _known(pictures: Sequence[Picture]) -> tuple[slice, slice]:
     """Rows and columns that hold all that is known, with a margin; all where nothing is."""
-    known: BoolArray = np.any([picture.kinds > 0 for picture in pictures], axis=0)
     windows = []
     for axis in (1, 0):
-        (there,) = np.nonzero(known.any(axis=axis))
-        size = known.shape[1 - axis]
+        known: BoolArray = np.any([picture.kinds.any(axis=axis) for picture in pictures], axis=0)
+        (there,) = np.nonzero(known)
+        size = len(known)
         first, last = (there[0], there[-1]) if there.size else (0, size - 1)
         windows.append(slice(max(int(first) - _MARGIN_CELLS, 0), min(int(last) + _MARGIN_CELLS + 1, size)))
     return windows[0], windows[1]
