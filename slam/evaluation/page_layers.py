@@ -100,8 +100,8 @@ def layer_pictures(layers: LayeredMap | None, passed_by: OccupancyGrid | None = 
 
 def areas_m2(layers: LayeredMap) -> tuple[float, float]:
     """How much of the floor is free, and how much more at the height of the lidar only."""
-    counts = np.bincount(_map(layers).kinds.ravel(), minlength=len(_SHADES))
-    return counts[_FREE] * layers.resolution_m**2, counts[_LIDAR_HEIGHT] * layers.resolution_m**2
+    kinds, cell_m2 = _map(layers).kinds, layers.resolution_m**2
+    return np.count_nonzero(kinds == _FREE) * cell_m2, np.count_nonzero(kinds == _LIDAR_HEIGHT) * cell_m2
 
 
 def _map(layers: LayeredMap) -> Picture:
