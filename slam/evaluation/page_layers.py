@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import base64
 import io
-from collections.abc import Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -13,8 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slam.mapping.layered_map import LayeredMap, LayerName
-from slam.mapping.occupancy_grid import FREE, OCCUPIED, OccupancyGrid
-from slam.measurements import BoolArray
+from slam.mapping.occupancy_grid import FREE, OCCUPIED, THRESHOLDS, OccupancyGrid
 
 # A browser draws pictures of this size smoothly; larger maps are shown in coarser cells.
 _LONGEST_SIDE_PX = 4096
@@ -72,16 +71,13 @@ def layer_pictures(layers: LayeredMap | None, passed_by: OccupancyGrid | None = 
     """
     if layers is None:
         return []
-    pictures = [_map(layers), *_parts(layers)]
-    if passed_by is not None:
-        pictures.append(_gone(layers, passed_by))
-    window = _known(pictures)
+    window = _known(_pictures(layers, passed_by))
     rows, columns = (part.stop - part.start for part in window)
     pixel_m = layers.resolution_m * _step((rows, columns))
     low = gtsam.Pose2(window[1].start * layers.resolution_m, window[0].start * layers.resolution_m, 0.0)
     corner = layers.T_map_grid.compose(low)
     found = []
-    for picture in pictures:
+    for picture in _pictures(layers, passed_by):
         address = "data:image/png;base64," + base64.b64encode(picture.png(window)).decode("ascii")
         found.append(
             {
@@ -112,27 +108,32 @@ def _map(layers: LayeredMap) -> Picture:
     return Picture("map", kinds, _SHADES)
 
 
-def _parts(layers: LayeredMap) -> list[Picture]:
-    """What it was made of."""
+def _pictures(layers: LayeredMap, passed_by: OccupancyGrid | None) -> Iterator[Picture]:
+    """The map, what it was made of and what has gone; one in memory at a time."""
+    yield _map(layers)
     percent = layers.percent()
     grey = np.rint(np.linspace(254.0, 0.0, 101)).astype(int).tolist()
     shades = [(0, 0, 0), *((shade, shade, shade) for shade in grey)]
     percent += 1
-    found = [Picture("probability", percent.view(np.uint8), shades)]
-    found += [Picture(name, _kinds(layers, name), _SHADES) for name in layers.names if name != "decision"]
+    yield Picture("probability", percent.view(np.uint8), shades)
+    del percent
+    for name in layers.names:
+        if name != "decision":
+            yield Picture(name, _kinds(layers, name), _SHADES)
     if layers.lidar is not None and layers.depth is not None:
         lidar, depth = layers.states("lidar"), layers.states("depth")
         kinds = np.zeros(lidar.shape, np.uint8)
         kinds[(lidar == FREE) & (depth == OCCUPIED)] = 1
         kinds[(lidar == OCCUPIED) & (depth == FREE)] = 2
-        found.append(Picture("what differs", kinds, _CONFLICT))
-    return found
+        yield Picture("what differs", kinds, _CONFLICT)
+    if passed_by is not None:
+        yield _gone(layers, passed_by)
 
 
 def _gone(layers: LayeredMap, passed_by: OccupancyGrid) -> Picture:
     """What stood for a while, over the map; both lie on one lattice."""
     kinds = _kinds(layers, "decision")
-    rows, columns = np.nonzero(passed_by.states() == OCCUPIED)
+    rows, columns = np.nonzero(THRESHOLDS.occupied(passed_by.steps))
     apart = layers.T_map_grid.between(passed_by.T_map_grid)
     row, column = round(apart.y() / layers.resolution_m), round(apart.x() / layers.resolution_m)
     kinds[rows + row, columns + column] = len(_SHADES)
@@ -146,13 +147,13 @@ def _kinds(layers: LayeredMap, name: LayerName) -> NDArray[np.uint8]:
     return np.minimum(kinds, _WALL, out=kinds)
 
 
-def _known(pictures: Sequence[Picture]) -> tuple[slice, slice]:
+def _known(pictures: Iterable[Picture]) -> tuple[slice, slice]:
     """Rows and columns that hold all that is known, with a margin; all where nothing is."""
+    known = [(picture.kinds.any(axis=1), picture.kinds.any(axis=0)) for picture in pictures]
     windows = []
-    for axis in (1, 0):
-        known: BoolArray = np.any([picture.kinds.any(axis=axis) for picture in pictures], axis=0)
-        (there,) = np.nonzero(known)
-        size = len(known)
+    for lines in zip(*known, strict=True):
+        (there,) = np.nonzero(np.any(lines, axis=0))
+        size = len(lines[0])
         first, last = (there[0], there[-1]) if there.size else (0, size - 1)
         windows.append(slice(max(int(first) - _MARGIN_CELLS, 0), min(int(last) + _MARGIN_CELLS + 1, size)))
     return windows[0], windows[1]

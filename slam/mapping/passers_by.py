@@ -15,7 +15,7 @@ import gtsam
 import numpy as np
 from numpy.typing import NDArray
 
-from fusion.bayes import STEPS_A_UNIT, evidence_steps, log_odds
+from fusion.bayes import STEPS_A_UNIT, evidence_steps
 from fusion.estimation import CONFIDENCE
 from fusion.kernel import ZERO, kernel
 from slam.mapping.evidence_tiles import Board
@@ -56,7 +56,7 @@ def without_passers_by(
     """
     cell_m, miss = grid.resolution_m, evidence_steps(model.p_miss)
     enough = math.ceil(math.log(2.0) * STEPS_A_UNIT / -miss)
-    occupied = grid.steps > log_odds(THRESHOLDS.occupied_above) * STEPS_A_UNIT
+    occupied = THRESHOLDS.occupied(grid.steps)
     cells = np.flatnonzero(occupied)
     if not cells.size:
         return StaticGrid(grid, None)
