@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from slam.mapping.layered_map import LayeredMap, LayerName
 from slam.mapping.occupancy_grid import FREE, OCCUPIED, THRESHOLDS, OccupancyGrid
+from slam.measurements import BoolArray
 
 # A browser draws pictures of this size smoothly; larger maps are shown in coarser cells.
 _LONGEST_SIDE_PX = 4096
@@ -51,6 +52,10 @@ class Picture:
     kinds: NDArray[np.uint8]
     shades: Sequence[tuple[int, int, int]]
 
+    def known(self) -> tuple[BoolArray, BoolArray]:
+        """(rows,) and (cols,) that have anything to show."""
+        return np.asarray(self.kinds.any(axis=1)), np.asarray(self.kinds.any(axis=0))
+
     def png(self, window: tuple[slice, slice]) -> bytes:
         """A part of it, row 0 at the top."""
         from PIL import Image
@@ -76,28 +81,31 @@ def layer_pictures(layers: LayeredMap | None, passed_by: OccupancyGrid | None = 
     pixel_m = layers.resolution_m * _step((rows, columns))
     low = gtsam.Pose2(window[1].start * layers.resolution_m, window[0].start * layers.resolution_m, 0.0)
     corner = layers.T_map_grid.compose(low)
-    found = []
-    for picture in _pictures(layers, passed_by):
+
+    def told(picture: Picture) -> dict[str, Any]:
         address = "data:image/png;base64," + base64.b64encode(picture.png(window)).decode("ascii")
-        found.append(
-            {
-                "name": picture.name,
-                "legend": LEGENDS[picture.name],
-                "png": address,
-                "over": picture.shades is _CONFLICT,
-                "resolution_m": pixel_m,
-                "corner": [corner.x(), corner.y(), corner.theta()],
-                "rows": -(-rows // _step((rows, columns))),
-                "cols": -(-columns // _step((rows, columns))),
-            }
-        )
-    return found
+        return {
+            "name": picture.name,
+            "legend": LEGENDS[picture.name],
+            "png": address,
+            "over": picture.shades is _CONFLICT,
+            "resolution_m": pixel_m,
+            "corner": [corner.x(), corner.y(), corner.theta()],
+            "rows": -(-rows // _step((rows, columns))),
+            "cols": -(-columns // _step((rows, columns))),
+        }
+
+    # A loop would hold a picture until it has the next one.
+    return [*map(told, _pictures(layers, passed_by))]
 
 
 def areas_m2(layers: LayeredMap) -> tuple[float, float]:
     """How much of the floor is free, and how much more at the height of the lidar only."""
-    kinds, cell_m2 = _map(layers).kinds, layers.resolution_m**2
-    return np.count_nonzero(kinds == _FREE) * cell_m2, np.count_nonzero(kinds == _LIDAR_HEIGHT) * cell_m2
+    # Row by row: it counts numbers of eight bytes.
+    counts = np.zeros(len(_SHADES), np.int64)
+    for row in _map(layers).kinds:
+        counts += np.bincount(row, minlength=len(_SHADES))
+    return counts[_FREE] * layers.resolution_m**2, counts[_LIDAR_HEIGHT] * layers.resolution_m**2
 
 
 def _map(layers: LayeredMap) -> Picture:
@@ -132,8 +140,8 @@ def _pictures(layers: LayeredMap, passed_by: OccupancyGrid | None) -> Iterator[P
 
 def _gone(layers: LayeredMap, passed_by: OccupancyGrid) -> Picture:
     """What stood for a while, over the map; both lie on one lattice."""
-    kinds = _kinds(layers, "decision")
     rows, columns = np.nonzero(THRESHOLDS.occupied(passed_by.steps))
+    kinds = _kinds(layers, "decision")
     apart = layers.T_map_grid.between(passed_by.T_map_grid)
     row, column = round(apart.y() / layers.resolution_m), round(apart.x() / layers.resolution_m)
     kinds[rows + row, columns + column] = len(_SHADES)
@@ -149,9 +157,8 @@ def _kinds(layers: LayeredMap, name: LayerName) -> NDArray[np.uint8]:
 
 def _known(pictures: Iterable[Picture]) -> tuple[slice, slice]:
     """Rows and columns that hold all that is known, with a margin; all where nothing is."""
-    known = [(picture.kinds.any(axis=1), picture.kinds.any(axis=0)) for picture in pictures]
     windows = []
-    for lines in zip(*known, strict=True):
+    for lines in zip(*map(Picture.known, pictures), strict=True):
         (there,) = np.nonzero(np.any(lines, axis=0))
         size = len(lines[0])
         first, last = (there[0], there[-1]) if there.size else (0, size - 1)
