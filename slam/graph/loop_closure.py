@@ -253,7 +253,8 @@ class LoopCloser:
         config, submaps = self._config, self.submaps
         travelled = submaps.travelled_m(key)
         places = submaps.places(key)
-        places = places[[travelled - submaps.travelled_m(p) > submaps.least_path_m for p in places]]
+        least_path_m = submaps.least_path_m
+        places = places[[travelled - submaps.travelled_m(p) > least_path_m for p in places.tolist()]]
         distance = np.hypot(*(poses[places, :2] - poses[key, :2]).T)
         reach_m = submaps.wide_m(config.reach_m, 1.0)
         places = places[distance <= reach_m + config.greatest_half_width_m]
