@@ -83,7 +83,6 @@ class PoseGraph:
         self._pending_values = gtsam.Values()
         self._estimate = gtsam.Values()
         self._isam: gtsam.ISAM2 | None = None
-        self._stale = False
         # Nodes that updates leave where they are, and where the last one has put the others.
         self._held, self._moved = 0, gtsam.Values()
         self._count = 0
@@ -154,9 +153,8 @@ class PoseGraph:
         >>> graph.update(), round(graph.pose(guessed).x(), 3)
         (0, 1.0)
         """
-        many = self._count - self._held > max(_NODES_A_WINDOW, self._held // _WINDOWS_A_MAP)
-        if many or self._stale:
-            self._start_anew(held=0 if self._stale else self._count)
+        if self._count - self._held > max(_NODES_A_WINDOW, self._held // _WINDOWS_A_MAP):
+            self._start_anew(held=self._count)
             return 0
         if self._isam is None:
             self._isam = gtsam.ISAM2()
@@ -164,7 +162,7 @@ class PoseGraph:
             self._isam.update(self._pending, self._pending_values)
             self._moved = self._isam.calculateEstimate()
             self._estimate.update(self._moved)
-        except RuntimeError:  # an indeterminate system: edges that nothing measured, in space
+        except RuntimeError:  # nodes that it has let go, or in space edges that nothing measured
             self._start_anew(held=0)
             return 0
         self._pending = gtsam.NonlinearFactorGraph()
@@ -188,7 +186,7 @@ class PoseGraph:
             graph.add(between_factor(edge, mapping_noise(edge)))
         # A few steps bring a map that was solved before up to date.
         self._estimate = solved(graph, self._estimate, most_steps=3 if held else 100)
-        self._isam, self._held, self._stale = None, held, False
+        self._isam, self._held = None, held
         self._pending = gtsam.NonlinearFactorGraph() if held else graph
         self._pending_values = gtsam.Values() if held else gtsam.Values(self._estimate)
 
@@ -202,8 +200,8 @@ class PoseGraph:
         """
         kept = self._gnc_weights(inlier_probability) > 0.5
         self._kept = kept.copy()
-        # iSAM2 is as large as the map; after this it is rarely asked again, and then begins anew.
-        self._isam, self._stale = None, True
+        # As large as the map, and rarely asked again.
+        self._isam = None
         graph = self._graph(edge for edge, keep in zip(self.edges, kept, strict=True) if keep)
         self._estimate = solved(graph, self._estimate)
         return BatchResult(float(graph.error(self._estimate)), kept)
