@@ -8,14 +8,15 @@ each at a multiple of eight from there. In the head an array is ``{"dtype": "f4"
 from __future__ import annotations
 
 import base64
-import gzip
 import json
 import math
 import struct
+import zlib
 from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from slam.foreign import plain_lines
 
@@ -27,19 +28,22 @@ def packed(head: Mapping[str, Any]) -> str:
 
     Texts are made plain, see `slam.foreign`; a float that is not finite becomes null, in an array it stays.
     """
-    parts: list[bytes] = []
+    parts: list[NDArray[Any]] = []
     text = json.dumps(_told(head, parts), ensure_ascii=False, allow_nan=False, separators=(",", ":")).encode()
     filled = text + b" " * (-(4 + len(text)) % _ALIGNED)
-    whole = b"".join([struct.pack("<I", len(filled)), filled, *parts])
-    return base64.b64encode(gzip.compress(whole, compresslevel=6, mtime=0)).decode("ascii")
+    # Packed part after part: all of them at once would be there twice more.
+    packer = zlib.compressobj(6, zlib.DEFLATED, 16 + zlib.MAX_WBITS)
+    pieces = [packer.compress(struct.pack("<I", len(filled)) + filled)]
+    for part in parts:
+        pieces += [packer.compress(part.data), packer.compress(bytes(-part.nbytes % _ALIGNED))]
+    return base64.b64encode(b"".join([*pieces, packer.flush()])).decode("ascii")
 
 
-def _told(value: Any, parts: list[bytes]) -> Any:
+def _told(value: Any, parts: list[NDArray[Any]]) -> Any:
     """A value as JSON can tell it; arrays are appended to the parts."""
     if isinstance(value, np.ndarray):
-        offset = sum(map(len, parts))
-        content = np.ascontiguousarray(value, value.dtype.newbyteorder("<")).tobytes()
-        parts.append(content + bytes(-len(content) % _ALIGNED))
+        offset = sum(part.nbytes + -part.nbytes % _ALIGNED for part in parts)
+        parts.append(np.ascontiguousarray(value, value.dtype.newbyteorder("<")).reshape(-1).view(np.uint8))
         return {"dtype": value.dtype.str[1:], "shape": list(value.shape), "offset": offset}
     if isinstance(value, str):
         return plain_lines(value)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import base64
 import io
-from collections.abc import Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slam.mapping.layered_map import LayeredMap, LayerName
-from slam.mapping.occupancy_grid import FREE, OCCUPIED, OccupancyGrid
+from slam.mapping.occupancy_grid import FREE, OCCUPIED, THRESHOLDS, OccupancyGrid
 from slam.measurements import BoolArray
 
 # A browser draws pictures of this size smoothly; larger maps are shown in coarser cells.
@@ -52,6 +52,10 @@ class Picture:
     kinds: NDArray[np.uint8]
     shades: Sequence[tuple[int, int, int]]
 
+    def known(self) -> tuple[BoolArray, BoolArray]:
+        """(rows,) and (cols,) that have anything to show."""
+        return np.asarray(self.kinds.any(axis=1)), np.asarray(self.kinds.any(axis=0))
+
     def png(self, window: tuple[slice, slice]) -> bytes:
         """A part of it, row 0 at the top."""
         from PIL import Image
@@ -72,65 +76,72 @@ def layer_pictures(layers: LayeredMap | None, passed_by: OccupancyGrid | None = 
     """
     if layers is None:
         return []
-    pictures = [_map(layers), *_parts(layers)]
-    if passed_by is not None:
-        pictures.append(_gone(layers, passed_by))
-    window = _known(pictures)
+    window = _known(_pictures(layers, passed_by))
     rows, columns = (part.stop - part.start for part in window)
     pixel_m = layers.resolution_m * _step((rows, columns))
     low = gtsam.Pose2(window[1].start * layers.resolution_m, window[0].start * layers.resolution_m, 0.0)
     corner = layers.T_map_grid.compose(low)
-    found = []
-    for picture in pictures:
+
+    def told(picture: Picture) -> dict[str, Any]:
         address = "data:image/png;base64," + base64.b64encode(picture.png(window)).decode("ascii")
-        found.append(
-            {
-                "name": picture.name,
-                "legend": LEGENDS[picture.name],
-                "png": address,
-                "over": picture.shades is _CONFLICT,
-                "resolution_m": pixel_m,
-                "corner": [corner.x(), corner.y(), corner.theta()],
-                "rows": -(-rows // _step((rows, columns))),
-                "cols": -(-columns // _step((rows, columns))),
-            }
-        )
-    return found
+        return {
+            "name": picture.name,
+            "legend": LEGENDS[picture.name],
+            "png": address,
+            "over": picture.shades is _CONFLICT,
+            "resolution_m": pixel_m,
+            "corner": [corner.x(), corner.y(), corner.theta()],
+            "rows": -(-rows // _step((rows, columns))),
+            "cols": -(-columns // _step((rows, columns))),
+        }
+
+    # A loop would hold a picture until it has the next one.
+    return [*map(told, _pictures(layers, passed_by))]
 
 
 def areas_m2(layers: LayeredMap) -> tuple[float, float]:
     """How much of the floor is free, and how much more at the height of the lidar only."""
-    counts = np.bincount(_map(layers).kinds.ravel(), minlength=len(_SHADES))
+    # Row by row: it counts numbers of eight bytes.
+    counts = np.zeros(len(_SHADES), np.int64)
+    for row in _map(layers).kinds:
+        counts += np.bincount(row, minlength=len(_SHADES))
     return counts[_FREE] * layers.resolution_m**2, counts[_LIDAR_HEIGHT] * layers.resolution_m**2
 
 
 def _map(layers: LayeredMap) -> Picture:
     """The map to drive by, what only the lidar saw free in a kind of its own."""
     kinds = _kinds(layers, "decision")
-    kinds[layers.free_at_lidar_height() & (kinds == _UNSEEN)] = _LIDAR_HEIGHT
+    if layers.names:
+        kinds[layers.free_at_lidar_height() & (kinds == _UNSEEN)] = _LIDAR_HEIGHT
     return Picture("map", kinds, _SHADES)
 
 
-def _parts(layers: LayeredMap) -> list[Picture]:
-    """What it was made of."""
+def _pictures(layers: LayeredMap, passed_by: OccupancyGrid | None) -> Iterator[Picture]:
+    """The map, what it was made of and what has gone; one in memory at a time."""
+    yield _map(layers)
     percent = layers.percent()
     grey = np.rint(np.linspace(254.0, 0.0, 101)).astype(int).tolist()
     shades = [(0, 0, 0), *((shade, shade, shade) for shade in grey)]
-    found = [Picture("probability", (percent + 1).astype(np.uint8), shades)]
-    found += [Picture(name, _kinds(layers, name), _SHADES) for name in layers.names if name != "decision"]
+    percent += 1
+    yield Picture("probability", percent.view(np.uint8), shades)
+    del percent
+    for name in layers.names:
+        if name != "decision":
+            yield Picture(name, _kinds(layers, name), _SHADES)
     if layers.lidar is not None and layers.depth is not None:
         lidar, depth = layers.states("lidar"), layers.states("depth")
         kinds = np.zeros(lidar.shape, np.uint8)
         kinds[(lidar == FREE) & (depth == OCCUPIED)] = 1
         kinds[(lidar == OCCUPIED) & (depth == FREE)] = 2
-        found.append(Picture("what differs", kinds, _CONFLICT))
-    return found
+        yield Picture("what differs", kinds, _CONFLICT)
+    if passed_by is not None:
+        yield _gone(layers, passed_by)
 
 
 def _gone(layers: LayeredMap, passed_by: OccupancyGrid) -> Picture:
     """What stood for a while, over the map; both lie on one lattice."""
+    rows, columns = np.nonzero(THRESHOLDS.occupied(passed_by.steps))
     kinds = _kinds(layers, "decision")
-    rows, columns = np.nonzero(passed_by.states() == OCCUPIED)
     apart = layers.T_map_grid.between(passed_by.T_map_grid)
     row, column = round(apart.y() / layers.resolution_m), round(apart.x() / layers.resolution_m)
     kinds[rows + row, columns + column] = len(_SHADES)
@@ -139,19 +150,17 @@ def _gone(layers: LayeredMap, passed_by: OccupancyGrid) -> Picture:
 
 def _kinds(layers: LayeredMap, name: LayerName) -> NDArray[np.uint8]:
     """States of a layer as kinds."""
-    states = layers.states(name)
-    kinds = np.zeros(states.shape, np.uint8)
-    kinds[states == FREE], kinds[states == OCCUPIED] = _FREE, _WALL
-    return kinds
+    kinds = layers.states(name).view(np.uint8)
+    kinds += 1  # from unknown, free and occupied to 0, 1 and more than any kind, in place
+    return np.minimum(kinds, _WALL, out=kinds)
 
 
-def _known(pictures: Sequence[Picture]) -> tuple[slice, slice]:
+def _known(pictures: Iterable[Picture]) -> tuple[slice, slice]:
     """Rows and columns that hold all that is known, with a margin; all where nothing is."""
-    known: BoolArray = np.any([picture.kinds > 0 for picture in pictures], axis=0)
     windows = []
-    for axis in (1, 0):
-        (there,) = np.nonzero(known.any(axis=axis))
-        size = known.shape[1 - axis]
+    for lines in zip(*map(Picture.known, pictures), strict=True):
+        (there,) = np.nonzero(np.any(lines, axis=0))
+        size = len(lines[0])
         first, last = (there[0], there[-1]) if there.size else (0, size - 1)
         windows.append(slice(max(int(first) - _MARGIN_CELLS, 0), min(int(last) + _MARGIN_CELLS + 1, size)))
     return windows[0], windows[1]

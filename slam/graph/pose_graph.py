@@ -162,7 +162,7 @@ class PoseGraph:
             self._isam.update(self._pending, self._pending_values)
             self._moved = self._isam.calculateEstimate()
             self._estimate.update(self._moved)
-        except RuntimeError:  # an indeterminate system: edges that nothing measured, in space
+        except RuntimeError:  # nodes that it has let go, or in space edges that nothing measured
             self._start_anew(held=0)
             return 0
         self._pending = gtsam.NonlinearFactorGraph()
@@ -200,6 +200,8 @@ class PoseGraph:
         """
         kept = self._gnc_weights(inlier_probability) > 0.5
         self._kept = kept.copy()
+        # As large as the map, and rarely asked again.
+        self._isam = None
         graph = self._graph(edge for edge, keep in zip(self.edges, kept, strict=True) if keep)
         self._estimate = solved(graph, self._estimate)
         return BatchResult(float(graph.error(self._estimate)), kept)

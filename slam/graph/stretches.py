@@ -107,4 +107,4 @@ class Stretches:
     def _bank(self) -> SpectrumBank:
         """How all of them look."""
         bin_m = self._match.coarse_cell_m
-        return SpectrumBank([hough_spectrum(run.points, run.normals, bin_m) for run in self._runs])
+        return SpectrumBank(hough_spectrum(run.points, run.normals, bin_m) for run in self._runs)

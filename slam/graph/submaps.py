@@ -48,7 +48,7 @@ class SubmapStore:
     def __init__(self, loop: LoopConfig, match: MatchConfig) -> None:
         # What comes later on the way may come back here, and is no part of this place.
         self._half, self._path_m, self._reach_m = loop.half_keyframes, loop.least_path_m, loop.reach_m
-        self._match = match
+        self._match, self._near = match, loop.near
         self._scans: list[OrientedPoints] = []
         self._surfaces: list[OrientedPoints] = []
         self._poses: list[FloatArray] = []
@@ -112,8 +112,8 @@ class SubmapStore:
         build = partial(_local_map, self._surfaces, self._poses, key, members, self._match)
         submap = Submap(build, self._match.cell_m)
         self._cache[key] = submap
-        # The places along two of them: what the next attempts look at.
-        if len(self._cache) > 4 * half:
+        # The next attempt looks at the same places; older ones come too seldom for what they take.
+        if len(self._cache) > self._near:
             self._cache.popitem(last=False)
         return submap
 

@@ -9,10 +9,12 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy import ndimage
 
 from fusion.depth_model import RangeNoise
 from fusion.kernel import kernel
+from slam.mapping.evidence_tiles import SIDE
 from slam.measurements import BoolArray, Float32Array, LaserScan
 
 # So far from the right angle a pane still returns a beam.
@@ -80,3 +82,22 @@ def straight_runs(cells: BoolArray, resolution_m: float) -> BoolArray:
         beside = np.ones((3, 1) if abs(np.cos(angle)) > abs(np.sin(angle)) else (1, 3), dtype=bool)
         runs |= cells & ndimage.binary_opening(ndimage.binary_dilation(cells, beside), row)
     return runs
+
+
+def in_straight_runs(cells: NDArray[np.intp], shape: tuple[int, int], resolution_m: float) -> BoolArray:
+    """(C,) which cells of a grid, by their ascending numbers, are among its `straight_runs`.
+
+    A band of rows after the other, with as much around it as decides: a large grid is never there as a whole.
+    """
+    margin = max(3, round(SHORTEST_M / resolution_m)) + 2
+    rows, cols = np.divmod(cells, shape[1])
+    found = np.zeros(len(cells), np.bool_)
+    for first in range(0, shape[0], SIDE):
+        inside = slice(*np.searchsorted(rows, [first, first + SIDE]))
+        around = slice(*np.searchsorted(rows, [first - margin, first + SIDE + margin]))
+        if inside.start < inside.stop:
+            row, col = rows[around].min(), cols[around].min()
+            band = np.zeros((np.ptp(rows[around]) + 1, np.ptp(cols[around]) + 1), np.bool_)
+            band[rows[around] - row, cols[around] - col] = True
+            found[inside] = straight_runs(band, resolution_m)[rows[inside] - row, cols[inside] - col]
+    return found

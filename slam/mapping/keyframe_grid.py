@@ -11,6 +11,7 @@ from fusion.bayes import evidence_steps
 from fusion.height_band import HeightBand
 from slam.config import Config
 from slam.errors import ConfigError
+from slam.heap import give_back
 from slam.mapping.depth_grid import DepthModel
 from slam.mapping.layer_builder import LayerBuilder, LayerSettings
 from slam.mapping.layered_map import OCCUPANCY, PASSED_BY, DecisionRule, LayeredMap
@@ -89,6 +90,8 @@ def lidar_grids(
     for scan, T_map_base in placed:
         builder.add(scan, T_map_base)
     grid = builder.grid("lidar")
+    del builder  # its tiles are as large
+    give_back()
     if grid is None:
         return {}
     if grid.resolution_m > settings.resolution_m:
@@ -96,7 +99,8 @@ def lidar_grids(
     static, stood = without_passers_by(grid, placed, settings.lidar)
     gone = _moved(scans, poses, measured, grid, settings)
     if stood is not None:
-        gone = np.maximum(gone, stood.steps)
+        there = np.nonzero(stood.steps)
+        gone[there] = np.maximum(gone[there], stood.steps[there])
     return {OCCUPANCY: static} | ({PASSED_BY: replace(grid, steps=gone)} if gone.any() else {})
 
 
@@ -108,7 +112,8 @@ def _moved(
     settings: LayerSettings,
 ) -> Steps:
     """Evidence of what was taken out of measured scans as moving, in the cells of their grid."""
-    steps, cell_m = np.zeros(grid.shape, np.int32), grid.resolution_m
+    # Memory is taken where something is put in alone.
+    steps, cell_m, most = np.zeros(grid.shape, np.int16), grid.resolution_m, evidence_steps(settings.p_max)
     corner = round(grid.T_map_grid.y() / cell_m), round(grid.T_map_grid.x() / cell_m)
     for scan, was, pose in zip(scans, measured, poses, strict=False):
         if scan is was or scan is None or was is None:
@@ -119,8 +124,10 @@ def _moved(
             board = lidar_board(alone, pose2_from_row(pose), settings.lidar, cell_m)
             row, col = board.row - corner[0], board.col - corner[1]
             rows, cols = board.steps.shape
-            steps[row : row + rows, col : col + cols] += np.maximum(board.steps, 0)
-    return np.minimum(steps, evidence_steps(settings.p_max)).astype(np.int16)
+            part = steps[row : row + rows, col : col + cols]
+            met = board.steps > 0
+            part[met] = np.minimum(part[met] + board.steps[met], most)
+    return steps
 
 
 def grid_of_keyframes(

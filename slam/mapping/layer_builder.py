@@ -18,11 +18,11 @@ import numpy as np
 from fusion import bayes
 from slam.errors import ConfigError, ScanweaveError
 from slam.mapping.depth_grid import DepthModel, depth_board
-from slam.mapping.evidence_tiles import Board, EvidenceTiles, union
+from slam.mapping.evidence_tiles import SIDE, Board, EvidenceTiles, union
 from slam.mapping.footprint import footprint_board
-from slam.mapping.glass_panes import head_on, straight_runs
+from slam.mapping.glass_panes import head_on, in_straight_runs
 from slam.mapping.lidar_layer import LidarModel, lidar_board
-from slam.mapping.occupancy_grid import OccupancyGrid
+from slam.mapping.occupancy_grid import OccupancyGrid, Steps
 from slam.mapping.ray_tracing import Box
 from slam.measurements import LaserScan, Pose, RgbdFrame, row_from_pose2, spatial
 
@@ -128,12 +128,26 @@ class LayerBuilder:
         box = (row, col, row_to - row, col_to - col)
         steps = tiles.coarse(box, low, high, side) if side > 1 else tiles.clipped(box, low, high)
         if name == "lidar" and side == 1:
-            panes = self._tiles["head on"].clipped(box, low, high)
-            # By head-on beams twice as likely there as not, which all beams together refute.
-            held = (panes > math.log(2.0) * bayes.STEPS_A_UNIT) & (steps < 0)
-            steps = np.where(straight_runs(held, settings.resolution_m), panes, steps)
+            self._hold_panes(steps, box, low, high)
         corner = gtsam.Pose2(col * settings.resolution_m, row * settings.resolution_m, 0.0)
         return OccupancyGrid(steps, side * settings.resolution_m, corner)
+
+    def _hold_panes(self, steps: Steps, box: Box, low: int, high: int) -> None:
+        """Put back into the steps of a box what head-on beams say of panes, and all beams together refute.
+
+        To head-on beams they are twice as likely there as not. They are few, and kept by their numbers.
+        """
+        row, col, rows, cols = box
+        numbers, values = [np.zeros(0, np.intp)], [np.zeros(0, np.int16)]
+        for first in range(0, rows, SIDE):
+            part = steps[first : first + SIDE]
+            panes = self._tiles["head on"].clipped((row + first, col, len(part), cols), low, high)
+            held = np.flatnonzero((panes > math.log(2.0) * bayes.STEPS_A_UNIT) & (part < 0))
+            numbers.append(held + first * cols)
+            values.append(panes.ravel()[held])
+        held = np.concatenate(numbers)
+        straight = in_straight_runs(held, (rows, cols), self._settings.resolution_m)
+        steps.ravel()[held[straight]] = np.concatenate(values)[straight]
 
     def _boards(self, reading: Reading, T_map_base: Pose) -> Iterator[tuple[str, Board]]:
         """What the reading says, by layer; of a scan also what its head-on beams alone say."""

@@ -122,7 +122,7 @@ class LayeredMap:
     def grid(self, name: Literal["lidar", "depth", "fused"]) -> OccupancyGrid:
         """A probability layer over the whole map; ``fused`` is Li2020 Eq. (10), the sum of both log-odds."""
         steps = np.empty(self.shape, dtype=np.int16)
-        for part in _blocks(self.shape[0]):
+        for part in _blocks(self.shape):
             steps[part] = self._steps(name, part)
         return OccupancyGrid(steps, self.resolution_m, self.T_map_grid)
 
@@ -133,7 +133,7 @@ class LayeredMap:
         """
         states = np.empty(self.shape, dtype=np.int8)
         rule = self._rule
-        for part in _blocks(self.shape[0]):
+        for part in _blocks(self.shape):
             if name == "decision":
                 lidar = rule.lidar.states(self._steps("lidar", part))
                 depth = rule.depth.states(self._steps("depth", part))
@@ -150,7 +150,7 @@ class LayeredMap:
         """
         free = np.zeros(self.shape, dtype=np.bool_)
         if self.lidar is not None and self.depth is not None:
-            for part in _blocks(self.shape[0]):
+            for part in _blocks(self.shape):
                 lidar = self.rule.lidar.states(self._steps("lidar", part))
                 depth = self.rule.depth.states(self._steps("depth", part))
                 free[part] = (lidar == bayes.FREE) & (depth == bayes.UNKNOWN)
@@ -159,7 +159,7 @@ class LayeredMap:
     def percent(self) -> StateArray:
         """(rows, cols) fused probability in percent, -1 where it is one half, which is unknown."""
         percent = np.empty(self.shape, dtype=np.int8)
-        for part in _blocks(self.shape[0]):
+        for part in _blocks(self.shape):
             steps = self._steps("fused", part)
             odds = np.exp(steps / np.float32(-bayes.STEPS_A_UNIT))
             percent[part] = np.where(steps == 0, bayes.UNKNOWN, np.rint(100.0 / (1.0 + odds)))
@@ -211,6 +211,7 @@ def _corner(grid: OccupancyGrid, resolution_m: float) -> FloatArray:
     return np.array([at.y(), at.x()]) / resolution_m
 
 
-def _blocks(rows: int) -> Iterator[slice]:
+def _blocks(shape: tuple[int, int]) -> Iterator[slice]:
     """Rows in pieces that are small against the map."""
-    return (slice(first, min(first + SIDE, rows)) for first in range(0, rows, SIDE))
+    most = max(1, SIDE * SIDE // max(shape[1], 1))
+    return (slice(first, min(first + most, shape[0])) for first in range(0, shape[0], most))

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from fusion.bayes import FREE, OCCUPIED, STEPS_A_UNIT, UNKNOWN, log_odds
 from fusion.showing import shrunk, with_pictures
 from slam.errors import ConfigError
-from slam.measurements import Float32Array, FloatArray, one_line
+from slam.measurements import BoolArray, Float32Array, FloatArray, one_line
 
 __all__ = ["FREE", "OCCUPIED", "UNKNOWN"]
 
@@ -38,9 +38,13 @@ class Thresholds:
     def states(self, steps: Steps) -> StateArray:
         """States of cells from their steps of log-odds."""
         states = np.full(steps.shape, UNKNOWN, dtype=np.int8)
-        states[steps > log_odds(self.occupied_above) * STEPS_A_UNIT] = OCCUPIED
+        states[self.occupied(steps)] = OCCUPIED
         states[steps < log_odds(self.free_below) * STEPS_A_UNIT] = FREE
         return states
+
+    def occupied(self, steps: Steps) -> BoolArray:
+        """Which cells are occupied, by their steps of log-odds."""
+        return np.asarray(steps > log_odds(self.occupied_above) * STEPS_A_UNIT)
 
 
 THRESHOLDS = Thresholds()

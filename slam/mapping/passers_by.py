@@ -14,7 +14,6 @@ from typing import NamedTuple
 import gtsam
 import numpy as np
 from numpy.typing import NDArray
-from scipy import ndimage
 
 from fusion.bayes import STEPS_A_UNIT, evidence_steps
 from fusion.estimation import CONFIDENCE
@@ -22,7 +21,7 @@ from fusion.kernel import ZERO, kernel
 from slam.mapping.evidence_tiles import Board
 from slam.mapping.glass_panes import SHORTEST_M
 from slam.mapping.lidar_layer import LidarModel, lidar_board
-from slam.mapping.occupancy_grid import OCCUPIED, OccupancyGrid
+from slam.mapping.occupancy_grid import THRESHOLDS, OccupancyGrid
 from slam.measurements import BoolArray, FloatArray, LaserScan
 
 
@@ -57,10 +56,13 @@ def without_passers_by(
     """
     cell_m, miss = grid.resolution_m, evidence_steps(model.p_miss)
     enough = math.ceil(math.log(2.0) * STEPS_A_UNIT / -miss)
-    occupied = grid.states() == OCCUPIED
+    occupied = THRESHOLDS.occupied(grid.steps)
     cells = np.flatnonzero(occupied)
+    if not cells.size:
+        return StaticGrid(grid, None)
     before, since, missed = _passes(grid, occupied, scans, model)
-    of_cell = ndimage.label(occupied, np.ones((3, 3)))[0].ravel()[cells].astype(np.intp) - 1
+    del occupied
+    of_cell = things_of(cells, grid.shape[1])
     rows_cols = np.column_stack(np.unravel_index(cells, grid.shape))
     moved = _not_there(of_cell, before + since, missed, enough)
     gone = [thing for thing in moved if not _may_be_a_pane(rows_cols[of_cell == thing] * cell_m, cell_m)]
@@ -69,10 +71,29 @@ def without_passers_by(
     if not taken.size:
         return StaticGrid(grid, None)
     left = np.isin(of_cell[own], _not_there(of_cell, since, missed, enough))
-    static, stood = grid.steps.copy(), np.zeros_like(grid.steps)
+    static, stood = grid.steps.copy(), np.zeros(grid.shape, grid.steps.dtype)
     stood.flat[taken] = static.flat[taken]
     static.flat[taken] = np.where(left, enough * miss, 0)
     return StaticGrid(replace(grid, steps=static), replace(grid, steps=stood))
+
+
+def things_of(cells: NDArray[np.intp], cols: int) -> NDArray[np.intp]:
+    """(C,) number of the thing of each cell: what hangs together of cells, by their ascending numbers.
+
+    A picture of labels would take twice the memory of the grid.
+    """
+    from scipy.sparse import coo_array
+    from scipy.sparse.csgraph import connected_components
+
+    ends = list[NDArray[np.intp]]()
+    for right, away in ((1, 1), (-1, cols - 1), (0, cols), (1, cols + 1)):
+        at = np.searchsorted(cells, cells + away)
+        inside = (cells % cols + right >= 0) & (cells % cols + right < cols) & (at < len(cells))
+        (found,) = np.nonzero(inside & (cells[at.clip(max=len(cells) - 1)] == cells + away))
+        ends.append(np.stack([found, at[found]]))
+    first, second = np.concatenate(ends, axis=1)
+    joined = coo_array((np.ones(len(first), np.bool_), (first, second)), shape=(len(cells), len(cells)))
+    return np.asarray(connected_components(joined, directed=False)[1], np.intp)
 
 
 def _not_there(

@@ -162,38 +162,39 @@ def _branch_and_bound(
         top -= 1
     side = (2 * width_steps + (1 << top)) // (1 << top)
     bounds = np.empty(len(columns) * side * side, np.int64)
+    _bound_all(levels, columns, rows, width_steps, top, side, bounds)
+    (above,) = np.nonzero(bounds > least)
+    order = above[np.argsort(-bounds[above], kind="stable")]
     stack = np.empty((4 * (top + 1), 4), np.int64)
-    return _descend(levels, columns, rows, width_steps, least, top, side, bounds, stack)
+    return _descend(levels, columns, rows, width_steps, least, top, side, bounds, order, stack)
 
 
 @kernel
-def _descend(levels, columns, rows, width_steps, least, top, side, bounds, stack):  # type: ignore[no-untyped-def]
-    """Depth first through the blocks, always the one of the highest bound next.
-
-    ``bounds`` is room for the bound of every block, (turns * side * side,), x fastest. A row of ``stack``
-    names one quarter of a block that was cut: its bound times four and which quarter, its level, and the
-    first x and y of the block.
-    """
+def _bound_all(levels, columns, rows, width_steps, top, side, bounds):  # type: ignore[no-untyped-def]
+    """Write the bound of every block of the window, (turns * side * side,), x fastest."""
     block = 1 << top
     for node in range(bounds.size):
         dx = node % side * block - width_steps
         dy = node // side % side * block - width_steps
         bounds[node] = _score(levels, top, columns, rows, node // (side * side), dx, dy)
+
+
+@kernel
+def _descend(levels, columns, rows, width_steps, least, top, side, bounds, order, stack):  # type: ignore[no-untyped-def]
+    """Depth first through the blocks, in the order of their bounds.
+
+    A row of ``stack`` names one quarter of a block that was cut: its bound times four and which quarter, its
+    level, and the first x and y of the block.
+    """
+    block = 1 << top
     best = least
     best_dx = best_dy = ZERO
     best_turn = NONE
-    while True:
-        highest = best
-        found = NONE
-        for node in range(bounds.size):
-            if bounds[node] > highest:
-                highest = bounds[node]
-                found = node
-        if found < 0:
+    for found in order:
+        if bounds[found] <= best:
             break
-        bounds[found] = -1
         turn = found // (side * side)
-        stack[0, 0] = 4 * highest
+        stack[0, 0] = 4 * bounds[found]
         stack[0, 1] = top
         stack[0, 2] = found % side * block - width_steps
         stack[0, 3] = found // side % side * block - width_steps

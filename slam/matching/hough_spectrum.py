@@ -9,7 +9,7 @@ pairs of points 56 and 81 %.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -51,9 +51,9 @@ class SpectrumBank:
         At least one, as of `hough_spectrum`.
     """
 
-    def __init__(self, spectra: Sequence[FloatArray]) -> None:
-        # A circular correlation over the turns, all frequencies together.
-        self._turned: NDArray[np.complex128] = np.fft.rfft(np.array(spectra), axis=2)
+    def __init__(self, spectra: Iterable[FloatArray]) -> None:
+        # A circular correlation over the turns, all frequencies together; no spectrum is there twice.
+        self._turned = np.array([np.fft.rfft(one, axis=1).astype(np.complex64) for one in spectra])
 
     def likeness(self, number: int, others: NDArray[np.int64]) -> FloatArray:
         """Greatest correlation, 0..1 over all turns, of a spectrum with each of some others."""

@@ -13,7 +13,7 @@ import zlib
 from collections.abc import Callable
 from dataclasses import fields
 from operator import attrgetter
-from typing import Any
+from typing import Any, cast
 
 import gtsam
 import numpy as np
@@ -87,9 +87,13 @@ def unpack(content: bytes) -> Any:
 
 def pack_small(value: Any) -> bytes:
     """The bytes of a value, compressed."""
-    # A grid is large: no copies that need not be.
-    content = bytearray()
-    _pack(value, content)
+    if isinstance(value, np.ndarray):
+        # A grid is large, and is compressed where it lies.
+        head, cells = _array_parts(value)
+        packer = zlib.compressobj(1)
+        parts = _I8.pack(len(head) + len(cells)), packer.compress(head), packer.compress(cells)
+        return b"".join([*parts, packer.flush()])
+    content = pack(value)
     return _I8.pack(len(content)) + zlib.compress(content, 1)
 
 
@@ -139,14 +143,17 @@ def _inflated(content: bytes) -> bytes:
     (size,) = _I8.unpack_from(content)
     if not 0 <= size <= _LARGEST_BYTES:
         raise MapFileError(f"compressed values of {size} bytes")
-    unpacker = zlib.decompressobj()
+    unpacker, plain, left = zlib.decompressobj(), bytearray(), content[_I8.size :]
     try:
-        plain = unpacker.decompress(content[_I8.size :], size + 1)
+        while len(plain) <= size and (part := unpacker.decompress(left, _LARGEST_BYTES >> 8)):
+            plain += part
+            left = unpacker.unconsumed_tail
     except zlib.error as error:
         raise MapFileError(f"compressed values are damaged: {error}") from error
     if len(plain) != size or not unpacker.eof:
         raise MapFileError(f"compressed values are not the {size} bytes that they should be")
-    return plain
+    # An array stays where it was unpacked.
+    return cast(bytes, plain) if plain[:1] == b"a" else bytes(plain)
 
 
 def _pack(value: Any, out: bytearray) -> None:
@@ -159,7 +166,8 @@ def _pack(value: Any, out: bytearray) -> None:
     elif isinstance(value, float):
         out += b"d" + _F8.pack(value)
     elif isinstance(value, np.ndarray):
-        _pack_array(value, out)
+        for part in _array_parts(value):
+            out += part
     elif value is None:
         out += b"N"
     elif isinstance(value, bool | np.bool_):
@@ -183,12 +191,12 @@ def _pack(value: Any, out: bytearray) -> None:
         raise TypeError(f"cannot pack a {type(value).__name__}")
 
 
-def _pack_array(array: np.ndarray[Any, Any], out: bytearray) -> None:
-    """Append an array; the order of its memory is kept, by it the last bits of a product may differ."""
+def _array_parts(array: np.ndarray[Any, Any]) -> tuple[bytes, memoryview]:
+    """The head of an array, and its elements in the order of its memory, by which last bits may differ."""
     fortran = array.flags.f_contiguous and not array.flags.c_contiguous
     head = b"a", _DTYPE_NUMBER[array.dtype], fortran, array.ndim
-    out += struct.pack(f"<c3B{array.ndim}I", *head, *array.shape)
-    out += np.ascontiguousarray(array.T if fortran else array).data
+    packed = struct.pack(f"<c3B{array.ndim}I", *head, *array.shape)
+    return packed, np.ascontiguousarray(array.T if fortran else array).reshape(-1).view(np.uint8).data
 
 
 def _unpack(content: bytes, at: int, depth: int) -> tuple[Any, int]:
@@ -244,7 +252,7 @@ def _unpack_many(content: bytes, at: int, count: int, depth: int) -> tuple[list[
 
 
 def _unpack_array(content: bytes, at: int) -> tuple[np.ndarray[Any, Any], int]:
-    """An array of its own memory, and where it ends."""
+    """An array, and where it ends; of its own memory, but where that of the content is nobody else's."""
     dtype, fortran, axes = _DTYPES[content[at]], content[at + 1], content[at + 2]
     if axes > _MOST_AXES or fortran > 1:
         raise ValueError(f"an array with {axes} axes")
@@ -253,8 +261,9 @@ def _unpack_array(content: bytes, at: int) -> tuple[np.ndarray[Any, Any], int]:
     size = dtype.itemsize * math.prod(shape)
     if size > len(content) - at:
         raise ValueError(f"an array of {size} bytes in {len(content) - at}")
-    flat = np.frombuffer(content, dtype, math.prod(shape), at)
-    return flat.reshape(shape, order="F" if fortran else "C").copy(order="A"), at + size
+    found = np.frombuffer(content, dtype, math.prod(shape), at).reshape(shape, order="F" if fortran else "C")
+    own = isinstance(content, bytearray) and found.flags.aligned
+    return found if own else found.copy(order="A"), at + size
 
 
 def _unknown(tag: bytes) -> Any:

@@ -125,6 +125,21 @@ def test_updates_in_pieces_end_where_one_update_does() -> None:
     np.testing.assert_allclose(pieces.planar_poses(), whole.planar_poses(), atol=0.02)
 
 
+def test_updates_go_on_after_an_optimisation_which_keeps_nothing_of_isam() -> None:
+    graph = graph_of(gtsam.Pose2(), [gtsam.Pose2(1.0, 0.0, 0.3)] * 12)
+    graph.update()
+    graph.optimize()
+    assert graph._isam is None
+    graph.add_edge(edge(0, 12, gtsam.Pose2(0.5, 3.0, 3.5), kind=EdgeKind.LOOP))
+    graph.add_node(graph.pose(12))
+    graph.add_edge(edge(12, 13, gtsam.Pose2()))
+    for _ in range(5):
+        graph.update()
+    by_isam = graph.planar_poses()
+    graph.optimize()
+    np.testing.assert_allclose(by_isam, graph.planar_poses(), atol=0.02)
+
+
 def test_new_nodes_keep_their_guess_until_the_update() -> None:
     graph = graph_of(gtsam.Pose2(), [gtsam.Pose2(1.0, 0.0, 0.0)])
     graph.update()

@@ -70,7 +70,7 @@ def test_a_submap_is_in_the_places_frame() -> None:
 
 
 def test_the_cache_is_bounded_and_keeps_what_was_used_last() -> None:
-    store = store_of(60, half_keyframes=1)
+    store = store_of(60, half_keyframes=1, near=4)
     first = [store.submap(key) for key in range(4)]
     assert store.submap(0) is first[0]
     store.submap(4)  # 1 is now the one that was not used for longest

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from fusion.depth_model import RangeNoise
-from slam.mapping.glass_panes import head_on, straight_runs
+from slam.mapping.glass_panes import head_on, in_straight_runs, straight_runs
 from slam.mapping.occupancy_grid import OCCUPIED
 from slam.measurements import LaserScan
 from tools.layer_building import build_layers
@@ -71,3 +71,16 @@ def test_runs_are_straight_and_long(slope):
     assert straight_runs(cells, 0.05).sum() >= 0.8 * cells.sum()
     cells[:, ::5] = False  # cut into pieces of 0.2 m
     assert not straight_runs(cells, 0.05).any()
+
+
+def test_runs_are_found_band_by_band_as_in_the_whole_grid():
+    rng = np.random.default_rng(3)
+    cells = rng.random((700, 90)) < 0.05
+    for row, column in rng.integers(0, (690, 80), (80, 2)):
+        cells[row : row + 10, column] = True
+    cells[250:263, 40] = cells[508:516, 7] = True  # across the seams of the bands
+    numbers = np.flatnonzero(cells)
+    found = in_straight_runs(numbers, cells.shape, 0.05)
+    assert 500 < found.sum() < len(found)
+    assert (found == straight_runs(cells, 0.05).ravel()[numbers]).all()
+    assert not len(in_straight_runs(numbers[:0], cells.shape, 0.05))

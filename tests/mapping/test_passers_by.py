@@ -7,12 +7,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from flat_worlds import box, room, sweep
+from scipy import ndimage
 from test_glass_panes import PANE_Y, scan_at
 
 from slam.config import Config
 from slam.mapping.keyframe_grid import lidar_grids
 from slam.mapping.layered_map import OCCUPANCY, PASSED_BY
 from slam.mapping.occupancy_grid import FREE, OCCUPIED, UNKNOWN, OccupancyGrid
+from slam.mapping.passers_by import things_of
 from slam.measurements import FloatArray, LaserScan
 
 PERSON = box(0.8, 0.8, 1.2, 1.2)
@@ -95,3 +97,11 @@ def test_a_pane_stays_that_most_beams_pass() -> None:
 
 def test_an_empty_log_has_no_grid() -> None:
     assert lidar_grids([None, None], np.zeros((2, 3)), Config()) == {}
+
+
+def test_things_are_those_of_a_labelled_picture() -> None:
+    occupied = np.random.default_rng(1).random((80, 50)) < 0.3
+    cells = np.flatnonzero(occupied)
+    labels = ndimage.label(occupied, np.ones((3, 3)))[0].ravel()[cells]
+    pairs = set(zip(labels.tolist(), things_of(cells, 50).tolist(), strict=True))
+    assert len(pairs) == len(set(labels.tolist())) == len({thing for _, thing in pairs}) > 20

@@ -72,6 +72,20 @@ def test_records_come_back_with_their_order_of_memory() -> None:
     assert same(unpack(pack((SCAN, motion, camera))), (SCAN, motion, camera))
 
 
+def test_a_large_grid_is_packed_and_unpacked_where_it_lies() -> None:
+    grid = np.zeros((1500, 2000), np.int16)
+    grid[::7, ::5] = 3
+    tracemalloc.start()
+    content = pack_small(grid)
+    packed_mb = tracemalloc.get_traced_memory()[1] / 1e6
+    tracemalloc.reset_peak()
+    found = unpack_small(content)
+    unpacked_mb = tracemalloc.get_traced_memory()[1] / 1e6
+    tracemalloc.stop()
+    assert same(found, grid) and found.flags.writeable and found.flags.aligned
+    assert packed_mb < 1.0 and unpacked_mb < 9.5  # of 6 MB, which grow by an eighth
+
+
 def test_what_comes_back_can_be_written_to() -> None:
     found = unpack(pack(np.zeros(3)))
     found[0] = 1.0
