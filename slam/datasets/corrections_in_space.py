@@ -57,7 +57,7 @@ class CloudCorrector:
         if times_s is not None:
             times_s = times_s * given.times_scale
         elif given.turn_s != 0.0:
-            times_s = turn_times(cloud.points_lidar, given.turn_s, given.cut_deg)
+            times_s = turn_times(cloud.points_lidar, given.turn_s, math.radians(given.cut_deg))
         return replace(
             cloud,
             points_lidar=raised(cloud.points_lidar, given.elevation_deg) * np.float32(given.range_scale),
@@ -66,17 +66,17 @@ class CloudCorrector:
         )
 
 
-def turn_times(points_lidar: Float32Array, turn_s: float, cut_deg: float) -> FloatArray:
+def turn_times(points_lidar: Float32Array, turn_s: float, cut_rad: float) -> FloatArray:
     """Seconds from the middle of a turn at which a spinning lidar saw its points, by their bearings, (N,).
 
     Parameters
     ----------
     points_lidar
         (N, 3), frame of the lidar; of one that is no number the time is 0.
-    turn_s, cut_deg
-        See `slam.config.calibration.CloudCorrection`.
+    turn_s, cut_rad
+        How long a turn takes, < 0 clockwise, and the bearing at which it begins.
     """
-    from_cut = np.mod(bearings_rad(points_lidar) / math.tau - cut_deg / 360.0, 1.0)
+    from_cut = np.mod((bearings_rad(points_lidar) - cut_rad) / math.tau, 1.0)
     return np.nan_to_num(turn_s * (from_cut - 0.5))
 
 

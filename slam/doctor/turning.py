@@ -28,9 +28,8 @@ from slam.matching.plane_voxels import PlaneVoxels
 from slam.measurements import FloatArray, PointCloud
 from slam.odometry.cloud_tracker import CloudTracker, TrackedCloud
 
-# Of so many turns one is recorded at least; so many pairs of clouds must agree, of so many points each.
-_TURNS, _PAIRS, _POINTS = 5, 6, 4000
-_THICKNESS = 0.2  # of planes of bent clouds, in voxels
+# Of so many turns one is recorded at least; planes of bent clouds are so thick, in voxels.
+_TURNS, _THICKNESS = 5, 0.2
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,18 +40,18 @@ class Turn:
     ----------
     turn_s, sigma_s
         How long a turn takes, < 0 clockwise seen from above.
-    cut_deg
+    cut_rad
         Bearing at which it begins and ends.
     """
 
     turn_s: float
     sigma_s: float
-    cut_deg: float
+    cut_rad: float
 
     def finding(self, name: str) -> Finding:
         """What the log does not tell of the lidar of a name."""
         sense, turn_s = "clockwise" if self.turn_s < 0.0 else "counter-clockwise", round(self.turn_s, 4)
-        cut_deg = (self.cut_deg + 180.0) % 360.0 - 180.0
+        cut_deg = round(math.degrees(math.remainder(self.cut_rad, math.tau)), 1)
         return Finding(
             name,
             "turn",
@@ -66,7 +65,7 @@ class Turn:
 
     def timed(self, cloud: PointCloud) -> PointCloud:
         """A cloud whose points tell their times, its stamp in the middle of its turn."""
-        return replace(cloud, times_s=turn_times(cloud.points_lidar, self.turn_s, self.cut_deg))
+        return replace(cloud, times_s=turn_times(cloud.points_lidar, self.turn_s, self.cut_rad))
 
 
 @dataclass(frozen=True, slots=True)
@@ -79,7 +78,6 @@ class _Moving:
 
 
 _Pair: TypeAlias = tuple[_Moving, _Moving, float]
-_NONE = Turn(0.0, 0.0, 180.0)
 
 
 def turn_of(stretches: Sequence[Sequence[PointCloud]], interval_s: float, config: Config) -> Turn | None:
@@ -95,16 +93,16 @@ def turn_of(stretches: Sequence[Sequence[PointCloud]], interval_s: float, config
     if interval_s <= 0.0 or not (stretches and _looks_round(stretches[0])):
         return None
     pairs, fit, within_s = list[_Pair](), None, 0.0
-    for clouds in _spread_out(stretches):
+    for number, clouds in enumerate(_spread_out(stretches), 1):
         pairs += _pairs(clouds, config)
-        fit = _fit(pairs, _NONE, config) if len(pairs) >= _PAIRS else None
+        fit = _fit(pairs, Turn(0.0, 0.0, 0.0), config) if number > 1 else None
         if fit is None:
             continue
         within_s = math.sqrt(gate()) * fit.sigma_s
         # Planes of bent clouds hold back: at first it looks half as long.
         if abs(fit.turn_s) + within_s < 0.5 * interval_s / (_TURNS + 0.5):
             return None
-        if abs(fit.turn_s) > within_s and len(pairs) >= 2 * _PAIRS:
+        if abs(fit.turn_s) > within_s and number > 3:
             break
     known = fit is not None and abs(fit.turn_s) > within_s
     return _settled(pairs, fit, interval_s, config) if fit is not None and known else None
@@ -124,8 +122,8 @@ def _settled(pairs: Sequence[_Pair], fit: Turn, interval_s: float, config: Confi
     told, turn_s = min(zip(again, shares, strict=True), key=lambda one: abs(one[0].turn_s / one[1] - 1.0))
     best = replace(told, turn_s=turn_s)
     for slices in (4, 2, 1):
-        cuts_deg = [best.cut_deg + side * slices * 360.0 / SLICES for side in (0.0, -1.0, 1.0)]
-        tried = [replace(best, cut_deg=one % 360.0) for one in cuts_deg]
+        step_rad = slices * math.tau / SLICES
+        tried = [replace(best, cut_rad=best.cut_rad + side * step_rad) for side in (0, -1, 1)]
         best = max(tried, key=lambda turn: sum(_agreement(pair, turn, config) for pair in pairs))
     return best
 
@@ -138,7 +136,7 @@ def _agreement(pair: _Pair, turn: Turn, config: Config) -> float:
     )
     planes = PlaneVoxels.build(known, voxel_m, config.cloud_odometry.thickness_m)
     guess = first.pose.between(second.pose)
-    found = align_cloud(seen[:: -(-len(seen) // _POINTS)], planes, guess, ROUNDS, 0.5 * voxel_m)
+    found = align_cloud(seen[::4], planes, guess, ROUNDS, 0.5 * voxel_m)
     return 0.0 if found is None else found.agreement
 
 
@@ -155,7 +153,7 @@ def _fit(pairs: Sequence[_Pair], now: Turn, config: Config) -> Turn | None:
     best = int(np.argmax(sums.sum(axis=0) ** 2 / whole))
     turn_s = float(sums[:, best].sum() / whole[best])
     apart = sums[:, best] - turn_s * weights[:, best]
-    return Turn(turn_s, float(np.linalg.norm(apart) / whole[best]), best * 360.0 / SLICES)
+    return Turn(turn_s, float(np.linalg.norm(apart) / whole[best]), best * math.tau / SLICES)
 
 
 def _told(
@@ -165,7 +163,7 @@ def _told(
     ways = config.cloud_odometry
     known, seen = (base_points(now.timed(one.cloud), one.twist, ways) for one in (first, second))
     planes = PlaneVoxels.build(known, voxel_m, _THICKNESS * voxel_m)
-    seen = seen[:: -(-len(seen) // _POINTS)]
+    seen = seen[::4]
     guess = first.pose.between(second.pose)
     found = align_cloud(seen, planes, guess, ROUNDS, 0.5 * voxel_m)
     if found is None:
@@ -182,9 +180,9 @@ def _told(
         np.sum(normals * (one[3:] + np.cross(one[:3], points)) @ rotation.T, axis=1)
         for one, points, rotation in ((second.twist, own, turned), (first.twist, there, np.eye(3)))
     )
-    cuts = np.append(np.arange(SLICES) * (360.0 / SLICES), now.cut_deg)[None, :]
+    cuts = np.append(np.arange(SLICES) * math.tau / SLICES, now.cut_rad)[None, :]
     shares, shares_there = (
-        np.mod(bearings_rad(points)[:, None] / math.tau - cuts / 360.0, 1.0) - 0.5 for points in (own, there)
+        np.mod((bearings_rad(points)[:, None] - cuts) / math.tau, 1.0) - 0.5 for points in (own, there)
     )
     slope = moved[:, None] * shares - moves[:, None] * shares_there
     left = off_m - now.turn_s * slope[:, -1]

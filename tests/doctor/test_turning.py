@@ -43,13 +43,13 @@ def clouds(turn_s: float, cut_deg: float, count: int = 84, seed: int = 0) -> lis
     """Of a drive, each point as it is seen at its time; ``turn_s`` 0 sees all at once."""
     rng, found = np.random.default_rng(seed), list[PointCloud]()
     for number in range(count):
-        pose = gtsam.Pose3.Expmap(0.5 * number * INTERVAL_S * TWIST)
+        pose = gtsam.Pose3.Expmap(number * INTERVAL_S * TWIST)
         points = street(rng)
         seen = pose.transformTo(points.T).T
         bearings = np.arctan2(seen[:, 1], seen[:, 0])
         times_s = turn_s * (np.mod(bearings / math.tau - cut_deg / 360.0, 1.0) - 0.5)
         # As seen from where it was a moment later: to first order, the turns are small.
-        velocities = 0.5 * (TWIST[3:] + np.cross(TWIST[:3], seen))
+        velocities = TWIST[3:] + np.cross(TWIST[:3], seen)
         seen = seen - times_s[:, None] * velocities + 0.01 * rng.standard_normal(seen.shape)
         found.append(PointCloud(10.0 + number * INTERVAL_S, seen.astype(np.float32), None, sensor="lidar"))
     return found
@@ -65,7 +65,7 @@ def test_a_turn_its_sense_and_its_cut_are_found(turn_s: float, cut_deg: float) -
     turn = turn_of(stretches(clouds(turn_s, cut_deg)), INTERVAL_S, Config())
     assert turn is not None
     assert turn.turn_s == pytest.approx(turn_s)
-    assert abs((turn.cut_deg - cut_deg + 180.0) % 360.0 - 180.0) < 12.0
+    assert abs(math.remainder(turn.cut_rad - math.radians(cut_deg), math.tau)) < 0.2
 
 
 def test_clouds_that_were_seen_at_once_have_no_turn() -> None:
