@@ -6,6 +6,7 @@ import gc
 import logging
 import os
 import pickle
+import select
 import signal
 import struct
 import sys
@@ -14,6 +15,7 @@ import warnings
 import weakref
 from collections.abc import Callable
 from contextlib import suppress
+from pathlib import Path
 from typing import Any, TypeAlias
 
 Tell: TypeAlias = Callable[[bytes], None]
@@ -55,8 +57,14 @@ class Forked:
         return None if content is None else self._read(*_LENGTH.unpack(content))
 
     def _read(self, size: int) -> bytes | None:
-        """So many bytes, or None."""
+        """So many bytes, or None: also where it neither sends nor works, as on a lock that nobody opens."""
+        worked = -1
         while len(self._received) < size:
+            if not select.select([self._source], [], [], 10)[0]:
+                before, worked = worked, _worked(self.number)
+                if worked == before:
+                    return None
+                continue
             block = os.read(self._source, 1 << 16)
             if not block:
                 return None
@@ -102,6 +110,15 @@ def is_core_free() -> bool:
     """
     alone = threading.current_thread() is threading.main_thread() and threading.active_count() == 1
     return sys.platform == "linux" and alone and len(os.sched_getaffinity(0)) > 1
+
+
+def _worked(number: int) -> int:
+    """Ticks of a core that a process of this machine has had, user and system; 0 where it is gone."""
+    try:
+        fields = Path(f"/proc/{number}/stat").read_text("utf-8").rpartition(")")[2].split()
+    except OSError:
+        return 0
+    return int(fields[11]) + int(fields[12])
 
 
 def _end(source: int, number: int) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import select
 import signal
 import threading
 import time
@@ -94,3 +95,20 @@ def test_what_fails_in_the_copy_fails_here(monkeypatch: pytest.MonkeyPatch) -> N
     with pytest.raises(ValueError, match="no such number"):
         value()
     assert value() == os.getpid()
+
+
+def test_a_copy_that_waits_for_what_never_comes_is_given_up(monkeypatch: pytest.MonkeyPatch) -> None:
+    """As one on a lock that another thread of a library held when the copy was made."""
+    wait = select.select
+    monkeypatch.setattr(forked.select, "select", lambda *of: wait(*of[:3], 0.05))
+
+    def work(tell: Tell) -> None:
+        tell(b"begun")
+        closed = threading.Lock()
+        closed.acquire()
+        closed.acquire()
+
+    copy = Forked(work)
+    assert copy.receive() == b"begun"
+    assert copy.receive() is None
+    copy.close()
