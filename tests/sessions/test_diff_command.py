@@ -53,8 +53,8 @@ def test_a_pillar_that_moved_is_told(days: Path, capsys: pytest.CaptureFixture[s
         assert ring[0] == ring[-1] and len(ring) >= 4
     picture = np.asarray(Image.open(io.BytesIO((tmp_path / "diff" / "diff.png").read_bytes())))
     assert picture.shape[2] == 3
-    for color in ((0x25, 0x63, 0xB8), (0xC2, 0x35, 0x2B)):
-        assert (picture == color).all(axis=2).any()
+    colors = {"appeared": (0x25, 0x63, 0xB8), "went": (0xC2, 0x35, 0x2B), "moved": (0xD9, 0x73, 0x0D)}
+    assert all((picture == colors[kind]).all(axis=2).any() for kind in kinds)
 
 
 def test_where_nothing_moved_nothing_is_told(days: Path, capsys: pytest.CaptureFixture[str]) -> None:
