@@ -117,7 +117,7 @@ def _settled(pairs: Sequence[_Pair], fit: Turn, interval_s: float, config: Confi
     if abs(fit.turn_s) < interval_s / (_TURNS + 0.5):
         return None
     shares = [math.copysign(interval_s / turns, fit.turn_s) for turns in range(1, _TURNS + 1)]
-    again = [_fit(pairs, replace(fit, turn_s=share), config) or fit for share in shares]
+    again = [_fit(pairs, replace(fit, turn_s=share), config, any_cut=False) or fit for share in shares]
     # What straightens them as it should, they tell once more.
     told, turn_s = min(zip(again, shares, strict=True), key=lambda one: abs(one[0].turn_s / one[1] - 1.0))
     best = replace(told, turn_s=turn_s)
@@ -140,7 +140,7 @@ def _agreement(pair: _Pair, turn: Turn, config: Config) -> float:
     return 0.0 if found is None else found.agreement
 
 
-def _fit(pairs: Sequence[_Pair], now: Turn, config: Config) -> Turn | None:
+def _fit(pairs: Sequence[_Pair], now: Turn, config: Config, *, any_cut: bool = True) -> Turn | None:
     """The turn that explains most, from pairs as that of now straightens them; sigma by how they differ."""
     told = [one for first, second, voxel_m in pairs if (one := _told(first, second, voxel_m, now, config))]
     if not told:
@@ -151,6 +151,8 @@ def _fit(pairs: Sequence[_Pair], now: Turn, config: Config) -> Turn | None:
     weights, sums = weights * most, sums * most
     whole = np.maximum(weights.sum(axis=0), TINY)
     best = int(np.argmax(sums.sum(axis=0) ** 2 / whole))
+    if not any_cut:
+        best = round(now.cut_rad / math.tau * SLICES) % SLICES
     turn_s = float(sums[:, best].sum() / whole[best])
     apart = sums[:, best] - turn_s * weights[:, best]
     return Turn(turn_s, float(np.linalg.norm(apart) / whole[best]), best * math.tau / SLICES)
