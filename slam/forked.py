@@ -41,14 +41,22 @@ class Forked:
         self._source, target = os.pipe()
         self._received = bytearray()
         gc.freeze()  # or else the copy's collector would write to, and so copy, all that it shares
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore", DeprecationWarning)  # of threads, which libraries end before
-            self.number = os.fork()
+        alone = weakref.finalize(self, os.close, self._source)
+        self.close: Callable[[], Any] = alone
+        try:
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore", DeprecationWarning)  # of threads, which libraries end before
+                self.number = os.fork()
+        except OSError:  # no room for another process: nothing is ever received
+            gc.unfreeze()
+            os.close(target)
+            return
         if self.number == 0:
             os.close(self._source)
             _work(work, target)
         gc.unfreeze()
         os.close(target)
+        alone.detach()
         self.close = weakref.finalize(self, _end, self._source, self.number)
 
     def receive(self) -> bytes | None:
@@ -124,8 +132,10 @@ def _worked(number: int) -> int:
 def _end(source: int, number: int) -> None:
     """End a copy, wherever it is."""
     os.close(source)
-    os.kill(number, signal.SIGKILL)
-    os.waitpid(number, 0)
+    # Where SIGCHLD is ignored, as some services start their programs, one that has ended is gone already.
+    with suppress(ProcessLookupError, ChildProcessError):
+        os.kill(number, signal.SIGKILL)
+        os.waitpid(number, 0)
 
 
 def _work(work: Callable[[Tell], None], target: int) -> None:

@@ -112,3 +112,24 @@ def test_a_copy_that_waits_for_what_never_comes_is_given_up(monkeypatch: pytest.
     assert copy.receive() == b"begun"
     assert copy.receive() is None
     copy.close()
+
+
+def test_where_no_process_can_be_made_it_is_computed_here(monkeypatch: pytest.MonkeyPatch) -> None:
+    def full() -> int:
+        raise BlockingIOError("no more processes")
+
+    monkeypatch.setattr(forked, "is_core_free", lambda: True)
+    monkeypatch.setattr(forked.os, "fork", full)
+    begun = Begun(lambda: 1, lambda: 2)
+    assert (begun(), begun()) == (1, 2)
+
+
+def test_a_copy_that_is_gone_already_is_no_error() -> None:
+    """As in a service that was started with SIGCHLD ignored."""
+    before = signal.signal(signal.SIGCHLD, signal.SIG_IGN)
+    try:
+        copy = Forked(lambda tell: tell(b"done"))
+        assert copy.receive() == b"done" and copy.receive() is None
+        copy.close()
+    finally:
+        signal.signal(signal.SIGCHLD, before)
