@@ -164,6 +164,14 @@ def test_simulate_tells_what_there_is(
     assert not (tmp_path / "drive").exists()
 
 
+def test_harsh_faults_are_of_the_sensors_that_a_rig_has(scanweave: Scanweave, tmp_path: Path) -> None:
+    """This robot has no lidar that could die: its camera does."""
+    call = ("simulate", "-o", tmp_path / "drive", "--rig", "yang2021", "--faults", "harsh", "--duration", 1)
+    assert scanweave(*call, "--format", "folder").code == 0
+    faults = json.loads((tmp_path / "drive" / "truth" / "faults.json").read_text("utf-8"))
+    assert faults["faults"]["dying_sensor"] == "camera"
+
+
 def test_simulate_overwrites_nothing(scanweave: Scanweave, tmp_path: Path) -> None:
     (tmp_path / "mine.txt").write_text("kept")
     assert scanweave("simulate", "-o", tmp_path).code == 1

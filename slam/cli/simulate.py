@@ -78,6 +78,7 @@ def simulate(
     from slam.errors import ConfigError
     from slam.simulation.campus import record_campus
     from slam.simulation.campus_wheels import CAMPUS_FAULTS
+    from slam.simulation.drive import leading_sensor
     from slam.simulation.drive_faults import FAULT_PRESETS
     from slam.simulation.home import generate_home
     from slam.simulation.record import FORMATS
@@ -133,12 +134,15 @@ def simulate(
         robot = RIGS[rig]
         tour = plan_tour(building, robot.robot_radius_m, robot.robot_height_m, seed, duration)
         building = hang_tags(building, tags, home, tour.poses_xyt)
+    chosen = FAULT_PRESETS[faults]
+    if chosen.dying_sensor:
+        chosen = replace(chosen, dying_sensor=leading_sensor(RIGS[rig]))
     summary = simulate_into(
         out,
         building,
         replace(RIGS[rig], imu=ROBOT_IMU if imu else None),
         seed,
-        FAULT_PRESETS[faults],
+        chosen,
         duration,
         tuple(formats) if formats else FORMATS,
     )

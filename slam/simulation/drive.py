@@ -242,6 +242,11 @@ def simulate_drive(
     return prepare_drive(home, rig, seed, faults, duration_s).events()
 
 
+def leading_sensor(rig: Rig) -> str:
+    """Name of the sensor that a rig goes by most: its planar lidar, else the other one, else a camera."""
+    return next(iter(_schedules(rig, DriveFaults(), 1.0, 0)))
+
+
 def planar_mount(lidar: MountedLidar) -> gtsam.Pose2:
     """``T_base_laser`` in the plane."""
     mount = lidar.T_base_laser
