@@ -10,8 +10,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from slam.config.stages import LoopConfig
-from slam.graph.consistent_sets import ClaimSets, after, claimed
-from slam.graph.loop_closure import LoopCandidate, LoopCloser, position_sigmas
+from slam.graph.consistent_sets import ClaimSets, after
+from slam.graph.loop_closure import LoopCandidate, LoopCloser, claimed, position_sigmas
 from slam.graph.stretches import Stretches
 from slam.graph.submaps import SubmapStore
 from slam.matching.motion import Motion
@@ -65,7 +65,7 @@ class ClaimTrial:
         expected = after(claimed(member), self._sets.way(member.keyframe, key))
         verdicts: list[LoopCandidate] = []
         for place in self._places(member.place, expected, key):
-            guess = self._seen_from(place, member.place, expected)
+            guess = after(self._sets.way(place, member.place), expected)
             if self._config.sigmas * position_sigmas(guess.covariance[None])[0] > self._config.reach_m:
                 break
             if (place, key) not in self._tried:
@@ -95,10 +95,6 @@ class ClaimTrial:
             if far and way_m(key) - way_m(around[n]) > self._submaps.least_path_m:
                 chosen.append(around[n])
         return chosen
-
-    def _seen_from(self, place: int, other: int, seen: Motion) -> Motion:
-        """A pose in the frame of a place, in that of another."""
-        return after(self._sets.way(place, other), seen)
 
 
 def parted(fault: tuple[int, int] | None, one: int, other: int) -> bool:

@@ -20,6 +20,7 @@ from slam.graph.submaps import Submap, SubmapStore
 from slam.matching.correlative import search_window
 from slam.matching.local_map import OrientedPoints
 from slam.matching.match_covariance import motion_from_alignment
+from slam.matching.motion import Motion
 from slam.matching.planar import between
 from slam.matching.scan_points import ScanPoints, extract_points
 from slam.measurements import FloatArray, LaserScan, one_line, row_from_pose2
@@ -209,7 +210,8 @@ class LoopCloser:
                 if (place, key) not in self._closed_again:
                     guess = between(poses[place], poses[key])
                     candidate = self.verify(place, key, guess, covariance)
-                    if candidate.accepted:
+                    # A window is as wide as the least certain direction: look-alikes lie in it.
+                    if candidate.accepted and Motion(guess, covariance).agrees(claimed(candidate)):
                         self._closed_again.add((place, key))
                         found.append(candidate)
         return found
@@ -360,6 +362,13 @@ def _judge(
         # One corridor looks like another: it confirms a place that is nearly known, and finds none.
         return candidate.refused("an open direction, and too uncertain a place")
     return replace(candidate, accepted=True)
+
+
+def claimed(claim: LoopCandidate) -> Motion:
+    """Pose of the keyframe seen from the place, in the plane."""
+    motion = claim.motion
+    assert motion is not None
+    return Motion(row_from_pose2(motion.T_reference_base), motion.covariance)
 
 
 def position_sigmas(covariances: FloatArray) -> FloatArray:

@@ -279,3 +279,19 @@ def test_a_corridor_confirms_a_place_that_is_nearly_known_and_finds_none(
     assert loop.motion is not None and loop.motion.degenerate
     assert loop.accepted == accepted
     assert ("open direction" in loop.reason) != accepted
+
+
+@pytest.mark.parametrize("aside_m", [0.02, 0.5])
+def test_what_fits_aside_of_where_a_better_estimate_has_it_is_a_look_alike(aside_m: float) -> None:
+    """A window is as wide as the estimate is uncertain along; aside of that it knows better."""
+    closer, truth = LoopCloser(LoopConfig(), MATCH), np.array([[1.0, 4.0, 0.0], [2.0, 4.1, 0.4]])
+    uncertainty = UncertaintyGraph()
+    for n, pose in enumerate(truth):
+        uncertainty.add_node()
+        scan = OrientedPoints.from_scan(points_at(walls(), pose))
+        closer.add_keyframe(scan, pose, 20.0 * n)
+    uncertainty.add_edge(0, 1, between(*truth), np.diag(np.square([0.5, aside_m, 0.02])))
+    estimate = np.array([truth[0], compose(truth[1], np.array([0.0, 0.6, 0.0]))])
+    found = closer.close_again(estimate, uncertainty, [])
+    assert len(found) == (aside_m > 0.1)
+    assert all(np.abs(error_of(loop, truth)).max() < 0.05 for loop in found)
