@@ -147,10 +147,11 @@ def _in_space(
     found = [one for name, camera in samples.cameras.items() for one in camera_findings(name, camera)]
     doubtful = frozenset(one.sensor for one in found if one.kind == "lens")
     found += [one for name, clouds in samples.clouds.items() for one in cloud_findings(name, clouds)]
-    for clouds in list(samples.clouds.values())[: 0 if samples.lidars else 1]:
+    for lidar, clouds in list(samples.clouds.items())[: 0 if samples.lidars else 1]:
         steps = [step for stretch in clouds.steps for step in stretch]
         for name, imu in samples.imus.items():
-            found += imu_findings(name, imu, steps, clouds.T_base_lidar, clouds.untimed_s)
+            told = imu_findings(name, imu, steps, clouds.T_base_lidar, clouds.untimed_s)
+            found += told if clouds.turn is None else [clouds.turn.stamped(one, lidar) for one in told]
     known = None if wheels is None else mended_rows(wheels[0], wheels[1].rows(), findings)
     if wheels is None or known is None:
         return found

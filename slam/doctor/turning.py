@@ -22,6 +22,7 @@ from fusion.estimation import ROUNDS, TINY, gate
 from slam.config import Config
 from slam.datasets.corrections_in_space import bearings_rad, turn_times
 from slam.doctor.finding import Finding
+from slam.doctor.imu import CLOCK_S
 from slam.matching.cloud_alignment import align_cloud
 from slam.matching.cloud_points import SLICES, base_points
 from slam.matching.plane_voxels import PlaneVoxels
@@ -61,6 +62,22 @@ class Turn:
             ({"lidars_3d": {name: {"turn_s": turn_s, "cut_deg": cut_deg}}},),
             sure=True,
             value=turn_s,
+        )
+
+    def stamped(self, clock: Finding, name: str) -> Finding:
+        """What an IMU's clock is off by, of the lidar of a name where it is half a turn.
+
+        Drivers stamp the beginning of a turn or its end, and points without times are taken about its middle.
+        """
+        half_s = math.copysign(0.5 * self.turn_s, clock.value or 0.0)
+        if clock.kind != "clock" or abs((clock.value or 0.0) - half_s) > CLOCK_S:
+            return clock
+        return replace(
+            clock,
+            sensor=name,
+            text=f"its stamps are of the {'beginning' if half_s > 0.0 else 'end'} of a turn, by the IMU",
+            effect="poses are told half a turn aside",
+            remedies=({"lidars_3d": {name: {"clock_offset_s": round(-half_s, 4)}}},),
         )
 
     def timed(self, cloud: PointCloud) -> PointCloud:
