@@ -25,6 +25,7 @@ from slam.doctor.paired_motions import BaseTrack, mended_rows
 from slam.doctor.samples import Samples, WheelSamples
 from slam.doctor.scan_motion import ScanMotion, Steps, track_stretches
 from slam.doctor.stretches import Stretches
+from slam.doctor.turning import turn_in_the_plane
 from slam.doctor.wheels_and_lidar import compare
 from slam.measurements import LaserScan, Measurement
 from slam.vision.color_registration import ColorRegistration
@@ -113,6 +114,9 @@ def examine(log: Iterable[Measurement], registrations: Registrations | None = No
             with fewer_frames(log, None):
                 lost = lost_sign(log, wheels[0], name, wheels[1].rows(), config)
             found = [lost] if lost else []
+        if not found:
+            turn = turn_in_the_plane(stretches, lidar.interval_s.median() or 0.0, config)
+            found = [turn.finding("lidars", name)] if turn else []
         findings += found
         unknown += left_open
         own = [
