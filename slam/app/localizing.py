@@ -125,7 +125,7 @@ def localize_log(
             images=sensors.rgbd,
             calibration=sensors.calibration_files,
         )
-    findings = [] if saved.contents.clouds else findings_of(log, config)
+    findings = findings_of(log, config)
     config = settled(config, findings)
     registrations = _registrations(saved.contents, log, config)
     with recording(record) as viewer:

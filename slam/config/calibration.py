@@ -72,7 +72,21 @@ class WheelCorrection(SensorCorrection):
     turn_scale: float = Field(default=1.0, gt=0, description="of every turn, the way put together anew")
 
 
-class LidarCorrection(SensorCorrection):
+class SpinningCorrection(SensorCorrection):
+    """Any lidar that spins."""
+
+    turn_s: float = Field(
+        default=0.0,
+        ge=-2,
+        le=2,
+        description="how long a turn takes, < 0 clockwise: times of points that tell none, by their bearings",
+    )
+    cut_deg: float = Field(
+        default=180.0, ge=-360, le=360, description="bearing at which a turn begins and ends"
+    )
+
+
+class LidarCorrection(SpinningCorrection):
     """A 2D lidar; what is not given stays as the log tells it."""
 
     T_base_laser: PlanarMounting | None = Field(default=None, description="where it sits")
@@ -102,21 +116,12 @@ class CameraCorrection(SensorCorrection):
     mirrored: bool = Field(default=False, description="left is right in its images")
 
 
-class CloudCorrection(SensorCorrection):
+class CloudCorrection(SpinningCorrection):
     """A 3D lidar."""
 
     T_base_lidar: Mounting | None = Field(default=None, description="where it sits")
     range_scale: float = Field(default=1.0, gt=0, description="of the points: 0.3048 where they are in feet")
     times_scale: float = Field(default=1.0, description="of the points' times: -1 for a wrong sign")
-    turn_s: float = Field(
-        default=0.0,
-        ge=-2,
-        le=2,
-        description="how long a turn takes, < 0 clockwise: times of points that tell none, by their bearings",
-    )
-    cut_deg: float = Field(
-        default=180.0, ge=-360, le=360, description="bearing at which a turn begins and ends"
-    )
     elevation_deg: float = Field(
         default=0.0, ge=-10, le=10, description="by how much all beams look too low: 0.205 for KITTI odometry"
     )

@@ -23,6 +23,7 @@ from slam.datasets.corrections_in_space import (
     same_frame,
 )
 from slam.datasets.dataset import Dataset, ReadReport
+from slam.datasets.spinning_scans import straightened
 from slam.errors import DatasetError
 from slam.estimates import Trajectory
 from slam.matching.planar import wrap
@@ -76,7 +77,10 @@ def corrected(log: Iterable[Measurement], calibration: Calibration) -> Iterable[
         return log
     stream = _corrected_one_by_one(log, calibration)
     offsets_s = [correction.clock_offset_s for correction in _by_name(calibration).values()]
-    return _in_time(stream, max([0.0, *offsets_s]) - min([0.0, *offsets_s])) if any(offsets_s) else stream
+    if any(offsets_s):
+        stream = _in_time(stream, max([0.0, *offsets_s]) - min([0.0, *offsets_s]))
+    spinning = {name: lidar for name, lidar in calibration.lidars.items() if lidar.turn_s}
+    return straightened(stream, spinning) if spinning else stream
 
 
 def left_out(calibration: Calibration, kind: type, sensor: str) -> bool:

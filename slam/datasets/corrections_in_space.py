@@ -66,13 +66,13 @@ class CloudCorrector:
         )
 
 
-def turn_times(points_lidar: Float32Array, turn_s: float, cut_rad: float) -> FloatArray:
+def turn_times(points_lidar: AnyFloatArray, turn_s: float, cut_rad: float) -> FloatArray:
     """Seconds from the middle of a turn at which a spinning lidar saw its points, by their bearings, (N,).
 
     Parameters
     ----------
     points_lidar
-        (N, 3), frame of the lidar; of one that is no number the time is 0.
+        (N, 2 or 3), frame of the lidar; of one that is no number the time is 0.
     turn_s, cut_rad
         How long a turn takes, < 0 clockwise, and the bearing at which it begins.
     """

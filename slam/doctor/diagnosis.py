@@ -25,6 +25,7 @@ from slam.doctor.paired_motions import BaseTrack, mended_rows
 from slam.doctor.samples import Samples, WheelSamples
 from slam.doctor.scan_motion import ScanMotion, Steps, track_stretches
 from slam.doctor.stretches import Stretches
+from slam.doctor.turning import turn_in_the_plane
 from slam.doctor.wheels_and_lidar import compare
 from slam.measurements import LaserScan, Measurement
 from slam.vision.color_registration import ColorRegistration
@@ -113,6 +114,9 @@ def examine(log: Iterable[Measurement], registrations: Registrations | None = No
             with fewer_frames(log, None):
                 lost = lost_sign(log, wheels[0], name, wheels[1].rows(), config)
             found = [lost] if lost else []
+        if not found:
+            turn = turn_in_the_plane(stretches, lidar.interval_s.median() or 0.0, config)
+            found = [turn.finding("lidars", name)] if turn else []
         findings += found
         unknown += left_open
         own = [
@@ -147,10 +151,11 @@ def _in_space(
     found = [one for name, camera in samples.cameras.items() for one in camera_findings(name, camera)]
     doubtful = frozenset(one.sensor for one in found if one.kind == "lens")
     found += [one for name, clouds in samples.clouds.items() for one in cloud_findings(name, clouds)]
-    for clouds in list(samples.clouds.values())[: 0 if samples.lidars else 1]:
+    for lidar, clouds in list(samples.clouds.items())[: 0 if samples.lidars else 1]:
         steps = [step for stretch in clouds.steps for step in stretch]
         for name, imu in samples.imus.items():
-            found += imu_findings(name, imu, steps, clouds.T_base_lidar, clouds.untimed_s)
+            told = imu_findings(name, imu, steps, clouds.T_base_lidar, clouds.untimed_s)
+            found += told if clouds.turn is None else [clouds.turn.stamped(one, lidar) for one in told]
     known = None if wheels is None else mended_rows(wheels[0], wheels[1].rows(), findings)
     if wheels is None or known is None:
         return found

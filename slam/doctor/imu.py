@@ -20,7 +20,7 @@ from slam.doctor.relation import fit_linear
 from slam.measurements import GRAVITY_M_S2, FloatArray, ImuReading
 
 # By so much may a clock and a mounting be off without harm: at a turn of 1 rad/s a hundredth of a radian.
-_CLOCK_S, _ANGLE_RAD = 0.005, math.radians(2.0)
+CLOCK_S, _ANGLE_RAD = 0.005, math.radians(2.0)
 # Turns about a second axis have this share of those about the first at least, or the mounting stays open.
 _SECOND_AXIS = 0.05
 
@@ -241,7 +241,7 @@ def _clock(name: str, fit: TurnFit, untimed_s: float = 0.0) -> list[Finding]:
     """Stamps that are ahead of the lidar's or behind."""
     open_ = half_interval(fit.ahead_sigma_s) > GAP_S / FEWEST
     half_s = half_interval(fit.ahead_sigma_s) + 0.5 * untimed_s
-    if open_ or abs(fit.ahead_s) <= _CLOCK_S + half_s:
+    if open_ or abs(fit.ahead_s) <= CLOCK_S + half_s:
         return []
     return [
         Finding(

@@ -331,7 +331,7 @@ def cloud_findings(name: str, samples: CloudSamples) -> list[Finding]:
     """What a 3D lidar says of itself."""
     found = _repeated("lidars_3d", name, samples.repeated, samples.count, "clouds")
     if samples.turn is not None:
-        found.append(samples.turn.finding(name))
+        found.append(samples.turn.finding("lidars_3d", name))
     interval_s, turn_s = samples.interval_s.median(), samples.turn_s.median()
     if not interval_s or not turn_s:
         return found

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from fusion.time_alignment import GAP_S
 
 # Seconds of a stretch, stretches that are kept: between half as many and so many.
-_LASTS_S, _MOST = 2.0, 12
+LASTS_S, MOST = 2.0, 12
 # Readings lie no nearer: ten a second, with slack for stamps that jitter.
 _LEAST_STEP_S = 0.09
 
@@ -44,13 +44,13 @@ class Stretches:
         """Whether the reading of a stamp is looked at."""
         since_s = stamp_s - self._newest_s
         self.begins = self.thinned = False
-        if not 0.0 <= since_s < 2.0 * GAP_S or stamp_s - self._begun_s > _LASTS_S:
+        if not 0.0 <= since_s < 2.0 * GAP_S or stamp_s - self._begun_s > LASTS_S:
             self._number += 1
             self._begun_s = self._newest_s = stamp_s
             if self._number % self._stride:
                 return False
             self.begins = True
-            if self._number // self._stride >= _MOST:
+            if self._number // self._stride >= MOST:
                 self.thinned = True
                 self._stride *= 2
             return True

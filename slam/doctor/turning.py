@@ -22,10 +22,12 @@ from fusion.estimation import ROUNDS, TINY, gate
 from slam.config import Config
 from slam.datasets.corrections_in_space import bearings_rad, turn_times
 from slam.doctor.finding import Finding
+from slam.doctor.imu import CLOCK_S
+from slam.doctor.stretches import LASTS_S, MOST
 from slam.matching.cloud_alignment import align_cloud
 from slam.matching.cloud_points import SLICES, base_points
 from slam.matching.plane_voxels import PlaneVoxels
-from slam.measurements import FloatArray, PointCloud
+from slam.measurements import FloatArray, LaserScan, PointCloud
 from slam.odometry.cloud_tracker import CloudTracker, TrackedCloud
 
 # Of so many turns one is recorded at least; planes of bent clouds are so thick, in voxels.
@@ -48,8 +50,8 @@ class Turn:
     sigma_s: float
     cut_rad: float
 
-    def finding(self, name: str) -> Finding:
-        """What the log does not tell of the lidar of a name."""
+    def finding(self, kind: str, name: str) -> Finding:
+        """What the log does not tell of the lidar of a name; the kind is that of a calibration."""
         sense, turn_s = "clockwise" if self.turn_s < 0.0 else "counter-clockwise", round(self.turn_s, 4)
         cut_deg = round(math.degrees(math.remainder(self.cut_rad, math.tau)), 1)
         return Finding(
@@ -58,9 +60,25 @@ class Turn:
             f"its points tell no times; they were seen in a turn of {abs(turn_s):.3f} s, {sense}, that "
             f"begins at {cut_deg:.0f} degrees",
             "walls are bent by the robot's own motion",
-            ({"lidars_3d": {name: {"turn_s": turn_s, "cut_deg": cut_deg}}},),
+            ({kind: {name: {"turn_s": turn_s, "cut_deg": cut_deg}}},),
             sure=True,
             value=turn_s,
+        )
+
+    def stamped(self, clock: Finding, name: str) -> Finding:
+        """What an IMU's clock is off by, of the lidar of a name where it is half a turn.
+
+        Drivers stamp the beginning of a turn or its end, and points without times are taken about its middle.
+        """
+        half_s = math.copysign(0.5 * self.turn_s, clock.value or 0.0)
+        if clock.kind != "clock" or abs((clock.value or 0.0) - half_s) > CLOCK_S:
+            return clock
+        return replace(
+            clock,
+            sensor=name,
+            text=f"its stamps are of the {'beginning' if half_s > 0.0 else 'end'} of a turn, by the IMU",
+            effect="poses are told half a turn aside",
+            remedies=({"lidars_3d": {name: {"clock_offset_s": round(-half_s, 4)}}},),
         )
 
     def timed(self, cloud: PointCloud) -> PointCloud:
@@ -106,6 +124,26 @@ def turn_of(stretches: Sequence[Sequence[PointCloud]], interval_s: float, config
             break
     known = fit is not None and abs(fit.turn_s) > within_s
     return _settled(pairs, fit, interval_s, config) if fit is not None and known else None
+
+
+def turn_in_the_plane(
+    stretches: Sequence[Sequence[LaserScan]], interval_s: float, config: Config
+) -> Turn | None:
+    """As `turn_of`, of a 2D lidar."""
+    short = [
+        [_stood_up(scan) for scan in scans if scan.stamp_s - scans[0].stamp_s <= LASTS_S]
+        for scans in stretches[:: -(-len(stretches) // MOST)]
+    ]
+    return turn_of(short, interval_s, config)
+
+
+def _stood_up(scan: LaserScan) -> PointCloud:
+    """A scan of the plane as a cloud: walls half a metre up and down, with a floor before them."""
+    walls, shares = scan.points_laser(), np.arange(1, 5) / 4
+    heights_m = np.linspace(-0.5, 0.5, 5)
+    rows = [np.column_stack([walls, np.full(len(walls), height_m)]) for height_m in heights_m]
+    rows += [np.column_stack([share * walls, np.full(len(walls), heights_m[0])]) for share in shares]
+    return PointCloud(scan.stamp_s, np.vstack(rows).astype(np.float32), None, sensor=scan.sensor)
 
 
 def _settled(pairs: Sequence[_Pair], fit: Turn, interval_s: float, config: Config) -> Turn | None:

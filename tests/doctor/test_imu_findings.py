@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 
 import gtsam
@@ -14,9 +15,11 @@ from imu_world import T_BASE_IMU, readings, walk
 from fusion.estimation import half_interval
 from slam.doctor.camera_samples import SensorStep
 from slam.doctor.cloud_samples import CloudSamples
+from slam.doctor.diagnosis import _in_space
 from slam.doctor.finding import Finding
 from slam.doctor.imu import ImuSamples, imu_findings, turn_fit
 from slam.doctor.samples import Samples
+from slam.doctor.turning import Turn
 from slam.measurements import ImuReading, PointCloud
 
 T_BASE_LIDAR = gtsam.Pose3(gtsam.Rot3.Yaw(0.5), np.array([0.1, 0.0, 0.3]))
@@ -59,6 +62,22 @@ def test_a_turn_without_times_tells_a_clock_to_half_of_it() -> None:
     assert findings(late[0], untimed_s=0.1) == {}
     low_s, high_s = findings(late[1], untimed_s=0.1)["clock"].interval or (0.0, 0.0)
     assert low_s < 0.16 < 0.24 < high_s < 0.27
+
+
+@pytest.mark.parametrize(("ahead_s", "moment"), [(0.05, "beginning"), (-0.047, "end")])
+def test_stamps_half_a_turn_off_are_of_an_end_of_the_turn(ahead_s: float, moment: str) -> None:
+    """Of a lidar whose turn was found; what an IMU is off by otherwise is the IMU's clock."""
+    samples = Samples({}, {}, {}, {}, {"imu": ImuSamples()})
+    samples.clouds["lidar"] = CloudSamples([steps()], turn=Turn(-0.1, 1e-3, 0.0), T_base_lidar=T_BASE_LIDAR)
+    for reading in SAID:
+        samples.imus["imu"].add(replace(reading, stamp_s=reading.stamp_s + ahead_s))
+    found = {one.kind: one for one in _in_space(samples, None, [], vouched=False)}
+    assert moment in found["clock"].text and found["clock"].sensor == "lidar"
+    half_s = math.copysign(0.05, ahead_s)
+    assert found["clock"].remedies == ({"lidars_3d": {"lidar": {"clock_offset_s": -half_s}}},)
+    samples.clouds["lidar"].turn = Turn(-0.2, 1e-3, 0.0)
+    found = {one.kind: one for one in _in_space(samples, None, [], vouched=False)}
+    assert found["clock"].sensor == "imu"
 
 
 def test_a_mounting_is_learned() -> None:

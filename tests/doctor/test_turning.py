@@ -4,12 +4,16 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from pathlib import Path
 
 import gtsam
 import numpy as np
 import pytest
+from cloud_world import write_log
 
-from slam.config import Config
+from slam.app.localizing import localize_log
+from slam.app.mapping import map_log
+from slam.config import Config, load_config
 from slam.config.calibration import CloudCorrection
 from slam.datasets.corrections_in_space import CloudCorrector
 from slam.doctor.cloud_samples import CloudSamples
@@ -102,6 +106,17 @@ def test_the_doctor_tells_the_turn_and_its_remedy_times_the_points() -> None:
     cloud = PointCloud(1.0, np.stack([ahead, left, behind, odd]), None)
     times_s = CloudCorrector(told)(cloud).times_s
     assert times_s == pytest.approx([0.0, -0.025, -0.05 + 0.1, 0.0], abs=0.006)
+
+
+def test_localisation_straightens_clouds_as_mapping_does(tmp_path: Path) -> None:
+    """A lidar that turns, in the map of one that sees all at once: as bent they lie a hand's breadth off."""
+    config = load_config(None, ["cloud_odometry.voxel_m=0.5", "dense_map.enabled=false"])
+    mapped = map_log(write_log(tmp_path / "mapped", clouds(0.0, 180.0)), config, out=tmp_path / "map")
+    log = write_log(tmp_path / "driven", clouds(-0.1, 180.0, seed=100))
+    found, driven = localize_log(mapped.path, log, config).trajectory, mapped.trajectory
+    both = np.isin(driven.stamps_s.round(3), found.stamps_s.round(3))
+    assert both.sum() > 0.9 * 84
+    assert np.linalg.norm(found.positions_m - driven.positions_m[both], axis=1).max() < 0.04
 
 
 def test_a_lidar_that_tells_times_is_left_alone() -> None:

@@ -1,0 +1,102 @@
+"""Scans of a lidar that spins while the robot moves, as if all beams had been taken at the stamp."""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import replace
+
+import gtsam
+import numpy as np
+
+from fusion.time_alignment import GAP_S
+from slam.config.calibration import LidarCorrection
+from slam.datasets.corrections_in_space import turn_times
+from slam.datasets.wheels_between import WHEELS_KEPT
+from slam.measurements import FloatArray, LaserScan, Measurement, WheelOdometry
+
+# Neighbours that lie further apart, in steps across the beam, are not on one surface.
+_STEEPEST = 10
+
+
+def straightened(log: Iterable[Measurement], lidars: Mapping[str, LidarCorrection]) -> Iterator[Measurement]:
+    """A log whose scans of some lidars are straightened by the wheels; without wheels they stay as they are.
+
+    A scan, and all that comes after it, waits for the wheels at the end of its turn.
+
+    Parameters
+    ----------
+    lidars
+        By name, each with its ``turn_s`` and ``cut_deg``; a scan is stamped in the middle of its turn.
+    """
+    wheels, waiting = deque[WheelOdometry](maxlen=WHEELS_KEPT), deque[Measurement]()
+
+    def ready(first: Measurement) -> Measurement:
+        if not isinstance(first, LaserScan) or (lidar := lidars.get(first.sensor)) is None:
+            return first
+        twist = _twist(wheels, first.stamp_s, 0.5 * abs(lidar.turn_s))
+        return first if twist is None else straight(first, twist, lidar.turn_s, math.radians(lidar.cut_deg))
+
+    def waits(first: Measurement, now_s: float) -> bool:
+        if not isinstance(first, LaserScan) or (lidar := lidars.get(first.sensor)) is None:
+            return False
+        told = wheels and wheels[-1].stamp_s >= first.stamp_s + 0.5 * abs(lidar.turn_s)
+        return not told and now_s <= first.stamp_s + GAP_S and len(waiting) <= WHEELS_KEPT
+
+    for measurement in log:
+        if isinstance(measurement, WheelOdometry) and (not wheels or measurement.sensor == wheels[0].sensor):
+            wheels.append(measurement)
+        waiting.append(measurement)
+        while waiting and not waits(waiting[0], measurement.stamp_s):
+            yield ready(waiting.popleft())
+    yield from map(ready, waiting)
+
+
+def straight(scan: LaserScan, twist: FloatArray, turn_s: float, cut_rad: float) -> LaserScan:
+    """A scan as if all its beams had been taken at its stamp, on the same bearings.
+
+    Parameters
+    ----------
+    twist
+        (3,) motion of the base a second, GTSAM's tangent.
+    turn_s, cut_rad
+        As of `turn_times`.
+    """
+    twist = scan.T_base_laser.inverse().AdjointMap() @ twist
+    bearings, met = scan.bearings_rad(), np.isfinite(scan.ranges_m)
+    ranges_m = np.where(met, scan.ranges_m, scan.range_max_m).astype(np.float64)
+    times_s = turn_times(np.column_stack([np.cos(bearings), np.sin(bearings)]), turn_s, cut_rad)
+    # As complex numbers: shifted along the chord, turned by all of the angle.
+    turned_rad = twist[2] * times_s
+    shift = times_s * complex(twist[0], twist[1]) * np.exp(0.5j * turned_rad)
+    placed = shift + ranges_m * np.exp(1j * (bearings + turned_rad))
+    far_m, seen = np.abs(placed), bearings + np.angle(placed * np.exp(-1j * bearings))
+    # Once round, with the ends of the turn before and after it.
+    order = np.argsort(seen, kind="stable")
+    seen, order = np.concatenate([seen[order] + lap * math.tau for lap in (-1, 0, 1)]), np.tile(order, 3)
+    after = np.clip(np.searchsorted(seen, bearings), 1, len(seen) - 1)
+    ends = np.stack([after - 1, after])
+    gaps = np.abs(seen[ends] - bearings)
+    one, other = far_m[order[ends]]
+    step_rad = abs(scan.step_rad)
+    on_one = met[order[ends]].all(axis=0)
+    on_one &= np.abs(other - one) < _STEEPEST * step_rad * np.minimum(one, other)
+    # A wall is straight in the inverse of its range.
+    with np.errstate(divide="ignore", invalid="ignore"):
+        between_m = one * other * gaps.sum(axis=0) / (gaps[0] * one + gaps[1] * other)
+    nearest = order[np.where(gaps[0] < gaps[1], after - 1, after)]
+    found = np.where(met, far_m, scan.ranges_m)[nearest]
+    found = np.where(on_one & np.isfinite(between_m), between_m, found)
+    found[gaps.min(axis=0) > step_rad] = np.nan
+    return replace(scan, ranges_m=found.astype(np.float32))
+
+
+def _twist(wheels: Iterable[WheelOdometry], stamp_s: float, half_s: float) -> FloatArray | None:
+    """(3,) motion of the base a second over a turn; None where the wheels do not tell it."""
+    before = [one for one in wheels if one.stamp_s <= stamp_s - half_s]
+    after = [one for one in wheels if one.stamp_s >= stamp_s + half_s]
+    if not (before and after) or (span_s := after[0].stamp_s - before[-1].stamp_s) > GAP_S:
+        return None
+    step = before[-1].T_odom_base.between(after[0].T_odom_base)
+    return np.asarray(gtsam.Pose2.Logmap(step)) / span_s
