@@ -12,7 +12,7 @@ class _Later(ModuleType):
     """Stands in for a module until then, and for who has it by then."""
 
     def __getattr__(self, name: str) -> Any:
-        if name.startswith("__"):  # the machinery of imports asks
+        if name.startswith("__") and name != "__path__":  # the machinery of imports asks
             raise AttributeError(name)
         if sys.modules.get(self.__name__) is self:
             del sys.modules[self.__name__]
@@ -23,5 +23,11 @@ class _Later(ModuleType):
 
 
 def load_later(name: str) -> None:
-    """Let later imports of a module wait for its first use: for what does mostly without."""
-    sys.modules.setdefault(name, _Later(name))
+    """Let later imports of a module wait for its first use: for what does mostly without.
+
+    The package that it is a part of is loaded.
+    """
+    module = sys.modules.setdefault(name, _Later(name))
+    package, _, part = name.rpartition(".")
+    if package:
+        setattr(sys.modules[package], part, module)

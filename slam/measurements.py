@@ -15,6 +15,11 @@ from numpy.typing import NDArray
 
 from fusion.showing import drawn, shaded, with_pictures
 from fusion.showing import one_line as one_line
+from slam.later import load_later
+
+# SciPy asks numpy for everything: ten megabytes that neither uses.
+load_later("numpy.f2py")
+load_later("numpy.testing")
 
 FloatArray: TypeAlias = NDArray[np.float64]
 Float32Array: TypeAlias = NDArray[np.float32]

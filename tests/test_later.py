@@ -30,3 +30,21 @@ def test_a_module_is_loaded_when_it_is_asked(tmp_path: Path, monkeypatch: pytest
         for name in ("waits", "asks"):
             sys.modules.pop(name, None)
         monkeypatch.delattr(sys, "begun_to_load", raising=False)
+
+
+def test_a_part_of_a_package_waits_too(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    folder = tmp_path / "whole" / "part"
+    folder.mkdir(parents=True)
+    (tmp_path / "whole" / "__init__.py").touch()
+    (folder / "__init__.py").write_text("answer = 42\n")
+    (folder / "deeper.py").write_text("answer = 43\n")
+    monkeypatch.syspath_prepend(tmp_path)
+    try:
+        whole = importlib.import_module("whole")
+        load_later("whole.part")
+        assert not hasattr(whole.part, "__file__")
+        assert importlib.import_module("whole.part.deeper").answer == 43
+        assert whole.part.answer == 42 and hasattr(whole.part, "__file__")
+    finally:
+        for name in ("whole", "whole.part", "whole.part.deeper"):
+            sys.modules.pop(name, None)

@@ -16,6 +16,7 @@ from slam.simulation.synthetic_log import write_synthetic_log
 HEAVY = {
     *("numpy", "numba", "gtsam", "pydantic", "cv2", "matplotlib", "open3d", "rosbags", "jinja2", "PIL"),
     *(f"scipy.{part}" for part in ("interpolate", "ndimage", "optimize", "sparse", "spatial", "special")),
+    *("numpy.f2py", "numpy.testing"),
     *("slam.datasets.published", "slam.edits.edited_file", "slam.mapper.pipeline"),
 }
 RUN = """
@@ -64,4 +65,5 @@ def test_a_robot_with_wheels_and_a_lidar_takes_no_camera_and_no_other_reader(
     house: tuple[Path, set[str]],
 ) -> None:
     assert not house[1] & {"cv2", "open3d", "rosbags", "slam.datasets.published", "slam.edits.edited_file"}
+    assert not house[1] & {"numpy.f2py", "numpy.testing"}
     assert {"numba", "gtsam", "slam.mapper.pipeline"} <= house[1]

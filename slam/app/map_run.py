@@ -21,7 +21,7 @@ from slam.evaluation.map_report import ReportData, RunCost, beside_of
 from slam.evaluation.page_data import map_data
 from slam.evaluation.report import write_report
 from slam.forked import Begun, is_core_free
-from slam.heap import give_back
+from slam.heap import end_stage
 from slam.mapper.checkpoint import Checkpoint
 from slam.mapper.map_result import MapResult
 from slam.mapper.pipeline import build_map
@@ -106,7 +106,7 @@ def run_into(
             on_progress(Progress(stage, count, dataset.report.share if stage == "mapping" else None))
 
         result = build_map(dataset, config, on_step, Checkpoint(file))
-        give_back()
+        end_stage()
         readings = result.scans.stamps_s.size
         on_progress(Progress("writing", readings))
         before = time.perf_counter()
@@ -127,7 +127,7 @@ def run_into(
     result.map = replace(result.map, grids={})
     saved, data = load_map(folder), None
     result.map = saved.contents
-    give_back()
+    end_stage()
     if report:
         try:
             head = beside_file()

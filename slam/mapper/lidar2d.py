@@ -16,7 +16,7 @@ from slam.graph.faulty_steps import settle_wheels
 from slam.graph.keyframe_graph import KeyframeGraph
 from slam.graph.loop_closure import LoopCandidate, LoopCloser
 from slam.graph.place_search import PlaceSearch
-from slam.heap import give_back
+from slam.heap import end_stage
 from slam.mapper.camera_keyframes import CameraKeyframes
 from slam.mapper.checkpoint import Checkpoint
 from slam.mapper.keyframe_fusion import KeyframeFusion
@@ -182,7 +182,7 @@ class PlanarRobot:
             graph.graph.doubt(*self._places.fault)
         if not found:
             del self._places, self._closer  # it was the last search: what they know is large
-            give_back()
+            end_stage()
         return found
 
     def bases(self, poses: Sequence[Pose]) -> Sequence[Pose]:

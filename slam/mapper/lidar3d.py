@@ -22,7 +22,7 @@ from slam.graph.cloud_loops import CloudLoopCloser
 from slam.graph.edge import Edge, EdgeKind
 from slam.graph.keyframe_graph import KeyframeGraph, unmeasured
 from slam.graph.loop_closure import LoopCandidate
-from slam.heap import give_back
+from slam.heap import end_stage
 from slam.mapper.checkpoint import Checkpoint
 from slam.mapper.cloud_cameras import CloudCameras
 from slam.mapper.map_result import MapResult
@@ -199,7 +199,7 @@ class CloudLidar:
         """The clouds, and the plan of what stands in the robot's way."""
         # The looks of all places, and what the final optimisation has left.
         self._closer = None
-        give_back()
+        end_stage()
         result.map = replace(result.map, clouds=self._clouds)
         result.add_cameras(self._cameras.records(), self._cameras.frames)
         result.notes.append(f"3D lidar: voxels of {self._tracker.voxel_m:.2f} m")

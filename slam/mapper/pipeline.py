@@ -15,6 +15,7 @@ from slam.datasets.sensor_choice import SensorChoice, SensorTally, UsedMeasureme
 from slam.doctor.diagnosis import Registrations, diagnose, registrations_in
 from slam.doctor.finding import Finding, remedied
 from slam.errors import DatasetError
+from slam.heap import end_stage
 from slam.mapper.checkpoint import Checkpoint
 from slam.mapper.forerunner import Forerunner
 from slam.mapper.imu_start import start_of
@@ -76,6 +77,7 @@ def _mapped(
 ) -> MapResult:
     """See `build_map`."""
     clock = [time.perf_counter()]
+    end_stage()  # of imports
     registered = _Registered(dataset, config)
     with read_once(dataset, partial(forerunner.start, config)):
         findings = checkpoint.findings(lambda: findings_of(dataset, config, registered))
@@ -90,6 +92,7 @@ def _mapped(
         prepare = FramePreparer(config.rgbd, registrations, lambda: checkpoint.replaying)
     leader = _front_end(choice, dataset, config, checkpoint, registrations, mountings, odometries)
     mapper = Mapper(config, leader)
+    end_stage()
     clock += [time.perf_counter()] * 2
     if not checkpoint.replaying:
         forerunner.start(config)
@@ -107,6 +110,7 @@ def _mapped(
         on_step("mapping", mapper.scan_count)
         checkpoint.on_answer = partial(on_step, "optimising", mapper.scan_count)
         checkpoint.on_answer()
+    end_stage()
     result = mapper.finish()
     result.stage_seconds = {
         "sensors looked at": clock[1] - clock[0],
