@@ -14,7 +14,6 @@ from typing import Any, TypeVar, cast
 from slam.doctor.finding import Finding
 from slam.errors import MapFileError
 from slam.mapper.mount_learner import LearnedMounting
-from slam.odometry.cached_odometry import QUESTIONS
 from slam.storage.map_clouds import MapClouds
 from slam.storage.map_file import MapFile
 from slam.storage.map_frames import MapFrames
@@ -40,8 +39,6 @@ class Checkpoint:
     def __init__(self, file: MapFile | None = None) -> None:
         # Called after each that was computed: a sign of life.
         self.on_answer: Callable[[], None] = lambda: None
-        # Where the next answer that a scan's pose takes may have been found already, as `telling` tells it.
-        self.ahead: Callable[[], bytes | None] | None = None
         self._file = file
         self._count = 0
         self._waiting = bytearray()
@@ -72,20 +69,16 @@ class Checkpoint:
         """
         if self._next is not None:
             return cast(T, self._replayed(question, key))
-        content = None
-        if self.ahead is not None and question in QUESTIONS:
-            content, answer = self._found_ahead(question, key)
-        if content is None:
-            answer = compute()
+        answer = compute()
+        self.keep(b"" if self._file is None else pack((question, float(key), answer)))
+        return answer
+
+    def keep(self, content: bytes) -> None:
+        """Remember an answer, packed with its question, which another process may have found."""
         if self._file is not None:
-            self._remember(content or pack((question, float(key), answer)))
+            self._remember(content)
             self._file.commit_if_due()
         self.on_answer()
-        return cast(T, answer)
-
-    def telling(self, tell: Callable[[bytes], None]) -> Checkpoint:
-        """Of a run that tells its odometry's answers to another of the same log, and keeps nothing."""
-        return _Telling(self._file, tell)
 
     def findings(self, compute: Callable[[], list[Finding]]) -> list[Finding]:
         """What is wrong with the sensors: the first question of a run."""
@@ -145,16 +138,6 @@ class Checkpoint:
         self._next = next(self._known, None)
         return answer
 
-    def _found_ahead(self, question: str, key: float) -> tuple[bytes | None, Any]:
-        """An answer as it is kept, and itself; None where nothing, or another one, was found ahead."""
-        assert self.ahead is not None
-        content = self.ahead()
-        asked, about, answer = (None, None, None) if content is None else unpack(content)
-        if (asked, about) == (question, key):
-            return content, answer
-        self.ahead = None
-        return None, None
-
     def _remember(self, content: bytes) -> None:
         """Gather an answer for the next row."""
         self._waiting += _LENGTH.pack(len(content)) + content
@@ -179,21 +162,6 @@ class Checkpoint:
                     question, key, answer = unpack(content[at + 4 : at + 4 + length])
                 at += 4 + length
                 yield question, key, answer
-
-
-class _Telling(Checkpoint):
-    """See `Checkpoint.telling`."""
-
-    def __init__(self, file: MapFile | None, tell: Callable[[bytes], None]) -> None:
-        super().__init__()
-        self._file, self._tell = file, tell
-
-    def cached(self, question: str, key: float, compute: Callable[[], T]) -> T:
-        """Compute it, and tell."""
-        answer = compute()
-        if question in QUESTIONS:
-            self._tell(pack((question, float(key), answer)))
-        return answer
 
 
 def _texts(findings: Sequence[Finding]) -> list[str]:

@@ -57,7 +57,7 @@ class Mapper:
     @property
     def scan_count(self) -> int:
         """Scans, clouds or frames so far that were given a pose."""
-        return self._front_end.readings.scan_count
+        return len(self._record)
 
     @property
     def stage_seconds(self) -> dict[str, float]:

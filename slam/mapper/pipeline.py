@@ -17,7 +17,7 @@ from slam.doctor.finding import Finding, remedied
 from slam.errors import DatasetError
 from slam.heap import end_stage
 from slam.mapper.checkpoint import Checkpoint
-from slam.mapper.forerunner import Forerunner
+from slam.mapper.forerunner import Ahead, Forerunner, LostError
 from slam.mapper.imu_start import start_of
 from slam.mapper.lidar2d import PlanarRobot
 from slam.mapper.lidar3d import CloudLidar
@@ -90,19 +90,30 @@ def _mapped(
     prepare = None
     if choice.cameras:
         prepare = FramePreparer(config.rgbd, registrations, lambda: checkpoint.replaying)
-    leader = _front_end(choice, dataset, config, checkpoint, registrations, mountings, odometries)
-    mapper = Mapper(config, leader)
     end_stage()
     clock += [time.perf_counter()] * 2
     if not checkpoint.replaying:
         forerunner.start(config)
-    tally = _feed(mapper, dataset, choice, prepare, on_step)
+
+    def way(ahead: Ahead | None = None) -> tuple[Mapper, SensorTally]:
+        leader = _front_end(choice, dataset, config, checkpoint, registrations, mountings, odometries, ahead)
+        mapper = Mapper(config, leader)
+        tally = _feed(mapper, dataset, choice, prepare, on_step)
+        if ahead is not None:
+            ahead.end()
+        return mapper, tally
+
+    try:
+        mapper, tally = way(forerunner.ahead)
+    except LostError:
+        forerunner.stop()
+        checkpoint.begin_again(findings, registrations, mountings)
+        mapper, tally = way()
     if not mountings and (mountings := mapper.learned_mountings()):
         # The way up to there was mapped without these cameras; now they are known from its beginning.
         clock[2] = time.perf_counter()
         checkpoint.begin_again(findings, registrations, mountings)
-        mapper = Mapper(config, PlanarRobot(config, checkpoint, registrations, mountings, odometries))
-        tally = _feed(mapper, dataset, choice, prepare, on_step)
+        mapper, tally = way()
     clock.append(time.perf_counter())
     reading_s = clock[3] - clock[2] - sum(mapper.stage_seconds.values())
     dataset.report.note_share(1.0)
@@ -164,6 +175,7 @@ def _front_end(
     registrations: Mapping[str, ColorRegistration],
     mountings: Mapping[str, LearnedMounting],
     odometries: Odometries,
+    ahead: Ahead | None,
 ) -> FrontEnd:
     """The sensor that leads."""
     if choice.cloud:
@@ -171,7 +183,7 @@ def _front_end(
         return CloudLidar(config, checkpoint, registrations, start)
     if choice.spatial:
         return FreeCamera(config, checkpoint, registrations, odometries)
-    return PlanarRobot(config, checkpoint, registrations, mountings, odometries)
+    return PlanarRobot(config, checkpoint, registrations, mountings, odometries, ahead)
 
 
 def _feed(

@@ -74,6 +74,9 @@ class ScanRecorder:
     def __init__(self) -> None:
         self._columns = [array("d") for _ in fields(ScanRecord)]
 
+    def __len__(self) -> int:
+        return len(self._columns[0])
+
     def add(
         self, stamp_s: float, motion: MotionEstimate | None, seconds: float, match: VisualMatch | None = None
     ) -> None:

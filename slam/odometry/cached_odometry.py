@@ -10,7 +10,7 @@ from slam.odometry.lidar_odometry import LidarOdometry
 from slam.result_cache import ResultCache
 
 # What it asks for.
-MATCH, NEAR, EVIDENCE = QUESTIONS = "scan", "held scan", "evidence"
+MATCH, NEAR, EVIDENCE = "scan", "held scan", "evidence"
 
 
 class CachedOdometry:

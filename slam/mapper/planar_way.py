@@ -1,0 +1,255 @@
+"""Where a robot on a floor goes: its scans matched, wheels, gyroscope and cameras asked; no map yet."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+import numpy as np
+
+from slam.config import Config
+from slam.estimates import MotionEstimate
+from slam.graph.edge import Edge
+from slam.graph.faulty_steps import settle_wheels
+from slam.graph.keyframe_graph import KeyframeGraph
+from slam.mapper.map_result import MapResult
+from slam.mapper.mount_learner import LearnedMounting
+from slam.mapper.planar_chain import PlanarChain
+from slam.mapper.robot_cameras import CameraPoses, RobotCameras
+from slam.mapper.tags import TagFinder
+from slam.matching.local_map import OrientedPoints
+from slam.matching.motion import Motion
+from slam.matching.planar import between
+from slam.matching.scan_points import ScanPoints, points_by
+from slam.measurements import FloatArray, ImuReading, LaserScan, WheelOdometry, pose2_from_row
+from slam.odometry import Odometries
+from slam.odometry.cached_odometry import CachedOdometry
+from slam.odometry.clock_learner import Turns
+from slam.odometry.gyro_yaw import YawGyro
+from slam.odometry.motion_tracker import MotionTracker
+from slam.odometry.tracked_scan import TrackedScan
+from slam.odometry.wheel_tracker import WheelTracker
+from slam.result_cache import ResultCache
+from slam.trajectory.readings import Readings
+from slam.vision.color_registration import ColorRegistration
+from slam.vision.prepared_frame import PreparedFrame
+
+
+@dataclass(frozen=True, slots=True)
+class Moment:
+    """A moment at which it is known where the robot is.
+
+    Attributes
+    ----------
+    scan
+        None where a camera carries the robot on.
+    pose
+        (3,) in the odometry frame.
+    motion
+        The match that told it; None where nothing matched.
+    new_keyframe
+        Whether the robot has moved on enough.
+    camera_poses
+        Where every camera was.
+    """
+
+    stamp_s: float
+    scan: LaserScan | None
+    pose: FloatArray
+    motion: MotionEstimate | None
+    new_keyframe: bool
+    camera_poses: CameraPoses
+
+
+@dataclass(frozen=True, slots=True)
+class Step:
+    """What a keyframe adds to the map.
+
+    Attributes
+    ----------
+    step
+        (3,) the motion from the keyframe before.
+    edges
+        To it and those before.
+    surface, seen
+        What its scan tells a map, base frame, and how many of the points, the first, it has itself seen.
+    """
+
+    step: FloatArray
+    edges: Sequence[Edge]
+    surface: OrientedPoints
+    seen: int
+
+
+class Steps(Protocol):
+    """Tells the way of a robot: `PlanarWay`, or who has gone ahead, see `slam.mapper.forerunner`."""
+
+    def observe(self, measurement: Any) -> Moment | None:
+        """Take the next measurement; where the robot is then, if it tells that."""
+        ...
+
+    def step(self, key: int) -> Step:
+        """The newest moment becomes keyframe ``key``: later scans are matched to it too."""
+        ...
+
+
+class PlanarWay:
+    """Scans, wheels, gyroscope and cameras of a robot on a floor: where it goes by them.
+
+    Attributes
+    ----------
+    readings
+        Of the log so far, with their poses in the odometry frame.
+    cameras
+        Of the robot.
+    """
+
+    def __init__(
+        self,
+        config: Config,
+        result_cache: ResultCache,
+        odometries: Odometries,
+        registrations: Mapping[str, ColorRegistration] | None = None,
+        mountings: Mapping[str, LearnedMounting] | None = None,
+    ) -> None:
+        self.readings = Readings()
+        self._config = config
+        self._gyro = YawGyro() if config.sensors.imu else None
+        self._wheels = WheelTracker(config.wheels, self._gyro) if config.sensors.wheels else None
+        odometry = CachedOdometry(odometries.lidar(config), result_cache)
+        self._tracker = MotionTracker(odometry, self._wheels, config.prediction, config.match, self._gyro)
+        self.cameras = RobotCameras(
+            config,
+            mountings or {},
+            tags=TagFinder(config.sensors.tags, registrations or {}),
+            wheel_turns=Turns() if self._wheels is None else self._wheels.turns,
+            result_cache=result_cache,
+        )
+        self._chain = PlanarChain(config, self._tracker, self._wheels, self.cameras)
+        self._camera_poses: CameraPoses = {}
+        self._scan_stamp_s = -np.inf
+        self._newest: tuple[float, ScanPoints | None, TrackedScan] | None = None
+        self._wheels_name = ""
+
+    def observe(self, measurement: Any) -> Moment | None:
+        """Take the next measurement; where the robot is then, if it tells that."""
+        if isinstance(measurement, LaserScan):
+            points = points_by(self._config.scan, measurement)
+            self._scan_stamp_s = measurement.stamp_s
+            return self._track(measurement.stamp_s, measurement, points)
+        if isinstance(measurement, PreparedFrame):
+            return self._add_frame(measurement)
+        if isinstance(measurement, WheelOdometry):
+            self._add_wheels(measurement)
+        elif isinstance(measurement, ImuReading) and self._gyro is not None:
+            self._gyro.add(measurement)
+        return None
+
+    def step(self, key: int) -> Step:
+        """The newest moment becomes keyframe ``key``: later scans are matched to it too."""
+        assert self._newest is not None
+        stamp_s, points, tracked = self._newest
+        step, edges = self._chain.add(key, stamp_s, tracked, self._camera_poses)
+        if points is None:
+            return Step(step, edges, OrientedPoints.none(), 0)
+        self._tracker.add_keyframe(points, tracked)
+        return Step(step, edges, OrientedPoints.surface(points), len(points.oriented()[0]))
+
+    def settle(self, graph: KeyframeGraph) -> None:
+        """Say anew how cameras and wheels moved, as the whole run tells their clocks and mountings."""
+        self.cameras.settle_clocks()
+        led, stamps_s = self.cameras.led()
+        before = self.readings.keyframe_wheels()
+        self.readings.restamp(led, stamps_s)
+        if self._wheels is not None:
+            self._wheels.learn_clock(self.cameras.scan_turns, final=True)
+            used = self._wheels.clock_was_used
+            self.readings.read_wheels_at(self._wheels.clock.significant_s, None if used else led)
+        stamps_s = self.readings.scan_stamps_s()[self.readings.keyframe_scans()]
+        self._chain.settle(graph, stamps_s, before, self.readings.keyframe_wheels())
+        settle_wheels(graph, self._config.loops.reach_m)
+
+    def learned(self) -> tuple[Any, ...]:
+        """What the whole way has told: plain objects, for `take_over`."""
+        return self.readings, self._wheels, self._wheels_name, self._gyro, self.cameras.scan_turns
+
+    def take_over(self, learned: tuple[Any, ...]) -> None:
+        """What another one has `learned`, of a robot without cameras."""
+        readings, self._wheels, self._wheels_name, self._gyro, self.cameras.scan_turns = learned
+        vars(self.readings).update(vars(readings))
+
+    def tell(self, result: MapResult) -> None:
+        """What people should know of the wheels and the gyroscope."""
+        if self._wheels is not None and self._wheels.clock.known:
+            result.notes.append(self._wheels.clock.note("wheels", "lidar"))
+        if self._wheels is not None and self._wheels.dead:
+            result.warnings.append(
+                "The wheels report no motion where the robot has moved; they were left out"
+            )
+            result.unused[self._wheels_name] = "they report no motion where the robot has moved"
+        if self._gyro is not None:
+            result.notes += self._gyro.notes()
+            if self._gyro.unfit:
+                why = "its turns are not those of the lidar: a wrong axis, sign, unit or clock"
+                result.unused[self._gyro.sensor] = why
+                result.warnings.append(f"{self._gyro.sensor} is not used: {why}")
+
+    def _add_wheels(self, reading: WheelOdometry) -> None:
+        """Take a wheel odometry reading: a guess for the next scan, and a reading that wants a pose."""
+        self._wheels_name = reading.sensor
+        if self._wheels is None:
+            self.readings.add_wheel(reading.stamp_s, None)
+            return
+        self.readings.add_wheel(reading.stamp_s, self._wheels.add(reading))
+
+    def _add_frame(self, frame: PreparedFrame) -> Moment | None:
+        """Track a frame; where no scan has come for a while, the leading camera carries the robot on."""
+        self.cameras.add(frame)
+        if self._config.sensors.lidar and np.isneginf(self._scan_stamp_s):
+            # The lidar is about to begin: without a scan the first keyframe would leave it nothing to match.
+            self._scan_stamp_s = frame.stamp_s
+        stamp_s = self.cameras.robot_stamp_s(frame)
+        silent = stamp_s - self._scan_stamp_s > self._config.sensors.lidar_silent_s
+        if not silent or not self.cameras.leads(frame.frame.sensor, stamp_s):
+            return None
+        camera = self.cameras.cameras[frame.frame.sensor]
+        camera.led_scans.append(self.readings.scan_count)
+        camera.led_s.append(frame.stamp_s)
+        return self._track(stamp_s, None, None)
+
+    def _track(self, stamp_s: float, scan: LaserScan | None, points: ScanPoints | None) -> Moment:
+        """Pose of a moment."""
+        camera_poses = self.cameras.camera_poses(stamp_s)
+        steps = [
+            step.planar
+            for step in self.cameras.steps(self._camera_poses, camera_poses)
+            if step.planar is not None
+        ]
+        cameras = [Motion(step.motion, step.covariance) for step in steps]
+        tracked = self._tracker.track(points, stamp_s, cameras)
+        if scan is not None and tracked.confident:
+            self.cameras.note_scan_turn(stamp_s, tracked.pose[2])
+            if self._wheels is not None:
+                self._wheels.learn_clock(self.cameras.scan_turns)
+            if self._gyro is not None:
+                self._gyro.learn_clock(self.cameras.scan_turns)
+        self._camera_poses = camera_poses
+        self._newest = stamp_s, points, tracked
+        self.readings.add_scan(
+            stamp_s,
+            pose2_from_row(tracked.pose),
+            None if tracked.wheels is None else tracked.wheels.pose,
+            covariance=None if tracked.motion is None else tracked.motion.covariance,
+            trusted=tracked.confident if scan is not None else bool(cameras),
+        )
+        moved_on = self._moved_on(tracked)
+        return Moment(stamp_s, scan, tracked.pose, tracked.motion, moved_on, camera_poses)
+
+    def _moved_on(self, tracked: TrackedScan) -> bool:
+        """Whether a scan is far enough from the last keyframe to be the next."""
+        last, limits = self._chain.last, self._config.keyframes
+        if last is None:
+            return True
+        step = between(last.pose, tracked.pose)
+        return bool(np.hypot(step[0], step[1]) > limits.distance_m or abs(step[2]) > limits.angle_rad)
