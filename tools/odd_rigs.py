@@ -25,8 +25,6 @@ from slam.simulation.drive import prepare_drive
 from slam.simulation.home import generate_home
 from slam.simulation.rigs import RIGS, Rig, camera_pose
 
-_SAME_HEIGHT_M = 0.10
-
 
 @dataclass(frozen=True)
 class Mounting:

@@ -24,8 +24,6 @@ from slam.doctor.finding import Finding
 from slam.measurements import LaserScan, WheelOdometry
 from tools.mistake_rows import CONFIGS, Log, main, mapped_m, mapped_row, told_row
 
-_WHEELS = "odometry"
-
 
 @dataclass(frozen=True)
 class Mistake:

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 import fusion
-from slam.simulation.drive import FIRST_STAMP_S, Drive
+from slam.simulation.drive import Drive
 from slam.simulation.drive_faults import LIDAR
 from slam.simulation.rigs import MountedCamera, MountedLidar
 from slam.simulation.scene import Scene
@@ -174,8 +174,3 @@ def _obstacles(scene: Scene, T_map_laser: gtsam.Pose3, scan: fusion.LidarCurve) 
 def _nearest(readings: Schedule, time_s: float) -> int:
     """Index of the reading nearest to a time."""
     return int(np.argmin(np.abs(readings.true_s - time_s)))
-
-
-def stamp_of(drive: Drive, sensor: str, index: int) -> float:
-    """Seconds by the sensor's clock since the drive began."""
-    return float(drive.schedules[sensor].stamps_s[index]) - FIRST_STAMP_S

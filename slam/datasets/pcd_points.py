@@ -117,7 +117,8 @@ def _unpack(packed: NDArray[np.uint8], whole: NDArray[np.uint8]) -> bool:
             length = control + 1
             if read + length > packed.size or written + length > whole.size:
                 return False
-            whole[written : written + length] = packed[read : read + length]
+            for k in range(length):
+                whole[written + k] = packed[read + k]
             read += length
         else:  # bytes that came before, which may overlap with what they give
             length = control >> 5

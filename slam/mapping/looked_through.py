@@ -109,23 +109,28 @@ def count_looks(which, half_m, pixel_rad, number, newest, pixels_row, pixels_col
 def means_around(keys, table, values, means):  # type: ignore[no-untyped-def]
     """Means (V, D) of the values (V, D) of voxels with these keys (V,) and of those that they touch."""
     for i in range(keys.shape[0]):
-        means[i] = 0.0
+        for column in range(values.shape[1]):
+            means[i, column] = 0.0
         count = ZERO
         for near in range(27):
             k = entry_of(keys[i] + _away(near), table, keys)
             if k >= 0:
-                means[i] += values[k]
+                for column in range(values.shape[1]):
+                    means[i, column] += values[k, column]
                 count += 1
-        means[i] /= count
+        for column in range(values.shape[1]):
+            means[i, column] /= count
 
 
 @kernel
 def spread(keys, table, may, chosen):  # type: ignore[no-untyped-def]
     """Choose of the voxels with these keys (V,) that ``may`` be (V,) those that touch a chosen one, too."""
-    waiting = np.flatnonzero(chosen)
     queue = np.empty(keys.shape[0], np.int64)
-    queue[: len(waiting)] = waiting
-    done, end = ZERO, len(waiting)
+    done = end = ZERO
+    for k in range(keys.shape[0]):
+        if chosen[k]:
+            queue[end] = k
+            end += 1
     while done < end:
         for near in range(27):
             k = entry_of(keys[queue[done]] + _away(near), table, keys)

@@ -42,26 +42,14 @@ class SurfelMap(NamedTuple):
     cell_m: float
 
 
-def build_surfel_map(points: AnyFloatArray, normals: AnyFloatArray, cell_m: float) -> SurfelMap:
-    """Average oriented points per cell and side.
-
-    Parameters
-    ----------
-    points, normals
-        (M, 2) each, in the map's frame; unit normals that face the sensor. M may be 0.
-    cell_m
-        Edge of a cell, metres.
-    """
-    return build_surfel_maps(points, normals, (cell_m,))[0]
-
-
 def build_surfel_maps(
     points: AnyFloatArray, normals: AnyFloatArray, cells_m: Sequence[float]
 ) -> list[SurfelMap]:
-    """`build_surfel_map` for several cells, the finest first: the others gather its surfels.
+    """Average oriented points per cell and side, for edges of cells in metres, the finest first.
 
-    Where an edge is a whole multiple of the finest, the finest cells lie within those, and each point counts
-    in the cell that it is in.
+    Points (M, 2) and their unit normals (M, 2), which face the sensor, are in the map's frame; M may be 0.
+    Coarser cells gather the finest one's surfels: where an edge is a whole multiple of the finest, the finest
+    cells lie within those, and each point counts in the cell that it is in.
     """
     corners, found = np.zeros(4), list[SurfelMap]()
     _bound(points, corners)

@@ -67,7 +67,7 @@ def paint(
     )
 
 
-@kernel(inline="always", error_model="numpy")
+@kernel(error_model="numpy")
 def _hash(a: int, b: int, c: int) -> float:
     """A number in [0, 1) from three integers."""
     h = np.uint32(a) * np.uint32(0x9E3779B1) ^ np.uint32(b) * np.uint32(0x85EBCA77)
@@ -78,7 +78,7 @@ def _hash(a: int, b: int, c: int) -> float:
     return float(h) * (1.0 / 4294967296.0)
 
 
-@kernel(inline="always", error_model="numpy")
+@kernel(error_model="numpy")
 def _visible(size_m: float, footprint_m: float) -> float:
     """How much of a pattern of this size is left at this pixel size, 0..1."""
     return min(1.0, max(0.0, size_m / footprint_m - 1.0))

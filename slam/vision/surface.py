@@ -32,11 +32,6 @@ class Surface:
     intrinsics: CameraIntrinsics
 
     @property
-    def inverse_depth(self) -> Float32Array:
-        """(H, W) smoothed, 1/m; 0 where there is no surface."""
-        return self.planes[..., 0]
-
-    @property
     def normals(self) -> Float32Array:
         """(H, W, 3) unit, towards the camera, camera frame; zero where there is none."""
         return self.planes[..., 1:]

@@ -8,7 +8,7 @@ from slam.localization.beam_check import check_beams, in_clear_space, known_spac
 from slam.mapping.occupancy_grid import OccupancyGrid
 from slam.matching.local_map import OrientedPoints
 from slam.matching.planar import compose, transform_points
-from slam.matching.surfel_map import build_surfel_map
+from slam.matching.surfel_map import build_surfel_maps
 from slam.measurements import FloatArray
 
 CELL_M = 0.1
@@ -24,7 +24,7 @@ def world(frame: FloatArray):  # type: ignore[no-untyped-def]
     wall = np.column_stack([np.full(60, 3.05), np.linspace(0.0, 2.0, 60)])
     normals = np.tile([-1.0, 0.0], (60, 1))
     turn = np.array([0.0, 0.0, frame[2]])
-    surfels = build_surfel_map(transform_points(wall, frame), transform_points(normals, turn), CELL_M)
+    surfels = build_surfel_maps(transform_points(wall, frame), transform_points(normals, turn), (CELL_M,))[0]
     return known_space(grid), surfels
 
 
@@ -58,7 +58,7 @@ def test_free_by_a_single_glance_contradicts_nothing() -> None:
     log_odds = np.full((10, 30), -0.8, np.float32)
     space = known_space(OccupancyGrid.of_log_odds(log_odds, CELL_M))
     point = OrientedPoints(np.array([[1.0, 0.0]], np.float32), np.array([[-1.0, 0.0]], np.float32))
-    none = build_surfel_map(np.zeros((0, 2)), np.zeros((0, 2)), CELL_M)
+    none = build_surfel_maps(np.zeros((0, 2)), np.zeros((0, 2)), (CELL_M,))[0]
     counts = check_beams(space, none, np.array([0.5, 0.5, 0.0]), np.zeros(2), point)
     assert counts.silent == 1 and counts.in_free == 0
 
@@ -68,7 +68,7 @@ def test_a_wall_that_nothing_has_met_may_stand_where_free_space_ends() -> None:
     log_odds = np.zeros((20, 60), np.float32)
     log_odds[:10] = FREE
     space = known_space(OccupancyGrid.of_log_odds(log_odds, CELL_M))
-    none = build_surfel_map(np.zeros((0, 2)), np.zeros((0, 2)), CELL_M)
+    none = build_surfel_maps(np.zeros((0, 2)), np.zeros((0, 2)), (CELL_M,))[0]
     ends = np.array([[2.0, 0.42], [2.0, 0.1]], np.float32)
     points = OrientedPoints(ends, np.tile(np.float32([0.0, -1.0]), (2, 1)))
     counts = check_beams(space, none, np.array([1.0, 0.5, 0.0]), np.zeros(2), points)

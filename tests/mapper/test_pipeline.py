@@ -185,24 +185,34 @@ class TestFiles:
             assert (patch(*free, half=2) == FREE).all(), free
 
 
-# Bounds from the project's first issue: metres, degrees. Without wheels the first scans of the log.
+# Bounds from the project's first issue: metres, degrees. Of intel, and without wheels, the log's beginning.
 @pytest.mark.parametrize(
-    ("name", "scans", "bound_m", "bound_deg", "relations"),
-    [("fr079", None, 0.034, 0.50, 1685), ("fr079", 1500, 0.03, 0.50, 407), ("intel", None, 0.042, 1.0, 2984)],
+    ("name", "lines", "wheels", "bound_m", "bound_deg", "relations"),
+    [
+        ("fr079", None, True, 0.034, 0.50, 1685),
+        ("fr079", 1500, False, 0.03, 0.50, 407),
+        ("intel", 6000, True, 0.025, 0.60, 944),
+    ],
     ids=["fr079", "fr079-no-odometry", "intel"],
 )
 def test_real_log(
-    name: str, scans: int | None, bound_m: float, bound_deg: float, relations: int, tmp_path: Path
+    name: str,
+    lines: int | None,
+    wheels: bool,
+    bound_m: float,
+    bound_deg: float,
+    relations: int,
+    tmp_path: Path,
 ) -> None:
     log = REAL_LOGS / name / f"{name}.log.gz"
     if not log.exists():
         pytest.skip(f"{log} is not there: the accuracy on real logs stays UNTESTED")
-    known, settings = read_relations(log.with_name(f"{name}.relations")), list[str]()
-    if scans is not None:
-        lines = gzip.decompress(log.read_bytes()).splitlines(keepends=True)
-        log, settings = tmp_path / "first.log", ["sensors.wheels=false"]
-        log.write_bytes(b"".join([line for line in lines if not line.startswith(b"ODOM")][:scans]))
-    result = run(log, *settings)
+    known = read_relations(log.with_name(f"{name}.relations"))
+    if lines is not None:
+        whole = gzip.decompress(log.read_bytes()).splitlines(keepends=True)
+        log = tmp_path / "first.log"
+        log.write_bytes(b"".join([line for line in whole if wheels or not line.startswith(b"ODOM")][:lines]))
+    result = run(log, f"sensors.wheels={wheels}")
     score: RelationGroupScore = score_relations(result.map.trajectory, known).all
     assert score.used == relations
     assert score.translation_m.mean <= bound_m

@@ -8,7 +8,7 @@ from flat_worlds import box, corridor, moved, points_at, room
 
 from slam.matching.planar import between, compose, transform_points
 from slam.matching.point_to_line import Alignment, align
-from slam.matching.surfel_map import SurfelMap, build_surfel_map
+from slam.matching.surfel_map import SurfelMap, build_surfel_maps
 from slam.measurements import FloatArray
 
 LOOSE = np.eye(3)
@@ -20,7 +20,7 @@ def surfels_of(segments: FloatArray, pose: FloatArray, cell_m: float = 0.1) -> S
     """The map that one sweep from a pose gives, in the world frame."""
     points, normals = points_at(segments, pose, beams=1441).oriented()
     turn = np.array([0.0, 0.0, pose[2]])
-    return build_surfel_map(transform_points(points, pose), transform_points(normals, turn), cell_m)
+    return build_surfel_maps(transform_points(points, pose), transform_points(normals, turn), (cell_m,))[0]
 
 
 def align_to(
@@ -160,6 +160,6 @@ def test_few_points_leave_a_finite_pose(count: int) -> None:
 
 
 def test_an_empty_map_and_no_prior_at_all() -> None:
-    empty = build_surfel_map(np.zeros((0, 2)), np.zeros((0, 2)), 0.1)
+    empty = build_surfel_maps(np.zeros((0, 2)), np.zeros((0, 2)), (0.1,))[0]
     result = align_to(empty, room(), np.zeros(3), np.ones(3), np.zeros((3, 3)))
     np.testing.assert_array_equal(result.pose, np.ones(3))

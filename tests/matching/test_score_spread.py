@@ -5,7 +5,7 @@ import pytest
 
 from slam.matching.point_to_line import terms_at
 from slam.matching.score_spread import score_spread
-from slam.matching.surfel_map import build_surfel_map
+from slam.matching.surfel_map import build_surfel_maps
 
 KERNEL_M = 0.05
 
@@ -16,7 +16,7 @@ def test_neighbours_count_by_bartletts_weights(lags: int) -> None:
     along = np.linspace(0.0, 3.0, 90)
     wall = np.column_stack([along, np.zeros(90)]).astype(np.float32)
     normals = np.tile(np.array([0.0, 1.0], np.float32), (90, 1))
-    surfels = build_surfel_map(wall, normals, 0.1)
+    surfels = build_surfel_maps(wall, normals, (0.1,))[0]
     seen = (wall + rng.normal(0.0, 0.01, (90, 2))).astype(np.float32)
     pose = np.array([0.01, -0.01, 0.02])
     terms = terms_at(seen, normals, pose, surfels, KERNEL_M)
@@ -34,5 +34,5 @@ def test_neighbours_count_by_bartletts_weights(lags: int) -> None:
 
 def test_no_points_scatter_nothing() -> None:
     none = np.zeros((0, 2), np.float32)
-    surfels = build_surfel_map(none, none, 0.1)
+    surfels = build_surfel_maps(none, none, (0.1,))[0]
     np.testing.assert_array_equal(score_spread(none, none, np.zeros(3), surfels, KERNEL_M, 25), 0.0)

@@ -23,7 +23,7 @@ from slam.simulation.synthetic_log import write_synthetic_log
 from slam.storage.tum import read_tum
 
 COARSE = ("--set", "cloud_odometry.voxel_m=0.25", "--set", "dense_map.enabled=false")
-FIRST, LATER = drive(WAY), drive(OTHER)
+FIRST, LATER = drive(WAY), drive(OTHER)[:30]
 
 
 @pytest.fixture(scope="module")
@@ -32,9 +32,9 @@ def logs(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("logs")
     write_log(folder / "first", seen(FIRST, 0), FIRST)
     write_log(folder / "later", seen(LATER, 100), LATER)
-    write_log(folder / "part", seen(FIRST, 0)[:25], FIRST[:25])
+    write_log(folder / "part", seen(FIRST[:18], 0), FIRST[:18])
     small = np.array([0.8, -0.8, 1.0], np.float32)
-    mirrored = [replace(cloud, points_lidar=cloud.points_lidar * small) for cloud in seen(LATER[:24], 200)]
+    mirrored = [replace(cloud, points_lidar=cloud.points_lidar * small) for cloud in seen(LATER[:18], 200)]
     write_log(folder / "mirrored", mirrored)
     return folder
 
@@ -160,7 +160,7 @@ def test_a_camera_in_space_joins_its_own_room_alone(
     first, later = (filmed(tmp_path / name, poses) for name, poses in zip("ab", WALKS, strict=True))
     assert run("map", first, "-o", folder, *COARSE) == 0
     before = (folder / "map.db").read_bytes()
-    other = filmed(tmp_path / "other", WALKS[1], seed=5)
+    other = filmed(tmp_path / "other", WALKS[1][:20], seed=5)
     error = scanweave(capsys, "map", other, "--into", folder).error()
     assert "no place of it was recognised" in error and (folder / "map.db").read_bytes() == before
 

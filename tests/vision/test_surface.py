@@ -26,10 +26,10 @@ def test_the_normal_of_a_slanted_plane_is_exact(slant: tuple[float, float], radi
     depth = plane_depth(normal, 1.5, SMALL)
     depth[(depth < 0.3) | (depth > 6.0)] = 0.0
     surface = surface_of(depth, SMALL, radius, 6.0)
-    seen = surface.inverse_depth > 0.0
+    seen = surface.planes[..., 0] > 0.0
     assert seen.mean() > 0.4
     np.testing.assert_allclose(surface.normals[seen], np.broadcast_to(-normal, (seen.sum(), 3)), atol=2e-4)
-    np.testing.assert_allclose(1.0 / surface.inverse_depth[seen], depth[seen], rtol=1e-4)
+    np.testing.assert_allclose(1.0 / surface.planes[..., 0][seen], depth[seen], rtol=1e-4)
     assert not surface.normals[~seen].any()
 
 
@@ -38,7 +38,7 @@ def test_noise_is_smoothed_as_the_window_says() -> None:
     rng = np.random.default_rng(0)
     inverse = 0.5 + 0.002 * rng.standard_normal((SMALL.height, SMALL.width))
     surface = surface_of((1.0 / inverse).astype(np.float32), SMALL, 3, 6.0)
-    smooth = surface.inverse_depth[surface.inverse_depth > 0.0]
+    smooth = surface.planes[..., 0][surface.planes[..., 0] > 0.0]
     assert smooth.std() == pytest.approx(0.002 / 7.0, rel=0.1)
 
 
@@ -46,15 +46,15 @@ def test_a_rim_parts_two_surfaces() -> None:
     depth = np.full((SMALL.height, SMALL.width), 2.0, np.float32)
     depth[:, :70] = 1.0
     surface = surface_of(depth, SMALL, 3, 6.0)
-    seen = surface.inverse_depth > 0.0
-    assert set(np.unique(np.round(1.0 / surface.inverse_depth[seen], 3))) == {1.0, 2.0}
+    seen = surface.planes[..., 0] > 0.0
+    assert set(np.unique(np.round(1.0 / surface.planes[..., 0][seen], 3))) == {1.0, 2.0}
     np.testing.assert_allclose(surface.normals[seen], np.tile([0.0, 0.0, -1.0], (seen.sum(), 1)), atol=1e-5)
 
 
 def test_a_thin_thing_has_no_surface() -> None:
     depth = np.zeros((SMALL.height, SMALL.width), np.float32)
     depth[:, 80:82] = 1.0
-    assert not surface_of(depth, SMALL, 3, 6.0).inverse_depth.any()
+    assert not surface_of(depth, SMALL, 3, 6.0).planes[..., 0].any()
     assert len(points_of(depth, SMALL, 3, 6.0, 500)) == 0
 
 
@@ -62,7 +62,7 @@ def test_holes_and_what_lies_too_far_are_left_out() -> None:
     depth = np.full((SMALL.height, SMALL.width), 2.0, np.float32)
     depth[40:60, 40:60] = 0.0
     depth[:, 120:] = 6.5
-    seen = surface_of(depth, SMALL, 3, 6.0).inverse_depth > 0.0
+    seen = surface_of(depth, SMALL, 3, 6.0).planes[..., 0] > 0.0
     assert not seen[40:60, 40:60].any()
     assert not seen[:, 120:].any()
     assert seen[30, 30]
@@ -70,7 +70,7 @@ def test_holes_and_what_lies_too_far_are_left_out() -> None:
 
 def test_no_depth_gives_nothing() -> None:
     depth = np.zeros((SMALL.height, SMALL.width), np.float32)
-    assert not surface_of(depth, SMALL, 3, 6.0).inverse_depth.any()
+    assert not surface_of(depth, SMALL, 3, 6.0).planes[..., 0].any()
     assert points_of(depth, SMALL, 3, 6.0, 500).points.shape == (0, 3)
 
 
@@ -107,8 +107,8 @@ def test_points_are_the_surface_at_every_so_manyth_pixel(count: int) -> None:
     surface = surface_of(frame.depth_m, SMALL, 3, 6.0)
     points = points_of(frame.depth_m, SMALL, 3, 6.0, count)
     step = max(1, round(np.sqrt(np.count_nonzero(frame.depth_m) / count)))
-    lattice = np.zeros(surface.inverse_depth.shape, bool)
+    lattice = np.zeros(surface.planes[..., 0].shape, bool)
     lattice[3::step, 3::step] = True
-    on = lattice & (surface.inverse_depth > 0.0)
-    np.testing.assert_array_equal(points.points[:, 2], np.float32(1.0) / surface.inverse_depth[on])
+    on = lattice & (surface.planes[..., 0] > 0.0)
+    np.testing.assert_array_equal(points.points[:, 2], np.float32(1.0) / surface.planes[..., 0][on])
     np.testing.assert_array_equal(points.normals, surface.normals[on])
