@@ -15,6 +15,7 @@ from slam.doctor.finding import Finding
 from slam.errors import MapFileError
 from slam.mapper.mount_learner import LearnedMounting
 from slam.odometry.cached_odometry import QUESTIONS
+from slam.odometry.rgbd_tracker import FRAME
 from slam.storage.map_clouds import MapClouds
 from slam.storage.map_file import MapFile
 from slam.storage.map_frames import MapFrames
@@ -25,6 +26,7 @@ from slam.vision.color_registration import ColorRegistration
 T = TypeVar("T")
 
 _LENGTH = struct.Struct("<I")
+_OF_ODOMETRY = frozenset({*QUESTIONS, FRAME})
 _FINDINGS, _REGISTRATIONS, _MOUNTINGS = "findings", "registrations", "mountings"
 
 
@@ -62,6 +64,11 @@ class Checkpoint:
         """Whether the next answer is known."""
         return self._next is not None
 
+    @property
+    def knows_more(self) -> bool:
+        """Whether the next answer is known, or will have been found ahead."""
+        return self.replaying or self.ahead is not None
+
     def cached(self, question: str, key: float, compute: Callable[[], T]) -> T:
         """The answer to a question: as it was, or else computed and remembered.
 
@@ -73,7 +80,7 @@ class Checkpoint:
         if self._next is not None:
             return cast(T, self._replayed(question, key))
         content = None
-        if self.ahead is not None and question in QUESTIONS:
+        if self.ahead is not None and question in _OF_ODOMETRY:
             content, answer = self._found_ahead(question, key)
         if content is None:
             answer = compute()
@@ -191,7 +198,7 @@ class _Telling(Checkpoint):
     def cached(self, question: str, key: float, compute: Callable[[], T]) -> T:
         """Compute it, and tell."""
         answer = compute()
-        if question in QUESTIONS:
+        if question in _OF_ODOMETRY:
             self._tell(pack((question, float(key), answer)))
         return answer
 
