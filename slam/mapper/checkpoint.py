@@ -26,8 +26,9 @@ from slam.vision.color_registration import ColorRegistration
 T = TypeVar("T")
 
 _LENGTH = struct.Struct("<I")
-_OF_ODOMETRY = frozenset({*QUESTIONS, FRAME})
 _FINDINGS, _REGISTRATIONS, _MOUNTINGS = "findings", "registrations", "mountings"
+# What another process may answer of a run with cameras, and of one without.
+OF_FRAMES, OF_SCANS = frozenset({_REGISTRATIONS, FRAME}), frozenset({_REGISTRATIONS, *QUESTIONS})
 
 
 class Checkpoint:
@@ -42,8 +43,9 @@ class Checkpoint:
     def __init__(self, file: MapFile | None = None) -> None:
         # Called after each that was computed: a sign of life.
         self.on_answer: Callable[[], None] = lambda: None
-        # Where the next answer that a scan's pose takes may have been found already, as `telling` tells it.
+        # Where the next answer to what is foretold may have been found already, as `telling` tells it.
         self.ahead: Callable[[], bytes | None] | None = None
+        self.foretold: frozenset[str] = frozenset()
         self._file = file
         self._count = 0
         self._waiting = bytearray()
@@ -80,7 +82,7 @@ class Checkpoint:
         if self._next is not None:
             return cast(T, self._replayed(question, key))
         content = None
-        if self.ahead is not None and question in _OF_ODOMETRY:
+        if self.ahead is not None and question in self.foretold:
             content, answer = self._found_ahead(question, key)
         if content is None:
             answer = compute()
@@ -91,8 +93,8 @@ class Checkpoint:
         return cast(T, answer)
 
     def telling(self, tell: Callable[[bytes], None]) -> Checkpoint:
-        """Of a run that tells its odometry's answers to another of the same log, and keeps nothing."""
-        return _Telling(self._file, tell)
+        """Of a run that tells what is foretold to another of the same log, and keeps nothing."""
+        return _Telling(self._file, tell, self.foretold)
 
     def findings(self, compute: Callable[[], list[Finding]]) -> list[Finding]:
         """What is wrong with the sensors: the first question of a run."""
@@ -191,14 +193,14 @@ class Checkpoint:
 class _Telling(Checkpoint):
     """See `Checkpoint.telling`."""
 
-    def __init__(self, file: MapFile | None, tell: Callable[[bytes], None]) -> None:
+    def __init__(self, file: MapFile | None, tell: Callable[[bytes], None], foretold: frozenset[str]) -> None:
         super().__init__()
-        self._file, self._tell = file, tell
+        self._file, self._tell, self.foretold = file, tell, foretold
 
     def cached(self, question: str, key: float, compute: Callable[[], T]) -> T:
         """Compute it, and tell."""
         answer = compute()
-        if question in _OF_ODOMETRY:
+        if question in self.foretold:
             self._tell(pack((question, float(key), answer)))
         return answer
 

@@ -79,7 +79,7 @@ def _mapped(
     clock = [time.perf_counter()]
     registered = _Registered(dataset, config)
     choice = SensorChoice.of(dataset, config.sensors)
-    ahead = partial(forerunner.start, config, choice, registered, {})
+    ahead = partial(forerunner.start, config, choice, registered)
     if choice.cameras:
         ahead()
     with read_once(dataset, ahead):
@@ -96,14 +96,14 @@ def _mapped(
     leader = _front_end(choice, dataset, config, checkpoint, registrations, mountings, odometries)
     mapper = Mapper(config, leader)
     clock += [time.perf_counter()] * 2
-    forerunner.start(config, choice, registered, mountings)
+    forerunner.start(config, choice, registered, registrations)
     tally = _feed(mapper, dataset, choice, prepare, on_step)
     if not mountings and (mountings := mapper.learned_mountings()):
         # The way up to there was mapped without these cameras; now they are known from its beginning.
         clock[2] = time.perf_counter()
         checkpoint.begin_again(findings, registrations, mountings)
         forerunner.stop()
-        forerunner.start(config, choice, registered, mountings)
+        forerunner.start(config, choice, registered, registrations)
         mapper = Mapper(config, PlanarRobot(config, checkpoint, registrations, mountings, odometries))
         tally = _feed(mapper, dataset, choice, prepare, on_step)
     forget_keypoints()

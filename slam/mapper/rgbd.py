@@ -110,16 +110,11 @@ class FreeCamera:
         frame, tracked = self._newest
         if self._imu is not None and (gravity := self._imu.gravity()) is not None:
             self._down[key] = gravity
-        self.extend_local_map()
+        self._tracker.add_keyframe(frame, tracked)
         self._closer.add_keyframe(frame, adrift=tracked.restarted)
         self.tags.look(frame.frame, self._T_camera_base.inverse())
         self._store.add(frame, self._registrations.get(frame.frame.sensor))
         return self._closer.close(key, [spatial(pose) for pose in graph.poses()])
-
-    def extend_local_map(self) -> None:
-        """Let later frames be matched to the newest too, which is a keyframe."""
-        assert self._newest is not None
-        self._tracker.add_keyframe(*self._newest)
 
     def refuse(self) -> None:
         """Whatever a camera sees is a map."""
