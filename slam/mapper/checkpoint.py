@@ -14,6 +14,7 @@ from typing import Any, TypeVar, cast
 from slam.doctor.finding import Finding
 from slam.errors import MapFileError
 from slam.mapper.mount_learner import LearnedMounting
+from slam.odometry.rgbd_tracker import FRAME
 from slam.storage.map_clouds import MapClouds
 from slam.storage.map_file import MapFile
 from slam.storage.map_frames import MapFrames
@@ -25,6 +26,8 @@ T = TypeVar("T")
 
 _LENGTH = struct.Struct("<I")
 _FINDINGS, _REGISTRATIONS, _MOUNTINGS = "findings", "registrations", "mountings"
+# What another process may answer of a run with cameras.
+_FORETOLD = frozenset({_REGISTRATIONS, FRAME})
 
 
 class Checkpoint:
@@ -39,6 +42,8 @@ class Checkpoint:
     def __init__(self, file: MapFile | None = None) -> None:
         # Called after each that was computed: a sign of life.
         self.on_answer: Callable[[], None] = lambda: None
+        # Where the next answer to what is foretold may have been found already, as `telling` tells it.
+        self.ahead: Callable[[], bytes | None] | None = None
         self._file = file
         self._count = 0
         self._waiting = bytearray()
@@ -59,6 +64,11 @@ class Checkpoint:
         """Whether the next answer is known."""
         return self._next is not None
 
+    @property
+    def knows_more(self) -> bool:
+        """Whether the next answer is known, or will have been found ahead."""
+        return self.replaying or self.ahead is not None
+
     def cached(self, question: str, key: float, compute: Callable[[], T]) -> T:
         """The answer to a question: as it was, or else computed and remembered.
 
@@ -69,9 +79,14 @@ class Checkpoint:
         """
         if self._next is not None:
             return cast(T, self._replayed(question, key))
-        answer = compute()
-        self.keep(b"" if self._file is None else pack((question, float(key), answer)))
-        return answer
+        content = None
+        if self.ahead is not None and question in _FORETOLD:
+            content, answer = self._found_ahead(question, key)
+        if content is None:
+            answer = compute()
+            content = b"" if self._file is None else pack((question, float(key), answer))
+        self.keep(content)
+        return cast(T, answer)
 
     def keep(self, content: bytes) -> None:
         """Remember an answer, packed with its question, which another process may have found."""
@@ -79,6 +94,10 @@ class Checkpoint:
             self._remember(content)
             self._file.commit_if_due()
         self.on_answer()
+
+    def telling(self, tell: Callable[[bytes], None]) -> Checkpoint:
+        """Of a run that tells what is foretold to another of the same log, and keeps nothing."""
+        return _Telling(self._file, tell)
 
     def findings(self, compute: Callable[[], list[Finding]]) -> list[Finding]:
         """What is wrong with the sensors: the first question of a run."""
@@ -138,6 +157,16 @@ class Checkpoint:
         self._next = next(self._known, None)
         return answer
 
+    def _found_ahead(self, question: str, key: float) -> tuple[bytes | None, Any]:
+        """An answer as it is kept, and itself; None where nothing, or another one, was found ahead."""
+        assert self.ahead is not None
+        content = self.ahead()
+        asked, about, answer = (None, None, None) if content is None else unpack(content)
+        if (asked, about) == (question, key):
+            return content, answer
+        self.ahead = None
+        return None, None
+
     def _remember(self, content: bytes) -> None:
         """Gather an answer for the next row."""
         self._waiting += _LENGTH.pack(len(content)) + content
@@ -162,6 +191,21 @@ class Checkpoint:
                     question, key, answer = unpack(content[at + 4 : at + 4 + length])
                 at += 4 + length
                 yield question, key, answer
+
+
+class _Telling(Checkpoint):
+    """See `Checkpoint.telling`."""
+
+    def __init__(self, file: MapFile | None, tell: Callable[[bytes], None]) -> None:
+        super().__init__()
+        self._file, self._tell = file, tell
+
+    def cached(self, question: str, key: float, compute: Callable[[], T]) -> T:
+        """Compute it, and tell."""
+        answer = compute()
+        if question in _FORETOLD:
+            self._tell(pack((question, float(key), answer)))
+        return answer
 
 
 def _texts(findings: Sequence[Finding]) -> list[str]:

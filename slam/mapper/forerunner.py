@@ -1,21 +1,23 @@
-"""A planar robot's way found ahead, in a copy of this process: the run makes the map of it meanwhile.
+"""The way of a planar robot, or of cameras, found ahead in a copy of this process.
 
-No scan's pose by odometry depends on a loop, and nothing depends on how long an answer takes. So a copy
-tracks the scans from the first on while the doctor still looks at the log. It sends each pose, and what a
-keyframe adds to the map, with the answers that an interrupted run goes on from; at the end what it has
-learned of the sensors.
+No pose by odometry depends on a loop, and nothing depends on how long an answer takes. So a copy tracks
+the scans from the first on while the doctor still looks at the log, and the run makes the map of them
+meanwhile: it is sent each pose, and what a keyframe adds to the map, with the answers that an interrupted run
+goes on from; at the end what was learned of the sensors. Where there are cameras their frames alone are
+matched ahead; the run finds these answers when it comes to them.
 """
 
 from __future__ import annotations
 
 import pickle
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from types import TracebackType
 from typing import Any, TypeVar
 
 from slam.config import Config
 from slam.datasets.dataset import Dataset
 from slam.datasets.sensor_choice import SensorChoice
+from slam.doctor.diagnosis import Registrations
 from slam.forked import Forked, Tell, is_core_free
 from slam.graph.edge import Edge, EdgeKind
 from slam.mapper.checkpoint import Checkpoint
@@ -24,7 +26,13 @@ from slam.mapper.protocol import SENSORS
 from slam.matching.local_map import OrientedPoints
 from slam.measurements import FloatArray, LaserScan, Pose
 from slam.odometry import Odometries
+from slam.odometry.rgbd_tracker import RgbdTracker
+from slam.result_cache import ResultCache
 from slam.storage.packing import pack, unpack
+from slam.vision.color_registration import ColorRegistration
+from slam.vision.frame_matcher import FrameMatcher
+from slam.vision.prefetch import prefetched
+from slam.vision.prepared_frame import FramePreparer, PreparedFrame
 
 T = TypeVar("T")
 
@@ -89,7 +97,7 @@ class Ahead:
 
 
 class Forerunner:
-    """Tracks a planar robot's scans ahead of its mapper, where a core is free; without cameras.
+    """Tracks scans, or the frames of cameras, ahead of the mapper, where a core is free; no 3D lidars.
 
     Parameters
     ----------
@@ -99,7 +107,7 @@ class Forerunner:
     Attributes
     ----------
     ahead
-        What it finds; None where it does not run.
+        What it finds of scans; None where it does not track any.
     """
 
     def __init__(self, dataset: Dataset, odometries: Odometries, checkpoint: Checkpoint) -> None:
@@ -115,39 +123,78 @@ class Forerunner:
     ) -> None:
         self.stop()
 
-    def start(self, config: Config) -> None:
-        """Run ahead by these settings, if that is of use, and it does not yet."""
+    def start(
+        self,
+        config: Config,
+        choice: SensorChoice,
+        registrations: Registrations,
+        known: Mapping[str, ColorRegistration] | None = None,
+    ) -> None:
+        """Run ahead by these settings, if that is of use, and it does not yet.
+
+        Where colour cameras sit is found there, too, unless it is known.
+        """
         if self._copy is not None or not is_core_free() or not self._checkpoint.is_kept:
             return
-        choice = SensorChoice.of(self._dataset, config.sensors)
-        if choice.cameras or choice.cloud or choice.spatial:
+        if choice.cloud or self._checkpoint.replaying:
+            return
+        if not choice.cameras:
+            self._copy = Forked(lambda tell: self._track_scans(config, choice, tell))
+            self.ahead = Ahead(self._copy.receive, self._checkpoint)
             return
 
         def work(tell: Tell) -> None:
             """What the copy does."""
-            answers = _Answers()
-            way, key = PlanarWay(config, answers, self._odometries), 0
-            for measurement in choice.used(self._dataset):
-                # What a registered sensor takes, the front end never sees.
-                moment = None if type(measurement) in SENSORS else way.observe(measurement)
-                if moment is None:
-                    continue
-                step = None
-                if moment.new_keyframe:
-                    found = way.step(key)
-                    way.readings.mark_keyframe()
-                    edges = [_plain(edge) for edge in found.edges]
-                    step = found.step, edges, found.surface.points, found.surface.normals, found.seen
-                    key += 1
-                tell(pack((moment.stamp_s, moment.pose, moment.motion, answers.found, step)))
-                answers.found = []
-            tell(pickle.dumps(way.learned(), pickle.HIGHEST_PROTOCOL))
+            checkpoint = self._checkpoint.telling(tell)
+            found = known
+            if found is None:
+                found = checkpoint.registrations(lambda: registrations(choice.cameras))
+            self._track_frames(config, choice, found, checkpoint)
 
         self._copy = Forked(work)
-        self.ahead = Ahead(self._copy.receive, self._checkpoint)
+        self._checkpoint.ahead = self._copy.receive
+
+    def _track_scans(self, config: Config, choice: SensorChoice, tell: Tell) -> None:
+        """Tell the way of a robot that has no cameras."""
+        answers = _Answers()
+        way, key = PlanarWay(config, answers, self._odometries), 0
+        for measurement in choice.used(self._dataset):
+            # What a registered sensor takes, the front end never sees.
+            moment = None if type(measurement) in SENSORS else way.observe(measurement)
+            if moment is None:
+                continue
+            step = None
+            if moment.new_keyframe:
+                found = way.step(key)
+                way.readings.mark_keyframe()
+                edges = [_plain(edge) for edge in found.edges]
+                step = found.step, edges, found.surface.points, found.surface.normals, found.seen
+                key += 1
+            tell(pack((moment.stamp_s, moment.pose, moment.motion, answers.found, step)))
+            answers.found = []
+        tell(pickle.dumps(way.learned(), pickle.HIGHEST_PROTOCOL))
+
+    def _track_frames(
+        self, config: Config, choice: SensorChoice, known: Mapping[str, ColorRegistration], cache: ResultCache
+    ) -> None:
+        """Track each camera, which depends on nothing else."""
+        matcher = self._odometries.rgbd(config) if choice.spatial else FrameMatcher(config)
+        trackers = dict[str, RgbdTracker]()
+        for frame in prefetched(choice.used(self._dataset), FramePreparer(config.rgbd, known)):
+            if not isinstance(frame, PreparedFrame):
+                continue
+            name = frame.frame.sensor
+            if name not in trackers:
+                if choice.spatial and trackers:
+                    continue  # in space only the first is used
+                trackers[name] = RgbdTracker(matcher, config, cache)
+            tracked = trackers[name].track(frame)
+            if tracked.new_keyframe:
+                trackers[name].add_keyframe(frame, tracked)
 
     def stop(self) -> None:
         """Find all else here."""
+        self._checkpoint.ahead = None
         if self._copy is not None:
             self._copy.close()
         self._copy = self.ahead = None

@@ -29,6 +29,7 @@ from slam.mapper.rgbd import FreeCamera
 from slam.measurements import Measurement
 from slam.odometry import STANDARD, Odometries
 from slam.vision.color_registration import ColorRegistration
+from slam.vision.features import forget_keypoints
 from slam.vision.prefetch import prefetched
 from slam.vision.prepared_frame import FramePreparer, PreparedFrame
 
@@ -79,21 +80,24 @@ def _mapped(
     clock = [time.perf_counter()]
     end_stage()  # of imports
     registered = _Registered(dataset, config)
-    with read_once(dataset, partial(forerunner.start, config)):
+    choice = SensorChoice.of(dataset, config.sensors)
+    ahead = partial(forerunner.start, config, choice, registered)
+    if choice.cameras:
+        ahead()
+    with read_once(dataset, ahead):
         findings = checkpoint.findings(lambda: findings_of(dataset, config, registered))
         if (mended := settled(config, findings)) != config:
             forerunner.stop()
             registered = _Registered(dataset, config := mended)
-        choice = SensorChoice.of(dataset, config.sensors)
+            choice = SensorChoice.of(dataset, config.sensors)
     registrations = checkpoint.registrations(lambda: registered(choice.cameras))
     mountings = checkpoint.mountings()
     prepare = None
     if choice.cameras:
-        prepare = FramePreparer(config.rgbd, registrations, lambda: checkpoint.replaying)
+        prepare = FramePreparer(config.rgbd, registrations, lambda: checkpoint.knows_more)
     end_stage()
     clock += [time.perf_counter()] * 2
-    if not checkpoint.replaying:
-        forerunner.start(config)
+    forerunner.start(config, choice, registered, registrations)
 
     def way(ahead: Ahead | None = None) -> tuple[Mapper, SensorTally]:
         leader = _front_end(choice, dataset, config, checkpoint, registrations, mountings, odometries, ahead)
@@ -113,7 +117,10 @@ def _mapped(
         # The way up to there was mapped without these cameras; now they are known from its beginning.
         clock[2] = time.perf_counter()
         checkpoint.begin_again(findings, registrations, mountings)
+        forerunner.stop()
+        forerunner.start(config, choice, registered, registrations)
         mapper, tally = way()
+    forget_keypoints()
     clock.append(time.perf_counter())
     reading_s = clock[3] - clock[2] - sum(mapper.stage_seconds.values())
     dataset.report.note_share(1.0)

@@ -14,6 +14,8 @@ from slam.result_cache import COMPUTED, ResultCache
 from slam.vision.prepared_frame import PreparedFrame
 from slam.vision.visual_match import VisualKeyframe, VisualMatch, dissimilarity
 
+FRAME = "frame"  # what it asks for
+
 
 @dataclass(frozen=True, slots=True)
 class TrackedFrame:
@@ -104,7 +106,7 @@ class RgbdTracker:
     def _cached(self, frame: PreparedFrame, guess: gtsam.Pose3) -> VisualMatch | None:
         """Match from a guess."""
         return self._result_cache.cached(
-            "frame", guess.x(), lambda: self._odometry.match(frame, self._most_alike(guess), guess)
+            FRAME, guess.x(), lambda: self._odometry.match(frame, self._most_alike(guess), guess)
         )
 
     def _found_again(self, match: VisualMatch) -> bool:

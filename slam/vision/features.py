@@ -110,6 +110,11 @@ def extract_features(
     return Features(pixels, descriptors, sigma_px, depth_at(depth_m, pixels))
 
 
+def forget_keypoints() -> None:
+    """Give up the keypoints of images that nobody has asked for again."""
+    _KEPT.clear()
+
+
 def _keypoints(gray: NDArray[np.uint8], count: int) -> tuple[Float32Array, Descriptors, Float32Array]:
     """Their pixels (N, 2), descriptors (N, 32) and sigma (N,)."""
     import cv2

@@ -14,10 +14,12 @@ import pytest
 from flat_worlds import box, sweep
 from room_world import SMALL, T_BODY_CAMERA, furnished, render
 
+from slam import forked
 from slam.config import Config, load_config
 from slam.datasets import open_dataset
 from slam.datasets.dataset import ReadReport
 from slam.errors import MapFileError
+from slam.mapper import forerunner
 from slam.mapper.checkpoint import Checkpoint
 from slam.mapper.mapper import Mapper
 from slam.mapper.mount_learner import LearnedMounting
@@ -177,6 +179,51 @@ class TestTheSameMap:
         found = run_trials(log, tmp_path / "out", kills=1, seed=3, begins_s=1.0)
         assert (found.kills, found.faults) == (1, [])
         assert found.finished >= 1
+
+
+class TestASecondCore:
+    """The same map where frames are matched in another process, each of them there and none here."""
+
+    def mapped_twice(self, log: Log, config: Config, tmp_path: Path, patch: pytest.MonkeyPatch) -> list[str]:
+        """What was found ahead."""
+        found, found_ahead = list[str](), Checkpoint._found_ahead
+
+        def count(checkpoint: Checkpoint, question: str, key: float) -> Any:
+            answer = found_ahead(checkpoint, question, key)
+            found.extend([question] if answer[0] is not None else [])
+            return answer
+
+        patch.setattr(Checkpoint, "_found_ahead", count)
+        (tmp_path / "log").write_text("the same")
+        for free in (False, True):
+            for module in (forerunner, forked):
+                patch.setattr(module, "is_core_free", lambda free=free: free)
+            attempt(log, config, tmp_path / f"{free}.db")
+        assert (tmp_path / "False.db").read_bytes() == (tmp_path / "True.db").read_bytes()
+        return found
+
+    def test_lidar_and_camera(
+        self, drive: list[Measurement], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        config = load_config(None, ["dense_map.enabled=false"])
+        found = self.mapped_twice(Log(drive, tmp_path), config, tmp_path, monkeypatch)
+        assert found.count("frame") >= MOMENTS - 1 and "scan" not in found
+
+    def test_a_camera_alone(
+        self, drive: list[Measurement], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        log, config = Log(only(drive, RgbdFrame), tmp_path), load_config(None, ["dense_map.enabled=false"])
+        found = self.mapped_twice(log, config, tmp_path, monkeypatch)
+        assert found.count("frame") >= MOMENTS - 1
+
+    def test_a_second_pass(
+        self, drive: list[Measurement], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        learned = {"camera": LearnedMounting(MOUNT, "as it is")}
+        monkeypatch.setattr(Mapper, "learned_mountings", lambda _: learned)
+        config = load_config(None, ["dense_map.enabled=false"])
+        found = self.mapped_twice(Log(drive, tmp_path), config, tmp_path, monkeypatch)
+        assert found.count("frame") >= 2 * (MOMENTS - 1)
 
 
 def test_known_answers_are_not_computed_again(
