@@ -38,7 +38,7 @@ def street(rng: np.random.Generator) -> FloatArray:
     ground = np.array([[-20.0, -15.0, -1.5], [100.0, 0.0, 0.0], [0.0, 30.0, 0.0]])
     parts = [
         wall[0] + rng.random((count, 2)) @ wall[1:]
-        for wall, count in [(ground, 6000), *[(wall, 500) for wall in walls]]
+        for wall, count in [(ground, 2500), *[(wall, 200) for wall in walls]]
     ]
     return np.vstack(parts)
 
