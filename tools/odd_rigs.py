@@ -25,6 +25,8 @@ from slam.simulation.drive import prepare_drive
 from slam.simulation.home import generate_home
 from slam.simulation.rigs import RIGS, Rig, camera_pose
 
+_SAME_HEIGHT_M = 0.10
+
 
 @dataclass(frozen=True)
 class Mounting:

@@ -1,7 +1,7 @@
 """Footage of a depth camera, or turns of a lidar, written as public data sets and phones lay them out.
 
-The writers follow the publishers' documentation, not our readers; the tests
-read back what they write, `tools/fuzz_seeds.py` spoils it.
+The writers follow the publishers' documentation, not our readers; `tools/layout_equivalence.py` maps what
+they write, `tools/fuzz_seeds.py` spoils it, the tests read it back.
 """
 
 from __future__ import annotations
