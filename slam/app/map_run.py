@@ -33,7 +33,7 @@ from slam.storage.map_facts import write_facts
 from slam.storage.map_file import MAP_NAME
 from slam.storage.map_identity import NOTES, WARNINGS, MapIdentity
 from slam.storage.map_places import write_places
-from slam.storage.map_sessions import sessions_of
+from slam.storage.map_sessions import MapSession, sessions_of
 from slam.viewer.map_recording import record_map
 from slam.viewer.viewer import recording
 
@@ -121,26 +121,30 @@ def run_into(
         file.add_meta(NOTES, json.dumps(result.notes))
         file.add_meta(WARNINGS, json.dumps(result.warnings))
         files, missing = beside_file()
-        file.seal()
+        digest = file.seal()
     result.stage_seconds["map.db"] = time.perf_counter() - before
+    data: ReportData | None = None
+    page: Callable[[], Any] | None = None
+    if report:
+        head = beside_file()
+        cost = RunCost(time.perf_counter() - started, sum(os.times()[:4]))
+        beside, sessions = beside_of(dataset, result, files, missing), _sessions(result.map, identity)
+        data = ReportData(identity.log_name, dataset.report, result, config, cost, beside, sessions, digest)
+        page = partial(write_report, folder / "report.html", data, head)
+        # While the map is read back, or after it.
+        page = page if _needs_file(result.map) else Begun(page)
+        written.append(folder / "report.html")
     # One in memory at a time: what is handed out is what anybody reads from the file.
     result.map = replace(result.map, grids={})
-    saved, data = load_map(folder), None
+    saved = load_map(folder)
     result.map = saved.contents
     end_stage()
-    if report:
-        try:
-            head = beside_file()
-            cost = RunCost(time.perf_counter() - started, sum(os.times()[:4]))
-            beside = beside_of(dataset, result, files, missing)
-            data = ReportData(
-                identity.log_name, dataset.report, result, config, cost, beside, saved.sessions, saved.digest
-            )
-            write_report(folder / "report.html", data, head)
-        except BaseException:
-            saved.close()
-            raise
-        written.append(folder / "report.html")
+    try:
+        if page is not None:
+            page()
+    except BaseException:
+        saved.close()
+        raise
     return MapRun(saved, data, (*files, folder / MAP_NAME, *written), dataset.report.dropped_count)
 
 
@@ -154,15 +158,24 @@ def _beside_file(
     """
     made = Exports(result.map, identity.config, result.ground)
     export: Callable[[], Any] = partial(_written, folder, made) if exports else lambda: ([], [])
-    if result.map.frames is not None or result.map.clouds is not None or not is_core_free():
+    if _needs_file(result.map) or not is_core_free():
         return iter([export(), None]).__next__
     return Begun(export, partial(_head, result.map, identity) if report else lambda: None)
 
 
 def _head(found: MapContents, identity: MapIdentity) -> dict[str, Any]:
     """The map as the data of its page."""
-    sessions = sessions_of(identity.to_meta(), len(found.node_poses), len(found.trajectory))
-    return map_data(found, identity.config, title=identity.log_name, sessions=sessions)
+    return map_data(found, identity.config, title=identity.log_name, sessions=_sessions(found, identity))
+
+
+def _sessions(found: MapContents, identity: MapIdentity) -> list[MapSession]:
+    """Of a map that is about to be saved."""
+    return sessions_of(identity.to_meta(), len(found.node_poses), len(found.trajectory))
+
+
+def _needs_file(found: MapContents) -> bool:
+    """Whether parts of a map are in its open file: those no copy of this process may read."""
+    return found.frames is not None or found.clouds is not None
 
 
 def _written(folder: Path, made: Exports) -> tuple[list[Path], list[str]]:

@@ -269,13 +269,20 @@ class MapFile:
             self._connection.execute("BEGIN")
         self._committed_at = time.monotonic()
 
-    def seal(self) -> None:
-        """Say that the map is finished, with count and digest of every table, and leave one closed file."""
+    def seal(self) -> str:
+        """Say that the map is finished, with count and digest of every table, and leave one closed file.
+
+        Returns
+        -------
+        Its `content_digest`.
+        """
         self._before_commit.clear()
         self.clear(CHECKPOINT)
-        self.add_meta(SEAL, json.dumps(self._digests()))
+        text = json.dumps(self._digests())
+        self.add_meta(SEAL, text)
         self.commit()
         self.compact()
+        return _digest(text)
 
     def compact(self) -> None:
         """Give back the room of what was removed, and leave nothing beside the file; it is closed then."""
@@ -299,7 +306,7 @@ class MapFile:
 
     def content_digest(self) -> str:
         """One digest of everything in a finished map, by the seal that was checked when it was opened."""
-        return hashlib.blake2b(json.dumps(from_json(self.meta()[SEAL])).encode(), digest_size=16).hexdigest()
+        return _digest(json.dumps(from_json(self.meta()[SEAL])))
 
     def check_pages(self) -> None:
         """Have SQLite check its own structure.
@@ -374,6 +381,11 @@ class MapFile:
             raise MapFileError(
                 f"{self.path} is damaged: table {table.name}, row {number}: {plain(error)}; make the map anew"
             ) from error
+
+
+def _digest(seal: str) -> str:
+    """One digest of everything in a map with this seal."""
+    return hashlib.blake2b(seal.encode(), digest_size=16).hexdigest()
 
 
 def _unfinished(path: Path) -> str:

@@ -70,7 +70,7 @@ def test_the_same_map_with_a_second_core(
     assert counted.found == SCANS
 
 
-@pytest.mark.parametrize("after", [0, 30])
+@pytest.mark.parametrize("after", [0, 30, SCANS])
 def test_the_same_map_where_the_other_process_dies(
     after: int, log: Path, alone: bytes, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
