@@ -39,3 +39,14 @@ def test_the_roll_of_a_long_street_is_determined() -> None:
     assert aligned is not None
     assert not aligned.motion.degenerate
     assert np.abs(gtsam.Pose3.Logmap(aligned.found.pose)[:3]).max() < 2e-3
+
+
+def test_no_turn_is_more_certain_than_the_floor_moves_the_points() -> None:
+    """By an angle that is the same for all clouds 60 m of street bent as gravity wandered."""
+    cloud, config = street(60.0, np.random.default_rng(3)), load_config(None, [])
+    aligned = LocalCloud.of(cloud, 0.5, config).align(cloud[::5], gtsam.Pose3())
+    assert aligned is not None
+    levered = levers(aligned.found.arms_m)
+    least = np.linalg.eigvalsh(levered @ aligned.motion.covariance @ levered)[0]
+    assert least >= config.match.floor_m**2
+    assert aligned.motion.covariance[2, 2] < config.match.floor_rad**2
