@@ -28,7 +28,7 @@ FLOORS: tuple[frozenset[str], ...] = (
     # kernels shared by odometry, graph and localization
     frozenset({"slam.matching", "slam.vision", "slam.earth"}),
     frozenset({"slam.estimates"}),
-    frozenset({"slam.config", "slam.measurements"}),
+    frozenset({"slam.config", "slam.measurements", "slam.spool"}),
     frozenset({"slam.errors", "slam.result_cache", "fusion"}),
     frozenset({"slam.foreign", "slam.forked", "slam.heap", "slam.later", "slam.temporary", "slam.zstandard"}),
     frozenset({"slam"}),  # the package's own __init__: it names what is public, and loads none of it

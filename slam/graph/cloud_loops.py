@@ -19,9 +19,10 @@ from slam.graph.unseen_gaps import UnseenGaps
 from slam.heap import give_back
 from slam.matching.cloud_points import thinned
 from slam.matching.local_cloud import REACH, Aligned, LocalCloud, moved
-from slam.matching.scan_context import dissimilarity, ring_key, scan_context
-from slam.measurements import Float32Array, FloatArray, Pose, spatial
+from slam.matching.scan_context import RINGS, dissimilarity, ring_key, scan_context
+from slam.measurements import FloatArray, Pose, spatial
 from slam.result_cache import COMPUTED, ResultCache
+from slam.spool import Spool
 
 log = logging.getLogger(__name__)
 
@@ -67,7 +68,7 @@ class CloudLoopCloser:
         self._config, self._voxel_m = config, voxel_m
         self._loops, self._reach_m = config.loops, config.cloud_loops.reach_voxels * voxel_m
         self._clouds, self._result_cache = clouds, result_cache
-        self._contexts: list[Float32Array] = []
+        self._contexts = Spool()
         self._rings: list[FloatArray] = []
         self._poses: list[gtsam.Pose3] = []
         self._travelled_m: list[float] = []
@@ -103,8 +104,9 @@ class CloudLoopCloser:
         """
         if unseen:
             self._gaps.begin(len(self._poses))
-        self._contexts.append(scan_context(points, self._voxel_m))
-        self._rings.append(ring_key(self._contexts[-1]))
+        context = scan_context(points, self._voxel_m)
+        self._contexts.append(context.tobytes())
+        self._rings.append(ring_key(context))
         self._poses.append(pose)
         self._travelled_m.append(travelled_m)
         if np.isfinite(residual_m):
@@ -161,7 +163,7 @@ class CloudLoopCloser:
         """
         if T_place_base is not None:
             return self._verify(key, _Guess(place, T_place_base, sigma_m, 1.0, False))
-        found, yaw = dissimilarity(self._contexts[place], self._contexts[key])
+        found, yaw = self._unlike(place, key)
         turned = gtsam.Pose3(gtsam.Rot3.Yaw(yaw), np.zeros(3))
         return self._verify(key, _Guess(place, turned, sigma_m, 1.0 - found, True))
 
@@ -200,11 +202,16 @@ class CloudLoopCloser:
             place = int(places[n])
             if len(chosen) >= loops.near + loops.by_appearance or not apart(place):
                 continue
-            found, yaw = dissimilarity(self._contexts[place], self._contexts[key])
+            found, yaw = self._unlike(place, key)
             if found <= config.greatest_dissimilarity:
                 turned = gtsam.Pose3(gtsam.Rot3.Yaw(yaw), np.zeros(3))
                 chosen.append(_Guess(place, turned, float(sigmas[n]) + reach_m, 1.0 - found, True))
         return chosen
+
+    def _unlike(self, place: int, key: int) -> tuple[float, float]:
+        """`dissimilarity` of the looks of two keyframes."""
+        one, other = (np.frombuffer(self._contexts[k], np.float32).reshape(RINGS, -1) for k in (place, key))
+        return dissimilarity(one, other)
 
     def _entailed(self, key: int) -> list[_Guess]:
         """Where the newest keyframe is, if loops that wait are true: at the nearest place of then."""

@@ -85,7 +85,7 @@ class CloudCameras:
 
     def repaired(
         self, scans: Sequence[LaserScan | None], *, in_band: bool
-    ) -> tuple[list[LaserScan | None], FusionSummary | None]:
+    ) -> tuple[Sequence[LaserScan | None], FusionSummary | None]:
         """The flat scans of all keyframes with what the fusion has found in the way.
 
         Parameters
@@ -94,10 +94,10 @@ class CloudCameras:
             Whether what the lidar sees at its own height stands in the robot's way.
         """
         if self._fusion is None or not any(self._horizons):
-            return list(scans), None
+            return scans, None
         mended, summary = self._fusion.repair(self._horizons)
         if not in_band or not scans:
-            return list(scans), summary
+            return scans, summary
         return [
             with_repairs(scan, ring, after) if scan and ring and after is not None else scan
             for scan, ring, after in zip(scans, self._horizons, mended, strict=True)

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import logging
-import tempfile
-import weakref
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -13,10 +11,10 @@ from numpy.typing import NDArray
 
 import fusion
 from slam.config.stages import FusionConfig
-from slam.errors import ScanweaveError
 from slam.mapper.robot_cameras import Picture
 from slam.mapping.image_packing import depth_steps_per_m, packed_depth, unpacked_depth
 from slam.measurements import CameraIntrinsics, FloatArray, LaserScan, RgbdFrame
+from slam.spool import Spool
 
 log = logging.getLogger(__name__)
 
@@ -61,37 +59,24 @@ class FusionSummary:
 
 
 class _DepthSpool:
-    """Depth images of keyframes in a temporary file that goes with it; memory holds their places."""
+    """Depth images of keyframes on disk."""
 
     def __init__(self) -> None:
-        self._file = tempfile.TemporaryFile(prefix="scanweave-depth-")  # noqa: SIM115 - lives as long as this
-        weakref.finalize(self, self._file.close)
-        self._places: list[tuple[int, int, float, CameraIntrinsics]] = []
-        self._end = 0
+        self._packed, self._told = Spool(), list[tuple[float, CameraIntrinsics]]()
 
     def __len__(self) -> int:
-        return len(self._places)
+        return len(self._told)
 
     def add(self, frame: RgbdFrame) -> None:
         """Keep the next image."""
         steps_per_m = depth_steps_per_m(frame)
-        content = packed_depth(frame.depth_m, steps_per_m)
-        try:
-            self._file.seek(self._end)
-            self._file.write(content)
-        except OSError as error:
-            raise ScanweaveError(
-                f"cannot keep a depth image in {tempfile.gettempdir()}: {error.strerror}; free some space, "
-                "or set TMPDIR"
-            ) from error
-        self._places.append((self._end, len(content), steps_per_m, frame.intrinsics))
-        self._end += len(content)
+        self._packed.append(packed_depth(frame.depth_m, steps_per_m))
+        self._told.append((steps_per_m, frame.intrinsics))
 
     def depth(self, index: int, T_level_camera: FloatArray) -> fusion.DepthImage:
         """An image as fusion takes it."""
-        start, size, steps_per_m, camera = self._places[index]
-        self._file.seek(start)
-        depth_m = unpacked_depth(self._file.read(size), steps_per_m, camera)
+        steps_per_m, camera = self._told[index]
+        depth_m = unpacked_depth(self._packed[index], steps_per_m, camera)
         return fusion.DepthImage(depth_m, _intrinsics(camera), T_level_camera)
 
 

@@ -48,6 +48,7 @@ from slam.odometry.cloud_tracker import CloudTracker, TrackedCloud
 from slam.odometry.imu_gravity import apart_in_time
 from slam.odometry.imu_tracker import ImuStart, ImuTracker
 from slam.odometry.wheel_tracker import WheelTracker
+from slam.storage.kept_scans import KeptScans
 from slam.storage.map_clouds import MapClouds
 from slam.trajectory.readings import Readings
 from slam.vision.color_registration import ColorRegistration
@@ -278,7 +279,7 @@ def band_scans(
     ground_m: float,
     ground: Elevation | None,
     config: Config,
-) -> list[LaserScan | None]:
+) -> KeptScans:
     """The flat scan of each keyframe: what stands in the robot's way, and the ground that is free.
 
     Parameters
@@ -310,7 +311,7 @@ def band_scans(
         return band_scan(upright, stamp_s, lidar, band, below_m, config.cloud_map, clears=clears)
 
     stamps_s = (clouds.stamp_s(key) for key in range(len(clouds)))
-    return list(prefetched(zip(clouds, stamps_s, poses, strict=True), scan, most_waiting=1))
+    return KeptScans.on_disk(prefetched(zip(clouds, stamps_s, poses, strict=True), scan, most_waiting=1))
 
 
 def level(T_map_base: gtsam.Pose3) -> gtsam.Pose3:

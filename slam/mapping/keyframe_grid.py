@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
+import gtsam
 import numpy as np
 
 from fusion.bayes import evidence_steps
@@ -84,10 +85,12 @@ def lidar_grids(
     """
     settings = layer_settings(config)
     builder = LayerBuilder(settings)
-    placed = [
-        (scan, pose2_from_row(pose)) for scan, pose in zip(scans, poses, strict=True) if scan is not None
-    ]
-    for scan, T_map_base in placed:
+
+    def placed() -> Iterator[tuple[LaserScan, gtsam.Pose2]]:
+        both = zip(scans, poses, strict=True)
+        return ((scan, pose2_from_row(pose)) for scan, pose in both if scan is not None)
+
+    for scan, T_map_base in placed():
         builder.add(scan, T_map_base)
     grid = builder.grid("lidar")
     del builder  # its tiles are as large
@@ -96,7 +99,7 @@ def lidar_grids(
         return {}
     if grid.resolution_m > settings.resolution_m:
         return {OCCUPANCY: grid}
-    static, stood = without_passers_by(grid, placed, settings.lidar)
+    static, stood = without_passers_by(grid, placed(), settings.lidar)
     gone = _moved(scans, poses, measured, grid, settings)
     if stood is not None:
         there = np.nonzero(stood.steps)

@@ -6,7 +6,7 @@ import itertools
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any
+from typing import Any, TypeAlias
 
 import gtsam
 import numpy as np
@@ -25,6 +25,7 @@ from slam.mapping.layered_map import DEPTH, OCCUPANCY, LayeredMap
 from slam.mapping.occupancy_grid import OccupancyGrid
 from slam.measurements import FloatArray, LaserScan, Pose, spatial
 from slam.storage.covariances import of_upper_triangles, upper_triangles
+from slam.storage.kept_scans import KeptScans
 from slam.storage.map_clouds import MapClouds
 from slam.storage.map_edits import CLOUD, FRAME, AppliedEdits, erased_bits, read_edits
 from slam.storage.map_facts import georeference_of_file, ground_of_file
@@ -56,6 +57,7 @@ from slam.vision.learned_camera import LearnedCamera
 
 _STRETCH = 4096
 _KINDS = frozenset(EdgeKind)
+_Scans: TypeAlias = tuple[LaserScan | None, LaserScan | None]
 
 
 @dataclass(frozen=True, slots=True)
@@ -262,7 +264,10 @@ def read_contents(file: MapFile) -> MapContents:
         MapClouds(file, erased=erased_bits(edits, CLOUD)),
     )
     small = Unpacker(file.size)
-    keyframes = list(file.parsed(KEYFRAMES, lambda row: _keyframe(row, small)))
+    keyframes, scans = list[tuple[float, int, Pose]](), list[_Scans]()
+    for stamp_s, reading, pose, found in file.parsed(KEYFRAMES, lambda row: _keyframe(row, small)):
+        keyframes.append((stamp_s, reading, pose))
+        scans += [] if len(clouds) else [found]
     if not keyframes:
         raise MapFileError(f"{file.path} holds no keyframe; make the map anew")
     poses = [keyframe[2] for keyframe in keyframes]
@@ -275,12 +280,14 @@ def read_contents(file: MapFile) -> MapContents:
     wrong = unsound_covariance([factor.edge.covariance for factor in factors], 3 if planar else 6)
     with file.blaming(FACTORS, wrong or 0):
         require(wrong is None, "its covariance is not finite, symmetric and positive definite")
+    # Flat scans of clouds are wide: they are read again when somebody asks.
+    count, pairs = len(poses), KeptScans(len(poses), lambda key: _scans_of(file, key))
     return MapContents(
         node_poses=poses,
         stamps_s=np.array([keyframe[0] for keyframe in keyframes]),
         readings=np.array([keyframe[1] for keyframe in keyframes], dtype=np.int64),
-        measured_scans=[keyframe[3] for keyframe in keyframes],
-        keyframe_scans=[keyframe[4] for keyframe in keyframes],
+        measured_scans=[pair[0] for pair in scans] if scans else KeptScans(count, lambda key: pairs[key][0]),
+        keyframe_scans=[pair[1] for pair in scans] if scans else KeptScans(count, lambda key: pairs[key][1]),
         factors=factors,
         loops=loops,
         trajectory=trajectory,
@@ -313,9 +320,13 @@ def refuse_misfits(file: MapFile, contents: MapContents) -> None:
                 raise MapFileError("it does not tell where the camera was on the robot")
 
 
-def _keyframe(
-    row: tuple[Any, ...], small: Unpack
-) -> tuple[float, int, Pose, LaserScan | None, LaserScan | None]:
+def _scans_of(file: MapFile, key: int) -> _Scans:
+    """Those of a keyframe whose row was found right."""
+    with file.blaming(KEYFRAMES, key):
+        return _keyframe(file.row(KEYFRAMES, key, again=True), Unpacker(file.size))[3]
+
+
+def _keyframe(row: tuple[Any, ...], small: Unpack) -> tuple[float, int, Pose, _Scans]:
     """Stamp, reading, pose, scan as measured and as repaired."""
     stamp_s, reading, pose, measured, repaired = row
     scan = None if measured is None else of(LaserScan, small(measured))
@@ -325,8 +336,7 @@ def _keyframe(
         sound_stamp(stamp_s),
         reading,
         found if isinstance(found, gtsam.Pose2) else of(gtsam.Pose3, found),
-        scan,
-        mended,
+        (scan, mended),
     )
 
 
