@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import os
 import tempfile
 import weakref
 from collections.abc import Sequence
@@ -14,9 +15,10 @@ from numpy.typing import NDArray
 import fusion
 from slam.config.stages import FusionConfig
 from slam.errors import ScanweaveError
+from slam.forked import Begun
 from slam.mapper.robot_cameras import Picture
 from slam.mapping.image_packing import depth_steps_per_m, packed_depth, unpacked_depth
-from slam.measurements import CameraIntrinsics, FloatArray, LaserScan, RgbdFrame
+from slam.measurements import CameraIntrinsics, Float32Array, FloatArray, LaserScan, RgbdFrame
 
 log = logging.getLogger(__name__)
 
@@ -79,6 +81,7 @@ class _DepthSpool:
         try:
             self._file.seek(self._end)
             self._file.write(content)
+            self._file.flush()
         except OSError as error:
             raise ScanweaveError(
                 f"cannot keep a depth image in {tempfile.gettempdir()}: {error.strerror}; free some space, "
@@ -90,8 +93,8 @@ class _DepthSpool:
     def depth(self, index: int, T_level_camera: FloatArray) -> fusion.DepthImage:
         """An image as fusion takes it."""
         start, size, steps_per_m, camera = self._places[index]
-        self._file.seek(start)
-        depth_m = unpacked_depth(self._file.read(size), steps_per_m, camera)
+        # At a place of its own: a copy of the process reads the file too.
+        depth_m = unpacked_depth(os.pread(self._file.fileno(), size, start), steps_per_m, camera)
         return fusion.DepthImage(depth_m, _intrinsics(camera), T_level_camera)
 
 
@@ -139,32 +142,54 @@ class KeyframeFusion:
         if estimate is None:
             note = f"{len(self._pairs)} pairs of scan and image do not tell the rig: nothing was repaired"
             return list(scans), FusionSummary(self._pairs, None, note)
+        views = list(self._views.items())
+        half = len(views) // 2
+
+        def found(first: int, end: int) -> list[tuple[NDArray[np.int64] | None, Float32Array | None, str]]:
+            return [self._repaired(scans[key], *view, estimate) for key, view in views[first:end]]
+
+        rest = Begun(lambda: found(half, len(views)))
         repaired = list(scans)
         pairs: list[FusionPair] = []
-        for number, (key, (numbers, turns)) in enumerate(self._views.items()):
+        for (key, _), pair, one in zip(views, self._pairs, found(0, half) + rest(), strict=True):
+            counts, ranges_m, fault = one
             scan = scans[key]
             if scan is None:
                 continue
-            depths = [self._images.depth(image, turn) for image, turn in zip(numbers, turns, strict=True)]
-            try:
-                result = fusion.denoise(_curve(scan), depths, estimate)
-            except ValueError as error:  # an image that is not like the others: the scan stays as it is
-                log.warning("keyframe %d was not repaired: %s", key, error)
-                pairs.append(self._pairs[number])
-                continue
-            counts = np.bincount(result.lidar_source, minlength=len(fusion.Provenance))
-            pairs.append(replace(self._pairs[number], repaired=counts if result.applied else None))
-            if result.applied:
-                repaired[key] = _with_repairs(scan, result)
+            if fault:
+                log.warning("keyframe %d was not repaired: %s", key, fault)
+            pairs.append(pair if fault else replace(pair, repaired=counts))
+            if ranges_m is not None:
+                repaired[key] = replace(scan, ranges_m=ranges_m)
         return repaired, FusionSummary(pairs, estimate, _note(pairs, estimate))
 
+    def _repaired(
+        self,
+        scan: LaserScan | None,
+        numbers: range,
+        turns: tuple[FloatArray, ...],
+        estimate: fusion.RigEstimate,
+    ) -> tuple[NDArray[np.int64] | None, Float32Array | None, str]:
+        """Beams by `fusion.Provenance` and ranges, None where nothing was repaired; why it cannot be."""
+        if scan is None:
+            return None, None, ""
+        depths = [self._images.depth(image, turn) for image, turn in zip(numbers, turns, strict=True)]
+        try:
+            result = fusion.denoise(_curve(scan), depths, estimate)
+        except ValueError as error:  # an image that is not like the others: the scan stays as it is
+            return None, None, str(error)
+        if not result.applied:
+            return None, None, ""
+        counts = np.bincount(result.lidar_source, minlength=len(fusion.Provenance))
+        return counts, _with_repairs(scan, result), ""
 
-def _with_repairs(scan: LaserScan, result: fusion.Denoised) -> LaserScan:
-    """The scan with every beam that the repair gave another reading."""
+
+def _with_repairs(scan: LaserScan, result: fusion.Denoised) -> Float32Array:
+    """The ranges of a scan, with every beam that the repair gave another reading."""
     touched = (result.lidar_source != fusion.Provenance.MEASURED) & (
         result.lidar_source != fusion.Provenance.HOLE
     )
-    return replace(scan, ranges_m=np.where(touched, result.ranges_m, scan.ranges_m).astype(np.float32))
+    return np.where(touched, result.ranges_m, scan.ranges_m).astype(np.float32)
 
 
 def _curve(scan: LaserScan) -> fusion.LidarCurve:

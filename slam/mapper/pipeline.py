@@ -10,7 +10,7 @@ from typing import TypeAlias
 
 from slam.config import Config, calibrated
 from slam.datasets.dataset import Dataset
-from slam.datasets.recording import read_once
+from slam.datasets.recording import fewer_frames, read_once
 from slam.datasets.sensor_choice import SensorChoice, SensorTally, UsedMeasurements, use_lines
 from slam.doctor.diagnosis import Registrations, diagnose, registrations_in
 from slam.doctor.finding import Finding, remedied
@@ -31,6 +31,7 @@ from slam.vision.color_registration import ColorRegistration
 from slam.vision.features import forget_keypoints
 from slam.vision.prefetch import prefetched
 from slam.vision.prepared_frame import FramePreparer, PreparedFrame
+from slam.vision.registration_pairs import paired_frames
 
 OnStep: TypeAlias = Callable[[str, int], None]
 
@@ -78,7 +79,7 @@ def _mapped(
     """See `build_map`."""
     clock = [time.perf_counter()]
     registered = _Registered(dataset, config)
-    choice = SensorChoice.of(dataset, config.sensors)
+    choice = _choice(dataset, config)
     ahead = partial(forerunner.start, config, choice, registered)
     if choice.cameras:
         ahead()
@@ -87,7 +88,7 @@ def _mapped(
         if (mended := settled(config, findings)) != config:
             forerunner.stop()
             registered = _Registered(dataset, config := mended)
-            choice = SensorChoice.of(dataset, config.sensors)
+            choice = _choice(dataset, config)
     registrations = checkpoint.registrations(lambda: registered(choice.cameras))
     mountings = checkpoint.mountings()
     prepare = None
@@ -143,6 +144,12 @@ class _Registered:
         log = UsedMeasurements(self.dataset, self.config.sensors)
         self.found |= registrations_in(log, unknown, self.config)
         return {name: self.found[name] for name in cameras if name in self.found}
+
+
+def _choice(dataset: Dataset, config: Config) -> SensorChoice:
+    """How the log is mapped, by its beginning; a few images of each camera show that it is there."""
+    with fewer_frames(dataset, paired_frames):
+        return SensorChoice.of(dataset, config.sensors)
 
 
 def findings_of(

@@ -9,6 +9,7 @@ import pytest
 
 import fusion
 from fusion.curves import FORWARD
+from slam import forked
 from slam.config.stages import FusionConfig
 from slam.mapper.keyframe_fusion import KeyframeFusion
 from slam.mapper.robot_cameras import Picture
@@ -106,6 +107,27 @@ def test_images_of_another_time_are_no_pairs():
     repaired, summary = run(scans, late_s=0.5)
     assert summary is None
     assert all(after is before for before, after in zip(scans, repaired, strict=True))
+
+
+def test_two_processes_repair_what_one_does(monkeypatch, caplog):
+    scans = all_scans()
+    odd = [*range(2, len(scans) - 1, 5)]
+    denoise = fusion.denoise
+
+    def refuses_some(curve, depths, estimate):
+        if any(np.array_equal(curve.ranges_m, scans[number].ranges_m) for number in odd):
+            raise ValueError("no image like the others")
+        return denoise(curve, depths, estimate)
+
+    monkeypatch.setattr(fusion, "denoise", refuses_some)
+    found = []
+    for free in (False, True):
+        monkeypatch.setattr(forked, "is_core_free", lambda free=free: free)
+        caplog.clear()
+        repaired, summary = run(scans)
+        assert len(caplog.records) == len(odd)
+        found.append(([scan.ranges_m.tobytes() for scan in repaired], [str(pair) for pair in summary.pairs]))
+    assert found[0] == found[1]
 
 
 def test_a_keyframe_without_a_scan_stays_without():
