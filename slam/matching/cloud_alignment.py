@@ -186,8 +186,7 @@ def motion_of(alignment: CloudAlignment, config: Config, guess: gtsam.Pose3) -> 
     widened = root @ directions * np.sqrt(np.maximum(shared, config.cloud_odometry.correlated_points))
     # An edge ends at two keyframes, and the one that it starts from was itself matched as well as this one.
     covariance = 2.0 * doubt * scale**2 * (widened @ widened.T)
-    # No match is more certain than to the floor, by what a turn moves the points.
-    covariance += config.match.floor_m**2 * (turns @ turns)
+    covariance += config.match.floor_m**2 * (turns @ turns)  # a turn by what it moves the points
     pose, weakest = alignment.pose, np.zeros(6)
     if weak.shape[1]:
         away = lever @ gtsam.Pose3.Logmap(pose.between(guess))
