@@ -110,7 +110,7 @@ def turn_of(stretches: Sequence[Sequence[PointCloud]], interval_s: float, config
     """
     if interval_s <= 0.0 or not (stretches and _looks_round(stretches[0])):
         return None
-    pairs, fit, within_s = list[_Pair](), None, 0.0
+    pairs, fit, number = list[_Pair](), None, 0
     for number, clouds in enumerate(_spread_out(stretches), 1):
         pairs += _pairs(clouds, config)
         fit = _fit(pairs, Turn(0.0, 0.0, 0.0), config) if number > 1 else None
@@ -122,8 +122,7 @@ def turn_of(stretches: Sequence[Sequence[PointCloud]], interval_s: float, config
             return None
         if abs(fit.turn_s) > within_s and number > 3:
             break
-    known = fit is not None and abs(fit.turn_s) > within_s
-    return _settled(pairs, fit, interval_s, config) if fit is not None and known else None
+    return _settled(pairs, fit, interval_s, config) if fit is not None and number > 3 else None
 
 
 def turn_in_the_plane(
@@ -152,7 +151,8 @@ def _settled(pairs: Sequence[_Pair], fit: Turn, interval_s: float, config: Confi
         before, fit = fit, _fit(pairs, fit, config) or fit
         if abs(fit.turn_s - before.turn_s) <= fit.sigma_s:
             break
-    if abs(fit.turn_s) < interval_s / (_TURNS + 0.5):
+    # Bent clouds tell it surely only once they are straightened.
+    if abs(fit.turn_s) < max(interval_s / (_TURNS + 0.5), math.sqrt(gate()) * fit.sigma_s):
         return None
     shares = [math.copysign(interval_s / turns, fit.turn_s) for turns in range(1, _TURNS + 1)]
     again = [_fit(pairs, replace(fit, turn_s=share), config, any_cut=False) or fit for share in shares]
