@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import sqlite3
 import sys
-from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -54,19 +53,14 @@ def camera_map(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def unfinished(log: SyntheticLog, lidar_map: Path, scanweave: Scanweave, tmp_path: Path) -> Path:
     """A folder in which a run was interrupted."""
 
-    class Stop(Exception):
-        pass
-
-    def interrupted(
-        checkpoint: Checkpoint, question: str, key: float, compute: Callable[[], object]
-    ) -> object:
-        if question == "scan" and checkpoint._count > 30:
+    def interrupted(checkpoint: Checkpoint, content: bytes) -> None:
+        if checkpoint._count > 30:
             raise KeyboardInterrupt
-        return cached(checkpoint, question, key, compute)
+        keep(checkpoint, content)
 
-    cached = Checkpoint.cached
+    keep = Checkpoint.keep
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(Checkpoint, "cached", interrupted)
+        patch.setattr(Checkpoint, "keep", interrupted)
         outcome = scanweave("map", log.log_path, "-o", tmp_path / "out", "--set", "seed=3")
     assert outcome.code == 130
     assert "map.db is not finished; the same command with --resume" in outcome.err

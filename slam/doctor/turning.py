@@ -151,8 +151,8 @@ def _settled(pairs: Sequence[_Pair], fit: Turn, interval_s: float, config: Confi
         before, fit = fit, _fit(pairs, fit, config) or fit
         if abs(fit.turn_s - before.turn_s) <= fit.sigma_s:
             break
-    # Bent clouds tell it surely only once they are straightened.
-    if abs(fit.turn_s) < max(interval_s / (_TURNS + 0.5), math.sqrt(gate()) * fit.sigma_s):
+    # Bent clouds tell it surely only once they are straightened: then from one that takes half as long.
+    if abs(fit.turn_s) < max(interval_s / (_TURNS + 0.5), 2.0 * math.sqrt(gate()) * fit.sigma_s):
         return None
     shares = [math.copysign(interval_s / turns, fit.turn_s) for turns in range(1, _TURNS + 1)]
     again = [_fit(pairs, replace(fit, turn_s=share), config, any_cut=False) or fit for share in shares]
@@ -162,8 +162,14 @@ def _settled(pairs: Sequence[_Pair], fit: Turn, interval_s: float, config: Confi
     for slices in (4, 2, 1):
         step_rad = slices * math.tau / SLICES
         tried = [replace(best, cut_rad=best.cut_rad + side * step_rad) for side in (0, -1, 1)]
-        best = max(tried, key=lambda turn: sum(_agreement(pair, turn, config) for pair in pairs))
-    return best
+        best = max(tried, key=lambda turn: _agreed(pairs, turn, config))
+    untouched = replace(best, turn_s=TINY)
+    return best if _agreed(pairs, best, config) > _agreed(pairs, untouched, config) else None
+
+
+def _agreed(pairs: Sequence[_Pair], turn: Turn, config: Config) -> float:
+    """The sum of `_agreement`."""
+    return sum(_agreement(pair, turn, config) for pair in pairs)
 
 
 def _agreement(pair: _Pair, turn: Turn, config: Config) -> float:

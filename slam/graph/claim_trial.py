@@ -10,8 +10,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from slam.config.stages import LoopConfig
-from slam.graph.consistent_sets import ClaimSets, after
-from slam.graph.loop_closure import LoopCandidate, LoopCloser, claimed, position_sigmas
+from slam.graph.consistent_sets import ClaimSets, after, claimed
+from slam.graph.loop_closure import LoopCandidate, LoopCloser, position_sigmas
 from slam.graph.stretches import Stretches
 from slam.graph.submaps import SubmapStore
 from slam.matching.motion import Motion

@@ -13,7 +13,8 @@ from typing import TypeAlias
 
 import numpy as np
 
-from slam.graph.loop_closure import LoopCandidate, claimed
+from slam.graph.keyframe_graph import together
+from slam.graph.loop_closure import LoopCandidate
 from slam.graph.relative_uncertainty import UncertaintyGraph
 from slam.matching.motion import Motion
 from slam.matching.planar import adjoint, between, compose, rotate_covariance
@@ -128,6 +129,11 @@ def largest_cliques(agree: BoolArray) -> list[list[int]]:
 
 def _ends(claim: LoopCandidate) -> tuple[int, int]:
     return claim.place, claim.keyframe
+
+
+def claimed(claim: LoopCandidate) -> Motion:
+    """Pose of the keyframe seen from the place, from above."""
+    return together([claim.edge(0)])[_ends(claim)]
 
 
 def after(one: Motion, other: Motion) -> Motion:

@@ -211,7 +211,7 @@ class LoopCloser:
                     guess = between(poses[place], poses[key])
                     candidate = self.verify(place, key, guess, covariance)
                     # A window is as wide as the least certain direction: look-alikes lie in it.
-                    if candidate.accepted and Motion(guess, covariance).agrees(claimed(candidate)):
+                    if candidate.accepted and Motion(guess, covariance).agrees(_found(candidate)):
                         self._closed_again.add((place, key))
                         found.append(candidate)
         return found
@@ -364,11 +364,10 @@ def _judge(
     return replace(candidate, accepted=True)
 
 
-def claimed(claim: LoopCandidate) -> Motion:
-    """Pose of the keyframe seen from the place, in the plane."""
-    motion = claim.motion
-    assert motion is not None
-    return Motion(row_from_pose2(motion.T_reference_base), motion.covariance)
+def _found(candidate: LoopCandidate) -> Motion:
+    """What an accepted one tells, in the plane."""
+    assert candidate.motion is not None
+    return Motion(row_from_pose2(candidate.motion.T_reference_base), candidate.motion.covariance)
 
 
 def position_sigmas(covariances: FloatArray) -> FloatArray:

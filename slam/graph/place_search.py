@@ -18,11 +18,11 @@ import numpy as np
 from fusion.estimation import gate
 from slam.config.stages import GraphConfig, LoopConfig, MatchConfig
 from slam.graph.claim_trial import ClaimTrial
-from slam.graph.consistent_sets import ClaimSets, Known
+from slam.graph.consistent_sets import ClaimSets, Known, claimed
 from slam.graph.edge import GUESSES, Edge
 from slam.graph.faulty_steps import FaultySteps
 from slam.graph.keyframe_graph import graph_of
-from slam.graph.loop_closure import LoopCandidate, LoopCloser, claimed, position_sigmas
+from slam.graph.loop_closure import LoopCandidate, LoopCloser, position_sigmas
 from slam.graph.relative_uncertainty import UncertaintyGraph
 from slam.graph.stretches import Stretches
 from slam.matching.motion import Motion

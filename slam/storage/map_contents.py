@@ -24,6 +24,7 @@ from slam.mapping.keyframe_grid import layers_of_grids
 from slam.mapping.layered_map import DEPTH, OCCUPANCY, LayeredMap
 from slam.mapping.occupancy_grid import OccupancyGrid
 from slam.measurements import FloatArray, LaserScan, Pose, spatial
+from slam.spool import Spool
 from slam.storage.covariances import of_upper_triangles, upper_triangles
 from slam.storage.kept_scans import KeptScans
 from slam.storage.map_clouds import MapClouds
@@ -51,7 +52,7 @@ from slam.storage.map_tables import (
     LOOPS,
     TRAJECTORY,
 )
-from slam.storage.packing import Unpacker, pack, pack_small, unpack
+from slam.storage.packing import Unpacker, pack, pack_small, unpack, unpack_small
 from slam.vision.color_registration import ColorRegistration
 from slam.vision.learned_camera import LearnedCamera
 
@@ -264,10 +265,14 @@ def read_contents(file: MapFile) -> MapContents:
         MapClouds(file, erased=erased_bits(edits, CLOUD)),
     )
     small = Unpacker(file.size)
-    keyframes, scans = list[tuple[float, int, Pose]](), list[_Scans]()
+    keyframes, scans, spool = list[tuple[float, int, Pose]](), list[_Scans](), Spool()
     for stamp_s, reading, pose, found in file.parsed(KEYFRAMES, lambda row: _keyframe(row, small)):
         keyframes.append((stamp_s, reading, pose))
-        scans += [] if len(clouds) else [found]
+        # Flat scans of clouds are wide: they are read when somebody asks.
+        if len(clouds):
+            spool.append(pack_small(found))
+        else:
+            scans.append(found)
     if not keyframes:
         raise MapFileError(f"{file.path} holds no keyframe; make the map anew")
     poses = [keyframe[2] for keyframe in keyframes]
@@ -280,8 +285,7 @@ def read_contents(file: MapFile) -> MapContents:
     wrong = unsound_covariance([factor.edge.covariance for factor in factors], 3 if planar else 6)
     with file.blaming(FACTORS, wrong or 0):
         require(wrong is None, "its covariance is not finite, symmetric and positive definite")
-    # Flat scans of clouds are wide: they are read again when somebody asks.
-    count, pairs = len(poses), KeptScans(len(poses), lambda key: _scans_of(file, key))
+    count, pairs = len(poses), KeptScans(len(poses), lambda key: unpack_small(spool[key]))
     return MapContents(
         node_poses=poses,
         stamps_s=np.array([keyframe[0] for keyframe in keyframes]),
@@ -318,12 +322,6 @@ def refuse_misfits(file: MapFile, contents: MapContents) -> None:
                 raise MapFileError("it belongs to no node")
             if clouds is not None and head.T_base_camera is None:
                 raise MapFileError("it does not tell where the camera was on the robot")
-
-
-def _scans_of(file: MapFile, key: int) -> _Scans:
-    """Those of a keyframe whose row was found right."""
-    with file.blaming(KEYFRAMES, key):
-        return _keyframe(file.row(KEYFRAMES, key, again=True), Unpacker(file.size))[3]
 
 
 def _keyframe(row: tuple[Any, ...], small: Unpack) -> tuple[float, int, Pose, _Scans]:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import shutil
 import sqlite3
-from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -192,17 +191,15 @@ def test_an_interrupted_session_goes_on_to_the_same_map(
     capsys: pytest.CaptureFixture[str],
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    def interrupted(
-        checkpoint: Checkpoint, question: str, key: float, compute: Callable[[], object]
-    ) -> object:
-        if question == "scan" and checkpoint._count > 30:
+    def interrupted(checkpoint: Checkpoint, content: bytes) -> None:
+        if checkpoint._count > 30:
             raise KeyboardInterrupt
-        return cached(checkpoint, question, key, compute)
+        keep(checkpoint, content)
 
-    cached = Checkpoint.cached
+    keep = Checkpoint.keep
     before = contents_of(map_)
     with monkeypatch.context() as patch:
-        patch.setattr(Checkpoint, "cached", interrupted)
+        patch.setattr(Checkpoint, "keep", interrupted)
         outcome = scanweave(capsys, "map", sessions.later_log, "--into", map_)
     assert outcome.code == 130 and "--resume goes on with it" in outcome.err
     assert {name: whole for name, whole in contents_of(map_).items() if "joining" not in name} == before
