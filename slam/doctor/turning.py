@@ -152,7 +152,7 @@ def _settled(pairs: Sequence[_Pair], fit: Turn, interval_s: float, config: Confi
         if abs(fit.turn_s - before.turn_s) <= fit.sigma_s:
             break
     # Bent clouds tell it surely only once they are straightened: then from one that takes half as long.
-    if abs(fit.turn_s) < max(interval_s / (_TURNS + 0.5), 2.0 * math.sqrt(gate()) * fit.sigma_s):
+    if abs(fit.turn_s) < max(interval_s / (_TURNS + 0.5), 2 * math.sqrt(gate()) * fit.sigma_s):
         return None
     shares = [math.copysign(interval_s / turns, fit.turn_s) for turns in range(1, _TURNS + 1)]
     again = [_fit(pairs, replace(fit, turn_s=share), config, any_cut=False) or fit for share in shares]
@@ -162,14 +162,15 @@ def _settled(pairs: Sequence[_Pair], fit: Turn, interval_s: float, config: Confi
     for slices in (4, 2, 1):
         step_rad = slices * math.tau / SLICES
         tried = [replace(best, cut_rad=best.cut_rad + side * step_rad) for side in (0, -1, 1)]
-        best = max(tried, key=lambda turn: _agreed(pairs, turn, config))
-    untouched = replace(best, turn_s=TINY)
-    return best if _agreed(pairs, best, config) > _agreed(pairs, untouched, config) else None
+        best = max(tried, key=lambda turn: sum(_agreed(pairs, turn, config)))
+    gains = np.subtract(_agreed(pairs, best, config), _agreed(pairs, replace(best, turn_s=TINY), config))
+    # More of the points must fit, by twice what chance may do.
+    return best if gains.mean() > 2 * gains.std() / math.sqrt(len(pairs)) else None
 
 
-def _agreed(pairs: Sequence[_Pair], turn: Turn, config: Config) -> float:
-    """The sum of `_agreement`."""
-    return sum(_agreement(pair, turn, config) for pair in pairs)
+def _agreed(pairs: Sequence[_Pair], turn: Turn, config: Config) -> list[float]:
+    """The `_agreement` of each pair."""
+    return [_agreement(pair, turn, config) for pair in pairs]
 
 
 def _agreement(pair: _Pair, turn: Turn, config: Config) -> float:
