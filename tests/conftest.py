@@ -1,6 +1,7 @@
 """Its presence lets every test folder import the helpers in this one: pytest puts this folder on the path."""
 
 import gc
+import os
 import signal
 from collections.abc import Iterator
 from typing import Any
@@ -18,6 +19,11 @@ hypothesis.settings.load_profile("no deadline")
 
 # A shell's background job has Ctrl-C ignored, and its children too; tests interrupt themselves and others.
 signal.signal(signal.SIGINT, signal.default_int_handler)
+
+# Each of several workers has a core: copies of a process that think the other one free only crowd it.
+if (worker := os.environ.get("PYTEST_XDIST_WORKER", "gw")[2:]) and hasattr(os, "sched_setaffinity"):
+    cores = sorted(os.sched_getaffinity(0))
+    os.sched_setaffinity(0, {cores[int(worker) % len(cores)]})
 
 
 @pytest.fixture(scope="session")
