@@ -40,19 +40,14 @@ class ClaimTrial:
         self._config, self._reach_m = config, reach_m
         self._tried: dict[tuple[int, int], LoopCandidate] = {}
 
-    def hold(
-        self, members: Sequence[LoopCandidate], fault: tuple[int, int] | None
-    ) -> tuple[list[LoopCandidate], int]:
-        """Claims that follow from those of a set and fit, too; and how many keyframes fit nowhere.
-
-        Of keyframes from which a fault of the way parts the set nothing follows.
-        """
+    def hold(self, members: Sequence[LoopCandidate]) -> tuple[list[LoopCandidate], int]:
+        """Claims that follow from those of a set and fit, too; and how many keyframes fit nowhere."""
         stretches, way_m = self._stretches, self._submaps.travelled_m
         ways = np.array([way_m(member.keyframe) for member in members])
         more, refused = list[LoopCandidate](), 0
         for key in stretches.between(ways.min() - self._reach_m, ways.max() + self._reach_m):
             nearest = members[int(np.abs(ways - way_m(key)).argmin())]
-            if key == nearest.keyframe or parted(fault, key, nearest.keyframe):
+            if key == nearest.keyframe:
                 continue
             verdicts = self._verdicts(nearest, key)
             fits = [one for one in verdicts if one.accepted]
@@ -95,8 +90,3 @@ class ClaimTrial:
             if far and way_m(key) - way_m(around[n]) > self._submaps.least_path_m:
                 chosen.append(around[n])
         return chosen
-
-
-def parted(fault: tuple[int, int] | None, one: int, other: int) -> bool:
-    """Whether a part of the way lies between two keyframes."""
-    return fault is not None and min(one, other) <= fault[0] and max(one, other) >= fault[1]

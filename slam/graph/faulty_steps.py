@@ -107,10 +107,7 @@ class FaultySteps:
         (n,) of the keyframes: in the time of a part the robot went and turned no farther than it does as a
         rule, and what is told on top, however many claims say so.
     probability
-        Share of the steps that are no faster than that rule; of true differences that pass the gate. In as
-        many parts that nothing measured wheels are as good as they claim; else they say nothing (a
-        max-mixture: Olson and Agarwal, "Inference on networks of mixtures for robust robot mapping", IJRR
-        2013).
+        Share of the steps that are no faster than that rule; of true differences that pass the gate.
 
     Attributes
     ----------
@@ -165,10 +162,6 @@ class FaultySteps:
         time_s = np.abs(stamps_s[ended] - stamps_s[begun])[:, None]
         told = _moves(_off(poses[begun], poses[ended]))
         self._farthest = told + time_s * np.quantile(speeds, probability, axis=0)
-        # Where wheels that nothing measured beside are grossly wrong, it is anywhere that it can have gone.
-        room = math.pi * self._farthest[:, 0] ** 2 * np.minimum(2.0 * self._farthest[:, 1], 2.0 * math.pi)
-        unseen = [guessed[first:last].all() for first, last in self._ends.tolist()]
-        self._room = np.where(unseen, room / (1.0 - probability), math.inf)
 
     @cached_property
     def _bounded(self) -> FloatArray:
@@ -209,10 +202,7 @@ class FaultySteps:
         needed = _off(to_part, composed(claim.pose[None], inverse(rest)))
         off = _off(_off(poses[first], poses[last]), needed)
         around = moved(np.repeat(expected.covariance[None], len(rest), axis=0), rest)
-        expected_off = self._bounded[within] + around
-        peaks = np.sqrt((2.0 * math.pi) ** 3 * np.linalg.det(expected_off))
-        gross = 2.0 * np.log(np.maximum(self._room[within] / peaks, 1.0))
-        squares = np.minimum(_squares(off, expected_off), gross)
+        squares = _squares(off, self._bounded[within] + around)
         # What is farther than it can have gone the ways to the part and on from it must explain.
         shares = np.minimum(1.0, self._farthest[within] / np.maximum(_moves(needed), TINY))
         beyond = _off(needed * shares[:, [0, 0, 1]], needed)

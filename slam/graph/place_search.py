@@ -177,12 +177,15 @@ class PlaceSearch:
             rivals = (m for m in np.flatnonzero(2.0 * gains > gains[n]).tolist() if m != n)
             if any(sets.contradiction(found[n], found[m], seen) > gains[m] for m in rivals):
                 continue
-            fits, refused = trial.hold(found[n], judged[n][2])
+            fits, refused = trial.hold(found[n])
             # One that fits where it cannot be shows that these places look alike.
             bends = [self._bend(one, seen(one.place, one.keyframe)) for one in fits]
             most = costs[n] + self._gate
             more = [one for one, bend in zip(fits, bends, strict=True) if min(bend[0], bend[2]) <= most]
             refused += len(fits) - len(more)
+            # What contradicts more than one fault explains must be confirmed by what lies around.
+            if costs[n] > 2.0 * self._gate and len(more) <= refused:
+                continue
             held = len(found[n]) + len(more) - refused
             # What only a fault explains is seen as often as along a dense way, however far apart.
             if judged[n][2] is not None and held < 4:
