@@ -98,7 +98,9 @@ class _Moving:
 _Pair: TypeAlias = tuple[_Moving, _Moving, float]
 
 
-def turn_of(stretches: Sequence[Sequence[PointCloud]], interval_s: float, config: Config) -> Turn | None:
+def turn_of(
+    stretches: Sequence[Sequence[PointCloud]], interval_s: float, config: Config, *, flat: bool = False
+) -> Turn | None:
     """How a lidar spins whose points tell no times; None where nothing is bent, or nothing tells.
 
     Parameters
@@ -122,7 +124,7 @@ def turn_of(stretches: Sequence[Sequence[PointCloud]], interval_s: float, config
             return None
         if abs(fit.turn_s) > within_s and number > 3:
             break
-    return _settled(pairs, fit, interval_s, config) if fit is not None and number > 3 else None
+    return _settled(pairs, fit, interval_s, config, flat) if fit is not None and number > 3 else None
 
 
 def turn_in_the_plane(
@@ -133,7 +135,7 @@ def turn_in_the_plane(
         [_stood_up(scan) for scan in scans if scan.stamp_s - scans[0].stamp_s <= LASTS_S]
         for scans in stretches[:: -(-len(stretches) // MOST)]
     ]
-    return turn_of(short, interval_s, config)
+    return turn_of(short, interval_s, config, flat=True)
 
 
 def _stood_up(scan: LaserScan) -> PointCloud:
@@ -145,7 +147,7 @@ def _stood_up(scan: LaserScan) -> PointCloud:
     return PointCloud(scan.stamp_s, np.vstack(rows).astype(np.float32), None, sensor=scan.sensor)
 
 
-def _settled(pairs: Sequence[_Pair], fit: Turn, interval_s: float, config: Config) -> Turn | None:
+def _settled(pairs: Sequence[_Pair], fit: Turn, interval_s: float, config: Config, flat: bool) -> Turn | None:
     """The whole share of the interval that clouds tell once straightened, and where they agree best."""
     for _ in range(ROUNDS):
         before, fit = fit, _fit(pairs, fit, config) or fit
@@ -164,8 +166,8 @@ def _settled(pairs: Sequence[_Pair], fit: Turn, interval_s: float, config: Confi
         tried = [replace(best, cut_rad=best.cut_rad + side * step_rad) for side in (0, -1, 1)]
         best = max(tried, key=lambda turn: sum(_agreed(pairs, turn, config)))
     gains = np.subtract(_agreed(pairs, best, config), _agreed(pairs, replace(best, turn_s=TINY), config))
-    # More of the points must fit, by twice what chance may do.
-    return best if gains.mean() > 2 * gains.std() / math.sqrt(len(pairs)) else None
+    # Of flat scans more of the points must fit, by twice what chance may do.
+    return best if not flat or gains.mean() > 2 * gains.std() / math.sqrt(len(pairs)) else None
 
 
 def _agreed(pairs: Sequence[_Pair], turn: Turn, config: Config) -> list[float]:

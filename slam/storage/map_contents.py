@@ -270,7 +270,7 @@ def read_contents(file: MapFile) -> MapContents:
         keyframes.append((stamp_s, reading, pose))
         # Flat scans of clouds are wide: they are read when somebody asks.
         if len(clouds):
-            spool.append(pack_small(found))
+            spool.append(pack_small((found[0], None if found[1] is found[0] else found[1])))
         else:
             scans.append(found)
     if not keyframes:
@@ -285,7 +285,7 @@ def read_contents(file: MapFile) -> MapContents:
     wrong = unsound_covariance([factor.edge.covariance for factor in factors], 3 if planar else 6)
     with file.blaming(FACTORS, wrong or 0):
         require(wrong is None, "its covariance is not finite, symmetric and positive definite")
-    count, pairs = len(poses), KeptScans(len(poses), lambda key: unpack_small(spool[key]))
+    count, pairs = len(poses), KeptScans(len(poses), lambda key: _pair(*unpack_small(spool[key])))
     return MapContents(
         node_poses=poses,
         stamps_s=np.array([keyframe[0] for keyframe in keyframes]),
@@ -322,6 +322,11 @@ def refuse_misfits(file: MapFile, contents: MapContents) -> None:
                 raise MapFileError("it belongs to no node")
             if clouds is not None and head.T_base_camera is None:
                 raise MapFileError("it does not tell where the camera was on the robot")
+
+
+def _pair(measured: LaserScan | None, repaired: LaserScan | None) -> _Scans:
+    """The same twice where nothing was repaired."""
+    return measured, measured if repaired is None else repaired
 
 
 def _keyframe(row: tuple[Any, ...], small: Unpack) -> tuple[float, int, Pose, _Scans]:
