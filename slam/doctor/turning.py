@@ -165,9 +165,11 @@ def _settled(pairs: Sequence[_Pair], fit: Turn, interval_s: float, config: Confi
         step_rad = slices * math.tau / SLICES
         tried = [replace(best, cut_rad=best.cut_rad + side * step_rad) for side in (0, -1, 1)]
         best = max(tried, key=lambda turn: sum(_agreed(pairs, turn, config)))
-    gains = np.subtract(_agreed(pairs, best, config), _agreed(pairs, replace(best, turn_s=TINY), config))
+    if not flat:
+        return best
     # Of flat scans more of the points must fit, by twice what chance may do.
-    return best if not flat or gains.mean() > 2 * gains.std() / math.sqrt(len(pairs)) else None
+    gains = np.subtract(_agreed(pairs, best, config), _agreed(pairs, replace(best, turn_s=TINY), config))
+    return best if gains.mean() > 2 * gains.std() / math.sqrt(len(pairs)) else None
 
 
 def _agreed(pairs: Sequence[_Pair], turn: Turn, config: Config) -> list[float]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any, TypeAlias
@@ -265,11 +265,12 @@ def read_contents(file: MapFile) -> MapContents:
         MapClouds(file, erased=erased_bits(edits, CLOUD)),
     )
     small = Unpacker(file.size)
-    keyframes, scans, spool = list[tuple[float, int, Pose]](), list[_Scans](), Spool()
+    # Flat scans of clouds are wide: they are read when somebody asks.
+    spool = Spool() if len(clouds) else None
+    keyframes, scans = list[tuple[float, int, Pose]](), list[_Scans]()
     for stamp_s, reading, pose, found in file.parsed(KEYFRAMES, lambda row: _keyframe(row, small)):
         keyframes.append((stamp_s, reading, pose))
-        # Flat scans of clouds are wide: they are read when somebody asks.
-        if len(clouds):
+        if spool is not None:
             spool.append(pack_small((found[0], None if found[1] is found[0] else found[1])))
         else:
             scans.append(found)
@@ -285,13 +286,13 @@ def read_contents(file: MapFile) -> MapContents:
     wrong = unsound_covariance([factor.edge.covariance for factor in factors], 3 if planar else 6)
     with file.blaming(FACTORS, wrong or 0):
         require(wrong is None, "its covariance is not finite, symmetric and positive definite")
-    count, pairs = len(poses), KeptScans(len(poses), lambda key: _pair(*unpack_small(spool[key])))
+    both: Sequence[Any] = scans if spool is None else KeptScans(len(poses), _reader(spool))
     return MapContents(
         node_poses=poses,
         stamps_s=np.array([keyframe[0] for keyframe in keyframes]),
         readings=np.array([keyframe[1] for keyframe in keyframes], dtype=np.int64),
-        measured_scans=[pair[0] for pair in scans] if scans else KeptScans(count, lambda key: pairs[key][0]),
-        keyframe_scans=[pair[1] for pair in scans] if scans else KeptScans(count, lambda key: pairs[key][1]),
+        measured_scans=KeptScans(len(poses), lambda key: both[key][0]),
+        keyframe_scans=KeptScans(len(poses), lambda key: both[key][1]),
         factors=factors,
         loops=loops,
         trajectory=trajectory,
@@ -324,9 +325,14 @@ def refuse_misfits(file: MapFile, contents: MapContents) -> None:
                 raise MapFileError("it does not tell where the camera was on the robot")
 
 
-def _pair(measured: LaserScan | None, repaired: LaserScan | None) -> _Scans:
-    """The same twice where nothing was repaired."""
-    return measured, measured if repaired is None else repaired
+def _reader(spool: Spool) -> Callable[[int], _Scans]:
+    """Reads the scans of a number, the same twice where nothing was repaired."""
+
+    def read(key: int) -> _Scans:
+        measured, repaired = unpack_small(spool[key])
+        return measured, measured if repaired is None else repaired
+
+    return read
 
 
 def _keyframe(row: tuple[Any, ...], small: Unpack) -> tuple[float, int, Pose, _Scans]:
