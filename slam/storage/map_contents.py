@@ -286,13 +286,18 @@ def read_contents(file: MapFile) -> MapContents:
     wrong = unsound_covariance([factor.edge.covariance for factor in factors], 3 if planar else 6)
     with file.blaming(FACTORS, wrong or 0):
         require(wrong is None, "its covariance is not finite, symmetric and positive definite")
-    both: Sequence[Any] = scans if spool is None else KeptScans(len(poses), _reader(spool))
+    measured: Sequence[LaserScan | None] = [pair[0] for pair in scans]
+    mended: Sequence[LaserScan | None] = [pair[1] for pair in scans]
+    if spool is not None:
+        both = KeptScans(len(poses), _reader(spool))
+        measured = KeptScans(len(poses), lambda key: both[key][0])
+        mended = KeptScans(len(poses), lambda key: both[key][1])
     return MapContents(
         node_poses=poses,
         stamps_s=np.array([keyframe[0] for keyframe in keyframes]),
         readings=np.array([keyframe[1] for keyframe in keyframes], dtype=np.int64),
-        measured_scans=KeptScans(len(poses), lambda key: both[key][0]),
-        keyframe_scans=KeptScans(len(poses), lambda key: both[key][1]),
+        measured_scans=measured,
+        keyframe_scans=mended,
         factors=factors,
         loops=loops,
         trajectory=trajectory,
