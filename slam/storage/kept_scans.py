@@ -26,8 +26,8 @@ class KeptScans(Sequence[LaserScan | None]):
         self._newest: tuple[int, Any] = -1, None
 
     @classmethod
-    def on_disk(cls, scans: Iterable[LaserScan]) -> KeptScans:
-        """Of scans that are made one after the other, in a temporary file."""
+    def on_disk(cls, scans: Iterable[Any]) -> KeptScans:
+        """Of scans, or tuples of them, that are made one after the other, in a temporary file."""
         spool = Spool()
         for scan in scans:
             spool.append(pack_small(scan))

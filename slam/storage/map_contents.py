@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any, TypeAlias
@@ -24,7 +24,6 @@ from slam.mapping.keyframe_grid import layers_of_grids
 from slam.mapping.layered_map import DEPTH, OCCUPANCY, LayeredMap
 from slam.mapping.occupancy_grid import OccupancyGrid
 from slam.measurements import FloatArray, LaserScan, Pose, spatial
-from slam.spool import Spool
 from slam.storage.covariances import of_upper_triangles, upper_triangles
 from slam.storage.kept_scans import KeptScans
 from slam.storage.map_clouds import MapClouds
@@ -52,7 +51,7 @@ from slam.storage.map_tables import (
     LOOPS,
     TRAJECTORY,
 )
-from slam.storage.packing import Unpacker, pack, pack_small, unpack, unpack_small
+from slam.storage.packing import Unpacker, pack, pack_small, unpack
 from slam.vision.color_registration import ColorRegistration
 from slam.vision.learned_camera import LearnedCamera
 
@@ -265,15 +264,15 @@ def read_contents(file: MapFile) -> MapContents:
         MapClouds(file, erased=erased_bits(edits, CLOUD)),
     )
     small = Unpacker(file.size)
+    keyframes = list[tuple[float, int, Pose]]()
+
+    def scans() -> Iterator[_Scans]:
+        for stamp_s, reading, pose, pair in file.parsed(KEYFRAMES, lambda row: _keyframe(row, small)):
+            keyframes.append((stamp_s, reading, pose))
+            yield pair
+
     # Flat scans of clouds are wide: they are read when somebody asks.
-    spool = Spool() if len(clouds) else None
-    keyframes, scans = list[tuple[float, int, Pose]](), list[_Scans]()
-    for stamp_s, reading, pose, found in file.parsed(KEYFRAMES, lambda row: _keyframe(row, small)):
-        keyframes.append((stamp_s, reading, pose))
-        if spool is not None:
-            spool.append(pack_small((found[0], None if found[1] is found[0] else found[1])))
-        else:
-            scans.append(found)
+    pairs: Sequence[Any] = KeptScans.on_disk(scans()) if len(clouds) else list(scans())
     if not keyframes:
         raise MapFileError(f"{file.path} holds no keyframe; make the map anew")
     poses = [keyframe[2] for keyframe in keyframes]
@@ -286,18 +285,12 @@ def read_contents(file: MapFile) -> MapContents:
     wrong = unsound_covariance([factor.edge.covariance for factor in factors], 3 if planar else 6)
     with file.blaming(FACTORS, wrong or 0):
         require(wrong is None, "its covariance is not finite, symmetric and positive definite")
-    measured: Sequence[LaserScan | None] = [pair[0] for pair in scans]
-    mended: Sequence[LaserScan | None] = [pair[1] for pair in scans]
-    if spool is not None:
-        both = KeptScans(len(poses), _reader(spool))
-        measured = KeptScans(len(poses), lambda key: both[key][0])
-        mended = KeptScans(len(poses), lambda key: both[key][1])
     return MapContents(
         node_poses=poses,
         stamps_s=np.array([keyframe[0] for keyframe in keyframes]),
         readings=np.array([keyframe[1] for keyframe in keyframes], dtype=np.int64),
-        measured_scans=measured,
-        keyframe_scans=mended,
+        measured_scans=_each(pairs, lambda pair: pair[0]),
+        keyframe_scans=_each(pairs, lambda pair: pair[0] if pair[1] is None else pair[1]),
         factors=factors,
         loops=loops,
         trajectory=trajectory,
@@ -330,28 +323,20 @@ def refuse_misfits(file: MapFile, contents: MapContents) -> None:
                 raise MapFileError("it does not tell where the camera was on the robot")
 
 
-def _reader(spool: Spool) -> Callable[[int], _Scans]:
-    """Reads the scans of a number, the same twice where nothing was repaired."""
-
-    def read(key: int) -> _Scans:
-        measured, repaired = unpack_small(spool[key])
-        return measured, measured if repaired is None else repaired
-
-    return read
+def _each(pairs: Sequence[Any], of_pair: Callable[[_Scans], LaserScan | None]) -> Sequence[LaserScan | None]:
+    """A scan of each pair, read when it is asked for as the pairs are."""
+    if isinstance(pairs, KeptScans):
+        return KeptScans(len(pairs), lambda key: of_pair(pairs[key]))
+    return [of_pair(pair) for pair in pairs]
 
 
 def _keyframe(row: tuple[Any, ...], small: Unpack) -> tuple[float, int, Pose, _Scans]:
-    """Stamp, reading, pose, scan as measured and as repaired."""
-    stamp_s, reading, pose, measured, repaired = row
-    scan = None if measured is None else of(LaserScan, small(measured))
-    mended = scan if repaired is None else of(LaserScan, small(repaired))
+    """Stamp, reading, pose, scan as measured and, where it was, as repaired."""
+    stamp_s, reading, pose, *scans = row
     found = unpack(pose)
-    return (
-        sound_stamp(stamp_s),
-        reading,
-        found if isinstance(found, gtsam.Pose2) else of(gtsam.Pose3, found),
-        (scan, mended),
-    )
+    found = found if isinstance(found, gtsam.Pose2) else of(gtsam.Pose3, found)
+    measured, repaired = (None if scan is None else of(LaserScan, small(scan)) for scan in scans)
+    return sound_stamp(stamp_s), reading, found, (measured, repaired)
 
 
 def _loop(row: tuple[Any, ...], nodes: int) -> LoopCandidate:
