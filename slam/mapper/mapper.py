@@ -6,33 +6,25 @@ import time
 from dataclasses import replace
 from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
-
-from fusion.time_alignment import GAP_S
 from slam.config import Config
 from slam.errors import DatasetError, GraphError
-from slam.estimates import Trajectory
 from slam.forked import Begun
 from slam.graph.edge import Edge, EdgeKind
 from slam.graph.keyframe_graph import KeyframeGraph
 from slam.graph.loop_closure import LoopCandidate
 from slam.graph.pose_covariances import pose_covariances
+from slam.graph.pose_graph import BatchResult
 from slam.mapper.anchoring import Way
 from slam.mapper.gnss import GnssAnchors
 from slam.mapper.map_result import MapResult
+from slam.mapper.map_warnings import apart, unseen
 from slam.mapper.mount_learner import LearnedMounting
 from slam.mapper.protocol import SENSORS, FrontEnd, Sensor, Tracked
 from slam.mapper.scan_record import ScanRecorder
 from slam.mapper.tags import PlaceAnchors
 from slam.measurements import FloatArray, GnssFix
 from slam.storage.map_contents import MapContents, SavedFactor, clock_sigma_s
-from slam.trajectory.carried import (
-    carried_covariances,
-    grown_covariances,
-    late_covariances,
-    unseen_covariances,
-)
+from slam.trajectory.carried import carried_covariances, late_covariances, unseen_covariances
 
 
 class Mapper:
@@ -109,68 +101,79 @@ class Mapper:
             Where nothing could be mapped.
         """
         self._front_end.refuse()
-        graph, front_end = self._keyframes, self._front_end
+        graph, front_end, readings = self._keyframes, self._front_end, self._front_end.readings
         clock = [time.perf_counter()]
         front_end.settle(graph)
-        probability = self._config.loops.inlier_probability
-        outcome = graph.optimize(probability)
-        scans = replace(self._record.finish(), stamps_s=front_end.readings.scan_stamps_s())
-        numbers = front_end.readings.keyframe_scans()
-        stamps_s = scans.stamps_s[numbers]
-
-        def way() -> Way:
-            poses = graph.poses()
-            bases = front_end.bases(poses)
-            return Way.of(poses, bases, stamps_s, front_end.readings.trajectory(bases))
-
-        if self._places is not None:
-            outcome = self._places.join(front_end.tags, graph, way(), outcome, probability)
-        # It ends: nothing is found twice.
-        while found := front_end.search_again(graph, outcome.kept):
-            for candidate in found:
-                graph.add_loop(candidate)
-            outcome = graph.optimize(probability)
-        bases, edges = front_end.bases(graph.poses()), graph.graph.edges
-        trajectory = front_end.readings.trajectory(bases)
-        for anchors in (self._gnss.anchor if self._gnss else None, self._places and self._places.survey):
-            if anchors:
-                outcome = anchors(graph, way(), outcome, probability)
-                bases = front_end.bases(graph.poses())
-                trajectory = front_end.readings.trajectory(bases)
+        outcome = self._optimised(graph)
+        way, edges = self._way(graph), graph.graph.edges
         clock.append(time.perf_counter())
-        told = Begun(lambda: pose_covariances(graph.poses(), bases, edges, outcome.kept, self._config))
+        told = Begun(lambda: pose_covariances(way.nodes, way.bases, edges, outcome.kept, self._config))
         if self._places is not None:
-            self._places.check(graph, way(), outcome, self._config)
+            self._places.check(graph, way, outcome, self._config)
         factors = zip(edges, outcome.kept.tolist(), strict=True)
         result = MapResult(
             MapContents(
-                node_poses=list(graph.poses()),
-                stamps_s=stamps_s,
-                readings=numbers,
-                trajectory=trajectory,
+                node_poses=list(way.nodes),
+                stamps_s=way.stamps_s,
+                readings=readings.keyframe_scans(),
+                trajectory=readings.trajectory(way.bases),
                 factors=[SavedFactor(edge, kept) for edge, kept in factors],
                 loops=graph.loops,
                 georeference=self._gnss.georeference,
                 places=None if self._places is None else self._places.found,
             ),
-            scans,
-            {
-                **self.stage_seconds,
-                "final optimisation": clock[1] - clock[0],
-            },
+            replace(self._record.finish(), stamps_s=readings.scan_stamps_s()),
+            self.stage_seconds,
         )
+        result.stage_seconds["final optimisation"] = clock[1] - clock[0]
         front_end.complete(result)
         clock.append(time.perf_counter())
-        at = front_end.readings.keyframe_readings()
-        covariances = carried_covariances(trajectory, at, *told())
-        placed, wheels = front_end.readings.placed(), front_end.readings.wheels()
-        covariances += unseen_covariances(trajectory, placed, wheels, covariances.shape[1])
+        covariances = self._covariances(result.map, *told())
         result.map = replace(result.map, covariances=covariances)
-        if sigma_s := clock_sigma_s(result.map):
-            # The map holds them.
-            covariances += late_covariances(trajectory, int(at[0]), [(len(trajectory), sigma_s)])
         result.stage_seconds["map"] = clock[2] - clock[1] - result.stage_seconds.get("fusion", 0.0)
         result.stage_seconds["full trajectory"] = time.perf_counter() - clock[2]
+        self._tell(result)
+        result.warnings += apart(graph.pieces(outcome.kept), way.stamps_s - result.scans.stamps_s[0])
+        result.warnings += unseen(result.map.trajectory, readings.placed(), covariances, self._config)
+        return result
+
+    def _optimised(self, graph: KeyframeGraph) -> BatchResult:
+        """Solve for everything until no loop is found any more, then lay it on the places that were told."""
+        probability = self._config.loops.inlier_probability
+        outcome = graph.optimize(probability)
+        if self._places is not None:
+            outcome = self._places.join(self._front_end.tags, graph, self._way(graph), outcome, probability)
+        # It ends: nothing is found twice.
+        while found := self._front_end.search_again(graph, outcome.kept):
+            for candidate in found:
+                graph.add_loop(candidate)
+            outcome = graph.optimize(probability)
+        if self._gnss:
+            outcome = self._gnss.anchor(graph, self._way(graph), outcome, probability)
+        if self._places is not None:
+            outcome = self._places.survey(graph, self._way(graph), outcome, probability)
+        return outcome
+
+    def _way(self, graph: KeyframeGraph) -> Way:
+        """Where the robot was, as the graph has it now."""
+        readings, nodes = self._front_end.readings, graph.poses()
+        bases = self._front_end.bases(nodes)
+        stamps_s = readings.scan_stamps_s()[readings.keyframe_scans()]
+        return Way.of(nodes, bases, stamps_s, readings.trajectory(bases))
+
+    def _covariances(self, found: MapContents, *of_keyframes: FloatArray) -> FloatArray:
+        """Of every pose, from those of the keyframes."""
+        readings, trajectory = self._front_end.readings, found.trajectory
+        at = readings.keyframe_readings()
+        covariances = carried_covariances(trajectory, at, *of_keyframes)
+        dimension = covariances.shape[1]
+        covariances += unseen_covariances(trajectory, readings.placed(), readings.wheels(), dimension)
+        if sigma_s := clock_sigma_s(found):
+            covariances += late_covariances(trajectory, int(at[0]), [(len(trajectory), sigma_s)])
+        return covariances
+
+    def _tell(self, result: MapResult) -> None:
+        """Say what people should know of the sensors beside the front end."""
         result.notes += [note for sensor in self._sensors.values() for note in sensor.notes()]
         result.notes += self._gnss.notes()
         if self._places is not None:
@@ -178,10 +181,6 @@ class Mapper:
             result.warnings += self._places.warnings
         if self._gnss.unused:
             result.unused[self._gnss.sensor] = self._gnss.unused
-        result.warnings += _apart(graph.pieces(outcome.kept), result.map.stamps_s - scans.stamps_s[0])
-        limits = self._config.match.search_half_width_m, self._config.loops.reach_m
-        result.warnings += _unseen(trajectory, placed, covariances, *limits)
-        return result
 
     @property
     def _keyframes(self) -> KeyframeGraph:
@@ -216,60 +215,3 @@ class Mapper:
                     f"a registered sensor's edge is called '{edge.kind}'; give it a name of its own"
                 )
         return edges
-
-
-def _apart(pieces: NDArray[np.int64], stamps_s: FloatArray) -> list[str]:
-    """A warning where nothing but guesses holds parts of the map together; single keyframes are no part.
-
-    Parameters
-    ----------
-    pieces
-        (n,) number of each keyframe's piece.
-    stamps_s
-        (n,) since the start.
-    """
-    counts = np.bincount(pieces)
-    (parts,) = np.nonzero(counts > 1)
-    if len(parts) < 2:
-        return []
-    begins_s = sorted(float(stamps_s[pieces == part][0]) for part in parts)
-    share = counts.max() / len(pieces)
-    return [
-        f"The map is in {len(parts)} pieces, and how they lie to each other is a guess: the first ends "
-        f"before {begins_s[1]:.0f} s, the largest has {share:.0%} of the keyframes. Wheels, more scans or "
-        "a place seen again would join them"
-    ]
-
-
-def _unseen(
-    trajectory: Trajectory, placed: NDArray[np.int64], covariances: FloatArray, most_m: float, lever_m: float
-) -> list[str]:
-    """A warning where no scan was placed for a while, and poses became more uncertain than a match mends.
-
-    Parameters
-    ----------
-    covariances
-        (N, d, d) of all poses.
-    placed
-        (S,) numbers of those that a scan has placed.
-    most_m, lever_m
-        As uncertain as that may be what lies so far from the robot.
-    """
-    found = []
-    for gap in np.flatnonzero(np.diff(trajectory.stamps_s[placed]) > GAP_S):
-        first, last = int(placed[gap]), int(placed[gap + 1])
-        grown = np.diagonal(grown_covariances(trajectory, covariances, first, last), axis1=1, axis2=2)
-        variances = np.column_stack([grown[:, 0] + grown[:, 1], grown[:, -1]]).clip(0.0)
-        off_m2 = variances @ [1.0, lever_m**2]
-        at = int(off_m2.argmax())
-        if off_m2[at] > most_m**2:
-            found.append((float(off_m2[at]), first, last, *np.sqrt(variances[at]).tolist()))
-    if not found:
-        return []
-    _, first, last, position_m, turn_rad = max(found)
-    from_s, to_s = trajectory.stamps_s[[first, last]] - trajectory.stamps_s[0]
-    others = f", and {len(found) - 1} times more" if len(found) > 1 else ""
-    return [
-        f"No scan was placed from {from_s:.1f} to {to_s:.1f} s{others}: against what was before, poses are "
-        f"uncertain by up to {position_m:.2f} m and {np.degrees(turn_rad):.1f} degrees (one sigma)"
-    ]

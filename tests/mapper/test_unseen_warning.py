@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from slam.mapper.mapper import _unseen
+from slam.config import Config
+from slam.mapper.map_warnings import unseen
 from slam.trajectory.poses import Poses
 
 STAMPS_S = np.arange(0.0, 10.01, 0.5)
@@ -19,7 +20,7 @@ def test_only_what_a_match_would_not_mend_is_told(position_m: float, turn_rad: f
     """In metres, or by a turn of what lies 3 m away."""
     covariances = np.zeros((len(STAMPS_S), 3, 3))
     covariances[(STAMPS_S > 4.0) & (STAMPS_S < 6.0)] = np.diag([position_m**2, 0.0, turn_rad**2])
-    warnings = _unseen(ALONG, PLACED, covariances, 0.6, 3.0)
+    warnings = unseen(ALONG, PLACED, covariances, Config())
     assert [told in warning for warning in warnings] == [True] * bool(told)
     assert all("from 3.0 to 7.0 s: against" in warning for warning in warnings)
 
@@ -28,7 +29,7 @@ def test_the_worst_of_several_is_told_with_their_number() -> None:
     placed = np.setdiff1d(PLACED, np.flatnonzero((STAMPS_S > 7.5) & (STAMPS_S < 9.5)))
     covariances = np.diag([0.0, 1.0, 0.0])[None] * np.isin(STAMPS_S, [5.0, 8.5])[:, None, None]
     covariances[STAMPS_S == 8.5] *= 4.0
-    (warning,) = _unseen(ALONG, placed, covariances, 0.6, 3.0)
+    (warning,) = unseen(ALONG, placed, covariances, Config())
     assert (
         "from 7.5 to 9.5 s, and 1 times more: against what was before, poses are uncertain by up to 2.00 m"
         in warning
@@ -40,4 +41,4 @@ def test_who_was_uncertain_before_is_not_told_of_a_gap() -> None:
     covariances = np.repeat(np.diag([4.0, 4.0, 0.1])[None], len(STAMPS_S), axis=0)
     covariances[:, 1, 1] += 0.1 * (10.0 * STAMPS_S) ** 2
     covariances[:, 1, 2] = covariances[:, 2, 1] = 0.1 * 10.0 * STAMPS_S
-    assert not _unseen(ALONG, PLACED, covariances, 0.6, 3.0)
+    assert not unseen(ALONG, PLACED, covariances, Config())

@@ -1,0 +1,69 @@
+"""Warnings of what holds a finished map together, and of poses that nothing has told."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fusion.time_alignment import GAP_S
+from slam.config import Config
+from slam.estimates import Trajectory
+from slam.measurements import FloatArray
+from slam.trajectory.carried import grown_covariances
+
+
+def apart(pieces: NDArray[np.int64], stamps_s: FloatArray) -> list[str]:
+    """A warning where nothing but guesses holds parts of the map together; single keyframes are no part.
+
+    Parameters
+    ----------
+    pieces
+        (n,) number of each keyframe's piece.
+    stamps_s
+        (n,) since the start.
+    """
+    counts = np.bincount(pieces)
+    (parts,) = np.nonzero(counts > 1)
+    if len(parts) < 2:
+        return []
+    begins_s = sorted(float(stamps_s[pieces == part][0]) for part in parts)
+    share = counts.max() / len(pieces)
+    return [
+        f"The map is in {len(parts)} pieces, and how they lie to each other is a guess: the first ends "
+        f"before {begins_s[1]:.0f} s, the largest has {share:.0%} of the keyframes. Wheels, more scans or "
+        "a place seen again would join them"
+    ]
+
+
+def unseen(
+    trajectory: Trajectory, placed: NDArray[np.int64], covariances: FloatArray, config: Config
+) -> list[str]:
+    """A warning where no scan was placed for a while, and poses became more uncertain than a match mends.
+
+    Parameters
+    ----------
+    placed
+        (S,) numbers of the poses that a scan has placed.
+    covariances
+        (N, d, d) of all poses.
+    """
+    # As uncertain as that may be what lies so far from the robot.
+    most_m, lever_m = config.match.search_half_width_m, config.loops.reach_m
+    found = []
+    for gap in np.flatnonzero(np.diff(trajectory.stamps_s[placed]) > GAP_S):
+        first, last = int(placed[gap]), int(placed[gap + 1])
+        grown = np.diagonal(grown_covariances(trajectory, covariances, first, last), axis1=1, axis2=2)
+        variances = np.column_stack([grown[:, 0] + grown[:, 1], grown[:, -1]]).clip(0.0)
+        off_m2 = variances @ [1.0, lever_m**2]
+        at = int(off_m2.argmax())
+        if off_m2[at] > most_m**2:
+            found.append((float(off_m2[at]), first, last, *np.sqrt(variances[at]).tolist()))
+    if not found:
+        return []
+    _, first, last, position_m, turn_rad = max(found)
+    from_s, to_s = trajectory.stamps_s[[first, last]] - trajectory.stamps_s[0]
+    others = f", and {len(found) - 1} times more" if len(found) > 1 else ""
+    return [
+        f"No scan was placed from {from_s:.1f} to {to_s:.1f} s{others}: against what was before, poses are "
+        f"uncertain by up to {position_m:.2f} m and {np.degrees(turn_rad):.1f} degrees (one sigma)"
+    ]
