@@ -66,83 +66,146 @@ def build_map(
     """
     checkpoint = checkpoint or Checkpoint()
     with Forerunner(dataset, odometries, checkpoint) as forerunner:
-        return _mapped(dataset, config, on_step, checkpoint, odometries, forerunner)
+        run = _Run(dataset, config, on_step, checkpoint, odometries, forerunner)
+        run.look_at_sensors()
+        mapper, tally = run.follow()
+        return run.finish(mapper, tally)
 
 
-def _mapped(
-    dataset: Dataset,
-    config: Config,
-    on_step: OnStep | None,
-    checkpoint: Checkpoint,
-    odometries: Odometries,
-    forerunner: Forerunner,
-) -> MapResult:
-    """See `build_map`."""
-    clock = [time.perf_counter()]
-    end_stage()  # of imports
-    registered = _Registered(dataset, config)
-    choice = _choice(dataset, config)
-    ahead = partial(forerunner.start, config, choice, registered)
-    if choice.cameras:
-        ahead()
-    with read_once(dataset, ahead):
-        findings = checkpoint.findings(lambda: findings_of(dataset, config, registered))
-        if (mended := settled(config, findings)) != config:
-            forerunner.stop()
-            registered = _Registered(dataset, config := mended)
-            choice = _choice(dataset, config)
-    registrations = checkpoint.registrations(lambda: registered(choice.cameras))
-    mountings = checkpoint.mountings()
-    prepare = None
-    if choice.cameras:
-        prepare = FramePreparer(config.rgbd, registrations, lambda: checkpoint.knows_more)
-    end_stage()
-    clock += [time.perf_counter()] * 2
-    forerunner.start(config, choice, registered, registrations)
+class _Run:
+    """One log on its way through the mapper, see `build_map`."""
 
-    def way(ahead: Ahead | None = None) -> tuple[Mapper, SensorTally]:
-        leader = _front_end(choice, dataset, config, checkpoint, registrations, mountings, odometries, ahead)
-        mapper = Mapper(config, leader)
-        tally = _feed(mapper, dataset, choice, prepare, on_step)
+    def __init__(
+        self,
+        dataset: Dataset,
+        config: Config,
+        on_step: OnStep | None,
+        checkpoint: Checkpoint,
+        odometries: Odometries,
+        forerunner: Forerunner,
+    ) -> None:
+        self._dataset, self._config, self._on_step = dataset, config, on_step
+        self._checkpoint, self._odometries, self._forerunner = checkpoint, odometries, forerunner
+        self._clock = [time.perf_counter()]
+        end_stage()  # of imports
+        self._registered = _Registered(dataset, config)
+        self._choice = self._chosen()
+        self._findings: list[Finding] = []
+        self._registrations: Mapping[str, ColorRegistration] = {}
+        self._mountings: Mapping[str, LearnedMounting] = {}
+
+    def look_at_sensors(self) -> None:
+        """Find what is wrong with them, and correct what is beyond doubt."""
+        if self._choice.cameras:
+            self._run_ahead()
+        with read_once(self._dataset, self._run_ahead):
+            self._findings = self._checkpoint.findings(
+                lambda: findings_of(self._dataset, self._config, self._registered)
+            )
+            if (mended := settled(self._config, self._findings)) != self._config:
+                self._forerunner.stop()
+                self._config = mended
+                self._registered = _Registered(self._dataset, mended)
+                self._choice = self._chosen()
+        self._registrations = self._checkpoint.registrations(lambda: self._registered(self._choice.cameras))
+        self._mountings = self._checkpoint.mountings()
+        end_stage()
+
+    def follow(self) -> tuple[Mapper, SensorTally]:
+        """Hand the whole log to a mapper; how much of it there was."""
+        self._clock += [time.perf_counter()] * 2
+        self._run_ahead(self._registrations)
+        try:
+            mapper, tally = self._way(self._forerunner.ahead)
+        except LostError:
+            self._begin_again()
+            mapper, tally = self._way()
+        if not self._mountings and (mountings := mapper.learned_mountings()):
+            # The way up to there was mapped without these cameras; now they are known from its beginning.
+            self._clock[2] = time.perf_counter()
+            self._mountings = mountings
+            self._begin_again()
+            self._run_ahead(self._registrations)
+            mapper, tally = self._way(self._forerunner.ahead)
+        forget_keypoints()
+        self._clock.append(time.perf_counter())
+        return mapper, tally
+
+    def finish(self, mapper: Mapper, tally: SensorTally) -> MapResult:
+        """Optimise everything and make the map; what the log was worth is told with it."""
+        dataset, clock = self._dataset, self._clock
+        reading_s = clock[3] - clock[2] - sum(mapper.stage_seconds.values())
+        dataset.report.note_share(1.0)
+        if self._on_step:
+            self._on_step("mapping", mapper.scan_count)
+            self._checkpoint.on_answer = partial(self._on_step, "optimising", mapper.scan_count)
+            self._checkpoint.on_answer()
+        end_stage()
+        result = mapper.finish()
+        result.stage_seconds = {
+            "sensors looked at": clock[1] - clock[0],
+            **({"a first way, to learn mountings": clock[2] - clock[1]} if clock[2] > clock[1] else {}),
+            "reading the log": reading_s,
+            **result.stage_seconds,
+        }
+        result.uses = tally.uses(dataset.report, result.unused)
+        for finding in self._findings:
+            if finding.sure and finding.remedies:
+                result.notes.append(f"{finding.line} (used)")
+            else:
+                result.warnings.append(finding.line)
+        result.notes += use_lines(result.uses)
+        result.warnings += dataset.report.warnings
+        return result
+
+    def _chosen(self) -> SensorChoice:
+        """How the log is mapped, by its beginning; a few images of each camera show that it is there."""
+        with fewer_frames(self._dataset, paired_frames):
+            return SensorChoice.of(self._dataset, self._config.sensors)
+
+    def _run_ahead(self, known: Mapping[str, ColorRegistration] | None = None) -> None:
+        """Let another core begin, if that is of use."""
+        self._forerunner.start(self._config, self._choice, self._registered, known)
+
+    def _begin_again(self) -> None:
+        """Forget the way, and what was found ahead of it."""
+        self._forerunner.stop()
+        self._checkpoint.begin_again(self._findings, self._registrations, self._mountings)
+
+    def _way(self, ahead: Ahead | None = None) -> tuple[Mapper, SensorTally]:
+        """Go through the log once, frames prefetched."""
+        mapper, tally = Mapper(self._config, self._front_end(ahead)), SensorTally(self._choice)
+        used = self._choice.used(tally.counted(self._dataset))
+        measurements: Iterable[Measurement | PreparedFrame] = used
+        if self._choice.cameras:
+            prepare = FramePreparer(
+                self._config.rgbd, self._registrations, lambda: self._checkpoint.knows_more
+            )
+            measurements = prefetched(used, prepare)
+        for measurement in measurements:
+            mapper.add(measurement)
+            if self._on_step:
+                self._on_step("mapping", mapper.scan_count)
+        if mapper.scan_count == 0:
+            raise DatasetError(
+                f"{self._dataset.name} holds no scan or frame that can be mapped; "
+                "see 'scanweave inspect' for what it holds"
+            )
         if ahead is not None:
             ahead.end()
         return mapper, tally
 
-    try:
-        mapper, tally = way(forerunner.ahead)
-    except LostError:
-        forerunner.stop()
-        checkpoint.begin_again(findings, registrations, mountings)
-        mapper, tally = way()
-    if not mountings and (mountings := mapper.learned_mountings()):
-        # The way up to there was mapped without these cameras; now they are known from its beginning.
-        clock[2] = time.perf_counter()
-        checkpoint.begin_again(findings, registrations, mountings)
-        forerunner.stop()
-        forerunner.start(config, choice, registered, registrations)
-        mapper, tally = way()
-    forget_keypoints()
-    clock.append(time.perf_counter())
-    reading_s = clock[3] - clock[2] - sum(mapper.stage_seconds.values())
-    dataset.report.note_share(1.0)
-    if on_step:
-        on_step("mapping", mapper.scan_count)
-        checkpoint.on_answer = partial(on_step, "optimising", mapper.scan_count)
-        checkpoint.on_answer()
-    end_stage()
-    result = mapper.finish()
-    result.stage_seconds = {
-        "sensors looked at": clock[1] - clock[0],
-        **({"a first way, to learn mountings": clock[2] - clock[1]} if clock[2] > clock[1] else {}),
-        "reading the log": reading_s,
-        **result.stage_seconds,
-    }
-    result.uses = tally.uses(dataset.report, result.unused)
-    result.notes += [f"{finding.line} (used)" for finding in findings if finding.sure and finding.remedies]
-    result.notes += use_lines(result.uses)
-    result.warnings += [finding.line for finding in findings if not (finding.sure and finding.remedies)]
-    result.warnings += dataset.report.warnings
-    return result
+    def _front_end(self, ahead: Ahead | None) -> FrontEnd:
+        """The sensor that leads."""
+        config, choice, checkpoint = self._config, self._choice, self._checkpoint
+        if choice.cloud:
+            imu = choice.imu and config.sensors.imu
+            start = start_of(choice.used(self._dataset), config) if imu else None
+            return CloudLidar(config, checkpoint, self._registrations, start)
+        if choice.spatial:
+            return FreeCamera(config, checkpoint, self._registrations, self._odometries)
+        known = self._registrations, self._mountings, self._odometries
+        return PlanarRobot(config, checkpoint, *known, ahead)
 
 
 @dataclass(slots=True)
@@ -161,12 +224,6 @@ class _Registered:
         return {name: self.found[name] for name in cameras if name in self.found}
 
 
-def _choice(dataset: Dataset, config: Config) -> SensorChoice:
-    """How the log is mapped, by its beginning; a few images of each camera show that it is there."""
-    with fewer_frames(dataset, paired_frames):
-        return SensorChoice.of(dataset, config.sensors)
-
-
 def findings_of(
     dataset: Dataset, config: Config, registrations: Registrations | None = None
 ) -> list[Finding]:
@@ -179,47 +236,3 @@ def findings_of(
 def settled(config: Config, findings: Iterable[Finding]) -> Config:
     """A configuration with the remedies of what is beyond doubt; what a person has calibrated stays."""
     return calibrated(config, remedied(config.sensors.calibration, findings, only_sure=True))
-
-
-def _front_end(
-    choice: SensorChoice,
-    dataset: Dataset,
-    config: Config,
-    checkpoint: Checkpoint,
-    registrations: Mapping[str, ColorRegistration],
-    mountings: Mapping[str, LearnedMounting],
-    odometries: Odometries,
-    ahead: Ahead | None,
-) -> FrontEnd:
-    """The sensor that leads."""
-    if choice.cloud:
-        start = start_of(choice.used(dataset), config) if choice.imu and config.sensors.imu else None
-        return CloudLidar(config, checkpoint, registrations, start)
-    if choice.spatial:
-        return FreeCamera(config, checkpoint, registrations, odometries)
-    return PlanarRobot(config, checkpoint, registrations, mountings, odometries, ahead)
-
-
-def _feed(
-    mapper: Mapper,
-    dataset: Dataset,
-    choice: SensorChoice,
-    prepare: FramePreparer | None,
-    on_step: OnStep | None,
-) -> SensorTally:
-    """Hand the whole log to a mapper, frames prefetched; how much of it there was."""
-    tally = SensorTally(choice)
-    used = choice.used(tally.counted(dataset))
-    measurements: Iterable[Measurement | PreparedFrame] = used
-    if prepare is not None:
-        measurements = prefetched(used, prepare)
-    for measurement in measurements:
-        mapper.add(measurement)
-        if on_step:
-            on_step("mapping", mapper.scan_count)
-    if mapper.scan_count == 0:
-        raise DatasetError(
-            f"{dataset.name} holds no scan or frame that can be mapped; "
-            "see 'scanweave inspect' for what it holds"
-        )
-    return tally
