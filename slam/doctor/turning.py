@@ -32,6 +32,7 @@ from slam.odometry.cloud_tracker import CloudTracker, TrackedCloud
 
 # Of so many turns one is recorded at least; planes of bent clouds are so thick, in voxels.
 _TURNS, _THICKNESS = 5, 0.2
+_CUTS_RAD = np.arange(SLICES) * math.tau / SLICES
 
 
 @dataclass(frozen=True, slots=True)
@@ -96,6 +97,7 @@ class _Moving:
 
 
 _Pair: TypeAlias = tuple[_Moving, _Moving, float]
+_Told: TypeAlias = tuple[FloatArray, FloatArray]  # weights and sums (C,) of each cut
 
 
 def turn_of(
@@ -112,10 +114,11 @@ def turn_of(
     """
     if interval_s <= 0.0 or not (stretches and _looks_round(stretches[0])):
         return None
-    pairs, fit, number = list[_Pair](), None, 0
+    pairs, told, bent, fit, number = list[_Pair](), list[_Told](), Turn(0.0, 0.0, 0.0), None, 0
     for number, clouds in enumerate(_spread_out(stretches), 1):
-        pairs += _pairs(clouds, config)
-        fit = _fit(pairs, Turn(0.0, 0.0, 0.0), config) if number > 1 else None
+        pairs += (new := _pairs(clouds, config))
+        told += _told_by(new, bent, config, _CUTS_RAD)
+        fit = _fit(told, _CUTS_RAD) if number > 1 else None
         if fit is None:
             continue
         within_s = math.sqrt(gate()) * fit.sigma_s
@@ -150,14 +153,15 @@ def _stood_up(scan: LaserScan) -> PointCloud:
 def _settled(pairs: Sequence[_Pair], fit: Turn, interval_s: float, config: Config, flat: bool) -> Turn | None:
     """The whole share of the interval that clouds tell once straightened, and where they agree best."""
     for _ in range(ROUNDS):
-        before, fit = fit, _fit(pairs, fit, config) or fit
+        before, fit = fit, _fit(_told_by(pairs, fit, config, _CUTS_RAD), _CUTS_RAD) or fit
         if abs(fit.turn_s - before.turn_s) <= fit.sigma_s:
             break
     # Bent clouds tell it surely only once they are straightened: then from one that takes half as long.
     if abs(fit.turn_s) < max(interval_s / (_TURNS + 0.5), 2 * math.sqrt(gate()) * fit.sigma_s):
         return None
     shares = [math.copysign(interval_s / turns, fit.turn_s) for turns in range(1, _TURNS + 1)]
-    again = [_fit(pairs, replace(fit, turn_s=share), config, any_cut=False) or fit for share in shares]
+    own = np.array([fit.cut_rad])
+    again = [_fit(_told_by(pairs, replace(fit, turn_s=share), config, own), own) or fit for share in shares]
     # What straightens them as it should, they tell once more.
     told, turn_s = min(zip(again, shares, strict=True), key=lambda one: abs(one[0].turn_s / one[1] - 1.0))
     best = replace(told, turn_s=turn_s)
@@ -189,9 +193,8 @@ def _agreement(pair: _Pair, turn: Turn, config: Config) -> float:
     return 0.0 if found is None else found.agreement
 
 
-def _fit(pairs: Sequence[_Pair], now: Turn, config: Config, *, any_cut: bool = True) -> Turn | None:
-    """The turn that explains most, from pairs as that of now straightens them; sigma by how they differ."""
-    told = [one for first, second, voxel_m in pairs if (one := _told(first, second, voxel_m, now, config))]
+def _fit(told: Sequence[_Told], cuts_rad: FloatArray) -> Turn | None:
+    """The turn that explains most by what pairs have told of each cut; sigma by how they differ."""
     if not told:
         return None
     weights, sums = (np.array(one) for one in zip(*told, strict=True))
@@ -200,17 +203,21 @@ def _fit(pairs: Sequence[_Pair], now: Turn, config: Config, *, any_cut: bool = T
     weights, sums = weights * most, sums * most
     whole = np.maximum(weights.sum(axis=0), TINY)
     best = int(np.argmax(sums.sum(axis=0) ** 2 / whole))
-    if not any_cut:
-        best = round(now.cut_rad / math.tau * SLICES) % SLICES
     turn_s = float(sums[:, best].sum() / whole[best])
     apart = sums[:, best] - turn_s * weights[:, best]
-    return Turn(turn_s, float(np.linalg.norm(apart) / whole[best]), best * math.tau / SLICES)
+    return Turn(turn_s, float(np.linalg.norm(apart) / whole[best]), float(cuts_rad[best]))
+
+
+def _told_by(pairs: Sequence[_Pair], now: Turn, config: Config, cuts_rad: FloatArray) -> list[_Told]:
+    """What each pair tells as a turn straightens it, of those that tell something."""
+    found = (_told(*pair, now, config, cuts_rad) for pair in pairs)
+    return [one for one in found if one is not None]
 
 
 def _told(
-    first: _Moving, second: _Moving, voxel_m: float, now: Turn, config: Config
-) -> tuple[FloatArray, FloatArray] | None:
-    """Least squares of the turn for each cut, the pose between left open: weights and sums, (C,)."""
+    first: _Moving, second: _Moving, voxel_m: float, now: Turn, config: Config, cuts_rad: FloatArray
+) -> _Told | None:
+    """Least squares of the turn for each cut (C,), the pose between left open."""
     ways = config.cloud_odometry
     known, seen = (base_points(now.timed(one.cloud), one.twist, ways) for one in (first, second))
     planes = PlaneVoxels.build(known, voxel_m, _THICKNESS * voxel_m)
@@ -231,10 +238,9 @@ def _told(
         np.sum(normals * (one[3:] + np.cross(one[:3], points)) @ rotation.T, axis=1)
         for one, points, rotation in ((second.twist, own, turned), (first.twist, there, np.eye(3)))
     )
-    cuts = np.append(np.arange(SLICES) * math.tau / SLICES, now.cut_rad)[None, :]
-    shares, shares_there = (
-        np.mod((bearings_rad(points)[:, None] - cuts) / math.tau, 1.0) - 0.5 for points in (own, there)
-    )
+    cuts = np.append(cuts_rad, now.cut_rad)[None, :] / math.tau
+    turns, turns_there = (bearings_rad(points)[:, None] / math.tau - cuts for points in (own, there))
+    shares, shares_there = turns - np.floor(turns) - 0.5, turns_there - np.floor(turns_there) - 0.5
     slope = moved[:, None] * shares - moves[:, None] * shares_there
     left = off_m - now.turn_s * slope[:, -1]
     hessian = slopes.T @ (weights[:, None] * slopes) + TINY * np.eye(6)

@@ -201,7 +201,7 @@ def _match_in_space(
     poses, clouds, frames = [spatial(pose) for pose in contents.node_poses], contents.clouds, contents.frames
     if clouds is not None:
         voxel_m = voxel_of(clouds.points(0), config.cloud_odometry)
-        closer = CloudLoopCloser(config, voxel_m, clouds)
+        closer = CloudLoopCloser(config, voxel_m, clouds.points)
         for pose, path_m, points in zip(poses, contents.path_m, clouds, strict=True):
             closer.add_keyframe(points, pose, path_m, math.nan)
         sigma_m = config.match.search_half_width_m / config.loops.sigmas

@@ -5,9 +5,8 @@ from __future__ import annotations
 import logging
 import math
 from collections import OrderedDict
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import Protocol
 
 import gtsam
 import numpy as np
@@ -30,14 +29,6 @@ log = logging.getLogger(__name__)
 _SIMILAR_RINGS = 10
 
 
-class Clouds(Protocol):
-    """Where the clouds of keyframes are kept."""
-
-    def points(self, key: int) -> FloatArray:
-        """The points (N, 3) of a keyframe, base frame."""
-        ...
-
-
 @dataclass(frozen=True, slots=True)
 class _Guess:
     """A place to try: where it is expected, how far off that may be, and whether its looks proposed it."""
@@ -56,13 +47,15 @@ class CloudLoopCloser:
     ----------
     voxel_m
         Side of a voxel; what the configuration tells in voxels follows the scene.
+    clouds
+        Give the points (N, 3) of a keyframe, base frame.
     """
 
     def __init__(
         self,
         config: Config,
         voxel_m: float,
-        clouds: Clouds,
+        clouds: Callable[[int], FloatArray],
         result_cache: ResultCache = COMPUTED,
     ) -> None:
         self._config, self._voxel_m = config, voxel_m
@@ -252,7 +245,7 @@ class CloudLoopCloser:
         """Register and judge."""
         width_m = self._loops.sigmas * guess.sigma_m + 2.0 * self._voxel_m
         candidate = LoopCandidate(guess.place, key, width_m, 0.0, guess.score, None, False, "")
-        scan = thinned(self._clouds.points(key), self._voxel_m)
+        scan = thinned(self._clouds(key), self._voxel_m)
         near = not guess.by_appearance and width_m <= REACH * self._voxel_m
         reach_m = None if near else max(width_m, REACH * self._voxel_m)
         aligned = local.align(scan, guess.T_place_base, reach_m)
@@ -290,9 +283,7 @@ class CloudLoopCloser:
         half = self._loops.half_keyframes
         members = range(max(0, key - half), min(len(self._poses), key + half + 1))
         parts = [
-            moved(
-                thinned(self._clouds.points(k), 0.5 * self._voxel_m), self._poses[key].between(self._poses[k])
-            )
+            moved(thinned(self._clouds(k), 0.5 * self._voxel_m), self._poses[key].between(self._poses[k]))
             for k in members
         ]
         local = LocalCloud.of(np.vstack(parts), self._voxel_m, self._config)

@@ -148,7 +148,7 @@ class CloudLidar:
             self._down[key] = gravity
         if self._closer is None:
             self._closer = CloudLoopCloser(
-                self._config, self._tracker.voxel_m, self._clouds, self._checkpoint
+                self._config, self._tracker.voxel_m, self._clouds.points, self._checkpoint
             )
         self._stamps_s.append(self._stamp_s)
         self._tracker.add_keyframe(tracked)
@@ -156,11 +156,12 @@ class CloudLidar:
         rows, intensities = tracked.points, self._tracker.intensities()
         if intensities is not None:
             rows = np.column_stack([rows, intensities])
-        self._clouds.add(self._stamp_s, thinned(rows, kept_m), self._T_base_lidar)
+        rows = thinned(rows, kept_m)
+        self._clouds.add(self._stamp_s, rows, self._T_base_lidar)
         self._cameras.add_keyframe(key, self._stamp_s, tracked.points, self._T_base_lidar)
         residual_m = np.nan if tracked.motion is None else tracked.motion.residual_m
         self._closer.add_keyframe(
-            tracked.points, tracked.pose, self._travelled_m, residual_m, unseen=self._unseen_key == key
+            rows[:, :3], tracked.pose, self._travelled_m, residual_m, unseen=self._unseen_key == key
         )
         return self._closer.close(key, graph.poses(), graph.rows(), graph.uncertainty)
 

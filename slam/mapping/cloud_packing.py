@@ -31,19 +31,13 @@ def packed_cloud(rows: FloatArray) -> bytes:
     ScanweaveError
         Where a point is not finite.
     """
-    points = rows[:, :3]
-    reach_m = float(np.abs(points).max(initial=0.0))
+    reach_m = float(np.abs(rows[:, :3]).max(initial=0.0))
     if not np.isfinite(reach_m):
         raise ScanweaveError(f"a cloud holds a point at {reach_m}; only finite points can be kept")
-    step_m = max(STEP_M, reach_m / 2**29)
-    steps = np.rint(points / step_m).astype(np.int32).reshape(-1, 3)
-    differences = np.diff(steps, axis=0, prepend=np.zeros((1, 3), np.int32))
-    # The sign goes to the lowest bit: upper bytes of short ways are all zero, whichever way they go.
-    signless = ((differences << 1) ^ (differences >> 31)).astype("<i4")
-    planes = signless.T.copy().view(np.uint8).reshape(-1, 4).T.tobytes()
-    if rows.shape[1] > 3:
-        planes += rows[:, 3].astype("<f4").view(np.uint8).reshape(-1, 4).T.tobytes()
-    return _HEAD.pack(step_m, len(steps)) + zstd.compress(planes, 1)
+    step_m, planes = max(STEP_M, reach_m / 2**29), np.empty((4, 3, len(rows)), np.uint8)
+    _ways(rows, step_m, planes)
+    told = rows[:, 3:].astype("<f4").view(np.uint8).reshape(-1, 4).T.tobytes()
+    return _HEAD.pack(step_m, len(rows)) + zstd.compress(planes.tobytes() + told, 1)
 
 
 def unpacked_cloud(content: bytes, *, intensities: bool = True) -> FloatArray:
@@ -74,6 +68,20 @@ def unpacked_cloud(content: bytes, *, intensities: bool = True) -> FloatArray:
     if rows.shape[1] > 3:
         rows[:, 3] = np.ascontiguousarray(planes[sizes[0] :].reshape(4, count).T).view("<f4")[:, 0]
     return rows
+
+
+@kernel
+def _ways(points, step_m, planes):  # type: ignore[no-untyped-def]
+    """Write the bytes (4, 3, N) of the ways, in steps, from each point (N, 3 or 4) to the next."""
+    for axis in range(3):
+        before = ZERO
+        for i in range(points.shape[0]):
+            step = np.int64(np.rint(points[i, axis] / step_m))
+            # The sign goes to the lowest bit: upper bytes of short ways are all zero, whichever way they go.
+            signless = ((step - before) << 1) ^ ((step - before) >> 63)
+            before = step
+            for byte in range(4):
+                planes[byte, axis, i] = signless >> 8 * byte & 255
 
 
 @kernel(nogil=True)

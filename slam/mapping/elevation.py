@@ -101,13 +101,13 @@ def elevation(
             batches.append(_quantiles(np.concatenate(waiting), 0.5))
             waiting = []
     none = np.zeros(0, np.int64)
-    rows = _rows(_quantiles(np.concatenate([none, *batches, *waiting]), 0.5))
-    if not len(rows):
+    keys, below = _quantiles(np.concatenate([none, *batches, *waiting]), 0.5), (1 << _BITS) - 1
+    if not len(keys):
         return None
-    first = rows[:, :2].min(axis=0)
-    at = (rows[:, :2] - first).astype(np.int64)
-    low = np.full(at.max(axis=0) + 1, np.nan)
-    low[at[:, 0], at[:, 1]] = rows[:, 2]
+    row, col = (keys >> 2 * _BITS) - _MIDDLE, (keys >> _BITS & below) - _MIDDLE
+    first = np.array([row.min(), col.min()])
+    low = np.full((int(np.ptp(row)) + 1, int(np.ptp(col)) + 1), np.nan)
+    low[row - first[0], col - first[1]] = ((keys & below) - _MIDDLE) * STEP_M
     feet = np.array([pose.transformFrom(np.array([0.0, 0.0, ground_m])) for pose in poses])
     feet = feet[np.isfinite(feet).all(axis=1)]
     ground = _hanging_together(low, feet, first * _CELL_M)
@@ -152,13 +152,6 @@ def _quantiles(keys: Keys, share: float) -> Keys:
     starts = np.flatnonzero(np.diff(cells, prepend=-1))
     counts = np.diff(np.append(starts, len(keys)))
     return keys[starts + (share * counts).astype(np.int64)]
-
-
-def _rows(keys: Keys) -> FloatArray:
-    """(C, 3) row, column and height of keys (C,)."""
-    below = (1 << _BITS) - 1
-    row, col, height = keys >> 2 * _BITS, keys >> _BITS & below, keys & below
-    return np.column_stack([row - _MIDDLE, col - _MIDDLE, (height - _MIDDLE) * STEP_M])
 
 
 def _hanging_together(low: FloatArray, feet: FloatArray, origin_yx: FloatArray) -> BoolArray:

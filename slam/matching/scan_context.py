@@ -18,7 +18,6 @@ from slam.measurements import Float32Array, FloatArray
 
 RINGS, SECTORS = 20, 60
 _LOWEST_PERCENT = 2.0
-# Neighbouring sectors also tell where between two shifts the best lies.
 
 
 def scan_context(points: FloatArray, voxel_m: float) -> Float32Array:
@@ -33,7 +32,7 @@ def scan_context(points: FloatArray, voxel_m: float) -> Float32Array:
     """
     reach_m = 4 * RINGS * voxel_m
     context = np.zeros((RINGS, SECTORS), dtype=np.float32)
-    x, y, z = np.ascontiguousarray(points.T)
+    x, y, z = np.ascontiguousarray(points.T, np.float32)
     ring = (np.sqrt(x * x + y * y) / reach_m * RINGS).astype(np.int64)
     (near,) = np.nonzero(ring < RINGS)
     if near.size:
@@ -42,7 +41,7 @@ def scan_context(points: FloatArray, voxel_m: float) -> Float32Array:
         sector = np.minimum((turn * SECTORS).astype(np.int64), SECTORS - 1)
         heights_m = z[near]
         heights_m -= np.percentile(heights_m, _LOWEST_PERCENT)
-        np.maximum.at(context.ravel(), ring[near] * SECTORS + sector, heights_m.astype(np.float32))
+        np.maximum.at(context.ravel(), ring[near] * SECTORS + sector, heights_m)
     return context
 
 

@@ -89,10 +89,13 @@ class CloudMatcher:
 
     def __init__(self, known: Map, session: Map, config: Config) -> None:
         one, other = known.contents, session.contents
-        assert one.clouds is not None and other.clouds is not None
-        voxel_m = voxel_of(one.clouds.points(0), config.cloud_odometry)
-        self._closer = CloudLoopCloser(config, voxel_m, _Clouds(one, other))
-        for pose, path_m, points in zip(one.node_poses, one.path_m, one.clouds, strict=True):
+        first, later = one.clouds, other.clouds
+        assert first is not None and later is not None
+        voxel_m, count = voxel_of(first.points(0), config.cloud_odometry), len(first)
+        self._closer = CloudLoopCloser(
+            config, voxel_m, lambda key: first.points(key) if key < count else later.points(key - count)
+        )
+        for pose, path_m, points in zip(one.node_poses, one.path_m, first, strict=True):
             self._closer.add_keyframe(points, spatial(pose), path_m, math.nan)
         self._known, self._session, self._loops = one, other, config.loops
         self._sessions = _session_numbers(known)
@@ -162,19 +165,6 @@ def _of_passes(
         ):
             chosen.append(place)
             yield place
-
-
-class _Clouds:
-    """The clouds of a map, then those of a session."""
-
-    def __init__(self, known: MapContents, session: MapContents) -> None:
-        assert known.clouds is not None and session.clouds is not None
-        self._known, self._session = known.clouds, session.clouds
-
-    def points(self, key: int) -> FloatArray:
-        """See `slam.graph.cloud_loops.Clouds`."""
-        later = key - len(self._known)
-        return self._known.points(key) if later < 0 else self._session.points(later)
 
 
 class _Frames:

@@ -33,10 +33,7 @@ class Drive:
         self.path_m = 0.0
         self._uncertainty = UncertaintyGraph()
         self._covariance = np.diag([sigma_m, sigma_m, 0.2 * sigma_m]) ** 2
-        self.closer = CloudLoopCloser(self._config, VOXEL_M, self)
-
-    def points(self, key: int) -> FloatArray:
-        return self._clouds[key]
+        self.closer = CloudLoopCloser(self._config, VOXEL_M, self._clouds.__getitem__)
 
     def add(
         self,

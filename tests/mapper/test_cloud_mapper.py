@@ -101,7 +101,7 @@ def test_no_loops_where_none_are_wanted(log: Path) -> None:
 def test_a_place_too_far_to_be_the_same_is_not_tried() -> None:
     """There and nowhere near: identical clouds, 40 m apart, all steps sure."""
     config, kept = load_config(None, SMALL), MapClouds(MapFile.temporary())
-    closer = CloudLoopCloser(config, 0.25, kept)
+    closer = CloudLoopCloser(config, 0.25, kept.points)
     points = look(gtsam.Pose3()).points_lidar.astype(np.float64)
     graph = KeyframeGraph(gtsam.Pose3(), GraphConfig())
     step = gtsam.Pose3(gtsam.Rot3(), np.array([4.0, 0.0, 0.0]))
