@@ -72,7 +72,7 @@ def looked_through(found: MapContents, config: Config) -> PassedBy:
     with tempfile.TemporaryFile() as file:
         tiles = CloudTiles(clouds, poses, config.grid.resolution_m, file)
         reach_m = config.cloud_odometry.range_max_m
-        return passed_by(tiles.points(), clouds, poses, found.T_base_lidar, ground, reach_m)
+        return passed_by(tiles.points(), tiles.seen(), poses, found.T_base_lidar, ground, reach_m)
 
 
 def boxed(path: Path, found: MapContents) -> _Marked:

@@ -15,7 +15,7 @@ from slam.measurements import AnyFloatArray, FloatArray, spatial
 from slam.storage.map_clouds import MapClouds
 from slam.storage.map_contents import MapContents
 
-# A page holds no more: points of the cloud, images and pixels along the longer side of each.
+# A page holds no more: points of the cloud, images or keyframes' clouds, pixels along an image's longer side.
 _POINTS, _IMAGES, _SIDE_PX = 200_000, 120, 200
 # Stray points far off would shrink everything else.
 _OUTSIDE_PERCENT = 0.1
@@ -35,7 +35,7 @@ def cloud_data(found: MapContents, cloud: ColoredCloud | None) -> tuple[dict[str
     up = np.array([0.0, 0.0, 1.0])
     intensities: AnyFloatArray | None = None
     if cloud is not None and len(cloud.points_map):
-        total, step = len(cloud.points_map), max(1, -(-len(cloud.points_map) // _POINTS))
+        total, step = f"{len(cloud.points_map):,} points", max(1, -(-len(cloud.points_map) // _POINTS))
         points, colors = cloud.points_map[::step].astype(np.float64), cloud.colors[::step]
         intensities = None if cloud.intensities is None else cloud.intensities[::step]
         if not found.planar and found.clouds is None:
@@ -52,21 +52,27 @@ def cloud_data(found: MapContents, cloud: ColoredCloud | None) -> tuple[dict[str
     data = {"points": steps, "colors": colors[inside], "low": low, "step_m": step_m, "up": up}
     if intensities is not None and np.ptp(intensities := np.nan_to_num(intensities[inside])):
         data["by_intensity"] = ramp(intensities)
-    return data, [f"The cloud: {len(steps):,} of {total:,} points, evenly taken."]
+    return data, [f"The cloud: {len(steps):,} of {total}, evenly taken."]
 
 
-def _of_keyframes(clouds: MapClouds, found: MapContents) -> tuple[FloatArray, FloatArray | None, int]:
-    """(N, 3) points of the keyframes in the map, evenly taken, their intensities (N,), how many in all."""
-    share, total, parts, told = _POINTS // len(clouds) + 1, 0, list[FloatArray](), list[FloatArray]()
-    for key, pose in enumerate(found.node_poses):
+def _of_keyframes(clouds: MapClouds, found: MapContents) -> tuple[FloatArray, FloatArray | None, str]:
+    """(N, 3) points of keyframes in the map, evenly taken, their intensities (N,), and of how many in all."""
+    keys, total, parts, told = _even(len(clouds)), 0, list[FloatArray](), list[FloatArray]()
+    share = _POINTS // len(keys) + 1
+    for key in keys:
         rows = clouds.rows(key)
         total += len(rows)
         rows = rows[:: max(1, -(-len(rows) // share))]
-        parts.append(moved(rows, spatial(pose)))
+        parts.append(moved(rows, spatial(found.node_poses[key])))
         # A view would keep the whole keyframe.
         told.append(rows[:, 3].copy() if rows.shape[1] > 3 else np.full(len(rows), np.nan))
-    intensities = np.concatenate(told)
-    return np.vstack(parts), None if np.isnan(intensities).all() else intensities, total
+    intensities, of = np.concatenate(told), f"{total:,} points of {len(keys):,} keyframes"
+    return np.vstack(parts), None if np.isnan(intensities).all() else intensities, of
+
+
+def _even(count: int) -> list[int]:
+    """Keyframes evenly taken of so many: more than a page holds images of tell nearly the same."""
+    return np.unique(np.linspace(0, count - 1, min(_IMAGES, count)).astype(int)).tolist()
 
 
 def _upward(normals: NDArray[np.float32]) -> FloatArray:
@@ -88,9 +94,8 @@ def image_data(found: MapContents) -> tuple[dict[str, Any] | None, list[str]]:
     frames = found.frames
     if frames is None or not len(frames):
         return None, []
-    chosen = np.unique(np.linspace(0, len(frames) - 1, min(_IMAGES, len(frames))).astype(int))
     files, heads = list[bytes](), []
-    for index in chosen.tolist():
+    for index in _even(len(frames)):
         frame = frames.frame(index)
         image = Image.fromarray(frame.color)
         image.thumbnail((_SIDE_PX, _SIDE_PX))

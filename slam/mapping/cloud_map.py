@@ -51,14 +51,15 @@ class CloudTiles:
     ) -> None:
         self._voxel_m, self._file = voxel_m, file
         self._path = np.array([pose.translation() for pose in poses]).reshape(-1, 3)
-        pieces = [np.zeros((0, 5), np.int64)]
+        self._seen, pieces = list[_Span](), [np.zeros((0, 5), np.int64)]
         for number, pose in enumerate(poses):
             if not np.isfinite(pose.matrix()).all():
                 raise ScanweaveError(f"pose {number} of {len(poses)} keyframes is not finite; see the report")
         seen = enumerate(zip(clouds, poses, strict=True))
         self._columns = 4
         for placed, tiles in prefetched(seen, lambda one: _by_tile(one[0], _placed(*one[1]), voxel_m), 1):
-            begin, _, columns = self._keep(placed)
+            self._seen.append(self._keep(placed))
+            begin, _, columns = self._seen[-1]
             self._columns = max(self._columns, columns)
             begins = begin + placed.strides[0] * (np.cumsum(tiles[:, 2]) - tiles[:, 2])
             pieces.append(np.column_stack([tiles[:, :2], begins, tiles[:, 2], np.full(len(tiles), columns)]))
@@ -74,7 +75,11 @@ class CloudTiles:
 
     def points(self) -> Iterator[FloatArray]:
         """(N, 3) of one tile after the other, map frame."""
-        return (np.ascontiguousarray(self._rows(tile)[:, :3]) for tile in self._tiles)
+        return self._points(self._tiles)
+
+    def seen(self) -> Iterator[FloatArray]:
+        """(N, 3) of one keyframe after the other, map frame."""
+        return self._points(self._seen)
 
     def cloud(self, chosen: Callable[[FloatArray], BoolArray] | None = None) -> Iterator[ColoredCloud]:
         """Those that are chosen of points (N, 3), or all, with normals towards the keyframe that saw them."""
@@ -96,6 +101,10 @@ class CloudTiles:
         span = self._file.seek(0, os.SEEK_END), len(rows), rows.shape[1]
         self._file.write(rows.astype(np.float32, copy=False).data)
         return span
+
+    def _points(self, spans: Iterable[_Span]) -> Iterator[FloatArray]:
+        """(N, 3) of what was written, one after the other."""
+        return (np.ascontiguousarray(self._rows(span)[:, :3]) for span in spans)
 
     def _rows(self, span: _Span) -> FloatArray:
         """Rows that were written; an intensity that others have and these do not is NaN."""

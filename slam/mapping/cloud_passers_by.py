@@ -18,7 +18,7 @@ from fusion.voxel_hash import AXIS, AXIS_BITS, HALF, entries_at, first_in_voxels
 from slam.mapping.elevation import Elevation
 from slam.mapping.looked_through import count_looks, look, means_around, spread
 from slam.matching.local_cloud import moved
-from slam.measurements import BoolArray, FloatArray
+from slam.measurements import BoolArray, Float32Array, FloatArray
 from slam.vision.prefetch import prefetched
 
 IntArray = NDArray[np.int64]
@@ -71,7 +71,7 @@ def passed_by(
     surface
         Points (N, 3) of all clouds in the map, in parts.
     clouds
-        (N, 3) points of each keyframe, base frame; read once.
+        (N, 3) points of each keyframe in the map; read once.
     poses
         ``T_map_base`` of each.
     reach_m
@@ -87,15 +87,12 @@ def passed_by(
     middles, table, counts = _middles(known, voxel_m), _indexed(known), np.zeros((len(known), 4), np.int32)
     newest, half_turn = np.full(len(known), -1, np.int32), round(math.pi / _PIXEL_RAD)
     along = middles[:, 0].copy()
-    picture, half_m = np.empty((half_turn + 1, 2 * half_turn)), 0.5 * math.sqrt(3) * voxel_m
-    T_lidar_base = T_base_lidar.inverse()
+    picture, half_m = np.empty((half_turn + 1, 2 * half_turn), np.float32), 0.5 * math.sqrt(3) * voxel_m
+    lidars = [pose.compose(T_base_lidar) for pose in poses]
     looks = prefetched(
-        zip(clouds, poses, strict=True),
-        lambda one: (one[1], moved(*one), _pixels(moved(one[0], T_lidar_base))),
-        most_waiting=1,
+        zip(clouds, lidars, strict=True), lambda one: (*one, _pixels(moved(one[0], one[1].inverse()))), 1
     )
-    for number, (pose, placed, seen) in enumerate(looks):
-        T_map_lidar = pose.compose(T_base_lidar)
+    for number, (placed, T_map_lidar, seen) in enumerate(looks):
         picture[:] = np.inf
         look(placed, voxel_m, table, known, number, newest, *seen, picture)
         # Their keys are sorted along x first.
@@ -115,13 +112,14 @@ def passed_by(
     return PassedBy(known[gone], voxel_m)
 
 
-def _pixels(points_lidar: FloatArray) -> tuple[IntArray, IntArray, FloatArray]:
-    """Rows, columns and ranges (N,) of points (N, 3) in the picture of a cloud."""
-    x, y, z = np.ascontiguousarray(points_lidar.T)
+def _pixels(points_lidar: FloatArray) -> tuple[NDArray[np.int32], NDArray[np.int32], Float32Array]:
+    """Rows, columns and ranges (N,) of points (N, 3) in the picture of a cloud: of single precision."""
+    x, y, z = np.ascontiguousarray(points_lidar.T, np.float32)
     level_m = np.sqrt(x * x + y * y)
     row = (np.arctan2(z, level_m) + 0.5 * math.pi) / _PIXEL_RAD + 0.5
-    col = ((np.arctan2(y, x) + math.pi) / _PIXEL_RAD).astype(np.int64) % round(2 * math.pi / _PIXEL_RAD)
-    return row.astype(np.int64), col, np.sqrt(level_m * level_m + z * z)
+    col = ((np.arctan2(y, x) + math.pi) / _PIXEL_RAD).astype(np.int32)
+    col[col >= round(2 * math.pi / _PIXEL_RAD)] = 0
+    return row.astype(np.int32), col, np.sqrt(level_m * level_m + z * z)
 
 
 def _keys(points: FloatArray, voxel_m: float) -> IntArray:

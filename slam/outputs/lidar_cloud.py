@@ -45,7 +45,7 @@ def lidar_cloud(found: MapContents, config: Config, ground: Elevation | None) ->
             yield LidarCloud(_Parts(tiles.cloud), lambda points: np.zeros(len(points), np.bool_), None)
             return
         reach_m = config.cloud_odometry.range_max_m
-        passed = passed_by(tiles.points(), clouds, poses, found.T_base_lidar, ground, reach_m)
+        passed = passed_by(tiles.points(), tiles.seen(), poses, found.T_base_lidar, ground, reach_m)
         give_back()
 
         def is_ground(points: Float32Array) -> BoolArray:

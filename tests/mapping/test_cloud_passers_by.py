@@ -51,7 +51,7 @@ def gone(boxes: list[float | None]) -> tuple[PassedBy, list[FloatArray], list[Bo
     ground = elevation(clouds, poses, -LIDAR_M, 15.0)
     assert ground is not None
     surface = [moved(points, pose) for points, pose in zip(clouds, poses, strict=True)]
-    found = passed_by(surface, clouds, poses, gtsam.Pose3(), ground, 50.0)
+    found = passed_by(surface, surface, poses, gtsam.Pose3(), ground, 50.0)
     return found, list(clouds), list(marks), poses
 
 
