@@ -271,7 +271,10 @@ def snooped(
             units += [
                 left[group] for group in loop_groups(ends[left].astype(np.float64), reach) if len(group) > 1
             ]
-        shares = [linear.switched(loops[unit])[3] ** 2 / gate(3 * len(unit)) for unit in units]
+        shares = [
+            float(linear.influences(loops[unit][None]).left_out[0]) ** 2 / gate(3 * len(unit))
+            for unit in units
+        ]
         worst = int(np.argmax(shares))
         if within is None and shares[worst] <= 1.0:
             within = len(order)

@@ -124,8 +124,8 @@ def measured(log: Path, out: Path) -> dict[str, Any]:
         stages = run.report.result.stage_seconds
         figures = {
             "scans": run.report.result.scans.stamps_s.size,
-            "keyframes": len(run.map.keyframe_poses),
-            "loops": sum(loop.accepted for loop in run.map.loops),
+            "keyframes": len(run.report.result.map.node_poses),
+            "loops": sum(loop.accepted for loop in run.report.result.map.loops),
             "final s": stages["final optimisation"],
             "map.db MB": (out / "map.db").stat().st_size / 1e6,
             "report MB": (out / "report.html").stat().st_size / 1e6,

@@ -8,7 +8,7 @@ import time
 from collections.abc import Callable
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
-from functools import partial
+from functools import cached_property, partial
 from pathlib import Path
 from typing import Any
 
@@ -34,32 +34,41 @@ from slam.storage.map_file import MAP_NAME
 from slam.storage.map_identity import NOTES, WARNINGS, MapIdentity
 from slam.storage.map_places import write_places
 from slam.storage.map_sessions import MapSession, sessions_of
+from slam.temporary import TemporaryFolder
 from slam.viewer.map_recording import record_map
 from slam.viewer.viewer import recording
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class MapRun:
     """What became of a run.
 
     Attributes
     ----------
-    map
-        The finished map, open.
+    folder
+        Where the map is.
     report
         What its report tells; None where the map was finished before, and nothing was done.
     written
         The files, ``map.db`` and the report among them.
     dropped
         Records of the log that were refused.
+    kept_in
+        A temporary folder that goes with the map.
     """
 
-    map: Map
+    folder: Path
     report: ReportData | None
     written: tuple[Path, ...]
     dropped: int = 0
+    kept_in: TemporaryFolder | None = None
 
     __repr__ = one_line
+
+    @cached_property
+    def map(self) -> Map:
+        """The finished map, opened when first asked for: what anybody reads from the file."""
+        return load_map(self.folder, self.kept_in)
 
 
 def run_into(
@@ -96,8 +105,8 @@ def run_into(
     started = time.perf_counter()
     make_folder(folder)
     if resume and finished_map(folder, identity):
-        return MapRun(load_map(folder), None, ())
-    config, written = identity.config, list[Path]()
+        return MapRun(folder, None, ())
+    config = identity.config
     with ExitStack() as stack:
         viewer = stack.enter_context(recording(record))
         file = stack.enter_context(opened_map(folder, identity, resume=resume))
@@ -123,29 +132,22 @@ def run_into(
         files, missing = beside_file()
         digest = file.seal()
     result.stage_seconds["map.db"] = time.perf_counter() - before
-    data: ReportData | None = None
-    page: Callable[[], Any] | None = None
-    if report:
-        head = beside_file()
-        cost = RunCost(time.perf_counter() - started, sum(os.times()[:4]))
-        beside, sessions = beside_of(dataset, result, files, missing), _sessions(result.map, identity)
-        data = ReportData(identity.log_name, dataset.report, result, config, cost, beside, sessions, digest)
-        page = partial(write_report, folder / "report.html", data, head)
-        # While the map is read back, or after it.
-        page = page if _needs_file(result.map) else Begun(page)
-        written.append(folder / "report.html")
-    # One in memory at a time: what is handed out is what anybody reads from the file.
-    result.map = replace(result.map, grids={})
-    saved = load_map(folder)
-    result.map = saved.contents
-    end_stage()
-    try:
-        if page is not None:
-            page()
-    except BaseException:
-        saved.close()
-        raise
-    return MapRun(saved, data, (*files, folder / MAP_NAME, *written), dataset.report.dropped_count)
+    run = MapRun(folder, None, (*files, folder / MAP_NAME), dataset.report.dropped_count)
+    if not report:
+        return run
+    cost = RunCost(time.perf_counter() - started, sum(os.times()[:4]))
+    beside, sessions = beside_of(dataset, result, files, missing), _sessions(result.map, identity)
+    data = ReportData(identity.log_name, dataset.report, result, config, cost, beside, sessions, digest)
+    run = replace(run, report=data, written=(*run.written, folder / "report.html"))
+    with ExitStack() as stack:
+        if _needs_file(result.map):
+            result.map = replace(result.map, grids={})  # one in memory at a time
+            result.map = run.map.contents
+            stack.callback(run.map.close)
+        end_stage()
+        write_report(folder / "report.html", data, beside_file())
+        stack.pop_all()
+    return run
 
 
 def _beside_file(

@@ -180,4 +180,4 @@ def _in_memory(dataset: Dataset, identity: MapIdentity, on_progress: OnProgress 
     run = run_into(
         kept_in.path, dataset, identity, on_progress=on_progress or silent, exports=False, report=False
     )
-    return MapRun(replace(run.map, _folder=kept_in), None, ())
+    return replace(run, kept_in=kept_in)

@@ -130,7 +130,7 @@ def map_log(
         say(f"{run.map.path} is finished already; there is nothing to resume")
         return run
     _tell(run, f", {time.perf_counter() - started:.1f} s")
-    if config.sensors.tags is None and run.map.config.sensors.tags is not None:
+    if config.sensors.tags is None and run.report.config.sensors.tags is not None:
         say(f"used {TAGS_FILE}, which lies beside the log; --tags gives another")
     if run.report.beside.truth is not None:
         rmse = run.report.beside.truth.error.translation_m.rmse
@@ -207,12 +207,12 @@ def _tell(run: MapRun, took: str, of: str = "") -> None:
     assert report is not None
     for warning in report.warnings:
         tell(f"warning: {warning}", sys.stderr)
-    for note in run.map.notes:
+    for note in report.result.notes:
         say(note)
-    loops = run.map.loops
-    accepted = sum(loop.accepted for loop in loops)
+    found = report.result.map
+    accepted = sum(loop.accepted for loop in found.loops)
     say(
-        f"{of}{report.result.scans.stamps_s.size} {report.unit}s, {len(run.map.keyframe_poses)} keyframes, "
-        f"{report.path_length_m:.1f} m, {accepted} of {len(loops)} loops accepted, "
+        f"{of}{report.result.scans.stamps_s.size} {report.unit}s, {len(found.node_poses)} keyframes, "
+        f"{report.path_length_m:.1f} m, {accepted} of {len(found.loops)} loops accepted, "
         f"{run.dropped} records dropped{took}"
     )

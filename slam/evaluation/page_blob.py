@@ -32,7 +32,7 @@ def packed(head: Mapping[str, Any]) -> str:
     text = json.dumps(_told(head, parts), ensure_ascii=False, allow_nan=False, separators=(",", ":")).encode()
     filled = text + b" " * (-(4 + len(text)) % _ALIGNED)
     # Packed part after part: all of them at once would be there twice more.
-    packer = zlib.compressobj(6, zlib.DEFLATED, 16 + zlib.MAX_WBITS)
+    packer = zlib.compressobj(4, zlib.DEFLATED, 16 + zlib.MAX_WBITS)
     pieces = [packer.compress(struct.pack("<I", len(filled)) + filled)]
     for part in parts:
         pieces += [packer.compress(part.data), packer.compress(bytes(-part.nbytes % _ALIGNED))]

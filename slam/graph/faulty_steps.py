@@ -128,22 +128,23 @@ class FaultySteps:
     ) -> None:
         self._poses, self._gate = poses, gate(3, probability)
         limit = unmeasured(config, planar=True)
-        held: dict[int, FloatArray] = {}
+        single = [edge for edge in edges if edge.target == edge.source + 1]
+        sources = np.array([edge.source for edge in single], np.int64)
+        claimed = np.array([edge.covariance for edge in single]).reshape(-1, 3, 3)
+        trusted = np.array([edge.trusted for edge in single], np.bool_)[:, None, None]
+        measured = np.array([edge.kind not in GUESSES for edge in single], np.bool_)
         guessed = np.ones(len(poses), np.bool_)
-        for edge in edges:
-            if edge.target != edge.source + 1:
-                continue
-            information = np.linalg.inv(edge.covariance) if edge.trusted else np.zeros((3, 3))
-            if edge.kind not in GUESSES:
-                # What is disputed is no less open than that.
-                most = limit if edge.trusted else limit + edge.covariance
-                information, guessed[edge.source] = information + np.linalg.inv(most), False
-            held[edge.source] = held.get(edge.source, np.zeros((3, 3))) + information
+        guessed[sources[measured]] = False
+        # What is disputed is no less open than that.
+        most = np.where(trusted, limit, limit + claimed)
+        information = np.where(trusted, np.linalg.inv(claimed), 0.0)
+        information += np.where(measured[:, None, None], np.linalg.inv(most), 0.0)
+        held = np.zeros((len(poses), 3, 3))
+        np.add.at(held, sources, information)
+        open_: FloatArray = np.linalg.inv(held[steps := np.unique(sources)]).astype(np.float64)
+        wrong = (np.sqrt(np.diagonal(open_, axis1=1, axis2=2)) * [1.0, 1.0, lever_m]).max(axis=1) > least_m
         parts: list[tuple[int, int, FloatArray]] = []
-        for step in sorted(held):
-            free: FloatArray = np.linalg.inv(held[step]).astype(np.float64)
-            if (np.sqrt(np.diag(free)) * [1.0, 1.0, lever_m]).max() <= least_m:
-                continue
+        for step, free in zip(steps[wrong].tolist(), open_[wrong], strict=True):
             if parts and parts[-1][1] == step and guessed[step] and guessed[step - 1]:
                 first, _, before = parts.pop()
                 back = adjoint(between(poses[step + 1], poses[step]))

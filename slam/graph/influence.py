@@ -16,10 +16,10 @@ tests one observation for a blunder.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import gtsam
 import numpy as np
@@ -94,38 +94,27 @@ class LinearMap:
         gradient = self._jacobian[rows].T @ self._residuals[rows]
         return -self._factor.solve(gradient)
 
-    def influences(self, asked: Sequence[int] | NDArray[np.int64], together: int = 16) -> Influences:
-        """Of the edges with these numbers; so many at a time pass over the factor together."""
-        parts = [asked[first : first + together] for first in range(0, len(asked), together)]
-        found = [one for part in parts for one in self._switched([[int(number)] for number in part])]
-        shifts, nodes, residuals, left_out = np.array(found).reshape(-1, 4).T
-        return Influences(np.array(asked, np.int64), shifts, nodes.astype(np.int64), residuals, left_out)
+    def influences(self, asked: Sequence[int] | NDArray[np.int64], together: int = 32) -> Influences:
+        """Of these edges, or of those of each row if switched together; so many at a time pass the factor."""
+        sets = np.array(asked, np.int64)
+        found = [self._switched(sets[first : first + together]) for first in range(0, len(sets), together)]
+        shifts, nodes, residuals, left_out = map(np.concatenate, zip(*found, strict=True))
+        return Influences(sets, shifts, nodes, residuals, left_out)
 
-    def switched(self, numbers: Sequence[int] | NDArray[np.int64]) -> tuple[float, int, float, float]:
-        """Shift, node, residual and residual when left out, of edges that are switched together."""
-        return self._switched([numbers])[0]
-
-    def _switched(
-        self, sets: Sequence[Sequence[int] | NDArray[np.int64]]
-    ) -> list[tuple[float, int, float, float]]:
-        """As `switched`, of each set of edges by itself."""
-        size, pulls, told = self._size, list[FloatArray](), []
-        rows = [(np.asarray(numbers)[:, None] * size + np.arange(size)).ravel() for numbers in sets]
-        forward = self._factor.forward(self._jacobian, np.concatenate(rows))
-        parts = np.split(forward, np.cumsum([len(those) for those in rows[:-1]]))
-        for numbers, those, pulled in zip(sets, rows, parts, strict=True):
-            residual = self._residuals[those]
-            signs = np.repeat(np.where(self._kept[numbers], -1.0, 1.0), size)
-            pull = np.linalg.solve(np.diag(signs) + pulled @ pulled.T, residual)
-            pulls.append(pull @ pulled)
-            told.append((float(np.linalg.norm(residual)), abs(float(residual @ pull)) ** 0.5))
-        tangents = self._factor.backward(np.array(pulls)).reshape(len(sets), -1, size)
-        shifts = np.linalg.norm(tangents[..., :2] if self._planar else tangents[..., 3:], axis=2)
-        most = shifts.argmax(axis=1).tolist()
-        return [
-            (float(shift[at]), at + 1, missed, left_out)
-            for shift, at, (missed, left_out) in zip(shifts, most, told, strict=True)
-        ]
+    def _switched(self, sets: NDArray[np.int64]) -> tuple[NDArray[Any], ...]:
+        """Shift, node, residual and residual when left out, of each set of edges by itself."""
+        sets, size = sets.reshape(len(sets), -1), self._size
+        rows = (sets[..., None] * size + np.arange(size)).reshape(len(sets), -1)
+        at, pulled = self._factor.forward(self._jacobian, rows.ravel())
+        columns, residuals = pulled.reshape(len(at), *rows.shape).swapaxes(0, 1), self._residuals[rows]
+        signs = np.repeat(np.where(self._kept[sets], -1.0, 1.0), size, axis=1)
+        leverage = columns.swapaxes(1, 2) @ columns
+        pull = np.linalg.solve(signs[..., None] * np.eye(rows.shape[1]) + leverage, residuals[..., None])
+        tangents = self._factor.backward(at, (columns @ pull)[..., 0].T).reshape(-1, size, len(sets))
+        squares = np.square(tangents[:, :2] if self._planar else tangents[:, 3:]).sum(axis=1)
+        most = squares.argmax(axis=0)
+        fallen = np.abs((residuals * pull[..., 0]).sum(axis=1))
+        return np.sqrt(squares.max(axis=0)), most + 1, np.linalg.norm(residuals, axis=1), np.sqrt(fallen)
 
 
 class _Factor:
@@ -141,43 +130,45 @@ class _Factor:
         except RuntimeError as error:
             raise GraphError("the edges that are kept do not join all keyframes") from error
         self._order = found.perm_c
+        self.solve: Callable[[FloatArray], FloatArray] = found.solve
         # With its diagonal as pivots the other factor is the transpose, but for the pivots.
         lower, self._roots = found.L.tocsc(), np.sqrt(found.U.diagonal())
         self._lower = lower.indptr, lower.indices, lower.data
+        self._room = np.zeros((len(self._roots), 0))
 
-    def solve(self, row: FloatArray) -> FloatArray:
-        """(N,) the inverse of the information times a row."""
-        found = np.empty((len(row), 1))
-        found[self._order, 0] = row
-        _forward(*self._lower, found)
-        return self.backward(found.T / self._roots)[0]
-
-    def forward(self, jacobian: csr_array, rows: NDArray[np.int64]) -> FloatArray:
-        """(m, N) L^-1 times each of some rows; what is zero in all of them costs nothing."""
-        found = np.zeros((len(self._roots), len(rows)))
+    def forward(self, jacobian: csr_array, rows: NDArray[np.int64]) -> tuple[NDArray[np.intp], FloatArray]:
+        """L^-1 times each of some rows: (t,) where any is not zero, and (t, m) what is there."""
+        if self._room.shape[1] != len(rows):
+            self._room = np.zeros((len(self._roots), len(rows)))
         # By hand: to take rows out of a sparse matrix takes SciPy longer than all the rest.
         for place, row in enumerate(rows.tolist()):
             entries = slice(jacobian.indptr[row], jacobian.indptr[row + 1])
-            found[self._order[jacobian.indices[entries]], place] = jacobian.data[entries]
-        _forward(*self._lower, found)
-        return (found / self._roots[:, None]).T
+            self._room[self._order[jacobian.indices[entries]], place] = jacobian.data[entries]
+        told = np.zeros(len(self._roots), np.bool_)
+        _forward(*self._lower, self._room, told)
+        (at,) = told.nonzero()
+        found: FloatArray = self._room[at] / self._roots[at, None]
+        self._room[at] = 0.0
+        return at, found
 
-    def backward(self, rows: FloatArray) -> FloatArray:
-        """(m, N) L'^-1 times each row."""
-        found = np.ascontiguousarray((rows / self._roots).T)
+    def backward(self, at: NDArray[np.intp], columns: FloatArray) -> FloatArray:
+        """(N, m) L'^-1 times each of some columns, as `forward` tells them."""
+        found = np.zeros((len(self._roots), columns.shape[1]))
+        found[at] = columns / self._roots[at, None]
         _backward(*self._lower, found)
-        return found[self._order].T
+        return found[self._order]
 
 
 @kernel
-def _forward(first: NDArray[np.int32], below: NDArray[np.int32], lower: FloatArray, x: FloatArray) -> None:
-    """Solve by a lower triangle of ones on the diagonal, by columns, for each column of x (N, m)."""
+def _forward(
+    first: NDArray[np.int32], below: NDArray[np.int32], lower: FloatArray, x: FloatArray, told: BoolArray
+) -> None:
+    """Solve by a lower triangle of ones on the diagonal, by columns; told are the rows of x not zero then."""
     for column in range(len(x)):
         solved = x[column]
-        empty = True
         for one in range(len(solved)):
-            empty = empty and solved[one] == 0.0
-        if not empty:
+            told[column] |= solved[one] != 0.0
+        if told[column]:
             for k in range(first[column], first[column + 1]):
                 if below[k] > column:
                     other = x[below[k]]  # a row by itself: its loop then runs in vectors

@@ -125,12 +125,10 @@ class KeyframeGraph:
 
         edges = [edge for edge, keep in zip(self.graph.edges, kept, strict=True) if keep]
         most = self._config.lost_sigma_m**2
-        motions, unproved = together(edges).items(), self._unproved(kept)
-        held = [
-            ends
-            for ends, motion in motions
-            if ends not in unproved and np.linalg.eigvalsh(motion.covariance[:2, :2])[-1] <= most
-        ]
+        motions, unproved = together(edges), self._unproved(kept)
+        spreads = np.array([motion.covariance[:2, :2] for motion in motions.values()]).reshape(-1, 2, 2)
+        sure = np.linalg.eigvalsh(spreads)[:, -1] <= most
+        held = [ends for ends, known in zip(motions, sure, strict=True) if known and ends not in unproved]
         # A fix may be off by metres, and yet is no guess.
         held += [(edge.source, edge.target) for edge in edges if edge.kind in _PLACES]
         sources, targets = np.array(held, np.int64).reshape(-1, 2).T

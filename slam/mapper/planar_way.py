@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Protocol
@@ -229,7 +230,7 @@ class PlanarWay:
         cameras = [Motion(step.motion, step.covariance) for step in steps]
         tracked = self._tracker.track(points, stamp_s, cameras)
         if scan is not None and tracked.confident:
-            self.cameras.note_scan_turn(stamp_s, tracked.pose[2])
+            self.cameras.note_scan_turn(stamp_s, float(tracked.pose[2]))
             if self._wheels is not None:
                 self._wheels.learn_clock(self.cameras.scan_turns)
             if self._gyro is not None:
@@ -252,4 +253,4 @@ class PlanarWay:
         if last is None:
             return True
         step = between(last.pose, tracked.pose)
-        return bool(np.hypot(step[0], step[1]) > limits.distance_m or abs(step[2]) > limits.angle_rad)
+        return math.hypot(step[0], step[1]) > limits.distance_m or abs(float(step[2])) > limits.angle_rad

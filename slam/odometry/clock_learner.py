@@ -13,6 +13,7 @@ from scipy import special
 
 from fusion.estimation import CONFIDENCE, FEWEST, half_interval
 from fusion.time_alignment import GAP_S, clock_offset, turns_between
+from slam.matching.planar import wrap
 from slam.measurements import FloatArray
 
 # Offsets of up to this are tried: more is no clock, but two logs.
@@ -97,9 +98,8 @@ class Turns:
         """Take a heading; one whose stamp does not rise is left out."""
         if stamp_s <= self._stamp_s:
             return
-        if np.isfinite(self._stamp_s):
-            turn = np.remainder(yaw_rad - self._yaw_rad + np.pi, 2.0 * np.pi) - np.pi
-            self.add_turn(self._stamp_s, stamp_s, float(turn))
+        if math.isfinite(self._stamp_s):
+            self.add_turn(self._stamp_s, stamp_s, wrap(yaw_rad - self._yaw_rad))
         self._stamp_s, self._yaw_rad = stamp_s, yaw_rad
 
     def add_turn(self, begun_s: float, ended_s: float, turn_rad: float) -> None:

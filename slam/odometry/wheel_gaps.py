@@ -41,15 +41,16 @@ class WheelGaps:
         self._stops_dead = False
         self.guessed_m = 0.0
 
-    def add(self, reading: WheelOdometry, *, possible: bool) -> FloatArray:
+    def add(self, reading: WheelOdometry, step: FloatArray, step_s: float, *, possible: bool) -> FloatArray:
         """Take the next reading: its pose (3,) without what came before it that cannot be.
 
         Parameters
         ----------
+        step, step_s
+            As `step` tells them of the reading.
         possible
             Whether a robot can have made the motion since the last reading.
         """
-        step, step_s = self.step(reading)
         stamp_s, self._stamp_s = reading.stamp_s, reading.stamp_s
         told, self._told = self._told, row_from_pose2(reading.T_odom_base)
         if told is None:
@@ -58,9 +59,9 @@ class WheelGaps:
             return self._pose
         if step_s > 0.0:
             self.period_s += (min(step_s, GAP_S) - self.period_s) / (FEWEST if self.period_s else 1.0)
-        guess, stands = self.guess_at(stamp_s), bool(np.abs(step[:2]).max() < SETTLED)
+        guess, (x, y, turn) = self.guess_at(stamp_s), step.tolist()
         # Whoever cannot have stopped has not turned on the spot either: then the heading has jumped.
-        still = possible and stands and (bool(guess.any()) or bool(abs(step[2]) < SETTLED))
+        still = possible and max(abs(x), abs(y)) < SETTLED and (abs(turn) < SETTLED or bool(guess.any()))
         if not possible:
             step = self._twist * max(step_s, 0.0)
         elif still:

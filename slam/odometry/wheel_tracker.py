@@ -93,8 +93,8 @@ class WheelTracker:
         Its turns are joined with those of a gyroscope, each by its covariance.
         """
         step, step_s = self._gaps.step(reading)
-        alone = self._gaps.add(reading, possible=self.plausible(step, step_s))
-        self.turns.add(reading.stamp_s, alone[2])
+        alone = self._gaps.add(reading, step, step_s, possible=self.plausible(step, step_s))
+        self.turns.add(reading.stamp_s, float(alone[2]))
         pose = self._joined(alone, reading.stamp_s)
         if self._recent and (pose != self._recent[0][1]).any():
             self.moved, self.dead = True, False
@@ -155,10 +155,11 @@ class WheelTracker:
 
         Least squares over all steps of which both tell much the same.
         """
-        told, true = math.hypot(step[0], step[1]), float(np.hypot(matched[0], matched[1]))
-        if abs(true - told) > self._config.distance_share * told or step[:2] @ matched[:2] <= 0.0:
+        (x, y, _), (true_x, true_y, _), scale = step.tolist(), matched.tolist(), float(self._scale[0])
+        told, true = math.hypot(x, y), math.hypot(true_x, true_y)
+        if abs(true - told) > self._config.distance_share * told or x * true_x + y * true_y <= 0.0:
             return
-        told /= self._scale[0]
+        told /= scale
         self._told_m2 += told * told
         self._true_m2 += told * true
         self._scale[:2] = self._true_m2 / self._told_m2
