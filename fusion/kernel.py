@@ -13,7 +13,7 @@ from collections.abc import Callable
 from contextlib import suppress
 from functools import cached_property, partial, update_wrapper
 from pathlib import Path
-from typing import Any, ClassVar, Self
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -23,31 +23,32 @@ ONE: Any = np.int64(1)
 NONE: Any = np.int64(-1)
 
 
-class Kernel(partial[Any]):
+class Kernel:
     """A function that numba compiles for the types with which it is called.
 
     Attributes
     ----------
     py_func, options
         What is compiled, and how: see `numba.njit`.
+    run
+        What a call calls: numba's own object, from the first call on.
     loaded_ns
         When each file with kernels had been changed last, at the moment when it was loaded.
     """
 
-    py_func: Callable[..., Any]
-    options: dict[str, Any]
     loaded_ns: ClassVar[dict[str, int]] = {}
 
-    def __new__(cls, function: Callable[..., Any], options: dict[str, Any]) -> Self:
-        """Of a function, by the options of `numba.njit`."""
-        self = super().__new__(cls, function)
+    def __init__(self, function: Callable[..., Any], options: dict[str, Any]) -> None:
         update_wrapper(self, function)
         self.py_func, self.options = function, options
-        self.__setstate__((self._first_run, (), {}, vars(self)))  # what a call calls
+        self.run: Any = self._first_run
         with suppress(OSError):  # typed in, by nobody's file
             file = function.__code__.co_filename
             self.loaded_ns[file] = Path(file).stat().st_mtime_ns
-        return self
+
+    def __call__(self, *arguments: Any) -> Any:
+        """What it returns for these arguments."""
+        return self.run(*arguments)
 
     def __getattr__(self, name: str) -> Any:
         if name.startswith("__"):  # what inspecting programs ask for is no reason to load numba
@@ -62,9 +63,9 @@ class Kernel(partial[Any]):
         return dispatcher_of(self)
 
     def _first_run(self, *arguments: Any) -> Any:
-        """Call it, and from now on numba's object itself, without a step in between."""
-        self.__setstate__((self.dispatcher, (), {}, vars(self)))
-        return self(*arguments)
+        """Call it, and from now on numba's object itself."""
+        self.run = self.dispatcher
+        return self.run(*arguments)
 
 
 def kernel(function: Callable[..., Any] | None = None, **options: Any) -> Any:
