@@ -55,6 +55,9 @@ class LaserScan:
         Mounting of the laser on the robot.
     sensor
         Name of the sensor, as the log tells it.
+    beam_s
+        Time from beam to beam, the stamp that of the first; < 0 where the last beam is the first; 0 where
+        the log tells none.
 
     Examples
     --------
@@ -74,6 +77,7 @@ class LaserScan:
     range_max_m: float
     T_base_laser: gtsam.Pose2 = field(default_factory=lambda: gtsam.Pose2())
     sensor: str = "laser"
+    beam_s: float = field(default=0.0, repr=False)  # is in no saved map
 
     __repr__ = one_line
 

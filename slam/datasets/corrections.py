@@ -19,8 +19,6 @@ from slam.datasets.corrections_in_space import (
     FrameCorrector,
     GnssCorrector,
     ImuCorrector,
-    same_cloud,
-    same_frame,
 )
 from slam.datasets.dataset import Dataset, ReadReport
 from slam.datasets.spinning_scans import straightened
@@ -140,9 +138,9 @@ def repeats(before: Measurement | None, now: Measurement) -> bool:
     if isinstance(before, LaserScan) and isinstance(now, LaserScan):
         return before.ranges_m.tobytes() == now.ranges_m.tobytes()
     if isinstance(before, RgbdFrame) and isinstance(now, RgbdFrame):
-        return same_frame(before, now)
+        return np.array_equal(before.depth_m, now.depth_m) and np.array_equal(before.color, now.color)
     if isinstance(before, PointCloud) and isinstance(now, PointCloud):
-        return same_cloud(before, now)
+        return np.array_equal(before.points_lidar, now.points_lidar)
     if isinstance(before, WheelOdometry) and isinstance(now, WheelOdometry):
         return before.T_odom_base.equals(now.T_odom_base, 0.0)
     return False
@@ -194,6 +192,7 @@ class _Lidar:
         step_rad = scan.step_rad if given.step_deg is None else math.radians(given.step_deg)
         if given.upside_down:
             start_rad, ranges = -(start_rad + step_rad * (ranges.size - 1)), ranges[::-1].copy()
+            scan = replace(scan, beam_s=-scan.beam_s)
         mounting = given.T_base_laser
         return replace(
             scan,

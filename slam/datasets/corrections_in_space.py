@@ -127,13 +127,3 @@ def mounted(mounting: Mounting) -> gtsam.Pose3:
         math.radians(angle) for angle in (mounting.yaw_deg, mounting.pitch_deg, mounting.roll_deg)
     )
     return gtsam.Pose3(gtsam.Rot3.Ypr(yaw, pitch, roll), np.array([mounting.x_m, mounting.y_m, mounting.z_m]))
-
-
-def same_frame(before: RgbdFrame, now: RgbdFrame) -> bool:
-    """Whether two frames are the same to the bit."""
-    return np.array_equal(before.depth_m, now.depth_m) and np.array_equal(before.color, now.color)
-
-
-def same_cloud(before: PointCloud, now: PointCloud) -> bool:
-    """Whether two clouds are the same to the bit."""
-    return np.array_equal(before.points_lidar, now.points_lidar)

@@ -6,8 +6,6 @@ import math
 from dataclasses import dataclass
 from typing import Any
 
-import gtsam
-
 from slam.measurements import RgbdFrame
 from slam.vision.camera_frame import T_BODY_CAMERA
 
@@ -53,10 +51,7 @@ class CameraFigures:
             "depth_min_m": self.nearest_m if self.valid else None,
             "depth_max_m": self.farthest_m if self.valid else None,
             "mount_m": None if mount is None else mount.translation().tolist(),
-            "mount_rpy_rad": None if mount is None else _body_rpy_rad(mount),
+            "mount_rpy_rad": None
+            if mount is None
+            else mount.compose(T_BODY_CAMERA.inverse()).rotation().rpy().tolist(),
         }
-
-
-def _body_rpy_rad(T_base_camera: gtsam.Pose3) -> list[float]:
-    """Roll, pitch and yaw of the body whose x axis is the optical z, y the left and z the up of the image."""
-    return list(T_base_camera.compose(T_BODY_CAMERA.inverse()).rotation().rpy().tolist())

@@ -28,20 +28,21 @@ def straightened(log: Iterable[Measurement], lidars: Mapping[str, LidarCorrectio
     Parameters
     ----------
     lidars
-        By name, each with its ``turn_s`` and ``cut_deg``; a scan is stamped in the middle of its turn.
+        By name, each with its ``turn_s`` and ``cut_deg``; a scan is stamped in the middle of its turn, or
+        by its first beam where it tells ``beam_s``.
     """
     wheels, waiting = deque[WheelOdometry](maxlen=WHEELS_KEPT), deque[Measurement]()
 
     def ready(first: Measurement) -> Measurement:
         if not isinstance(first, LaserScan) or (lidar := lidars.get(first.sensor)) is None:
             return first
-        twist = _twist(wheels, first.stamp_s, 0.5 * abs(lidar.turn_s))
+        twist = _twist(wheels, first.stamp_s + middle_s(first), 0.5 * abs(lidar.turn_s))
         return first if twist is None else straight(first, twist, lidar.turn_s, math.radians(lidar.cut_deg))
 
     def waits(first: Measurement, now_s: float) -> bool:
         if not isinstance(first, LaserScan) or (lidar := lidars.get(first.sensor)) is None:
             return False
-        told = wheels and wheels[-1].stamp_s >= first.stamp_s + 0.5 * abs(lidar.turn_s)
+        told = wheels and wheels[-1].stamp_s >= first.stamp_s + middle_s(first) + 0.5 * abs(lidar.turn_s)
         return not told and now_s <= first.stamp_s + GAP_S and len(waiting) <= WHEELS_KEPT
 
     for measurement in log:
@@ -67,6 +68,7 @@ def straight(scan: LaserScan, twist: FloatArray, turn_s: float, cut_rad: float) 
     bearings, met = scan.bearings_rad(), np.isfinite(scan.ranges_m)
     ranges_m = np.where(met, scan.ranges_m, scan.range_max_m).astype(np.float64)
     times_s = turn_times(np.column_stack([np.cos(bearings), np.sin(bearings)]), turn_s, cut_rad)
+    times_s += middle_s(scan)
     # As complex numbers: shifted along the chord, turned by all of the angle.
     turned_rad = twist[2] * times_s
     shift = times_s * complex(twist[0], twist[1]) * np.exp(0.5j * turned_rad)
@@ -89,7 +91,12 @@ def straight(scan: LaserScan, twist: FloatArray, turn_s: float, cut_rad: float) 
     found = np.where(met, far_m, scan.ranges_m)[nearest]
     found = np.where(on_one & np.isfinite(between_m), between_m, found)
     found[gaps.min(axis=0) > step_rad] = np.nan
-    return replace(scan, ranges_m=found.astype(np.float32))
+    return replace(scan, ranges_m=found.astype(np.float32), beam_s=0.0)
+
+
+def middle_s(scan: LaserScan) -> float:
+    """From the stamp of a scan to the middle of its turn."""
+    return 0.5 * abs(scan.beam_s) * (scan.ranges_m.size - 1)
 
 
 def _twist(wheels: Iterable[WheelOdometry], stamp_s: float, half_s: float) -> FloatArray | None:

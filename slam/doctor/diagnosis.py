@@ -15,6 +15,7 @@ from slam.config import Config
 from slam.config.calibration import Calibration
 from slam.datasets.corrections import corrected
 from slam.datasets.recording import fewer_frames
+from slam.datasets.spinning_scans import middle_s
 from slam.doctor.finding import Finding, remedied
 from slam.doctor.imu import handed, imu_findings
 from slam.doctor.in_space import Base, camera_findings, cloud_findings, findings_against, seen_by
@@ -25,7 +26,7 @@ from slam.doctor.paired_motions import BaseTrack, mended_rows
 from slam.doctor.samples import Samples, WheelSamples
 from slam.doctor.scan_motion import ScanMotion, Steps, track_stretches
 from slam.doctor.stretches import Stretches
-from slam.doctor.turning import turn_in_the_plane
+from slam.doctor.turning import told_turn, turn_in_the_plane
 from slam.doctor.wheels_and_lidar import compare
 from slam.measurements import LaserScan, Measurement
 from slam.vision.color_registration import ColorRegistration
@@ -101,6 +102,12 @@ def examine(log: Iterable[Measurement], registrations: Registrations | None = No
         if wheels is None and not samples.imus:
             continue
         stretches, scale = _within_reach(stretches, config)
+        turn = told_turn(stretches, config) if wheels else None
+        if turn:
+            stretches = [
+                [replace(scan, stamp_s=scan.stamp_s + middle_s(scan)) for scan in scans]
+                for scans in stretches
+            ]
         tracked = track_stretches(stretches, config)
         by_imus = None if vouched_for else _by_imus(samples, tracked, config)
         vouched_for = vouched_for or by_imus is not None
@@ -115,8 +122,9 @@ def examine(log: Iterable[Measurement], registrations: Registrations | None = No
                 lost = lost_sign(log, wheels[0], name, wheels[1].rows(), config)
             found = [lost] if lost else []
         if not found:
-            turn = turn_in_the_plane(stretches, lidar.interval_s.median() or 0.0, config)
-            found = [turn.finding("lidars", name)] if turn else []
+            turn = turn or turn_in_the_plane(stretches, lidar.interval_s.median() or 0.0, config)
+        if turn and all(one.kind == "clock" for one in found):
+            found.append(turn.finding("lidars", name))
         findings += found
         unknown += left_open
         own = [

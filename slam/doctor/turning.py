@@ -19,6 +19,7 @@ import gtsam
 import numpy as np
 
 from fusion.estimation import ROUNDS, TINY, gate
+from fusion.time_alignment import GAP_S
 from slam.config import Config
 from slam.datasets.corrections_in_space import bearings_rad, turn_times
 from slam.doctor.finding import Finding
@@ -58,7 +59,7 @@ class Turn:
         return Finding(
             name,
             "turn",
-            f"its points tell no times; they were seen in a turn of {abs(turn_s):.3f} s, {sense}, that "
+            f"its points were seen one after the other, in a turn of {abs(turn_s):.3f} s, {sense}, that "
             f"begins at {cut_deg:.0f} degrees",
             "walls are bent by the robot's own motion",
             ({kind: {name: {"turn_s": turn_s, "cut_deg": cut_deg}}},),
@@ -134,11 +135,27 @@ def turn_in_the_plane(
     stretches: Sequence[Sequence[LaserScan]], interval_s: float, config: Config
 ) -> Turn | None:
     """As `turn_of`, of a 2D lidar."""
-    short = [
+    return turn_of(_walls(stretches), interval_s, config, flat=True)
+
+
+def told_turn(stretches: Sequence[Sequence[LaserScan]], config: Config) -> Turn | None:
+    """The turn of a 2D lidar whose scans tell ``beam_s``, where it shows: which way, drivers take lightly."""
+    scan = stretches[0][0]
+    turn_s = abs(scan.beam_s / scan.step_rad) * math.tau if scan.step_rad else 0.0
+    if not 0.0 < turn_s <= GAP_S:
+        return None
+    cut_rad = math.pi + 0.5 * (scan.start_angle_rad + float(scan.bearings_rad()[-1]))
+    pairs = [pair for clouds in _walls(stretches) for pair in _pairs(clouds, config)]
+    told = [Turn(sign * turn_s, 0.0, cut_rad) for sign in (1.0, -1.0)]
+    return _bent(pairs, max(told, key=lambda turn: sum(_agreed(pairs, turn, config))), config)
+
+
+def _walls(stretches: Sequence[Sequence[LaserScan]]) -> list[list[PointCloud]]:
+    """Stretches of scans spread over a log, short ones, stood up."""
+    return [
         [_stood_up(scan) for scan in scans if scan.stamp_s - scans[0].stamp_s <= LASTS_S]
         for scans in stretches[:: -(-len(stretches) // MOST)]
     ]
-    return turn_of(short, interval_s, config, flat=True)
 
 
 def _stood_up(scan: LaserScan) -> PointCloud:
@@ -169,11 +186,13 @@ def _settled(pairs: Sequence[_Pair], fit: Turn, interval_s: float, config: Confi
         step_rad = slices * math.tau / SLICES
         tried = [replace(best, cut_rad=best.cut_rad + side * step_rad) for side in (0, -1, 1)]
         best = max(tried, key=lambda turn: sum(_agreed(pairs, turn, config)))
-    if not flat:
-        return best
-    # Of flat scans more of the points must fit, by twice what chance may do.
-    gains = np.subtract(_agreed(pairs, best, config), _agreed(pairs, replace(best, turn_s=TINY), config))
-    return best if gains.mean() > 2 * gains.std() / math.sqrt(len(pairs)) else None
+    return _bent(pairs, best, config) if flat else best
+
+
+def _bent(pairs: Sequence[_Pair], turn: Turn, config: Config) -> Turn | None:
+    """The turn where more of the points of flat scans fit by it, by twice what chance may do."""
+    gains = np.subtract(_agreed(pairs, turn, config), _agreed(pairs, replace(turn, turn_s=TINY), config))
+    return turn if len(gains) and gains.mean() > 2 * gains.std() / math.sqrt(len(gains)) else None
 
 
 def _agreed(pairs: Sequence[_Pair], turn: Turn, config: Config) -> list[float]:

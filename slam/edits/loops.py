@@ -71,7 +71,8 @@ def edited_loops(
             factors.append(factor)
             continue
         there.add(number)
-        if _stays_out(loops[number]):
+        # Refused by a person or a setting, not by the others.
+        if loops[number].reason in (FORBIDDEN, _OFF, _LARGE, *_FEW):
             continue
         factors.append(_trusted(factor) if number in forced else factor)
     for candidate, loop in enumerate(loops):
@@ -98,11 +99,6 @@ def best_of(loops: Sequence[LoopCandidate], pair: Pair) -> int:
 def _numbers(loops: Sequence[LoopCandidate], pair: Pair) -> list[int]:
     """Those of all loops between two keyframes."""
     return [number for number, loop in enumerate(loops) if pair_of(loop) == pair]
-
-
-def _stays_out(loop: LoopCandidate) -> bool:
-    """Whether a loop is refused by a person or a setting, not by the others."""
-    return loop.reason in (FORBIDDEN, _OFF, _LARGE, *_FEW)
 
 
 def _trusted(factor: SavedFactor) -> SavedFactor:

@@ -160,7 +160,7 @@ def depth_board(
         standing = ~_among(cells, _cells_taken(told_m, rays, matrix, cell_m))
         cells, heights = cells[standing], heights[standing]
     centres_m = (cells + 0.5) * cell_m - matrix[:2, 3]
-    hits = _hits_by_range(model, cell_m)[_place(np.hypot(*centres_m.T), cell_m)]
+    hits = _hits_by_range(model, cell_m)[(np.hypot(*centres_m.T) / cell_m).astype(np.intp)]
     steps[cells[:, 1] - box[0], cells[:, 0] - box[1], heights] = hits
     return Board(steps, box[0], box[1])
 
@@ -206,11 +206,6 @@ def _among(cells: NDArray[np.int64], others: NDArray[np.int64]) -> NDArray[np.bo
     both = np.concatenate([cells, others])
     number = np.unique(both, axis=0, return_inverse=True)[1].reshape(-1)
     return np.isin(number[: len(cells)], number[len(cells) :])
-
-
-def _place(range_m: FloatArray, cell_m: float) -> NDArray[np.intp]:
-    """Where a range is found in the table of `_hits_by_range`."""
-    return np.asarray(range_m / cell_m).astype(np.intp)
 
 
 @lru_cache(maxsize=8)

@@ -178,7 +178,7 @@ def _between(
         # Where the line has that place across.
         ends.append(
             line.point_m
-            + (place - line.point_m @ across) / _along(line.normal, across) * _tangent(line.normal)
+            + (place - line.point_m @ across) / float(_tangent(line.normal) @ across) * _tangent(line.normal)
         )
         weights[at[edge] : at[edge] + 2] = -fit.reach(*fit.places(ends[-1]))
     length = float((ends[1] - ends[0]) @ normal)
@@ -189,8 +189,3 @@ def _between(
 def _tangent(normal: FloatArray) -> FloatArray:
     """(2,) along a line."""
     return np.array([normal[1], -normal[0]])
-
-
-def _along(normal: FloatArray, across: FloatArray) -> float:
-    """How far along a direction a step on a line leads."""
-    return float(_tangent(normal) @ across)

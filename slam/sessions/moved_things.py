@@ -45,7 +45,8 @@ class ChangedThing:
     @property
     def places_m(self) -> list[FloatArray]:
         """(2,) the middle of where it stood, and of where it stands; one of both, or both."""
-        return [_middle(corners) for corners in (self.before_m, self.after_m) if corners is not None]
+        boxes = [corners for corners in (self.before_m, self.after_m) if corners is not None]
+        return [0.5 * (corners.min(axis=0) + corners.max(axis=0)) for corners in boxes]
 
     @property
     def moved_m(self) -> float:
@@ -120,8 +121,3 @@ def _around(cells_m: FloatArray, cell_m: float) -> FloatArray:
     square = 0.5 * cell_m * np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])
     corners = (cells_m[:, None] + square).reshape(-1, 2)
     return np.asarray(corners[spatial.ConvexHull(corners).vertices])
-
-
-def _middle(corners_m: FloatArray) -> FloatArray:
-    """(2,) of the box around corners."""
-    return np.asarray(0.5 * (corners_m.min(axis=0) + corners_m.max(axis=0)))

@@ -40,7 +40,9 @@ _RECORDS: dict[int, type] = {
     10: LearnedCamera,
 }
 _NUMBER_OF = {record: number for number, record in _RECORDS.items()}
-_FIELDS = {number: tuple(field.name for field in fields(record)) for number, record in _RECORDS.items()}
+_FIELDS = {
+    number: tuple(one.name for one in fields(record) if one.repr) for number, record in _RECORDS.items()
+}
 _PARTS = {number: attrgetter(*names) for number, names in _FIELDS.items()}
 _DTYPES = tuple(np.dtype(name) for name in ("f8", "f4", "i8", "i4", "i2", "i1", "u1", "?"))
 _DTYPE_NUMBER = {dtype: number for number, dtype in enumerate(_DTYPES)}

@@ -77,8 +77,38 @@ def test_the_doctor_finds_the_turn_and_mends_it() -> None:
     assert diagnose(list(corrected(log, mended))) == []
 
 
+@pytest.mark.parametrize("sign", [1.0, -1.0], ids=["the other way", "as it turns"])
+def test_a_turn_that_beams_tell_is_taken_about_its_middle_whichever_way_it_is_told(sign: float) -> None:
+    beam_s = abs(TURN_S) / 360.0
+    log = [
+        replace(one, stamp_s=one.stamp_s - 0.5 * 359 * beam_s, beam_s=sign * beam_s)
+        if isinstance(one, LaserScan)
+        else one
+        for one in drive(TURN_S)
+    ]
+    (finding,) = diagnose(log)
+    assert finding.kind == "turn" and finding.value == pytest.approx(TURN_S)
+    mended = Calibration.model_validate(finding.remedies[0])
+    assert mended.lidars["laser"].cut_deg == 180.0
+    poses = {one.stamp_s: one.T_odom_base for one in log if isinstance(one, WheelOdometry)}
+    scans = [(one, before) for one, before in zip(corrected(log, mended), log, strict=True)]
+    off_m = list[float]()
+    for now, before in scans[20:]:
+        if isinstance(now, LaserScan) and isinstance(before, LaserScan) and now.beam_s == 0.0:
+            first_s = round(20 * now.stamp_s) / 20  # half a beam later
+            assert now.stamp_s == before.stamp_s and abs(now.stamp_s - first_s) < beam_s
+            off_m.append(
+                float(
+                    np.nanpercentile(walls_off_m(now, poses[min(poses, key=lambda s: abs(s - first_s))]), 80)
+                )
+            )
+    assert len(off_m) > 200 and np.median(off_m) < 0.03
+
+
 def test_scans_that_are_taken_at_once_have_no_turn() -> None:
     assert diagnose(drive(0.0)) == []
+    told = [replace(one, beam_s=5e-4) if isinstance(one, LaserScan) else one for one in drive(0.0)]
+    assert diagnose(told) == []
 
 
 def test_a_log_keeps_its_order_and_what_the_wheels_do_not_tell() -> None:

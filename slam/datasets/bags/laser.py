@@ -9,6 +9,7 @@ from typing import Any
 import gtsam
 import numpy as np
 
+from fusion.time_alignment import GAP_S
 from slam.datasets.bags.decoding import stamp_of
 from slam.datasets.dataset import RecordFault
 from slam.datasets.laser_geometry import DEFAULT_NO_RETURN_M, classify_ranges
@@ -61,6 +62,7 @@ def scan_from(message: Any, mount: LaserMount, topic: str) -> LaserScan:
     """
     ranges_m = _ranges(message)
     start_rad, step_rad = float(message.angle_min), float(message.angle_increment)
+    beam_s = float(message.time_increment)
     if not ranges_m.size:
         raise RecordFault(ZERO_BEAMS, topic)
     span = abs(step_rad) * (ranges_m.size - 1)
@@ -78,6 +80,7 @@ def scan_from(message: Any, mount: LaserMount, topic: str) -> LaserScan:
         start_rad, step_rad = -start_rad, -step_rad
     if step_rad < 0.0:
         start_rad, step_rad = start_rad + step_rad * (classified.size - 1), -step_rad
+        beam_s = -beam_s
         classified = np.ascontiguousarray(classified[::-1])
     return LaserScan(
         stamp_s=stamp_of(message.header),
@@ -87,6 +90,7 @@ def scan_from(message: Any, mount: LaserMount, topic: str) -> LaserScan:
         range_max_m=limit_m,
         T_base_laser=mount.T_base_laser,
         sensor=topic,
+        beam_s=beam_s if abs(beam_s) * classified.size <= GAP_S else 0.0,
     )
 
 

@@ -77,7 +77,10 @@ class CameraFacts:
 
     def color_in_depth(self, color: str, depth: str) -> tuple[gtsam.Pose3, str] | None:
         """Pose of the colour camera in the depth camera by their topics, and which topic says so."""
-        places = [_of_stream(self.streams, topic) for topic in (depth, color)]
+        places = [
+            next((pose for space, pose in self.streams.items() if topic.startswith(f"{space}/")), None)
+            for topic in (depth, color)
+        ]
         if any(places):
             # The reference is a stream itself, and has no transform or that of itself.
             T_depth_reference, T_color_reference = (place or gtsam.Pose3() for place in places)
@@ -94,11 +97,6 @@ class CameraFacts:
             if own and name in ("color_to_depth", "rgb_to_depth"):
                 return T_to_from, topic
         return None
-
-
-def _of_stream(streams: dict[str, gtsam.Pose3], topic: str) -> gtsam.Pose3 | None:
-    """The transform of an image's stream."""
-    return next((pose for space, pose in streams.items() if topic.startswith(f"{space}/")), None)
 
 
 def _pose_of_extrinsics(message: Any, *, by_columns: bool) -> gtsam.Pose3:

@@ -53,10 +53,11 @@ def test_of_several_echoes_the_nearest_is_taken(tmp_path: Path) -> None:
 def test_beams_are_counter_clockwise_seen_from_above(
     tmp_path: Path, mounted: gtsam.Rot3, fields: dict[str, float]
 ) -> None:
+    fields["time_increment"] = 0.03125
     (found,), _ = read(tmp_path, transforms({"laser": gtsam.Pose3(mounted, np.zeros(3))}), scan(**fields))
     assert isinstance(found, LaserScan)
     assert found.ranges_m.tolist() == [5.0, 4.0, 3.0, 2.0, 1.0]
-    assert (found.start_angle_rad, found.step_rad) == (-0.5, 0.25)
+    assert (found.start_angle_rad, found.step_rad, found.beam_s) == (-0.5, 0.25, -0.03125)
 
 
 @pytest.mark.parametrize(
