@@ -5,9 +5,8 @@ from __future__ import annotations
 import hashlib
 import struct
 from dataclasses import dataclass
-from typing import Final, Literal, TypeAlias
+from typing import Final, TypeAlias
 
-ColumnType: TypeAlias = Literal["INTEGER", "REAL", "TEXT", "BLOB"]
 Value: TypeAlias = int | float | str | bytes | None
 
 _TYPES: Final = {"INTEGER": int, "REAL": float, "TEXT": str, "BLOB": bytes}
@@ -30,8 +29,13 @@ class Table:
     """
 
     name: str
-    columns: tuple[tuple[str, ColumnType], ...]
+    columns: tuple[tuple[str, ...], ...]
     optional: frozenset[str] = frozenset()
+
+    @classmethod
+    def of(cls, name: str, columns: str, *optional: str) -> Table:
+        """A table by its columns as SQL names them: ``key TEXT, value TEXT``."""
+        return cls(name, tuple(tuple(one.split()) for one in columns.split(", ")), frozenset(optional))
 
     @property
     def sql(self) -> str:
@@ -60,81 +64,42 @@ class Table:
 
 
 # One row a key: what was mapped, with what, and when it is finished the seal.
-META: Final = Table("meta", (("key", "TEXT"), ("value", "TEXT")))
+META: Final = Table.of("meta", "key TEXT, value TEXT")
 # Keyframes are the nodes of the graph. ``reading`` is the number of their scan or frame in the log.
-KEYFRAMES: Final = Table(
-    "keyframes",
-    (("stamp_s", "REAL"), ("reading", "INTEGER"), ("pose", "BLOB"), ("scan", "BLOB"), ("repaired", "BLOB")),
-    frozenset({"scan", "repaired"}),
+KEYFRAMES: Final = Table.of(
+    "keyframes", "stamp_s REAL, reading INTEGER, pose BLOB, scan BLOB, repaired BLOB", "scan", "repaired"
 )
 # Camera keyframes, each taken at a node of the graph.
-FRAMES: Final = Table(
-    "frames",
-    (
-        ("node", "INTEGER"),
-        ("stamp_s", "REAL"),
-        ("sensor", "TEXT"),
-        ("steps_per_m", "REAL"),
-        ("camera", "BLOB"),
-        ("features", "BLOB"),
-    ),
+FRAMES: Final = Table.of(
+    "frames", "node INTEGER, stamp_s REAL, sensor TEXT, steps_per_m REAL, camera BLOB, features BLOB"
 )
 # Their images, apart: whoever asks where the frames were taken does not read them.
-IMAGES: Final = Table("images", (("color", "BLOB"), ("depth", "BLOB")))
-FACTORS: Final = Table(
+IMAGES: Final = Table.of("images", "color BLOB, depth BLOB")
+FACTORS: Final = Table.of(
     "factors",
-    (
-        ("kind", "TEXT"),
-        ("source", "INTEGER"),
-        ("target", "INTEGER"),
-        ("trusted", "INTEGER"),
-        ("kept", "INTEGER"),
-        ("loop", "INTEGER"),
-        ("motion", "BLOB"),
-        ("covariance", "BLOB"),
-    ),
-    frozenset({"loop"}),
+    "kind TEXT, source INTEGER, target INTEGER, trusted INTEGER, kept INTEGER, loop INTEGER, motion BLOB, "
+    "covariance BLOB",
+    "loop",
 )
-LOOPS: Final = Table(
-    "loops",
-    (
-        ("place", "INTEGER"),
-        ("keyframe", "INTEGER"),
-        ("accepted", "INTEGER"),
-        ("score", "REAL"),
-        ("reason", "TEXT"),
-        ("candidate", "BLOB"),
-    ),
+LOOPS: Final = Table.of(
+    "loops", "place INTEGER, keyframe INTEGER, accepted INTEGER, score REAL, reason TEXT, candidate BLOB"
 )
 # A stretch of the trajectory a row.
-TRAJECTORY: Final = Table("trajectory", (("poses", "INTEGER"), ("stretch", "BLOB")))
-GRIDS: Final = Table(
-    "grids",
-    (
-        ("name", "TEXT"),
-        ("rows", "INTEGER"),
-        ("cols", "INTEGER"),
-        ("resolution_m", "REAL"),
-        ("corner", "BLOB"),
-        ("cells", "BLOB"),
-    ),
+TRAJECTORY: Final = Table.of("trajectory", "poses INTEGER, stretch BLOB")
+GRIDS: Final = Table.of(
+    "grids", "name TEXT, rows INTEGER, cols INTEGER, resolution_m REAL, corner BLOB, cells BLOB"
 )
 # Answers of matchers and verifiers while a log is mapped; gone when the map is finished.
-CHECKPOINT: Final = Table("journal", (("first", "INTEGER"), ("answers", "BLOB")))
-
+CHECKPOINT: Final = Table.of("journal", "first INTEGER, answers BLOB")
 # The cloud of each node, where a 3D lidar made the map.
-CLOUDS: Final = Table("clouds", (("stamp_s", "REAL"), ("lidar", "BLOB"), ("points", "BLOB")))
-
+CLOUDS: Final = Table.of("clouds", "stamp_s REAL, lidar BLOB, points BLOB")
 # What the run learned of each camera, by its name: where it sits, its colour camera, its clock.
-CAMERAS: Final = Table("cameras", (("sensor", "TEXT"), ("learned", "BLOB")))
-
+CAMERAS: Final = Table.of("cameras", "sensor TEXT, learned BLOB")
 # The covariances of a stretch of the trajectory a row: upper triangles.
-COVARIANCES: Final = Table("covariances", (("poses", "INTEGER"), ("triangles", "BLOB")))
-
+COVARIANCES: Final = Table.of("covariances", "poses INTEGER, triangles BLOB")
 # Of an edited map: the edits in the order in which they were applied, and the rows of the other tables that
 # they have changed, as they were. ``source`` is the name of such a table, or of this one.
-EDITS: Final = Table("edits", (("source", "TEXT"), ("row", "INTEGER"), ("content", "BLOB")))
-
+EDITS: Final = Table.of("edits", "source TEXT, row INTEGER, content BLOB")
 TABLES: Final = (
     META,
     KEYFRAMES,
