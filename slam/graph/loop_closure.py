@@ -253,29 +253,31 @@ class LoopCloser:
     ) -> list[tuple[int, FloatArray]]:
         """Places that may see the same as the keyframe, nearest first, with the relative covariance."""
         config, submaps = self._config, self.submaps
-        travelled = submaps.travelled_m(key)
+        travelled, least_path_m = submaps.travelled_m(key), submaps.least_path_m
         places = submaps.places(key)
-        least_path_m = submaps.least_path_m
-        places = places[[travelled - submaps.travelled_m(p) > least_path_m for p in places.tolist()]]
         distance = np.hypot(*(poses[places, :2] - poses[key, :2]).T)
         reach_m = submaps.wide_m(config.reach_m, 1.0)
         places = places[distance <= reach_m + config.greatest_half_width_m]
-        if places.size == 0:
-            return []
+        places = places[[travelled - submaps.travelled_m(p) > least_path_m for p in places.tolist()]]
         distance = np.hypot(*(poses[places, :2] - poses[key, :2]).T)
-        covariances = uncertainty.relative_covariances(key, places, poses)
-        # In a wider window more than one place may look the same: that is for the search over the whole map.
-        slack = config.sigmas * position_sigmas(covariances)
+        order = np.argsort(distance)
         chosen: list[tuple[int, FloatArray]] = []
-        for n in np.argsort(distance):
-            if len(chosen) == config.near:
+        # Where a place was seen many times, the nearest of all passes tell enough: the rest is asked seldom.
+        for part in (order[: FEWEST * config.near], order[FEWEST * config.near :]):
+            if not len(part) or len(chosen) == config.near:
                 break
-            if slack[n] > config.greatest_half_width_m or distance[n] > reach_m + slack[n]:
-                continue
-            at_m = submaps.travelled_m(places[n])
-            # Two places on one pass by the same spot tell the same: take the nearest of each pass.
-            if all(abs(at_m - submaps.travelled_m(p)) > config.least_path_m for p, _ in chosen):
-                chosen.append((int(places[n]), covariances[n]))
+            covariances = uncertainty.relative_covariances(key, places[part], poses)
+            # In a wider window more than one place may look the same: that is for the search over the map.
+            slacks = config.sigmas * position_sigmas(covariances)
+            for n, covariance, slack_m in zip(part, covariances, slacks, strict=True):
+                if len(chosen) == config.near:
+                    break
+                if slack_m > config.greatest_half_width_m or distance[n] > reach_m + slack_m:
+                    continue
+                at_m = submaps.travelled_m(places[n])
+                # Two places on one pass by the same spot tell the same: take the nearest of each pass.
+                if all(abs(at_m - submaps.travelled_m(p)) > config.least_path_m for p, _ in chosen):
+                    chosen.append((int(places[n]), covariance))
         return chosen
 
 

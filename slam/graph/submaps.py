@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from bisect import bisect_left
 from collections import OrderedDict
 from collections.abc import Callable, Sequence
 from functools import cached_property, partial
@@ -86,7 +87,7 @@ class SubmapStore:
 
     def places(self, key: int) -> NDArray[np.int64]:
         """(P,) keyframes before one that stand for their surroundings."""
-        return np.array([place for place in self._places if place < key], np.int64)
+        return np.array(self._places[: bisect_left(self._places, key)], np.int64)
 
     def scan(self, key: int) -> OrientedPoints:
         """Oriented points of a keyframe, base frame."""

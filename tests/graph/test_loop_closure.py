@@ -176,6 +176,20 @@ def test_the_refinement_refuses_what_the_search_lets_pass() -> None:
     assert {loop.reason for loop in loops} == {"residual too large"}
 
 
+def test_who_stood_long_at_a_place_is_still_asked_for_another_pass() -> None:
+    closer, uncertainty = LoopCloser(LoopConfig(near=2), MATCH), UncertaintyGraph()
+    # More places on the spot than are asked first, then a pass a metre aside, and back.
+    aside_m, ways_m = (np.repeat(values, [600, 20, 1]) for values in ([0.0, 1.0, 0.0], [0.0, 100.0, 200.0]))
+    poses = np.column_stack([aside_m, np.zeros((621, 2))])
+    for key, (pose, way_m) in enumerate(zip(poses, ways_m.tolist(), strict=True)):
+        closer.add_keyframe(NOTHING, pose, way_m)
+        uncertainty.add_node()
+        if key:
+            uncertainty.add_edge(key - 1, key, between(poses[key - 1], pose), 1e-6 * np.eye(3))
+    places = [place for place, _ in closer._propose(620, poses, uncertainty)]
+    assert [place < 600 for place in places] == [True, False]
+
+
 def test_a_place_without_points_is_refused() -> None:
     scan = OrientedPoints.from_scan(points_at(walls(), (1.0, 4.0, 0.0)))
     loops = line_drive(Drive(), NOTHING, scan)
