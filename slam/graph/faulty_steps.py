@@ -121,7 +121,8 @@ def _fitted(design: FloatArray, measured: FloatArray, variances: FloatArray) -> 
         scale = median_to_sigma() * float(np.median(np.abs(off[sure])))
         weighted = design / (scale**2 + off**2 + variances)[:, None]
         # What the steps leave open is no larger than one in so many.
-        values = np.linalg.solve(weighted.T @ design + FEWEST**2 * np.eye(len(values)), weighted.T @ measured)
+        information = weighted.T @ design + FEWEST**2 * np.eye(len(values))
+        values = np.asarray(np.linalg.solve(information, weighted.T @ measured), np.float64)
     return values
 
 
