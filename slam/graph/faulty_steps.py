@@ -11,17 +11,18 @@ import math
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import cached_property
+from itertools import accumulate
 
 import numpy as np
 
-from fusion.estimation import FEWEST, TINY, gate, median_to_sigma
+from fusion.estimation import FEWEST, ROUNDS, TINY, gate, median_to_sigma
 from slam.config.stages import GraphConfig
 from slam.graph.edge import GUESSES, Edge, EdgeKind
 from slam.graph.keyframe_graph import KeyframeGraph, graph_of, row_of, together, unmeasured
 from slam.graph.relative_uncertainty import composed, inverse, moved
 from slam.matching.motion import Motion
-from slam.matching.planar import adjoint, between, rotate_covariance
-from slam.measurements import FloatArray
+from slam.matching.planar import adjoint, between, compose, rotate_covariance
+from slam.measurements import FloatArray, pose2_from_row
 
 
 def settle_wheels(graph: KeyframeGraph, least_m: float) -> None:
@@ -44,7 +45,9 @@ def settle_wheels(graph: KeyframeGraph, least_m: float) -> None:
         and told[edge.target - 1] - told[edge.source] + steps[edge.source] == 0
     ]
     sparse = len(longer) < FEWEST
-    errors = _errors_of_steps(edges, least_m) if sparse else _errors_of_stretches(graph, longer)
+    errors = (
+        _calibrated_by_steps(edges, len(graph), least_m) if sparse else _errors_of_stretches(graph, longer)
+    )
     if not alone or len(errors) < FEWEST:
         return
     counts = np.isfinite(errors).sum(axis=0)
@@ -70,23 +73,57 @@ def _errors_of_stretches(graph: KeyframeGraph, longer: Sequence[Edge]) -> FloatA
     return off / np.sqrt([np.diag(edge.covariance) for edge in longer])
 
 
-def _errors_of_steps(edges: Sequence[Edge], least_m: float) -> FloatArray:
-    """(K, 3) errors of wheels on steps that a match tells, too; not a number where that is less sure."""
+def _calibrated_by_steps(edges: list[Edge], nodes: int, least_m: float) -> FloatArray:
+    """Let wheels tell what single matched steps have shown: how long a metre is, how much it and a turn turn.
+
+    Radii that differ turn a robot at each metre, a wrong base at each turn: where scans lie far apart that
+    bends a map more than all noise. (K, 3) errors are left on steps of ``least_m`` and more, in the sigmas
+    that wheels claim; not a number where a match is less sure.
+    """
     single = [edge for edge in edges if edge.target == edge.source + 1]
     wheels = together(edge for edge in single if edge.kind is EdgeKind.WHEEL)
     matches = together(edge for edge in single if edge.kind is EdgeKind.LIDAR)
-    both = [
-        (wheels[ends], match)
-        for ends, match in matches.items()
-        if ends in wheels and math.hypot(match.pose[0], match.pose[1]) >= least_m
-    ]
-    if not both:
+    both = [(wheels[ends], match) for ends, match in matches.items() if ends in wheels]
+    if len(both) < FEWEST:
         return np.zeros((0, 3))
-    claimed, found = (np.array([motion.pose for motion in motions]) for motions in zip(*both, strict=True))
+    told, found = (np.array([motion.pose for motion in motions]) for motions in zip(*both, strict=True))
     variances, known = (
         np.array([np.diag(motion.covariance) for motion in motions]) for motions in zip(*both, strict=True)
     )
-    return np.where(known < variances, _off(claimed, found) / np.sqrt(variances), np.nan)
+    ways_m = np.hypot(told[:, 0], told[:, 1])
+    longer_m = np.hypot(found[:, 0], found[:, 1]) - ways_m
+    (stretch,) = _fitted(ways_m[:, None], longer_m, known[:, :2].sum(axis=1))
+    # By what was found, which is all but certain: noise in what explains would make it explain less.
+    bend, swell = _fitted(np.column_stack([ways_m, found[:, 2]]), _off(found, told)[:, 2], known[:, 2])
+
+    def calibrated(steps: FloatArray) -> FloatArray:
+        turned = (steps[:, 2] - bend * np.hypot(steps[:, 0], steps[:, 1])) / (1.0 + swell)
+        half = np.pad(0.5 * (turned - steps[:, 2])[:, None], ((0, 0), (2, 0)))
+        return composed(composed(half, steps * [1.0 + stretch, 1.0 + stretch, 1.0]), half)
+
+    steps = np.zeros((nodes, 3))
+    steps[[source for source, _ in wheels]] = [motion.pose for motion in wheels.values()]
+    way = list(accumulate(calibrated(steps), compose, initial=np.zeros(3)))
+    for n, edge in enumerate(edges):
+        if edge.kind is EdgeKind.WHEEL:
+            step = pose2_from_row(between(way[edge.source], way[edge.target]))
+            edges[n] = replace(edge, T_source_target=step)
+    errors = np.where(known < variances, _off(calibrated(told), found) / np.sqrt(variances), np.nan)
+    return errors[np.hypot(found[:, 0], found[:, 1]) >= least_m]
+
+
+def _fitted(design: FloatArray, measured: FloatArray, variances: FloatArray) -> FloatArray:
+    """Small shares by least squares, with Cauchy's weights about the scale of the surest residuals."""
+    values: FloatArray = np.zeros(design.shape[1])
+    sure = variances <= np.median(variances)
+    for _ in range(ROUNDS):
+        off = measured - design @ values
+        scale = median_to_sigma() * float(np.median(np.abs(off[sure])))
+        weighted = design / (scale**2 + off**2 + variances)[:, None]
+        # What the steps leave open is no larger than one in so many.
+        information = weighted.T @ design + FEWEST**2 * np.eye(len(values))
+        values = np.asarray(np.linalg.solve(information, weighted.T @ measured), np.float64)
+    return values
 
 
 class FaultySteps:

@@ -211,7 +211,7 @@ class LoopCloser:
                     guess = between(poses[place], poses[key])
                     candidate = self.verify(place, key, guess, covariance)
                     # A window is as wide as the least certain direction: look-alikes lie in it.
-                    if candidate.accepted and Motion(guess, covariance).agrees(_found(candidate)):
+                    if candidate.accepted and Motion(guess, covariance).agrees(found_motion(candidate)):
                         self._closed_again.add((place, key))
                         found.append(candidate)
         return found
@@ -366,7 +366,7 @@ def _judge(
     return replace(candidate, accepted=True)
 
 
-def _found(candidate: LoopCandidate) -> Motion:
+def found_motion(candidate: LoopCandidate) -> Motion:
     """What an accepted one tells, in the plane."""
     assert candidate.motion is not None
     return Motion(row_from_pose2(candidate.motion.T_reference_base), candidate.motion.covariance)

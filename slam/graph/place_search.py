@@ -21,6 +21,7 @@ from slam.graph.claim_trial import ClaimTrial
 from slam.graph.consistent_sets import ClaimSets, Known, claimed
 from slam.graph.edge import GUESSES, Edge
 from slam.graph.faulty_steps import FaultySteps
+from slam.graph.followed_claims import FollowedClaims
 from slam.graph.keyframe_graph import graph_of
 from slam.graph.loop_closure import LoopCandidate, LoopCloser, position_sigmas
 from slam.graph.relative_uncertainty import UncertaintyGraph
@@ -62,6 +63,7 @@ class PlaceSearch:
         # Whether the estimate is another than the one that places nearby were tried from.
         self._corrected = False
         self._faulty: FaultySteps | None = None
+        self._followed: FollowedClaims | None = None
         self.fault: tuple[int, int] | None = None
 
     def search(
@@ -89,11 +91,16 @@ class PlaceSearch:
         if not self._config.enabled or len(poses) < 2:
             return []
         held = believed_edges(edges, kept, poses)
+        if self._stretches is None and self._submaps.wide_m(0.0, 1.0) > self._config.reach_m:
+            # A place is seen once by each pass.
+            self._submaps.lay(poses)
+            self._stretches = Stretches(self._submaps, self._config, self._match)
+            window_m = self._stretches.window_m
+            self._followed = FollowedClaims(self._submaps, self._config, self._match, window_m)
+        if self._followed is not None and self._stretches is not None:
+            return self._follow(self._stretches, self._followed, poses, graph_of(len(poses), held), loops)
         if self._stretches is None or self._sets is None:
             self._stretches = Stretches(self._submaps, self._config, self._match)
-            self._reach_m = max(self._reach_m, self._submaps.least_path_m)
-            # Where scans lie far apart only the whole run has told how far wheels can be believed.
-            self._corrected = self._stretches.spacing_m > 0.5 * self._config.reach_m
             # Claims on both sides of a step that may be grossly wrong say nothing of each other.
             measured = {edge.source for edge in held if edge.kind not in GUESSES}
             sure = (edge for edge in held if edge.trusted or edge.source in measured)
@@ -122,6 +129,25 @@ class PlaceSearch:
                     self._verify(self._stretches, place, number)
         return self._believed(poses, known)
 
+    def _follow(
+        self,
+        stretches: Stretches,
+        followed: FollowedClaims,
+        poses: FloatArray,
+        known: UncertaintyGraph,
+        loops: Sequence[LoopCandidate],
+    ) -> list[LoopCandidate]:
+        """Search as `search`, where each claim is followed along both ways."""
+        untied = stretches.untied(loops)
+        for number in untied:
+            for place in stretches.candidates(number, *self._possible(number, poses, known)):
+                if (place, number) not in self._tried:
+                    self._tried.add((place, number))
+                    if found := self._searched(stretches, place, number):
+                        ends = int(stretches.keys[place]), int(stretches.keys[number])
+                        followed.follow(*ends, np.array(found))
+        return followed.believed(stretches.keys[untied].tolist(), poses, _Known(poses, known))
+
     def _possible(
         self, number: int, poses: FloatArray, known: UncertaintyGraph
     ) -> tuple[BoolArray, FloatArray]:
@@ -136,16 +162,21 @@ class PlaceSearch:
         most_m = math.sqrt(self._gate * self._reach_m / stretches.spacing_m) * sigmas_m
         apart_m = np.hypot(*(poses[stretches.keys, :2] - poses[key, :2]).T)
         window_m = math.sqrt(2.0) * stretches.window_m
-        return (most_m > self._config.reach_m) & (apart_m <= window_m + most_m), apart_m
+        sparse = self._followed is not None
+        return (sparse | (most_m > self._config.reach_m)) & (apart_m <= window_m + most_m), apart_m
 
-    def _verify(self, stretches: Stretches, place: int, number: int) -> None:
-        """Search the pose of a stretch at another, and take down what is found as a claim."""
+    def _searched(self, stretches: Stretches, place: int, number: int) -> list[float]:
+        """The pose of a stretch at another; nothing where none is found."""
 
         def pose() -> list[float]:
             found = stretches.search(place, number)
             return found.pose.tolist() if found.found else []
 
-        found = self._result_cache.cached("place", float(number), pose)
+        return self._result_cache.cached("place", float(number), pose)
+
+    def _verify(self, stretches: Stretches, place: int, number: int) -> None:
+        """Search the pose of a stretch at another, and take down what is found as a claim."""
+        found = self._searched(stretches, place, number)
         if not found:
             return
         sigma = self._match.coarse_cell_m / self._config.sigmas
@@ -161,12 +192,7 @@ class PlaceSearch:
         sets, trial, stretches = self._sets, self._trial, self._stretches
         assert sets is not None and trial is not None and stretches is not None
         seen, reach_m = _Known(poses, known), self._config.reach_m
-        chance = 1.0 - self._config.inlier_probability
-        found = [
-            one
-            for one in sets.largest()
-            if np.ptp(self._ways(one)) >= reach_m or chance * self._odds(one[0], seen) >= 1.0
-        ]
+        found = [one for one in sets.largest() if np.ptp(self._ways(one)) >= reach_m]
         judged = [self._cost(one, seen) for one in found]
         costs = np.array([cost for cost, *_ in judged])
         gains = self._gate * np.array([len(one) for one in found]) - costs
@@ -187,9 +213,6 @@ class PlaceSearch:
             if costs[n] > 2.0 * self._gate and len(more) <= refused:
                 continue
             held = len(found[n]) + len(more) - refused
-            # What only a fault explains is seen as often as along a dense way, however far apart.
-            if judged[n][2] is not None and held < 4:
-                continue
             net_m = held * stretches.spacing_m
             # As long as it is seen from either end; where all of the map would pass, as a loop must be.
             map_m = float(np.ptp(poses[:, :2], axis=0).max())
@@ -228,23 +251,6 @@ class PlaceSearch:
         assert self._faulty is not None
         explained = self._faulty.explain(claim.place, claim.keyframe, way, said)
         return way.squared_mahalanobis(said.pose), *explained
-
-    def _odds(self, claim: LoopCandidate, known: Known) -> float:
-        """How many times likelier what is known makes a claim than chance: that puts it anywhere in a window.
-
-        Zero where scans are so dense that a place is claimed several times.
-        """
-        assert self._stretches is not None
-        if self._stretches.spacing_m <= self._config.reach_m:
-            return 0.0
-        said, way = claimed(claim), known(claim.place, claim.keyframe)
-        if not np.isfinite(way.covariance).all():
-            return 0.0
-        expected = way.widened(said.covariance)
-        density = math.exp(-0.5 * expected.squared_mahalanobis(said.pose)) / math.sqrt(
-            (2.0 * math.pi) ** 3 * expected.volume()
-        )
-        return density * 2.0 * math.pi * (2.0 * self._stretches.window_m) ** 2
 
     def _ways(self, members: Iterable[LoopCandidate]) -> FloatArray:
         """Way from the start to the keyframes of a set."""

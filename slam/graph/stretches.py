@@ -32,6 +32,8 @@ class Stretches:
         self._config, self._match, self._submaps = config, match, submaps
         way_m = np.array([submaps.travelled_m(key) for key in range(len(submaps))])
         self.spacing_m = submaps.wide_m(0.5 * config.reach_m, 1.0)
+        # Scans so far apart that each pass sees a place once look alike too often for the likest few.
+        self._most = config.near * (3 if self.spacing_m > config.reach_m else 1)
         middles_m = np.arange(0.0, way_m[-1] + config.reach_m, self.spacing_m)
         self.keys = np.unique(np.searchsorted(way_m, np.minimum(middles_m, way_m[-1])))
         self._way_m = way_m[self.keys]
@@ -71,7 +73,7 @@ class Stretches:
         """The first of each neighbourhood, as many as are tried."""
         chosen: list[int] = []
         for other in ordered.tolist():
-            if len(chosen) == self._config.near:
+            if len(chosen) == self._most:
                 break
             if all(abs(self._way_m[other] - self._way_m[one]) > self._config.reach_m for one in chosen):
                 chosen.append(other)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from bisect import bisect_left
 from collections import OrderedDict
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from functools import cached_property, partial
 from typing import Any
 
@@ -16,6 +17,7 @@ from slam.config.stages import LoopConfig, MatchConfig
 from slam.matching.correlative import LikelihoodField, build_field
 from slam.matching.local_map import LocalMap, OrientedPoints
 from slam.matching.planar import between
+from slam.matching.visibility import RangeImage
 from slam.measurements import FloatArray
 
 # So many scans of a run are enough to draw it, and so far around, in its cells.
@@ -57,6 +59,7 @@ class SubmapStore:
         self._sessions: list[int] = []
         self._places: list[int] = []
         self._cache: OrderedDict[int, Submap] = OrderedDict()
+        self._surroundings: dict[int, LocalMap] = {}
 
     def add(
         self,
@@ -134,16 +137,34 @@ class SubmapStore:
         """(3,) of a keyframe, odometry frame."""
         return self._poses[key]
 
-    def run(self, key: int) -> OrientedPoints:
-        """What is seen on the way to a keyframe and on from it, in its frame: a point a cell."""
+    def lay(self, poses: FloatArray) -> None:
+        """Let all lie as a finished run tells: of scans far apart it knows more than the odometry did."""
+        self._poses = list(poses)
+        self._cache.clear()
+
+    def surroundings(self, key: int) -> LocalMap:
+        """What is seen on the way to a keyframe and on from it, and what those scans have looked through."""
+        if key not in self._surroundings:
+            images = []
+            for k in (members := self._around(key)):
+                points = self._surfaces[k].points
+                images.append(RangeImage.of(points, between(self._poses[key], self._poses[k]), points))
+            local_map = _local_map(self._surfaces, self._poses, key, members, self._match)
+            self._surroundings[key] = replace(local_map, images=images)
+        return self._surroundings[key]
+
+    def _around(self, key: int) -> list[int]:
+        """Keyframes on the way to one and on from it, a few of them."""
         travelled_m = np.array(self._travelled_m)
         reach_m = self.wide_m(self._reach_m, 2.0)
         members = np.flatnonzero(np.abs(travelled_m - travelled_m[key]) <= reach_m)
         members = members[:: 1 + len(members) // _RUN_SCANS]
+        return [k for k in members.tolist() if self._sessions[k] == self._sessions[key]]
+
+    def run(self, key: int) -> OrientedPoints:
+        """What is seen on the way to a keyframe and on from it, in its frame: a point a cell."""
         parts = [
-            self._surfaces[k].moved(between(self._poses[key], self._poses[k]))
-            for k in members.tolist()
-            if self._sessions[k] == self._sessions[key]
+            self._surfaces[k].moved(between(self._poses[key], self._poses[k])) for k in self._around(key)
         ]
         points = np.concatenate([part.points for part in parts])
         cells = np.floor(points / (2.0 * self._match.cell_m)).astype(np.int64)

@@ -175,6 +175,27 @@ def test_scans_far_apart_prove_wheels_step_by_step(least_m: float) -> None:
         assert sigmas == pytest.approx([claimed[0], 0.02, 0.01], rel=0.5)
 
 
+def test_wheels_of_scans_far_apart_are_calibrated_by_those_that_match() -> None:
+    """Every second step matches; the radii differ, and a metre is too long, on all of them."""
+    graph, rng = KeyframeGraph(gtsam.Pose2(), GraphConfig()), np.random.default_rng(0)
+    for key in range(1, 80):
+        true = np.array([6.0, 0.0, 0.8 * (key % 5 == 0)])
+        told = true * [1.03, 1.0, 1.02] + [0.0, 0.0, 0.01] + 0.005 * rng.standard_normal(3)
+        match = Motion(true, np.diag([1e-4, 1e-4, 1e-6])) if key % 2 else None
+        wheels = Motion(told, BY_WHEELS)
+        edges = edges_of(key, true, match, wheels, [], GraphConfig())
+        graph.add_keyframe(pose2_from_row(true), edges)
+    far = Edge(0, 4, pose2_from_row(np.array([24.7, 0.6, 0.04])), BY_WHEELS, EdgeKind.WHEEL, trusted=False)
+    graph.add_edge(far)
+    settle_wheels(graph, 0.9)
+    for edge in graph.graph.edges:
+        if edge.kind is EdgeKind.WHEEL:
+            steps = edge.target - edge.source
+            turn = 0.8 * (edge.target % 5 == 0)
+            found = [edge.T_source_target.x(), edge.T_source_target.theta()]
+            assert found == pytest.approx([6.0 * steps, turn], abs=0.03 * steps)
+
+
 def test_where_measurements_contradict_each_other_both_are_in_doubt() -> None:
     match = step(0, SURE, EdgeKind.LIDAR, trusted=False)
     other = Edge(0, 1, pose2_from_row(np.array([1.0, 3.0, 1.0])), SURE, EdgeKind.WHEEL, trusted=False)
