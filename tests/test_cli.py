@@ -191,7 +191,7 @@ class TestBadInput:
         ("setting", "parts"),
         [
             ("grid.resolutoin_m=0.1", ["unknown key", "grid.resolution_m"]),
-            ("grid.resolution_m=-1", ["grid.resolution_m", "greater than 0"]),
+            ("grid.resolution_m=-1", ["grid.resolution_m", "greater than or equal to 0.001"]),
             ("grid.resolution_m=wide", ["grid.resolution_m", "wide"]),
             ("layers.rule=magic", ["layers.rule", "cautious"]),
             ("grid", ["section.field=value"]),

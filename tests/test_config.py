@@ -91,7 +91,11 @@ def test_an_unknown_key_names_the_nearest_valid_one(override: str, expected: str
 @pytest.mark.parametrize(
     ("override", "expected"),
     [
-        ("grid.resolution_m=-1", "override: grid.resolution_m = -1: input should be greater than 0"),
+        (
+            "grid.resolution_m=-1",
+            "override: grid.resolution_m = -1: input should be greater than or equal to",
+        ),
+        ("layers.climb_m=0.7", "climb_m leaves no obstacle to a robot of robot_height_m"),
         ("grid.resolution_m=true", "grid.resolution_m = true: input should be a valid number"),
         ("grid.resolution_m='0.1'", 'grid.resolution_m = "0.1": input should be a valid number'),
         ("grid.resolution_m=.nan", "grid.resolution_m = NaN: input should be a finite number"),
@@ -143,7 +147,7 @@ def test_the_dump_is_read_back_as_the_same_configuration(write) -> None:
     text = dump_config(config)
     assert load_config(write(text)) == config
     assert yaml.safe_load(text) == config.model_dump(mode="json")
-    assert "# side of a cell (> 0, <= 1)\n  resolution_m: 0.05" in text
+    assert "# side of a cell (>= 0.001, <= 1)\n  resolution_m: 0.05" in text
 
 
 def test_every_field_is_described_and_every_model_strict_and_final() -> None:

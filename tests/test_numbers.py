@@ -6,10 +6,10 @@ import ast
 
 from tools.count_numbers import bare_floats, constant_names, count_fields, count_lines, count_logic
 
-MOST_CONSTANTS = 333
-MOST_BARE_FLOATS = 167
+MOST_CONSTANTS = 332
+MOST_BARE_FLOATS = 151
 MOST_FIELDS = 159
-MOST_LINES = 70_825
+MOST_LINES = 70_959
 
 
 def test_constants_of_the_logic_do_not_grow() -> None:

@@ -21,17 +21,19 @@ import sys
 import time
 from collections import Counter
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 from scipy import ndimage
 
 from slam.app.differing import Difference, diff_maps
+from slam.config import Config
 from slam.errors import MapFileError, ScanweaveError
 from slam.evaluation.alignment import align
 from slam.evaluation.association import nearest_indices
-from slam.mapping.lidar_layer import LidarModel, lidar_board
+from slam.mapping.keyframe_grid import layer_settings
+from slam.mapping.lidar_layer import lidar_board
 from slam.measurements import BoolArray, FloatArray, LaserScan, pose2_from_row
 from slam.outputs.finished_map import Map, load_map
 from slam.sessions.moved_things import ChangedThing
@@ -223,7 +225,7 @@ def _boards(drive: Path, grid: np.lib.npyio.NpzFile, rig: Rig) -> Iterator[tuple
     lidar, cell_m = rig.lidar.model, float(grid["resolution_m"])
     mount, corner = rig.lidar.T_base_laser, np.rint(grid["origin_xy"] / cell_m).astype(int)
     height, width = grid["occupied"].shape
-    model = LidarModel(max_clear_range_m=0.0)
+    model = replace(layer_settings(Config()).lidar, max_clear_range_m=0.0)
     for path in sorted((drive / "truth" / "lidar").glob("*.npz")):
         chunk = np.load(path)
         for stamp_s, pose, ranges_m in zip(

@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
+from dataclasses import replace
 
+from slam.config import Config
 from slam.errors import ScanweaveError
+from slam.mapping.keyframe_grid import layer_settings
 from slam.mapping.layer_builder import LayerBuilder, LayerSettings, Reading
 from slam.mapping.layered_map import DecisionRule, LayeredMap
 from slam.measurements import Pose
@@ -30,7 +33,7 @@ def build_layers(
     ScanweaveError
         Where there are more or fewer poses than keyframes, and as `LayerBuilder.add`.
     """
-    builder = LayerBuilder(settings)
+    builder = LayerBuilder(settings or replace(layer_settings(Config()), robot_radius_m=0.0))
     count = 0
     for count, reading in enumerate(keyframes, start=1):
         if count > len(poses):

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 from fusion.depth_model import RangeNoise
 from fusion.height_band import HeightBand
+from slam.config import Config
+from slam.mapping import keyframe_grid
 from slam.mapping.depth_grid import DepthModel
 from slam.mapping.layer_builder import LayerSettings
-from slam.mapping.lidar_layer import LidarModel
 from slam.simulation.rigs import Rig
 
 FARTHEST_DEPTH_M = 4.0  # beyond, a stereo camera's noise is wider than a cell
@@ -16,7 +18,8 @@ FARTHEST_DEPTH_M = 4.0  # beyond, a stereo camera's noise is wider than a cell
 
 def layer_settings(rig: Rig, band: HeightBand, resolution_m: float = 0.05) -> LayerSettings:
     """Settings for a rig: noise and ranges from its data sheets, everything else the default."""
-    depth, lidar = DepthModel(band=band), LidarModel()
+    usual = keyframe_grid.layer_settings(Config())
+    depth, lidar = DepthModel(band, FARTHEST_DEPTH_M), usual.lidar
     if rig.cameras:
         model = rig.cameras[0].model
         # A rounded disparity adds its own noise.
@@ -29,9 +32,10 @@ def layer_settings(rig: Rig, band: HeightBand, resolution_m: float = 0.05) -> La
         )
     if rig.lidar is not None:
         sheet = rig.lidar.model
-        lidar = LidarModel(
+        lidar = replace(
+            lidar,
             noise=RangeNoise(sheet.sigma_m, share=sheet.sigma_share),
             max_hit_range_m=sheet.range_max_m,
             max_clear_range_m=min(8.0, sheet.range_max_m),
         )
-    return LayerSettings(resolution_m, lidar, depth)
+    return replace(usual, resolution_m=resolution_m, lidar=lidar, depth=depth, robot_radius_m=0.0)

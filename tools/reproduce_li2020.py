@@ -118,7 +118,7 @@ def write_3d(out: Path, seed: int) -> bytes:
         if isinstance(reading, RgbdFrame) and reading.T_base_camera is not None
     ]
     write_octomap(out / "scene.bt", frames, poses, 0.05, 3.5)
-    seen = fuse_keyframes(frames, poses, DenseMapSettings(0.01, 0.8, 3.5)).cloud
+    seen = fuse_keyframes(frames, poses, DenseMapSettings(0.01, 3.5, 0.8)).cloud
     lidar = np.concatenate(
         [_ends(reading, pose) for reading, pose in posed if isinstance(reading, LaserScan)]
     )

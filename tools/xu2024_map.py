@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 from xu2024_pairs import TruePair
 
-from slam.mapping.layer_builder import LayerBuilder, LayerSettings
+from slam.config import Config
+from slam.mapping.keyframe_grid import layer_settings
+from slam.mapping.layer_builder import LayerBuilder
 from slam.mapping.occupancy_grid import OccupancyGrid
 from slam.measurements import LaserScan, row_from_pose2
 from slam.simulation.true_grid import TrueGrid
@@ -41,7 +43,7 @@ class DriveMaps:
     """Maps of one drive from the same poses: one of the scans as they are, one of the repaired."""
 
     def __init__(self) -> None:
-        settings = LayerSettings(RESOLUTION_M)
+        settings = replace(layer_settings(Config()), resolution_m=RESOLUTION_M, robot_radius_m=0.0)
         self.before, self.after = LayerBuilder(settings), LayerBuilder(settings)
         self._met: list[NDArray[np.float64]] = []
 

@@ -243,8 +243,8 @@ def dump_config(config: StrictModel) -> str:
     --------
     >>> import slam
     >>> from slam.config import dump_config
-    >>> print(dump_config(slam.load_config().grid)[:47])
-    # side of a cell (> 0, <= 1)
+    >>> print(dump_config(slam.load_config().grid)[:52])
+    # side of a cell (>= 0.001, <= 1)
     resolution_m: 0.05
     """
     return "\n".join(_dump_lines(config, indent="")) + "\n"

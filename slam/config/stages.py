@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Literal
 
-from pydantic import Field
+from pydantic import Field, model_validator
 
 from slam.config.calibration import Calibration
 from slam.config.strict import StrictModel
@@ -55,7 +55,7 @@ class ScanConfig(StrictModel):
     """From a lidar sweep to points with normals."""
 
     range_min_m: float = Field(default=0.1, ge=0, description="nearer readings are the robot itself")
-    range_max_m: float = Field(default=40.0, gt=0, description="farther readings are not matched")
+    range_max_m: float = Field(default=40.0, gt=0, le=10_000, description="farther readings are not matched")
     neighbours: int = Field(default=4, ge=1, le=50, description="beams a side in the line fit of a normal")
 
 
@@ -193,7 +193,7 @@ class GraphConfig(StrictModel):
 class GridConfig(StrictModel):
     """The cells of every map, and what a beam of the lidar tells of them."""
 
-    resolution_m: float = Field(default=0.05, gt=0, le=1, description="side of a cell")
+    resolution_m: float = Field(default=0.05, ge=0.001, le=1, description="side of a cell")
     hit_probability: float = Field(default=0.7, gt=0.5, lt=1, description="p of a cell that a beam ends in")
     miss_probability: float = Field(
         default=0.45,
@@ -279,7 +279,9 @@ class DenseMapConfig(StrictModel):
     """Surfaces: the coloured map of the camera keyframes, the cloud of a 3D lidar."""
 
     enabled: bool = Field(default=True, description="write a mesh and a point cloud")
-    voxel_m: float = Field(default=0.015, gt=0, description="side of a voxel of the signed distance field")
+    voxel_m: float = Field(
+        default=0.015, ge=0.001, le=1, description="side of a voxel of the signed distance field"
+    )
     nearest_m: float = Field(default=0.3, ge=0, description="nearer depth readings are left out")
     octomap: bool = Field(default=False, description="write an OctoMap too; wants scanweave[octomap]")
 
@@ -306,10 +308,17 @@ class LayersConfig(StrictModel):
     )
     climb_m: float = Field(default=0.03, ge=0, description="highest step that the robot drives over")
     depth_max_m: float = Field(
-        default=3.5, gt=0, description="farther depth readings mark nothing, in no map"
+        default=3.5, gt=0.25, le=100, description="farther depth readings mark nothing, in no map"
     )
     rule: Literal["cautious", "corrected", "printed"] = Field(
         default="cautious",
         description="what is free: seen free by cameras at all heights of the robot; or, as Li2020 Table 3, "
         "by the lidar at its own height too (its two swapped cells put right, or as printed)",
     )
+
+    @model_validator(mode="after")
+    def _something_stops(self) -> LayersConfig:
+        """A robot must not climb over all that it is high."""
+        if self.climb_m >= self.robot_height_m:
+            raise ValueError("climb_m leaves no obstacle to a robot of robot_height_m; make the step lower")
+        return self

@@ -17,7 +17,7 @@ from slam.measurements import CameraIntrinsics, FloatArray
 _LARGEST_BYTES = 1 << 26  # of a JSON file; of a phone's with a pose a frame
 
 
-def four_numbers(path: Path, width: int = 0, height: int = 0) -> CameraIntrinsics:
+def four_numbers(path: Path) -> CameraIntrinsics:
     """``fx fy cx cy`` in a text file; what follows them is left.
 
     Raises
@@ -29,7 +29,7 @@ def four_numbers(path: Path, width: int = 0, height: int = 0) -> CameraIntrinsic
     if numbers is None or numbers.size < 4:
         raise DatasetError(f"{path} does not begin with fx fy cx cy; correct it, or give a calibration.yaml")
     fx, fy, cx, cy = numbers[:4]
-    return checked(path, np.array([[fx, 0.0, cx], [0.0, fy, cy]]), width, height)
+    return checked(path, np.array([[fx, 0.0, cx], [0.0, fy, cy]]))
 
 
 def camera_matrix(path: Path, size: int = 3, width: int = 0, height: int = 0) -> CameraIntrinsics:

@@ -202,7 +202,7 @@ def _in_the_plane(name: str, rows: FloatArray, steps: Sequence[SensorStep]) -> l
     assert turns is not None
     about = np.zeros(len(turned)) if fit is None else turns[1](fit.ahead_s) @ fit.R_lidar_imu[2]
     about -= about.mean()
-    slope = fit_linear(about[:, None], turned, np.arange(float(len(turned))), SETTLED)
+    slope = fit_linear(about[:, None], turned, np.arange(float(len(turned))))
     remedy: Remedy = {"imus": {name: {"use": False}}}
     unexplained = 0.0 if slope is None else np.abs(turned - slope.values[0] * about).sum()
     if fit is None or slope is None or 2.0 * unexplained > np.abs(turned).sum():

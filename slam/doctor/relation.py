@@ -45,15 +45,13 @@ class Linear:
     inliers: BoolArray
 
 
-def fit_linear(design: FloatArray, measured: FloatArray, stretch: FloatArray, floor: float) -> Linear | None:
+def fit_linear(design: FloatArray, measured: FloatArray, stretch: FloatArray) -> Linear | None:
     """Least squares with Geman and McClure's weights about the residuals' own scale; None of too few.
 
     Parameters
     ----------
     design, measured, stretch
         (N, P), (N,) and (N,) the stretch that each belongs to.
-    floor
-        Least standard deviation of a residual.
     """
     weights = np.ones(len(measured))
     if len(measured) < FEWEST or np.linalg.matrix_rank(design) < design.shape[1]:
@@ -63,7 +61,7 @@ def fit_linear(design: FloatArray, measured: FloatArray, stretch: FloatArray, fl
         root = np.sqrt(weights)
         values = np.asarray(np.linalg.lstsq(design * root[:, None], measured * root)[0], np.float64)
         residuals = measured - design @ values
-        sigma = max(floor, median_to_sigma() * float(np.median(np.abs(residuals))))
+        sigma = max(SETTLED, median_to_sigma() * float(np.median(np.abs(residuals))))
         weights = 1.0 / (1.0 + residuals**2 / (sigma**2 * gate())) ** 2
     bread = np.linalg.inv((design * weights[:, None]).T @ design)
     scores = design * (weights * residuals)[:, None]
@@ -149,9 +147,8 @@ def relate(
     unit = max(float(np.median(np.abs(wheels))), np.finfo(float).tiny)
     columns = [wheels / unit, 1j * wheels / unit, swung, 1j * swung]
     design = np.column_stack([np.concatenate([column.real, column.imag]) for column in columns])
-    fitted = fit_linear(
-        design, np.concatenate([lidar.real, lidar.imag]), np.concatenate([stretch, stretch]), SETTLED
-    )
+    lidar_parts = np.concatenate([lidar.real, lidar.imag])
+    fitted = fit_linear(design, lidar_parts, np.concatenate([stretch, stretch]))
     if fitted is None:
         return None
     a, b, c, d = fitted.values.tolist()

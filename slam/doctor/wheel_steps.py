@@ -76,7 +76,7 @@ class WheelSteps:
 
     def turn_scale(self) -> Linear | None:
         """By what the written turns are to be multiplied to be the lidar's; None of too few."""
-        return fit_linear(self.turns_rad[:, None], self.lidar_turns_rad, self.stretch, SETTLED)
+        return fit_linear(self.turns_rad[:, None], self.lidar_turns_rad, self.stretch)
 
     def related(self, reading: Reading) -> Relation | None:
         """The relation under a reading; None where it is open."""

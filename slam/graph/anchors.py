@@ -16,14 +16,13 @@ from dataclasses import dataclass, replace
 import gtsam
 import numpy as np
 
-from fusion.estimation import TINY, gate
+from fusion.estimation import ROUNDS, TINY, gate
 from slam.graph.edge import Edge, EdgeKind
 from slam.graph.factors import solved
 from slam.graph.held_graph import held_graph, marginals
 from slam.measurements import IN_PLANE, FloatArray, Pose, motion_between, spatial
 
 _FREEDOM = 3.0
-_MOST_ROUNDS = 20
 # Whitened errors settle to that.
 _SETTLED_SIGMAS = 0.01
 # A map that is begun without gravity leans by some degrees; where the earth is nobody knows.
@@ -110,7 +109,7 @@ def anchored(
     held = [*edges, _upright(nodes)]
     together = np.array([one.together for one in anchors])
     weights, before = np.ones(len(anchors)), np.full(len(anchors), np.inf)
-    for _ in range(_MOST_ROUNDS):
+    for _ in range(ROUNDS):
         told = _edges(nodes, len(poses), anchors, together * scale2 / weights, kind)
         values = solved(*held_graph(nodes, [*held, *told]))
         nodes = [values.atPose3(n) if axes == 3 else values.atPose2(n) for n in range(len(nodes))]

@@ -15,7 +15,7 @@ from slam.mapper.keyframe_fusion import FusionSummary
 from slam.mapper.scan_record import CameraRecord, ScanRecord
 from slam.mapping.elevation import Elevation
 from slam.mapping.glass_gaps import with_glass
-from slam.mapping.keyframe_grid import depth_model, layer_settings, lidar_grids
+from slam.mapping.keyframe_grid import layer_settings, lidar_grids
 from slam.mapping.layer_builder import LayerBuilder
 from slam.mapping.layered_map import DEPTH, OCCUPANCY
 from slam.mapping.occupancy_grid import OccupancyGrid
@@ -136,7 +136,7 @@ def depth_grid(
     """
     if not config.layers.enabled:
         return None
-    builder = LayerBuilder(layer_settings(config, depth_model(config)))
+    builder = LayerBuilder(layer_settings(config))
     for frame, T_map_camera in zip(frames, poses, strict=True):
         if frame.T_base_camera is not None:
             base = T_map_camera.compose(frame.T_base_camera.inverse())

@@ -10,7 +10,8 @@ import gtsam
 import numpy as np
 from numpy.typing import NDArray
 
-from slam.errors import ConfigError, ScanweaveError
+from fusion.curves import NEAREST_M
+from slam.errors import ScanweaveError
 from slam.mapping.posed_frames import posed_frames
 from slam.mapping.surface_nets import surface_of_blocks
 from slam.mapping.voxel_blocks import VoxelBlocks
@@ -36,32 +37,13 @@ class DenseMapSettings:
         out what was seen in passing.
     memory_limit_mb
         Memory the voxels may take, in 10^6 bytes.
-
-    Raises
-    ------
-    ConfigError
-        Where a value is out of its range.
     """
 
-    voxel_size_m: float = 0.015
-    depth_min_m: float = 0.3
-    depth_max_m: float = 4.0
+    voxel_size_m: float
+    depth_max_m: float
+    depth_min_m: float = NEAREST_M
     minimum_views: int = 3
     memory_limit_mb: float = 2000.0
-
-    def __post_init__(self) -> None:
-        if not 0.001 <= self.voxel_size_m <= 1.0:
-            raise ConfigError(f"voxel_size_m is {self.voxel_size_m:g}; it must be from 0.001 to 1")
-        if not 0.0 <= self.depth_min_m < self.depth_max_m <= 100.0:
-            raise ConfigError(
-                f"depth from {self.depth_min_m:g} to {self.depth_max_m:g} m; "
-                "it must be 0 <= depth_min_m < depth_max_m <= 100"
-            )
-        if not (self.minimum_views >= 1 and self.memory_limit_mb > 0.0):
-            raise ConfigError(
-                f"minimum_views is {self.minimum_views} and memory_limit_mb {self.memory_limit_mb:g}; "
-                "they must be at least 1 and above 0"
-            )
 
     def too_large(self) -> ScanweaveError:
         """The error of a map beyond the memory limit."""
@@ -126,9 +108,7 @@ class DenseMap:
 
 
 def fuse_keyframes(
-    frames: Iterable[RgbdFrame],
-    poses: Sequence[gtsam.Pose3],
-    settings: DenseMapSettings | None = None,
+    frames: Iterable[RgbdFrame], poses: Sequence[gtsam.Pose3], settings: DenseMapSettings
 ) -> DenseMap:
     """Fuse frames into one surface; ``poses`` are T_map_camera in the order of the frames.
 
@@ -141,7 +121,6 @@ def fuse_keyframes(
     ScanweaveError
         Where a pose is not finite, or the memory limit is met.
     """
-    settings = settings or DenseMapSettings()
     blocks = VoxelBlocks(settings.voxel_size_m)
     # A frame is integrated in another thread while the next one is decoded.
     told = prefetched(

@@ -40,10 +40,10 @@ class DepthModel:
     ----------
     band
         Heights in which a thing is an obstacle.
+    depth_max_m, depth_min_m
+        Farther and nearer readings mark nothing; farther ones free up to the limit.
     noise
         Of a depth reading.
-    depth_min_m, depth_max_m
-        Nearer and farther readings mark nothing; farther ones free up to the limit.
     p_hit, p_miss
         Probability that a cell is occupied in which a keyframe saw points, or saw through at all heights.
     margin_sigmas
@@ -58,10 +58,10 @@ class DepthModel:
         free every pixel along the way down is, and half as many across.
     """
 
-    band: HeightBand = field(default_factory=lambda: HeightBand(0.0, 0.7, 0.03))
-    noise: RangeNoise = field(default_factory=lambda: RangeNoise(0.002, per_m=0.003))
+    band: HeightBand
+    depth_max_m: float
     depth_min_m: float = 0.3
-    depth_max_m: float = 4.0
+    noise: RangeNoise = field(default_factory=lambda: RangeNoise(0.002, per_m=0.003))
     p_hit: float = 0.7
     p_miss: float = 0.4
     margin_sigmas: float = 2.0
@@ -76,28 +76,6 @@ class DepthModel:
         """Heights of the band that are told apart."""
         most = np.iinfo(np.uint64).bits // 2 - 1  # two bits each, and one for the floor
         return min(most, max(1, math.ceil((self.band.high_m - self.band.low_m) / (2.0 * HEIGHT_STEP_M))))
-
-    def __post_init__(self) -> None:
-        """Refuse a model that would mark what it clears.
-
-        Raises
-        ------
-        ConfigError
-            Where the probabilities are not 0 < p_miss < 0.5 < p_hit < 1, or a length makes no sense.
-        """
-        if not 0.0 < self.p_miss < 0.5 < self.p_hit < 1.0:
-            raise ConfigError(
-                f"p_miss={self.p_miss:g} p_hit={self.p_hit:g}: needs 0 < p_miss < 0.5 < p_hit < 1"
-            )
-        if not 0.0 <= self.depth_min_m < self.depth_max_m < math.inf:
-            raise ConfigError(
-                f"depth from {self.depth_min_m:g} to {self.depth_max_m:g} m; needs 0 <= min < max"
-            )
-        if not (self.radius_m > 0.0 and self.voxel_m >= 0.0 and self.least_points >= 1):
-            raise ConfigError(
-                f"radius_m={self.radius_m:g} voxel_m={self.voxel_m:g} least_points={self.least_points}: "
-                "needs a radius above 0, a voxel of 0 or more and at least 1 point"
-            )
 
 
 def depth_board(

@@ -11,7 +11,6 @@ import numpy as np
 from fusion.bayes import evidence_steps
 from fusion.height_band import HeightBand
 from slam.config import Config
-from slam.errors import ConfigError
 from slam.heap import give_back
 from slam.mapping.depth_grid import DepthModel
 from slam.mapping.layer_builder import LayerBuilder, LayerSettings
@@ -22,9 +21,9 @@ from slam.mapping.passers_by import without_passers_by
 from slam.measurements import FloatArray, LaserScan, pose2_from_row
 
 
-def layer_settings(config: Config, depth: DepthModel | None = None) -> LayerSettings:
-    """What the configuration says of the grids; the depth model only where depth images are drawn."""
-    grid = config.grid
+def layer_settings(config: Config) -> LayerSettings:
+    """What the configuration says of the grids."""
+    grid, layers = config.grid, config.layers
     return LayerSettings(
         resolution_m=grid.resolution_m,
         lidar=LidarModel(
@@ -33,28 +32,10 @@ def layer_settings(config: Config, depth: DepthModel | None = None) -> LayerSett
             max_hit_range_m=config.scan.range_max_m,
             max_clear_range_m=grid.clear_range_m,
         ),
-        depth=depth or DepthModel(),
-        robot_radius_m=config.layers.robot_radius_m,
+        depth=DepthModel(HeightBand(0.0, layers.robot_height_m, layers.climb_m), layers.depth_max_m),
+        robot_radius_m=layers.robot_radius_m,
         max_cells=grid.greatest_cells,
     )
-
-
-def depth_model(config: Config) -> DepthModel:
-    """What the configuration says of depth images.
-
-    Raises
-    ------
-    ConfigError
-        Where the robot climbs over all that it is high.
-    """
-    layers = config.layers
-    if layers.climb_m >= layers.robot_height_m:
-        raise ConfigError(
-            f"layers.climb_m = {layers.climb_m:g} leaves no obstacle to a robot of "
-            f"layers.robot_height_m = {layers.robot_height_m:g}; make the step lower"
-        )
-    band = HeightBand(0.0, layers.robot_height_m, layers.climb_m)
-    return DepthModel(band=band, depth_max_m=layers.depth_max_m)
 
 
 def lidar_grids(

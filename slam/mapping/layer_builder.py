@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import reduce
 from typing import TypeAlias
 
@@ -16,7 +16,7 @@ import gtsam
 import numpy as np
 
 from fusion import bayes
-from slam.errors import ConfigError, ScanweaveError
+from slam.errors import ScanweaveError
 from slam.mapping.depth_grid import DepthModel, depth_board
 from slam.mapping.evidence_tiles import SIDE, Board, EvidenceTiles, union
 from slam.mapping.footprint import footprint_board
@@ -53,27 +53,21 @@ class LayerSettings:
         Of a finished grid; a larger map gets larger cells.
     """
 
-    resolution_m: float = 0.05
-    lidar: LidarModel = field(default_factory=LidarModel)
-    depth: DepthModel = field(default_factory=DepthModel)
+    resolution_m: float
+    lidar: LidarModel
+    depth: DepthModel
     p_min: float = 0.02
     p_max: float = 0.98
     robot_radius_m: float = 0.0
     memory_mb: float = 24.0
     max_cells: int = 64_000_000
 
-    def __post_init__(self) -> None:
-        if not 1e-3 <= self.resolution_m < math.inf:
-            raise ConfigError(f"resolution_m={self.resolution_m:g}: must be 0.001 or more (0.05 is usual)")
-        if not 0.0 < self.p_min < 0.5 < self.p_max < 1.0:
-            raise ConfigError(f"p_min={self.p_min:g} p_max={self.p_max:g}: needs 0 < p_min < 0.5 < p_max < 1")
-
 
 class LayerBuilder:
     """Grids that grow with the readings put into them; each is seen once and not kept."""
 
-    def __init__(self, settings: LayerSettings | None = None) -> None:
-        self._settings = settings or LayerSettings()
+    def __init__(self, settings: LayerSettings) -> None:
+        self._settings = settings
         self._tiles: dict[str, EvidenceTiles] = {}
         self._seen: set[tuple[str, float, bytes]] = set()
 

@@ -12,7 +12,6 @@ import numpy as np
 from fusion.bayes import evidence_steps
 from fusion.depth_model import RangeNoise, hit_evidence
 from fusion.kernel import kernel
-from slam.errors import ConfigError
 from slam.mapping.evidence_tiles import Board
 from slam.mapping.occupancy_grid import Steps
 from slam.mapping.ray_tracing import HIT, TAKEN, Box, Evidence, beam_ends, mark_lines
@@ -27,40 +26,22 @@ class LidarModel:
     ----------
     p_hit, p_miss
         Probability that a cell is occupied when a beam of the scan ended in it, or passed it.
-    noise
-        Of a range. A hit weighs the less the more of it belongs to the neighbouring cells.
     max_hit_range_m
         A return from farther away is taken as no return.
     max_clear_range_m
         A beam without return clears up to here: black and mirroring things give no return either.
+    noise
+        Of a range. A hit weighs the less the more of it belongs to the neighbouring cells.
     margin_sigmas
         A beam clears nothing nearer to its end than so many standard deviations.
     """
 
-    p_hit: float = 0.7
-    p_miss: float = 0.45
+    p_hit: float
+    p_miss: float
+    max_hit_range_m: float
+    max_clear_range_m: float
     noise: RangeNoise = field(default_factory=lambda: RangeNoise(0.01, share=0.005))
-    max_hit_range_m: float = 40.0
-    max_clear_range_m: float = 8.0
     margin_sigmas: float = 1.0
-
-    def __post_init__(self) -> None:
-        """Refuse a model that would mark what it clears.
-
-        Raises
-        ------
-        ConfigError
-            Where the probabilities are not 0 < p_miss < 0.5 < p_hit < 1, or a range makes no sense.
-        """
-        if not 0.0 < self.p_miss < 0.5 < self.p_hit < 1.0:
-            raise ConfigError(
-                f"p_miss={self.p_miss:g} p_hit={self.p_hit:g}: needs 0 < p_miss < 0.5 < p_hit < 1"
-            )
-        if not (0.0 < self.max_hit_range_m <= 1e4 and 0.0 <= self.max_clear_range_m <= 1e4):
-            raise ConfigError(
-                f"max_hit_range_m={self.max_hit_range_m:g} max_clear_range_m={self.max_clear_range_m:g}: "
-                "needs the first above 0, the second not negative, both at most 10000"
-            )
 
 
 def lidar_board(scan: LaserScan, T_grid_base: gtsam.Pose2, model: LidarModel, cell_m: float) -> Board:

@@ -233,7 +233,7 @@ class Exports:
     def _surface(self) -> DenseMap:
         """Of the images; empty where they show none."""
         found, dense = self.contents, self.config.dense_map
-        settings = DenseMapSettings(dense.voxel_m, dense.nearest_m, self.config.layers.depth_max_m)
+        settings = DenseMapSettings(dense.voxel_m, self.config.layers.depth_max_m, dense.nearest_m)
         return fuse_keyframes(found.frames or (), found.frame_poses(), settings)
 
     def _write_glb(self, out: Path) -> list[Path]:

@@ -1,6 +1,7 @@
 """Laws of evidence that tells the heights of a cell apart."""
 
 import math
+from dataclasses import replace
 
 import gtsam
 import numpy as np
@@ -8,20 +9,18 @@ import pytest
 
 from fusion.bayes import FREE, OCCUPIED, UNKNOWN
 from fusion.height_band import HeightBand
+from slam.config import Config
 from slam.mapping.depth_grid import DepthModel
 from slam.mapping.evidence_tiles import TILE_BYTES, Board, EvidenceTiles
-from slam.mapping.layer_builder import LayerSettings
+from slam.mapping.keyframe_grid import layer_settings
 from slam.mapping.view_coverage import free_heights, holes_cleared
 from slam.measurements import CameraIntrinsics, RgbdFrame
 from tools.layer_building import build_layers
 
 CAMERA = CameraIntrinsics(240.0, 240.0, 159.5, 119.5, 320, 240)
 OPTICAL = gtsam.Rot3(np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]]))
-SETTINGS = LayerSettings(
-    depth=DepthModel(
-        band=HeightBand(0.0, 0.5, 0.02), least_neighbours=2, voxel_m=0.0, radius_m=0.04, pixel_stride=1
-    )
-)
+DEPTH = DepthModel(HeightBand(0.0, 0.5, 0.02), 4.0, least_neighbours=2, voxel_m=0.0, pixel_stride=1)
+SETTINGS = replace(layer_settings(Config()), depth=DEPTH, robot_radius_m=0.0)
 AT = np.array([[1.52, 0.02]])
 
 

@@ -7,12 +7,13 @@ import pytest
 
 from fusion.bayes import FREE, OCCUPIED, STEPS_A_UNIT, UNKNOWN
 from fusion.height_band import HeightBand
+from slam.config import Config
 from slam.errors import ConfigError, ScanweaveError
 from slam.mapping.depth_grid import DepthModel
 from slam.mapping.evidence_tiles import SIDE, Board, EvidenceTiles
-from slam.mapping.layer_builder import LayerBuilder, LayerSettings
+from slam.mapping.keyframe_grid import layer_settings
+from slam.mapping.layer_builder import LayerBuilder
 from slam.mapping.layered_map import DecisionRule, LayeredMap
-from slam.mapping.lidar_layer import LidarModel
 from slam.mapping.occupancy_grid import OccupancyGrid
 from slam.measurements import CameraIntrinsics, LaserScan, RgbdFrame
 from tools.layer_building import build_layers
@@ -20,10 +21,8 @@ from tools.layer_building import build_layers
 CAMERA = CameraIntrinsics(240.0, 240.0, 159.5, 119.5, 320, 240)
 OPTICAL = gtsam.Rot3(np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]]))
 MOUNT = gtsam.Pose3(gtsam.Rot3.Ypr(0.0, math.radians(12.0), 0.0).compose(OPTICAL), np.array([0.0, 0.0, 0.5]))
-DEPTH = DepthModel(
-    band=HeightBand(0.0, 0.5, 0.02), least_neighbours=2, voxel_m=0.0, radius_m=0.04, pixel_stride=1
-)
-SETTINGS = LayerSettings(depth=DEPTH)
+DEPTH = DepthModel(HeightBand(0.0, 0.5, 0.02), 4.0, least_neighbours=2, voxel_m=0.0, pixel_stride=1)
+SETTINGS = replace(layer_settings(Config()), depth=DEPTH, robot_radius_m=0.0)
 
 
 def scan(stamp=0.0, range_m=2.0, beams=90):
@@ -228,9 +227,6 @@ def test_a_far_hit_weighs_less_and_bad_input_is_refused():
         build_layers([scan(), scan(1.0)], same_base(1), SETTINGS)
     with pytest.raises(ConfigError, match="a cell must be larger"):
         build_layers([frame()], same_base(1), replace(SETTINGS, resolution_m=0.03))
-    for make in (LidarModel, DepthModel):
-        with pytest.raises(ConfigError, match="p_miss"):
-            make(p_miss=0.6)
     assert builder.add(scan(), gtsam.Pose2())
     assert not builder.add(scan(), gtsam.Pose2())
 

@@ -184,7 +184,7 @@ def _choice(bag: Bag, survey: Survey, wanted: tuple[str, ...]) -> Choice:
         topic for topic in wanted if topic.rstrip("/") != survey.robots.read or not topic.strip("/")
     )
     if unknown := [topic for topic in wanted if topic not in survey.channels]:
-        raise DatasetError(f"{bag.path} has no topic {unknown[0]}; it holds {_listing(bag, survey, SENSORS)}")
+        raise DatasetError(f"{bag.path} has no topic {unknown[0]}; it holds {_listing(bag, survey)}")
     kinds = {topic: survey.channels[topic].kind for topic in sorted(survey.seen)}
     for topic in wanted:
         kind = survey.channels[topic].kind
@@ -192,8 +192,7 @@ def _choice(bag: Bag, survey: Survey, wanted: tuple[str, ...]) -> Choice:
             continue
         if kind not in SENSORS:
             raise DatasetError(
-                f"{topic} of {bag.path} holds {kind}, which is not read; "
-                f"it holds {_listing(bag, survey, SENSORS)}"
+                f"{topic} of {bag.path} holds {kind}, which is not read; it holds {_listing(bag, survey)}"
             )
         kinds[topic] = kind
     # Where no image could be decoded, its name must tell.
@@ -201,13 +200,13 @@ def _choice(bag: Bag, survey: Survey, wanted: tuple[str, ...]) -> Choice:
     return choose(kinds, depths, wanted, never_read(survey), evidence_of(survey))
 
 
-def _listing(bag: Bag, survey: Survey, kinds: frozenset[str], topics: set[str] | None = None) -> str:
-    """Topics with their types and numbers of messages."""
+def _listing(bag: Bag, survey: Survey) -> str:
+    """Topics of sensors with their types and numbers of messages."""
     counts = count_messages(bag)
     found = [
         f"{topic} ({channel.kind.rpartition('/')[2]}, {counts[topic]} messages)"
         for topic, channel in sorted(survey.channels.items())
-        if channel.kind in kinds and (topics is None or topic in topics)
+        if channel.kind in SENSORS
     ]
     return ", ".join(found) or "no topic of a sensor"
 
