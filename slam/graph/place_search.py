@@ -101,6 +101,8 @@ class PlaceSearch:
             return self._follow(self._stretches, self._followed, poses, graph_of(len(poses), held), loops)
         if self._stretches is None or self._sets is None:
             self._stretches = Stretches(self._submaps, self._config, self._match)
+            # Where scans lie far apart only the whole run has told how far wheels can be believed.
+            self._corrected = self._stretches.spacing_m > 0.5 * self._config.reach_m
             # Claims on both sides of a step that may be grossly wrong say nothing of each other.
             measured = {edge.source for edge in held if edge.kind not in GUESSES}
             sure = (edge for edge in held if edge.trusted or edge.source in measured)
