@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import gtsam
 import numpy as np
 
+from fusion.time_alignment import GAP_S
 from slam.measurements import FloatArray
 
 # Between frames further apart than this, or so long after the newest one, a pose is not known.
@@ -66,7 +67,7 @@ class CameraTrack:
 
     def newest_motion(self) -> tuple[float, float, FloatArray] | None:
         """Stamps of the last two frames and the speed (6,) between them, camera frame; None if not known."""
-        twist = self._twist(len(self._stamps) - 2)
+        twist = self._twist(len(self._stamps) - 2, GAP_S)
         return None if twist is None else (self._stamps[-2], self._stamps[-1], twist)
 
     def at(self, stamp_s: float, clock_sigma_s: float) -> CameraPose | None:
@@ -111,15 +112,14 @@ class CameraTrack:
         pose = self._pose(before).compose(gtsam.Pose3.Expmap(twist * elapsed_s))
         return CameraPose(pose, self._covariance(nearer) + np.diag(sigmas**2), self._segments[before])
 
-    def _twist(self, before: int) -> FloatArray | None:
+    def _twist(self, before: int, longest_s: float = _LONGEST_GAP_S) -> FloatArray | None:
         """Speed (6,) from a frame to the next; None without a known motion."""
         if before < 0 or self._segments[before] != self._segments[before + 1]:
             return None
         step_s = self._stamps[before + 1] - self._stamps[before]
-        if step_s >= _LONGEST_GAP_S:
+        if step_s >= longest_s:
             return None
-        motion = self._pose(before).between(self._pose(before + 1))
-        return np.asarray(gtsam.Pose3.Logmap(motion) / step_s)
+        return np.asarray(gtsam.Pose3.Logmap(self._pose(before).between(self._pose(before + 1))) / step_s)
 
     def _pose(self, number: int) -> gtsam.Pose3:
         """``T_odom_camera`` at a frame."""
