@@ -19,7 +19,7 @@ def plan_picture(states: StateArray, space: FreeSpace, path: Path) -> bytes:
     shade[states == FREE] = (232, 226, 218)
     shade[space.allowed] = 254
     shade[states == OCCUPIED] = 0
-    cells = _cells(space, path)
+    cells = np.array([space.cell_of((float(x), float(y))) for x, y in path.points_map])
     rows, cols = _window(states, cells, round(_MARGIN_M / space.resolution_m))
     height, width = rows.stop - rows.start, cols.stop - cols.start
     scale = _LONG_SIDE_PX / max(height, width)
@@ -32,11 +32,6 @@ def plan_picture(states: StateArray, space: FreeSpace, path: Path) -> bytes:
         axes.plot(cells[place, 1], cells[place, 0], "o", color=color, markersize=9)
     axes.set_axis_off()
     return png_of(figure)
-
-
-def _cells(space: FreeSpace, path: Path) -> NDArray[np.int64]:
-    """(N, 2) rows and columns of the path."""
-    return np.array([space.cell_of((float(x), float(y))) for x, y in path.points_map])
 
 
 def _window(states: StateArray, cells: NDArray[np.int64], margin: int) -> tuple[slice, slice]:

@@ -188,7 +188,7 @@ class PlaceAnchors:
             at_m = self._laid.T_enu_map.transformFrom(spatial(pose).transformFrom(arm_m))
             off_m = (np.asarray(at_m) - [*one.at_m, 0.0][:3])[:axes]
             turn = np.asarray(self._laid.T_enu_map.rotation().compose(spatial(pose).rotation()).matrix())
-            slopes = turn @ np.hstack([-_cross(arm_m), np.eye(3)])
+            slopes = turn @ np.hstack([np.cross(np.eye(3), arm_m).T, np.eye(3)])
             if isinstance(pose, gtsam.Pose2):
                 slopes = slopes[:, IN_PLANE]
             spread = (slopes @ spreads[node] @ slopes.T)[:axes, :axes] + variance * np.eye(axes)
@@ -294,11 +294,6 @@ def _by_number(finder: TagFinder, way: Way, sigma_px: float) -> tuple[dict[int, 
     twice = sorted({number for (number, _), count in images.items() if count > 1})
     once = [number for number in sorted(found) if number not in twice]
     return {number: sorted(found[number], key=lambda one: one.node) for number in once}, twice
-
-
-def _cross(arm: FloatArray) -> FloatArray:
-    """(3, 3) that makes the cross product with an arm from its left."""
-    return np.cross(np.eye(3), arm).T * -1.0
 
 
 def _sigma_px(views: Sequence[TagView]) -> float:

@@ -8,10 +8,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from fusion.estimation import gate
 from fusion.time_alignment import GAP_S
 from slam.config.stages import WheelConfig
 from slam.matching.motion import Motion
-from slam.matching.planar import between, compose, diagonal
+from slam.matching.planar import between, compose, diagonal, wrap
 from slam.measurements import FloatArray, WheelOdometry
 from slam.odometry.clock_learner import ClockLearner, SensorClock, Turns
 from slam.odometry.gyro_yaw import GyroMoment, YawGyro
@@ -49,6 +50,9 @@ class WheelTracker:
         # Sums over steps; what they begin with holds the scale at one until some metres are known.
         self._told_m2 = self._true_m2 = 1.0
         self._scale = np.ones(3)
+        # What the wheels leave out of a turn a metre, its sums over steps, and the mean square of the misses.
+        self._aside_rad_m = self._aside_m_rad = self._aside_m2 = 0.0
+        self._missed_rad2, self._turns_learned = config.floor_rad**2, 1
         self._clocks = ClockLearner()
         # Stamps and poses (3,) of the last while, stamps rising; the newest first.
         self._recent: deque[tuple[float, FloatArray]] = deque()
@@ -110,12 +114,13 @@ class WheelTracker:
         """The pose (3,) that follows the newest one; where no wheel has moved the robot stands."""
         gyro = None if self._gyro is None else self._gyro.moment(stamp_s - self._ahead_s)
         begun, self._alone = self._alone, (alone, gyro)
-        if begun is None or not self._recent or self._gyro is None:
+        if begun is None or not self._recent:
             return alone
         step = between(begun[0], alone)
-        turn = self._gyro.turn(begun[1], gyro) if step.any() else None
-        if turn is None and self._recent[0][1] is begun[0]:
+        turn = self._gyro.turn(begun[1], gyro) if self._gyro is not None and step.any() else None
+        if turn is None and not self._aside_rad_m and self._recent[0][1] is begun[0]:
             return alone  # to the bit: nothing was ever joined
+        step[2] += self._aside_rad_m * step[0]
         if turn is not None:
             step = Motion(step, self.covariance(step)).looking(*turn).pose
         return compose(self._recent[0][1], step)
@@ -153,7 +158,8 @@ class WheelTracker:
     def learn_scale(self, step: FloatArray, matched: FloatArray) -> None:
         """Learn what a metre of the wheels is from a step (3,) as `motion` told it and as it was matched.
 
-        Least squares over all steps of which both tell much the same.
+        Least squares over all steps of which both tell much the same; where no gyroscope tells turns also of
+        what one wheel that is larger than the other turns a metre.
         """
         told, true = math.hypot(step[0], step[1]), float(np.hypot(matched[0], matched[1]))
         if abs(true - told) > self._config.distance_share * told or step[:2] @ matched[:2] <= 0.0:
@@ -162,6 +168,18 @@ class WheelTracker:
         self._told_m2 += told * told
         self._true_m2 += told * true
         self._scale[:2] = self._true_m2 / self._told_m2
+        missed_rad = wrap(matched[2] - step[2])
+        if (self._alone and self._alone[1]) or missed_rad**2 > gate() * self._missed_rad2:
+            return
+        self._turns_learned += 1
+        self._missed_rad2 += (missed_rad**2 - self._missed_rad2) / self._turns_learned
+        self._aside_m2 += step[0] ** 2
+        self._aside_m_rad += step[0] * (missed_rad + self._aside_rad_m * step[0])
+        known_m2 = self._aside_m2 + self._missed_rad2 / self._config.turn_per_m_rad**2
+        # Taken out only where it is no chance, and more than wheels are allowed a metre.
+        aside_rad_m = self._aside_m_rad / known_m2
+        least2 = max(self._config.turn_per_m_rad**2, gate() * self._missed_rad2 / known_m2)
+        self._aside_rad_m = aside_rad_m if aside_rad_m**2 > least2 else 0.0
 
     def pose_at(self, stamp_s: float, *, in_order: bool = True) -> FloatArray | None:
         """Pose (3,) in the odom frame at a stamp of the lidar's clock; None before any reading.

@@ -42,14 +42,10 @@ def write_ground_layers(folder: Path, ground: Elevation | None, driving_yaml: Pa
     steps = np.minimum(np.rint((ground.height_m - zero_m) / _STEP_M), _UNSEEN - 1)
     pixels = np.where(ground.seen, steps, _UNSEEN).astype(np.uint16)
     write_pgm(folder / f"{_ELEVATION}.pgm", pixels[::-1])
-    place = [f"resolution: {ground.cell_m!r}", f"origin: {_origin(ground)}"]
+    corner = [round(float(at), 9) for at in ground.origin_xy]
+    place = [f"resolution: {ground.cell_m!r}", f"origin: {[*corner, 0.0]}"]
     written = folder / f"{_ELEVATION}.yaml"
     heights = [f"height_zero_m: {zero_m:.3f}", f"height_step_m: {_STEP_M:g}"]
     write_lines(written, [f"# {_HEIGHT}", f"image: {_ELEVATION}.pgm", *place, *heights])
     percent = np.where(ground.seen, np.minimum(np.rint(100.0 * ground.slope()), 100.0), -1.0).astype(np.int8)
     return [written, write_raw(folder / _SLOPE, percent, driving_yaml, _STEEP, place)]
-
-
-def _origin(ground: Elevation) -> list[float]:
-    """Lower left corner and yaw, as nav2 has them."""
-    return [round(float(at), 9) for at in ground.origin_xy] + [0.0]

@@ -84,7 +84,10 @@ def write_results_bag(
 
             if plan is not None:
                 send("/map", begin_s, _grid(plan, begin_s))
-            stamped = [_stamped(stamp_s, pose) for stamp_s, pose in zip(stamps_s, poses, strict=True)]
+            stamped = [
+                ros.new(_POSE, header=ros.header(stamp_s, _MAP), pose=ros.pose_message(pose))
+                for stamp_s, pose in zip(stamps_s, poses, strict=True)
+            ]
             send("/path", begin_s, ros.new(_PATH, header=ros.header(begin_s, _MAP), poses=stamped))
             send("/tf_static", begin_s, ros.transforms(begin_s, _BASE, mounts))
             for stamp_s, pose, message in zip(stamps_s, poses, stamped, strict=True):
@@ -96,11 +99,6 @@ def write_results_bag(
     except (WriterError, OSError) as error:
         raise MapFileError(f"cannot write {folder}: {error}; give a folder that is not there yet") from error
     return folder / f"{folder.name}.mcap"
-
-
-def _stamped(stamp_s: float, pose: gtsam.Pose3) -> Any:
-    """A pose in the map."""
-    return ros.new(_POSE, header=ros.header(stamp_s, _MAP), pose=ros.pose_message(pose))
 
 
 def _grid(plan: Plan, stamp_s: float) -> Any:

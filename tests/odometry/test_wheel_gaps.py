@@ -1,5 +1,8 @@
 """What wheels leave out, what a metre of theirs is, and what they say along a bare corridor."""
 
+import math
+from typing import Any
+
 import gtsam
 import numpy as np
 import pytest
@@ -8,8 +11,8 @@ from slam.config.stages import GraphConfig, WheelConfig
 from slam.graph.edge import EdgeKind
 from slam.mapper.planar_chain import edges_of
 from slam.matching.motion import Motion
-from slam.matching.planar import between, compose
-from slam.measurements import WheelOdometry
+from slam.matching.planar import between, compose, wrap
+from slam.measurements import WheelOdometry, pose2_from_row
 from slam.odometry.wheel_tracker import WheelTracker, thrown_aside
 
 SPEED_M_S, PERIOD_S = 0.5, 0.1
@@ -121,6 +124,30 @@ def test_the_scale_is_learned_and_a_lost_sign_is_not() -> None:
         scaled = np.array([0.5 * tracker._scale[0], 0.0, 0.0])
         tracker.learn_scale(scaled, np.array([0.51, 0.0, 0.0]))
     assert tracker._scale.tolist() == pytest.approx([1.02, 1.02, 1.0], abs=1e-3)
+
+
+def test_what_a_larger_wheel_turns_is_learned_and_told_where_nothing_is_matched() -> None:
+    tracker, rng = WheelTracker(WheelConfig()), np.random.default_rng(3)
+    told, true, asked = np.zeros(3), np.zeros(3), list[tuple[Any, Any]]()
+    for n in range(900):
+        turn_rad = 0.05 * math.sin(0.1 * n)
+        # A larger right wheel, and one that spins now and then.
+        slip_rad = 0.2 if n % 50 == 7 else 0.0
+        told = compose(told, np.array([0.05, 0.0, turn_rad - 0.1 * 0.05 + slip_rad]))
+        true = compose(true, np.array([0.05, 0.0, turn_rad]))
+        tracker.add(WheelOdometry(n * PERIOD_S, pose2_from_row(told)))
+        asked.append((tracker.moment(n * PERIOD_S), true))
+        if 0 < n < 600:
+            step = tracker.motion(asked[-2][0], asked[-1][0], PERIOD_S)
+            assert step is not None
+            noise = np.array([0.0, 0.0, 0.003 * rng.standard_normal()])
+            tracker.learn_scale(step, between(asked[-2][1], true) + noise)
+    assert tracker._aside_rad_m == pytest.approx(0.1, abs=0.01)
+    begun, ended = asked[600], asked[-1]
+    step = tracker.motion(begun[0], ended[0], 300 * PERIOD_S)
+    assert step is not None
+    slipped_rad = 6 * 0.2  # which nobody can know; 1.5 rad that the larger wheel turns are mended
+    assert abs(wrap(step[2] - between(begun[1], ended[1])[2] - slipped_rad)) < 0.15
 
 
 def test_in_a_corridor_way_and_turn_of_the_wheels_are_two_edges() -> None:
