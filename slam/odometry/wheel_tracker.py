@@ -177,7 +177,10 @@ class WheelTracker:
         self._aside_m2 += step[0] ** 2
         self._aside_m_rad += step[0] * (missed_rad + self._aside_rad_m * step[0])
         known_m2 = self._aside_m2 + self._missed_rad2 / self._config.turn_per_m_rad**2
-        self._aside_rad_m = self._aside_m_rad / known_m2
+        # Taken out only where it is no chance, and more than wheels are allowed a metre.
+        aside_rad_m = self._aside_m_rad / known_m2
+        least2 = max(self._config.turn_per_m_rad**2, gate() * self._missed_rad2 / known_m2)
+        self._aside_rad_m = aside_rad_m if aside_rad_m**2 > least2 else 0.0
 
     def pose_at(self, stamp_s: float, *, in_order: bool = True) -> FloatArray | None:
         """Pose (3,) in the odom frame at a stamp of the lidar's clock; None before any reading.
