@@ -90,7 +90,7 @@ class FollowedClaims:
                 chosen.append(claims[n])
         if not chosen:
             strong = [(odd, one) for odd, one in zip(odds, claims, strict=True) if one.nats > self._least]
-            best = self._least
+            best = self._most  # of so many pairs chance makes one likely
             for odd, one in strong:
                 for other in (claim for _, claim in strong if self._apart(one, claim)):
                     onward = after(one.said, known(one.keyframe, other.keyframe))

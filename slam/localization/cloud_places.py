@@ -100,7 +100,7 @@ class CloudPlaces:
     def _flat(self, points: FloatArray) -> FloatArray:
         """(M, 2) what a flat lidar would see of a scan, one point a cell."""
         layers, limits = self._config.layers, self._config.scan
-        if self._ground_m is None or layers.climb_m >= layers.robot_height_m:
+        if self._ground_m is None:
             return np.zeros((0, 2))
         band = HeightBand(0.0, layers.robot_height_m, layers.climb_m)
         # A thinned scan has no second point in a cell.

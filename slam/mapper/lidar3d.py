@@ -291,15 +291,8 @@ def band_scans(
         Height of the ground in the base frame, where the robot stands.
     ground
         Of the map; where none is known, it is level under each keyframe.
-
-    Raises
-    ------
-    DatasetError
-        Where the robot climbs over all that it is high.
     """
     layers, T_base_lidar = config.layers, clouds.T_base_lidar(len(clouds) - 1)
-    if layers.climb_m >= layers.robot_height_m:
-        raise DatasetError("layers.climb_m leaves no height to layers.robot_height_m; make it lower")
     band = HeightBand(0.0, layers.robot_height_m, layers.climb_m)
 
     def scan(one: tuple[FloatArray, float, gtsam.Pose3]) -> LaserScan:

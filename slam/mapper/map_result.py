@@ -132,7 +132,7 @@ def depth_grid(
     Raises
     ------
     ScanweaveError
-        Where the map would not fit, or the robot climbs over all that it is high.
+        Where the map would not fit.
     """
     if not config.layers.enabled:
         return None

@@ -28,6 +28,7 @@ class SurfelOdometry:
 
     def __init__(self, config: Config) -> None:
         self._match, self._sight_m = config.match, config.scan.range_max_m
+        self._least_overlap = config.loops.least_overlap
         self._ways_m: deque[float] = deque(maxlen=config.match.local_map_keyframes)
         self._last = np.zeros(3)
         self._keyframes: deque[OrientedPoints] = deque(maxlen=config.match.local_map_keyframes)
@@ -91,7 +92,7 @@ class SurfelOdometry:
         known = best.inlier_share + local_map.contradicted(scan, best.pose)
         least_share = max(self._match.confident_inlier_share, self._match.least_inlier_share)
         fits = best.inlier_share >= least_share * known
-        return fits and known * len(scan) >= LEAST_POINTS
+        return fits and known >= self._least_overlap
 
     def _known(self) -> LocalMap | None:
         """The local map, built when first asked for; None before the first keyframe."""

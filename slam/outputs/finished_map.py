@@ -237,7 +237,7 @@ class Map:
         >>> from slam.simulation.synthetic_log import write_synthetic_log
         >>> house = slam.map_log(write_synthetic_log("monday", duration_s=10.0).log_path)
         >>> stairs = {"name": "stairs", "polygon": [[0, 0], [1, 0], [1, 1]]}
-        >>> house.edited({"keep_out": [stairs]}).zones()["stairs"].round(2).tolist()
+        >>> (house.edited({"keep_out": [stairs]}).zones()["stairs"].round(2) + 0.0).tolist()
         [[0.0, 0.0], [1.0, 0.0], [1.0, 1.0]]
         """
         return {zone.name: zone.points(self.keyframe_poses) for zone in regions_of(self.contents.edits, kind)}

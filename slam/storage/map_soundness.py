@@ -191,6 +191,18 @@ def _are_covariances(values: FloatArray) -> bool:
 
 
 # GTSAM's types are named where they are used: ``info`` does without it.
+def _pose(value: Any) -> bool:
+    return isinstance(value, gtsam.Pose2 | gtsam.Pose3)
+
+
+def _pose2(value: Any) -> bool:
+    return isinstance(value, gtsam.Pose2)
+
+
+def _pose3(value: Any) -> bool:
+    return isinstance(value, gtsam.Pose3)
+
+
 _RULES: dict[type, dict[str, Rule]] = {
     LaserScan: {
         "stamp_s": _number,
@@ -198,11 +210,11 @@ _RULES: dict[type, dict[str, Rule]] = {
         "start_angle_rad": _number,
         "step_rad": lambda value: _number(value) and 0.0 <= value <= 2.0 * math.pi,
         "range_max_m": _positive,
-        "T_base_laser": _either(gtsam.Pose2),
+        "T_base_laser": _pose2,
         "sensor": _name,
     },
     MotionEstimate: {
-        "T_reference_base": _either(gtsam.Pose2, gtsam.Pose3),
+        "T_reference_base": _pose,
         "covariance": _is_covariance,
         "inlier_share": _number,
         "fit": _number,
@@ -228,14 +240,14 @@ _RULES: dict[type, dict[str, Rule]] = {
     },
     ColorRegistration: {
         **dict.fromkeys(("intrinsics_color", "intrinsics_depth"), _either(CameraIntrinsics)),
-        "T_depth_color": _either(gtsam.Pose3),
+        "T_depth_color": _pose3,
         "accepted": _truth,
         "reason": _text,
         **dict.fromkeys(("inlier_share_before", "inlier_share_after"), _number),
     },
     LearnedCamera: {
         "registration": _either(ColorRegistration, None),
-        "T_base_camera": _either(gtsam.Pose3, None),
+        "T_base_camera": lambda value: value is None or _pose3(value),
         "mounting_learned": _truth,
         **dict.fromkeys(("clock_offset_s", "clock_sigma_s"), _number),
     },

@@ -6,6 +6,7 @@ import math
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from typing import NoReturn
 
 import gtsam
 import numpy as np
@@ -17,10 +18,13 @@ from typer.testing import CliRunner
 
 from slam.cli import app
 from slam.config import load_config
+from slam.errors import ScanweaveError
 from slam.evaluation.map_info import map_info
 from slam.graph.edge import EdgeKind
+from slam.mapper import map_result
 from slam.mapper.map_result import MapResult
 from slam.mapper.pipeline import build_map
+from slam.mapping.layer_builder import LayerSettings
 from slam.mapping.occupancy_grid import OCCUPIED
 from slam.matching.planar import between, compose
 from slam.measurements import (
@@ -263,16 +267,22 @@ def test_a_setting_of_the_grid_reaches_every_map(
         assert same <= {"depth"}, f"the depth layer alone asks no beam, but {setting} changed no more"
 
 
-def test_without_a_depth_layer_the_map_is_the_lidars(drive: list[tuple[int, Measurement]]) -> None:
+def test_without_a_depth_layer_the_map_is_the_lidars(
+    drive: list[tuple[int, Measurement]], monkeypatch: pytest.MonkeyPatch
+) -> None:
     for settings in (["sensors.rgbd=false"], ["layers.enabled=false"]):
         alone = run(drive[:60], whole, *settings).map.layers(load_config(None, settings))
         assert alone is not None and alone.depth is None and alone.names == ()
         np.testing.assert_array_equal(alone.states("decision"), alone.states("lidar"))
-    seen = run(drive[:60], whole, "layers.climb_m=0.8")
-    alone = seen.map.layers(load_config(None, ["layers.climb_m=0.8"]))
+
+    def no_room(settings: LayerSettings) -> NoReturn:
+        raise ScanweaveError("no room")
+
+    monkeypatch.setattr(map_result, "LayerBuilder", no_room)
+    seen = run(drive[:60], whole)
+    alone = seen.map.layers(load_config())
     assert alone is not None and alone.depth is None
-    (told,) = (line for line in seen.warnings if "the map is the lidar's alone" in line)
-    assert "layers.climb_m = 0.8" in told and "make the step lower" in told
+    assert [line for line in seen.warnings if "the map is the lidar's alone: no room" in line]
 
 
 def test_the_map_shows_what_every_camera_saw(drive: list[tuple[int, Measurement]]) -> None:
