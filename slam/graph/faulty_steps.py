@@ -84,7 +84,7 @@ def _calibrated_by_steps(edges: list[Edge], nodes: int, least_m: float) -> Float
     wheels = together(edge for edge in single if edge.kind is EdgeKind.WHEEL)
     matches = together(edge for edge in single if edge.kind is EdgeKind.LIDAR)
     both = [(wheels[ends], match) for ends, match in matches.items() if ends in wheels]
-    if len(both) < FEWEST:
+    if sum(math.hypot(*match.pose[:2]) >= least_m for _, match in both) < FEWEST:
         return np.zeros((0, 3))
     told, found = (np.array([motion.pose for motion in motions]) for motions in zip(*both, strict=True))
     variances, known = (

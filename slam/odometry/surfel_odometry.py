@@ -28,7 +28,7 @@ class SurfelOdometry:
 
     def __init__(self, config: Config) -> None:
         self._match, self._sight_m = config.match, config.scan.range_max_m
-        self._least_overlap = config.loops.least_overlap
+        self._loops = config.loops
         self._ways_m: deque[float] = deque(maxlen=config.match.local_map_keyframes)
         self._last = np.zeros(3)
         self._keyframes: deque[OrientedPoints] = deque(maxlen=config.match.local_map_keyframes)
@@ -92,7 +92,10 @@ class SurfelOdometry:
         known = best.inlier_share + local_map.contradicted(scan, best.pose)
         least_share = max(self._match.confident_inlier_share, self._match.least_inlier_share)
         fits = best.inlier_share >= least_share * known
-        return fits and known >= self._least_overlap
+        # The farther apart keyframes lie, the less of a scan can be known.
+        spacing_m = (self._ways_m[-1] - self._ways_m[0]) / max(len(self._ways_m) - 1, 1)
+        seen = self._loops.reach_m / max(spacing_m, self._loops.reach_m)
+        return fits and known >= seen * self._loops.least_overlap
 
     def _known(self) -> LocalMap | None:
         """The local map, built when first asked for; None before the first keyframe."""

@@ -1,6 +1,7 @@
 """Both scan matchers on one drive, and on what they must refuse."""
 
 import math
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -8,12 +9,14 @@ from flat_worlds import corridor, points_at, room
 
 from slam.comparison.methods import ODOMETRIES
 from slam.config import load_config
+from slam.matching.local_map import OrientedPoints
 from slam.matching.motion import Motion
 from slam.matching.planar import between, compose
 from slam.matching.scan_points import ScanPoints
 from slam.measurements import FloatArray, row_from_pose2
 from slam.odometry import STANDARD
 from slam.odometry.lidar_odometry import LidarOdometry
+from slam.odometry.surfel_odometry import SurfelOdometry
 from slam.simulation.floor_plan import walls
 from slam.simulation.synthetic_log import SyntheticLogConfig, drive_tour
 
@@ -205,3 +208,14 @@ def test_what_lies_farther_back_than_a_lidar_reaches_is_another_visit() -> None:
     assert odometry.match(far, [guess_at(HOME)]) is not None
     odometry.add_keyframe(NOTHING, np.array([12.0, 0.0, 0.0]))
     assert odometry.match(far, [guess_at(HOME)]) is None
+
+
+@pytest.mark.parametrize(("spacing_m", "fits"), [(0.2, False), (6.0, True)])
+def test_of_scans_far_apart_less_is_known(spacing_m: float, fits: bool) -> None:
+    """Two in ten points agree, and no other contradicts."""
+    odometry = SurfelOdometry(load_config())
+    for n in range(3):
+        odometry.add_keyframe(points_at(room(), HOME), np.array([n * spacing_m, 0.0, 0.0]))
+    known = SimpleNamespace(contradicted=lambda scan, pose: 0.0)
+    best = SimpleNamespace(inlier_share=0.2, pose=HOME)
+    assert odometry._fits_what_is_known(known, OrientedPoints.none(), best) is fits  # type: ignore[arg-type]
