@@ -104,7 +104,7 @@ def join(
     if isinstance(log, str | Path):
         sensors = (config or Config()).sensors
         log = open_dataset(log, strict=strict, topics=sensors.topics, calibration=sensors.calibration_files)
-    identity = identity_of(log.path, config or known.config)
+    identity = identity_of(log, config or known.config)
     if any(session.log_fingerprint == identity.log_fingerprint for session in known.sessions):
         raise ScanweaveError(f"{log.path} is in {known.path} already; the map is as it was")
     folder = known.path.parent if out is None else Path(out)

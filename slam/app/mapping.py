@@ -15,11 +15,10 @@ from slam.config.tags import FILE_NAME as TAGS_FILE
 from slam.datasets import open_dataset
 from slam.datasets.dataset import Dataset
 from slam.errors import MapFileError
-from slam.foreign import plain
 from slam.measurements import Measurement
 from slam.outputs.finished_map import Map
 from slam.storage.map_file import MAP_NAME
-from slam.storage.map_identity import MapIdentity, current_versions, identity_of
+from slam.storage.map_identity import MapIdentity, identity_of
 from slam.temporary import TemporaryFolder
 
 
@@ -97,7 +96,7 @@ def run_log(
     folder = dataset.path if dataset.path.is_dir() else dataset.path.parent
     if config.sensors.tags is None and holds_places(folder / TAGS_FILE):
         config = with_places(config, folder / TAGS_FILE)
-    identity = identity_of(dataset.path, config)
+    identity = identity_of(dataset, config)
     if out is None:
         return _in_memory(dataset, identity, on_progress)
     folder = Path(out)
@@ -156,8 +155,7 @@ def build_map(
     """
     config = config_of(config)
     measured = Measured(measurements)
-    identity = MapIdentity(config, plain(measured.name), measured.fingerprint(), current_versions())
-    return _in_memory(measured, identity, on_progress).map
+    return _in_memory(measured, identity_of(measured, config), on_progress).map
 
 
 def _opened(log: Path | str | Dataset, config: Config, strict: bool) -> Dataset:

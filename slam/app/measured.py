@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -32,7 +31,8 @@ class Measured:
     def __init__(self, measurements: Iterable[Measurement], name: str = "measurements") -> None:
         once = iter(measurements) is measurements
         self._measurements = list(measurements) if once else measurements
-        self.name, self.path = name, Path(name)
+        # It lies in no file, whatever files there are.
+        self.name, self.path = name, Path("memory:") / name
         self.report = ReadReport()
 
     def __iter__(self) -> Iterator[Measurement]:
@@ -60,13 +60,6 @@ class Measured:
     def groundtruth(self) -> Trajectory | None:
         """None: a program that knows the truth compares with `slam.evaluate`."""
         return None
-
-    def fingerprint(self) -> str:
-        """Digest of the stamps and sensors, by which a map tells what it was made of."""
-        digest = hashlib.blake2b(digest_size=16)
-        for measurement in self:
-            digest.update(f"{measurement.sensor}\0{measurement.stamp_s!r}\0".encode())
-        return digest.hexdigest()
 
 
 def _with_arrays(measurement: Any, number: int) -> Any:

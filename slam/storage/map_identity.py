@@ -17,6 +17,7 @@ from pydantic import BaseModel, ValidationError
 
 import fusion
 from slam.config import Config, leaves
+from slam.datasets.dataset import Dataset
 from slam.errors import DatasetError, MapFileError
 from slam.foreign import from_json, plain
 from slam.storage.map_file import MAP_NAME
@@ -120,9 +121,17 @@ def _known(settings: Any, model: type[BaseModel] = Config) -> Any:
     }
 
 
-def identity_of(log: Path, config: Config) -> MapIdentity:
-    """What decides the map of a log."""
-    return MapIdentity(config, plain(log.name), fingerprint_of(log), current_versions())
+def identity_of(log: Path | Dataset, config: Config) -> MapIdentity:
+    """What decides the map of a log; one that lies in no file is known by its stamps and sensors."""
+    path = log if isinstance(log, Path) else log.path
+    if isinstance(log, Path) or path.exists() or any(at.is_file() for at in path.parents):
+        fingerprint = fingerprint_of(path)
+    else:
+        digest = hashlib.blake2b(digest_size=16)
+        for measurement in log:
+            digest.update(f"{measurement.sensor}\0{measurement.stamp_s!r}\0".encode())
+        fingerprint = digest.hexdigest()
+    return MapIdentity(config, plain(path.name), fingerprint, current_versions())
 
 
 def current_versions() -> dict[str, str]:

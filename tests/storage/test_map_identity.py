@@ -6,10 +6,13 @@ import json
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 
+from slam.app.measured import Measured
 from slam.config import Config, load_config
 from slam.errors import ConfigError, DatasetError
+from slam.measurements import LaserScan
 from slam.storage.map_identity import MapIdentity, fingerprint_of, identity_of
 
 
@@ -72,6 +75,18 @@ def test_what_maps_have_left_is_no_part_of_it(log: Path) -> None:
 def test_a_file_and_a_session_inside_a_file(log: Path) -> None:
     file = log / "rgb.txt"
     assert len({fingerprint_of(path) for path in (file, file / "first", file / "second", log)}) == 4
+
+
+def test_what_lies_in_no_file_is_known_by_its_stamps(log: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Not by the folder that one happens to stand in, all of which was read once."""
+    monkeypatch.chdir(log)
+    scan = LaserScan(1.0, np.ones(4, np.float32), 0.0, 0.1, 20.0)
+    monkeypatch.setattr("slam.storage.map_identity.fingerprint_of", lambda _: pytest.fail("files were read"))
+    first, same, later = (
+        identity_of(Measured([scan, replace(scan, stamp_s=stamp_s)], "rgb.txt"), Config()).log_fingerprint
+        for stamp_s in (2.0, 2.0, 3.0)
+    )
+    assert first == same != later
 
 
 def test_what_differs_is_named(log: Path) -> None:
