@@ -193,7 +193,7 @@ class _Decoder:
         stated_max_m = record.max_m or self._parameter(record.kind, "max")
         seen_m = self._largest_return_m.get(record.kind, 0.0)
         limit_m = no_return_limit_m(stated_max_m, record.ranges_m, seen_m)
-        ranges_m = classify_ranges(record.ranges_m, limit_m)
+        ranges_m, limit_m = classify_ranges(record.ranges_m, limit_m)
         invalid = int(np.count_nonzero(np.isnan(ranges_m)))
         self._report.invalid_ranges += invalid
         if invalid == ranges_m.size:

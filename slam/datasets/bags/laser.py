@@ -73,7 +73,7 @@ def scan_from(message: Any, mount: LaserMount, topic: str) -> LaserScan:
     stated_m, least_m = _as_meant(message.range_max), _as_meant(message.range_min)
     limit_m = stated_m if 0.0 < stated_m < math.inf else DEFAULT_NO_RETURN_M
     ranges_m = np.where(ranges_m < least_m, np.nan, ranges_m) if least_m > 0.0 else ranges_m
-    classified = classify_ranges(ranges_m, limit_m)
+    classified, limit_m = classify_ranges(ranges_m, limit_m)
     if np.isnan(classified).all():
         raise RecordFault(NO_VALID_RANGE, f"{classified.size} beams")
     if mount.inverted:
