@@ -144,7 +144,8 @@ def classify_ranges(ranges_m: FloatArray, limit_m: float) -> tuple[Float32Array,
 
     At or above the limit: ``inf``, no return. Zero, negative or NaN: ``nan``, invalid. A limit below which
     less than half of the readings lie, and that many different ones beyond, is of another unit, and is
-    raised: no return is told by a few codes. Whose unit is wrong is then seen by what the ranges are.
+    raised: no return is told by a few codes. Whose unit is wrong is then seen by what the ranges are. The
+    longest, told to the bit by more beams than a wall makes alike, is such a code, stated or not.
 
     Raises
     ------
@@ -155,23 +156,33 @@ def classify_ranges(ranges_m: FloatArray, limit_m: float) -> tuple[Float32Array,
         raise RecordFault(MANY_BEAMS, f"{ranges_m.size}, at most {MOST_BEAMS}")
     classified = np.empty(ranges_m.size, np.float32)
     # A stated 81.83 and a written 81.83 must meet, whatever their last bit.
-    beyond, returns = _classify(ranges_m, limit_m - _CODE_TOLERANCE_M, classified)
+    beyond, returns, alike = _classify(ranges_m, limit_m - _CODE_TOLERANCE_M, classified)
     if 2 * beyond > returns:
         told = ranges_m[np.isfinite(ranges_m) & (classified == math.inf)]
         if np.unique(told).size >= FEWEST:
             fitting = (unit for unit in _UNITS_IN_A_M if float(told.max()) <= limit_m * unit)
             limit_m *= next(fitting, _UNITS_IN_A_M[-1])
-            _classify(ranges_m, limit_m - _CODE_TOLERANCE_M, classified)
+            alike = _classify(ranges_m, limit_m - _CODE_TOLERANCE_M, classified)[2]
+    if 2 * alike < FEWEST:
+        return classified, limit_m
+    told, counts = np.unique(classified[np.isfinite(classified)], return_counts=True)
+    most = int(counts.argmax())
+    # Of beams on a wall, in whole steps, 1 + sqrt(2) times as many tell the shortest distance as the next.
+    others = max(np.delete(counts, most), default=0)
+    if counts[most] >= FEWEST > counts[most + 1 :].sum() and counts[most] > FEWEST // 4 * others:
+        limit_m = float(told[most])
+        classified[classified >= told[most]] = math.inf
     return classified, limit_m
 
 
 @kernel
 def _classify(ranges_m, limit_m, classified):  # type: ignore[no-untyped-def]
-    """Write what `classify_ranges` returns; how many are finite beyond the limit, and in all."""
-    beyond, returns = ZERO, ZERO
+    """Write what `classify_ranges` returns; how many are finite and beyond, in all, as the one before."""
+    beyond, returns, alike = ZERO, ZERO, ZERO
     for i in range(ranges_m.size):
         range_m = ranges_m[i]
         classified[i] = math.inf if range_m >= limit_m else range_m if range_m > 0.0 else math.nan
         beyond += limit_m <= range_m < math.inf
         returns += 0.0 < range_m < math.inf
-    return beyond, returns
+        alike += i > 0 and 0.0 < range_m < limit_m and range_m == ranges_m[i - 1]
+    return beyond, returns, alike

@@ -206,9 +206,8 @@ def _or_upside_down(finding: Finding, lidar: str) -> Finding:
 
 def _median_m(stretches: list[list[LaserScan]]) -> float:
     """Of the ranges of scans, 0 where there is none."""
-    ranges_m = np.concatenate([scans[0].ranges_m for scans in stretches])
-    ranges_m = ranges_m[np.isfinite(ranges_m)]
-    return float(np.median(ranges_m)) if ranges_m.size else 0.0
+    ranges_m = [one for scans in stretches for one in scans[0].ranges_m if math.isfinite(one)]
+    return float(np.median(ranges_m)) if ranges_m else 0.0
 
 
 def _within_reach(stretches: list[list[LaserScan]], far: float) -> tuple[list[list[LaserScan]], float]:

@@ -95,8 +95,7 @@ def unit_finding(
     if median_m is None or limits_m[0] <= median_m <= limits_m[1]:
         return []
     what, seen_by = ("depth", "camera") if group == "cameras" else ("range", "lidar")
-    # The middle of what depth cameras see, by ratio.
-    middle_m = math.sqrt(_DEPTHS_M[0] * _DEPTHS_M[1])
+    middle_m = math.sqrt(_DEPTHS_M[0] * _DEPTHS_M[1])  # of what depth cameras see, by ratio
     unit = min(_UNITS, key=lambda one: abs(math.log(median_m / one / middle_m)))
     text = f"its median {what} is {median_m:.3g} m, which no {seen_by} sees: {unit:g} times too large"
     remedy = {group: {name: {f"{what}_scale": 1.0 / unit}}}

@@ -227,6 +227,19 @@ def test_a_maximum_in_another_unit_than_the_ranges_is_raised(unit: float, limit:
     np.testing.assert_array_equal(found, np.float32([*ranges[:90], *[math.inf] * 30]))
 
 
+def test_the_longest_range_that_many_beams_tell_to_the_bit_is_no_return() -> None:
+    seen = np.linspace(0.5, 4.5, 200)
+    found, limit = classify_ranges(np.append(seen, np.full(60, 5.0)), 30.0)
+    assert limit == 5.0
+    np.testing.assert_array_equal(found, np.float32([*seen, *[math.inf] * 60]))
+
+
+@pytest.mark.parametrize("step_m", [0.001, 0.01, 0.1])
+def test_beams_on_a_wall_in_whole_steps_are_no_code(step_m: float) -> None:
+    wall = np.round(1.0 / np.cos(np.linspace(-1.4, 1.4, 361)) / step_m) * step_m
+    np.testing.assert_array_equal(classify_ranges(wall, 30.0)[0], np.float32(wall))
+
+
 def test_codes_beyond_the_maximum_are_no_other_unit() -> None:
     codes = np.resize([81.83, 81.87, 81.9, 81.91], 180)
     assert np.isposinf(classify_ranges(codes, 50.0)[0]).all()
