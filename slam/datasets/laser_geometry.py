@@ -160,8 +160,7 @@ def classify_ranges(ranges_m: FloatArray, limit_m: float) -> tuple[Float32Array,
     if 2 * beyond > returns:
         told = ranges_m[np.isfinite(ranges_m) & (classified == math.inf)]
         if np.unique(told).size >= FEWEST:
-            fitting = (unit for unit in _UNITS_IN_A_M if float(told.max()) <= limit_m * unit)
-            limit_m *= next(fitting, _UNITS_IN_A_M[-1])
+            limit_m *= next((one for one in _UNITS_IN_A_M if told.max() <= limit_m * one), _UNITS_IN_A_M[-1])
             alike = _classify(ranges_m, limit_m - _CODE_TOLERANCE_M, classified)[2]
     if 2 * alike < FEWEST:
         return classified, limit_m
