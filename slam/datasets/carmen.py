@@ -193,7 +193,7 @@ class _Decoder:
         stated_max_m = record.max_m or self._parameter(record.kind, "max")
         seen_m = self._largest_return_m.get(record.kind, 0.0)
         limit_m = no_return_limit_m(stated_max_m, record.ranges_m, seen_m)
-        ranges_m = classify_ranges(record.ranges_m, limit_m)
+        ranges_m, limit_m = classify_ranges(record.ranges_m, limit_m)
         invalid = int(np.count_nonzero(np.isnan(ranges_m)))
         self._report.invalid_ranges += invalid
         if invalid == ranges_m.size:
@@ -214,7 +214,7 @@ class _Decoder:
         count = record.ranges_m.size
         if record.start_rad is None:
             fov, step = self._parameter(record.kind, "fov"), self._parameter(record.kind, "resolution")
-            layout = beam_layout(count, _radians(fov), _radians(step))
+            layout = beam_layout(count, fov and math.radians(fov), step and math.radians(step))
         else:
             layout = beam_layout(count, record.fov_rad, record.step_rad)
             if not layout.contradiction and abs(record.start_rad) <= 2.0 * math.pi:
@@ -233,14 +233,16 @@ class _Decoder:
             if (
                 record.start_rad is not None
                 and from_line is not None
-                and _reach_m(from_line) <= _MOUNT_REACH_M
+                and math.hypot(*from_line.translation()) <= _MOUNT_REACH_M
             ):
                 mount = from_line
             self._mounts[record.kind] = mount
         mount = self._mounts[record.kind]
         if from_line is not None and not from_line.equals(mount, _MOUNT_TOLERANCE):
             text = "laser pose of the line does not fit the mount in use (corrected poses?); mount kept"
-            self._report.note(f"{record.kind}: {text}", number, _reach_m(mount.between(from_line)))
+            self._report.note(
+                f"{record.kind}: {text}", number, math.hypot(*mount.between(from_line).translation())
+            )
         return mount
 
     def _parameter_mount(self, kind: str) -> gtsam.Pose2:
@@ -292,13 +294,3 @@ def _relative(robot: Row | None, laser: Row | None) -> gtsam.Pose2 | None:
     if robot is None or laser is None:
         return None
     return pose2_from_row(robot).between(pose2_from_row(laser))
-
-
-def _reach_m(pose: gtsam.Pose2) -> float:
-    """Distance of a pose from its frame's origin."""
-    return math.hypot(pose.x(), pose.y())
-
-
-def _radians(angle_deg: float | None) -> float | None:
-    """Degrees of a PARAM in radians."""
-    return None if angle_deg is None else math.radians(angle_deg)

@@ -7,7 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from fusion.kernel import kernel
+from fusion.estimation import FEWEST
+from fusion.kernel import ZERO, kernel
 from slam.datasets.budget import MOST_BEAMS
 from slam.datasets.dataset import RecordFault
 from slam.measurements import Float32Array, FloatArray
@@ -23,6 +24,7 @@ DEFAULT_NO_RETURN_M = 80.0
 _SICK_SHORT_CODES_M = np.array([8.183, 8.187, 8.191])
 _SICK_SHORT_LARGEST_M = 8.192
 _CODE_TOLERANCE_M = 1e-6
+_UNITS_IN_A_M = (100.0, 1000.0)  # centimetres, millimetres
 
 _DEFAULT_FOV_DEG = 180.0
 # Beam counts that belong to one field of view: SICK LMS 2xx in its 100 degree mode, 270 degree scanners.
@@ -137,10 +139,13 @@ def largest_return_m(ranges_m: Float32Array, before_m: float) -> float:
     return float(np.max(ranges_m, where=np.isfinite(ranges_m), initial=before_m))
 
 
-def classify_ranges(ranges_m: FloatArray, limit_m: float) -> Float32Array:
-    """Readings as `slam.measurements.LaserScan` wants them, (N,).
+def classify_ranges(ranges_m: FloatArray, limit_m: float) -> tuple[Float32Array, float]:
+    """Readings as `slam.measurements.LaserScan` wants them, (N,), and from where they mean no return.
 
-    At or above ``limit_m``: ``inf``, no return. Zero, negative or NaN: ``nan``, invalid.
+    At or above the limit: ``inf``, no return. Zero, negative or NaN: ``nan``, invalid. A limit below which
+    less than half of the readings lie, and that many different ones beyond, is of another unit, and is
+    raised: no return is told by a few codes. Whose unit is wrong is then seen by what the ranges are. The
+    longest, told to the bit by more beams than a wall makes alike, is such a code, stated or not.
 
     Raises
     ------
@@ -151,13 +156,32 @@ def classify_ranges(ranges_m: FloatArray, limit_m: float) -> Float32Array:
         raise RecordFault(MANY_BEAMS, f"{ranges_m.size}, at most {MOST_BEAMS}")
     classified = np.empty(ranges_m.size, np.float32)
     # A stated 81.83 and a written 81.83 must meet, whatever their last bit.
-    _classify(ranges_m, limit_m - _CODE_TOLERANCE_M, classified)
-    return classified
+    beyond, returns, alike = _classify(ranges_m, limit_m - _CODE_TOLERANCE_M, classified)
+    if 2 * beyond > returns:
+        told = ranges_m[np.isfinite(ranges_m) & (classified == math.inf)]
+        if np.unique(told).size >= FEWEST:
+            limit_m *= next((one for one in _UNITS_IN_A_M if told.max() <= limit_m * one), _UNITS_IN_A_M[-1])
+            alike = _classify(ranges_m, limit_m - _CODE_TOLERANCE_M, classified)[2]
+    if 2 * alike < FEWEST:
+        return classified, limit_m
+    told, counts = np.unique(classified[np.isfinite(classified)], return_counts=True)
+    most = int(counts.argmax())
+    # Of beams on a wall, in whole steps, 1 + sqrt(2) times as many tell the shortest distance as the next.
+    others = max(np.delete(counts, most), default=0)
+    if counts[most] >= FEWEST > counts[most + 1 :].sum() and counts[most] > FEWEST // 4 * others:
+        limit_m = float(told[most])
+        classified[classified >= told[most]] = math.inf
+    return classified, limit_m
 
 
 @kernel
 def _classify(ranges_m, limit_m, classified):  # type: ignore[no-untyped-def]
-    """Write what `classify_ranges` returns."""
+    """Write what `classify_ranges` returns; how many are finite and beyond, in all, as the one before."""
+    beyond, returns, alike = ZERO, ZERO, ZERO
     for i in range(ranges_m.size):
         range_m = ranges_m[i]
         classified[i] = math.inf if range_m >= limit_m else range_m if range_m > 0.0 else math.nan
+        beyond += limit_m <= range_m < math.inf
+        returns += 0.0 < range_m < math.inf
+        alike += i > 0 and 0.0 < range_m < limit_m and range_m == ranges_m[i - 1]
+    return beyond, returns, alike

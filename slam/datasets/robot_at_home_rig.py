@@ -90,7 +90,7 @@ def laser_scan(
         raise RecordFault(BAD_SCAN, f"{ranges_m.size} ranges, {valid.size} flags")
     if not (0.0 < aperture_rad <= 2.0 * math.pi + 1e-6 and 0.0 < max_m < math.inf):
         raise RecordFault(BAD_SCAN, f"aperture {aperture_rad} rad, maximum {max_m} m")
-    clean = classify_ranges(ranges_m, max_m)
+    clean, max_m = classify_ranges(ranges_m, max_m)
     clean[(valid == 0.0) & np.isfinite(clean)] = np.nan
     invalid = int(np.count_nonzero(np.isnan(clean)))
     account.report.invalid_ranges += invalid

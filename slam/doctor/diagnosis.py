@@ -16,9 +16,9 @@ from slam.config.calibration import Calibration
 from slam.datasets.corrections import corrected
 from slam.datasets.recording import fewer_frames
 from slam.datasets.spinning_scans import middle_s
+from slam.doctor import in_space
 from slam.doctor.finding import Finding, remedied
 from slam.doctor.imu import handed, imu_findings
-from slam.doctor.in_space import Base, camera_findings, cloud_findings, findings_against, seen_by
 from slam.doctor.lost_sign import lost_sign
 from slam.doctor.own_body import blocked_beams, blocked_finding, without
 from slam.doctor.pair import Pair
@@ -88,10 +88,11 @@ def examine(log: Iterable[Measurement], registrations: Registrations | None = No
     config = Config()
     with fewer_frames(log, lambda _, stamps_s: Stretches().choose(stamps_s)):
         samples = Samples.of(log)
-    findings, unknown = [*_repeated_scans(samples), *_stamps(samples)], list[str]()
+    findings, unknown = _stamps(samples), list[str]()
     vouched_for = False  # the IMUs, by a 2D lidar
     wheels = max(samples.wheels.items(), key=lambda item: item[1].count, default=None)
     for name, lidar in samples.lidars.items():
+        findings += in_space.repeated("lidars", name, lidar.repeated, lidar.count, "scans")
         if not lidar.stretches:
             continue
         stretches = lidar.stretches
@@ -99,9 +100,12 @@ def examine(log: Iterable[Measurement], registrations: Registrations | None = No
         if blocked is not None and (finding := blocked_finding(name, blocked)):
             findings.append(finding)
             stretches = [[without(scan, blocked) for scan in scans] for scans in stretches]
-        if wheels is None and not samples.imus:
-            continue
-        stretches, scale = _within_reach(stretches, config)
+        middle_m = _median_m(stretches)
+        if wheels is None:
+            findings += in_space.unit_finding("lidars", name, middle_m)
+            if not samples.imus:
+                continue
+        stretches, scale = _within_reach(stretches, middle_m / config.scan.range_max_m)
         turn = told_turn(stretches, config) if wheels else None
         if turn:
             stretches = [
@@ -156,9 +160,9 @@ def _in_space(
     vouched
         Whether a 2D lidar was compared with the wheels: what they say then, as mended, is certain.
     """
-    found = [one for name, camera in samples.cameras.items() for one in camera_findings(name, camera)]
+    found = [one for camera in samples.cameras.items() for one in in_space.camera_findings(*camera)]
     doubtful = frozenset(one.sensor for one in found if one.kind == "lens")
-    found += [one for name, clouds in samples.clouds.items() for one in cloud_findings(name, clouds)]
+    found += [one for name, clouds in samples.clouds.items() for one in in_space.cloud_findings(name, clouds)]
     for lidar, clouds in list(samples.clouds.items())[: 0 if samples.lidars else 1]:
         steps = [step for stretch in clouds.steps for step in stretch]
         for name, imu in samples.imus.items():
@@ -167,16 +171,16 @@ def _in_space(
     known = None if wheels is None else mended_rows(wheels[0], wheels[1].rows(), findings)
     if wheels is None or known is None:
         return found
-    base = Base(wheels[0], BaseTrack(known), vouched)
+    base = in_space.Base(wheels[0], BaseTrack(known), vouched)
     seen = [
-        seen_by("cameras", name, camera, camera.T_base_camera, base)
+        in_space.seen_by("cameras", name, camera, camera.T_base_camera, base)
         for name, camera in samples.cameras.items()
     ] + [
-        seen_by("lidars_3d", name, clouds, clouds.T_base_lidar, base)
+        in_space.seen_by("lidars_3d", name, clouds, clouds.T_base_lidar, base)
         for name, clouds in samples.clouds.items()
     ]
     units = {one.sensor for one in found if one.kind == "depth scale"}
-    against = findings_against(base, seen, doubtful)
+    against = in_space.findings_against(base, seen, doubtful)
     # A depth that is measured is better than one by the usual units.
     measured = {one.sensor for one in against if one.kind == "depth scale" and one.sensor in units}
     found = [one for one in found if one.kind != "depth scale" or one.sensor not in measured]
@@ -200,11 +204,14 @@ def _or_upside_down(finding: Finding, lidar: str) -> Finding:
     return replace(finding, text=text, remedies=remedies, sure=False)
 
 
-def _within_reach(stretches: list[list[LaserScan]], config: Config) -> tuple[list[list[LaserScan]], float]:
+def _median_m(stretches: list[list[LaserScan]]) -> float:
+    """Of the ranges of scans, 0 where there is none."""
+    ranges_m = [one for scans in stretches for one in scans[0].ranges_m if math.isfinite(one)]
+    return float(np.median(ranges_m)) if ranges_m else 0.0
+
+
+def _within_reach(stretches: list[list[LaserScan]], far: float) -> tuple[list[list[LaserScan]], float]:
     """Scans, and by what they were multiplied: millimetres are brought to what can be matched."""
-    ranges = np.concatenate([scans[0].ranges_m for scans in stretches])
-    ranges = ranges[np.isfinite(ranges)]
-    far = float(np.median(ranges)) / config.scan.range_max_m if ranges.size else 0.0
     if far < 0.5:
         return stretches, 1.0
     # To a twentieth at most of what is matched, as rooms are.
@@ -212,23 +219,6 @@ def _within_reach(stretches: list[list[LaserScan]], config: Config) -> tuple[lis
     return [
         [replace(scan, ranges_m=scan.ranges_m * np.float32(scale)) for scan in scans] for scans in stretches
     ], scale
-
-
-def _repeated_scans(samples: Samples) -> list[Finding]:
-    """Lidars that tell the same scan again and again."""
-    return [
-        Finding(
-            name,
-            "repeated scans",
-            f"{lidar.repeated} of {lidar.count} scans are the scan before, to the bit",
-            "the map takes it that the robot stands",
-            ({"lidars": {name: {"drop_repeated": True}}},),
-            sure=True,
-            value=lidar.repeated / lidar.count,
-        )
-        for name, lidar in samples.lidars.items()
-        if lidar.repeated >= FEWEST and 2 * lidar.repeated > lidar.count
-    ]
 
 
 def _stamps(samples: Samples) -> list[Finding]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from typing import Any
 
 from slam.config import dump_calibration
@@ -56,16 +56,8 @@ class Finding:
 
     def plain(self) -> dict[str, Any]:
         """As plain values, for JSON."""
-        return {
-            "sensor": self.sensor,
-            "kind": self.kind,
-            "text": self.text,
-            "effect": self.effect,
-            "remedies": list(self.remedies),
-            "sure": self.sure,
-            "value": self.value,
-            "interval": None if self.interval is None else list(self.interval),
-        }
+        interval = None if self.interval is None else list(self.interval)
+        return {**asdict(self), "remedies": list(self.remedies), "interval": interval}
 
     @classmethod
     def from_plain(cls, row: dict[str, Any]) -> Finding:

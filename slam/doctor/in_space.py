@@ -11,6 +11,7 @@ import gtsam
 import numpy as np
 
 from fusion.estimation import FEWEST, gate
+from slam.datasets.laser_geometry import DEFAULT_NO_RETURN_M
 from slam.doctor.camera_samples import CameraSamples
 from slam.doctor.cloud_samples import CloudSamples
 from slam.doctor.finding import Finding, Remedy
@@ -82,24 +83,25 @@ class Seen:
 
 def camera_findings(name: str, samples: CameraSamples) -> list[Finding]:
     """What a camera says of itself."""
-    found = _repeated("cameras", name, samples.repeated, samples.count, "frames")
-    depth_m = samples.median_depth.median()
-    if depth_m is not None and not _DEPTHS_M[0] < depth_m < _DEPTHS_M[1]:
-        # The middle of what depth cameras see, by ratio.
-        middle_m = math.sqrt(_DEPTHS_M[0] * _DEPTHS_M[1])
-        unit = min(_UNITS, key=lambda one: abs(math.log(depth_m / one / middle_m)))
-        found.append(
-            Finding(
-                name,
-                "depth scale",
-                f"its median depth is {depth_m:.3g} m, which no camera sees: {unit:g} times too large",
-                "the map is of another size",
-                ({"cameras": {name: {"depth_scale": 1.0 / unit}}},),
-                sure=True,
-                value=unit,
-            )
-        )
+    found = repeated("cameras", name, samples.repeated, samples.count, "frames")
+    found += unit_finding("cameras", name, samples.median_depth.median(), _DEPTHS_M)
     return found + lens_findings(name, samples)
+
+
+def unit_finding(
+    group: str, name: str, median_m: float | None, limits_m: tuple[float, float] = (0.0, DEFAULT_NO_RETURN_M)
+) -> list[Finding]:
+    """What a sensor says by itself of the unit of its lengths: a median that none sees."""
+    if median_m is None or limits_m[0] <= median_m <= limits_m[1]:
+        return []
+    what, seen_by = ("depth", "camera") if group == "cameras" else ("range", "lidar")
+    middle_m = math.sqrt(_DEPTHS_M[0] * _DEPTHS_M[1])  # of what depth cameras see, by ratio
+    unit = min(_UNITS, key=lambda one: abs(math.log(median_m / one / middle_m)))
+    text = f"its median {what} is {median_m:.3g} m, which no {seen_by} sees: {unit:g} times too large"
+    remedy = {group: {name: {f"{what}_scale": 1.0 / unit}}}
+    return [
+        Finding(name, f"{what} scale", text, "the map is of another size", (remedy,), sure=True, value=unit)
+    ]
 
 
 def lens_findings(name: str, samples: CameraSamples) -> list[Finding]:
@@ -329,7 +331,7 @@ def _entry(kind: str, R_base_sensor: FloatArray, place_m: Sequence[float]) -> di
 
 def cloud_findings(name: str, samples: CloudSamples) -> list[Finding]:
     """What a 3D lidar says of itself."""
-    found = _repeated("lidars_3d", name, samples.repeated, samples.count, "clouds")
+    found = repeated("lidars_3d", name, samples.repeated, samples.count, "clouds")
     if samples.turn is not None:
         found.append(samples.turn.finding("lidars_3d", name))
     interval_s, turn_s = samples.interval_s.median(), samples.turn_s.median()
@@ -345,7 +347,7 @@ def cloud_findings(name: str, samples: CloudSamples) -> list[Finding]:
     return [*found, Finding(name, "times of points", text, effect, (remedy,), sure=True, value=off)]
 
 
-def _repeated(kind: str, name: str, repeated: int, count: int, what: str) -> list[Finding]:
+def repeated(kind: str, name: str, repeated: int, count: int, what: str) -> list[Finding]:
     """Readings that are told again and again."""
     if repeated < FEWEST or 2 * repeated <= count:
         return []

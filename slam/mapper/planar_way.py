@@ -184,7 +184,7 @@ class PlanarWay:
         """What people should know of the wheels and the gyroscope."""
         if self._wheels is not None and self._wheels.clock.known:
             result.notes.append(self._wheels.clock.note("wheels", "lidar"))
-        if self._wheels is not None and self._wheels.dead:
+        if self._wheels is not None and self._wheels.dead and self._wheels_name:
             result.warnings.append(
                 "The wheels report no motion where the robot has moved; they were left out"
             )

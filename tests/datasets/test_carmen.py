@@ -216,7 +216,33 @@ def test_no_return_limit(stated: float | None, ranges: list[float], seen: float,
 def test_classify_ranges() -> None:
     raw = np.array([0.0, -1.0, np.nan, -np.inf, 0.01, 81.82, 81.83, 81.91, np.inf])
     expected = np.float32([np.nan, np.nan, np.nan, np.nan, 0.01, 81.82, np.inf, np.inf, np.inf])
-    np.testing.assert_array_equal(classify_ranges(raw, 81.83), expected)
+    np.testing.assert_array_equal(classify_ranges(raw, 81.83)[0], expected)
+
+
+@pytest.mark.parametrize(("unit", "limit"), [(1000.0, 12000.0), (100.0, 1200.0), (1.0, 12.0)])
+def test_a_maximum_in_another_unit_than_the_ranges_is_raised(unit: float, limit: float) -> None:
+    ranges = unit * np.append(np.linspace(1.0, 9.0, 90), np.full(30, 12.0))
+    found, found_limit = classify_ranges(ranges, 12.0)
+    assert found_limit == limit
+    np.testing.assert_array_equal(found, np.float32([*ranges[:90], *[math.inf] * 30]))
+
+
+def test_the_longest_range_that_many_beams_tell_to_the_bit_is_no_return() -> None:
+    seen = np.linspace(0.5, 4.5, 200)
+    found, limit = classify_ranges(np.append(seen, np.full(60, 5.0)), 30.0)
+    assert limit == 5.0
+    np.testing.assert_array_equal(found, np.float32([*seen, *[math.inf] * 60]))
+
+
+@pytest.mark.parametrize("step_m", [0.001, 0.01, 0.1])
+def test_beams_on_a_wall_in_whole_steps_are_no_code(step_m: float) -> None:
+    wall = np.round(1.0 / np.cos(np.linspace(-1.4, 1.4, 361)) / step_m) * step_m
+    np.testing.assert_array_equal(classify_ranges(wall, 30.0)[0], np.float32(wall))
+
+
+def test_codes_beyond_the_maximum_are_no_other_unit() -> None:
+    codes = np.resize([81.83, 81.87, 81.9, 81.91], 180)
+    assert np.isposinf(classify_ranges(codes, 50.0)[0]).all()
 
 
 def test_a_stray_line_does_not_decide_which_form_is_read(tmp_path: Path) -> None:

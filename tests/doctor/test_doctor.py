@@ -81,6 +81,15 @@ def test_without_a_lever_only_what_no_lidar_reaches_is_told_and_as_perhaps() -> 
     assert [(one.kind, one.sure) for one in found[:2]] == [("range scale", False), ("scale", False)]
 
 
+@pytest.mark.parametrize("unit", [1000.0, 100.0])
+def test_without_wheels_ranges_that_no_lidar_sees_are_named(unit: float) -> None:
+    wrong = MISTAKES["ranges in mm or cm"].make(sound(), unit)
+    found = diagnose([one for one in wrong if isinstance(one, LaserScan)])
+    assert [(one.kind, one.remedies[0]["lidars"], one.sure) for one in found] == [
+        ("range scale", {one.sensor: {"range_scale": 1.0 / unit} for one in found}, True)
+    ]
+
+
 def test_wide_places_are_no_wrong_unit() -> None:
     lever_m = next(one for one in sound() if isinstance(one, LaserScan)).T_base_laser.x()
     assert diagnose(seated(longer(sound(), 20.0), 20.0 * lever_m)) == []

@@ -52,8 +52,8 @@ def scan_from(message: Any, mount: LaserMount, topic: str) -> LaserScan:
     """A scan; beams are given counter-clockwise as seen from above the robot.
 
     Of a MultiEchoLaserScan the first echo of each beam, the nearest, is taken: behind glass or rain the
-    robot still may not drive. Readings below ``range_min`` and NaN are invalid, those at or above
-    ``range_max`` and ``inf`` met nothing (REP-117). The stamp is the header's, of the first beam.
+    robot still may not drive. NaN and readings below ``range_min``, where that is below ``range_max``,
+    are invalid, those at or above it and ``inf`` met nothing (REP-117). The stamp is of the first beam.
 
     Raises
     ------
@@ -66,14 +66,13 @@ def scan_from(message: Any, mount: LaserMount, topic: str) -> LaserScan:
     if not ranges_m.size:
         raise RecordFault(ZERO_BEAMS, topic)
     span = abs(step_rad) * (ranges_m.size - 1)
-    if not (abs(start_rad) <= 2.0 * _TURN_RAD and span <= _TURN_RAD + _ANGLE_TOLERANCE_RAD):
+    wide = span <= _TURN_RAD + _ANGLE_TOLERANCE_RAD and (span > 0.0 or ranges_m.size == 1)
+    if not (abs(start_rad) <= 2.0 * _TURN_RAD and wide):
         raise RecordFault(BAD_ANGLES, f"{start_rad} and {step_rad} for {ranges_m.size} beams")
-    if ranges_m.size > 1 and step_rad == 0.0:
-        raise RecordFault(BAD_ANGLES, "increment 0")
     stated_m, least_m = _as_meant(message.range_max), _as_meant(message.range_min)
     limit_m = stated_m if 0.0 < stated_m < math.inf else DEFAULT_NO_RETURN_M
-    ranges_m = np.where(ranges_m < least_m, np.nan, ranges_m) if least_m > 0.0 else ranges_m
-    classified = classify_ranges(ranges_m, limit_m)
+    ranges_m = np.where(ranges_m < least_m, np.nan, ranges_m) if 0.0 < least_m < limit_m else ranges_m
+    classified, limit_m = classify_ranges(ranges_m, limit_m)
     if np.isnan(classified).all():
         raise RecordFault(NO_VALID_RANGE, f"{classified.size} beams")
     if mount.inverted:

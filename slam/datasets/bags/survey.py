@@ -38,7 +38,7 @@ from slam.datasets.dataset import ReadReport, RecordFault
 LOOK_S = 10.0  # of the bag's time, at most
 _LEAST_S = 2.0  # of the bag's time, for stamps of images and for transforms that come once a second
 _STAMPS_KEPT = 200
-_OTHER_CLOCK_S = 60.0  # no message waits so long for its recorder; clocks that were never set are years apart
+_OTHER_CLOCK_S = 5.0  # not every message waits so long for its recorder; the doctor looks for less
 
 
 @dataclass(slots=True)
@@ -255,11 +255,12 @@ def _look_at_reading(survey: Survey, record: BagRecord, message: Any) -> None:
     """Take in a message of a sensor."""
     topic, kind = record.channel.topic, record.channel.kind
     survey.frames[topic] = frame_name(message.header.frame_id)
-    if topic not in survey.late_s:
-        unset = message.header.stamp.sec == 0 and message.header.stamp.nanosec == 0
-        survey.late_s[topic] = None if unset else record.recorded_s - stamp_of(message.header)
-    if survey.late_s[topic] is None:
+    unset = message.header.stamp.sec == 0 and message.header.stamp.nanosec == 0
+    least_s = survey.late_s.setdefault(topic, None if unset else math.inf)
+    if least_s is None:
         restamp(message, record.recorded_s)
+    else:
+        survey.late_s[topic] = min(least_s, record.recorded_s - stamp_of(message.header))
     if kind in CLOUDS:
         looks = cloud_view(message)
         if topic in survey.clouds:

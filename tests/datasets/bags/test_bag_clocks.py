@@ -43,6 +43,23 @@ def test_a_clock_since_the_start_of_the_sensor_is_brought_to_the_others(tmp_path
     assert told.startswith("/scan: its clock is") and "behind the other topics'" in told
 
 
+@pytest.mark.parametrize("behind_s", [20.0, -20.0])
+def test_a_clock_seconds_off_is_brought_to_the_others(tmp_path: Path, behind_s: float) -> None:
+    wheels = [late(odometry(START_S + 0.1 * n - behind_s), behind_s) for n in range(3)]
+    found, dataset = read(
+        tmp_path, [one for n in range(3) for one in (scan(stamp_s=START_S + 0.1 * n), wheels[n])]
+    )
+    stamps = sorted({round(one.stamp_s - START_S, 3) for one in found})
+    assert stamps == pytest.approx([0.0, 0.1, 0.2], abs=1e-3)
+    assert len(dataset.report.warnings) == 1
+
+
+def test_a_first_message_that_waited_is_no_other_clock(tmp_path: Path) -> None:
+    sent = [late(scan(stamp_s=START_S), 20.0), *[scan(stamp_s=START_S + 20.0 + 0.1 * n) for n in range(3)]]
+    found, dataset = read(tmp_path, [odometry(START_S + 20.0), *sent])
+    assert min(one.stamp_s for one in found) == START_S and not dataset.report.warnings
+
+
 def test_clocks_that_run_alike_stay_whatever_the_recorders_says(tmp_path: Path) -> None:
     sent = [late(one, 1e6) for one in (scan(), odometry(START_S))]
     found, dataset = read(tmp_path, sent)

@@ -34,6 +34,12 @@ def test_no_return_and_invalid_readings_are_told_apart(tmp_path: Path) -> None:
     assert found.ranges_m[1] == 1.0
 
 
+def test_a_minimum_in_millimetres_beside_a_maximum_in_metres_takes_no_reading(tmp_path: Path) -> None:
+    (found,), _ = read(tmp_path, scan(ranges=[0.5, 1.0, math.inf], range_min=50.0))
+    assert isinstance(found, LaserScan)
+    assert found.ranges_m.tolist() == [0.5, 1.0, math.inf]
+
+
 def test_of_several_echoes_the_nearest_is_taken(tmp_path: Path) -> None:
     fields = dict(scan().fields)
     fields["ranges"] = [{"echoes": beam} for beam in ([1.0, 2.0], [], [3.0], [4.0, 5.0, 6.0], [7.0])]
