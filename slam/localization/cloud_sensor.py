@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from operator import itemgetter
 from typing import Any
 
 import gtsam
@@ -143,9 +144,10 @@ class CloudSensor:
             if tile is None:
                 continue
             aligned = tile.coarse.align(scan, guess)
-            pose = guess if aligned is None else aligned.found.pose
-            arrived.append((self.weigh(pose, view), pose))
-        arrived.sort(key=lambda place: -place[0])
+            # Large voxels lead what is right already a little astray.
+            ends = [guess] if aligned is None else [guess, aligned.found.pose]
+            arrived.append(max(((self.weigh(pose, view), pose) for pose in ends), key=itemgetter(0)))
+        arrived.sort(key=itemgetter(0), reverse=True)
         found = []
         for _, pose in arrived[: self._settings.places]:
             exact, _ = self._aligned(view, pose)

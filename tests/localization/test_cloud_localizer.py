@@ -16,6 +16,7 @@ from command_line import scanweave as scanweave
 from slam.config import load_config
 from slam.datasets import open_dataset
 from slam.errors import MapFileError
+from slam.localization.cloud_sensor import CloudSensor, CloudView
 from slam.localization.localizer import Localizer
 from slam.localization.output import LocalizerOutput, State
 from slam.mapper.pipeline import build_map
@@ -77,6 +78,15 @@ def test_a_drive_is_found_and_tracked(known_map: MapContents) -> None:
         assert 0.0 <= output.confidence <= 1.0
         if output.covariance is not None:
             assert np.linalg.eigvalsh(output.covariance)[0] > 0.0
+
+
+def test_every_search_finds_the_place(known_map: MapContents) -> None:
+    """One that was proposed right is not lost to the large voxels that lead the others to their places."""
+    sensor = CloudSensor(known_map, None, CONFIG)
+    for pose, cloud in list(zip(drive(OTHER), seen(drive(OTHER), 1500), strict=True))[::3]:
+        points = cloud.T_base_lidar.translation() + cloud.points_lidar.astype(np.float64)
+        view = CloudView.of(points, cloud.T_base_lidar, sensor.voxel_m)
+        assert min(offset(found, pose)[0] for found in sensor.propose(view, [], None)) < 0.25
 
 
 def test_another_building_leads_to_no_pose(known_map: MapContents) -> None:
