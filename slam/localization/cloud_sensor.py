@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from operator import itemgetter
 from typing import Any
 
 import gtsam
@@ -144,10 +143,9 @@ class CloudSensor:
             if tile is None:
                 continue
             aligned = tile.coarse.align(scan, guess)
-            # Large voxels lead what is right already a little astray.
-            ends = [guess] if aligned is None else [guess, aligned.found.pose]
-            arrived.append(max(((self.weigh(pose, view), pose) for pose in ends), key=itemgetter(0)))
-        arrived.sort(key=itemgetter(0), reverse=True)
+            ends = [guess, *([] if aligned is None else [aligned.found.pose])]  # large voxels may lead astray
+            arrived.append(max(((self.weigh(pose, view), pose) for pose in ends), key=lambda place: place[0]))
+        arrived.sort(key=lambda place: -place[0])
         found = []
         for _, pose in arrived[: self._settings.places]:
             exact, _ = self._aligned(view, pose)
