@@ -11,6 +11,10 @@ from pathlib import Path
 # What a file has put into memory and nobody has changed a page of, in /proc/self/smaps (proc_pid_smaps(5)).
 _UNCHANGED = re.compile(r"^(\w+)-(\w+) r-[x-]p \S+ \S+ \d+ +/.*\n(?:\w+: .*\n)*?Anonymous: +0 kB", re.M)
 
+# Whether nothing but a command runs in this process. Where others do, their code would have to come back
+# a stage later, and the system takes long to tell what a large process has in memory.
+own_process = False
+
 
 def give_back() -> None:
     """Return it to the system, where the library can: between what is kept it would pile up.
@@ -22,11 +26,13 @@ def give_back() -> None:
 
 
 def end_stage() -> None:
-    """`give_back`, and let go of the code of libraries: the next stage calls others.
+    """`give_back`, and in an `own_process` let go of the code of libraries: the next stage calls others.
 
     What it calls of these comes back from the system's cache of files. It takes some ten milliseconds.
     """
     give_back()
+    if not own_process:
+        return
     with suppress(OSError, AttributeError, TypeError):  # not Linux
         advise = ctypes.CDLL(None).madvise
         for first, last in _UNCHANGED.findall(Path("/proc/self/smaps").read_text()):

@@ -4,6 +4,7 @@ import gc
 import os
 import signal
 from collections.abc import Iterator
+from types import SimpleNamespace
 from typing import Any
 
 import browser
@@ -33,6 +34,14 @@ def open3d() -> Any:
         return load_open3d()
     except ScanweaveError as error:
         pytest.skip(f"NOT TESTED: {error}")
+
+
+@pytest.fixture(scope="session", autouse=True)
+def _nobodys_own_process() -> Iterator[None]:
+    """A command that a test calls here does not give up the code that the next test wants."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("slam.cli.heap", SimpleNamespace())
+        yield
 
 
 @pytest.fixture(scope="module", autouse=True)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import gc
 import sys
 
+from slam import heap
 from slam.cli import compare, demo, edit, localize, map_log, queries, saved, simulate
 from slam.cli.app import app, tell
 from slam.errors import ScanweaveError
@@ -27,6 +28,7 @@ def main() -> None:
     """Run a command: exit code 1 for a known error in one line, 2 for wrong usage."""
     # Records by the ten thousand live to the end: to look through them again and again takes 3 % of a run.
     gc.set_threshold(_OBJECTS_A_COLLECTION)
+    heap.own_process = True
     try:
         app()
     except ScanweaveError as error:

@@ -164,20 +164,24 @@ def points_of_pixels(pixels_color: FloatArray, depth_m: Float32Array, cameras: F
     cameras
         (10,) by `camera_row`.
     """
-    return points_of_images(pixels_color, [depth_m], np.array([0, len(pixels_color)]), cameras)
+    return points_of_images(pixels_color, [depth_m], np.array([0, len(pixels_color)]), cameras, NEAREST_M)
 
 
 def points_of_images(
-    pixels_color: FloatArray, depths_m: Sequence[Float32Array], starts: NDArray[np.int64], cameras: FloatArray
+    pixels_color: FloatArray,
+    depths_m: Sequence[Float32Array],
+    starts: NDArray[np.int64],
+    cameras: FloatArray,
+    nearest_m: float,
 ) -> FloatArray:
-    """As `points_of_pixels`, of several images: the pixels of image p are starts[p] to starts[p + 1]."""
+    """As `points_of_pixels`, of images that read nothing nearer: of image p the pixels from starts[p]."""
     fx, fy, cx, cy, fx_depth, fy_depth, cx_depth, cy_depth, shift_x, shift_y = cameras.tolist()
     rays = (pixels_color - (cx, cy)) / (fx, fy)
     # A point at depth z lies (along, down) / z pixels away from where its ray would at infinity.
     along, down = fx_depth * shift_x, fy_depth * shift_y
     reach = float(np.hypot(along, down))
     places = rays * (fx_depth, fy_depth) + (cx_depth, cy_depth)
-    steps, z = math.ceil(reach / NEAREST_M), np.zeros(len(rays))
+    steps, z = math.ceil(reach / nearest_m), np.zeros(len(rays))
     for depth_m, first, end in zip(depths_m, starts, starts[1:], strict=False):
         _first_meetings(depth_m, places[first:end], along, down, reach, steps, z[first:end])
     return np.column_stack([rays * z[:, None], z])
@@ -187,17 +191,17 @@ def points_of_images(
 def _first_meetings(depth_m, starts, along, down, reach, steps, met):  # type: ignore[no-untyped-def]
     """Depths (N,) at which rays that start (at infinity) in depth pixels first meet the depth image; or 0."""
     height, width = depth_m.shape
+    right, below = (along / reach, down / reach) if reach > 0.0 else (0.0, 0.0)
     for i in range(starts.shape[0]):
         column = starts[i, 0]
         row = starts[i, 1]
         for step in range(steps, -1, -1):
-            inverse = step / reach if reach > 0.0 else 0.0
-            c = math.floor(column + along * inverse + 0.5)
-            r = math.floor(row + down * inverse + 0.5)
+            c = math.floor(column + right * step + 0.5)
+            r = math.floor(row + below * step + 0.5)
             if c < 0 or r < 0 or c >= width or r >= height:
                 continue
             z = np.float64(depth_m[r, c])
-            if z <= 0.0 or abs(reach / z - step) > 1.0:  # as far as a step: a pixel of disparity
+            if z <= 0.0 or abs(reach - step * z) > z:  # as far as a step: a pixel of disparity
                 continue
             # The step was a whole pixel: once more at the depth that was met, unless that leads off it.
             finer = _surface_reading(depth_m, column + along / z, row + down / z)

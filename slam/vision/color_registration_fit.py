@@ -181,10 +181,5 @@ def _distance_px(a: Guess, b: Guess, depth: CameraIntrinsics) -> float:
 
 def _mean(a: Guess, b: Guess) -> Guess:
     """Half way between."""
-    return Guess(
-        0.5 * (a.focal_px + b.focal_px),
-        0.5 * (a.cx + b.cx),
-        0.5 * (a.cy + b.cy),
-        0.5 * (a.shift_x_m + b.shift_x_m),
-        0.5 * (a.shift_y_m + b.shift_y_m),
-    )
+    fields = ("focal_px", "cx", "cy", "shift_x_m", "shift_y_m")
+    return Guess(*(0.5 * (getattr(a, name) + getattr(b, name)) for name in fields))

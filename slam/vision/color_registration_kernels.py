@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
 from typing import TypeAlias
 
 import numpy as np
@@ -50,15 +51,17 @@ def settle_motions(
         (P, 3, 4) settled.
     """
     points, pixels = np.stack([points_a, points_b]), np.stack([pixels_b, pixels_a])
-    settled, diagonal, row = poses.copy(), np.arange(6), np.empty(6)
+    settled, diagonal = poses.copy(), np.arange(6)
+    rows = np.zeros((len(points_a), 4, 7))
     for _ in range(iterations):
         turns, shifts = settled[:, :, :3], settled[:, :, 3:]
         back = turns.transpose(0, 2, 1)
         there = np.stack([settled, np.concatenate([back, -back @ shifts], axis=2)])
         # Turned into b, the derivatives by a point of b have the other sign.
         into_b = np.stack([np.broadcast_to(np.eye(3), turns.shape), -turns])
-        sums = np.zeros((len(poses), 6, 7))
-        _add_up(points, pixels, starts, there, into_b, camera, scale_px * scale_px, row, sums)
+        _linearize(points, pixels, starts, there, into_b, camera, scale_px * scale_px, rows)
+        blocks = [rows[first:end].reshape(-1, 7) for first, end in pairwise(starts)]
+        sums = np.array([block[:, :6].T @ block for block in blocks])
         hessians, gradients = sums[:, :, :6], sums[:, :, 6:]
         hessians[:, diagonal, diagonal] += _DAMPING * (1.0 + hessians[:, diagonal, diagonal])
         steps = np.asarray(np.linalg.solve(hessians, gradients)[:, :, 0], np.float64)
@@ -67,8 +70,8 @@ def settle_motions(
 
 
 @kernel
-def _add_up(points, pixels, starts, poses, into_b, camera, squared_scale, row, sums):  # type: ignore[no-untyped-def]
-    """Add the normal equations of each pair to ``sums``, (P, 6, 7): hessian and gradient.
+def _linearize(points, pixels, starts, poses, into_b, camera, squared_scale, rows):  # type: ignore[no-untyped-def]
+    """The weighted derivatives and errors, ``rows`` (N, 4, 7): of x and y, of a point of a and of one of b.
 
     The points (2, N, 3) of a and of b are taken by ``poses`` (2, P, 3, 4) into the other camera, where they
     are seen at ``pixels`` (2, N, 2); the motion is turned and shifted in b: ``exp(v, w) T_b_a``.
@@ -82,6 +85,7 @@ def _add_up(points, pixels, starts, poses, into_b, camera, squared_scale, row, s
                 y = T[1, 0] * px + T[1, 1] * py + T[1, 2] * pz + T[1, 3]
                 z = T[2, 0] * px + T[2, 1] * py + T[2, 2] * pz + T[2, 3]
                 if pz <= 0.0 or z <= 0.0:
+                    rows[i, 2 * side : 2 * side + 2] = 0.0
                     continue
                 du = camera[0] * x / z + camera[2] - pixels[side, i, 0]
                 dv = camera[1] * y / z + camera[3] - pixels[side, i, 1]
@@ -92,20 +96,17 @@ def _add_up(points, pixels, starts, poses, into_b, camera, squared_scale, row, s
                 if side == 0:
                     px, py, pz = x, y, z
                 for axis in range(2):
-                    slope = camera[axis] / z
+                    slope = share * camera[axis] / z
                     depth = -slope * along / z
                     a = into_b[side, pair, 0, axis] * slope + into_b[side, pair, 0, 2] * depth
                     b = into_b[side, pair, 1, axis] * slope + into_b[side, pair, 1, 2] * depth
                     c = into_b[side, pair, 2, axis] * slope + into_b[side, pair, 2, 2] * depth
+                    row = rows[i, 2 * side + axis]
                     row[0], row[1], row[2] = a, b, c
                     row[3] = py * c - pz * b
                     row[4] = pz * a - px * c
                     row[5] = px * b - py * a
-                    for j in range(6):
-                        weighted = share * share * row[j]
-                        for k in range(6):
-                            sums[pair, j, k] += weighted * row[k]
-                        sums[pair, j, 6] += weighted * miss
+                    row[6] = share * miss
                     miss, along = dv, y
 
 
@@ -121,37 +122,17 @@ def squared_errors(
     """(N, 2) squared reprojection errors in pixels, a seen in b and b seen in a; NaN without a point."""
     turns = poses[:, :, :3].transpose(0, 2, 1)
     back = np.concatenate([turns, -turns @ poses[:, :, 3:]], axis=2)
-    errors = np.full((points_a.shape[0], 2), np.nan)
+    there = np.repeat(np.stack([poses, back]), np.diff(starts), axis=1)
     points, pixels = np.stack([points_a, points_b]), np.stack([pixels_b, pixels_a])
-    _judge(points, pixels, starts, np.stack([poses, back]), camera, errors)
-    return errors
-
-
-@kernel
-def _judge(points, pixels, starts, poses, camera, errors):  # type: ignore[no-untyped-def]
-    """Squared error of each point in the other camera; arrays as `_add_up` takes them."""
-    for pair in range(starts.size - 1):
-        for i in range(starts[pair], starts[pair + 1]):
-            for side in range(2):
-                px, py, pz = points[side, i, 0], points[side, i, 1], points[side, i, 2]
-                T = poses[side, pair]
-                z = T[2, 0] * px + T[2, 1] * py + T[2, 2] * pz + T[2, 3]
-                if pz > 0.0 and z > 0.0:
-                    x = T[0, 0] * px + T[0, 1] * py + T[0, 2] * pz + T[0, 3]
-                    y = T[1, 0] * px + T[1, 1] * py + T[1, 2] * pz + T[1, 3]
-                    du = camera[0] * x / z + camera[2] - pixels[side, i, 0]
-                    dv = camera[1] * y / z + camera[3] - pixels[side, i, 1]
-                    errors[i, side] = du * du + dv * dv
+    moved = np.einsum("snij,snj->sni", there[..., :3], points) + there[..., 3]
+    z = np.where((points[..., 2:] > 0.0) & (moved[..., 2:] > 0.0), moved[..., 2:], np.nan)
+    return np.asarray(((camera[:2] * moved[..., :2] / z + camera[2:] - pixels) ** 2).sum(axis=2).T)
 
 
 def _moved(poses: FloatArray, steps: FloatArray) -> FloatArray:
     """(P, 3, 4) poses turned by steps[:, 3:] and then shifted by steps[:, :3]."""
-    angles = np.linalg.norm(steps[:, 3:], axis=1)
-    cross = np.zeros((len(steps), 3, 3))
-    x, y, z = (steps[:, 3:] / np.maximum(angles, 1e-12)[:, None]).T
-    cross[:, 2, 1], cross[:, 0, 2], cross[:, 1, 0] = x, y, z
-    cross -= cross.transpose(0, 2, 1)
-    bent = (1.0 - np.cos(angles))[:, None, None] * (cross @ cross)
-    moved = (np.eye(3) + np.sin(angles)[:, None, None] * cross + bent) @ poses
+    from scipy.spatial.transform import Rotation
+
+    moved = Rotation.from_rotvec(steps[:, 3:]).as_matrix() @ poses
     moved[:, :, 3] += steps[:, :3]
     return np.asarray(moved)

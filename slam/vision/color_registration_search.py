@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from fusion.curves import NEAREST_M
 from fusion.estimation import FEWEST, ROUNDS
 from slam.measurements import AnyFloatArray, BoolArray, CameraIntrinsics, Float32Array, FloatArray
 from slam.vision.color_registration import camera_row, points_of_images, points_of_pixels
@@ -74,6 +75,7 @@ class Problem:
     poses: FloatArray
     depth_camera: CameraIntrinsics
     typical_depth_m: float
+    nearest_m: float
 
 
 @dataclass(frozen=True, slots=True)
@@ -99,8 +101,10 @@ def gather_matches(pairs: Sequence[FramePair], depth: CameraIntrinsics, seed: in
         pose = _first_motion(points, other, depth)
         if pose is None:
             continue
-        pixels_a.append(own)
-        pixels_b.append(other)
+        # Row by row readings lie together in memory.
+        by_row = np.argsort(own[:, 1])
+        pixels_a.append(own[by_row])
+        pixels_b.append(other[by_row])
         poses.append(pose)
         used.append((pair.depth_a_m, pair.depth_b_m))
         inverse.append(1.0 / points[points[:, 2] > 0.0, 2])
@@ -112,6 +116,9 @@ def gather_matches(pairs: Sequence[FramePair], depth: CameraIntrinsics, seed: in
         np.array(poses).reshape(-1, 3, 4),
         depth,
         float(1.0 / np.median(np.concatenate(inverse))) if used else 1.0,
+        float(min(z.min(where=z > 0.0, initial=np.inf) for depths in used for z in depths))
+        if used
+        else NEAREST_M,
     )
 
 
@@ -168,8 +175,9 @@ def settle(
     color = color_camera(guess, problem.depth_camera)
     depth = color if guess.whole else problem.depth_camera
     cameras = camera_row(color, depth, guess.shift_x_m, guess.shift_y_m)
+    rest = (problem.starts, cameras, problem.nearest_m)
     of_a, of_b = (
-        points_of_images(pixels, [depths[side] for depths in problem.depths], problem.starts, cameras)
+        points_of_images(pixels, [depths[side] for depths in problem.depths], *rest)
         for side, pixels in enumerate((problem.pixels_a, problem.pixels_b))
     )
     data = (of_a, of_b, problem.pixels_a, problem.pixels_b, problem.starts)

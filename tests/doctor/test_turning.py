@@ -31,7 +31,7 @@ def street(rng: np.random.Generator) -> FloatArray:
     walls = []
     for number in range(24):
         x, side = 4.0 * number - 20.0, (-1.0) ** number
-        y = side * (6.0 + 3.0 * (number % 3))
+        y = side * (6.0 + (5 * number * number) % 7)
         front = np.array([[x, y, -1.5], [3.0, 0.0, 0.0], [0.0, 0.0, 5.0]])
         end = np.array([[x, y, -1.5], [0.0, side * 4.0, 0.0], [0.0, 0.0, 5.0]])
         walls += [front, end]

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -46,12 +45,12 @@ class Counted:
         monkeypatch.setattr(forked.Forked, "__init__", make)
 
 
-@pytest.fixture
-def alone(log: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[bytes]:
+@pytest.fixture(scope="module")
+def alone(log: Path, tmp_path_factory: pytest.TempPathFactory) -> bytes:
     """What a run with one core writes."""
-    with monkeypatch.context() as patch:
+    with pytest.MonkeyPatch.context() as patch:
         Counted(patch, free=False)
-        yield mapped(log, tmp_path / "alone")
+        return mapped(log, tmp_path_factory.mktemp("alone"))
 
 
 def mapped(log: Path, out: Path) -> bytes:
