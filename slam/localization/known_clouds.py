@@ -119,6 +119,7 @@ class CloudTiles:
         wide_m = COARSENESS * voxel_m
         coarse = LocalCloud.of(thinned(np.vstack(clouds), 0.5 * wide_m), wide_m, self._config)
         lidars = np.array([pose.compose(self._T_base_lidar).translation() for pose in poses])
-        planes = SidedPlanes(merged, lidars, clouds)
-        space = cloud_space(lidars, clouds, planes, voxel_m, SIGHT * reach_m)
+        dense = [frame.dense for frame in frames]
+        planes = SidedPlanes(merged, lidars, dense)
+        space = cloud_space(lidars, dense, planes, voxel_m, SIGHT * reach_m)
         return CloudTile(local, coarse, planes, space, float(np.median(own)))

@@ -91,6 +91,8 @@ class CloudLidar:
         self._T_base_lidar = gtsam.Pose3()
         self._matched, self._doubtful, self._unseen = 0, 0, list[str]()
         self._unseen_key: int | None = None
+        # A cloud of the local map since the last keyframe: (6, 6) of its match, and where it was.
+        self._between: tuple[gtsam.Pose3, FloatArray] | None = None
 
     def observe(self, measurement: Any) -> Tracked | None:
         """Take the next measurement; where the robot is then, if it tells that."""
@@ -117,6 +119,9 @@ class CloudLidar:
             step = self._last.between(tracked.pose)
             if motion is not None:
                 covariance, bridge = self._steps.add(key, step, tracked.pose, motion)
+                if self._between is not None:
+                    carried = tracked.pose.between(self._between[0]).AdjointMap()
+                    covariance = covariance + carried @ self._between[1] @ carried.T
                 edges.append(Edge(key - 1, key, step, covariance, EdgeKind.LIDAR, trusted=True))
                 edges += [] if bridge is None else [bridge]
             elif (seen := self._cameras.step(self._stamp_s)) is not None:
@@ -137,7 +142,7 @@ class CloudLidar:
             self._travelled_m += float(np.linalg.norm(step.translation()))
         if motion is None:
             self._steps.begin(key, tracked.pose)
-        self._last = tracked.pose
+        self._last, self._between = tracked.pose, None
         return step, edges
 
     def recognise(self, key: int, graph: KeyframeGraph) -> list[LoopCandidate]:
@@ -225,10 +230,21 @@ class CloudLidar:
         self._matched += tracked.motion is not None
         self._doubtful += tracked.motion is not None and not tracked.motion.converged
         self._cameras.note_cloud(cloud.stamp_s, tracked)
-        if tracked.new_keyframe:
+        keyframe = tracked.new_keyframe and not self._passed(tracked)
+        if keyframe:
             self._T_base_lidar = cloud.T_base_lidar
         self.readings.add_scan(cloud.stamp_s, tracked.pose, told_s=told_s)
-        return Tracked(told_s, tracked.motion, tracked.new_keyframe)
+        return Tracked(told_s, tracked.motion, keyframe)
+
+    def _passed(self, tracked: TrackedCloud) -> bool:
+        """Take every second cloud into the local map alone, where it is surely placed and no camera looks."""
+        motion = tracked.motion
+        sure = motion is not None and motion.converged and not motion.degenerate
+        if self._between is not None or motion is None or not sure or self._cameras:
+            return False
+        self._between = tracked.pose, motion.covariance
+        self._tracker.add_keyframe(tracked)
+        return True
 
     def _doubts(self) -> list[str]:
         """A warning of ways that nothing has seen, and where clouds fitted the map only in part."""
