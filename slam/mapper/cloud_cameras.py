@@ -48,10 +48,6 @@ class CloudCameras:
         self._horizons: list[LaserScan | None] = []
         self._camera_poses: CameraPoses = {}
 
-    def __bool__(self) -> bool:
-        """Whether any camera has sent a frame."""
-        return bool(self._cameras.cameras)
-
     def note_cloud(self, stamp_s: float, tracked: TrackedCloud) -> None:
         """Take the heading of a cloud that matched, by which the cameras' clocks are compared."""
         if tracked.motion is not None:

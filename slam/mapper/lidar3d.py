@@ -85,13 +85,12 @@ class CloudLidar:
         self._steps = AnchoredSteps(config.match.local_map_keyframes)
         self._newest: TrackedCloud | None = None
         self._last: gtsam.Pose3 | None = None
-        self._travelled_m = 0.0
         self._stamps_s: list[float] = []
         self._stamp_s = 0.0
         self._T_base_lidar = gtsam.Pose3()
         self._matched, self._doubtful, self._unseen = 0, 0, list[str]()
         self._unseen_key: int | None = None
-        # A cloud of the local map since the last keyframe: (6, 6) of its match, and where it was.
+        # Where the local map has had a cloud since the last keyframe, and (6, 6) of its match.
         self._between: tuple[gtsam.Pose3, FloatArray] | None = None
 
     def observe(self, measurement: Any) -> Tracked | None:
@@ -139,7 +138,6 @@ class CloudLidar:
                 spread[2, 2] = math.pi**2 / 3.0
                 spread[[3, 4], [3, 4]] = max(spread[3, 3], tracked.unseen_m**2 / 3.0)
                 edges.append(Edge(key - 1, key, step, spread, EdgeKind.ASSUMED, trusted=True))
-            self._travelled_m += float(np.linalg.norm(step.translation()))
         if motion is None:
             self._steps.begin(key, tracked.pose)
         self._last, self._between = tracked.pose, None
@@ -165,9 +163,7 @@ class CloudLidar:
         self._clouds.add(self._stamp_s, rows, self._T_base_lidar)
         self._cameras.add_keyframe(key, self._stamp_s, tracked.points, self._T_base_lidar)
         residual_m = np.nan if tracked.motion is None else tracked.motion.residual_m
-        self._closer.add_keyframe(
-            rows[:, :3], tracked.pose, self._travelled_m, residual_m, unseen=self._unseen_key == key
-        )
+        self._closer.add_keyframe(rows[:, :3], tracked.pose, residual_m, unseen=self._unseen_key == key)
         return self._closer.close(key, graph.poses(), graph.rows(), graph.uncertainty)
 
     def refuse(self) -> None:
@@ -237,10 +233,11 @@ class CloudLidar:
         return Tracked(told_s, tracked.motion, keyframe)
 
     def _passed(self, tracked: TrackedCloud) -> bool:
-        """Take every second cloud into the local map alone, where it is surely placed and no camera looks."""
+        """Take every second cloud into the local map alone: one that is surely placed, without pictures."""
         motion = tracked.motion
-        sure = motion is not None and motion.converged and not motion.degenerate
-        if self._between is not None or motion is None or not sure or self._cameras:
+        if motion is None or not motion.converged or motion.degenerate or self._between is not None:
+            return False
+        if self._cameras.frames:
             return False
         self._between = tracked.pose, motion.covariance
         self._tracker.add_keyframe(tracked)
