@@ -6,7 +6,7 @@
 The boxes of ``tools/city_boxes.csv`` are of the city's 80 scans. They were drawn by hand over clouds of
 keyframes seen from above, coloured by height: a centre and a yaw in the lidar's frame, a moving one then
 drawn in to 0.1 m around its points 0.2 m over the ground and higher. A moving one is of the points of its
-keyframe, a fixed one of those of all.
+keyframe, and none where that cloud is no keyframe; a fixed one of those of all.
 
 Left and lost are shares of points, and of voxels of 10 cm.
 """
@@ -78,19 +78,21 @@ def looked_through(found: MapContents, config: Config) -> PassedBy:
 def boxed(path: Path, found: MapContents) -> _Marked:
     """The points in boxes of a table."""
     poses, clouds = [spatial(pose) for pose in found.node_poses], list(found.clouds or ())
+    way, stamps_s = found.trajectory.poses(), found.trajectory.stamps_s
     with path.open(encoding="utf-8") as file:
         for row in csv.DictReader(file):
-            key = int(np.argmin(np.abs(found.stamps_s - float(row["stamp_s"]))))
-            if abs(found.stamps_s[key] - float(row["stamp_s"])) > _SAME_S:
-                raise SystemExit(f"no keyframe at {row['stamp_s']} s: map the city with the defaults")
+            at = int(np.argmin(np.abs(stamps_s - float(row["stamp_s"]))))
+            if abs(stamps_s[at] - float(row["stamp_s"])) > _SAME_S:
+                raise SystemExit(f"no cloud at {row['stamp_s']} s: this is another log")
+            own = np.flatnonzero(np.abs(found.stamps_s - stamps_s[at]) <= _SAME_S).tolist()
             middle, size = (
                 np.array([float(row[name]) for name in names])
                 for names in (("x_m", "y_m", "z_m"), ("length_m", "width_m", "height_m"))
             )
             T_lidar_box = gtsam.Pose3(gtsam.Rot3.Yaw(np.radians(float(row["yaw_deg"]))), middle)
-            T_map_box = poses[key].compose(found.T_base_lidar).compose(T_lidar_box)
-            inside = list[FloatArray]()
-            for one in [key] if row["kind"] == "moving" else range(len(clouds)):
+            T_map_box = way[at].compose(found.T_base_lidar).compose(T_lidar_box)
+            inside = [np.zeros((0, 3))]
+            for one in own if row["kind"] == "moving" else range(len(clouds)):
                 points = moved(clouds[one], T_map_box.inverse().compose(poses[one]))
                 inside.append(moved(points[(np.abs(points) < 0.5 * size).all(axis=1)], T_map_box))
             yield row["kind"], f"{row['what']}, {row['stamp_s']} s", np.concatenate(inside)

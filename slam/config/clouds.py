@@ -25,7 +25,7 @@ class CloudOdometryConfig(StrictModel):
     deskew: bool = Field(
         default=True, description="undo the motion within a turn, where the log tells the points' times"
     )
-    keyframe_voxels: float = Field(default=2.0, gt=0, description="travel in voxels that makes a keyframe")
+    keyframe_voxels: float = Field(default=2.0, gt=0, description="voxels between clouds of the local map")
     thickness_m: float = Field(
         default=0.06, gt=0, description="sigma across a plane up to which a voxel's points are a plane"
     )

@@ -98,21 +98,13 @@ class CloudSamples:
         before = self._tracked
         if before is None or not 0.0 < cloud.stamp_s - before[0] < GAP_S or self._tracker is None:
             self._tracker, before, self._first = CloudTracker(_CONFIG, None), None, None
-        tracked = _next(self._tracker, cloud)
+        tracked = self._tracker.follow(cloud)
         if self._first is not None and tracked.motion is not None:
             # The first was straightened as if the robot stood: both once more, by how it moves.
             self._tracker = CloudTracker(_CONFIG, None, twist=self._tracker.twist)
-            before = self._first.stamp_s, _next(self._tracker, self._first)
-            tracked = _next(self._tracker, cloud)
+            before = self._first.stamp_s, self._tracker.follow(self._first)
+            tracked = self._tracker.follow(cloud)
         self._tracked, self._first = (cloud.stamp_s, tracked), cloud if before is None else None
         if before is not None and tracked.motion is not None:
             step = before[1].pose.between(tracked.pose)
             self.steps[-1].append(SensorStep(before[0], cloud.stamp_s, step))
-
-
-def _next(tracker: CloudTracker, cloud: PointCloud) -> TrackedCloud:
-    """Where the next cloud is, taken into the local map where it is a keyframe."""
-    tracked = tracker.track(cloud)
-    if tracked.new_keyframe:
-        tracker.add_keyframe(tracked)
-    return tracked

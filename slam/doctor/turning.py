@@ -273,9 +273,7 @@ def _pairs(clouds: Sequence[PointCloud], config: Config) -> list[_Pair]:
     """Begin, middle and end of a stretch against each other, with the voxel of their planes."""
     tracker, tracked = CloudTracker(config, None), list[tuple[PointCloud, TrackedCloud]]()
     for cloud in clouds:
-        found = tracker.track(cloud)
-        if found.new_keyframe:
-            tracker.add_keyframe(found)
+        found = tracker.follow(cloud)
         if found.motion is not None or not tracked:
             tracked.append((cloud, found))
     if len(tracked) < 3 or any(one[0].stamp_s >= other[0].stamp_s for one, other in pairwise(tracked)):

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import replace
 
@@ -198,8 +197,8 @@ def _match_in_space(
     if clouds is not None:
         voxel_m = voxel_of(clouds.points(0), config.cloud_odometry)
         closer = CloudLoopCloser(config, voxel_m, clouds.points)
-        for pose, path_m, points in zip(poses, contents.path_m, clouds, strict=True):
-            closer.add_keyframe(points, pose, path_m, math.nan)
+        for pose, points in zip(poses, clouds, strict=True):
+            closer.add_keyframe(points, pose)
         sigma_m = config.match.search_half_width_m / config.loops.sigmas
         wide_m = config.loops.greatest_half_width_m / config.loops.sigmas
         return closer.verify(place, key, guess, wide_m if guess is None else sigma_m), told

@@ -75,8 +75,7 @@ class CloudLoopCloser:
         self,
         points: FloatArray,
         pose: gtsam.Pose3,
-        travelled_m: float,
-        residual_m: float,
+        residual_m: float = math.nan,
         *,
         unseen: bool = False,
     ) -> None:
@@ -88,8 +87,6 @@ class CloudLoopCloser:
             (N, 3), base frame.
         pose
             ``T_odom_base``.
-        travelled_m
-            Way from the start.
         residual_m
             Of its match; NaN where there was none.
         unseen
@@ -100,8 +97,9 @@ class CloudLoopCloser:
         context = scan_context(points, self._voxel_m)
         self._contexts.append(context.tobytes())
         self._rings.append(ring_key(context))
+        before, way_m = (self._poses[-1], self._travelled_m[-1]) if self._poses else (pose, 0.0)
+        self._travelled_m.append(way_m + float(np.linalg.norm(before.between(pose).translation())))
         self._poses.append(pose)
-        self._travelled_m.append(travelled_m)
         if np.isfinite(residual_m):
             self._residuals_m.append(residual_m)
 

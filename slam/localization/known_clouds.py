@@ -28,10 +28,9 @@ SIGHT = 2.0
 
 
 class _Keyframe(NamedTuple):
-    """The points of a keyframe in its base frame; in the map; and there thinned to voxels."""
+    """The points of a keyframe in its base frame, and in the map: as dense as planes and free space need."""
 
     points: FloatArray
-    dense: FloatArray
     placed: FloatArray
 
 
@@ -91,10 +90,9 @@ class CloudTiles:
         return self._tile(*np.floor(pose.translation() / (TILE * self.voxel_m)).astype(np.int64).tolist())
 
     def _read(self, key: int) -> _Keyframe:
-        """A keyframe, as dense as its planes need."""
+        """A keyframe."""
         points = thinned(self._clouds.points(key), 0.5 * self.voxel_m)
-        placed = moved(points, self._poses[key])
-        return _Keyframe(points, placed, thinned(placed, self.voxel_m))
+        return _Keyframe(points, moved(points, self._poses[key]))
 
     def _made(self, x: int, y: int, z: int) -> CloudTile | None:
         """The tile of those numbers, of the keyframes nearest to its middle."""
@@ -109,7 +107,7 @@ class CloudTiles:
         frames = [self._frame(k) for k in members]
         merged = PlaneVoxels(voxel_m, self._thickness_m)
         for frame in frames:
-            merged.add(frame.dense)
+            merged.add(frame.placed)
         local = LocalCloud(merged, voxel_m, self._config)
         own = [
             local.agreement(thinned(frame.points, voxel_m), pose)

@@ -182,15 +182,13 @@ class CloudOdometry:
         last, elapsed_s = self._last, cloud.stamp_s - self._stamp_s
         self._stamp_s = cloud.stamp_s
         gap = last is not None and not 0.0 <= elapsed_s <= _LONG_GAP_S
-        tracked = None if gap else self._tracker.track(cloud)
+        tracked = None if gap else self._tracker.follow(cloud)
         if tracked is not None:
             first = last is None or tracked.motion is not None
             self._unmatched = 0 if first else self._unmatched + 1
         if tracked is None or self._unmatched >= _LOST_READINGS:
             self._tracker, self._unmatched, last = CloudTracker(self._config, self._wheels), 0, None
-            tracked = self._tracker.track(cloud)
-        if tracked.new_keyframe:
-            self._tracker.add_keyframe(tracked)
+            tracked = self._tracker.follow(cloud)
         self._last = tracked
         return tracked.points, OdometryStep(tracked.pose, None if last is None else self._step(last, tracked))
 

@@ -31,8 +31,6 @@ def start_of(log: Iterable[Measurement], config: Config) -> ImuStart | None:
             first_s = min(first_s, cloud.stamp_s)
             if cloud.stamp_s - first_s > _LOOK_S:
                 break
-            tracked = tracker.track(cloud)
-            if tracked.new_keyframe:
-                tracker.add_keyframe(tracked)
+            tracker.follow(cloud)
     start = imu.start()
     return start if start is not None and start.state.stamp_s == first_s else None

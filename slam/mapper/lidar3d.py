@@ -85,12 +85,13 @@ class CloudLidar:
         self._steps = AnchoredSteps(config.match.local_map_keyframes)
         self._newest: TrackedCloud | None = None
         self._last: gtsam.Pose3 | None = None
-        self._travelled_m = 0.0
         self._stamps_s: list[float] = []
         self._stamp_s = 0.0
         self._T_base_lidar = gtsam.Pose3()
         self._matched, self._doubtful, self._unseen = 0, 0, list[str]()
         self._unseen_key: int | None = None
+        # Where the local map has had a cloud since the last keyframe, and (6, 6) of its match.
+        self._between: tuple[gtsam.Pose3, FloatArray] | None = None
 
     def observe(self, measurement: Any) -> Tracked | None:
         """Take the next measurement; where the robot is then, if it tells that."""
@@ -117,6 +118,9 @@ class CloudLidar:
             step = self._last.between(tracked.pose)
             if motion is not None:
                 covariance, bridge = self._steps.add(key, step, tracked.pose, motion)
+                if self._between is not None:
+                    carried = tracked.pose.between(self._between[0]).AdjointMap()
+                    covariance = covariance + carried @ self._between[1] @ carried.T
                 edges.append(Edge(key - 1, key, step, covariance, EdgeKind.LIDAR, trusted=True))
                 edges += [] if bridge is None else [bridge]
             elif (seen := self._cameras.step(self._stamp_s)) is not None:
@@ -134,10 +138,9 @@ class CloudLidar:
                 spread[2, 2] = math.pi**2 / 3.0
                 spread[[3, 4], [3, 4]] = max(spread[3, 3], tracked.unseen_m**2 / 3.0)
                 edges.append(Edge(key - 1, key, step, spread, EdgeKind.ASSUMED, trusted=True))
-            self._travelled_m += float(np.linalg.norm(step.translation()))
         if motion is None:
             self._steps.begin(key, tracked.pose)
-        self._last = tracked.pose
+        self._last, self._between = tracked.pose, None
         return step, edges
 
     def recognise(self, key: int, graph: KeyframeGraph) -> list[LoopCandidate]:
@@ -160,9 +163,7 @@ class CloudLidar:
         self._clouds.add(self._stamp_s, rows, self._T_base_lidar)
         self._cameras.add_keyframe(key, self._stamp_s, tracked.points, self._T_base_lidar)
         residual_m = np.nan if tracked.motion is None else tracked.motion.residual_m
-        self._closer.add_keyframe(
-            rows[:, :3], tracked.pose, self._travelled_m, residual_m, unseen=self._unseen_key == key
-        )
+        self._closer.add_keyframe(rows[:, :3], tracked.pose, residual_m, unseen=self._unseen_key == key)
         return self._closer.close(key, graph.poses(), graph.rows(), graph.uncertainty)
 
     def refuse(self) -> None:
@@ -225,10 +226,22 @@ class CloudLidar:
         self._matched += tracked.motion is not None
         self._doubtful += tracked.motion is not None and not tracked.motion.converged
         self._cameras.note_cloud(cloud.stamp_s, tracked)
-        if tracked.new_keyframe:
+        keyframe = tracked.new_keyframe and not self._passed(tracked)
+        if keyframe:
             self._T_base_lidar = cloud.T_base_lidar
         self.readings.add_scan(cloud.stamp_s, tracked.pose, told_s=told_s)
-        return Tracked(told_s, tracked.motion, tracked.new_keyframe)
+        return Tracked(told_s, tracked.motion, keyframe)
+
+    def _passed(self, tracked: TrackedCloud) -> bool:
+        """Take every second cloud into the local map alone: one that is surely placed, without pictures."""
+        motion = tracked.motion
+        if motion is None or not motion.converged or motion.degenerate or self._between is not None:
+            return False
+        if self._cameras.frames:
+            return False
+        self._between = tracked.pose, motion.covariance
+        self._tracker.add_keyframe(tracked)
+        return True
 
     def _doubts(self) -> list[str]:
         """A warning of ways that nothing has seen, and where clouds fitted the map only in part."""

@@ -130,6 +130,13 @@ class CloudTracker:
             )
         return self._matched(cloud, seen, motion)
 
+    def follow(self, cloud: PointCloud) -> TrackedCloud:
+        """`track`, and where the robot has moved on enough, take the cloud into the local map."""
+        tracked = self.track(cloud)
+        if tracked.new_keyframe:
+            self.add_keyframe(tracked)
+        return tracked
+
     def intensities(self) -> Float32Array | None:
         """(N,) of the points of the newest cloud that was tracked; None where it does not tell them."""
         return None if self._cloud is None else usable_intensities(self._cloud, self._turns)

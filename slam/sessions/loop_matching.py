@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator, Sequence
 from typing import Protocol
 
@@ -95,8 +94,8 @@ class CloudMatcher:
         self._closer = CloudLoopCloser(
             config, voxel_m, lambda key: first.points(key) if key < count else later.points(key - count)
         )
-        for pose, path_m, points in zip(one.node_poses, one.path_m, first, strict=True):
-            self._closer.add_keyframe(points, spatial(pose), path_m, math.nan)
+        for pose, points in zip(one.node_poses, first, strict=True):
+            self._closer.add_keyframe(points, spatial(pose))
         self._known, self._session, self._loops = one, other, config.loops
         self._sessions = _session_numbers(known)
         self._positions = np.array([pose.translation() for pose in one.node_poses])

@@ -20,7 +20,9 @@ from slam.graph.edge import Edge, EdgeKind
 from slam.graph.keyframe_graph import KeyframeGraph
 from slam.mapper.map_result import MapResult
 from slam.mapper.pipeline import build_map
+from slam.matching.cloud_points import at_middle_of_turn
 from slam.measurements import LaserScan, Measurement, PointCloud, WheelOdometry
+from slam.odometry.cloud_tracker import CloudTracker
 from slam.outputs.exports import Exports
 from slam.storage.map_clouds import MapClouds
 from slam.storage.map_file import MapFile
@@ -48,6 +50,24 @@ def test_once_round_the_room(mapped: MapResult, log: Path) -> None:
     assert absolute_error(mapped.map.trajectory, truth).translation_m.rmse < 0.02
     assert np.abs(mapped.map.trajectory.positions_m[:, 2]).max() < 0.02
     assert not mapped.warnings
+
+
+def test_every_second_cloud_of_the_local_map_is_a_keyframe(mapped: MapResult, log: Path) -> None:
+    """A step is as unsure as the matches of both, and the way is that of a keyframe for each."""
+    config = load_config(None, SMALL)
+    tracker, clouds = (
+        CloudTracker(config, None),
+        [one for one in open_dataset(log) if isinstance(one, PointCloud)],
+    )
+    tracked = [tracker.follow(at_middle_of_turn(cloud, config.cloud_odometry)) for cloud in clouds]
+    local = [number for number, one in enumerate(tracked) if one.new_keyframe]
+    assert mapped.map.readings.tolist() == local[::2] and len(local) > 12
+    steps = [factor.edge for factor in mapped.map.factors if factor.edge.kind is EdgeKind.LIDAR]
+    for edge in steps:
+        ends = [tracked[number].motion for number in local[2 * edge.source + 1 : 2 * edge.target + 1]]
+        assert len(ends) == 2
+        sigmas = [np.sqrt(np.trace(end.covariance)) for end in ends if end is not None]
+        assert np.sqrt(np.trace(edge.covariance)) > 0.99 * np.hypot(*sigmas)
 
 
 def test_the_way_back_closes_a_loop(mapped: MapResult) -> None:
@@ -109,7 +129,7 @@ def test_a_place_too_far_to_be_the_same_is_not_tried() -> None:
         if key:
             graph.add_keyframe(step, [Edge(key - 1, key, step, np.eye(6) * 1e-6, EdgeKind.LIDAR, True)])
         kept.add(float(key), points, T_BASE_LIDAR)
-        closer.add_keyframe(points, gtsam.Pose3(graph.poses()[-1]), 4.0 * key, 0.01)
+        closer.add_keyframe(points, gtsam.Pose3(graph.poses()[-1]), 0.01)
         tried = closer.close(key, graph.poses(), graph.rows(), graph.uncertainty)
     assert not tried
 
