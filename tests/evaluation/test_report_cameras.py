@@ -95,7 +95,7 @@ def page(run: MapResult, folder: Path, beside: Beside = Beside()) -> str:  # noq
 def test_places_that_do_not_fit_are_told(fitted: int, told: bool) -> None:
     loops = [LoopCandidate(0, 2, 0.1, 0.1, 1.0, None, number < fitted, "") for number in range(15)]
     run = replace(result(), map=replace(result().map, loops=loops))
-    assert any("Only 1 of the 15 places" in line for line in report(run).warnings) == told
+    assert any("of the 15 places" in line for line in report(run).warnings) == told
 
 
 def test_a_map_by_cameras_is_told_in_frames(tmp_path: Path) -> None:
