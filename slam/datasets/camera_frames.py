@@ -13,7 +13,7 @@ from slam.datasets.account import Account
 from slam.datasets.bags.lens import Lens
 from slam.datasets.budget import Budget
 from slam.datasets.calibration import Calibration, same_aspect
-from slam.datasets.dataset import RecordFault
+from slam.datasets.dataset import WARNING, RecordFault
 from slam.datasets.frame_pairs import FramePair
 from slam.datasets.image_files import FILES, ImageSource
 from slam.measurements import CameraIntrinsics, ColorImage, Float32Array, RgbdFrame
@@ -76,7 +76,7 @@ def read_frames(
             account.refuse(fault, camera.sensor, number)
             continue
         if camera.calibration.assumed:
-            account.report.note(f"{camera.sensor}: {camera.calibration.assumed}", number)
+            account.report.note(f"{WARNING}{camera.sensor}: {camera.calibration.assumed}", number)
         if images.resized_from:
             width, height = images.resized_from
             account.report.note(f"{camera.sensor}: {SIZE_NOTE}, from {width} x {height}", number)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections import Counter
+from collections import Counter, defaultdict
 from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 
@@ -24,11 +24,12 @@ from slam.datasets.carmen_records import (
 )
 from slam.datasets.dataset import ReadReport, RecordFault
 from slam.datasets.laser_geometry import (
+    DEFAULT_NO_RETURN_M,
+    SICK_LARGEST_CODE_FREE_M,
     BeamLayout,
+    ToldAlike,
     beam_layout,
     classify_ranges,
-    largest_return_m,
-    no_return_limit_m,
 )
 from slam.datasets.log_file import Refuse, numbered_lines, read_head
 from slam.datasets.recording import Contents, Numbered, Recording
@@ -142,7 +143,7 @@ class _Decoder:
         self._preferred = preferred
         self._parameters: dict[str, float] = {}
         self._mounts: dict[str, gtsam.Pose2] = {}
-        self._largest_return_m: dict[str, float] = {}
+        self._told_alike = defaultdict[str, ToldAlike](ToldAlike)
         self._last_odometry: OdometryRecord | None = None
 
     def decode(self, tokens: list[bytes], number: int) -> Iterator[Measurement]:
@@ -190,15 +191,13 @@ class _Decoder:
         if record.ranges_m.size == 0:
             raise RecordFault(ZERO_BEAMS, record.kind)
         layout = self._layout(record, number)
-        stated_max_m = record.max_m or self._parameter(record.kind, "max")
-        seen_m = self._largest_return_m.get(record.kind, 0.0)
-        limit_m = no_return_limit_m(stated_max_m, record.ranges_m, seen_m)
-        ranges_m, limit_m = classify_ranges(record.ranges_m, limit_m)
+        stated_m = record.max_m or self._parameter(record.kind, "max") or 0.0
+        limit_m = min(stated_m, SICK_LARGEST_CODE_FREE_M) if stated_m > 0.0 else DEFAULT_NO_RETURN_M
+        ranges_m, limit_m = classify_ranges(record.ranges_m, limit_m, self._told_alike[record.kind])
         invalid = int(np.count_nonzero(np.isnan(ranges_m)))
         self._report.invalid_ranges += invalid
         if invalid == ranges_m.size:
             raise RecordFault(NO_VALID_RANGE, f"{invalid} beams")
-        self._largest_return_m[record.kind] = largest_return_m(ranges_m, seen_m)
         return LaserScan(
             stamp_s=record.stamp_s,
             ranges_m=ranges_m,

@@ -141,8 +141,7 @@ class ReadReport:
     @property
     def warnings(self) -> list[str]:
         """The notes that a person should see before trusting a map."""
-        found = [note for note in self.notes if note.startswith(WARNING)]
-        return [note.removeprefix(WARNING) for note in sorted(found)]
+        return sorted(note.removeprefix(WARNING) for note in self.notes if note.startswith(WARNING))
 
     def accept(self, kind: str) -> None:
         """Count an accepted record."""

@@ -19,12 +19,10 @@ MANY_BEAMS = "scan of more beams than any lidar has"
 SICK_LARGEST_CODE_FREE_M = 81.83
 # Without a stated maximum: beyond any true reading of the common scanners, below the codes.
 DEFAULT_NO_RETURN_M = 80.0
-# The same codes in the 8 m mode, in millimetres. 8.190 is left out: in a log written in whole
-# centimetres that is an ordinary distance.
-_SICK_SHORT_CODES_M = np.array([8.183, 8.187, 8.191])
-_SICK_SHORT_LARGEST_M = 8.192
 _CODE_TOLERANCE_M = 1e-6
 _UNITS_IN_A_M = (100.0, 1000.0)  # centimetres, millimetres
+# Of beams on a wall, in whole steps, 1 + sqrt(2) times as many tell the shortest distance as the next.
+_ALIKE = FEWEST // 4
 
 _DEFAULT_FOV_DEG = 180.0
 # Beam counts that belong to one field of view: SICK LMS 2xx in its 100 degree mode, 270 degree scanners.
@@ -105,47 +103,36 @@ def _is_angle(angle_rad: float | None) -> bool:
     return angle_rad is not None and 0.0 < angle_rad <= 2.0 * math.pi + 1e-6
 
 
-def no_return_limit_m(stated_max_m: float | None, ranges_m: FloatArray, largest_return_m: float) -> float:
-    """Range from which a reading means that nothing was met; it is also what such a beam clears.
+@dataclass(slots=True)
+class ToldAlike:
+    """The longest range that a sensor tells again and again, to the bit, by how many beams; the shortest.
 
-    Parameters
-    ----------
-    stated_max_m
-        The sensor's maximum as the log states it; None or not positive: not stated.
-    ranges_m
-        (N,) raw readings of the scan.
-    largest_return_m
-        Largest true reading of this sensor so far.
-
-    Returns
-    -------
-    float
-        ``min(stated, 81.83)``; without a statement 8.183 while a SICK's 8 m codes are seen and never
-        a reading beyond them, else 80.
+    So are codes told (8.183 m by a SICK). A longest that is another counts `_ALIKE` times against it.
     """
-    if stated_max_m is not None and stated_max_m > 0.0:
-        return min(stated_max_m, SICK_LARGEST_CODE_FREE_M)
-    if largest_return_m <= _SICK_SHORT_LARGEST_M:
-        largest = float(np.fmax.reduce(ranges_m, initial=0.0))
-        if np.any(np.abs(_SICK_SHORT_CODES_M - largest) < _CODE_TOLERANCE_M):
-            return float(_SICK_SHORT_CODES_M[0])
-    return DEFAULT_NO_RETURN_M
+
+    longest_m: float = 0.0
+    beams: int = 0
+    shortest_m: float = 0.0
+
+    def take(self, longest_m: float, beams: int) -> bool:
+        """Take the longest range of a scan, told by so many beams: whether what is told again is a code."""
+        if beams > 1:
+            self.beams += beams if longest_m == self.longest_m else -_ALIKE * beams
+        if self.beams < 0:
+            self.longest_m, self.beams = longest_m, beams
+        return self.beams >= FEWEST
 
 
-def largest_return_m(ranges_m: Float32Array, before_m: float) -> float:
-    """Largest true reading so far, by those of a scan and by one before; of no more than tells of a mode."""
-    if before_m > _SICK_SHORT_LARGEST_M:
-        return before_m
-    return float(np.max(ranges_m, where=np.isfinite(ranges_m), initial=before_m))
-
-
-def classify_ranges(ranges_m: FloatArray, limit_m: float) -> tuple[Float32Array, float]:
+def classify_ranges(
+    ranges_m: FloatArray, limit_m: float, told_alike: ToldAlike
+) -> tuple[Float32Array, float]:
     """Readings as `slam.measurements.LaserScan` wants them, (N,), and from where they mean no return.
 
     At or above the limit: ``inf``, no return. Zero, negative or NaN: ``nan``, invalid. A limit below which
     less than half of the readings lie, and that many different ones beyond, is of another unit, and is
     raised: no return is told by a few codes. Whose unit is wrong is then seen by what the ranges are. The
-    longest, told to the bit by more beams than a wall makes alike, is such a code, stated or not.
+    longest, told to the bit by more beams than a wall makes alike, here or in the sensor's scans before, is
+    such a code, stated or not; the shortest, told so once more, is invalid.
 
     Raises
     ------
@@ -156,32 +143,38 @@ def classify_ranges(ranges_m: FloatArray, limit_m: float) -> tuple[Float32Array,
         raise RecordFault(MANY_BEAMS, f"{ranges_m.size}, at most {MOST_BEAMS}")
     classified = np.empty(ranges_m.size, np.float32)
     # A stated 81.83 and a written 81.83 must meet, whatever their last bit.
-    beyond, returns, alike = _classify(ranges_m, limit_m - _CODE_TOLERANCE_M, classified)
+    beyond, returns, *ends = _classify(ranges_m, limit_m - _CODE_TOLERANCE_M, classified)
     if 2 * beyond > returns:
         told = ranges_m[np.isfinite(ranges_m) & (classified == math.inf)]
         if np.unique(told).size >= FEWEST:
             limit_m *= next((one for one in _UNITS_IN_A_M if told.max() <= limit_m * one), _UNITS_IN_A_M[-1])
-            alike = _classify(ranges_m, limit_m - _CODE_TOLERANCE_M, classified)[2]
-    if 2 * alike < FEWEST:
-        return classified, limit_m
-    told, counts = np.unique(classified[np.isfinite(classified)], return_counts=True)
-    most = int(counts.argmax())
-    # Of beams on a wall, in whole steps, 1 + sqrt(2) times as many tell the shortest distance as the next.
-    others = max(np.delete(counts, most), default=0)
-    if counts[most] >= FEWEST > counts[most + 1 :].sum() and counts[most] > FEWEST // 4 * others:
-        limit_m = float(told[most])
-        classified[classified >= told[most]] = math.inf
+            ends = _classify(ranges_m, limit_m - _CODE_TOLERANCE_M, classified)[2:]
+    most_m, alike, least_m, near = ends
+    if near >= FEWEST and told_alike.shortest_m == least_m:
+        others = np.unique(ranges_m[(ranges_m > least_m) & np.isfinite(classified)], return_counts=True)[1]
+        classified[(ranges_m == least_m) & (near > _ALIKE * max(others, default=0))] = math.nan
+    told_alike.shortest_m = least_m
+    code_m = told_alike.longest_m if told_alike.take(most_m, alike) else math.inf
+    # Codes of errors may be beyond it, and few are.
+    if code_m <= most_m and 2 * np.count_nonzero(ranges_m == code_m) > np.count_nonzero(ranges_m >= code_m):
+        limit_m = code_m
+        classified[ranges_m >= limit_m] = math.inf
     return classified, limit_m
 
 
 @kernel
 def _classify(ranges_m, limit_m, classified):  # type: ignore[no-untyped-def]
-    """Write what `classify_ranges` returns; how many are finite and beyond, in all, as the one before."""
-    beyond, returns, alike = ZERO, ZERO, ZERO
+    """Write what `classify_ranges` returns; how many are finite and beyond, in all; the ends, how often."""
+    beyond, returns, alike, near = ZERO, ZERO, ZERO, ZERO
+    most_m, least_m = 0.0, math.inf
     for i in range(ranges_m.size):
         range_m = ranges_m[i]
         classified[i] = math.inf if range_m >= limit_m else range_m if range_m > 0.0 else math.nan
         beyond += limit_m <= range_m < math.inf
         returns += 0.0 < range_m < math.inf
-        alike += i > 0 and 0.0 < range_m < limit_m and range_m == ranges_m[i - 1]
-    return beyond, returns, alike
+        if 0.0 < range_m < limit_m:
+            alike = alike + 1 if range_m == most_m else alike if range_m < most_m else 1
+            near = near + 1 if range_m == least_m else near if range_m > least_m else 1
+            most_m = max(most_m, range_m)
+            least_m = min(least_m, range_m)
+    return beyond, returns, most_m, alike, least_m, near

@@ -33,12 +33,8 @@ def numbered_files(folder: Path, pattern: str) -> dict[int, Path]:
         found = [(name.fullmatch(entry.name), entry) for entry in folder.iterdir()]
     except OSError:
         return {}
-    return {int(match[1]): entry for match, entry in sorted(found, key=_by_name) if match}
-
-
-def _by_name(item: tuple[object, Path]) -> str:
-    """So that of two files of one number the same one wins everywhere."""
-    return item[1].name
+    # By name, so that of two files of one number the same one wins everywhere.
+    return {int(match[1]): entry for match, entry in sorted(found, key=lambda one: one[1].name) if match}
 
 
 def at_rate(rate_hz: float = RATE_HZ) -> Callable[[int], float]:

@@ -56,20 +56,14 @@ class Finding:
 
     def plain(self) -> dict[str, Any]:
         """As plain values, for JSON."""
-        interval = None if self.interval is None else list(self.interval)
+        interval = self.interval and list(self.interval)
         return {**asdict(self), "remedies": list(self.remedies), "interval": interval}
 
     @classmethod
     def from_plain(cls, row: dict[str, Any]) -> Finding:
         """From what `plain` gave."""
-        low_high = row["interval"]
-        return cls(
-            **{
-                **row,
-                "remedies": tuple(row["remedies"]),
-                "interval": None if low_high is None else (low_high[0], low_high[1]),
-            }
-        )
+        interval = row["interval"] and tuple(row["interval"])
+        return cls(**{**row, "remedies": tuple(row["remedies"]), "interval": interval})
 
 
 def remedy_text(remedy: Remedy) -> str:

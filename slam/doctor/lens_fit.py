@@ -48,7 +48,7 @@ def lens_fit(pairs: Sequence[MatchedPair], told: CameraIntrinsics) -> LensFit | 
     if len(chosen) < FEWEST:
         return None
     first, second = (
-        np.stack([_spread(side, len(pair.first)) for pair, side in ((p, getattr(p, name)) for p in chosen)])
+        np.stack([getattr(p, name)[np.linspace(0, len(p.first) - 1, _KEPT).astype(int)] for p in chosen])
         for name in ("first", "second")
     )
     # Focal gain, and the principal point in shares of the focal length.
@@ -79,11 +79,6 @@ def lens_fit(pairs: Sequence[MatchedPair], told: CameraIntrinsics) -> LensFit | 
     center = np.array([told.cx + lens[1] * told.fx, told.cy + lens[2] * told.fy])
     sigmas = np.sqrt(np.diag(covariance)) * [1.0, told.fx, told.fy]
     return LensFit(float(lens[0]), center, sigmas, sigma * told.fx, told_left * told.fx)
-
-
-def _spread(rows: FloatArray, count: int) -> FloatArray:
-    """(_KEPT, 3) of (N, 3) rows, evenly; the last again where there are fewer."""
-    return rows[np.linspace(0, count - 1, _KEPT).astype(int)]
 
 
 def _points(rows: FloatArray, lens: FloatArray, told: CameraIntrinsics) -> FloatArray:

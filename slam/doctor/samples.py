@@ -123,13 +123,11 @@ class Samples:
             elif isinstance(measurement, WheelOdometry):
                 samples.wheels.setdefault(measurement.sensor, WheelSamples()).add(measurement)
             elif isinstance(measurement, RgbdFrame):
-                samples.cameras.setdefault(measurement.sensor, CameraSamples()).add(
-                    measurement, compared=bool(samples.wheels)
-                )
+                camera = samples.cameras.setdefault(measurement.sensor, CameraSamples())
+                camera.add(measurement, compared=bool(samples.wheels))
             elif isinstance(measurement, PointCloud):
-                samples.clouds.setdefault(measurement.sensor, CloudSamples()).add(
-                    measurement, compared=bool(samples.wheels or samples.imus)
-                )
+                clouds = samples.clouds.setdefault(measurement.sensor, CloudSamples())
+                clouds.add(measurement, compared=bool(samples.wheels or samples.imus))
             elif isinstance(measurement, ImuReading):
                 samples.imus.setdefault(measurement.sensor, ImuSamples()).add(measurement)
         for lidar in samples.lidars.values():

@@ -13,6 +13,7 @@ from typing import Literal
 
 import numpy as np
 
+from fusion.estimation import FEWEST
 from slam.config import Config
 from slam.datasets.dataset import Dataset, ReadReport
 from slam.datasets.sensor_choice import use_lines
@@ -33,6 +34,8 @@ CLOUD_FILE = "cloud.ply"
 _LIBRARIES = ("gtsam", "numpy", "numba", "opencv-python-headless")
 # More unmatched scans than this share deserve a line at the top of the page.
 _UNMATCHED_SHARE = 0.01
+# And fewer places of a camera that fit; of sound recordings 0.3 to 0.8 do: docs/figures/input.md.
+_FITTING_SHARE = 0.2
 
 
 @dataclass(frozen=True, slots=True)
@@ -217,6 +220,12 @@ def _warnings(data: ReportData) -> list[str]:
     if unit == "scan" and helped > _UNMATCHED_SHARE * count:
         lines.append(
             f"At {helped:,} of {count:,} moments the lidar reported nothing; cameras reported the motion."
+        )
+    tried, fitted = len(data.result.map.loops), sum(loop.accepted for loop in data.result.map.loops)
+    if unit == "frame" and tried >= FEWEST // 2 and fitted < _FITTING_SHARE * tried:
+        lines.append(
+            f"Only {fitted:,} of the {tried:,} places that the camera came back to fit what was seen there: "
+            "its lens, registration or depth is wrong, or its colour and depth are of different times."
         )
     degenerate = float(scans.degenerate.mean())
     if degenerate > _UNMATCHED_SHARE:

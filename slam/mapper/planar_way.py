@@ -29,6 +29,7 @@ from slam.odometry.cached_odometry import CachedOdometry
 from slam.odometry.clock_learner import Turns
 from slam.odometry.gyro_yaw import YawGyro
 from slam.odometry.motion_tracker import MotionTracker
+from slam.odometry.surfel_odometry import LEAST_POINTS
 from slam.odometry.tracked_scan import TrackedScan
 from slam.odometry.wheel_tracker import WheelTracker
 from slam.result_cache import ResultCache
@@ -132,6 +133,8 @@ class PlanarWay:
         self._scan_stamp_s = -np.inf
         self._newest: tuple[float, ScanPoints | None, TrackedScan] | None = None
         self._wheels_name = ""
+        # Stamps of keyframes that matched nothing where the wheels say that the robot hardly moved.
+        self._unexplained_s: list[float] = []
 
     def observe(self, measurement: Any) -> Moment | None:
         """Take the next measurement; where the robot is then, if it tells that."""
@@ -151,9 +154,13 @@ class PlanarWay:
         """The newest moment becomes keyframe ``key``: later scans are matched to it too."""
         assert self._newest is not None
         stamp_s, points, tracked = self._newest
+        last = self._chain.last
         step, edges = self._chain.add(key, stamp_s, tracked, self._camera_poses)
         if points is None:
             return Step(step, edges, OrientedPoints.none(), 0)
+        lost = tracked.motion is None and tracked.wheels and len(points.oriented()[0]) >= LEAST_POINTS
+        near = math.hypot(step[0], step[1]) < self._config.match.search_half_width_m
+        self._unexplained_s += [stamp_s] if lost and near and last and last.motion else []
         self._tracker.add_keyframe(points, tracked)
         return Step(step, edges, OrientedPoints.surface(points), len(points.oriented()[0]))
 
@@ -173,11 +180,13 @@ class PlanarWay:
 
     def learned(self) -> tuple[Any, ...]:
         """What the whole way has told: plain objects, for `take_over`."""
-        return self.readings, self._wheels, self._wheels_name, self._gyro, self.cameras.scan_turns
+        wheels = self._wheels, self._wheels_name, self._unexplained_s
+        return self.readings, self._gyro, self.cameras.scan_turns, *wheels
 
     def take_over(self, learned: tuple[Any, ...]) -> None:
         """What another one has `learned`, of a robot without cameras."""
-        readings, self._wheels, self._wheels_name, self._gyro, self.cameras.scan_turns = learned
+        readings, self._gyro, self.cameras.scan_turns, *wheels = learned
+        self._wheels, self._wheels_name, self._unexplained_s = wheels
         vars(self.readings).update(vars(readings))
 
     def tell(self, result: MapResult) -> None:
@@ -189,6 +198,13 @@ class PlanarWay:
                 "The wheels report no motion where the robot has moved; they were left out"
             )
             result.unused[self._wheels_name] = "they report no motion where the robot has moved"
+        if self._unexplained_s:
+            at_s = self._unexplained_s[0] - self.readings.scan_stamps_s()[0]
+            result.warnings.append(
+                f"{len(self._unexplained_s)} times, first at {at_s:.1f} s, a scan fits nothing that was seen "
+                "there, and the wheels say that the robot hardly moved: it was carried, or something stood "
+                "around it; if it was carried, what follows lies wrong until a loop joins it"
+            )
         if self._gyro is not None:
             result.notes += self._gyro.notes()
             if self._gyro.unfit:

@@ -80,7 +80,7 @@ def test_intrinsics_by_the_name_of_the_folder_or_assumed_and_said(
     lens = frames(found)[0].intrinsics
     assert lens.fx == pytest.approx(focal * WIDTH / 640)
     assert (lens.width, lens.height) == (WIDTH, HEIGHT)
-    assert any("intrinsics assumed" in note for note in dataset.report.notes) == assumed
+    assert any("intrinsics assumed" in note for note in dataset.report.warnings) == assumed
     if assumed:
         # The middle of the image stays the middle: pixel centres are whole numbers.
         assert (lens.cx, lens.cy) == pytest.approx((0.5 * (WIDTH - 1), 0.5 * (HEIGHT - 1)))

@@ -200,14 +200,17 @@ def test_a_lens_is_not_shrunk_by_depths_that_are_noisy(focal: float) -> None:
     assert abs(fit.focal_gain - focal / LENS.fx) < 3.0 * fit.sigmas[0] < 0.2
 
 
-@pytest.mark.parametrize(("median_m", "scale"), [(1700.0, 0.001), (0.0017, 1000.0), (1.7, None)])
+@pytest.mark.parametrize(
+    ("median_m", "scale"),
+    [(1700.0, 0.001), (0.0017, 1000.0), (1.7, None), (7.0, None), (9.5, 0.2), (0.3, 5.0)],
+)
 def test_depth_that_no_camera_sees_is_in_another_unit(median_m: float, scale: float | None) -> None:
     samples = CameraSamples(count=5)
     samples.median_depth.add(median_m)
-    remedies = [
-        one.remedies[0]["cameras"]["camera"]["depth_scale"] for one in camera_findings("camera", samples)
-    ]
+    found = camera_findings("camera", samples)
+    remedies = [one.remedies[0]["cameras"]["camera"]["depth_scale"] for one in found]
     assert remedies == ([] if scale is None else [pytest.approx(scale)])
+    assert all(one.sure == (median_m > 30.0 or median_m < 0.1) for one in found)
 
 
 def test_what_repeats_itself_is_named() -> None:

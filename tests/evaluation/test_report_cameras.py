@@ -18,6 +18,7 @@ from slam.evaluation.map_report import Beside, ReportData, RunCost, beside_of
 from slam.evaluation.report import write_report
 from slam.evaluation.truth_comparison import compare_with_truth
 from slam.graph.edge import Edge, EdgeKind
+from slam.graph.loop_closure import LoopCandidate
 from slam.mapper.map_result import MapResult
 from slam.mapper.scan_record import CameraRecord, ScanRecord
 from slam.mapping.dense_map import ColoredCloud
@@ -88,6 +89,13 @@ def report(run: MapResult, beside: Beside = Beside()) -> ReportData:  # noqa: B0
 def page(run: MapResult, folder: Path, beside: Beside = Beside()) -> str:  # noqa: B008
     write_report(folder / "report.html", report(run, beside))
     return (folder / "report.html").read_text(encoding="utf-8")
+
+
+@pytest.mark.parametrize(("fitted", "told"), [(1, True), (5, False)])
+def test_places_that_do_not_fit_are_told(fitted: int, told: bool) -> None:
+    loops = [LoopCandidate(0, 2, 0.1, 0.1, 1.0, None, number < fitted, "") for number in range(15)]
+    run = replace(result(), map=replace(result().map, loops=loops))
+    assert any("of the 15 places" in line for line in report(run).warnings) == told
 
 
 def test_a_map_by_cameras_is_told_in_frames(tmp_path: Path) -> None:

@@ -177,7 +177,13 @@ class TestMishaps:
         assert errors_m(result, short_log.truth.to_planar()).max() < 0.25
         assert errors_m(result, short_log.truth.to_planar())[-1] < 0.1
 
-    def test_a_robot_carried_away_unseen(self, short_log: SyntheticLog, tmp_path: Path) -> None:
+    @pytest.mark.parametrize(
+        ("took_s", "told"),
+        [(10.0, "No scan was placed"), (0.0, "1 times, first at 4.4 s, a scan fits nothing")],
+    )
+    def test_a_robot_carried_away_unseen(
+        self, short_log: SyntheticLog, tmp_path: Path, took_s: float, told: str
+    ) -> None:
         stamps = np.round(short_log.truth.stamps_s, 6)
         wheels = wheel_rows(short_log.log_path)
         before, after = (int(np.searchsorted(stamps, s)) for s in (1003.95, 1013.95))
@@ -190,12 +196,14 @@ class TestMishaps:
                 # The wheels did not turn meanwhile.
                 pose = compose(wheels[before - 1], between(wheels[after], wheels[index]))
                 row = [f"{value:.6f}" for value in pose]
+                fields = with_stamp(fields, stamp(fields) - 10.0 + took_s)
                 if fields[0] == "ODOM":
                     yield [fields[0], *row, *fields[4:]]
                 else:
                     yield [*fields[:-9], *row, *row, *fields[-3:]]
 
         result = run(edited(short_log, tmp_path / "carried.log", carried))
+        assert any(told in warning for warning in result.warnings)
         readings = line_numbers(result)
         assert readings[-1] + 1 == len(stamps) - (after - before)
         assert np.isfinite(result.map.trajectory.positions_m).all()

@@ -12,7 +12,7 @@ import numpy as np
 from fusion.time_alignment import GAP_S
 from slam.datasets.bags.decoding import stamp_of
 from slam.datasets.dataset import RecordFault
-from slam.datasets.laser_geometry import DEFAULT_NO_RETURN_M, classify_ranges
+from slam.datasets.laser_geometry import DEFAULT_NO_RETURN_M, ToldAlike, classify_ranges
 from slam.measurements import FloatArray, LaserScan
 
 ZERO_BEAMS = "scan without beams"
@@ -48,7 +48,7 @@ class LaserMount:
         return cls(flat, bool(axes[2, 2] < 0.0))
 
 
-def scan_from(message: Any, mount: LaserMount, topic: str) -> LaserScan:
+def scan_from(message: Any, mount: LaserMount, topic: str, told_alike: ToldAlike) -> LaserScan:
     """A scan; beams are given counter-clockwise as seen from above the robot.
 
     Of a MultiEchoLaserScan the first echo of each beam, the nearest, is taken: behind glass or rain the
@@ -72,7 +72,7 @@ def scan_from(message: Any, mount: LaserMount, topic: str) -> LaserScan:
     stated_m, least_m = _as_meant(message.range_max), _as_meant(message.range_min)
     limit_m = stated_m if 0.0 < stated_m < math.inf else DEFAULT_NO_RETURN_M
     ranges_m = np.where(ranges_m < least_m, np.nan, ranges_m) if 0.0 < least_m < limit_m else ranges_m
-    classified, limit_m = classify_ranges(ranges_m, limit_m)
+    classified, limit_m = classify_ranges(ranges_m, limit_m, told_alike)
     if np.isnan(classified).all():
         raise RecordFault(NO_VALID_RANGE, f"{classified.size} beams")
     if mount.inverted:

@@ -37,6 +37,7 @@ from slam.datasets.bags.wheels import wheel_reader, wheels_from_tf
 from slam.datasets.calibration_files import KnownCalibration
 from slam.datasets.dataset import WARNING, RecordFault
 from slam.datasets.frame_pairs import tolerance_of
+from slam.datasets.laser_geometry import ToldAlike
 from slam.errors import DatasetError
 from slam.measurements import Measurement, WheelOdometry
 
@@ -261,7 +262,8 @@ def _scan_reader(survey: Survey, layout: Layout, topic: str) -> Callable[[Any], 
             raise DatasetError(f"{topic}: {fault}; name other topics with --topics") from fault
     if mount.inverted:
         layout.notes.append(f"{topic}: the laser hangs upside down; its beams are turned round")
-    return lambda message: scan_from(message, mount, topic)
+    told_alike = ToldAlike()
+    return lambda message: scan_from(message, mount, topic, told_alike)
 
 
 def _cloud_reader(
@@ -312,7 +314,7 @@ def _camera(survey: Survey, layout: Layout, topics: CameraTopics, *, only: bool)
     steps = layout.files.depth_steps_per_m(topics.name, 1.0 / unit_m if unit_m else None)
     camera.depth_steps_per_m = steps or camera.depth_steps_per_m
     if camera.assumed:
-        layout.notes.append(f"{topics.name}: {camera.assumed}")
+        layout.notes.append(f"{WARNING}{topics.name}: {camera.assumed}")
     return camera
 
 
