@@ -14,6 +14,7 @@ from functools import cached_property
 from itertools import accumulate
 
 import numpy as np
+from numpy.typing import NDArray
 
 from fusion.estimation import FEWEST, ROUNDS, TINY, gate, median_to_sigma
 from slam.config.stages import GraphConfig
@@ -22,15 +23,17 @@ from slam.graph.keyframe_graph import KeyframeGraph, graph_of, row_of, together,
 from slam.graph.relative_uncertainty import composed, inverse, moved
 from slam.matching.motion import Motion
 from slam.matching.planar import adjoint, between, compose, rotate_covariance
-from slam.measurements import FloatArray, pose2_from_row
+from slam.measurements import BoolArray, FloatArray, pose2_from_row, row_from_pose2
 
 
-def settle_wheels(graph: KeyframeGraph, least_m: float) -> None:
+def settle_wheels(graph: KeyframeGraph, least_m: float, poses: FloatArray) -> None:
     """Let steps that wheels alone tell be as certain as wheels have proved, unless loops refuse that.
 
     Proved on long stretches that matches tell throughout. Where scans lie so far apart that there are hardly
     any, on single steps of ``least_m`` and more, in the directions that a match tells better; and then along
     corridors, too, wheels are as certain as that.
+
+    ``poses`` (n, 3) are where the wheels alone have the keyframes.
     """
     edges = graph.graph.edges
     alone = [n for n, edge in enumerate(edges) if edge.kind is EdgeKind.WHEEL and edge.trusted]
@@ -45,9 +48,7 @@ def settle_wheels(graph: KeyframeGraph, least_m: float) -> None:
         and told[edge.target - 1] - told[edge.source] + steps[edge.source] == 0
     ]
     sparse = len(longer) < FEWEST
-    errors = (
-        _calibrated_by_steps(edges, len(graph), least_m) if sparse else _errors_of_stretches(graph, longer)
-    )
+    errors = _calibrated_by_steps(edges, poses, least_m) if sparse else _errors_of_stretches(graph, longer)
     if not alone or len(errors) < FEWEST:
         return
     counts = np.isfinite(errors).sum(axis=0)
@@ -73,7 +74,7 @@ def _errors_of_stretches(graph: KeyframeGraph, longer: Sequence[Edge]) -> FloatA
     return off / np.sqrt([np.diag(edge.covariance) for edge in longer])
 
 
-def _calibrated_by_steps(edges: list[Edge], nodes: int, least_m: float) -> FloatArray:
+def _calibrated_by_steps(edges: list[Edge], poses: FloatArray, least_m: float) -> FloatArray:
     """Let wheels tell what single matched steps have shown: how long a metre is, how much it and a turn turn.
 
     Radii that differ turn a robot at each metre, a wrong base at each turn: where scans lie far apart that
@@ -86,7 +87,10 @@ def _calibrated_by_steps(edges: list[Edge], nodes: int, least_m: float) -> Float
     both = [(wheels[ends], match) for ends, match in matches.items() if ends in wheels]
     if sum(math.hypot(*match.pose[:2]) >= least_m for _, match in both) < FEWEST:
         return np.zeros((0, 3))
-    told, found = (np.array([motion.pose for motion in motions]) for motions in zip(*both, strict=True))
+    # What was learned on the way changed with it.
+    alone = _off(poses[:-1], poses[1:])
+    told = alone[[source for source, target in matches if (source, target) in wheels]]
+    found = np.array([match.pose for _, match in both])
     variances, known = (
         np.array([np.diag(motion.covariance) for motion in motions]) for motions in zip(*both, strict=True)
     )
@@ -101,8 +105,9 @@ def _calibrated_by_steps(edges: list[Edge], nodes: int, least_m: float) -> Float
         half = np.pad(0.5 * (turned - steps[:, 2])[:, None], ((0, 0), (2, 0)))
         return composed(composed(half, steps * [1.0 + stretch, 1.0 + stretch, 1.0]), half)
 
-    steps = np.zeros((nodes, 3))
-    steps[[source for source, _ in wheels]] = [motion.pose for motion in wheels.values()]
+    steps = np.zeros_like(alone)
+    sources = [source for source, _ in wheels]
+    steps[sources] = alone[sources]
     way = list(accumulate(calibrated(steps), compose, initial=np.zeros(3)))
     for n, edge in enumerate(edges):
         if edge.kind is EdgeKind.WHEEL:
@@ -150,6 +155,10 @@ class FaultySteps:
     ----------
     known
         How uncertain keyframes are of each other by the edges that are believed.
+    unseen
+        (n,) whether wheels alone tell the step from a keyframe to the next.
+    share
+        Of these steps, that has turned out wrong.
     """
 
     def __init__(
@@ -199,6 +208,16 @@ class FaultySteps:
         begun, ended = self._ends.T
         time_s = np.abs(stamps_s[ended] - stamps_s[begun])[:, None]
         told = _moves(_off(poses[begun], poses[ended]))
+        alone = [edge for edge in single if edge.kind is EdgeKind.WHEEL and guessed[edge.source]]
+        self.unseen = np.zeros(len(poses), np.bool_)
+        self.unseen[[edge.source for edge in alone]] = True
+        steps_off = [
+            Motion(row_from_pose2(edge.T_source_target), edge.covariance).squared_mahalanobis(
+                between(poses[edge.source], poses[edge.target])
+            )
+            for edge in alone
+        ]
+        self.share = (sum(off > self._gate for off in steps_off) + 1.0) / (len(alone) + 2.0)
         self._farthest = told + time_s * np.quantile(speeds, probability, axis=0)
 
     @cached_property
@@ -229,26 +248,48 @@ class FaultySteps:
         Of any part, and of one that the robot can have moved so; infinite where there is none. The ends of
         the latter.
         """
-        within = (self._ends[:, 0] >= start) & (self._ends[:, 1] <= end)
-        if not within.any():
+        ends, squares, possible, _ = self._asked(start, end, expected, claim)
+        if not len(ends):
             return math.inf, math.inf, (start, end)
-        first, last = self._ends[within].T
-        poses = self._poses
+        able = np.where(possible, squares, np.inf)
+        best = int(able.argmin())
+        return float(squares.min()), float(able[best]), (int(ends[best, 0]), int(ends[best, 1]))
+
+    def likelihood(self, start: int, end: int, expected: Motion, claim: Motion) -> float:
+        """Log of the density of a claim where a step was wrong that nothing saw.
+
+        As likely as such steps have turned out wrong; the arguments are those of `explain`.
+        """
+        ends, squares, possible, covariances = self._asked(start, end, expected, claim)
+        able = possible & self.unseen[ends[:, 0]]
+        if not able.any() or not np.isfinite(expected.covariance).all():
+            return -math.inf
+        densities = -0.5 * (squares + np.linalg.slogdet(2.0 * math.pi * covariances)[1])
+        return math.log(self.share) + float(densities[able].max())
+
+    def _asked(
+        self, start: int, end: int, expected: Motion, claim: Motion
+    ) -> tuple[NDArray[np.int64], FloatArray, BoolArray, FloatArray]:
+        """Of each part on the way: its ends (P, 2), the squared sigmas that a claim asks of it.
+
+        And whether the robot can have moved so, and the covariances (P, 3, 3) that it is asked by.
+        """
+        within = (self._ends[:, 0] >= start) & (self._ends[:, 1] <= end)
+        ends, poses = self._ends[within], self._poses
+        first, last = ends.T
         # From the end of each part to the end of the way, and what the part must have been.
         rest = composed(inverse(poses[last]), poses[[end]])
         to_part = composed(inverse(poses[[start]]), poses[first])
         needed = _off(to_part, composed(claim.pose[None], inverse(rest)))
         off = _off(_off(poses[first], poses[last]), needed)
         around = moved(np.repeat(expected.covariance[None], len(rest), axis=0), rest)
-        squares = _squares(off, self._bounded[within] + around)
+        covariances = self._bounded[within] + around
         # What is farther than it can have gone the ways to the part and on from it must explain.
         shares = np.minimum(1.0, self._farthest[within] / np.maximum(_moves(needed), TINY))
         beyond = _off(needed * shares[:, [0, 0, 1]], needed)
         ways = moved(self.known.relative_covariances(start, first, poses), inverse(composed(to_part, needed)))
         ways += moved(self.known.relative_covariances(end, last, poses) + claim.covariance, rest)
-        possible = np.where(_squares(beyond, ways) > self._gate, np.inf, squares)
-        best = int(possible.argmin())
-        return float(squares.min()), float(possible[best]), (int(first[best]), int(last[best]))
+        return ends, _squares(off, covariances), _squares(beyond, ways) <= self._gate, covariances
 
 
 def _moves(motions: FloatArray) -> FloatArray:

@@ -16,22 +16,24 @@ import numpy as np
 from fusion.estimation import FEWEST, gate
 from slam.config.stages import LoopConfig, MatchConfig
 from slam.graph.consistent_sets import Known, after
+from slam.graph.edge import Edge, EdgeKind
+from slam.graph.faulty_steps import FaultySteps
 from slam.graph.loop_closure import LoopCandidate, found_motion
 from slam.graph.submaps import SubmapStore
-from slam.matching.correlative import build_field, search_window
+from slam.matching.correlative import search_window
 from slam.matching.match_covariance import motion_from_alignment
 from slam.matching.motion import Motion
 from slam.matching.planar import between, compose, diagonal
-from slam.measurements import FloatArray
+from slam.measurements import BoolArray, FloatArray
 
 
 class Claim(NamedTuple):
-    """That a keyframe is at a place; what the scans along both ways say for it, and those that fit."""
+    """That a keyframe is at a place; what each scan along both ways says, in nats, and those that fit."""
 
     place: int
     keyframe: int
     said: Motion
-    nats: float
+    told: dict[int, float]
     fits: list[LoopCandidate]
 
 
@@ -44,11 +46,26 @@ class FollowedClaims:
         self._least, self._most = (share * gate(3, config.inlier_probability) for share in (0.5, 1.0))
         self._window = 2.0 * math.pi * (2.0 * window_m) ** 2
         self._claims: list[Claim] = []
+        # How often a step is wrong that wheels alone tell; the least that is said of where a way ends.
+        self._wrong, self._least_nats = 0.5, -math.inf
+
+    def loosened(self, edges: Sequence[Edge], kept: BoolArray, held: Sequence[Edge]) -> list[Edge]:
+        """Edges that are held without those by which steps that nothing saw are as certain as wheels are.
+
+        How many of all edges of that kind were not kept tells how often such a step is wrong.
+        """
+
+        def sure(edge: Edge) -> bool:
+            return edge.kind is EdgeKind.WHEEL and self._submaps.parted(edge.source, edge.target)
+
+        told = [keep for edge, keep in zip(edges, kept.tolist(), strict=True) if sure(edge)]
+        self._wrong = (1.0 + told.count(False)) / (2.0 + len(told))
+        return [edge for edge in held if not sure(edge)]
 
     def follow(self, place: int, keyframe: int, pose: FloatArray) -> None:
         """Take a claim: the pose (3,) of a keyframe in the frame of a place, searched in a window."""
         nats, fits = self._judged(place, keyframe, pose)
-        begun = found_motion(fits[0]).pose if fits else pose
+        told, begun = {keyframe: nats}, found_motion(fits[0]).pose if fits else pose
         for onward in (1, -1):
             at, expected, said = place, begun, 0.0
             for key in range(
@@ -61,22 +78,35 @@ class FollowedClaims:
                 if near is None:
                     break
                 at, expected = near
-                told, fit = self._judged(at, key, expected)
-                said, expected = said + told, found_motion(fit[0]).pose if fit else expected
+                told[key], fit = self._judged(at, key, expected)
+                said, expected = said + told[key], found_motion(fit[0]).pose if fit else expected
                 fits += fit
-            nats += said
-        if nats > 0.5 * self._least:
+        if self._looks(told, keyframe) > 0.5 * self._least:
             sigma_m = self._match.coarse_cell_m / self._config.sigmas
             covariance = diagonal(sigma_m**2, sigma_m**2, (sigma_m / self._config.reach_m) ** 2)
-            self._claims.append(Claim(place, keyframe, Motion(pose, covariance), nats, fits))
+            self._claims.append(Claim(place, keyframe, Motion(pose, covariance), told, fits))
 
-    def believed(self, untied: Sequence[int], poses: FloatArray, known: Known) -> list[LoopCandidate]:
-        """Loops of the likeliest claims by an estimate, poses (n, 3); else of two that bear out each other.
+    def believed(
+        self, untied: Sequence[int], poses: FloatArray, known: Known, loose: Known, faulty: FaultySteps
+    ) -> list[LoopCandidate]:
+        """Loops of the likeliest claims by an estimate, poses (n, 3); else of those that bear out each other.
 
-        ``untied`` are the keyframes that no loop ties to an earlier place.
+        Parameters
+        ----------
+        untied
+            Keyframes that no loop ties to an earlier place.
+        known, loose
+            What the estimate says of a way, and what it says where steps that wheels alone tell may be wrong.
         """
         claims = [one for one in self._claims if one.keyframe in untied]
-        odds = [self._looks(one) + self._expected(known(one.place, one.keyframe), one) for one in claims]
+        # However uncertain the way, it ends on the map.
+        on_map = 2.0 * math.pi * float(np.ptp(poses[:, :2], axis=0).max()) ** 2
+        self._least_nats = -math.log(max(on_map / self._window, 1.0))
+        looks = [self._looks(one.told, one.keyframe) for one in claims]
+        odds = [
+            min(look, self._most) + self._expected(known(one.place, one.keyframe), one)
+            for look, one in zip(looks, claims, strict=True)
+        ]
         at = [compose(poses[one.place], one.said.pose)[:2] for one in claims]
         chosen: list[Claim] = []
         for n in np.argsort(odds)[::-1].tolist():
@@ -88,25 +118,75 @@ class FollowedClaims:
             clear = odds[n] - max(rivals, default=-math.inf) > 0.5 * self._least
             if odds[n] > self._least and clear and all(self._apart(claims[n], one) for one in chosen):
                 chosen.append(claims[n])
-        if not chosen:
-            strong = [(odd, one) for odd, one in zip(odds, claims, strict=True) if one.nats > self._least]
-            best = self._most  # of so many pairs chance makes one likely
-            for odd, one in strong:
-                for other in (claim for _, claim in strong if self._apart(one, claim)):
-                    onward = after(one.said, known(one.keyframe, other.keyframe))
-                    borne = self._expected(after(known(other.place, one.place), onward), other)
-                    if borne > 0.0 and odd + self._looks(other) + borne > best:
-                        best, chosen = odd + self._looks(other) + borne, [one, other]
-        chosen = chosen[: self._config.near]
+        chosen = chosen[: self._config.near] or self._agreeing(claims, odds, known, loose, faulty)
         self._claims = [one for one in self._claims if all(one is not other for other in chosen)]
         return [fit for one in chosen for fit in one.fits]
+
+    def _agreeing(
+        self, claims: list[Claim], odds: list[float], known: Known, loose: Known, faulty: FaultySteps
+    ) -> list[Claim]:
+        """The likeliest claims that agree on how wrong steps were that wheels alone tell.
+
+        That is paid for once, and what a scan says counts once.
+        """
+        ways = [self._likeliest(one, known, loose, faulty) for one in claims]
+        able = [n for n, nats in enumerate(ways) if self._most + nats > 0.0]
+        sets: dict[int, tuple[float, list[int]]] = {}
+        for n in able:
+            one = claims[n]
+            same = [m for m in able if m == n or self._borne(one, claims[m], known) > 0.0]
+            told: dict[int, float] = {}
+            for key, nats in (item for m in same for item in claims[m].told.items()):
+                told[key] = max(nats, told.get(key, nats))
+            # A whole wing may be a copy; where two have no scan in common less so.
+            most = self._most + self._least * any(self._apart(one, claims[m]) for m in same)
+            sets[n] = min(self._looks(told, one.keyframe), most) + ways[n], same
+        for n, (odd, same) in sorted(sets.items(), key=lambda item: -item[1][0]):
+            rivals = [
+                max(odds[m], sets.get(m, (-math.inf,))[0])
+                for m, other in enumerate(claims)
+                if m not in same
+                and not self._apart(claims[n], other)
+                and self._borne(claims[n], other, known) <= 0.0
+            ]
+            if odd > self._least and odd - max(rivals, default=-math.inf) > 0.5 * self._least:
+                return [claims[m] for m in same]
+        return []
+
+    def _likeliest(self, one: Claim, known: Known, loose: Known, faulty: FaultySteps) -> float:
+        """What the way says of a claim, in nats: as it is known, or with steps, or one of them, wrong."""
+        ends = one.place, one.keyframe
+        way = known(*ends).widened(one.said.covariance)
+        return max(
+            self._expected(known(*ends), one),
+            math.log(self._wrong) + self._expected(loose(*ends), one),
+            math.log(self._window) + faulty.likelihood(*ends, way, one.said),
+        )
+
+    def _borne(self, one: Claim, other: Claim, known: Known) -> float:
+        """By how many nats a claim makes another likelier."""
+        onward = after(one.said, known(one.keyframe, other.keyframe))
+        way = after(known(other.place, one.place), onward)
+        away_m = math.dist(way.pose[:2], other.said.pose[:2])
+        if one.keyframe == other.keyframe and away_m > self._config.reach_m:
+            return -math.inf
+        return self._expected(way, other)
+
+    def _looks(self, told: dict[int, float], keyframe: int) -> float:
+        """What all scans say; those behind a step that nothing saw no more than that it may be wrong."""
+        said = {1: 0.0, -1: 0.0}
+        for onward in said:
+            for key in sorted(told, key=lambda key: -onward * key):
+                if (key - keyframe) * onward > 0:
+                    said[onward] += told[key]
+                    if self._submaps.parted(key, key - onward):
+                        right, wrong = math.log1p(-self._wrong), math.log(self._wrong)
+                        said[onward] = float(np.logaddexp(right + said[onward], wrong))
+        return told[keyframe] + sum(said.values())
 
     def _apart(self, one: Claim, other: Claim) -> bool:
         """Whether no scan speaks for both of two claims."""
         return abs(one.keyframe - other.keyframe) > 2 * self._config.half_keyframes
-
-    def _looks(self, claim: Claim) -> float:
-        return min(claim.nats, self._most)
 
     def _expected(self, way: Motion, claim: Claim) -> float:
         """By how many nats the way to a claim's keyframe makes it likelier than a pose anywhere in a window.
@@ -117,7 +197,8 @@ class FollowedClaims:
             return 0.0
         way = way.widened(claim.said.covariance)
         tail = 3 * math.log1p(way.squared_mahalanobis(claim.said.pose) / 3)
-        return math.log(self._window / math.sqrt((2.0 * math.pi) ** 3 * way.volume())) - tail
+        nats = math.log(self._window / math.sqrt((2.0 * math.pi) ** 3 * way.volume()))
+        return max(nats, self._least_nats) - tail
 
     def _nearest(self, place: int, pose: FloatArray, key: int) -> tuple[int, FloatArray] | None:
         """The place next to a pose (3,), of those near one on its way, and the pose from there."""
@@ -145,9 +226,8 @@ class FollowedClaims:
         contradicted = local_map.contradicted(scan, found.pose)
         if contradicted > few or found.inlier_share < config.least_overlap:
             # The step before may be off by more than an alignment mends.
-            field = build_field(local_map.points.points, 2.0 * match.cell_m, match.coarse_cell_m)
             window = pose, config.every_m, match.search_half_yaw_rad / 4, match.search_least_score
-            better = search_window(field, scan.thinned(match.search_points), *window)
+            better = search_window(self._submaps.field(place), scan.thinned(match.search_points), *window)
             again = local_map.align(scan, better.pose)
             if better.found and again.inlier_share > found.inlier_share:
                 found, contradicted = again, local_map.contradicted(scan, again.pose)
@@ -155,6 +235,10 @@ class FollowedClaims:
             return 0.0, []
         nats = max(math.log(4) * (1.0 - contradicted / few), -2)
         if nats <= 0.0 or found.inlier_share < config.least_overlap or key < place:
+            return nats, []
+        # What may lie elsewhere told that it fits, but not where the place itself lies.
+        found = self._submaps.surroundings(place, own=True).align(scan, found.pose)
+        if found.inlier_share < config.least_overlap:
             return nats, []
         motion = motion_from_alignment(found, match)
         motion = replace(motion, covariance=motion.covariance * config.caution)

@@ -91,14 +91,19 @@ class PlaceSearch:
         if not self._config.enabled or len(poses) < 2:
             return []
         held = believed_edges(edges, kept, poses)
-        if self._stretches is None and self._submaps.wide_m(0.0, 1.0) > self._config.reach_m:
-            # A place is seen once by each pass.
-            self._submaps.lay(poses)
+        if self._stretches is None and self._submaps.sparse:
+            seen = {edge.target for edge in edges if edge.kind not in GUESSES}
+            self._submaps.lay(poses, [key for key in range(1, len(poses)) if key not in seen])
             self._stretches = Stretches(self._submaps, self._config, self._match)
             window_m = self._stretches.window_m
             self._followed = FollowedClaims(self._submaps, self._config, self._match, window_m)
         if self._followed is not None and self._stretches is not None:
-            return self._follow(self._stretches, self._followed, poses, graph_of(len(poses), held), loops)
+            loosened = self._followed.loosened(edges, kept, held)
+            least_m, lever_m = self._match.coarse_cell_m, self._config.reach_m
+            probability = self._config.inlier_probability
+            faulty = FaultySteps(edges, held, poses, self._graph, least_m, lever_m, stamps_s, probability)
+            graphs = graph_of(len(poses), held), graph_of(len(poses), loosened)
+            return self._follow(self._stretches, self._followed, poses, graphs, faulty, loops)
         if self._stretches is None or self._sets is None:
             self._stretches = Stretches(self._submaps, self._config, self._match)
             # Where scans lie far apart only the whole run has told how far wheels can be believed.
@@ -136,19 +141,30 @@ class PlaceSearch:
         stretches: Stretches,
         followed: FollowedClaims,
         poses: FloatArray,
-        known: UncertaintyGraph,
+        graphs: tuple[UncertaintyGraph, UncertaintyGraph],
+        faulty: FaultySteps,
         loops: Sequence[LoopCandidate],
     ) -> list[LoopCandidate]:
-        """Search as `search`, where each claim is followed along both ways."""
+        """Search as `search`, where each claim is followed along both ways.
+
+        By the first of two graphs; where that finds nothing also by the other, in which steps may be wrong.
+        """
+        known, loose = (_Known(poses, graph) for graph in graphs)
         untied = stretches.untied(loops)
-        for number in untied:
-            for place in stretches.candidates(number, *self._possible(number, poses, known)):
-                if (place, number) not in self._tried:
-                    self._tried.add((place, number))
-                    if found := self._searched(stretches, place, number):
-                        ends = int(stretches.keys[place]), int(stretches.keys[number])
-                        followed.follow(*ends, np.array(found))
-        return followed.believed(stretches.keys[untied].tolist(), poses, _Known(poses, known))
+        keys = stretches.keys[untied].tolist()
+        for wider in (False, True):
+            for number, key in zip(untied, keys, strict=True):
+                possible, apart_m = self._possible(number, poses, graphs[0])
+                if wider:
+                    possible = ~possible & self._possible(number, poses, graphs[1])[0]
+                for place in stretches.candidates(number, possible, apart_m):
+                    if (place, number) not in self._tried:
+                        self._tried.add((place, number))
+                        if found := self._searched(stretches, place, number):
+                            followed.follow(int(stretches.keys[place]), key, np.array(found))
+            if believed := followed.believed(keys, poses, known, loose, faulty):
+                return believed
+        return []
 
     def _possible(
         self, number: int, poses: FloatArray, known: UncertaintyGraph

@@ -39,8 +39,8 @@ class UncertaintyGraph:
         self._edges = 0
         self._heads = np.full(64, -1, np.int64)
         self._next = np.full(256, -1, np.int64)
-        # Of each edge, the part of the way that it crosses and that may be left out.
-        self._parts = np.full(256, -1, np.int64)
+        # Of each edge, the first and last part of the way that it crosses and that may be left out.
+        self._parts = np.full((256, 2), -1, np.int64)
 
     def add_node(self) -> None:
         """Add the next node."""
@@ -56,11 +56,16 @@ class UncertaintyGraph:
             self._heads = np.concatenate([self._heads, np.full_like(self._heads, -1)])
 
     def add_edge(
-        self, source: int, target: int, relative: FloatArray, covariance: FloatArray, part: int = -1
+        self,
+        source: int,
+        target: int,
+        relative: FloatArray,
+        covariance: FloatArray,
+        parts: tuple[int, int] = (-1, -1),
     ) -> None:
         """Join two nodes; ``relative`` (3,) and ``covariance`` (3, 3) as in ``pose_graph.Edge``.
 
-        All edges of a ``part`` can be left out of a search together.
+        Edges that cross a part, from the first of their ``parts`` to the last, can be left out of a search.
         """
         cost = covariance[0, 0] + covariance[1, 1] + _LEVER_M**2 * covariance[2, 2]
         step = np.concatenate([relative, covariance.ravel(), [cost]])[None]
@@ -75,8 +80,8 @@ class UncertaintyGraph:
             step = _then(step, _back(self._inside[[target]]))
         if np.isfinite(step[0, _COST]):
             ends = source // self._stride, target // self._stride
-            self._append(ends, step[0], part)
-            self._append(ends[::-1], _back(step)[0], part)
+            self._append(ends, step[0], parts)
+            self._append(ends[::-1], _back(step)[0], parts)
 
     def relative_covariances(
         self, start: int, targets: NDArray[np.int64], poses: FloatArray, without: int = -2
@@ -106,7 +111,8 @@ class UncertaintyGraph:
         # An edge is put into the queue once at most, from its source.
         queue = np.empty(self._edges + 1), np.empty(self._edges + 1, np.int64)
         first = start // self._stride
-        edges, barred = (self._heads, self._next, self._ends, self._steps), self._parts == without
+        edges = self._heads, self._next, self._ends, self._steps
+        barred = (self._parts[:, 0] <= without) & (without <= self._parts[:, 1])
         _follow(first, wanted, anchors, *edges, distance, seen, *queue, barred)
         # Where the nine elements of a symmetric matrix are in its upper triangle.
         found = seen[targets // self._stride][:, [0, 1, 2, 1, 3, 4, 2, 4, 5]].reshape(-1, 3, 3)
@@ -117,7 +123,7 @@ class UncertaintyGraph:
         found[np.isinf(distance[targets // self._stride] + own[:, _COST] + others[:, _COST])] = np.inf
         return found
 
-    def _append(self, ends: tuple[int, int], step: FloatArray, part: int) -> None:
+    def _append(self, ends: tuple[int, int], step: FloatArray, parts: tuple[int, int]) -> None:
         """One direction of an edge between two anchors."""
         k = self._edges
         if k == self._next.size:
@@ -127,7 +133,7 @@ class UncertaintyGraph:
             self._steps = np.concatenate([self._steps, np.zeros_like(self._steps)])
         self._next[k] = self._heads[ends[0]]
         self._heads[ends[0]] = k
-        self._ends[k], self._parts[k] = ends, part
+        self._ends[k], self._parts[k] = ends, parts
         self._steps[k] = step
         self._edges += 1
 
@@ -154,7 +160,7 @@ class UncertaintyGraph:
         self._edges = 0
         self._heads[:] = -1
         for pair, k in zip(ends[kept].tolist(), kept, strict=True):
-            self._append(pair, steps[k], int(parts[k]))
+            self._append(pair, steps[k], (int(parts[k, 0]), int(parts[k, 1])))
 
 
 def _then(a: FloatArray, b: FloatArray) -> FloatArray:

@@ -12,7 +12,7 @@ from fusion.estimation import FEWEST
 from slam.config.stages import LoopConfig, MatchConfig
 from slam.graph.loop_closure import LoopCandidate
 from slam.graph.submaps import SubmapStore
-from slam.matching.correlative import SearchResult, build_field, search_window
+from slam.matching.correlative import SearchResult, search_window
 from slam.matching.hough_spectrum import SpectrumBank, hough_spectrum
 from slam.measurements import BoolArray, FloatArray
 
@@ -83,7 +83,7 @@ class Stretches:
         """The pose of the middle of a stretch in the frame of that of another, over the full turn."""
         match = self._match
         return search_window(
-            build_field(self._runs[place].points, 2.0 * match.cell_m, match.coarse_cell_m),
+            self._submaps.field(int(self.keys[place])),
             self._runs[number].thinned(match.search_points),
             np.zeros(3),
             self.window_m,

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from bisect import bisect_left
+from bisect import bisect_left, bisect_right
 from collections import OrderedDict
 from collections.abc import Callable, Sequence
 from dataclasses import replace
@@ -57,9 +57,11 @@ class SubmapStore:
         self._poses: list[FloatArray] = []
         self._travelled_m: list[float] = []
         self._sessions: list[int] = []
+        self._begun: list[int] = []
         self._places: list[int] = []
         self._cache: OrderedDict[int, Submap] = OrderedDict()
-        self._surroundings: dict[int, LocalMap] = {}
+        self._surroundings: dict[tuple[int, int, int], LocalMap] = {}
+        self._fields: dict[int, LikelihoodField] = {}
 
     def add(
         self,
@@ -126,6 +128,11 @@ class SubmapStore:
         return max(least_m, scans * self._travelled_m[-1] / max(len(self), FEWEST))
 
     @property
+    def sparse(self) -> bool:
+        """Whether scans lie so far apart that each pass sees a place once."""
+        return self.wide_m(0.0, 1.0) > self._reach_m
+
+    @property
     def least_path_m(self) -> float:
         """Way round below which it is no loop: the surroundings of both ends would share scans.
 
@@ -137,21 +144,42 @@ class SubmapStore:
         """(3,) of a keyframe, odometry frame."""
         return self._poses[key]
 
-    def lay(self, poses: FloatArray) -> None:
-        """Let all lie as a finished run tells: of scans far apart it knows more than the odometry did."""
+    def lay(self, poses: FloatArray, begun: Sequence[int]) -> None:
+        """Let all lie as a finished run tells: of scans far apart it knows more than the odometry did.
+
+        Nothing saw the way to the keyframes in ``begun``: what was seen before may lie elsewhere.
+        """
         self._poses = list(poses)
+        self._begun = list(begun)
         self._cache.clear()
 
-    def surroundings(self, key: int) -> LocalMap:
-        """What is seen on the way to a keyframe and on from it, and what those scans have looked through."""
-        if key not in self._surroundings:
+    def parted(self, one: int, other: int) -> bool:
+        """Whether nothing saw the way between two keyframes."""
+        return bisect_right(self._begun, one) != bisect_right(self._begun, other)
+
+    def surroundings(self, key: int, *, own: bool = False) -> LocalMap:
+        """What is seen on the way to a keyframe and on from it, and what those scans have looked through.
+
+        ``own`` leaves out what may lie elsewhere, for nothing saw the way there.
+        """
+        members = [k for k in self._around(key) if not own or not self.parted(key, k)]
+        if (known := (key, members[0], members[-1])) not in self._surroundings:
             images = []
-            for k in (members := self._around(key)):
+            for k in members:
                 points = self._surfaces[k].points
                 images.append(RangeImage.of(points, between(self._poses[key], self._poses[k]), points))
             local_map = _local_map(self._surfaces, self._poses, key, members, self._match)
-            self._surroundings[key] = replace(local_map, images=images)
-        return self._surroundings[key]
+            self._surroundings[known] = replace(local_map, images=images)
+        return self._surroundings[known]
+
+    def field(self, key: int) -> LikelihoodField:
+        """Of what is seen on the way to a keyframe and on from it, coarse: for searches in wide windows."""
+        if key in self._fields:
+            return self._fields[key]
+        field = build_field(self.run(key).points, 2.0 * self._match.cell_m, self._match.coarse_cell_m)
+        if self.sparse:
+            self._fields[key] = field
+        return field
 
     def _around(self, key: int) -> list[int]:
         """Keyframes on the way to one and on from it, a few of them."""

@@ -176,7 +176,7 @@ class PlanarWay:
             self.readings.read_wheels_at(self._wheels.clock.significant_s, None if used else led)
         stamps_s = self.readings.scan_stamps_s()[self.readings.keyframe_scans()]
         self._chain.settle(graph, stamps_s, before, self.readings.keyframe_wheels())
-        settle_wheels(graph, self._config.loops.reach_m)
+        settle_wheels(graph, self._config.loops.reach_m, self.readings.keyframe_wheels())
 
     def learned(self) -> tuple[Any, ...]:
         """What the whole way has told: plain objects, for `take_over`."""

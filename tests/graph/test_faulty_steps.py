@@ -17,7 +17,7 @@ from slam.graph.place_search import PlaceSearch, believed_edges
 from slam.mapper.planar_chain import edges_of
 from slam.matching.motion import Motion
 from slam.matching.planar import between, compose
-from slam.measurements import FloatArray, pose2_from_row
+from slam.measurements import FloatArray, pose2_from_row, row_from_pose2
 
 SURE, BY_WHEELS = np.diag([0.01, 0.01, 0.003]) ** 2, np.diag([0.5, 0.5, 0.8]) ** 2
 STEP = np.array([1.0, 0.0, 0.05])
@@ -46,6 +46,15 @@ def walked(steps: list[FloatArray]) -> FloatArray:
 
 
 POSES = walked([STEP] * (COUNT - 1))
+
+
+def wheels_of(graph: KeyframeGraph) -> FloatArray:
+    """Where the wheels alone have the nodes."""
+    steps = [STEP] * (len(graph) - 1)
+    for edge in graph.graph.edges:
+        if edge.kind is EdgeKind.WHEEL and edge.target == edge.source + 1:
+            steps[edge.source] = row_from_pose2(edge.T_source_target)
+    return walked(steps)
 
 
 def squares(
@@ -101,6 +110,23 @@ def test_no_step_is_farther_than_a_robot_goes_in_its_time(far_m: float, gap_s: f
     assert squares((GAP,), claimed, gap_s=2.0 * far_m) < np.inf
 
 
+def test_that_a_step_was_wrong_costs_what_such_steps_have_shown() -> None:
+    """However far that throws what lies behind; were it as certain as wheels are, hundreds of nats."""
+    tight = step(GAP, SURE, EdgeKind.WHEEL, trusted=False)
+    edges, loose = chain(), step(GAP, BY_WHEELS, EdgeKind.ASSUMED, trusted=True)
+    edges[GAP] = loose
+    edges.append(tight)
+    stamps_s = np.arange(float(COUNT)) + 30.0 * (np.arange(COUNT) > GAP)
+    faulty = FaultySteps(edges, edges, POSES, GraphConfig(), 0.3, 3.0, stamps_s, 0.99)
+    assert np.flatnonzero(faulty.unseen).tolist() == [GAP]
+    assert faulty.share == pytest.approx(1.0 / 3.0), "it is where wheels say"
+    known, claimed = Motion(bent(), np.diag([0.1, 0.1, 0.02]) ** 2), bent((GAP, 1.2))
+    assert -8.0 < faulty.likelihood(5, 70, known, Motion(claimed, SURE)) < 0.0
+    assert known.squared_mahalanobis(claimed) > 1000.0
+    far = claimed + np.array([100.0, 0.0, 0.0])
+    assert faulty.likelihood(5, 70, known, Motion(far, SURE)) == -np.inf
+
+
 @pytest.mark.parametrize("repeats", [True, False])
 def test_a_fault_is_not_believed_where_places_look_like_their_neighbours(repeats: bool) -> None:
     """Claims across the gap agree that it was wrong; what follows from them fits within a matched run."""
@@ -144,7 +170,7 @@ def test_wheels_alone_are_as_certain_as_long_stretches_prove(proved: bool) -> No
             off = between(POSES[key], POSES[key + 10]) + [0.01, 0.01, 0.02] * rng.standard_normal(3)
             far = Edge(key, key + 10, pose2_from_row(off), BY_WHEELS, EdgeKind.WHEEL, trusted=False)
             graph.add_edge(far)
-    settle_wheels(graph, 0.9)
+    settle_wheels(graph, 0.9, wheels_of(graph))
     of_gap = [edge for edge in graph.graph.edges if (edge.source, edge.target) == (GAP, GAP + 1)]
     sigmas = [float(np.sqrt(edge.covariance[2, 2])) for edge in of_gap]
     if proved:
@@ -164,7 +190,7 @@ def test_scans_far_apart_prove_wheels_step_by_step(least_m: float) -> None:
         seen = {"match": match if key % 2 else None, "match_open": bool(key % 2)}
         edges = edges_of(key, STEP, wheels=wheels, cameras=[], config=GraphConfig(), **seen)
         graph.add_keyframe(pose2_from_row(STEP), edges)
-    settle_wheels(graph, least_m)
+    settle_wheels(graph, least_m, wheels_of(graph))
     edges = [edge for edge in graph.graph.edges if edge.kind is EdgeKind.WHEEL]
     assert any(edge.trusted for edge in edges) == (least_m > 1.0)
     if least_m > 1.0:
@@ -175,19 +201,25 @@ def test_scans_far_apart_prove_wheels_step_by_step(least_m: float) -> None:
         assert sigmas == pytest.approx([claimed[0], 0.02, 0.01], rel=0.5)
 
 
-def test_wheels_of_scans_far_apart_are_calibrated_by_those_that_match() -> None:
-    """Every second step matches; the radii differ, and a metre is too long, on all of them."""
+@pytest.mark.parametrize("learned", [1.0, 1 / 1.03])
+def test_wheels_of_scans_far_apart_are_calibrated_by_those_that_match(learned: float) -> None:
+    """Every second step matches; the radii differ, and a metre is too long, on all of them.
+
+    What a metre is may have been learned on the way: from half of it on edges tell it so.
+    """
     graph, rng = KeyframeGraph(gtsam.Pose2(), GraphConfig()), np.random.default_rng(0)
+    poses = [np.zeros(3)]
     for key in range(1, 80):
         true = np.array([6.0, 0.0, 0.8 * (key % 5 == 0)])
         told = true * [1.03, 1.0, 1.02] + [0.0, 0.0, 0.01] + 0.005 * rng.standard_normal(3)
         match = Motion(true, np.diag([1e-4, 1e-4, 1e-6])) if key % 2 else None
-        wheels = Motion(told, BY_WHEELS)
+        poses.append(compose(poses[-1], told))
+        wheels = Motion(told * [1.0 if key < 40 else learned, 1.0, 1.0], BY_WHEELS)
         edges = edges_of(key, true, match, wheels, [], GraphConfig())
         graph.add_keyframe(pose2_from_row(true), edges)
     far = Edge(0, 4, pose2_from_row(np.array([24.7, 0.6, 0.04])), BY_WHEELS, EdgeKind.WHEEL, trusted=False)
     graph.add_edge(far)
-    settle_wheels(graph, 0.9)
+    settle_wheels(graph, 0.9, np.array(poses))
     for edge in graph.graph.edges:
         if edge.kind is EdgeKind.WHEEL:
             steps = edge.target - edge.source
