@@ -138,7 +138,7 @@ class KeyframeGraph:
     def _unproved(self, kept: BoolArray) -> set[tuple[int, int]]:
         """Steps that wheels alone tell, where one of them must be expected to be grossly wrong.
 
-        As often as one of the steps is that matches tell, too.
+        As often as one of the steps is that matches tell, too, or as loops have refused one of their own.
         """
         wheels, proved, wrong = set[tuple[int, int]](), set[tuple[int, int]](), set[tuple[int, int]]()
         for edge, keep in zip(self.graph.edges, kept, strict=True):
@@ -149,7 +149,8 @@ class KeyframeGraph:
             elif edge.kind not in GUESSES and keep:
                 proved.add(ends)
         alone = wheels - proved
-        return alone if len(alone) * len(wrong & proved) >= len(wheels & proved) > 0 else set()
+        share = max(len(wrong & group) / max(len(group), 1) for group in (wheels & proved, alone))
+        return alone if len(alone - wrong) * share >= 1.0 else set()
 
     def optimize(self, inlier_probability: float) -> BatchResult:
         """Solve everything anew; a loop that disagrees with the others is marked as refused."""

@@ -322,3 +322,14 @@ class TestLoops:
             follow(graph, AHEAD, None if n in gaps else step(), ahead if n in gaps else wheels)
         pieces = len(set(graph.pieces(graph.optimize(PROBABILITY).kept)))
         assert pieces == (1 if len(gaps) < 10 else len(gaps) + 1)
+
+    @pytest.mark.parametrize("refused", [(), (25, 35, 45, 55)])
+    def test_wheels_that_loops_have_refused_hold_nothing_alone(self, refused: tuple[int, ...]) -> None:
+        """Right wherever a scan tells, too: where none does, loops have refused one in ten."""
+        graph, gaps, ahead = empty(), range(20, 60), Motion(AHEAD, ROUGH)
+        for n in range(80):
+            follow(graph, AHEAD, None if n in gaps else step(), ahead)
+        kept = graph.optimize(PROBABILITY).kept.copy()
+        for k, edge in enumerate(graph.graph.edges):
+            kept[k] &= edge.kind is not EdgeKind.WHEEL or edge.source not in refused
+        assert len(set(graph.pieces(kept))) == (len(gaps) + 1 if refused else 1)
