@@ -22,7 +22,7 @@ def _of_files_kb() -> int:
 def test_the_code_of_libraries_leaves_and_comes_back(monkeypatch: pytest.MonkeyPatch) -> None:
     before, world = _of_files_kb(), np.linalg.inv(np.diag([2.0, 4.0]))
     heap.end_stage()
-    assert _of_files_kb() >= before  # others may run here
+    assert _of_files_kb() > before / 2  # others may run here
     monkeypatch.setattr(heap, "own_process", True)
     heap.end_stage()
     assert _of_files_kb() < before / 2

@@ -20,6 +20,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+from slam import heap
 from slam.comparison.files import ERRORS, FAILURE, MAPS, MEASURED, TRAJECTORY
 from slam.comparison.run import SCANWEAVE, Run
 from slam.errors import EvaluationError, ScanweaveError
@@ -27,7 +28,7 @@ from slam.errors import EvaluationError, ScanweaveError
 
 def main() -> None:
     """Do a job; what stopped it is told in a file of one line, with the whole story in the log."""
-    job_path, folder = Path(sys.argv[1]), Path(sys.argv[2])
+    job_path, folder, heap.own_process = Path(sys.argv[1]), Path(sys.argv[2]), True
     threading.Thread(target=_end_with_parent, daemon=True).start()
     logging.basicConfig(level=logging.INFO, format="%(message)s", stream=sys.stderr)
     try:

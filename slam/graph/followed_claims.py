@@ -156,11 +156,11 @@ class FollowedClaims:
     def _likeliest(self, one: Claim, known: Known, loose: Known, faulty: FaultySteps) -> float:
         """What the way says of a claim, in nats: as it is known, or with steps, or one of them, wrong."""
         ends = one.place, one.keyframe
-        way = known(*ends).widened(one.said.covariance)
+        way = known(*ends)
         return max(
-            self._expected(known(*ends), one),
+            self._expected(way, one),
             math.log(self._wrong) + self._expected(loose(*ends), one),
-            math.log(self._window) + faulty.likelihood(*ends, way, one.said),
+            math.log(self._window) + faulty.likelihood(*ends, way.widened(one.said.covariance), one.said),
         )
 
     def _borne(self, one: Claim, other: Claim, known: Known) -> float:

@@ -207,11 +207,11 @@ def graph_of(nodes: int, edges: Iterable[Edge], parts: NDArray[np.int64] | None 
     for _ in range(nodes):
         graph.add_node()
     crossing: dict[tuple[int, int], tuple[int, int]] = {}
-    numbers = np.full(nodes, -1) if parts is None else parts
-    for ends in {(edge.source, edge.target) for edge in edges if edge.loop is None}:
-        crossed = numbers[min(ends) : max(ends)]
-        if (crossed := crossed[crossed >= 0]).size:
-            crossing[ends] = int(crossed[0]), int(crossed[-1])
+    if parts is not None:
+        for ends in {(edge.source, edge.target) for edge in edges if edge.loop is None}:
+            crossed = parts[min(ends) : max(ends)]
+            if (crossed := crossed[crossed >= 0]).size:
+                crossing[ends] = int(crossed[0]), int(crossed[-1])
     for ends, motion in together(edges).items():
         graph.add_edge(*ends, motion.pose, motion.covariance, crossing.get(ends, (-1, -1)))
     return graph
