@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import defaultdict
 from collections.abc import Iterable, Sequence
 
 import gtsam
@@ -29,27 +30,42 @@ def marginals(poses: Sequence[Pose], edges: Iterable[Edge]) -> FloatArray:
     -------
     (n, d, d), GTSAM's tangent of each pose.
     """
+    told, nothing = list[tuple[list[int], FloatArray, FloatArray]](), np.ones(1)
+
+    def eliminate(
+        factors: gtsam.GaussianFactorGraph, keys: gtsam.Ordering
+    ) -> tuple[gtsam.GaussianConditional, gtsam.GaussianFactor]:
+        clique, rest = gtsam.EliminateQR(factors, keys)
+        # What these show is the clique's own memory.
+        told.append((list(clique.keys()), clique.R().copy(), clique.S().copy()))
+        # The tree would keep all the rows that were put together, fifteen times as many as these.
+        return gtsam.GaussianConditional(0, nothing, np.diag(nothing)), rest
+
     graph, values = held_graph(poses, edges)
-    tree = graph.linearize(values).eliminateMultifrontal(None, gtsam.EliminateQR)
+    graph.linearize(values).eliminateMultifrontal(None, eliminate)
     size = 3 if isinstance(poses[0], gtsam.Pose2) else 6
     found, above = np.empty((len(poses), size, size)), dict[int, int]()
-    waiting = [(root, above, np.zeros((0, 0))) for root in tree.roots()]
+    clique_of = {key: n for n, (keys, root, _) in enumerate(told) for key in keys[: len(root) // size]}
+    below = defaultdict[int, list[int]](list)
+    for n, (keys, root, _) in enumerate(told):
+        # Of what it shares, the first that was eliminated is the clique's above.
+        below[min((clique_of[key] for key in keys[len(root) // size :]), default=-1)].append(n)
+    waiting = [(n, above, np.zeros((0, 0))) for n in below[-1]]
     while waiting:
         clique, above, known = waiting.pop()
-        told = clique.conditional()
-        keys, inverse = list(told.keys()), np.linalg.inv(told.R())
-        own = len(inverse)
+        keys, root, shares = told[clique]
+        inverse, own = np.linalg.inv(root), len(root)
         # R x + S y = noise, with y the nodes that the clique shares with the one above.
         rows = (
             np.array([above[key] for key in keys[own // size :]], np.int64)[:, None] + range(size)
         ).ravel()
-        shared, gain = known[np.ix_(rows, rows)], inverse @ told.S()
+        shared, gain = known[np.ix_(rows, rows)], inverse @ shares
         across = gain @ shared
         joint = np.block([[inverse @ inverse.T + across @ gain.T, -across], [-across.T, shared]])
         places = {key: size * place for place, key in enumerate(keys)}
         for key in keys[: own // size]:
             found[key] = joint[places[key] : places[key] + size, places[key] : places[key] + size]
-        waiting += [(clique[child], places, joint) for child in range(clique.nrChildren())]
+        waiting += [(child, places, joint) for child in below[clique]]
     return found
 
 

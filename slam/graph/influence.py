@@ -16,7 +16,7 @@ tests one observation for a blunder.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
@@ -130,21 +130,28 @@ class _Factor:
         except RuntimeError as error:
             raise GraphError("the edges that are kept do not join all keyframes") from error
         self._order = found.perm_c
-        self.solve: Callable[[FloatArray], FloatArray] = found.solve
         # With its diagonal as pivots the other factor is the transpose, but for the pivots.
         lower, self._roots = found.L.tocsc(), np.sqrt(found.U.diagonal())
         self._lower = lower.indptr, lower.indices, lower.data
         self._room = np.zeros((len(self._roots), 0))
 
+    def solve(self, right: FloatArray) -> FloatArray:
+        """(N,) by the information, of (N,); SciPy's own would be kept for it, as large as all the rest."""
+        x = np.empty((len(right), 1))
+        x[self._order, 0] = right
+        _forward(*self._lower, x, np.ones(len(right), np.bool_))
+        return self.backward(np.arange(len(right)), x / self._roots[:, None])[:, 0]
+
     def forward(self, jacobian: csr_array, rows: NDArray[np.int64]) -> tuple[NDArray[np.intp], FloatArray]:
         """L^-1 times each of some rows: (t,) where any is not zero, and (t, m) what is there."""
         if self._room.shape[1] != len(rows):
             self._room = np.zeros((len(self._roots), len(rows)))
+        told = np.zeros(len(self._roots), np.bool_)
         # By hand: to take rows out of a sparse matrix takes SciPy longer than all the rest.
         for place, row in enumerate(rows.tolist()):
             entries = slice(jacobian.indptr[row], jacobian.indptr[row + 1])
-            self._room[self._order[jacobian.indices[entries]], place] = jacobian.data[entries]
-        told = np.zeros(len(self._roots), np.bool_)
+            at = self._order[jacobian.indices[entries]]
+            self._room[at, place], told[at] = jacobian.data[entries], True
         _forward(*self._lower, self._room, told)
         (at,) = told.nonzero()
         found: FloatArray = self._room[at] / self._roots[at, None]
@@ -163,14 +170,13 @@ class _Factor:
 def _forward(
     first: NDArray[np.int32], below: NDArray[np.int32], lower: FloatArray, x: FloatArray, told: BoolArray
 ) -> None:
-    """Solve by a lower triangle of ones on the diagonal, by columns; told are the rows of x not zero then."""
+    """Solve by a lower triangle of ones on the diagonal, by columns; told are the rows of x not zero."""
     for column in range(len(x)):
-        solved = x[column]
-        for one in range(len(solved)):
-            told[column] |= solved[one] != 0.0
         if told[column]:
+            solved = x[column]
             for k in range(first[column], first[column + 1]):
                 if below[k] > column:
+                    told[below[k]] = True
                     other = x[below[k]]  # a row by itself: its loop then runs in vectors
                     for one in range(len(other)):
                         other[one] -= lower[k] * solved[one]
