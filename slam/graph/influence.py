@@ -83,7 +83,7 @@ class LinearMap:
         self._planar = isinstance(poses[0], gtsam.Pose2)
         self._size = 3 if self._planar else 6
         self._kept = np.array(kept, np.bool_)
-        self._jacobian, self._residuals = _linearized(poses, edges, self._size)
+        self._jacobian, self._residuals = linearized(poses, edges)
         self._factor = _Factor(self._jacobian[np.repeat(self._kept, self._size)])
         # One step to the very solution: optimisers stop a little before.
         self._residuals += self._jacobian @ self.step()
@@ -234,11 +234,12 @@ def elimination_order(nodes: int, edges: Sequence[Edge]) -> NDArray[np.int64]:
     return np.array([order.at(place) for place in range(nodes)], np.int64)
 
 
-def _linearized(poses: Sequence[Pose], edges: Sequence[Edge], size: int) -> tuple[csr_array, FloatArray]:
+def linearized(poses: Sequence[Pose], edges: Sequence[Edge]) -> tuple[csr_array, FloatArray]:
     """Whitened Jacobian (E d, (n - 1) d) and residuals (E d,) of the edges; node 0 does not move."""
     from scipy.sparse import csr_array
 
     graph, values = held_graph(poses, edges)
+    size = len(edges[0].covariance)
     # Counted from 1; node 0 comes first, and minus the residual last.
     rows, columns, entries = graph.linearize(values).sparseJacobian_()
     told = (rows > size) & (columns > size)
