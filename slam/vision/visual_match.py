@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import cast
+from typing import TYPE_CHECKING, cast
 
 import gtsam
 import numpy as np
@@ -12,7 +12,9 @@ import numpy as np
 from slam.config.stages import MatchConfig
 from slam.estimates import MotionEstimate
 from slam.measurements import FloatArray
-from slam.vision.prepared_frame import PreparedFrame
+
+if TYPE_CHECKING:
+    from slam.vision.prepared_frame import PreparedFrame
 
 
 @dataclass(slots=True)
