@@ -108,21 +108,15 @@ def settled(
         parts_of(base, sessions),
         told,
     )
-    return MapContents(
+    return replace(
+        base,
         node_poses=list(poses),
-        stamps_s=base.stamps_s,
-        readings=base.readings,
         trajectory=trajectory,
         factors=factors,
         loops=loops,
-        measured_scans=base.measured_scans,
-        keyframe_scans=base.keyframe_scans,
-        grids=base.grids,
-        cameras=base.cameras,
-        frames=base.frames,
-        clouds=base.clouds,
         covariances=covariances,
-        ground_m=base.ground_m,
+        georeference=None,  # both stay in the file: where the first node lies
+        places=None,
     )
 
 
