@@ -19,39 +19,9 @@ from slam.measurements import CameraIntrinsics, ColorImage, Float32Array
 from slam.simulation.faults import Fault, FaultMask, FaultyReadings, Surfaces, corrupt
 from slam.simulation.home_model import Material
 from slam.simulation.scene import PERSON, Hits, Scene
-from slam.simulation.sensor_models import (
-    HOKUYO_URG_04LX,
-    KINECT_V1,
-    REALSENSE_D435I,
-    RPLIDAR_A2,
-    SICK_LMS_180,
-    VLP_16,
-    XTION_PRO_LIVE,
-    CameraModel,
-    LidarModel,
-    RingLidarModel,
-)
+from slam.simulation.sensor_models import CameraModel, LidarModel, RingLidarModel
 from slam.simulation.texture import paint
 from slam.simulation.wall_tags import paint_tags
-
-__all__ = [
-    "HOKUYO_URG_04LX",
-    "KINECT_V1",
-    "REALSENSE_D435I",
-    "RPLIDAR_A2",
-    "SICK_LMS_180",
-    "VLP_16",
-    "XTION_PRO_LIVE",
-    "CameraModel",
-    "LidarModel",
-    "RingLidarModel",
-    "SimulatedCloud",
-    "SimulatedImage",
-    "SimulatedScan",
-    "render_rgbd",
-    "scan_lidar",
-    "scan_lidar_3d",
-]
 
 _GLASS_SEEN = 0.2  # share of its own colour in what one sees through a pane
 

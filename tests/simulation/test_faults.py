@@ -14,7 +14,8 @@ from slam.simulation.faults import NO_FAULTS, Fault, FaultConfig, FaultyReadings
 from slam.simulation.home_model import Material, Part, Thing, assemble
 from slam.simulation.rigs import camera_pose
 from slam.simulation.scene import Scene
-from slam.simulation.sensors import HOKUYO_URG_04LX, KINECT_V1, render_rgbd, scan_lidar
+from slam.simulation.sensor_models import HOKUYO_URG_04LX, KINECT_V1
+from slam.simulation.sensors import render_rgbd, scan_lidar
 
 SHAPE = (200, 300)
 HOLES = [fault for fault in Fault if fault.name.startswith("HOLE")]

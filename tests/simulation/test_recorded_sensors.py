@@ -18,7 +18,7 @@ from slam.simulation.drive_faults import DriveFaults
 from slam.simulation.home import generate_home
 from slam.simulation.record import record_drive
 from slam.simulation.rigs import RIGS
-from slam.simulation.sensors import XTION_PRO_LIVE
+from slam.simulation.sensor_models import XTION_PRO_LIVE
 
 # The clocks are off, so that a mix-up of stamp and true time would show.
 FAULTS = DriveFaults(lidar_clock_offset_s=0.7, camera_clock_offset_s=-0.4)

@@ -13,7 +13,7 @@ from slam.simulation.faults import NO_FAULTS, Fault
 from slam.simulation.home import Home, Part, Thing, assemble, generate_home
 from slam.simulation.rigs import RIGS, camera_pose
 from slam.simulation.scene import NOTHING, PERSON, Scene
-from slam.simulation.sensors import (
+from slam.simulation.sensor_models import (
     HOKUYO_URG_04LX,
     KINECT_V1,
     REALSENSE_D435I,
@@ -23,10 +23,8 @@ from slam.simulation.sensors import (
     XTION_PRO_LIVE,
     CameraModel,
     LidarModel,
-    render_rgbd,
-    scan_lidar,
-    scan_lidar_3d,
 )
+from slam.simulation.sensors import render_rgbd, scan_lidar, scan_lidar_3d
 
 LIDARS = [RPLIDAR_A2, HOKUYO_URG_04LX, SICK_LMS_180]
 CAMERAS = [KINECT_V1, XTION_PRO_LIVE, REALSENSE_D435I]

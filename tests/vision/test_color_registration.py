@@ -14,7 +14,8 @@ from slam.measurements import CameraIntrinsics, ColorImage, Float32Array, FloatA
 from slam.simulation.home import generate_home
 from slam.simulation.rigs import camera_pose
 from slam.simulation.scene import Scene
-from slam.simulation.sensors import KINECT_V1, render_rgbd
+from slam.simulation.sensor_models import KINECT_V1
+from slam.simulation.sensors import render_rgbd
 from slam.vision.color_registration import (
     ColorRegistration,
     identity_registration,
