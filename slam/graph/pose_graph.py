@@ -25,9 +25,8 @@ from slam.measurements import BoolArray, FloatArray, Pose
 # Of GNC: growth of its control parameter a round, twice the library's pace, and its end: only edges within a
 # hundredth of the gate are undecided then. Real logs refuse the same edges.
 _GNC_STEP, _GREATEST_CONTROL = 2.0, 100.0
-# Nodes that iSAM2 moves at least before all are solved at once, and how many such solutions a map may cost
-# while it doubles or so: the last ones cost as much as all before.
-_NODES_A_WINDOW, _WINDOWS_A_MAP = 3000, 8
+# Nodes that iSAM2 moves before all are solved at once: to ask it where they are costs more than that solution.
+_NODES_A_WINDOW = 3000
 
 
 @dataclass(frozen=True, slots=True)
@@ -153,7 +152,7 @@ class PoseGraph:
         >>> graph.update(), round(graph.pose(guessed).x(), 3)
         (0, 1.0)
         """
-        if self._count - self._held > max(_NODES_A_WINDOW, self._held // _WINDOWS_A_MAP):
+        if self._count - self._held > _NODES_A_WINDOW:
             self._start_anew(held=self._count)
             return 0
         if self._isam is None:
