@@ -5,6 +5,7 @@ from __future__ import annotations
 import gtsam
 import numpy as np
 
+from fusion.estimation import gate
 from slam.config import Config
 from slam.estimates import MotionEstimate
 from slam.measurements import CameraIntrinsics, FloatArray
@@ -36,13 +37,34 @@ class FrameMatcher:
             landmarks = self._landmarks(frame, known)
         best = self._align(frame, local, landmarks, guess, self._match.coarse_iterations)
         least = self._match.confident_inlier_share
-        # Who walks before the camera takes along surfaces, which fit somewhere between; no features do.
         unlike = self._support(best, landmarks, frame) < least * len(landmarks.points)
         if unlike or self._share(best) < least or not best.converged:
             landmarks = landmarks if anywhere else self._landmarks(frame, known)
-            found = self._by_features(frame, local, landmarks)
-            best = max([best, *found], key=lambda one: self._support(one, landmarks, frame))
-        return self._judge(best)
+            best = self._better(best, self._by_features(frame, local, landmarks), landmarks, frame)
+        return self._judge(self._without_walkers(best, frame, local, landmarks))
+
+    def _without_walkers(
+        self, best: JointAlignment, frame: PreparedFrame, local: list[VisualKeyframe], landmarks: Landmarks
+    ) -> JointAlignment:
+        """An alignment, or another one that begins where features alone are, if surfaces do not lead there.
+
+        Who walks before the camera takes along surfaces, which fit somewhere between; no features do.
+        """
+        config, k = self._config, frame.frame.intrinsics
+        alone = align(frame.points, [], landmarks, k, best.pose, config, (0, self._match.iterations))
+        if np.linalg.norm(best.pose.between(alone.pose).translation()) < config.gate_m:
+            return best
+        gain = self._support(alone, landmarks, frame) - self._support(best, landmarks, frame)
+        if 2 * config.kernel_sigmas**2 * gain / config.correlated_features < gate(6):
+            return best
+        return self._better(best, [self._align(frame, local, landmarks, alone.pose, 0)], landmarks, frame)
+
+    def _better(
+        self, best: JointAlignment, others: list[JointAlignment], landmarks: Landmarks, frame: PreparedFrame
+    ) -> JointAlignment:
+        """The one that most features agree with, of others that are a match."""
+        held = [one for one in others if self._judge(one) is not None]
+        return max([best, *held], key=lambda one: self._support(one, landmarks, frame))
 
     def match_anywhere(self, frame: PreparedFrame, local: list[VisualKeyframe]) -> VisualMatch | None:
         """Pose of the frame's camera without a guess, or None where too few features agree."""
