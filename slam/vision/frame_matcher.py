@@ -5,13 +5,14 @@ from __future__ import annotations
 import gtsam
 import numpy as np
 
+from fusion.estimation import gate
 from slam.config import Config
 from slam.estimates import MotionEstimate
 from slam.measurements import CameraIntrinsics, FloatArray
 from slam.vision.feature_pose import pose_from_features
 from slam.vision.features import Features, Matches, match_features
 from slam.vision.guided_matching import match_near
-from slam.vision.joint_alignment import AlignmentSettings, JointAlignment, Landmarks, View, align
+from slam.vision.joint_alignment import JointAlignment, Landmarks, View, align
 from slam.vision.prepared_frame import PreparedFrame
 from slam.vision.visual_match import VisualKeyframe, VisualMatch, covariance_of
 
@@ -22,17 +23,6 @@ class FrameMatcher:
     def __init__(self, settings: Config) -> None:
         self._match, self._config = settings.match, settings.rgbd_odometry
         self._least_overlap = settings.loops.least_overlap
-        config, match = self._config, self._match
-        self._settings = AlignmentSettings(
-            iterations=match.iterations,
-            coarse_iterations=match.coarse_iterations,
-            kernel_sigmas=config.kernel_sigmas,
-            gate_m=config.gate_m,
-            depth_floor_m=config.depth_floor_m,
-            depth_share=config.depth_share,
-            correlated_points=config.correlated_points,
-            correlated_features=config.correlated_features,
-        )
 
     def match(
         self, frame: PreparedFrame, local: list[VisualKeyframe], guess: gtsam.Pose3
@@ -45,22 +35,46 @@ class FrameMatcher:
         if anywhere:
             # Features that are elsewhere speak against the guess; where they are expected they are not seen.
             landmarks = self._landmarks(frame, known)
-        best = self._align(frame, local, landmarks, guess)
-        if self._share(best) < self._match.confident_inlier_share or not best.converged:
+        best = self._align(frame, local, landmarks, guess, self._match.coarse_iterations)
+        least = self._match.confident_inlier_share
+        unlike = self._support(best, landmarks, frame) < least * len(landmarks.points)
+        if unlike or self._share(best) < least or not best.converged:
             landmarks = landmarks if anywhere else self._landmarks(frame, known)
-            found = self._by_features(frame, landmarks)
-            if found is not None:
-                best = max(best, self._align(frame, local, landmarks, found), key=self._share)
-        return self._judge(best)
+            best = self._better(best, self._by_features(frame, local, landmarks), landmarks, frame)
+        return self._judge(self._without_walkers(best, frame, local, landmarks))
+
+    def _without_walkers(
+        self, best: JointAlignment, frame: PreparedFrame, local: list[VisualKeyframe], landmarks: Landmarks
+    ) -> JointAlignment:
+        """An alignment, or another one that begins where features alone are, if surfaces do not lead there.
+
+        Who walks before the camera takes along surfaces, which fit somewhere between; no features do.
+        """
+        config, k = self._config, frame.frame.intrinsics
+        alone = align(frame.points, [], landmarks, k, best.pose, config, (0, self._match.iterations))
+        if np.linalg.norm(best.pose.between(alone.pose).translation()) < config.gate_m:
+            return best
+        gain = self._support(alone, landmarks, frame) - self._support(best, landmarks, frame)
+        if 2 * config.kernel_sigmas**2 * gain / config.correlated_features < gate(6):
+            return best
+        return self._better(best, [self._align(frame, local, landmarks, alone.pose, 0)], landmarks, frame)
+
+    def _better(
+        self, best: JointAlignment, others: list[JointAlignment], landmarks: Landmarks, frame: PreparedFrame
+    ) -> JointAlignment:
+        """The one that most features agree with, of others that are a match."""
+        held = [one for one in others if self._judge(one) is not None]
+        return max([best, *held], key=lambda one: self._support(one, landmarks, frame))
 
     def match_anywhere(self, frame: PreparedFrame, local: list[VisualKeyframe]) -> VisualMatch | None:
         """Pose of the frame's camera without a guess, or None where too few features agree."""
-        landmarks = self._landmarks(frame, local)
-        found = self._by_features(frame, landmarks)
-        return None if found is None else self._judge(self._align(frame, local, landmarks, found))
+        found = self._by_features(frame, local, self._landmarks(frame, local))
+        return self._judge(found[0]) if found else None
 
-    def _by_features(self, frame: PreparedFrame, landmarks: Landmarks) -> gtsam.Pose3 | None:
-        """PnP-RANSAC: ``T_odom_camera``."""
+    def _by_features(
+        self, frame: PreparedFrame, local: list[VisualKeyframe], landmarks: Landmarks
+    ) -> list[JointAlignment]:
+        """From the pose of PnP-RANSAC, as near as features are true: none where too few agree."""
         found = pose_from_features(
             landmarks.points,
             landmarks.pixels,
@@ -68,7 +82,15 @@ class FrameMatcher:
             self._config.kernel_sigmas,  # a keypoint is located to a pixel
             self._config.least_inliers,
         )
-        return None if found is None else found.T_reference_camera
+        if found is None:
+            return []
+        return [self._align(frame, local, landmarks, found.T_reference_camera, 0)]
+
+    def _support(self, one: JointAlignment, landmarks: Landmarks, frame: PreparedFrame) -> float:
+        """How many features agree with an alignment, each as far as it does (Geman and McClure)."""
+        off_px = project(landmarks.points, one.pose.inverse(), frame.frame.intrinsics) - landmarks.pixels
+        sigmas = np.linalg.norm(off_px, axis=1) / (np.sqrt(2.0) * landmarks.sigma_px)
+        return float(np.nansum(1.0 / (1.0 + (sigmas / self._config.kernel_sigmas) ** 2)))
 
     def _landmarks(
         self, frame: PreparedFrame, keyframes: list[VisualKeyframe], guess: gtsam.Pose3 | None = None
@@ -104,18 +126,17 @@ class FrameMatcher:
         return match_near(known, expected, seen, radius_px, config.match_ratio, config.match_bits)
 
     def _align(
-        self, frame: PreparedFrame, local: list[VisualKeyframe], landmarks: Landmarks, guess: gtsam.Pose3
+        self,
+        frame: PreparedFrame,
+        local: list[VisualKeyframe],
+        landmarks: Landmarks,
+        guess: gtsam.Pose3,
+        coarse: int,
     ) -> JointAlignment:
-        """Least squares from one guess."""
+        """Least squares from one guess, its first steps tolerant."""
         views = [View(keyframe.frame.surface, keyframe.pose) for keyframe in local]
-        return align(
-            frame.points,
-            views,
-            landmarks,
-            frame.frame.intrinsics,
-            guess,
-            self._settings,
-        )
+        rounds, k = (coarse, self._match.iterations - coarse), frame.frame.intrinsics
+        return align(frame.points, views, landmarks, k, guess, self._config, rounds)
 
     def _share(self, alignment: JointAlignment) -> float:
         """Agreeing readings over all that met a partner."""

@@ -13,41 +13,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fusion.estimation import FEWEST, SETTLED, TINY, median_to_sigma
+from slam.config.stages import RgbdOdometryConfig
 from slam.measurements import AnyFloatArray, CameraIntrinsics, Float32Array, FloatArray
 from slam.vision.alignment_kernels import feature_part, room_for_points, surface_part
 from slam.vision.surface import Surface, SurfacePoints
 
 _THINNED = 4
-
-
-@dataclass(frozen=True, slots=True)
-class AlignmentSettings:
-    """How the least squares is done.
-
-    Attributes
-    ----------
-    iterations
-        Gauss-Newton steps at most.
-    coarse_iterations
-        The first of them, with everything four times as tolerant.
-    kernel_sigmas
-        Scale of the Geman-McClure kernel.
-    gate_m
-        A point this far off its partner has none; grows with the square of the depth beyond a metre.
-    depth_floor_m, depth_share
-        Sigma of a depth reading: floor + share z^2.
-    correlated_points, correlated_features
-        Neighbouring readings share an error: so many count as one. Infinite: they do not count at all.
-    """
-
-    iterations: int
-    coarse_iterations: int
-    kernel_sigmas: float
-    gate_m: float
-    depth_floor_m: float
-    depth_share: float
-    correlated_points: float
-    correlated_features: float
 
 
 class View(NamedTuple):
@@ -112,7 +83,8 @@ def align(
     landmarks: Landmarks,
     intrinsics: CameraIntrinsics,
     guess: gtsam.Pose3,
-    settings: AlignmentSettings,
+    config: RgbdOdometryConfig,
+    rounds: tuple[int, int],
 ) -> JointAlignment:
     """Find ``T_odom_camera`` of a frame near a guess.
 
@@ -126,17 +98,16 @@ def align(
         Features of the keyframes found again in the frame.
     intrinsics
         Of the pixels in ``landmarks``.
+    rounds
+        Gauss-Newton steps at most: with everything four times as tolerant, and then.
     """
     # A few points lead near; all of them are asked for the last millimetres.
     coarse = _Work.of(points.every(_THINNED), landmarks)
-    near, _ = _descend(
-        coarse, views, intrinsics, guess, settings, settings.coarse_iterations, 10 * SETTLED, 4.0
-    )
+    near, _ = _descend(coarse, views, intrinsics, guess, config, rounds[0], 10 * SETTLED, 4.0)
     fine = _Work.of(points, landmarks)
-    rounds = settings.iterations - settings.coarse_iterations
-    pose, step = _descend(fine, views, intrinsics, near, settings, rounds, SETTLED, 1.0)
-    fine.linearize(views, intrinsics, pose, settings, 1.0, informed=True)
-    return fine.conclude(pose, settings, converged=step < 10 * SETTLED)
+    pose, step = _descend(fine, views, intrinsics, near, config, rounds[1], SETTLED, 1.0)
+    fine.linearize(views, intrinsics, pose, config, 1.0, informed=True)
+    return fine.conclude(pose, config, converged=step < 10 * SETTLED)
 
 
 def _descend(
@@ -144,7 +115,7 @@ def _descend(
     views: list[View],
     intrinsics: CameraIntrinsics,
     pose: gtsam.Pose3,
-    settings: AlignmentSettings,
+    config: RgbdOdometryConfig,
     rounds: int,
     settled: float,
     slack: float,
@@ -152,7 +123,7 @@ def _descend(
     """Gauss-Newton until a step is shorter than ``settled``: the pose, and the length of the last step."""
     length = np.inf
     for _ in range(rounds):
-        hessian, gradient = work.linearize(views, intrinsics, pose, settings, slack)
+        hessian, gradient = work.linearize(views, intrinsics, pose, config, slack)
         ridge = TINY * float(np.trace(hessian))
         if ridge <= 0.0:
             return pose, np.inf
@@ -198,7 +169,7 @@ class _Work:
         views: list[View],
         k: CameraIntrinsics,
         pose: gtsam.Pose3,
-        settings: AlignmentSettings,
+        config: RgbdOdometryConfig,
         slack: float,
         *,
         informed: bool = False,
@@ -210,8 +181,8 @@ class _Work:
         self.seen[:] = 0.0
         self.point_residuals[:] = np.inf
         sums = np.zeros((2, 6, 7))
-        gate_m, kernel = settings.gate_m * slack, settings.kernel_sigmas * slack
-        limits = np.array([gate_m, kernel, settings.depth_floor_m, settings.depth_share], np.float32)
+        gate_m, kernel = config.gate_m * slack, config.kernel_sigmas * slack
+        limits = np.array([gate_m, kernel, config.depth_floor_m, config.depth_share], np.float32)
         for surface, view_pose in views:
             c = surface.intrinsics
             surface_part(
@@ -240,21 +211,21 @@ class _Work:
             self.feature_residuals,
         )
         self.information = (0.5 * (depth_i + depth_i.T), feature_h)
-        hessian = depth_h / settings.correlated_points + feature_h / settings.correlated_features
-        gradient = depth_g / settings.correlated_points + feature_g / settings.correlated_features
+        hessian = depth_h / config.correlated_points + feature_h / config.correlated_features
+        gradient = depth_g / config.correlated_points + feature_g / config.correlated_features
         return hessian, gradient
 
-    def conclude(self, pose: gtsam.Pose3, settings: AlignmentSettings, *, converged: bool) -> JointAlignment:
+    def conclude(self, pose: gtsam.Pose3, config: RgbdOdometryConfig, *, converged: bool) -> JointAlignment:
         """Judge the residuals of the last linearisation, which was done at this pose."""
         seen = self.seen > 0.0
-        agreeing = self.point_residuals[self.point_residuals < settings.kernel_sigmas]
-        matched = self.feature_residuals[self.feature_residuals < settings.kernel_sigmas]
+        agreeing = self.point_residuals[self.point_residuals < config.kernel_sigmas]
+        matched = self.feature_residuals[self.feature_residuals < config.kernel_sigmas]
         point_scale = _robust_scale(agreeing, 1)
         feature_scale = _robust_scale(matched, 2)
-        information = self.information[0] / (settings.correlated_points * point_scale**2)
-        information += self.information[1] / (settings.correlated_features * feature_scale**2)
+        information = self.information[0] / (config.correlated_points * point_scale**2)
+        information += self.information[1] / (config.correlated_features * feature_scale**2)
         depth = np.median(self.points.points[:, 2]) if len(self.points) else 1.0
-        sigma_m = settings.depth_floor_m + settings.depth_share * depth**2
+        sigma_m = config.depth_floor_m + config.depth_share * depth**2
         return JointAlignment(
             pose=pose,
             information=information,

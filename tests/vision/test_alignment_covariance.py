@@ -14,7 +14,7 @@ from slam.config import Config
 from slam.config.stages import MatchConfig, RgbdConfig, RgbdOdometryConfig
 from slam.measurements import FloatArray, RgbdFrame
 from slam.vision.frame_matcher import FrameMatcher
-from slam.vision.joint_alignment import AlignmentSettings, Landmarks, View, align
+from slam.vision.joint_alignment import Landmarks, View, align
 from slam.vision.surface import SurfacePoints, points_of, surface_of
 from slam.vision.visual_match import VisualKeyframe
 
@@ -23,24 +23,16 @@ CORNER = looking(-0.3, 0.2, 1.5, -0.7, 0.35)
 LEVEL = looking(0.0, 0.0, 1.3, 0.3, 0.05)
 STEP = gtsam.Pose3(gtsam.Rot3.RzRyRx(0.02, -0.03, 0.02), np.array([0.05, 0.03, 0.04]))
 ODOMETRY, IMAGES, MATCH = RgbdOdometryConfig(), RgbdConfig(), MatchConfig()
+ROUNDS = (MATCH.coarse_iterations, 40 - MATCH.coarse_iterations)
 
 # Readings whose errors are independent share them only by the windows of the plane fits: at 160 columns each
 # reading is in about twelve. The default of 60 is for real cameras, whose neighbouring errors are alike.
 INDEPENDENT_POINTS = 13.0
 
 
-def settings(correlated_points: float, correlated_features: float) -> AlignmentSettings:
-    c = ODOMETRY
-    return AlignmentSettings(
-        40,
-        MATCH.coarse_iterations,
-        c.kernel_sigmas,
-        c.gate_m,
-        c.depth_floor_m,
-        c.depth_share,
-        correlated_points,
-        correlated_features,
-    )
+def settings(correlated_points: float, correlated_features: float) -> RgbdOdometryConfig:
+    update = {"correlated_points": correlated_points, "correlated_features": correlated_features}
+    return ODOMETRY.model_copy(update=update)
 
 
 def noisy(frame: RgbdFrame, rng: np.random.Generator) -> RgbdFrame:
@@ -71,7 +63,9 @@ def test_surfaces_are_as_sure_as_they_say(place: gtsam.Pose3) -> None:
         points = points_of(after, SMALL, IMAGES.plane_radius, IMAGES.farthest_m, IMAGES.points)
         guess = guess_near(place * STEP, rng)
         views = [View(surface, place)]
-        result = align(points, views, Landmarks.none(), SMALL, guess, settings(INDEPENDENT_POINTS, math.inf))
+        result = align(
+            points, views, Landmarks.none(), SMALL, guess, settings(INDEPENDENT_POINTS, math.inf), ROUNDS
+        )
         found.append(squares(error_of(result.pose, place * STEP), result.information))
     assert 0.5 < np.mean(found) < 2.0
 
@@ -88,7 +82,9 @@ def test_features_are_as_sure_as_they_say() -> None:
             pixels += sigma_px * rng.standard_normal(pixels.shape)
             world = camera @ CORNER.rotation().matrix().T + CORNER.translation()
             marks = Landmarks(world, pixels, np.ones(len(world)))
-            result = align(nothing, [], marks, SMALL, guess_near(CORNER, rng), settings(math.inf, 1.0))
+            result = align(
+                nothing, [], marks, SMALL, guess_near(CORNER, rng), settings(math.inf, 1.0), ROUNDS
+            )
             found.append(squares(error_of(result.pose, CORNER), result.information))
             residuals.append(result.residual_px)
         assert np.mean(residuals) == pytest.approx(sigma_px, rel=0.1)

@@ -132,6 +132,28 @@ def test_a_far_guess_is_mended_by_the_features(before: PreparedFrame, after: Pre
     assert np.abs(error_of(match.pose, PLACE * STEP)).max() < 0.01
 
 
+def walker(aside_m: float) -> Room:
+    """Somebody in one colour stands 0.8 m ahead of the camera."""
+    room = furnished()
+    x, y, _ = PLACE.transformFrom(np.array([aside_m, 0.0, 0.8]))
+    return replace(
+        room, outside=(*room.outside, np.array([[x - 0.2, y - 0.2, 0.0], [x + 0.2, y + 0.2, 1.9]]))
+    )
+
+
+@pytest.mark.parametrize(("aside_m", "moved_m"), [(-0.1, 0.1), (0.0, 0.1), (0.2, 0.15)])
+def test_who_walks_before_the_camera_does_not_take_it_along(aside_m: float, moved_m: float) -> None:
+    """Surfaces fit best between him and the room, 8 to 14 cm off; features are of the room."""
+    frames = []
+    for pose, at_m in ((PLACE, aside_m), (PLACE * STEP, aside_m + moved_m)):
+        image = render(walker(at_m), pose, MIDDLE, noise=NOISE, seed=len(frames))
+        plain = np.where(image.depth_m[..., None] < 1.25, np.uint8(90), image.color)
+        frames.append(prepared(replace(image, color=plain)))
+    match = FrameMatcher(CONFIG).match(frames[1], [VisualKeyframe(frames[0], PLACE)], PLACE)
+    assert match is not None
+    assert np.abs(error_of(match.pose, PLACE * STEP)).max() < 0.01
+
+
 def test_without_a_guess_among_several_keyframes(before: PreparedFrame, after: PreparedFrame) -> None:
     other = looking(0.3, 0.0, 1.4, 2.4)
     local = [VisualKeyframe(seen(other), other), VisualKeyframe(before, PLACE)]

@@ -13,7 +13,6 @@ from slam.config.stages import MatchConfig, RgbdOdometryConfig
 from slam.measurements import FloatArray
 from slam.vision.alignment_kernels import feature_part, room_for_points, surface_part
 from slam.vision.joint_alignment import (
-    AlignmentSettings,
     JointAlignment,
     Landmarks,
     View,
@@ -25,22 +24,14 @@ from slam.vision.visual_match import covariance_of
 CORNER = looking(-0.3, 0.2, 1.5, -0.7, 0.35)
 STEP = gtsam.Pose3(gtsam.Rot3.RzRyRx(0.02, -0.03, 0.02), np.array([0.05, 0.03, 0.04]))
 DEFAULT, MATCH = RgbdOdometryConfig(), MatchConfig()
+ROUNDS = (MATCH.coarse_iterations, MATCH.iterations - MATCH.coarse_iterations)
 CAMERA = (SMALL.fx, SMALL.fy, SMALL.cx, SMALL.cy)
 ELSEWHERE = [gtsam.Pose3(), gtsam.Pose3(gtsam.Rot3.RzRyRx(0.7, -1.1, 2.0), np.array([30.0, -20.0, 5.0]))]
 
 
-def settings(correlated_points: float = 60.0, correlated_features: float = 3.0) -> AlignmentSettings:
-    c = DEFAULT
-    return AlignmentSettings(
-        MATCH.iterations,
-        MATCH.coarse_iterations,
-        c.kernel_sigmas,
-        c.gate_m,
-        c.depth_floor_m,
-        c.depth_share,
-        correlated_points,
-        correlated_features,
-    )
+def settings(correlated_points: float = 60.0, correlated_features: float = 3.0) -> RgbdOdometryConfig:
+    update = {"correlated_points": correlated_points, "correlated_features": correlated_features}
+    return DEFAULT.model_copy(update=update)
 
 
 def seen_points(pose: gtsam.Pose3, count: int = 120, sigma_px: float = 0.0, seed: int = 0) -> Landmarks:
@@ -67,7 +58,7 @@ def by_surfaces(
     one = prepared(dark(render(room, before, noise=noise, seed=1)))
     other = prepared(dark(render(room, after, noise=noise, seed=2)))
     view = View(one.surface, before)
-    return align(other.points, [view], Landmarks.none(), SMALL, guess or before, settings())
+    return align(other.points, [view], Landmarks.none(), SMALL, guess or before, settings(), ROUNDS)
 
 
 class TestPose:
@@ -87,7 +78,7 @@ class TestPose:
     def test_by_features_alone(self, frame: gtsam.Pose3) -> None:
         truth = frame * CORNER
         guess = truth * gtsam.Pose3.Expmap(np.array([0.03, -0.02, 0.04, 0.05, 0.03, -0.06]))
-        found = align(NO_POINTS, [], seen_points(truth), SMALL, guess, settings(math.inf))
+        found = align(NO_POINTS, [], seen_points(truth), SMALL, guess, settings(math.inf), ROUNDS)
         assert np.abs(error_of(found.pose, truth)).max() < 1e-6
         assert found.converged
         assert (found.feature_count, found.feature_pairs) == (120, 120)
@@ -98,12 +89,12 @@ class TestPose:
         pixels = good.pixels.copy()
         pixels[:30] += np.random.default_rng(1).uniform(15.0, 60.0, (30, 2))
         guess = CORNER * gtsam.Pose3.Expmap(np.full(6, 0.01))
-        found = align(NO_POINTS, [], good._replace(pixels=pixels), SMALL, guess, settings(math.inf))
+        found = align(NO_POINTS, [], good._replace(pixels=pixels), SMALL, guess, settings(math.inf), ROUNDS)
         assert np.abs(error_of(found.pose, CORNER)).max() < 2e-3
         assert found.feature_count == 90
 
     def test_nothing_at_all_stays_where_it_was(self) -> None:
-        found = align(NO_POINTS, [], Landmarks.none(), SMALL, CORNER, settings())
+        found = align(NO_POINTS, [], Landmarks.none(), SMALL, CORNER, settings(), ROUNDS)
         assert found.pose.equals(CORNER, 1e-12)
         assert not found.converged
         assert not found.information.any()
@@ -208,7 +199,7 @@ class TestWhatIsOpen:
         frame, keyframe = prepared(view[1]), prepared(view[0])
         landmarks = Landmarks(points, on_wall.pixels, on_wall.sigma_px)
         views = [View(keyframe.surface, self.FACING)]
-        found = align(frame.points, views, landmarks, SMALL, self.FACING, settings())
+        found = align(frame.points, views, landmarks, SMALL, self.FACING, settings(), ROUNDS)
         covariance, weak = covariance_of(found.information, 1.0, MATCH)
         assert not weak.any()
         assert np.sqrt(np.diag(covariance)[3:]).max() < 0.01
@@ -216,7 +207,7 @@ class TestWhatIsOpen:
 
     def test_two_points_leave_much_open(self) -> None:
         landmarks = Landmarks(*(part[:2] for part in seen_points(CORNER)))
-        found = align(NO_POINTS, [], landmarks, SMALL, CORNER, settings(math.inf))
+        found = align(NO_POINTS, [], landmarks, SMALL, CORNER, settings(math.inf), ROUNDS)
         covariance, weak = covariance_of(found.information, 1.0, MATCH)
         assert weak.any()
         assert np.isfinite(covariance).all()
