@@ -11,6 +11,7 @@ import gtsam
 import numpy as np
 
 from fusion.estimation import FEWEST, gate
+from slam.config.clouds import CloudOdometryConfig
 from slam.datasets.laser_geometry import DEFAULT_NO_RETURN_M
 from slam.doctor.camera_samples import CameraSamples
 from slam.doctor.cloud_samples import CloudSamples
@@ -331,6 +332,10 @@ def _entry(kind: str, R_base_sensor: FloatArray, place_m: Sequence[float]) -> di
 def cloud_findings(name: str, samples: CloudSamples) -> list[Finding]:
     """What a 3D lidar says of itself."""
     found = repeated("lidars_3d", name, samples.repeated, samples.count, "clouds")
+    if samples.points:
+        median_m = float(np.median(np.linalg.norm(np.concatenate(samples.points), axis=1)))
+        ways = CloudOdometryConfig()  # beyond its limits nothing can be mapped
+        found += unit_finding("lidars_3d", name, median_m, (ways.range_min_m, ways.range_max_m))
     if samples.turn is not None:
         found.append(samples.turn.finding("lidars_3d", name))
     interval_s, turn_s = samples.interval_s.median(), samples.turn_s.median()
