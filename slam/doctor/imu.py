@@ -13,7 +13,7 @@ from scipy import special
 
 from fusion.estimation import FEWEST, SETTLED, gate, half_interval, median_to_sigma
 from fusion.time_alignment import GAP_S, STEP_S
-from slam.doctor.camera_samples import SensorStep
+from slam.doctor.camera_samples import SPREAD, SensorStep
 from slam.doctor.finding import Finding, Remedy
 from slam.doctor.pair import IN_ORDER, interval
 from slam.doctor.relation import fit_linear
@@ -62,15 +62,15 @@ class TurnFit:
         (3, 3).
     sigma_rad
         Of the worst axis of the rotation; infinite where the turns leave one open.
-    residual_rad
-        Root mean square of what a step's turns differ by.
+    left_share
+        How much of the lidar's turns the IMU's leave over.
     """
 
     ahead_s: float
     ahead_sigma_s: float
     R_lidar_imu: FloatArray
     sigma_rad: float
-    residual_rad: float
+    left_share: float
 
 
 def imu_findings(
@@ -95,7 +95,7 @@ def imu_findings(
         return [*found, *_in_the_plane(name, rows, steps, unit)]
     found += [_turn_rates(name, "in degrees", unit)] if unit != 1.0 else []
     fit = turn_fit(rows, steps)
-    if fit is None:
+    if fit is None or fit.left_share > SPREAD:
         return found
     return [*found, *_clock(name, fit, untimed_s), *_sits(name, samples, fit, T_base_lidar)]
 
@@ -150,7 +150,8 @@ def turn_fit(rows: FloatArray, steps: Sequence[SensorStep]) -> TurnFit | None:
     main = np.linalg.eigvalsh(spread)
     open_ = main[1] < _SECOND_AXIS**2 * main[2]
     axis_rad = math.inf if open_ or information <= 0.0 else sigma / math.sqrt(float(information))
-    return TurnFit(best_s, ahead_sigma_s, rotation, axis_rad, sigma)
+    turned = max(float(np.abs(seen - seen.mean(axis=0)).sum()), SETTLED)
+    return TurnFit(best_s, ahead_sigma_s, rotation, axis_rad, float(np.abs(apart).sum()) / turned)
 
 
 def _turns(

@@ -208,3 +208,7 @@ def test_only_stretches_that_are_kept_are_matched() -> None:
     assert all(cloud.points_lidar.base is None for cloud in kept)
     samples.close(compared=True)
     assert len(samples.steps) == len(samples.points) and not samples.clouds
+
+
+def test_a_clock_is_not_told_of_turns_that_nothing_explains() -> None:
+    assert "clock" not in findings([replace(one, stamp_s=one.stamp_s + 1.0) for one in SAID])
