@@ -80,11 +80,6 @@ def looks_like_open3d_folder(path: Path, head: bytes) -> bool:
     return places is not None and all(_named(place) for place in places)
 
 
-def _load(path: Path, account: Account) -> Contents:
-    """A folder of one camera."""
-    return Contents([_camera(path, account)])
-
-
 def _places(path: Path) -> tuple[Path, Path] | None:
     """The folders of colour and of depth."""
     inside = sorted((len(entry.name), entry) for entry in path.iterdir() if entry.is_dir())
@@ -169,4 +164,9 @@ def _groundtruth(path: Path, account: Account) -> Trajectory | None:
     return trajectory_of((number / RATE_HZ, pose) for number, pose in sorted(poses.items()))
 
 
-FORMAT = recorded("Open3D, Redwood, SUN3D or ScanNet folder", looks_like_open3d_folder, _load, _groundtruth)
+FORMAT = recorded(
+    "Open3D, Redwood, SUN3D or ScanNet folder",
+    looks_like_open3d_folder,
+    lambda *folder: Contents([_camera(*folder)]),
+    _groundtruth,
+)

@@ -45,11 +45,6 @@ def looks_like_open_loris(path: Path, head: bytes) -> bool:
     return (path / _COLOR).is_file() and any((path / name).is_file() for name in _DEPTHS)
 
 
-def _load(path: Path, account: Account) -> Contents:
-    """A folder of one sequence."""
-    return Contents([_camera(path, account)], _wheels(path, account))
-
-
 def _camera(folder: Path, account: Account) -> Camera:
     """The colour camera with the depth registered to it."""
     depth = next(folder / name for name in _DEPTHS if (folder / name).is_file())
@@ -114,4 +109,9 @@ def _numbers(matrix: Any, count: int) -> list[float]:
     return values
 
 
-FORMAT = recorded("OpenLORIS-Scene folder", looks_like_open_loris, _load, read_groundtruth)
+FORMAT = recorded(
+    "OpenLORIS-Scene folder",
+    looks_like_open_loris,
+    lambda *folder: Contents([_camera(*folder)], _wheels(*folder)),
+    read_groundtruth,
+)

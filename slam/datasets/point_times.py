@@ -25,12 +25,11 @@ _NAMES = (
 _UNITS_S = {"seconds": 1.0, "milliseconds": 1e-3, "microseconds": 1e-6, "nanoseconds": 1e-9}
 # A turn of any lidar takes longer than the first and less than the second; they lie one unit apart.
 _SHORTEST_TURN_S, LONGEST_TURN_S = 0.002, 2.0
-_FIRST_CLOCK_S = 1e6  # no offset within a turn, and before any clock that was ever set
 _SAME_CLOCK_S = 1.0
 
 
 class PointTimes:
-    """Times of the points of one lidar; what the first cloud tells of field and unit holds for all.
+    """Times of the points of one lidar; what the first cloud that spans a turn tells of them holds for all.
 
     Parameters
     ----------
@@ -62,7 +61,7 @@ class PointTimes:
             The values of a field, (N,).
         """
         own = {name.lower(): name for name in names}
-        if not self.choice:
+        if not self._field:
             self._choose(own, column)
         if self._field not in own.values():
             return None
@@ -73,7 +72,7 @@ class PointTimes:
         first_s = float(times_s.min())
         if not self._stamped:
             return times_s - first_s
-        if abs(first_s) < _FIRST_CLOCK_S:
+        if abs(first_s) <= LONGEST_TURN_S:
             return times_s
         # By another clock than the stamp's only the differences mean something.
         return times_s - (stamp_s if abs(first_s - stamp_s) < _SAME_CLOCK_S else first_s)
@@ -90,7 +89,7 @@ class PointTimes:
         for unit, unit_s in _UNITS_S.items():
             if _SHORTEST_TURN_S < span * unit_s <= LONGEST_TURN_S:
                 self._field, self._unit_s = found[0], unit_s
-                absolute = abs(float(values.min()) * unit_s) >= _FIRST_CLOCK_S
+                absolute = abs(float(values.min()) * unit_s) > LONGEST_TURN_S
                 after = "by a clock" if absolute else "after the stamp of the cloud"
                 self.choice = f"times of points from field {found[0]} ({kind}), {unit} {after}"
                 return

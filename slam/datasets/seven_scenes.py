@@ -28,7 +28,6 @@ from slam.datasets.numbered_frames import (
 )
 from slam.datasets.recording import Contents
 from slam.errors import DatasetError
-from slam.estimates import Trajectory
 from slam.measurements import CameraIntrinsics
 
 ASSUMED = (
@@ -61,16 +60,6 @@ _KNOWN = (
 def looks_like_seven_scenes(path: Path, head: bytes) -> bool:
     """Whether a path is a folder with a frame of either kind."""
     return path.is_dir() and _names(path) is not None
-
-
-def _load(path: Path, account: Account) -> Contents:
-    """A folder of one sequence."""
-    return Contents([_camera(path, account)])
-
-
-def _groundtruth(path: Path, account: Account) -> Trajectory | None:
-    """A matrix a frame."""
-    return poses_of_files(numbered_files(path, _POSE), at_rate(), account)
 
 
 def _names(folder: Path) -> _Names | None:
@@ -118,4 +107,9 @@ def _lens(info: Path, values: dict[str, list[bytes]], kind: str) -> CameraIntrin
     return checked(info, numbers.reshape(4, 4), int(width[0]), int(height[0]))
 
 
-FORMAT = recorded("7-Scenes folder", looks_like_seven_scenes, _load, _groundtruth)
+FORMAT = recorded(
+    "7-Scenes folder",
+    looks_like_seven_scenes,
+    lambda *folder: Contents([_camera(*folder)]),
+    lambda path, account: poses_of_files(numbered_files(path, _POSE), at_rate(), account),
+)

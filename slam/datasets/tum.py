@@ -52,11 +52,6 @@ def looks_like_tum(path: Path, head: bytes) -> bool:
     return path.is_dir() and has_tum_layout(path)
 
 
-def _load(path: Path, account: Account) -> Contents:
-    """A folder of one camera."""
-    return Contents([tum_camera(path, "camera", account)])
-
-
 def tum_camera(folder: Path, sensor: str, account: Account) -> Camera:
     """The camera whose lists lie in a folder.
 
@@ -104,4 +99,9 @@ def _image_lists(folder: Path, account: Account) -> tuple[list[StampedFile], lis
     return read_associations(associated, account)
 
 
-FORMAT = recorded("TUM RGB-D folder (ETH3D SLAM, Bonn)", looks_like_tum, _load, read_groundtruth)
+FORMAT = recorded(
+    "TUM RGB-D folder (ETH3D SLAM, Bonn)",
+    looks_like_tum,
+    lambda path, account: Contents([tum_camera(path, "camera", account)]),
+    read_groundtruth,
+)

@@ -21,6 +21,7 @@ from slam.vision.features import Features, extract_features, gray_of, match_feat
 _EVERY_PIXEL = 16
 # Frames of a stretch that are matched to the newest: the one before tells motion, an earlier one the lens.
 _BACK = (1, 6)
+SPREAD = 0.2  # of the motions of a sensor, the largest share that a fit may leave over
 _MODELS, _WAYS = RgbdConfig(), RgbdOdometryConfig()
 
 

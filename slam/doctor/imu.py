@@ -13,11 +13,11 @@ from scipy import special
 
 from fusion.estimation import FEWEST, SETTLED, gate, half_interval, median_to_sigma
 from fusion.time_alignment import GAP_S, STEP_S
-from slam.doctor.camera_samples import SensorStep
+from slam.doctor.camera_samples import SPREAD, SensorStep
 from slam.doctor.finding import Finding, Remedy
 from slam.doctor.pair import IN_ORDER, interval
 from slam.doctor.relation import fit_linear
-from slam.measurements import GRAVITY_M_S2, FloatArray, ImuReading
+from slam.measurements import FloatArray, ImuReading
 
 # By so much may a clock and a mounting be off without harm: at a turn of 1 rad/s a hundredth of a radian.
 CLOCK_S, _ANGLE_RAD = 0.005, math.radians(2.0)
@@ -62,15 +62,15 @@ class TurnFit:
         (3, 3).
     sigma_rad
         Of the worst axis of the rotation; infinite where the turns leave one open.
-    residual_rad
-        Root mean square of what a step's turns differ by.
+    left_share
+        How much of the lidar's turns the IMU's leave over.
     """
 
     ahead_s: float
     ahead_sigma_s: float
     R_lidar_imu: FloatArray
     sigma_rad: float
-    residual_rad: float
+    left_share: float
 
 
 def imu_findings(
@@ -88,11 +88,14 @@ def imu_findings(
     rows = samples.rows()
     if len(rows) < FEWEST:
         return []
-    found = [*_saturated(name, rows), *_weight(name, rows)]
+    found = _saturated(name, rows)
+    unit = _unit(rows, steps)
+    rows[:, 1:4] *= unit
     if T_base_lidar is None:
-        return [*found, *_in_the_plane(name, rows, steps)]
+        return [*found, *_in_the_plane(name, rows, steps, unit)]
+    found += [_turn_rates(name, "in degrees", unit)] if unit != 1.0 else []
     fit = turn_fit(rows, steps)
-    if fit is None:
+    if fit is None or fit.left_share > SPREAD:
         return found
     return [*found, *_clock(name, fit, untimed_s), *_sits(name, samples, fit, T_base_lidar)]
 
@@ -147,7 +150,8 @@ def turn_fit(rows: FloatArray, steps: Sequence[SensorStep]) -> TurnFit | None:
     main = np.linalg.eigvalsh(spread)
     open_ = main[1] < _SECOND_AXIS**2 * main[2]
     axis_rad = math.inf if open_ or information <= 0.0 else sigma / math.sqrt(float(information))
-    return TurnFit(best_s, ahead_sigma_s, rotation, axis_rad, sigma)
+    turned = max(float(np.abs(seen - seen.mean(axis=0)).sum()), SETTLED)
+    return TurnFit(best_s, ahead_sigma_s, rotation, axis_rad, float(np.abs(apart).sum()) / turned)
 
 
 def _turns(
@@ -188,18 +192,22 @@ def _apart(seen: FloatArray, told: FloatArray) -> tuple[FloatArray, FloatArray, 
     return first - second @ rotation.T, rotation, second.T @ second
 
 
-def _in_the_plane(name: str, rows: FloatArray, steps: Sequence[SensorStep]) -> list[Finding]:
-    """What is wrong with a gyroscope on a robot that turns about the vertical only."""
+def _unit(rows: FloatArray, steps: Sequence[SensorStep]) -> float:
+    """What makes radians of turn rates: no clock, sign or axis changes how much an IMU turns in all."""
     turns = _turns(rows, steps)
+    if turns is None:
+        return 1.0
+    seen, own = (float(np.linalg.norm(one.std(axis=0))) for one in (turns[0], turns[1](0.0)))
+    ratio = max(own, SETTLED) / max(seen, SETTLED)
+    return math.radians(1.0) if abs(math.log(ratio * math.radians(1.0))) < 0.5 else 1.0
+
+
+def _in_the_plane(name: str, rows: FloatArray, steps: Sequence[SensorStep], unit: float) -> list[Finding]:
+    """What is wrong with a gyroscope on a robot that turns about the vertical only."""
+    fit, turns = turn_fit(rows, steps), _turns(rows, steps)
     if turns is None or float(np.std(turns[0][:, 2])) < IN_ORDER:
         return []
-    turned, own = turns[0][:, 2] - turns[0][:, 2].mean(), turns[1](0.0)
-    ratio = float(np.linalg.norm(own.std(axis=0))) / float(np.std(turned))
-    # No clock, sign or axis changes how much it turns in all.
-    unit = math.radians(1.0) if abs(math.log(max(ratio, SETTLED) * math.radians(1.0))) < 0.5 else 1.0
-    rows = np.column_stack([rows[:, 0], unit * rows[:, 1:4], rows[:, 4:]])
-    fit, turns = turn_fit(rows, steps), _turns(rows, steps)
-    assert turns is not None
+    turned = turns[0][:, 2] - turns[0][:, 2].mean()
     about = np.zeros(len(turned)) if fit is None else turns[1](fit.ahead_s) @ fit.R_lidar_imu[2]
     about -= about.mean()
     slope = fit_linear(about[:, None], turned, np.arange(float(len(turned))))
@@ -222,19 +230,21 @@ def _in_the_plane(name: str, rows: FloatArray, steps: Sequence[SensorStep]) -> l
     if not what:
         return found
     factor = math.copysign(unit, facing) * (scale if off else 1.0)
-    return [
-        *found,
-        Finding(
-            name,
-            "turn rates",
-            f"its turn rates are {' and '.join(what)}",
-            "the robot is taken to turn otherwise than it does",
-            ({"imus": {name: {"gyro_scale": float(f"{factor:.6g}")}}},),
-            sure=True,
-            value=factor,
-            interval=interval(factor, sigma * unit),
-        ),
-    ]
+    return [*found, _turn_rates(name, " and ".join(what), factor, sigma * unit)]
+
+
+def _turn_rates(name: str, what: str, factor: float, sigma: float = 0.0) -> Finding:
+    """Turn rates that are right once they are multiplied."""
+    return Finding(
+        name,
+        "turn rates",
+        f"its turn rates are {what}",
+        "the robot is taken to turn otherwise than it does",
+        ({"imus": {name: {"gyro_scale": float(f"{factor:.6g}")}}},),
+        sure=True,
+        value=factor,
+        interval=interval(factor, sigma),
+    )
 
 
 def _clock(name: str, fit: TurnFit, untimed_s: float = 0.0) -> list[Finding]:
@@ -298,12 +308,3 @@ def _saturated(name: str, rows: FloatArray) -> list[Finding]:
             text = f"{count} of its {what} are the same greatest one, {greatest:.4g}: it saturates"
             found.append(Finding(name, "saturation", text, "there its motion is wrong", value=float(count)))
     return found
-
-
-def _weight(name: str, rows: FloatArray) -> list[Finding]:
-    """A mean force that is not gravity."""
-    force = float(np.median(np.linalg.norm(rows[:, 4:7], axis=1)))
-    if abs(force / GRAVITY_M_S2 - 1.0) <= IN_ORDER:
-        return []
-    text = f"the median of its forces is {force:.2f} m/s^2, gravity is {GRAVITY_M_S2:.2f}"
-    return [Finding(name, "gravity", text, "an axis or a scale of its accelerometer is wrong", value=force)]

@@ -11,8 +11,9 @@ import gtsam
 import numpy as np
 
 from fusion.estimation import FEWEST, gate
+from slam.config.clouds import CloudOdometryConfig
 from slam.datasets.laser_geometry import DEFAULT_NO_RETURN_M
-from slam.doctor.camera_samples import CameraSamples
+from slam.doctor.camera_samples import SPREAD, CameraSamples
 from slam.doctor.cloud_samples import CloudSamples
 from slam.doctor.finding import Finding, Remedy
 from slam.doctor.floor import floor_below_m
@@ -31,7 +32,6 @@ _DEPTHS_M = (0.1, 30.0)
 # What files of depth are written in, over what they are taken for.
 _UNITS = (1000.0, 0.001, 5.0, 0.2, 10.0, 0.1, 100.0, 0.01)
 _JOINED = 5  # steps of a sensor that are one motion
-_SPREAD = 0.2  # of the shifts, the largest share that a fit may leave over
 
 
 @dataclass(frozen=True, slots=True)
@@ -161,7 +161,7 @@ def seen_by(
     shifts = np.array([step.motion.translation() for step in steps])
     fit = planar_hand_eye(turns_of(steps)[known], shifts[known], moved[known])
     # What is left over by as much tells badly how the sensor moved, whatever it claims.
-    seen.fit = fit if fit is not None and fit.spread < _SPREAD else None
+    seen.fit = fit if fit is not None and fit.spread < SPREAD else None
     if seen.fit is not None:
         up = seen.fit.up if told is None else told.T[:, 2]
         points = np.concatenate(samples.points) if samples.points else np.zeros((0, 3))
@@ -331,6 +331,10 @@ def _entry(kind: str, R_base_sensor: FloatArray, place_m: Sequence[float]) -> di
 def cloud_findings(name: str, samples: CloudSamples) -> list[Finding]:
     """What a 3D lidar says of itself."""
     found = repeated("lidars_3d", name, samples.repeated, samples.count, "clouds")
+    if samples.points:
+        median_m = float(np.median(np.linalg.norm(np.concatenate(samples.points), axis=1)))
+        ways = CloudOdometryConfig()  # beyond its limits nothing can be mapped
+        found += unit_finding("lidars_3d", name, median_m, (ways.range_min_m, ways.range_max_m))
     if samples.turn is not None:
         found.append(samples.turn.finding("lidars_3d", name))
     interval_s, turn_s = samples.interval_s.median(), samples.turn_s.median()

@@ -109,7 +109,8 @@ def _with_regions(known: Known, edits: Edits, config: Config) -> tuple[dict[Evid
     cuts += [] if edits.crop is None else [Cut(np.array(edits.crop), outside=True)]
     erased = taken(known.contents, cuts, config)
     saw = np.zeros(len(poses), np.bool_)
-    saw[[_node(kind, number, known.contents) for kind, number in erased]] = True
+    frames = known.contents.frames
+    saw[[frames.head(at).node if kind == "frame" and frames else at for kind, at in erased]] = True
     for one, cut in zip(edits.erase, cuts, strict=False):
         name, later = one.name or "", float(one.later)
         regions.append(held("erase", cut.polygon, poses, name=name, value=later, near=saw))
@@ -124,11 +125,6 @@ def _with_regions(known: Known, edits: Edits, config: Config) -> tuple[dict[Evid
         yaw = math.radians(place.yaw_deg) - float(poses[region.keyframes[0], 2])
         regions.append(replace(region, value=math.remainder(yaw, 2.0 * math.pi)))
     return erased, regions
-
-
-def _node(kind: str, number: int, contents: MapContents) -> int:
-    """The keyframe that a piece of evidence belongs to."""
-    return contents.frames.head(number).node if kind == "frame" and contents.frames else number
 
 
 def later_evidence(

@@ -138,14 +138,13 @@ def _text(value: Any) -> str:
 
 def _sensors(file: MapFile, small: Unpacker) -> dict[str, int]:
     """How many keyframes each sensor gave."""
-    scans = Counter(file.parsed(KEYFRAMES, lambda row: _sensor(row[-1] or row[-2], small)))
+    scans = Counter(
+        file.parsed(
+            KEYFRAMES, lambda row: str(small(scan, last_text)) if (scan := row[-1] or row[-2]) else ""
+        )
+    )
     images = Counter({str(sensor): count for (sensor,), count in file.tally(FRAMES, "sensor").items()})
     return {sensor: count for sensor, count in sorted((scans + images).items()) if sensor}
-
-
-def _sensor(scan: bytes | None, small: Unpacker) -> str:
-    """Whose scan a keyframe has; nothing of none."""
-    return "" if scan is None else str(small(scan, last_text))
 
 
 def _grids(file: MapFile, small: Unpacker, config: Config) -> dict[str, Any]:

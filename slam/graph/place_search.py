@@ -9,7 +9,7 @@ each other along the way (`slam.graph.consistent_sets`), that what lies around t
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import TypeAlias
 
@@ -210,7 +210,8 @@ class PlaceSearch:
         sets, trial, stretches = self._sets, self._trial, self._stretches
         assert sets is not None and trial is not None and stretches is not None
         seen, reach_m = _Known(poses, known), self._config.reach_m
-        found = [one for one in sets.largest() if np.ptp(self._ways(one)) >= reach_m]
+        way_m = self._submaps.travelled_m  # from the start to the keyframes of a set
+        found = [one for one in sets.largest() if np.ptp([way_m(loop.keyframe) for loop in one]) >= reach_m]
         judged = [self._cost(one, seen) for one in found]
         costs = np.array([cost for cost, *_ in judged])
         gains = self._gate * np.array([len(one) for one in found]) - costs
@@ -269,10 +270,6 @@ class PlaceSearch:
         assert self._faulty is not None
         explained = self._faulty.explain(claim.place, claim.keyframe, way, said)
         return way.squared_mahalanobis(said.pose), *explained
-
-    def _ways(self, members: Iterable[LoopCandidate]) -> FloatArray:
-        """Way from the start to the keyframes of a set."""
-        return np.array([self._submaps.travelled_m(one.keyframe) for one in members])
 
 
 class _Known:

@@ -215,8 +215,8 @@ class _Search:
     def descend(self, bar: int, keep_share: float) -> Steps[tuple[Nodes, Nodes]]:
         """All poses with a score sum of at least the bar, and of the share of the best: (n, 3) and (n,)."""
         # The least blocks all of which can be looked at.
-        level = 0
-        while self._count(level) > _MOST_BLOCKS and self._widen():
+        level, standing = 0, self._field.standing
+        while standing[level].sum() * len(self._seen[level].columns) > _MOST_BLOCKS and self._widen():
             level += 1
         turns = np.arange(len(self._seen[level].columns))
         y, x = np.nonzero(self._field.standing[level])
@@ -231,10 +231,6 @@ class _Search:
             nodes, bounds = yield from self._bounded(level, self._eighths(level, nodes), bar)
         kept = bounds >= keep_share * bounds.max(initial=0)
         return nodes[kept], bounds[kept]
-
-    def _count(self, level: int) -> int:
-        """How many blocks of a level there are."""
-        return int(self._field.standing[level].sum()) * len(self._seen[level].columns)
 
     def _widen(self) -> bool:
         """Prepare the next level; False where no picture is pooled as wide as its blocks are."""

@@ -88,17 +88,14 @@ class CameraKeyframes:
         Every candidate that was tried, its ends being nodes.
         """
         keys = self._places.keys
-        tried = self._closer.close(len(keys) - 1, [self._camera_pose(key, poses) for key in keys])
+        cameras = [spatial(poses[self._nodes[key]]).compose(self._T_node_camera[key]) for key in keys]
+        tried = self._closer.close(len(keys) - 1, cameras)
         return [self._of_nodes(candidate) for candidate in tried]
 
     @property
     def frames(self) -> MapFrames:
         """All of them."""
         return self._store.images
-
-    def _camera_pose(self, key: int, poses: Sequence[Pose]) -> gtsam.Pose3:
-        """``T_map_camera`` of a frame."""
-        return spatial(poses[self._nodes[key]]).compose(self._T_node_camera[key])
 
     def _of_nodes(self, candidate: LoopCandidate) -> LoopCandidate:
         """A candidate between frames as one between nodes, projected to the plane."""

@@ -18,7 +18,7 @@ from slam.odometry.rgbd_tracker import FRAME
 from slam.storage.map_clouds import MapClouds
 from slam.storage.map_file import MapFile
 from slam.storage.map_frames import MapFrames
-from slam.storage.map_tables import CHECKPOINT, FRAMES, IMAGES
+from slam.storage.map_tables import CHECKPOINT, CLOUDS, FRAMES, IMAGES
 from slam.storage.packing import pack, unpack
 from slam.vision.color_registration import ColorRegistration
 
@@ -126,7 +126,7 @@ class Checkpoint:
             return
         self._waiting.clear()
         self._count = self._first_waiting = 0
-        for table in (CHECKPOINT, FRAMES, IMAGES):
+        for table in (CHECKPOINT, CLOUDS, FRAMES, IMAGES):
             self._file.clear(table)
         self._remember(pack((_FINDINGS, 0.0, _texts(findings))))
         self._remember(pack((_REGISTRATIONS, 0.0, list(registrations.items()))))

@@ -24,7 +24,7 @@ from slam.mapper.checkpoint import Checkpoint
 from slam.mapper.planar_way import Moment, PlanarWay, Step
 from slam.mapper.protocol import SENSORS
 from slam.matching.local_map import OrientedPoints
-from slam.measurements import FloatArray, LaserScan, Pose
+from slam.measurements import LaserScan
 from slam.odometry import Odometries
 from slam.odometry.rgbd_tracker import RgbdTracker
 from slam.result_cache import ResultCache
@@ -65,7 +65,11 @@ class Ahead:
             self._checkpoint.keep(answer)
         if step is not None:
             moved, edges, points, normals, seen = step
-            self._step = Step(moved, [_edge(*edge) for edge in edges], OrientedPoints(points, normals), seen)
+            # Of `_plain` values.
+            told = [
+                Edge(a, b, T_a_b, spread, EdgeKind(kind), sure) for a, b, T_a_b, spread, kind, sure in edges
+            ]
+            self._step = Step(moved, told, OrientedPoints(points, normals), seen)
         return Moment(stamp_s, measurement, pose, motion, step is not None, {})
 
     def step(self, key: int) -> Step:
@@ -211,13 +215,6 @@ class _Answers:
         answer = compute()
         self.found.append(pack((question, float(key), answer)))
         return answer
-
-
-def _edge(
-    source: int, target: int, T_source_target: Pose, covariance: FloatArray, kind: str, trusted: bool
-) -> Edge:
-    """An edge of `_plain` values."""
-    return Edge(source, target, T_source_target, covariance, EdgeKind(kind), trusted)
 
 
 def _plain(edge: Edge) -> tuple[Any, ...]:

@@ -7,16 +7,33 @@ matched. So the first seconds are read twice.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections import deque
+from collections.abc import Iterable, Iterator
 
 from slam.config import Config
 from slam.matching.cloud_points import at_middle_of_turn
 from slam.measurements import ImuReading, Measurement, PointCloud
 from slam.odometry.cloud_tracker import CloudTracker
+from slam.odometry.cloud_velocity import LONGEST_STEP_S
 from slam.odometry.imu_tracker import ImuStart, ImuTracker
 
 # While all of it is within the smoother's lag the first state is improved, too.
 _LOOK_S = 2.5
+
+
+def after_readings(log: Iterable[Measurement]) -> Iterator[Measurement]:
+    """A log in its order, but that readings come before the clouds of their time, however late they were."""
+    waiting, newest_s = deque[tuple[float, Measurement]](), -math.inf
+    for one in log:
+        if isinstance(one, ImuReading):
+            newest_s = max(newest_s, one.stamp_s)
+            yield one
+        else:
+            times_s = one.times_s if isinstance(one, PointCloud) else None
+            waiting.append((one.stamp_s if times_s is None else one.stamp_s + float(times_s.max()), one))
+        while waiting and (waiting[0][0] <= newest_s or one.stamp_s - waiting[0][0] > LONGEST_STEP_S):
+            yield waiting.popleft()[1]
+    yield from (one for _, one in waiting)
 
 
 def start_of(log: Iterable[Measurement], config: Config) -> ImuStart | None:

@@ -187,7 +187,7 @@ class CloudLidar:
         """
         for loop in [] if self._closer is None else self._closer.alone():
             graph.add_loop(loop)
-        if self._down and self._imu is not None and not self._imu.unfit:
+        if self._down:
             graph.graph.level(apart_in_time(self._down))
 
     def search_again(self, graph: KeyframeGraph, kept: BoolArray) -> list[LoopCandidate]:
@@ -210,7 +210,7 @@ class CloudLidar:
         result.warnings += [*self._doubts(), *self._cameras.warnings()]
         result.notes += self._cameras.notes()
         if self._imu is not None:
-            result.add_told(self._imu.told())
+            result.add_told(*self._imu.told())
         result.unused |= self._cameras.unused()
 
     def learned_mountings(self) -> dict[str, LearnedMounting]:

@@ -20,7 +20,6 @@ from slam.mapping.layer_builder import LayerBuilder
 from slam.mapping.layered_map import DEPTH, OCCUPANCY
 from slam.mapping.occupancy_grid import OccupancyGrid
 from slam.measurements import RgbdFrame
-from slam.odometry.imu_tracker import Told
 from slam.storage.map_contents import MapContents
 from slam.storage.map_frames import MapFrames
 
@@ -70,11 +69,11 @@ class MapResult:
         learned = {name: record.learned for name, record in cameras.items()}
         self.map = replace(self.map, cameras=learned, frames=frames if len(frames) else None)
 
-    def add_told(self, told: Told) -> None:
-        """Take what an IMU has to say."""
-        self.notes += told.notes
-        self.warnings += told.warnings
-        self.unused |= told.unused
+    def add_told(self, notes: list[str], unused: dict[str, str]) -> None:
+        """Take what an IMU has to say, and by its name why it was not used."""
+        self.notes += notes
+        self.warnings += [f"{name} is not used: {why}" for name, why in unused.items()]
+        self.unused |= unused
 
     def draw(self, config: Config) -> None:
         """Draw the grids, see `drawn`; what cannot be drawn is a warning."""

@@ -18,7 +18,7 @@ from slam.errors import DatasetError
 from slam.heap import end_stage
 from slam.mapper.checkpoint import Checkpoint
 from slam.mapper.forerunner import Ahead, Forerunner, LostError
-from slam.mapper.imu_start import start_of
+from slam.mapper.imu_start import after_readings, start_of
 from slam.mapper.lidar2d import PlanarRobot
 from slam.mapper.lidar3d import CloudLidar
 from slam.mapper.map_result import MapResult
@@ -28,6 +28,7 @@ from slam.mapper.protocol import FrontEnd
 from slam.mapper.rgbd import FreeCamera
 from slam.measurements import Measurement
 from slam.odometry import STANDARD, Odometries
+from slam.odometry.imu_tracker import UnfitImuError
 from slam.vision.color_registration import ColorRegistration
 from slam.vision.features import forget_keypoints
 from slam.vision.prefetch import prefetched
@@ -115,18 +116,14 @@ class _Run:
         """Hand the whole log to a mapper; how much of it there was."""
         self._clock += [time.perf_counter()] * 2
         self._run_ahead(self._registrations)
-        try:
-            mapper, tally = self._way(self._forerunner.ahead)
-        except LostError:
-            self._begin_again()
-            mapper, tally = self._way()
+        mapper, tally = self._whole_way()
         if not self._mountings and (mountings := mapper.learned_mountings()):
             # The way up to there was mapped without these cameras; now they are known from its beginning.
             self._clock[2] = time.perf_counter()
             self._mountings = mountings
             self._begin_again()
             self._run_ahead(self._registrations)
-            mapper, tally = self._way(self._forerunner.ahead)
+            mapper, tally = self._whole_way()
         forget_keypoints()
         self._clock.append(time.perf_counter())
         return mapper, tally
@@ -172,10 +169,26 @@ class _Run:
         self._forerunner.stop()
         self._checkpoint.begin_again(self._findings, self._registrations, self._mountings)
 
+    def _whole_way(self) -> tuple[Mapper, SensorTally]:
+        """Go through the log, again where what was taken for granted did not hold."""
+        while True:
+            try:
+                return self._way(self._forerunner.ahead)
+            except LostError:
+                self._begin_again()
+            except UnfitImuError as unfit:
+                (name, why), effect = unfit.args, "the map is made without it"
+                left_out = ({"imus": {name: {"use": False}}},)
+                found = Finding(name, "no agreement", why, effect, left_out, sure=True)
+                self._findings = [*self._findings, found]
+                self._config = settled(self._config, [found])
+                self._choice = self._chosen()
+                self._begin_again()
+
     def _way(self, ahead: Ahead | None = None) -> tuple[Mapper, SensorTally]:
         """Go through the log once, frames prefetched."""
         mapper, tally = Mapper(self._config, self._front_end(ahead)), SensorTally(self._choice)
-        used = self._choice.used(tally.counted(self._dataset))
+        used = self._used(tally.counted(self._dataset))
         measurements: Iterable[Measurement | PreparedFrame] = used
         if self._choice.cameras:
             prepare = FramePreparer(
@@ -195,12 +208,18 @@ class _Run:
             ahead.end()
         return mapper, tally
 
+    def _used(self, log: Iterable[Measurement]) -> Iterable[Measurement]:
+        """What is mapped of a log; in space it goes by the readings of its IMU."""
+        used = self._choice.used(log)
+        waits = self._choice.imu and (self._choice.cloud or self._choice.spatial)
+        return after_readings(used) if waits else used
+
     def _front_end(self, ahead: Ahead | None) -> FrontEnd:
         """The sensor that leads."""
         config, choice, checkpoint = self._config, self._choice, self._checkpoint
         if choice.cloud:
             imu = choice.imu and config.sensors.imu
-            start = start_of(choice.used(self._dataset), config) if imu else None
+            start = start_of(self._used(self._dataset), config) if imu else None
             return CloudLidar(config, checkpoint, self._registrations, start)
         if choice.spatial:
             return FreeCamera(config, checkpoint, self._registrations, self._odometries)

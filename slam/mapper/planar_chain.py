@@ -118,7 +118,8 @@ class PlanarChain:
         wheels = self._tracker.wheel_motion(last.wheels, tracked.wheels, stamp_s - self._stamps_s[-1])
         bridge = None
         guessed = last is not self._matched[1]
-        if match is not None and guessed and not (self._guess_steps and _agree(self._guess_steps)):
+        agree = all(one.agrees(other) for one, other in combinations(self._guess_steps, 2))
+        if match is not None and guessed and not (self._guess_steps and agree):
             match, bridge = self._past_a_guess(match, last, tracked, stamp_s)
         moved = self._cameras.steps(self._camera_poses, camera_poses)
         by_camera = self._camera_steps(moved)
@@ -258,8 +259,3 @@ def _edge(source: int, target: int, step: Motion, kind: EdgeKind, *, trusted: bo
 def _camera_edge(source: int, target: int, step: Motion) -> Edge:
     """A camera's step as an edge, which may be refused."""
     return _edge(source, target, step, EdgeKind.RGBD, trusted=False)
-
-
-def _agree(steps: Sequence[Motion]) -> bool:
-    """Whether no two of some motions contradict each other."""
-    return all(one.agrees(other) for one, other in combinations(steps, 2))

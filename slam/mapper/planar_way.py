@@ -199,11 +199,11 @@ class PlanarWay:
             )
             result.unused[self._wheels_name] = "they report no motion where the robot has moved"
         if self._unexplained_s:
-            at_s = self._unexplained_s[0] - self.readings.scan_stamps_s()[0]
+            at_s, count = self._unexplained_s[0] - self.readings.scan_stamps_s()[0], len(self._unexplained_s)
             result.warnings.append(
-                f"{len(self._unexplained_s)} times, first at {at_s:.1f} s, a scan fits nothing that was seen "
-                "there, and the wheels say that the robot hardly moved: it was carried, or something stood "
-                "around it; if it was carried, what follows lies wrong until a loop joins it"
+                f"At {at_s:.1f} s a scan fits nothing that was seen there (such scans: {count}), and the "
+                "wheels say that the robot hardly moved: it was carried, or something stood around it; if it "
+                "was carried, what follows lies wrong until a loop joins it"
             )
         if self._gyro is not None:
             result.notes += self._gyro.notes()

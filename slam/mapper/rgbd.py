@@ -26,7 +26,7 @@ from slam.matching.upright import Gravity
 from slam.measurements import BoolArray, ImuReading, Pose, spatial
 from slam.odometry import STANDARD, Odometries
 from slam.odometry.imu_gravity import apart_in_time
-from slam.odometry.imu_tracker import ImuTracker, alike
+from slam.odometry.imu_tracker import ImuTracker, UnfitImuError, alike
 from slam.odometry.rgbd_tracker import RgbdTracker, TrackedFrame
 from slam.trajectory.readings import Readings
 from slam.vision.camera_frame import T_BODY_CAMERA
@@ -121,7 +121,7 @@ class FreeCamera:
 
     def settle(self, graph: KeyframeGraph) -> None:
         """Put the map upright, where gravity is known; every step was settled when it was made."""
-        if self._down and self._imu is not None and not self._imu.unfit:
+        if self._down:
             graph.graph.level(apart_in_time(self._down))
 
     def search_again(self, graph: KeyframeGraph, kept: BoolArray) -> list[LoopCandidate]:
@@ -139,7 +139,7 @@ class FreeCamera:
         result.add_cameras({self._camera: CameraRecord(result.scans, learned=learned)}, self._store.images)
         result.notes += registration_notes(self._registrations)
         if self._imu is not None:
-            result.add_told(self._imu.told())
+            result.add_told(*self._imu.told())
 
     def _place(self, stamp_s: float, tracked: TrackedFrame) -> None:
         """Where the camera is: as it was seen, unless it turned otherwise than the IMU says."""
@@ -164,9 +164,8 @@ class FreeCamera:
         if self._imu is None or self._camera is None:
             return
         if reading.T_base_imu is None:
-            self._imu.unfit = "nothing tells how it sits beside the camera"
-        mounting = reading.T_base_imu or gtsam.Pose3()
-        self._imu.add(replace(reading, T_base_imu=self._T_camera_base.compose(mounting)))
+            raise UnfitImuError(reading.sensor, "nothing tells how it sits beside the camera")
+        self._imu.add(replace(reading, T_base_imu=self._T_camera_base.compose(reading.T_base_imu)))
 
     def learned_mountings(self) -> dict[str, LearnedMounting]:
         """None: a camera alone is its own base."""

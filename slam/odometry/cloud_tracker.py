@@ -186,7 +186,7 @@ class CloudTracker:
         # Nobody knows how long a robot that sees nothing goes on.
         if (
             self._velocity.known
-            and 0.0 < step_s < LONGEST_STEP_S
+            and abs(step_s) < LONGEST_STEP_S
             and self._lost < self._config.match.lost_after
         ):
             guesses.append(self._pose.compose(gtsam.Pose3.Expmap(self._velocity.twist * step_s)))

@@ -77,6 +77,9 @@ class CloudVelocity:
         arms_m
             (3, 3) of the points, see `slam.matching.cloud_alignment.arms_of`.
         """
+        step_s = stamp_s - self._stamp_s
+        if -LONGEST_STEP_S < step_s <= 0.0:
+            return  # one that comes twice, or late: what is known is newer
         twist = self.to(pose, stamp_s)
         if motion.degenerate:
             lever = levers(arms_m)
@@ -85,7 +88,6 @@ class CloudVelocity:
             twist = twist - np.linalg.solve(lever, weak) * (weak @ lever @ (twist - self._determined))
         else:
             self._determined = twist
-        step_s = stamp_s - self._stamp_s
         self.known = self.known or step_s < LONGEST_STEP_S
         self._step_s = step_s if step_s < LONGEST_STEP_S else np.inf
         self._pose, self._stamp_s, self.twist = pose, stamp_s, twist

@@ -20,7 +20,7 @@ from slam.measurements import GRAVITY_M_S2, FloatArray
 _LAG_S = 3.0
 # How far the biases of a cheap sensor are from zero when it is switched on: a degree a second, and twenty
 # milligravities (data sheets of the Bosch BMI085 and BMI270).
-_GYRO_BIAS_RAD_S, _FORCE_BIAS_M_S2 = 0.017, 0.2
+_GYRO_BIAS_RAD_S, FORCE_BIAS_M_S2 = 0.017, 0.2
 # By so much may gravity turn in the frame of the odometry while a lag passes: that of its own drift.
 _DRIFT_RAD = 1e-3
 # Of a pose that is the frame of all others: radians and metres.
@@ -82,7 +82,7 @@ class ImuSpread:
     @classmethod
     def of_guess(cls, velocity_m_s: float, down_rad: float) -> ImuSpread:
         """By standard deviations; nothing is known of the biases but what such sensors have."""
-        sigmas = np.repeat([_FORCE_BIAS_M_S2, _GYRO_BIAS_RAD_S], 3)
+        sigmas = np.repeat([FORCE_BIAS_M_S2, _GYRO_BIAS_RAD_S], 3)
         return cls(velocity_m_s**2 * np.eye(3), np.diag(sigmas**2), down_rad)
 
 

@@ -4,19 +4,19 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import gtsam
 import numpy as np
 
-from fusion.estimation import FEWEST
+from fusion.estimation import FEWEST, gate
 from fusion.kernel import kernel
 from slam.matching.cloud_points import SLICES
 from slam.matching.upright import Gravity
 from slam.measurements import GRAVITY_M_S2, FloatArray, ImuReading, PointCloud
 from slam.odometry.imu_readings import ImuReadings
-from slam.odometry.imu_smoother import ImuSmoother, ImuSpread, ImuState
+from slam.odometry.imu_smoother import FORCE_BIAS_M_S2, ImuSmoother, ImuSpread, ImuState
 
 # Poses over this time tell velocity and gravity; where none comes for as long, readings alone go on.
 _BEGIN_S, _LEAST_POSES = 1.0, 4
@@ -27,17 +27,8 @@ _GUESS = ImuSpread.of_guess(0.5, 0.1)
 _APART_RAD, _APART_SHARE = 0.02, 0.1
 
 
-@dataclass(frozen=True, slots=True)
-class Told:
-    """Lines for people, and by its name why an IMU was not used after all."""
-
-    notes: list[str] = field(default_factory=list)
-    unused: dict[str, str] = field(default_factory=dict)
-
-    @property
-    def warnings(self) -> list[str]:
-        """What a person should see before trusting a map."""
-        return [f"{name} is not used: {why}" for name, why in self.unused.items()]
+class UnfitImuError(Exception):
+    """What an IMU says cannot be beside what was seen; its arguments are its name and why."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,14 +50,12 @@ class ImuTracker:
 
     Attributes
     ----------
-    unfit
-        Why it is not used after all; empty where it is.
     bridged_s
         Time over which readings alone told the way.
     """
 
     def __init__(self, start: ImuStart | None = None) -> None:
-        self.unfit, self.bridged_s = "", 0.0
+        self.bridged_s = 0.0
         self._sensor = ""
         self._readings = ImuReadings()
         self._parameters: gtsam.PreintegrationCombinedParams | None = None
@@ -86,7 +75,7 @@ class ImuTracker:
     @property
     def state(self) -> ImuState | None:
         """The newest state, once velocity and gravity are known."""
-        return None if self._smoother is None or self.unfit else self._smoother.state
+        return None if self._smoother is None else self._smoother.state
 
     def start(self) -> ImuStart | None:
         """What is known of the first cloud by now."""
@@ -120,7 +109,7 @@ class ImuTracker:
         twist
             (6,) of the base, by the clouds before: its velocity is taken until the IMU's is known.
         """
-        if self.unfit or cloud.times_s is None:
+        if cloud.times_s is None:
             return cloud
         first_s, last_s = float(cloud.times_s.min()), float(cloud.times_s.max())
         if not self._readings.covers(cloud.stamp_s + first_s, cloud.stamp_s + last_s):
@@ -165,9 +154,12 @@ class ImuTracker:
             ``T_odom_base``, (6, 6) in its tangent; no covariance where it was not seen.
         step
             Motion since the newest state by the wheels, with its covariance (6, 6).
+
+        Raises
+        ------
+        UnfitImuError
+            Its turns or forces are not those of the way that is seen.
         """
-        if self.unfit:
-            return
         T_base_imu = self._readings.T_base_imu
         pose, there = pose.compose(T_base_imu), T_base_imu.inverse().AdjointMap()
         if covariance is not None:
@@ -205,6 +197,11 @@ class ImuTracker:
             return
         if covariance is None:
             self.bridged_s += stamp_s - state.stamp_s
+            return
+        off_m_s2 = float(np.linalg.norm(smoother.state.bias.accelerometer()))
+        if off_m_s2**2 > gate(3) * FORCE_BIAS_M_S2**2:
+            why = f"its forces are {off_m_s2:.1f} m/s^2 off those of the way that was seen"
+            raise UnfitImuError(self._sensor, f"{why}: a wrong mounting, clock or unit")
 
     def restart(self) -> None:
         """The lidar's map begins anew where the newest state is."""
@@ -228,16 +225,14 @@ class ImuTracker:
         down = np.asarray(self._readings.T_base_imu.rotation().rotate(down_imu))
         return Gravity(state.stamp_s, down, self._smoother.down_sigma_rad())
 
-    def told(self) -> Told:
-        """What people should know of it, once the log is read."""
+    def told(self) -> tuple[list[str], dict[str, str]]:
+        """What people should know of it, once the log is read, and by its name why it was not used."""
         if not self._sensor:
-            return Told()
-        if self.unfit:
-            return Told(unused={self._sensor: self.unfit})
+            return [], {}
         state, gravity = self.state, self.gravity()
         if state is None or gravity is None:
             why = "velocity and gravity were not found; it needs a second of matches"
-            return Told(unused={self._sensor: why})
+            return [], {self._sensor: why}
         gyro, force = np.abs(state.bias.gyroscope()).max(), np.abs(state.bias.accelerometer()).max()
         notes = [
             f"{self._sensor}: gravity to {math.degrees(gravity.sigma_rad):.2f} degrees (sigma); biases up to "
@@ -245,7 +240,7 @@ class ImuTracker:
         ]
         if self.bridged_s:
             notes.append(f"{self._sensor}: {self.bridged_s:.1f} s without a match were bridged")
-        return Told(notes)
+        return notes, {}
 
     def _begin(self, stamp_s: float, pose: gtsam.Pose3, covariance: FloatArray | None) -> None:
         """Gather poses until they tell velocity and gravity; those after a gap begin anew."""
@@ -291,7 +286,8 @@ class ImuTracker:
         """Whether the lidar and the gyroscope tell the same turns; where mostly not, the IMU is left out."""
         self._agree.append(alike(seen, state.pose.between(state.carried(whole)[0])))
         if len(self._agree) == 2 * FEWEST and sum(self._agree) < FEWEST:
-            self.unfit = "its turns are not those that were seen: a wrong mounting, clock or unit"
+            why = "its turns are not those that were seen: a wrong mounting, clock or unit"
+            raise UnfitImuError(self._sensor, why)
 
     def _lose(self) -> None:
         """What was known is of no use after a gap in the readings."""

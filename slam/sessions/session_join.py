@@ -73,7 +73,8 @@ def join(
     known, session = known_map.contents, session_map.contents
     nodes = len(known.node_poses)
     factors = [*known.factors, *_renumbered(session, nodes, len(known.loops))]
-    loops = [*known.loops, *(_shifted(loop, nodes) for loop in session.loops)]
+    numbered = (replace(one, place=one.place + nodes, keyframe=one.keyframe + nodes) for one in session.loops)
+    loops = [*known.loops, *numbered]
     own_loops = len(loops)
     for loop in between_them:
         if loop.accepted and loop.motion is not None:
@@ -153,11 +154,6 @@ def _renumbered(session: MapContents, nodes: int, loops: int) -> list[SavedFacto
         )
         for factor in session.factors
     ]
-
-
-def _shifted(loop: LoopCandidate, nodes: int) -> LoopCandidate:
-    """A loop candidate, its nodes numbered after others."""
-    return replace(loop, place=loop.place + nodes, keyframe=loop.keyframe + nodes)
 
 
 def _together(parts: Sequence[Trajectory]) -> Trajectory:

@@ -175,6 +175,7 @@ def at_stamps(trajectory: Trajectory, stamps_s: FloatArray) -> Trajectory:
     if len(own_s) < 2 or np.array_equal(own_s, stamps_s):
         return Trajectory(stamps_s, trajectory.positions_m, trajectory.quaternions_xyzw)
     steps_s = np.diff(own_s)
+    steps_s[steps_s <= 0.0] = np.inf  # one that comes twice, or late, tells no motion
     # After a gap the motion is that to the next one.
     back = np.append(np.inf, steps_s) <= np.append(steps_s, np.inf)
     back[0], back[-1] = False, True

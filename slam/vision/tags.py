@@ -177,7 +177,8 @@ def _posed(number: int, corners_px: FloatArray, side_m: float, lens: CameraIntri
         pose = gtsam.Pose3(gtsam.Rot3(cv2.Rodrigues(turn)[0]), shift.ravel())
         points = square @ np.asarray(pose.rotation().matrix()).T + pose.translation()
         if points[:, 2].min() > TINY:
-            fits.append((float(np.sum((_seen(points, lens) - corners_px) ** 2)), pose, points))
+            seen_px = points[:, :2] / points[:, 2:] * [lens.fx, lens.fy] + [lens.cx, lens.cy]
+            fits.append((float(np.sum((seen_px - corners_px) ** 2)), pose, points))
     if not fits:
         return None
     misfit, pose, points = min(fits, key=lambda fit: fit[0])
@@ -185,11 +186,6 @@ def _posed(number: int, corners_px: FloatArray, side_m: float, lens: CameraIntri
     rivals = [fit[0] for fit in fits if not fit[1].equals(pose, 10 * SETTLED)]
     slopes = _slopes(points, square, np.asarray(pose.rotation().matrix()), lens)
     return TagView(number, pose, slopes.T @ slopes, misfit, min(rivals, default=math.inf) - misfit)
-
-
-def _seen(points: FloatArray, lens: CameraIntrinsics) -> FloatArray:
-    """(N, 2) pixels of points of the camera."""
-    return points[:, :2] / points[:, 2:] * [lens.fx, lens.fy] + [lens.cx, lens.cy]
 
 
 def _slopes(points: FloatArray, square: FloatArray, turn: FloatArray, lens: CameraIntrinsics) -> FloatArray:

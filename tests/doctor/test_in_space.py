@@ -213,6 +213,16 @@ def test_depth_that_no_camera_sees_is_in_another_unit(median_m: float, scale: fl
     assert all(one.sure == (median_m > 30.0 or median_m < 0.1) for one in found)
 
 
+@pytest.mark.parametrize(
+    ("median_m", "unit"), [(1800.0, 1000.0), (11_000.0, 1000.0), (180.0, 100.0), (60.0, None)]
+)
+def test_clouds_beyond_all_ranges_are_in_another_unit(median_m: float, unit: float | None) -> None:
+    samples = CloudSamples(count=5, points=[median_m * np.array([[1.0, 0.0, 0.0], [0.0, 0.6, 0.8]])])
+    found = cloud_findings("lidar", samples)
+    scales = [one.remedies[0]["lidars_3d"]["lidar"]["range_scale"] for one in found]
+    assert scales == ([] if unit is None else [1.0 / unit]) and all(one.sure for one in found)
+
+
 def test_what_repeats_itself_is_named() -> None:
     samples = CameraSamples()
     for stamp_s in STAMPS[:60]:

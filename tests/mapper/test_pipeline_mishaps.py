@@ -179,7 +179,10 @@ class TestMishaps:
 
     @pytest.mark.parametrize(
         ("took_s", "told"),
-        [(10.0, "No scan was placed"), (0.0, "1 times, first at 4.4 s, a scan fits nothing")],
+        [
+            (10.0, "No scan was placed"),
+            (0.0, "At 4.4 s a scan fits nothing that was seen there (such scans: 1)"),
+        ],
     )
     def test_a_robot_carried_away_unseen(
         self, short_log: SyntheticLog, tmp_path: Path, took_s: float, told: str

@@ -31,8 +31,8 @@ def test_the_worst_of_several_is_told_with_their_number() -> None:
     covariances[STAMPS_S == 8.5] *= 4.0
     (warning,) = unseen(ALONG, placed, covariances, Config())
     assert (
-        "from 7.5 to 9.5 s, and 1 times more: against what was before, poses are uncertain by up to 2.00 m"
-        in warning
+        "from 7.5 to 9.5 s (the worst of 2 times): against what was before, poses are uncertain by up to "
+        "2.00 m" in warning
     )
 
 

@@ -41,6 +41,14 @@ def test_it_is_known_after_one_step() -> None:
     assert not velocity.known
 
 
+@pytest.mark.parametrize("late_s", [0.0, 0.1])
+def test_a_cloud_that_comes_twice_or_late_changes_nothing(late_s: float) -> None:
+    (plain, pose), (velocity, _) = driven(3), driven(3)
+    velocity.learn(gtsam.Pose3.Expmap((0.3 - late_s) * AHEAD), 5.3 - late_s, ARMS_M, match(pose))
+    after = gtsam.Pose3.Expmap(0.41 * AHEAD)
+    np.testing.assert_allclose(velocity.at(after, 5.4), plain.at(after, 5.4))
+
+
 def test_a_gap_tells_no_velocity() -> None:
     velocity, pose = driven(2)
     far = pose.compose(gtsam.Pose3(gtsam.Rot3(), np.array([9.0, 0.0, 0.0])))

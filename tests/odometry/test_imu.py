@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import gtsam
 import numpy as np
@@ -14,7 +15,7 @@ from slam.measurements import FloatArray, ImuReading, PointCloud
 from slam.odometry.imu_gravity import apart_in_time
 from slam.odometry.imu_readings import ImuReadings
 from slam.odometry.imu_smoother import noise_of
-from slam.odometry.imu_tracker import ImuTracker
+from slam.odometry.imu_tracker import ImuTracker, UnfitImuError
 
 MATCHED = np.diag([1e-6] * 3 + [4e-6] * 3)
 DOWN = np.array([0.0, 0.0, -1.0])
@@ -82,8 +83,8 @@ def test_three_seconds_without_a_cloud_are_bridged_and_owned_up_to() -> None:
     assert np.linalg.norm(off[3:]) < 0.1 * way_m
     assert off @ np.linalg.solve(spread, off) / 6.0 < 5.0
     assert imu.bridged_s == pytest.approx(3.0, abs=0.2)
-    told = imu.told()
-    assert any("without a match" in note for note in told.notes) and not told.warnings
+    notes, unused = imu.told()
+    assert any("without a match" in note for note in notes) and not unused
 
 
 def test_a_direction_that_is_open_weighs_nothing_and_the_others_what_they_should() -> None:
@@ -110,10 +111,19 @@ def test_wheels_hold_a_long_bridge() -> None:
 
 
 def test_a_wrong_mounting_is_found_out() -> None:
-    imu = tracked(walk, 8.0, told=gtsam.Pose3(gtsam.Rot3.Roll(1.5), np.zeros(3)))
-    assert imu.unfit and imu.state is None and imu.gravity() is None
-    assert "not used" in imu.told().warnings[0]
-    assert "turns" in imu.told().unused["imu"]
+    with pytest.raises(UnfitImuError) as found:
+        tracked(walk, 8.0, told=gtsam.Pose3(gtsam.Rot3.Roll(1.5), np.zeros(3)))
+    assert found.value.args[0] == "imu" and "wrong mounting" in found.value.args[1]
+
+
+def test_forces_of_another_way_are_found_out() -> None:
+    imu = ImuTracker()
+    with pytest.raises(UnfitImuError, match="forces"):
+        for reading in readings(walk, 12.0):
+            off = reading.specific_force_m_s2 + np.array([1.5, 0.0, 0.0])
+            imu.add(replace(reading, specific_force_m_s2=off))
+            if abs(reading.stamp_s * 10.0 - round(reading.stamp_s * 10.0)) < 1e-6 and reading.stamp_s > 0.2:
+                imu.took(reading.stamp_s, walk(reading.stamp_s), MATCHED)
 
 
 def test_readings_with_a_gap_begin_anew() -> None:

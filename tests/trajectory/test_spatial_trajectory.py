@@ -32,6 +32,12 @@ def test_an_even_motion_is_carried_on(shift_s: float) -> None:
     np.testing.assert_allclose(turned, 1.0, atol=1e-12)
 
 
+def test_what_comes_twice_or_late_is_moved_as_its_neighbours_are() -> None:
+    stamps_s = 0.1 * np.array([0, 1, 2, 2, 3, 5, 4, 6, 7])
+    found, true = at_stamps(along(stamps_s + 0.05), stamps_s), along(stamps_s)
+    np.testing.assert_allclose(found.positions_m, true.positions_m, atol=1e-9)
+
+
 def test_stamps_that_stand_still_or_are_too_few_move_nothing() -> None:
     stamps_s = np.array([0.05, 0.05, 0.15])
     reported = at_stamps(along(stamps_s), np.array([0.0, 0.0, 0.1]))

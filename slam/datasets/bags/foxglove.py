@@ -119,11 +119,6 @@ def _transforms(message: Any) -> SimpleNamespace:
     )
 
 
-def _pose(message: Any) -> SimpleNamespace:
-    """A PoseStamped."""
-    return SimpleNamespace(header=_header(message), pose=message.pose)
-
-
 _AS: dict[str, tuple[str, Callable[[Any], SimpleNamespace]]] = {
     "PointCloud": ("sensor_msgs/msg/PointCloud2", _cloud),
     "LaserScan": ("sensor_msgs/msg/LaserScan", _scan),
@@ -132,7 +127,10 @@ _AS: dict[str, tuple[str, Callable[[Any], SimpleNamespace]]] = {
     "CameraCalibration": ("sensor_msgs/msg/CameraInfo", _lens),
     "FrameTransform": ("tf2_msgs/msg/TFMessage", _transforms),
     "FrameTransforms": ("tf2_msgs/msg/TFMessage", _transforms),
-    "PoseInFrame": ("geometry_msgs/msg/PoseStamped", _pose),
+    "PoseInFrame": (
+        "geometry_msgs/msg/PoseStamped",
+        lambda one: SimpleNamespace(header=_header(one), pose=one.pose),
+    ),
 }
 
 

@@ -101,6 +101,7 @@ NS, S = 1_700_000_000_000_000_000, 1_700_000_000.0
         ("offset_time", np.array([0, 25, 50, 75, 100], "<u4") * 1000, "microseconds after"),
         ("ts", np.array([0.0, 25.0, 50.0, 75.0, 100.0], "<f4"), "milliseconds after"),
         ("timestamp", 5e6 + np.array([0.0, 0.025, 0.05, 0.075, 0.1]), "seconds by a clock"),
+        ("timestamp", 1e3 + np.array([0.0, 0.025, 0.05, 0.075, 0.1]), "seconds by a clock"),
     ],
 )
 def test_times_of_points_are_found_by_name_and_their_unit_by_the_turn(
