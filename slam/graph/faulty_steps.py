@@ -17,10 +17,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fusion.estimation import FEWEST, ROUNDS, TINY, gate, median_to_sigma
-from slam.config.stages import GraphConfig
+from slam.config.stages import GraphConfig, LoopConfig, MatchConfig
 from slam.graph.edge import GUESSES, Edge, EdgeKind
-from slam.graph.keyframe_graph import KeyframeGraph, graph_of, row_of, together, unmeasured
-from slam.graph.relative_uncertainty import composed, inverse, moved
+from slam.graph.keyframe_graph import KeyframeGraph, graph_of, lone_steps, row_of, together, unmeasured
+from slam.graph.relative_uncertainty import UncertaintyGraph, composed, inverse, moved
 from slam.matching.motion import Motion
 from slam.matching.planar import adjoint, between, compose, rotate_covariance
 from slam.measurements import BoolArray, FloatArray, pose2_from_row, row_from_pose2
@@ -39,13 +39,12 @@ def settle_wheels(graph: KeyframeGraph, least_m: float, poses: FloatArray) -> No
     alone = [n for n, edge in enumerate(edges) if edge.kind is EdgeKind.WHEEL and edge.trusted]
     steps = np.zeros(len(graph), np.bool_)
     steps[[edges[n].source for n in alone]] = True
-    told = np.cumsum(steps)
     longer = [
         edge
         for edge in edges
         if edge.kind is EdgeKind.WHEEL
         and edge.target - edge.source > 1
-        and told[edge.target - 1] - told[edge.source] + steps[edge.source] == 0
+        and not steps[edge.source : edge.target].any()
     ]
     sparse = len(longer) < FEWEST
     errors = _calibrated_by_steps(edges, poses, least_m) if sparse else _errors_of_stretches(graph, longer)
@@ -131,6 +130,28 @@ def _fitted(design: FloatArray, measured: FloatArray, variances: FloatArray) -> 
     return values
 
 
+def believed_edges(edges: Sequence[Edge], kept: BoolArray, poses: FloatArray) -> list[Edge]:
+    """Edges that an optimisation has kept; where it has refused one of a step, all that may be are in doubt.
+
+    They are as uncertain then as they are apart: only loops can tell which of them was right.
+    """
+    doubts: dict[tuple[int, int], FloatArray] = {}
+    for edge, keep in zip(edges, kept, strict=True):
+        if not keep and edge.loop is None:
+            found = between(poses[edge.source], poses[edge.target])
+            off = between(row_from_pose2(edge.T_source_target), found)
+            ends = edge.source, edge.target
+            doubts[ends] = doubts.get(ends, np.zeros((3, 3))) + np.outer(off, off)
+    held = []
+    for edge, keep in zip(edges, kept, strict=True):
+        doubt = None if edge.trusted or edge.loop is not None else doubts.get((edge.source, edge.target))
+        if doubt is not None:
+            held.append(replace(edge, covariance=edge.covariance + doubt))
+        elif keep:
+            held.append(edge)
+    return held
+
+
 class FaultySteps:
     """What a claim asks of a chain a part of which is wrong: one step, or all steps of a gap.
 
@@ -139,40 +160,38 @@ class FaultySteps:
     edges, poses
         Of the graph: how far wrong a step may be is told by those of its edges that cannot be refused. Where
         it was matched, that is no more than what nothing measured.
-    believed
-        The edges that hold, loops among them.
-    least_m
-        A step as certain as this is not wrong; nor one that turns the surroundings no more than this.
-    lever_m
-        How far these are.
+    kept
+        (E,) which of them the optimisation has kept.
     stamps_s
         (n,) of the keyframes: in the time of a part the robot went and turned no farther than it does as a
         rule, and what is told on top, however many claims say so.
-    probability
-        Share of the steps that are no faster than that rule; of true differences that pass the gate.
+    config, loops, match
+        What nothing measured; the share of the steps that are no faster than that rule, and how far
+        surroundings reach; how far a step moves these at least that is wrong.
 
     Attributes
     ----------
+    held
+        The edges that are believed, loops among them.
     known
-        How uncertain keyframes are of each other by the edges that are believed.
+        How uncertain keyframes are of each other by these.
     unseen
         (n,) whether wheels alone tell the step from a keyframe to the next.
     share
-        Of these steps, that has turned out wrong.
+        Of these steps, that is grossly wrong.
     """
 
     def __init__(
         self,
         edges: Sequence[Edge],
-        believed: Sequence[Edge],
+        kept: BoolArray,
         poses: FloatArray,
-        config: GraphConfig,
-        least_m: float,
-        lever_m: float,
         stamps_s: FloatArray,
-        probability: float,
+        config: GraphConfig,
+        loops: LoopConfig,
+        match: MatchConfig,
     ) -> None:
-        self._poses, self._gate = poses, gate(3, probability)
+        self._poses, self._gate = poses, gate(3, loops.inlier_probability)
         limit = unmeasured(config, planar=True)
         single = [edge for edge in edges if edge.target == edge.source + 1]
         sources = np.array([edge.source for edge in single], np.int64)
@@ -188,7 +207,8 @@ class FaultySteps:
         held = np.zeros((len(poses), 3, 3))
         np.add.at(held, sources, information)
         open_: FloatArray = np.linalg.inv(held[steps := np.unique(sources)]).astype(np.float64)
-        wrong = (np.sqrt(np.diagonal(open_, axis1=1, axis2=2)) * [1.0, 1.0, lever_m]).max(axis=1) > least_m
+        moves_m = np.sqrt(np.diagonal(open_, axis1=1, axis2=2)) * [1.0, 1.0, loops.reach_m]
+        wrong = moves_m.max(axis=1) > match.coarse_cell_m
         parts: list[tuple[int, int, FloatArray]] = []
         for step, free in zip(steps[wrong].tolist(), open_[wrong], strict=True):
             if parts and parts[-1][1] == step and guessed[step] and guessed[step - 1]:
@@ -202,23 +222,23 @@ class FaultySteps:
         numbers = np.full(len(poses), -1)
         for n, (first, last) in enumerate(self._ends):
             numbers[first:last] = n
-        self.known = graph_of(len(poses), believed, numbers)
+        self.held = believed_edges(edges, kept, poses)
+        self.known = graph_of(len(poses), self.held, numbers)
         took_s = np.diff(stamps_s)
         speeds = _moves(_off(poses[:-1], poses[1:])) / np.where(took_s > 0.0, took_s, np.inf)[:, None]
         begun, ended = self._ends.T
         time_s = np.abs(stamps_s[ended] - stamps_s[begun])[:, None]
         told = _moves(_off(poses[begun], poses[ended]))
-        alone = [edge for edge in single if edge.kind is EdgeKind.WHEEL and guessed[edge.source]]
-        self.unseen = np.zeros(len(poses), np.bool_)
-        self.unseen[[edge.source for edge in alone]] = True
-        steps_off = [
-            Motion(row_from_pose2(edge.T_source_target), edge.covariance).squared_mahalanobis(
-                between(poses[edge.source], poses[edge.target])
-            )
-            for edge in alone
-        ]
-        self.share = (sum(off > self._gate for off in steps_off) + 1.0) / (len(alone) + 2.0)
-        self._farthest = told + time_s * np.quantile(speeds, probability, axis=0)
+        lone = lone_steps(edges, kept, len(poses), config.lost_sigma_m)
+        self.unseen, self.share = np.zeros(len(poses), np.bool_), lone.share
+        self.unseen[lone.steps] = True
+        self._farthest = told + time_s * np.quantile(speeds, loops.inlier_probability, axis=0)
+
+    @cached_property
+    def loose(self) -> UncertaintyGraph:
+        """How uncertain keyframes are of each other where all steps that wheels alone tell may be wrong."""
+        alone = (e.kind is EdgeKind.WHEEL and self.unseen[e.source : e.target].any() for e in self.held)
+        return graph_of(len(self._poses), (e for e, one in zip(self.held, alone, strict=True) if not one))
 
     @cached_property
     def _bounded(self) -> FloatArray:

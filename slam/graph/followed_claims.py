@@ -16,7 +16,6 @@ import numpy as np
 from fusion.estimation import FEWEST, gate
 from slam.config.stages import LoopConfig, MatchConfig
 from slam.graph.consistent_sets import Known, after
-from slam.graph.edge import Edge, EdgeKind
 from slam.graph.faulty_steps import FaultySteps
 from slam.graph.loop_closure import LoopCandidate, found_motion
 from slam.graph.submaps import SubmapStore
@@ -24,7 +23,7 @@ from slam.matching.correlative import search_window
 from slam.matching.match_covariance import motion_from_alignment
 from slam.matching.motion import Motion
 from slam.matching.planar import between, compose, diagonal
-from slam.measurements import BoolArray, FloatArray
+from slam.measurements import FloatArray
 
 
 class Claim(NamedTuple):
@@ -45,22 +44,8 @@ class FollowedClaims:
         # As much as tells two hypotheses apart; the most that looks count, for a whole wing may be a copy.
         self._least, self._most = (share * gate(3, config.inlier_probability) for share in (0.5, 1.0))
         self._window = 2.0 * math.pi * (2.0 * window_m) ** 2
-        self._claims: list[Claim] = []
-        # How often a step is wrong that wheels alone tell; the least that is said of where a way ends.
-        self._wrong, self._least_nats = 0.5, -math.inf
-
-    def loosened(self, edges: Sequence[Edge], kept: BoolArray, held: Sequence[Edge]) -> list[Edge]:
-        """Edges that are held without those by which steps that nothing saw are as certain as wheels are.
-
-        How many of all edges of that kind were not kept tells how often such a step is wrong.
-        """
-
-        def sure(edge: Edge) -> bool:
-            return edge.kind is EdgeKind.WHEEL and self._submaps.parted(edge.source, edge.target)
-
-        told = [keep for edge, keep in zip(edges, kept.tolist(), strict=True) if sure(edge)]
-        self._wrong = (1.0 + told.count(False)) / (2.0 + len(told))
-        return [edge for edge in held if not sure(edge)]
+        # The least that is said of where a way ends.
+        self._claims, self._least_nats = list[Claim](), -math.inf
 
     def follow(self, place: int, keyframe: int, pose: FloatArray) -> None:
         """Take a claim: the pose (3,) of a keyframe in the frame of a place, searched in a window."""
@@ -77,11 +62,13 @@ class FollowedClaims:
                 near = self._nearest(at, compose(expected, step), key)
                 if near is None:
                     break
-                at, expected = near
-                told[key], fit = self._judged(at, key, expected)
+                before, (at, expected) = at, near
+                unseen = self._submaps.parted(key, key - onward) or self._submaps.parted(at, before)
+                told[key], fit = self._judged(at, key, expected, unseen=unseen)
                 said, expected = said + told[key], found_motion(fit[0]).pose if fit else expected
                 fits += fit
-        if self._looks(told, keyframe) > 0.5 * self._least:
+        # How often unseen steps are wrong will be known when it is asked for.
+        if self._looks(told, keyframe, 0.5) > 0.5 * self._least:
             sigma_m = self._match.coarse_cell_m / self._config.sigmas
             covariance = diagonal(sigma_m**2, sigma_m**2, (sigma_m / self._config.reach_m) ** 2)
             self._claims.append(Claim(place, keyframe, Motion(pose, covariance), told, fits))
@@ -102,7 +89,7 @@ class FollowedClaims:
         # However uncertain the way, it ends on the map.
         on_map = 2.0 * math.pi * float(np.ptp(poses[:, :2], axis=0).max()) ** 2
         self._least_nats = -math.log(max(on_map / self._window, 1.0))
-        looks = [self._looks(one.told, one.keyframe) for one in claims]
+        looks = [self._looks(one.told, one.keyframe, faulty.share) for one in claims]
         odds = [
             min(look, self._most) + self._expected(known(one.place, one.keyframe), one)
             for look, one in zip(looks, claims, strict=True)
@@ -140,7 +127,7 @@ class FollowedClaims:
                 told[key] = max(nats, told.get(key, nats))
             # A whole wing may be a copy; where two have no scan in common less so.
             most = self._most + self._least * any(self._apart(one, claims[m]) for m in same)
-            sets[n] = min(self._looks(told, one.keyframe), most) + ways[n], same
+            sets[n] = min(self._looks(told, one.keyframe, faulty.share), most) + ways[n], same
         for n, (odd, same) in sorted(sets.items(), key=lambda item: -item[1][0]):
             rivals = [
                 max(odds[m], sets.get(m, (-math.inf,))[0])
@@ -159,7 +146,7 @@ class FollowedClaims:
         way = known(*ends)
         return max(
             self._expected(way, one),
-            math.log(self._wrong) + self._expected(loose(*ends), one),
+            math.log(faulty.share) + self._expected(loose(*ends), one),
             math.log(self._window) + faulty.likelihood(*ends, way.widened(one.said.covariance), one.said),
         )
 
@@ -172,7 +159,7 @@ class FollowedClaims:
             return -math.inf
         return self._expected(way, other)
 
-    def _looks(self, told: dict[int, float], keyframe: int) -> float:
+    def _looks(self, told: dict[int, float], keyframe: int, share: float) -> float:
         """What all scans say; those behind a step that nothing saw no more than that it may be wrong."""
         said = {1: 0.0, -1: 0.0}
         for onward in said:
@@ -180,7 +167,7 @@ class FollowedClaims:
                 if (key - keyframe) * onward > 0:
                     said[onward] += told[key]
                     if self._submaps.parted(key, key - onward):
-                        right, wrong = math.log1p(-self._wrong), math.log(self._wrong)
+                        right, wrong = math.log1p(-share), math.log(share)
                         said[onward] = float(np.logaddexp(right + said[onward], wrong))
         return told[keyframe] + sum(said.values())
 
@@ -211,22 +198,27 @@ class FollowedClaims:
                 away_m, nearest = math.hypot(seen[0], seen[1]), (one, seen)
         return nearest
 
-    def _judged(self, place: int, key: int, pose: FloatArray) -> tuple[float, list[LoopCandidate]]:
+    def _judged(
+        self, place: int, key: int, pose: FloatArray, *, unseen: bool = False
+    ) -> tuple[float, list[LoopCandidate]]:
         """What a scan matched about a pose (3,) says, in nats; and the loop that it is, if it fits.
 
         Of the points at a true place no more than a few contradict it, and few false ones fit so well: for
-        that it is some four times likelier, as measured, and unlikelier the more of them do.
+        that it is some four times likelier, as measured, and unlikelier the more of them do. Where nothing
+        saw the way to it, it is looked for as far as a place is seen.
         """
         local_map, scan = self._submaps.surroundings(place), self._submaps.scan(key)
         config, match = self._config, self._match
         if min(len(scan), len(local_map.points)) < FEWEST:
             return 0.0, []
         few = config.sigmas * (1.0 - config.inlier_probability)
+        wide = 0.5 * config.reach_m, match.search_half_yaw_rad
         found = local_map.align(scan, pose)
         contradicted = local_map.contradicted(scan, found.pose)
         if contradicted > few or found.inlier_share < config.least_overlap:
             # The step before may be off by more than an alignment mends.
-            window = pose, config.every_m, match.search_half_yaw_rad / 4, match.search_least_score
+            size = wide if unseen else (config.every_m, match.search_half_yaw_rad / 4)
+            window = pose, *size, match.search_least_score
             better = search_window(self._submaps.field(place), scan.thinned(match.search_points), *window)
             again = local_map.align(scan, better.pose)
             if better.found and again.inlier_share > found.inlier_share:
@@ -242,5 +234,4 @@ class FollowedClaims:
             return nats, []
         motion = motion_from_alignment(found, match)
         motion = replace(motion, covariance=motion.covariance * config.caution)
-        width_m, yaw_rad = config.every_m, match.search_half_yaw_rad
-        return nats, [LoopCandidate(place, key, width_m, yaw_rad, found.inlier_share, motion, True, "")]
+        return nats, [LoopCandidate(place, key, *wide, found.inlier_share, motion, True, "")]

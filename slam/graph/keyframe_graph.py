@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
+from typing import NamedTuple
 
 import gtsam
 import numpy as np
@@ -119,38 +120,11 @@ class KeyframeGraph:
         kept
             (E,) edges that the optimisation has kept.
         """
-        # SciPy is loaded where it is used: that takes 0.1 s.
-        from scipy.sparse import coo_array
-        from scipy.sparse.csgraph import connected_components
-
-        edges = [edge for edge, keep in zip(self.graph.edges, kept, strict=True) if keep]
-        most = self._config.lost_sigma_m**2
-        motions, unproved = together(edges), self._unproved(kept)
-        spreads = np.array([motion.covariance[:2, :2] for motion in motions.values()]).reshape(-1, 2, 2)
-        sure = np.linalg.eigvalsh(spreads)[:, -1] <= most
-        held = [ends for ends, known in zip(motions, sure, strict=True) if known and ends not in unproved]
-        # A fix may be off by metres, and yet is no guess.
-        held += [(edge.source, edge.target) for edge in edges if edge.kind in _PLACES]
-        sources, targets = np.array(held, np.int64).reshape(-1, 2).T
-        joined = coo_array((np.ones(len(held)), (sources, targets)), shape=(len(self), len(self)))
-        return np.asarray(connected_components(joined, directed=False)[1], np.int64)
-
-    def _unproved(self, kept: BoolArray) -> set[tuple[int, int]]:
-        """Steps that wheels alone tell, where one of them must be expected to be grossly wrong.
-
-        As often as one of the steps is that matches tell, too, or as loops have refused one of their own.
-        """
-        wheels, proved, wrong = set[tuple[int, int]](), set[tuple[int, int]](), set[tuple[int, int]]()
-        for edge, keep in zip(self.graph.edges, kept, strict=True):
-            ends = edge.source, edge.target
-            if edge.kind is EdgeKind.WHEEL and edge.target == edge.source + 1:
-                wheels.add(ends)
-                wrong |= set() if keep else {ends}
-            elif edge.kind not in GUESSES and keep:
-                proved.add(ends)
-        alone = wheels - proved
-        share = max(len(wrong & group) / max(len(group), 1) for group in (wheels & proved, alone))
-        return alone if len(alone - wrong) * share >= 1.0 else set()
+        lone = lone_steps(self.graph.edges, kept, len(self), self._config.lost_sigma_m)
+        # One of them must be expected to be wrong.
+        if len(lone.untried) * lone.share >= 1.0:
+            return lone.pieces
+        return _joined(lone.pieces, [(lone.pieces[step], lone.pieces[step + 1]) for step in lone.untried])
 
     def optimize(self, inlier_probability: float) -> BatchResult:
         """Solve everything anew; a loop that disagrees with the others is marked as refused."""
@@ -195,6 +169,59 @@ def together(edges: Iterable[Edge]) -> dict[tuple[int, int], Motion]:
         ends: Motion(np.array(row_of(ones[0].T_source_target)), covariances[ends])
         for ends, ones in same.items()
     }
+
+
+class LoneSteps(NamedTuple):
+    """Steps that wheels alone tell, by the keyframes where they begin, and the share of such that is wrong.
+
+    ``pieces`` (n,) numbers those of all keyframes, were each such step a guess; ``untried`` steps join two.
+    """
+
+    steps: list[int]
+    pieces: NDArray[np.int64]
+    untried: list[int]
+    share: float
+
+
+def lone_steps(edges: Sequence[Edge], kept: BoolArray, nodes: int, lost_sigma_m: float) -> LoneSteps:
+    """How often wheels are wrong where nothing else tells a step, asked of those that loops have tried.
+
+    As many as were refused. Before any were tried, as many as of those that matches tell, too, which are
+    wrong less often: that counts as two steps, as in the rule of succession. Edges less certain than
+    ``lost_sigma_m`` join nothing.
+    """
+    held = [edge for edge, keep in zip(edges, kept, strict=True) if keep]
+    single = [
+        (edge, bool(keep)) for edge, keep in zip(edges, kept, strict=True) if edge.target == edge.source + 1
+    ]
+    seen = {edge.source for edge, keep in single if keep and edge.kind not in GUESSES}
+    right = {edge.source: True for edge, _ in single if edge.kind is EdgeKind.WHEEL}
+    right |= {edge.source: False for edge, keep in single if edge.kind is EdgeKind.WHEEL and not keep}
+    lone, motions = sorted(right.keys() - seen), together(held)
+    spreads = np.array([motion.covariance[:2, :2] for motion in motions.values()]).reshape(-1, 2, 2)
+    sure = np.linalg.eigvalsh(spreads)[:, -1] <= lost_sigma_m**2
+    known = {ends for ends, enough in zip(motions, sure, strict=True) if enough}
+    # A fix may be off by metres, and yet is no guess.
+    fixes = [(edge.source, edge.target) for edge in held if edge.kind in _PLACES]
+    pieces = _joined(np.arange(nodes), [*sorted(known - {(step, step + 1) for step in lone}), *fixes])
+    apart = {step for step in lone if pieces[step] != pieces[step + 1]}
+    tried = [right[step] for step in lone if not right[step] or step not in apart]
+    matched = [right[step] for step in right.keys() & seen]
+    before = (1.0 + matched.count(False)) / (2.0 + len(matched))
+    share = (tried.count(False) + 2.0 * before) / (len(tried) + 2.0)
+    return LoneSteps(lone, pieces, sorted(step for step in apart if (step, step + 1) in known), share)
+
+
+def _joined(numbers: NDArray[np.int64], ends: Sequence[tuple[int, int]]) -> NDArray[np.int64]:
+    """(n,) numbers of what is one, where so many pairs of numbers are joined."""
+    # SciPy is loaded where it is used: that takes 0.1 s.
+    from scipy.sparse import coo_array
+    from scipy.sparse.csgraph import connected_components
+
+    sources, targets = np.array(ends, np.int64).reshape(-1, 2).T
+    shape = (int(numbers.max(initial=0)) + 1,) * 2
+    graph = coo_array((np.ones(len(ends)), (sources, targets)), shape=shape)
+    return np.asarray(connected_components(graph, directed=False)[1], np.int64)[numbers]
 
 
 def graph_of(nodes: int, edges: Iterable[Edge], parts: NDArray[np.int64] | None = None) -> UncertaintyGraph:

@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import replace
 from typing import TypeAlias
 
 import numpy as np
@@ -28,7 +27,7 @@ from slam.graph.relative_uncertainty import UncertaintyGraph
 from slam.graph.stretches import Stretches
 from slam.matching.motion import Motion
 from slam.matching.planar import between
-from slam.measurements import BoolArray, FloatArray, row_from_pose2
+from slam.measurements import BoolArray, FloatArray
 from slam.result_cache import COMPUTED, ResultCache
 
 # What a set asks of the estimate, how uncertain that is, and which part of the way must be wrong, if one is.
@@ -90,37 +89,27 @@ class PlaceSearch:
         self.fault = None
         if not self._config.enabled or len(poses) < 2:
             return []
-        held = believed_edges(edges, kept, poses)
-        if self._stretches is None and self._submaps.sparse:
-            seen = {edge.target for edge in edges if edge.kind not in GUESSES}
-            self._submaps.lay(poses, [key for key in range(1, len(poses)) if key not in seen])
-            self._stretches = Stretches(self._submaps, self._config, self._match)
-            window_m = self._stretches.window_m
-            self._followed = FollowedClaims(self._submaps, self._config, self._match, window_m)
-        if self._followed is not None and self._stretches is not None:
-            loosened = self._followed.loosened(edges, kept, held)
-            least_m, lever_m = self._match.coarse_cell_m, self._config.reach_m
-            probability = self._config.inlier_probability
-            faulty = FaultySteps(edges, held, poses, self._graph, least_m, lever_m, stamps_s, probability)
-            graphs = graph_of(len(poses), held), graph_of(len(poses), loosened)
-            return self._follow(self._stretches, self._followed, poses, graphs, faulty, loops)
-        if self._stretches is None or self._sets is None:
-            self._stretches = Stretches(self._submaps, self._config, self._match)
+        faulty = FaultySteps(edges, kept, poses, stamps_s, self._graph, self._config, self._match)
+        settings, sparse = (self._submaps, self._config, self._match), self._submaps.sparse
+        if self._stretches is None and sparse:
+            self._submaps.lay(poses, [key + 1 for key in np.flatnonzero(faulty.unseen).tolist()])
+        stretches = self._stretches = self._stretches or Stretches(*settings)
+        if sparse:
+            self._followed = self._followed or FollowedClaims(*settings, stretches.window_m)
+            return self._follow(stretches, self._followed, poses, faulty, loops)
+        if self._sets is None:
             # Where scans lie far apart only the whole run has told how far wheels can be believed.
-            self._corrected = self._stretches.spacing_m > 0.5 * self._config.reach_m
+            self._corrected = stretches.spacing_m > 0.5 * self._config.reach_m
             # Claims on both sides of a step that may be grossly wrong say nothing of each other.
-            measured = {edge.source for edge in held if edge.kind not in GUESSES}
-            sure = (edge for edge in held if edge.trusted or edge.source in measured)
+            measured = {edge.source for edge in faulty.held if edge.kind not in GUESSES}
+            sure = (edge for edge in faulty.held if edge.trusted or edge.source in measured)
             chain = graph_of(len(poses), (edge for edge in sure if edge.loop is None))
             keys = range(len(poses))
             odometry = np.array([self._submaps.pose(key) for key in keys])
             ways_m = np.array([self._submaps.travelled_m(key) for key in keys])
             self._sets = ClaimSets(odometry, ways_m, chain, self._reach_m)
-            self._trial = ClaimTrial(self._closer, self._stretches, self._sets, self._config, self._reach_m)
-        least_m, lever_m = self._match.coarse_cell_m, self._config.reach_m
-        probability = self._config.inlier_probability
-        self._faulty = FaultySteps(edges, held, poses, self._graph, least_m, lever_m, stamps_s, probability)
-        known = self._faulty.known
+            self._trial = ClaimTrial(self._closer, stretches, self._sets, self._config, self._reach_m)
+        self._faulty, known = faulty, faulty.known
         if self._corrected:
             near = self._closer.close_again(poses, known, loops)
             if near:
@@ -129,11 +118,11 @@ class PlaceSearch:
         believed = self._believed(poses, known)
         if believed:
             return believed
-        for number in self._stretches.untied(loops):
-            for place in self._stretches.candidates(number, *self._possible(number, poses, known)):
+        for number in stretches.untied(loops):
+            for place in stretches.candidates(number, *self._possible(stretches, number, poses, known)):
                 if (place, number) not in self._tried:
                     self._tried.add((place, number))
-                    self._verify(self._stretches, place, number)
+                    self._verify(stretches, place, number)
         return self._believed(poses, known)
 
     def _follow(
@@ -141,22 +130,21 @@ class PlaceSearch:
         stretches: Stretches,
         followed: FollowedClaims,
         poses: FloatArray,
-        graphs: tuple[UncertaintyGraph, UncertaintyGraph],
         faulty: FaultySteps,
         loops: Sequence[LoopCandidate],
     ) -> list[LoopCandidate]:
         """Search as `search`, where each claim is followed along both ways.
 
-        By the first of two graphs; where that finds nothing also by the other, in which steps may be wrong.
+        Where that finds nothing also where steps that wheels alone tell may have led.
         """
-        known, loose = (_Known(poses, graph) for graph in graphs)
+        known, loose = _Known(poses, faulty.known), _Known(poses, faulty.loose)
         untied = stretches.untied(loops)
         keys = stretches.keys[untied].tolist()
         for wider in (False, True):
             for number, key in zip(untied, keys, strict=True):
-                possible, apart_m = self._possible(number, poses, graphs[0])
+                possible, apart_m = self._possible(stretches, number, poses, faulty.known)
                 if wider:
-                    possible = ~possible & self._possible(number, poses, graphs[1])[0]
+                    possible = ~possible & self._possible(stretches, number, poses, faulty.loose)[0]
                 for place in stretches.candidates(number, possible, apart_m):
                     if (place, number) not in self._tried:
                         self._tried.add((place, number))
@@ -167,14 +155,12 @@ class PlaceSearch:
         return []
 
     def _possible(
-        self, number: int, poses: FloatArray, known: UncertaintyGraph
+        self, stretches: Stretches, number: int, poses: FloatArray, known: UncertaintyGraph
     ) -> tuple[BoolArray, FloatArray]:
         """(K,) the stretches to which a set, as long as can be, could move one; and how far from it they are.
 
         What is as certain as places are wide is tried while mapping.
         """
-        stretches = self._stretches
-        assert stretches is not None
         key = int(stretches.keys[number])
         sigmas_m = position_sigmas(known.relative_covariances(key, stretches.keys, poses))
         most_m = math.sqrt(self._gate * self._reach_m / stretches.spacing_m) * sigmas_m
@@ -210,12 +196,14 @@ class PlaceSearch:
         sets, trial, stretches = self._sets, self._trial, self._stretches
         assert sets is not None and trial is not None and stretches is not None
         seen, reach_m = _Known(poses, known), self._config.reach_m
-        way_m = self._submaps.travelled_m  # from the start to the keyframes of a set
-        found = [one for one in sets.largest() if np.ptp([way_m(loop.keyframe) for loop in one]) >= reach_m]
+        ways_m = self._submaps.travelled_m  # from the start to the keyframes of a set
+        found = [one for one in sets.largest() if np.ptp([ways_m(m.keyframe) for m in one]) >= reach_m]
         judged = [self._cost(one, seen) for one in found]
         costs = np.array([cost for cost, *_ in judged])
         gains = self._gate * np.array([len(one) for one in found]) - costs
-        for n in sorted(range(len(found)), key=lambda n: _order(*judged[n][:2], self._gate)):
+        # Plausible sets first, of them the nearest: there chance has the least room.
+        order = [(cost > self._gate, sigma_m if cost <= self._gate else cost) for cost, sigma_m, _ in judged]
+        for n in sorted(range(len(found)), key=order.__getitem__):
             # One fault explains it, or it weighs twice what it contradicts.
             if costs[n] > max(2.0, 0.5 * len(found[n])) * self._gate or gains[n] <= 0.0:
                 continue
@@ -282,31 +270,3 @@ class _Known:
         """The pose of the end seen from the start; its covariance is infinite where nothing joins them."""
         covariance = self._graph.relative_covariances(end, np.array([start]), self._poses)[0]
         return Motion(between(self._poses[start], self._poses[end]), covariance)
-
-
-def believed_edges(edges: Sequence[Edge], kept: BoolArray, poses: FloatArray) -> list[Edge]:
-    """Edges that an optimisation has kept; where it has refused one of a step, all that may be are in doubt.
-
-    They are as uncertain then as they are apart: only loops can tell which of them was right.
-    """
-    doubts: dict[tuple[int, int], FloatArray] = {}
-    for edge, keep in zip(edges, kept, strict=True):
-        if not keep and edge.loop is None:
-            found = between(poses[edge.source], poses[edge.target])
-            off = between(row_from_pose2(edge.T_source_target), found)
-            ends = edge.source, edge.target
-            doubts[ends] = doubts.get(ends, np.zeros((3, 3))) + np.outer(off, off)
-    held = []
-    for edge, keep in zip(edges, kept, strict=True):
-        doubt = None if edge.trusted or edge.loop is not None else doubts.get((edge.source, edge.target))
-        if doubt is not None:
-            held.append(replace(edge, covariance=edge.covariance + doubt))
-        elif keep:
-            held.append(edge)
-    return held
-
-
-def _order(cost: float, sigma_m: float, gate_: float) -> tuple[bool, float]:
-    """Plausible sets first, of them the nearest: there chance has the least room."""
-    plausible = cost <= gate_
-    return not plausible, sigma_m if plausible else cost

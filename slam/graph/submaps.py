@@ -7,7 +7,7 @@ from collections import OrderedDict
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import cached_property, partial
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,6 +20,8 @@ from slam.matching.planar import between
 from slam.matching.visibility import RangeImage
 from slam.measurements import FloatArray
 
+_Key = TypeVar("_Key")
+_Made = TypeVar("_Made")
 # So many scans of a run are enough to draw it, and so far around, in its cells.
 _RUN_SCANS, _RUN_CELLS = 10, 75
 
@@ -60,8 +62,10 @@ class SubmapStore:
         self._begun: list[int] = []
         self._places: list[int] = []
         self._cache: OrderedDict[int, Submap] = OrderedDict()
-        self._surroundings: dict[tuple[int, int, int], LocalMap] = {}
-        self._fields: dict[int, LikelihoodField] = {}
+        # Of each place that is tried, what a claim is followed along.
+        self._most = loop.near * (2 * loop.half_keyframes + 1)
+        self._surroundings: OrderedDict[tuple[int, int, int], LocalMap] = OrderedDict()
+        self._fields: OrderedDict[int, LikelihoodField] = OrderedDict()
 
     def add(
         self,
@@ -104,9 +108,6 @@ class SubmapStore:
 
     def submap(self, key: int) -> Submap:
         """The surroundings of a keyframe."""
-        if key in self._cache:
-            self._cache.move_to_end(key)
-            return self._cache[key]
         half, half_m = self._half, 0.5 * self.least_path_m
         members = [
             k
@@ -116,12 +117,8 @@ class SubmapStore:
         ]
         # It does not hold the store that holds it: at the end of a run all of them go at once.
         build = partial(_local_map, self._surfaces, self._poses, key, members, self._match)
-        submap = Submap(build, self._match.cell_m)
-        self._cache[key] = submap
         # The next attempt looks at the same places; older ones come too seldom for what they take.
-        if len(self._cache) > self._near:
-            self._cache.popitem(last=False)
-        return submap
+        return _newest(self._cache, key, self._near, lambda: Submap(build, self._match.cell_m))
 
     def wide_m(self, least_m: float, scans: float) -> float:
         """A length that holds so many scans as a rule, but no less than ``least_m``."""
@@ -163,23 +160,20 @@ class SubmapStore:
         ``own`` leaves out what may lie elsewhere, for nothing saw the way there.
         """
         members = [k for k in self._around(key) if not own or not self.parted(key, k)]
-        if (known := (key, members[0], members[-1])) not in self._surroundings:
+
+        def seen() -> LocalMap:
             images = []
             for k in members:
                 points = self._surfaces[k].points
                 images.append(RangeImage.of(points, between(self._poses[key], self._poses[k]), points))
-            local_map = _local_map(self._surfaces, self._poses, key, members, self._match)
-            self._surroundings[known] = replace(local_map, images=images)
-        return self._surroundings[known]
+            return replace(_local_map(self._surfaces, self._poses, key, members, self._match), images=images)
+
+        return _newest(self._surroundings, (key, members[0], members[-1]), self._most, seen)
 
     def field(self, key: int) -> LikelihoodField:
         """Of what is seen on the way to a keyframe and on from it, coarse: for searches in wide windows."""
-        if key in self._fields:
-            return self._fields[key]
-        field = build_field(self.run(key).points, 2.0 * self._match.cell_m, self._match.coarse_cell_m)
-        if self.sparse:
-            self._fields[key] = field
-        return field
+        sizes_m = 2.0 * self._match.cell_m, self._match.coarse_cell_m
+        return _newest(self._fields, key, self._most, lambda: build_field(self.run(key).points, *sizes_m))
 
     def _around(self, key: int) -> list[int]:
         """Keyframes on the way to one and on from it, a few of them."""
@@ -201,6 +195,14 @@ class SubmapStore:
         rows = cells[first] @ [2 * _RUN_CELLS, 1]
         first = first[np.unique(rows, return_index=True)[1]]
         return OrientedPoints(points[first], np.concatenate([part.normals for part in parts])[first])
+
+
+def _newest(made: OrderedDict[_Key, _Made], key: _Key, most: int, make: Callable[[], _Made]) -> _Made:
+    """What was made for a key, or is made now; so many of the newest stay."""
+    made[key] = found = made.pop(key) if key in made else make()
+    if len(made) > most:
+        made.popitem(last=False)
+    return found
 
 
 def _local_map(

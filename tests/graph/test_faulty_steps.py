@@ -10,10 +10,10 @@ import pytest
 from slam.config.stages import GraphConfig, LoopConfig, MatchConfig
 from slam.estimates import MotionEstimate
 from slam.graph.edge import Edge, EdgeKind
-from slam.graph.faulty_steps import FaultySteps, settle_wheels
+from slam.graph.faulty_steps import FaultySteps, believed_edges, settle_wheels
 from slam.graph.keyframe_graph import KeyframeGraph, together
 from slam.graph.loop_closure import LoopCandidate
-from slam.graph.place_search import PlaceSearch, believed_edges
+from slam.graph.place_search import PlaceSearch
 from slam.mapper.planar_chain import edges_of
 from slam.matching.motion import Motion
 from slam.matching.planar import between, compose
@@ -57,6 +57,11 @@ def wheels_of(graph: KeyframeGraph) -> FloatArray:
     return walked(steps)
 
 
+def judge(edges: list[Edge], stamps_s: FloatArray) -> FaultySteps:
+    kept = np.ones(len(edges), np.bool_)
+    return FaultySteps(edges, kept, POSES, stamps_s, GraphConfig(), LoopConfig(), MatchConfig())
+
+
 def squares(
     gaps: tuple[int, ...],
     claimed: FloatArray,
@@ -70,7 +75,7 @@ def squares(
     stamps_s = np.arange(float(COUNT))
     for key in gaps:
         stamps_s[key + 1 :] += gap_s
-    faulty = FaultySteps(edges, edges, POSES, GraphConfig(), 0.3, 3.0, stamps_s, 0.99)
+    faulty = judge(edges, stamps_s)
     known = Motion(between(POSES[5], POSES[70]), np.diag([0.3, 0.3, 0.03]) ** 2)
     return faulty.explain(5, 70, known, Motion(claimed, SURE))[1]
 
@@ -117,9 +122,9 @@ def test_that_a_step_was_wrong_costs_what_such_steps_have_shown() -> None:
     edges[GAP] = loose
     edges.append(tight)
     stamps_s = np.arange(float(COUNT)) + 30.0 * (np.arange(COUNT) > GAP)
-    faulty = FaultySteps(edges, edges, POSES, GraphConfig(), 0.3, 3.0, stamps_s, 0.99)
+    faulty = judge(edges, stamps_s)
     assert np.flatnonzero(faulty.unseen).tolist() == [GAP]
-    assert faulty.share == pytest.approx(1.0 / 3.0), "it is where wheels say"
+    assert faulty.share == pytest.approx(0.5), "no wheel step has shown anything"
     known, claimed = Motion(bent(), np.diag([0.1, 0.1, 0.02]) ** 2), bent((GAP, 1.2))
     assert -8.0 < faulty.likelihood(5, 70, known, Motion(claimed, SURE)) < 0.0
     assert known.squared_mahalanobis(claimed) > 1000.0
@@ -148,7 +153,7 @@ def test_a_fault_is_not_believed_where_places_look_like_their_neighbours(repeats
     search._sets = SimpleNamespace(largest=lambda: [members], remove=len)  # type: ignore[assignment]
     search._trial = SimpleNamespace(hold=lambda _: (entailed, 0))  # type: ignore[assignment]
     stamps_s = np.arange(float(COUNT)) + 30.0 * (np.arange(COUNT) > GAP)
-    search._faulty = FaultySteps(edges, edges, POSES, GraphConfig(), 0.3, 3.0, stamps_s, 0.99)
+    search._faulty = judge(edges, stamps_s)
     believed = search._believed(POSES, search._faulty.known)
     assert believed == ([] if repeats else [*members, *entailed])
     assert search.fault == (None if repeats else (GAP, GAP + 1))

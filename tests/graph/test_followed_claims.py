@@ -15,7 +15,7 @@ from slam.graph.loop_closure import LoopCandidate, found_motion
 from slam.graph.submaps import SubmapStore
 from slam.matching.local_map import OrientedPoints
 from slam.matching.motion import Motion
-from slam.matching.planar import between
+from slam.matching.planar import between, compose
 from slam.matching.scan_points import points_by
 from slam.measurements import LaserScan, pose2_from_row
 from slam.simulation.floor_plan import cast_rays
@@ -74,7 +74,7 @@ def followed(submaps: SubmapStore) -> FollowedClaims:
 
 
 # No step between keyframes can have been wrong.
-SURE_STEPS: Any = SimpleNamespace(likelihood=lambda *_: -np.inf)
+SURE_STEPS: Any = SimpleNamespace(likelihood=lambda *_: -np.inf, share=0.5)
 
 
 def known(sigma_m: float) -> Callable[[int, int], Motion]:
@@ -102,7 +102,7 @@ def test_a_true_claim_is_borne_out_along_both_ways(submaps: SubmapStore) -> None
     trial, again = followed(submaps), 2 * SCANS
     trial.follow(6, again + 6, np.array([1.5, 0.1, 0.0]))
     (found,) = trial._claims
-    assert trial._looks(found.told, found.keyframe) > trial._least
+    assert trial._looks(found.told, found.keyframe, 0.5) > trial._least
     assert {loop.keyframe - again for loop in found.fits} >= {4, 5, 6, 7, 8}
     for loop in found.fits:
         true = between(submaps.pose(loop.place), submaps.pose(loop.keyframe))
@@ -119,7 +119,7 @@ def test_a_claim_starts_half_a_metre_off(submaps: SubmapStore) -> None:
     trial = followed(submaps)
     trial.follow(6, 2 * SCANS + 6, np.array([2.0, 0.1, 0.05]))
     (found,) = trial._claims
-    assert trial._looks(found.told, found.keyframe) > trial._least
+    assert trial._looks(found.told, found.keyframe, 0.5) > trial._least
 
 
 @pytest.mark.parametrize(
@@ -184,11 +184,26 @@ def test_a_set_that_has_a_rival_is_not_believed(submaps: SubmapStore) -> None:
 def test_what_lies_behind_a_step_that_nothing_saw_contradicts_little(submaps: SubmapStore) -> None:
     trial, poses = followed(submaps), np.array(submaps._poses)
     told = {key: -2.0 if key < 20 else 1.0 for key in range(17, 28)}
-    assert trial._looks(told, 23) == pytest.approx(2.0)
+    assert trial._looks(told, 23, 0.5) == pytest.approx(2.0)
     submaps.lay(poses, [20])
-    assert trial._looks(told, 23) > 7.0
+    assert trial._looks(told, 23, 0.5) > 7.0
     told = dict.fromkeys(told, 1.0)
-    assert trial._looks(told, 23) == pytest.approx(11.0, abs=0.8), "and bears out as before"
+    assert trial._looks(told, 23, 0.5) == pytest.approx(11.0, abs=0.8), "and bears out as before"
+    submaps.lay(poses, [])
+
+
+@pytest.mark.parametrize("unseen", [True, False])
+def test_behind_a_step_that_nothing_saw_scans_are_found_again(submaps: SubmapStore, unseen: bool) -> None:
+    """It was off by 1.3 m and 0.2 rad."""
+    poses, begin = np.array(submaps._poses), 2 * SCANS + 7
+    bent = poses.copy()
+    bent[begin:] = [compose(np.array([1.3, 0.2, 0.2]), pose) for pose in poses[begin:] - poses[begin]]
+    bent[begin:] = [compose(poses[begin], pose) for pose in bent[begin:]]
+    submaps.lay(bent, [begin] if unseen else [])
+    trial = followed(submaps)
+    trial.follow(4, 2 * SCANS + 4, np.array([1.5, 0.1, 0.0]))
+    found = {loop.keyframe for claim in trial._claims for loop in claim.fits}
+    assert ({begin, begin + 1, begin + 2} <= found) is unseen
     submaps.lay(poses, [])
 
 

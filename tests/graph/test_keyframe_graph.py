@@ -14,7 +14,7 @@ import pytest
 from slam.config.stages import GraphConfig
 from slam.estimates import MotionEstimate
 from slam.graph.edge import Edge, EdgeKind
-from slam.graph.keyframe_graph import KeyframeGraph, unmeasured
+from slam.graph.keyframe_graph import KeyframeGraph, lone_steps, unmeasured
 from slam.graph.loop_closure import LoopCandidate
 from slam.mapper.planar_chain import edges_of
 from slam.matching.motion import Motion
@@ -322,6 +322,24 @@ class TestLoops:
             follow(graph, AHEAD, None if n in gaps else step(), ahead if n in gaps else wheels)
         pieces = len(set(graph.pieces(graph.optimize(PROBABILITY).kept)))
         assert pieces == (1 if len(gaps) < 10 else len(gaps) + 1)
+
+    def test_steps_that_loops_have_not_tried_tell_nothing_of_how_often_wheels_are_wrong(self) -> None:
+        """Of three that nothing but wheels tells, a loop has refused the one that it lies across."""
+        graph = empty()
+        for n in range(30):
+            wheels = step(compose(AHEAD, np.array([0.0, 0.0, 1.5])), ROUGH) if n == 5 else step(AHEAD, ROUGH)
+            follow(graph, AHEAD, None if n in (5, 15, 25) else step(), wheels)
+        over = truth(8)[8]
+        for closed in (False, True):
+            if closed:
+                graph.add_edge(Edge(0, 8, pose2_from_row(over), CONFIDENT, EdgeKind.LOOP, False, loop=0))
+            edges, kept = graph.graph.edges, np.ones(len(graph.graph.edges), np.bool_)
+            if closed:
+                kept &= [edge.kind is not EdgeKind.WHEEL or edge.source != 5 for edge in edges]
+            lone = lone_steps(edges, kept, len(graph), GraphConfig().lost_sigma_m)
+            assert lone.steps == [5, 15, 25]
+            assert lone.untried == ([15, 25] if closed else [5, 15, 25])
+            assert (lone.share > 0.3) is closed
 
     @pytest.mark.parametrize("refused", [(), (25, 35, 45, 55)])
     def test_wheels_that_loops_have_refused_hold_nothing_alone(self, refused: tuple[int, ...]) -> None:

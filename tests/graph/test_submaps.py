@@ -83,6 +83,15 @@ def test_the_cache_is_bounded_and_keeps_what_was_used_last() -> None:
         assert len(store._cache) <= 4
 
 
+def test_surroundings_are_kept_of_a_few_places() -> None:
+    store = store_of(60, spacing_m=6.0, near=1, half_keyframes=2)
+    for key in range(60):
+        surroundings = store.surroundings(key)
+        assert store.surroundings(key) is surroundings
+        assert store.field(key) is store.field(key)
+    assert len(store._surroundings) == len(store._fields) == 5
+
+
 def test_the_field_is_drawn_once() -> None:
     submap = store_of(3).submap(1)
     assert submap.field is submap.field
