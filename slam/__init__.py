@@ -50,7 +50,7 @@ if TYPE_CHECKING:
     from slam.evaluation.score import evaluate as evaluate
     from slam.graph.edge import Edge as Edge
     from slam.graph.edge import EdgeKind as EdgeKind
-    from slam.graph.loop_closure import LoopCandidate as LoopCandidate
+    from slam.graph.loop_candidate import LoopCandidate as LoopCandidate
     from slam.graph.pose_graph import PoseGraph as PoseGraph
     from slam.localization.localizer import Localizer as Localizer
     from slam.localization.output import LocalizerOutput as LocalizerOutput
@@ -85,7 +85,7 @@ _NAMES = {
     "slam.estimates": "MotionEstimate Trajectory",
     "slam.evaluation.score": "evaluate",
     "slam.graph.edge": "Edge EdgeKind",
-    "slam.graph.loop_closure": "LoopCandidate",
+    "slam.graph.loop_candidate": "LoopCandidate",
     "slam.graph.pose_graph": "PoseGraph",
     "slam.localization.localizer": "Localizer",
     "slam.localization.output": "LocalizerOutput State",

@@ -48,7 +48,7 @@ from slam.graph.closings import loop_groups
 from slam.graph.edge import Edge
 from slam.graph.held_graph import held_graph
 from slam.graph.influence import LinearMap
-from slam.graph.loop_closure import LoopCandidate
+from slam.graph.loop_candidate import LoopCandidate
 from slam.mapper.lidar2d import PlanarRobot
 from slam.mapper.map_result import MapResult
 from slam.mapper.mapper import Mapper

@@ -14,7 +14,8 @@ from numpy.typing import ArrayLike
 from slam.config import Config
 from slam.errors import ScanweaveError
 from slam.estimates import MotionEstimate
-from slam.graph.loop_closure import LoopCandidate, search_place
+from slam.graph.loop_candidate import LoopCandidate
+from slam.graph.loop_closure import search_place
 from slam.graph.submaps import Submap
 from slam.mapping.keyframe_grid import grid_of_keyframes
 from slam.mapping.occupancy_grid import OccupancyGrid

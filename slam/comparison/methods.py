@@ -17,7 +17,7 @@ from slam.config import Config
 from slam.datasets import Dataset
 from slam.errors import DatasetError
 from slam.estimates import Trajectory
-from slam.graph.loop_closure import LoopCandidate
+from slam.graph.loop_candidate import LoopCandidate
 from slam.mapper.pipeline import build_map
 from slam.measurements import (
     FloatArray,

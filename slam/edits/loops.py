@@ -11,7 +11,8 @@ import numpy as np
 from slam.config import Config
 from slam.errors import MapFileError
 from slam.graph.cloud_loops import CloudLoopCloser
-from slam.graph.loop_closure import LoopCandidate, closer_of
+from slam.graph.loop_candidate import LoopCandidate
+from slam.graph.loop_closure import closer_of
 from slam.graph.visual_loops import VisualLoopCloser
 from slam.mapper.keyframe_store import KeyframeStore
 from slam.matching.cloud_points import voxel_of

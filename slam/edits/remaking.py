@@ -17,7 +17,7 @@ from slam.edits.settings import remade_config
 from slam.errors import ConfigError
 from slam.graph.edge import Edge
 from slam.graph.held_graph import held_graph
-from slam.graph.loop_closure import judged
+from slam.graph.loop_candidate import judged
 from slam.graph.pose_covariances import pose_covariances
 from slam.graph.pose_graph import PoseGraph
 from slam.mapper.lidar3d import band_scans

@@ -14,7 +14,7 @@ from slam.estimates import Trajectory
 from slam.evaluation.association import nearest_indices
 from slam.evaluation.page_layers import layer_pictures
 from slam.evaluation.page_what_if import what_if_data
-from slam.graph.loop_closure import LoopCandidate
+from slam.graph.loop_candidate import LoopCandidate
 from slam.mapping.layered_map import PASSED_BY
 from slam.matching.planar import transform_points
 from slam.measurements import FloatArray, LaserScan, Pose, row_from_pose, row_from_pose2

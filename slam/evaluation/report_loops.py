@@ -8,7 +8,7 @@ from collections import Counter
 from slam.config import Config
 from slam.evaluation.pages import render
 from slam.graph.closings import closings
-from slam.graph.loop_closure import LoopCandidate
+from slam.graph.loop_candidate import LoopCandidate
 from slam.storage.map_contents import MapContents
 
 # Beyond this many rows the accepted loops are folded too, so that the page stays readable.

@@ -11,7 +11,8 @@ import numpy as np
 
 from slam.config.stages import LoopConfig
 from slam.graph.consistent_sets import ClaimSets, after, claimed
-from slam.graph.loop_closure import LoopCandidate, LoopCloser, position_sigmas
+from slam.graph.loop_candidate import LoopCandidate
+from slam.graph.loop_closure import LoopCloser, position_sigmas
 from slam.graph.stretches import Stretches
 from slam.graph.submaps import SubmapStore
 from slam.matching.motion import Motion

@@ -12,7 +12,7 @@ import gtsam
 import numpy as np
 
 from slam.config import Config
-from slam.graph.loop_closure import LoopCandidate
+from slam.graph.loop_candidate import LoopCandidate
 from slam.graph.relative_uncertainty import UncertaintyGraph
 from slam.graph.unseen_gaps import UnseenGaps
 from slam.heap import give_back

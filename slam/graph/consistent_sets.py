@@ -14,7 +14,7 @@ from typing import TypeAlias
 import numpy as np
 
 from slam.graph.keyframe_graph import together
-from slam.graph.loop_closure import LoopCandidate
+from slam.graph.loop_candidate import LoopCandidate
 from slam.graph.relative_uncertainty import UncertaintyGraph
 from slam.matching.motion import Motion
 from slam.matching.planar import adjoint, between, compose, rotate_covariance

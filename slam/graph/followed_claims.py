@@ -17,7 +17,7 @@ from fusion.estimation import FEWEST, gate
 from slam.config.stages import LoopConfig, MatchConfig
 from slam.graph.consistent_sets import Known, after
 from slam.graph.faulty_steps import FaultySteps
-from slam.graph.loop_closure import LoopCandidate, found_motion
+from slam.graph.loop_candidate import LoopCandidate, found_motion
 from slam.graph.submaps import SubmapStore
 from slam.matching.correlative import search_window
 from slam.matching.match_covariance import motion_from_alignment

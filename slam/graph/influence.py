@@ -29,7 +29,7 @@ from fusion.kernel import kernel
 from slam.errors import GraphError
 from slam.graph.edge import Edge
 from slam.graph.held_graph import held_graph
-from slam.graph.loop_closure import LoopCandidate
+from slam.graph.loop_candidate import LoopCandidate
 from slam.measurements import BoolArray, FloatArray, Pose
 
 if TYPE_CHECKING:

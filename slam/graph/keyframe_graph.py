@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from slam.config.stages import GraphConfig
 from slam.graph.edge import GUESSES, Edge, EdgeKind
-from slam.graph.loop_closure import LoopCandidate, judged
+from slam.graph.loop_candidate import LoopCandidate, judged
 from slam.graph.pose_graph import BatchResult, PoseGraph
 from slam.graph.relative_uncertainty import UncertaintyGraph
 from slam.matching.motion import Motion

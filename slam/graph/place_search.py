@@ -22,7 +22,8 @@ from slam.graph.edge import GUESSES, Edge
 from slam.graph.faulty_steps import FaultySteps
 from slam.graph.followed_claims import FollowedClaims
 from slam.graph.keyframe_graph import graph_of
-from slam.graph.loop_closure import LoopCandidate, LoopCloser, position_sigmas
+from slam.graph.loop_candidate import LoopCandidate
+from slam.graph.loop_closure import LoopCloser, position_sigmas
 from slam.graph.relative_uncertainty import UncertaintyGraph
 from slam.graph.stretches import Stretches
 from slam.matching.motion import Motion

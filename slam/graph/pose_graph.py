@@ -25,7 +25,7 @@ from slam.measurements import BoolArray, FloatArray, Pose
 # Of GNC: growth of its control parameter a round, twice the library's pace, and its end: only edges within a
 # hundredth of the gate are undecided then. Real logs refuse the same edges.
 _GNC_STEP, _GREATEST_CONTROL = 2.0, 100.0
-# Nodes that iSAM2 moves before all are solved at once: to ask it where they are costs more than that solution.
+# Nodes that iSAM2 moves before all are solved at once: asking it where they are costs more than a solution.
 _NODES_A_WINDOW = 3000
 
 

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from fusion.estimation import FEWEST
 from slam.config.stages import LoopConfig, MatchConfig
-from slam.graph.loop_closure import LoopCandidate
+from slam.graph.loop_candidate import LoopCandidate
 from slam.graph.submaps import SubmapStore
 from slam.matching.correlative import SearchResult, search_window
 from slam.matching.hough_spectrum import SpectrumBank, hough_spectrum

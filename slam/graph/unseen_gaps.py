@@ -12,7 +12,7 @@ from dataclasses import replace
 import numpy as np
 
 from slam.graph.consistent_sets import ClaimSets
-from slam.graph.loop_closure import LoopCandidate
+from slam.graph.loop_candidate import LoopCandidate
 from slam.graph.relative_uncertainty import UncertaintyGraph
 from slam.measurements import FloatArray
 

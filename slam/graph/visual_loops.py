@@ -10,7 +10,7 @@ import gtsam
 import numpy as np
 
 from slam.config import Config
-from slam.graph.loop_closure import LoopCandidate
+from slam.graph.loop_candidate import LoopCandidate
 from slam.result_cache import COMPUTED, ResultCache
 from slam.vision.features import Descriptors
 from slam.vision.frame_matcher import FrameMatcher

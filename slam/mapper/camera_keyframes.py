@@ -9,7 +9,7 @@ import gtsam
 
 from slam.config import Config
 from slam.estimates import MotionEstimate
-from slam.graph.loop_closure import LoopCandidate
+from slam.graph.loop_candidate import LoopCandidate
 from slam.graph.visual_loops import VisualLoopCloser
 from slam.mapper.checkpoint import Checkpoint
 from slam.mapper.keyframe_store import KeyframeStore

@@ -13,7 +13,8 @@ import numpy as np
 from slam.config import Config
 from slam.graph.edge import Edge
 from slam.graph.keyframe_graph import KeyframeGraph
-from slam.graph.loop_closure import LoopCandidate, LoopCloser
+from slam.graph.loop_candidate import LoopCandidate
+from slam.graph.loop_closure import LoopCloser
 from slam.graph.place_search import PlaceSearch
 from slam.heap import end_stage
 from slam.mapper.camera_keyframes import CameraKeyframes

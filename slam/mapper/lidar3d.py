@@ -21,7 +21,7 @@ from slam.graph.anchored_steps import AnchoredSteps
 from slam.graph.cloud_loops import CloudLoopCloser
 from slam.graph.edge import Edge, EdgeKind
 from slam.graph.keyframe_graph import KeyframeGraph, unmeasured
-from slam.graph.loop_closure import LoopCandidate
+from slam.graph.loop_candidate import LoopCandidate
 from slam.heap import end_stage
 from slam.mapper.checkpoint import Checkpoint
 from slam.mapper.cloud_cameras import CloudCameras

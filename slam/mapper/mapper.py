@@ -11,7 +11,7 @@ from slam.errors import DatasetError, GraphError
 from slam.forked import Begun
 from slam.graph.edge import Edge, EdgeKind
 from slam.graph.keyframe_graph import KeyframeGraph
-from slam.graph.loop_closure import LoopCandidate
+from slam.graph.loop_candidate import LoopCandidate
 from slam.graph.pose_covariances import pose_covariances
 from slam.graph.pose_graph import BatchResult
 from slam.mapper.anchoring import Way

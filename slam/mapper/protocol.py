@@ -10,7 +10,7 @@ from slam.config import Config
 from slam.estimates import MotionEstimate
 from slam.graph.edge import Edge
 from slam.graph.keyframe_graph import KeyframeGraph
-from slam.graph.loop_closure import LoopCandidate
+from slam.graph.loop_candidate import LoopCandidate
 from slam.mapper.map_result import MapResult
 from slam.mapper.mount_learner import LearnedMounting
 from slam.mapper.tags import TagFinder

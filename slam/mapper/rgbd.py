@@ -13,7 +13,7 @@ from fusion.estimation import gate
 from slam.config import Config
 from slam.graph.edge import Edge, EdgeKind
 from slam.graph.keyframe_graph import KeyframeGraph
-from slam.graph.loop_closure import LoopCandidate
+from slam.graph.loop_candidate import LoopCandidate
 from slam.graph.visual_loops import VisualLoopCloser
 from slam.mapper.checkpoint import Checkpoint
 from slam.mapper.keyframe_store import KeyframeStore, registration_notes

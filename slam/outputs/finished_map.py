@@ -13,7 +13,7 @@ from slam.config import Config
 from slam.config.edits import Edits, edits_of, load_edits
 from slam.errors import MapFileError
 from slam.estimates import Trajectory
-from slam.graph.loop_closure import LoopCandidate
+from slam.graph.loop_candidate import LoopCandidate
 from slam.mapping.floor_plan import FloorPlan
 from slam.mapping.layered_map import LayeredMap
 from slam.mapping.occupancy_grid import OccupancyGrid

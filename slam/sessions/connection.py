@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from fusion.showing import one_line
-from slam.graph.loop_closure import LoopCandidate
+from slam.graph.loop_candidate import LoopCandidate
 from slam.outputs.finished_map import Map
 from slam.sessions.placing import Placing, place
 from slam.sessions.session_join import JoinedMap, join

@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 
 from slam.config import Config
 from slam.graph.cloud_loops import CloudLoopCloser
-from slam.graph.loop_closure import LoopCandidate, closer_of
+from slam.graph.loop_candidate import LoopCandidate
+from slam.graph.loop_closure import closer_of
 from slam.graph.visual_loops import VisualLoopCloser
 from slam.localization.poses import between, composed
 from slam.mapper.keyframe_store import KeyframeStore

@@ -10,7 +10,7 @@ from pathlib import Path
 from slam.config import Config
 from slam.edits.edited_file import write_entries
 from slam.edits.keyframes import bases_of
-from slam.graph.loop_closure import judged
+from slam.graph.loop_candidate import judged
 from slam.graph.pose_covariances import pose_covariances
 from slam.graph.pose_graph import PoseGraph
 from slam.mapper.map_result import drawn

@@ -11,7 +11,7 @@ from slam.config import Config
 from slam.edits.keyframes import bases_of
 from slam.estimates import Trajectory
 from slam.graph.keyframe_graph import row_of
-from slam.graph.loop_closure import LoopCandidate, judged
+from slam.graph.loop_candidate import LoopCandidate, judged
 from slam.graph.pose_covariances import pose_covariances
 from slam.graph.pose_graph import PoseGraph
 from slam.localization.poses import apart, composed

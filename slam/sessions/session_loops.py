@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from slam.config import Config
-from slam.graph.loop_closure import LoopCandidate
+from slam.graph.loop_candidate import LoopCandidate
 from slam.outputs.finished_map import Map
 from slam.sessions.loop_matching import matcher_of
 from slam.sessions.placing import BEND_RAD, SIGHT_SIGMA_M, SIGHT_SIGMA_RAD, Placing

@@ -19,7 +19,7 @@ from slam.errors import MapFileError
 from slam.estimates import Trajectory
 from slam.graph.edge import Edge, EdgeKind
 from slam.graph.keyframe_graph import row_of
-from slam.graph.loop_closure import LoopCandidate
+from slam.graph.loop_candidate import LoopCandidate
 from slam.mapping.keyframe_grid import layers_of_grids
 from slam.mapping.layered_map import DEPTH, OCCUPANCY, LayeredMap
 from slam.mapping.occupancy_grid import OccupancyGrid

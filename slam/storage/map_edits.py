@@ -15,7 +15,7 @@ import gtsam
 import numpy as np
 from numpy.typing import NDArray
 
-from slam.graph.loop_closure import LoopCandidate
+from slam.graph.loop_candidate import LoopCandidate
 from slam.matching.planar import compose
 from slam.measurements import BoolArray, FloatArray
 from slam.storage.map_file import SEAL, MapFile

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from slam.datasets.budget import MOST_BEAMS
 from slam.errors import MapFileError
 from slam.estimates import MotionEstimate, Trajectory
-from slam.graph.loop_closure import LoopCandidate
+from slam.graph.loop_candidate import LoopCandidate
 from slam.mapping.occupancy_grid import OccupancyGrid
 from slam.measurements import CameraIntrinsics, FloatArray, LaserScan
 from slam.storage.map_sessions import MapSession

@@ -20,7 +20,7 @@ import numpy as np
 
 from slam.errors import MapFileError
 from slam.estimates import MotionEstimate, Trajectory
-from slam.graph.loop_closure import LoopCandidate
+from slam.graph.loop_candidate import LoopCandidate
 from slam.measurements import CameraIntrinsics, LaserScan
 from slam.vision.color_registration import ColorRegistration
 from slam.vision.features import Features

@@ -14,7 +14,7 @@ from slam.datasets import ReadReport
 from slam.estimates import MotionEstimate, Trajectory
 from slam.evaluation.map_report import Beside, ReportData, RunCost
 from slam.graph.edge import Edge, EdgeKind
-from slam.graph.loop_closure import LoopCandidate
+from slam.graph.loop_candidate import LoopCandidate
 from slam.mapper.map_result import MapResult
 from slam.mapper.scan_record import CameraRecord, ScanRecord
 from slam.mapping.dense_map import ColoredCloud

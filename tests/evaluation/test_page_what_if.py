@@ -17,7 +17,7 @@ from slam.config import Config
 from slam.estimates import MotionEstimate, Trajectory
 from slam.evaluation.saved_page import saved_page
 from slam.graph.edge import Edge, EdgeKind
-from slam.graph.loop_closure import LoopCandidate
+from slam.graph.loop_candidate import LoopCandidate
 from slam.outputs.finished_map import Map
 from slam.storage.map_contents import MapContents, SavedFactor
 from slam.storage.map_sessions import MapSession

@@ -25,7 +25,7 @@ from slam.datasets import ReadReport
 from slam.estimates import MotionEstimate, Trajectory
 from slam.evaluation.map_report import ReportData, RunCost
 from slam.evaluation.report import write_report
-from slam.graph.loop_closure import LoopCandidate
+from slam.graph.loop_candidate import LoopCandidate
 from slam.mapper.map_result import MapResult
 from slam.mapper.scan_record import ScanRecord
 from slam.mapping.layered_map import OCCUPANCY

@@ -10,7 +10,7 @@ import pytest
 from slam.config.stages import GraphConfig, LoopConfig, MatchConfig
 from slam.estimates import MotionEstimate
 from slam.graph.claim_trial import ClaimTrial
-from slam.graph.loop_closure import LoopCandidate
+from slam.graph.loop_candidate import LoopCandidate
 from slam.graph.place_search import PlaceSearch
 from slam.matching.motion import Motion
 from slam.matching.planar import between

@@ -12,7 +12,7 @@ from cloud_world import SMALL, base, look
 
 from slam.config import load_config
 from slam.graph.cloud_loops import CloudLoopCloser
-from slam.graph.loop_closure import LoopCandidate
+from slam.graph.loop_candidate import LoopCandidate
 from slam.graph.relative_uncertainty import UncertaintyGraph
 from slam.matching.cloud_points import base_points
 from slam.measurements import FloatArray

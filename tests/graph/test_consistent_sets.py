@@ -8,7 +8,7 @@ import pytest
 from fusion.estimation import gate
 from slam.estimates import MotionEstimate
 from slam.graph.consistent_sets import ClaimSets, claimed, largest_cliques
-from slam.graph.loop_closure import LoopCandidate
+from slam.graph.loop_candidate import LoopCandidate
 from slam.graph.relative_uncertainty import UncertaintyGraph
 from slam.matching.motion import Motion
 from slam.matching.planar import between, compose

@@ -12,7 +12,7 @@ from slam.estimates import MotionEstimate
 from slam.graph.edge import Edge, EdgeKind
 from slam.graph.faulty_steps import FaultySteps, believed_edges, settle_wheels
 from slam.graph.keyframe_graph import KeyframeGraph, together
-from slam.graph.loop_closure import LoopCandidate
+from slam.graph.loop_candidate import LoopCandidate
 from slam.graph.place_search import PlaceSearch
 from slam.mapper.planar_chain import edges_of
 from slam.matching.motion import Motion

@@ -11,7 +11,7 @@ import pytest
 
 from slam.config.stages import LoopConfig, MatchConfig, ScanConfig
 from slam.graph.followed_claims import Claim, FollowedClaims
-from slam.graph.loop_closure import LoopCandidate, found_motion
+from slam.graph.loop_candidate import LoopCandidate, found_motion
 from slam.graph.submaps import SubmapStore
 from slam.matching.local_map import OrientedPoints
 from slam.matching.motion import Motion

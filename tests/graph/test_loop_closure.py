@@ -8,7 +8,8 @@ import pytest
 from flat_worlds import corridor, points_at
 
 from slam.config.stages import LoopConfig, MatchConfig
-from slam.graph.loop_closure import LoopCandidate, LoopCloser
+from slam.graph.loop_candidate import LoopCandidate
+from slam.graph.loop_closure import LoopCloser
 from slam.graph.relative_uncertainty import UncertaintyGraph
 from slam.matching.local_map import OrientedPoints
 from slam.matching.planar import between, compose

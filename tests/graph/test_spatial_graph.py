@@ -12,7 +12,7 @@ from slam.config.stages import GraphConfig
 from slam.estimates import MotionEstimate
 from slam.graph.edge import Edge, EdgeKind
 from slam.graph.keyframe_graph import KeyframeGraph
-from slam.graph.loop_closure import LoopCandidate
+from slam.graph.loop_candidate import LoopCandidate
 from slam.matching.upright import Gravity
 
 SIDES = 12

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from slam.estimates import MotionEstimate
-from slam.graph.loop_closure import LoopCandidate
+from slam.graph.loop_candidate import LoopCandidate
 from slam.graph.relative_uncertainty import UncertaintyGraph
 from slam.graph.unseen_gaps import UnseenGaps
 

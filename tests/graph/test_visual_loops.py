@@ -10,7 +10,7 @@ import pytest
 from room_world import MIDDLE, Room, blind, error_of, furnished, looking, prepared, render
 
 from slam.config import load_config
-from slam.graph.loop_closure import LoopCandidate
+from slam.graph.loop_candidate import LoopCandidate
 from slam.graph.visual_loops import VisualLoopCloser
 from slam.vision.frame_matcher import FrameMatcher
 from slam.vision.prepared_frame import PreparedFrame

@@ -29,7 +29,7 @@ from slam.datasets import open_dataset
 from slam.errors import DatasetError
 from slam.estimates import MotionEstimate
 from slam.graph.edge import EdgeKind
-from slam.graph.loop_closure import LoopCandidate
+from slam.graph.loop_candidate import LoopCandidate
 from slam.mapper.lidar2d import PlanarRobot
 from slam.mapper.map_result import MapResult
 from slam.mapper.mapper import Mapper

@@ -17,7 +17,7 @@ from slam.config import Config, load_config
 from slam.errors import MapFileError
 from slam.estimates import MotionEstimate, Trajectory
 from slam.graph.edge import Edge, EdgeKind
-from slam.graph.loop_closure import LoopCandidate
+from slam.graph.loop_candidate import LoopCandidate
 from slam.mapping.layered_map import OCCUPANCY
 from slam.mapping.occupancy_grid import OccupancyGrid
 from slam.measurements import CameraIntrinsics, LaserScan, Pose, RgbdFrame

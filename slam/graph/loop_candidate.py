@@ -1,0 +1,109 @@
+"""A loop that was tried, believed or not."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
+
+from slam.estimates import MotionEstimate
+from slam.graph.edge import Edge, EdgeKind
+from slam.matching.motion import Motion
+from slam.measurements import one_line, row_from_pose2
+
+
+@dataclass(frozen=True, slots=True)
+class LoopCandidate:
+    """One attempt to recognise a place, accepted or not.
+
+    Attributes
+    ----------
+    place, keyframe
+        Node of the known place and node that may have come back to it.
+    half_width_m, half_yaw_rad
+        Half size of the searched window.
+    score
+        Mean likelihood of the search: 1 where the window was too small to need one, the least score where
+        no pose reached it.
+    motion
+        Pose of ``keyframe`` in the frame of ``place``; None where no match was found.
+    accepted
+        Whether the loop is in the final graph.
+    reason
+        Why not; empty where accepted.
+
+    Examples
+    --------
+    >>> import numpy as np, slam
+    >>> bearings = np.linspace(-np.pi, np.pi, 360, endpoint=False)
+    >>> ranges_m = np.minimum(3.0 / np.abs(np.cos(bearings)), 2.0 / np.abs(np.sin(bearings) + 1e-9))
+    >>> points = ranges_m[:, None] * np.column_stack([np.cos(bearings), np.sin(bearings)])  # a room
+    >>> loop = slam.check_loop(points, points)
+    >>> loop.accepted, loop.reason, loop.motion.converged
+    (True, '', True)
+    """
+
+    place: int
+    keyframe: int
+    half_width_m: float
+    half_yaw_rad: float
+    score: float
+    motion: MotionEstimate | None
+    accepted: bool
+    reason: str
+
+    __repr__ = one_line
+
+    def refused(self, reason: str) -> LoopCandidate:
+        """The same candidate, refused.
+
+        Examples
+        --------
+        >>> import numpy as np, slam
+        >>> bearings = np.linspace(-np.pi, np.pi, 360, endpoint=False)
+        >>> ranges_m = np.minimum(3.0 / np.abs(np.cos(bearings)), 2.0 / np.abs(np.sin(bearings) + 1e-9))
+        >>> points = ranges_m[:, None] * np.column_stack([np.cos(bearings), np.sin(bearings)])  # a room
+        >>> loop = slam.check_loop(points, points).refused("a person says that these are two rooms")
+        >>> loop.accepted, loop.reason
+        (False, 'a person says that these are two rooms')
+        """
+        return replace(self, accepted=False, reason=reason)
+
+    def edge(self, number: int) -> Edge:
+        """What an accepted loop adds to the graph; ``number`` is its place among the candidates.
+
+        Examples
+        --------
+        >>> import gtsam, numpy as np, slam
+        >>> bearings = np.linspace(-np.pi, np.pi, 360, endpoint=False)
+        >>> ranges_m = np.minimum(3.0 / np.abs(np.cos(bearings)), 2.0 / np.abs(np.sin(bearings) + 1e-9))
+        >>> points = ranges_m[:, None] * np.column_stack([np.cos(bearings), np.sin(bearings)])  # a room
+        >>> edge = slam.check_loop(points, points).edge(number=0)
+        >>> edge.kind is slam.EdgeKind.LOOP, edge.loop
+        (True, 0)
+        """
+        assert self.motion is not None
+        ends, told, spread = (self.place, self.keyframe), self.motion.T_reference_base, self.motion.covariance
+        return Edge(*ends, told, spread, EdgeKind.LOOP, trusted=False, loop=number)
+
+
+def judged(
+    loops: Sequence[LoopCandidate], edges: Iterable[Edge], kept: Iterable[bool]
+) -> list[LoopCandidate]:
+    """The loop candidates with the verdicts of an optimisation on their edges."""
+    verdicts = list(loops)
+    for edge, keep in zip(edges, kept, strict=True):
+        if edge.loop is None:
+            continue
+        loop = verdicts[edge.loop]
+        verdicts[edge.loop] = (
+            replace(loop, accepted=True, reason="")
+            if keep
+            else loop.refused("disagrees with the other loops (GNC)")
+        )
+    return verdicts
+
+
+def found_motion(candidate: LoopCandidate) -> Motion:
+    """What an accepted one tells, in the plane."""
+    assert candidate.motion is not None
+    return Motion(row_from_pose2(candidate.motion.T_reference_base), candidate.motion.covariance)
