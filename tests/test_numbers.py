@@ -6,8 +6,8 @@ import ast
 
 from tools.count_numbers import bare_floats, constant_names, count_fields, count_lines, count_logic
 
-MOST_CONSTANTS = 332
-MOST_BARE_FLOATS = 151
+MOST_CONSTANTS = 331
+MOST_BARE_FLOATS = 150
 MOST_FIELDS = 159
 MOST_LINES = 71_139
 
