@@ -62,9 +62,8 @@ class FollowedClaims:
                 near = self._nearest(at, compose(expected, step), key)
                 if near is None:
                     break
-                before, (at, expected) = at, near
-                unseen = self._submaps.parted(key, key - onward) or self._submaps.parted(at, before)
-                told[key], fit = self._judged(at, key, expected, unseen=unseen)
+                at, expected = near
+                told[key], fit = self._judged(at, key, expected)
                 said, expected = said + told[key], found_motion(fit[0]).pose if fit else expected
                 fits += fit
         # How often unseen steps are wrong will be known when it is asked for.
@@ -198,27 +197,22 @@ class FollowedClaims:
                 away_m, nearest = math.hypot(seen[0], seen[1]), (one, seen)
         return nearest
 
-    def _judged(
-        self, place: int, key: int, pose: FloatArray, *, unseen: bool = False
-    ) -> tuple[float, list[LoopCandidate]]:
+    def _judged(self, place: int, key: int, pose: FloatArray) -> tuple[float, list[LoopCandidate]]:
         """What a scan matched about a pose (3,) says, in nats; and the loop that it is, if it fits.
 
         Of the points at a true place no more than a few contradict it, and few false ones fit so well: for
-        that it is some four times likelier, as measured, and unlikelier the more of them do. Where nothing
-        saw the way to it, it is looked for as far as a place is seen.
+        that it is some four times likelier, as measured, and unlikelier the more of them do.
         """
         local_map, scan = self._submaps.surroundings(place), self._submaps.scan(key)
         config, match = self._config, self._match
         if min(len(scan), len(local_map.points)) < FEWEST:
             return 0.0, []
         few = config.sigmas * (1.0 - config.inlier_probability)
-        wide = 0.5 * config.reach_m, match.search_half_yaw_rad
         found = local_map.align(scan, pose)
         contradicted = local_map.contradicted(scan, found.pose)
         if contradicted > few or found.inlier_share < config.least_overlap:
             # The step before may be off by more than an alignment mends.
-            size = wide if unseen else (config.every_m, match.search_half_yaw_rad / 4)
-            window = pose, *size, match.search_least_score
+            window = pose, config.every_m, match.search_half_yaw_rad / 4, match.search_least_score
             better = search_window(self._submaps.field(place), scan.thinned(match.search_points), *window)
             again = local_map.align(scan, better.pose)
             if better.found and again.inlier_share > found.inlier_share:
@@ -234,4 +228,5 @@ class FollowedClaims:
             return nats, []
         motion = motion_from_alignment(found, match)
         motion = replace(motion, covariance=motion.covariance * config.caution)
-        return nats, [LoopCandidate(place, key, *wide, found.inlier_share, motion, True, "")]
+        width_m, yaw_rad = config.every_m, match.search_half_yaw_rad
+        return nats, [LoopCandidate(place, key, width_m, yaw_rad, found.inlier_share, motion, True, "")]
