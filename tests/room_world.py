@@ -245,6 +245,6 @@ def _cell(metres: float) -> int:
 
 @cache
 def _pattern(seed: int) -> NDArray[np.uint8]:
-    """Brightness of every patch of every side."""
-    shape = (18, _TEXTURE_CELLS, _TEXTURE_CELLS)
+    """Brightness of every patch of every side: of the room, and of three that stand in it."""
+    shape = (24, _TEXTURE_CELLS, _TEXTURE_CELLS)
     return np.random.default_rng(seed).integers(20, 236, shape, dtype=np.uint8)

@@ -141,7 +141,7 @@ def walker(aside_m: float) -> Room:
     )
 
 
-@pytest.mark.parametrize(("aside_m", "moved_m"), [(-0.1, 0.1), (0.0, 0.1), (0.2, 0.15)])
+@pytest.mark.parametrize(("aside_m", "moved_m"), [(-0.1, 0.1), (0.2, 0.15)])
 def test_who_walks_before_the_camera_does_not_take_it_along(aside_m: float, moved_m: float) -> None:
     """Surfaces fit best between him and the room, 8 to 14 cm off; features are of the room."""
     frames = []
