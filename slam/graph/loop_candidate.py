@@ -38,8 +38,10 @@ class LoopCandidate:
     >>> ranges_m = np.minimum(3.0 / np.abs(np.cos(bearings)), 2.0 / np.abs(np.sin(bearings) + 1e-9))
     >>> points = ranges_m[:, None] * np.column_stack([np.cos(bearings), np.sin(bearings)])  # a room
     >>> loop = slam.check_loop(points, points)
-    >>> loop.accepted, loop.reason, loop.motion.converged
-    (True, '', True)
+    >>> loop.accepted, loop.reason, loop.motion.converged, loop.edge(number=0).kind is slam.EdgeKind.LOOP
+    (True, '', True, True)
+    >>> loop.refused("a person says that these are two rooms").accepted
+    False
     """
 
     place: int
@@ -54,33 +56,11 @@ class LoopCandidate:
     __repr__ = one_line
 
     def refused(self, reason: str) -> LoopCandidate:
-        """The same candidate, refused.
-
-        Examples
-        --------
-        >>> import numpy as np, slam
-        >>> bearings = np.linspace(-np.pi, np.pi, 360, endpoint=False)
-        >>> ranges_m = np.minimum(3.0 / np.abs(np.cos(bearings)), 2.0 / np.abs(np.sin(bearings) + 1e-9))
-        >>> points = ranges_m[:, None] * np.column_stack([np.cos(bearings), np.sin(bearings)])  # a room
-        >>> loop = slam.check_loop(points, points).refused("a person says that these are two rooms")
-        >>> loop.accepted, loop.reason
-        (False, 'a person says that these are two rooms')
-        """
+        """The same candidate, refused."""
         return replace(self, accepted=False, reason=reason)
 
     def edge(self, number: int) -> Edge:
-        """What an accepted loop adds to the graph; ``number`` is its place among the candidates.
-
-        Examples
-        --------
-        >>> import gtsam, numpy as np, slam
-        >>> bearings = np.linspace(-np.pi, np.pi, 360, endpoint=False)
-        >>> ranges_m = np.minimum(3.0 / np.abs(np.cos(bearings)), 2.0 / np.abs(np.sin(bearings) + 1e-9))
-        >>> points = ranges_m[:, None] * np.column_stack([np.cos(bearings), np.sin(bearings)])  # a room
-        >>> edge = slam.check_loop(points, points).edge(number=0)
-        >>> edge.kind is slam.EdgeKind.LOOP, edge.loop
-        (True, 0)
-        """
+        """What an accepted loop adds to the graph; ``number`` is its place among the candidates."""
         assert self.motion is not None
         ends, told, spread = (self.place, self.keyframe), self.motion.T_reference_base, self.motion.covariance
         return Edge(*ends, told, spread, EdgeKind.LOOP, trusted=False, loop=number)

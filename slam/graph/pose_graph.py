@@ -96,15 +96,7 @@ class PoseGraph:
         return self._count
 
     def add_node(self, guess: Pose) -> int:
-        """Add a pose with its initial guess and return its number.
-
-        Examples
-        --------
-        >>> import gtsam, slam
-        >>> graph = slam.PoseGraph(gtsam.Pose2())
-        >>> graph.add_node(gtsam.Pose2(1.0, 0.0, 0.0)), len(graph)
-        (1, 2)
-        """
+        """Add a pose with its initial guess and return its number."""
         _check_finite(guess)
         key = self._count
         self._pending_values.insert(key, guess)
@@ -281,28 +273,11 @@ class PoseGraph:
         self._estimate = gtsam.lago.initialize(graph)
 
     def pose(self, key: int) -> Pose:
-        """Estimated pose of a node.
-
-        Examples
-        --------
-        >>> import gtsam, slam
-        >>> slam.PoseGraph(gtsam.Pose2(1.0, 2.0, 0.0)).pose(0).y()
-        2.0
-        """
+        """Estimated pose of a node."""
         return self._estimate.atPose2(key) if self._dimension == 3 else self._estimate.atPose3(key)
 
     def planar_poses(self, first: int = 0) -> FloatArray:
-        """(n, 3) x, y, yaw of all nodes of an SE(2) graph, or from the first that an update has moved.
-
-        Examples
-        --------
-        >>> import gtsam, slam
-        >>> graph = slam.PoseGraph(gtsam.Pose2())
-        >>> for x_m in (1.0, 2.0):
-        ...     node = graph.add_node(gtsam.Pose2(x_m, 0.0, 0.0))
-        >>> graph.planar_poses().tolist()
-        [[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [2.0, 0.0, 0.0]]
-        """
+        """(n, 3) x, y, yaw of all nodes of an SE(2) graph, or from the first that an update has moved."""
         estimate = self._moved if first else self._estimate
         rows: FloatArray = gtsam.utilities.extractPose2(estimate)
         return rows.reshape(-1, 3)

@@ -66,7 +66,7 @@ class OccupancyGrid:
 
     Examples
     --------
-    >>> import gtsam, numpy as np, slam
+    >>> import numpy as np, slam
     >>> log_odds = np.array([[2.0, -2.0, 0.0]], np.float32)  # a wall, free, unknown
     >>> grid = slam.OccupancyGrid.of_log_odds(log_odds, resolution_m=0.05)
     >>> grid.shape, grid.states().tolist(), grid.log_odds.tolist()
@@ -86,15 +86,7 @@ class OccupancyGrid:
     def of_log_odds(
         cls, log_odds: Float32Array, resolution_m: float, T_map_grid: gtsam.Pose2 | None = None
     ) -> OccupancyGrid:
-        """A grid of (rows, cols) log-odds, rounded to steps.
-
-        Examples
-        --------
-        >>> import gtsam, numpy as np, slam
-        >>> corner = gtsam.Pose2(-1.0, -2.0, 0.0)  # of cell (0, 0)
-        >>> slam.OccupancyGrid.of_log_odds(np.zeros((4, 6), np.float32), 0.5, corner)
-        OccupancyGrid(steps=int16[4, 6] 0..0, resolution_m=0.5, T_map_grid=Pose2(-1, -2, 0))
-        """
+        """A grid of (rows, cols) log-odds, rounded to steps."""
         steps = np.rint(log_odds * np.float32(STEPS_A_UNIT)).astype(np.int16)
         return cls(steps, resolution_m, T_map_grid or gtsam.Pose2())
 
@@ -123,15 +115,7 @@ class OccupancyGrid:
         return probabilities
 
     def states(self, thresholds: Thresholds = THRESHOLDS) -> StateArray:
-        """(rows, cols) of OCCUPIED, FREE and UNKNOWN.
-
-        Examples
-        --------
-        >>> import numpy as np, slam
-        >>> grid = slam.OccupancyGrid.of_log_odds(np.array([[3.0, 3.0, -3.0]], np.float32), 0.05)
-        >>> int((grid.states() == 100).sum())  # occupied cells
-        2
-        """
+        """(rows, cols) of OCCUPIED, FREE and UNKNOWN."""
         return thresholds.states(self.steps)
 
     def picture(self, way_map: FloatArray | None = None) -> NDArray[np.uint8]:

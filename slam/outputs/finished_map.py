@@ -59,16 +59,22 @@ class Map:
     --------
     >>> import slam
     >>> from slam.simulation.synthetic_log import write_synthetic_log
-    >>> house = slam.map_log(write_synthetic_log("monday", duration_s=10.0).log_path)
+    >>> house = slam.map_log(write_synthetic_log("monday", duration_s=12.0).log_path)
     >>> house.grid.resolution_m, house.layers.resolution_m, house.keyframe_poses.shape[1]
     (0.05, 0.05, 3)
     >>> house.notes
-    ['used: FLASER (2D lidar, 51), odometry (wheels, 101)']
+    ['used: FLASER (2D lidar, 61), odometry (wheels, 121)']
     >>> house.check()  # it is sound, else an error tells what is wrong
     >>> house.config.grid.resolution_m, house.edits, house.in_memory, house.covariances.shape[1:]
     (0.05, [], True, (3, 3))
     >>> len(house.loops), len(house.factors) >= len(house.keyframe_poses) - 1
     (0, True)
+    >>> len(house.floor_plan().rooms) > 0, house.remap(["grid.resolution_m=0.1"]).grid.resolution_m
+    (True, 0.1)
+    >>> [path.name for path in house.export("nav2", "for-the-robot/")]
+    ['map.yaml', 'map.pgm']
+    >>> house.save("house")[0].name, slam.load_map("house").digest == house.digest
+    ('map.db', True)
     """
 
     path: Path
@@ -162,14 +168,6 @@ class Map:
         """Rooms with walls, lengths and areas and how sure these are, and doors, by a 2D lidar's scans.
 
         A `ScanweaveError` tells that the map has no such scans.
-
-        Examples
-        --------
-        >>> import slam
-        >>> from slam.simulation.synthetic_log import write_synthetic_log
-        >>> house = slam.map_log(write_synthetic_log("monday", duration_s=12.0).log_path)
-        >>> len(house.floor_plan().rooms) > 0
-        True
         """
         return floor_plan(self.contents, self.config)
 
@@ -197,14 +195,6 @@ class Map:
         ------
         ScanweaveError
             Where the map does not hold what the format needs, or a file cannot be written.
-
-        Examples
-        --------
-        >>> import slam
-        >>> from slam.simulation.synthetic_log import write_synthetic_log
-        >>> house = slam.map_log(write_synthetic_log("monday", duration_s=10.0).log_path)
-        >>> [path.name for path in house.export("nav2", "for-the-robot/")]
-        ['map.yaml', 'map.pgm']
         """
         return Exports(self.contents, self.config).write(format_, Path(out))
 
@@ -229,17 +219,7 @@ class Map:
         return {one.name: one.pose(self.keyframe_poses) for one in regions_of(self.contents.edits, "place")}
 
     def zones(self, kind: str = "keep_out") -> dict[str, FloatArray]:
-        """(n, 2) corners of the zones of a kind, ``keep_out`` or ``slow``, by their names, map frame.
-
-        Examples
-        --------
-        >>> import slam
-        >>> from slam.simulation.synthetic_log import write_synthetic_log
-        >>> house = slam.map_log(write_synthetic_log("monday", duration_s=10.0).log_path)
-        >>> stairs = {"name": "stairs", "polygon": [[0, 0], [1, 0], [1, 1]]}
-        >>> (house.edited({"keep_out": [stairs]}).zones()["stairs"].round(2) + 0.0).tolist()
-        [[0.0, 0.0], [1.0, 0.0], [1.0, 1.0]]
-        """
+        """(n, 2) corners of the zones of a kind, ``keep_out`` or ``slow``, by their names, map frame."""
         return {zone.name: zone.points(self.keyframe_poses) for zone in regions_of(self.contents.edits, kind)}
 
     def edited(self, edits: Edits | Mapping[str, Any] | Path | str, *, out: Path | str | None = None) -> Map:
@@ -267,6 +247,9 @@ class Map:
         [0.0, 1.0, 1.57]
         >>> turned.undone().digest == house.digest
         True
+        >>> stairs = {"name": "stairs", "polygon": [[0, 0], [1, 0], [1, 1]]}
+        >>> (house.edited({"keep_out": [stairs]}).zones()["stairs"].round(2) + 0.0).tolist()
+        [[0.0, 0.0], [1.0, 0.0], [1.0, 1.0]]
         """
         from slam.edits.edited_file import write_with
 
@@ -281,14 +264,6 @@ class Map:
         ----------
         settings
             As `slam.load_config` takes them; what takes the log is refused.
-
-        Examples
-        --------
-        >>> import slam
-        >>> from slam.simulation.synthetic_log import write_synthetic_log
-        >>> house = slam.map_log(write_synthetic_log("monday", duration_s=12.0).log_path)
-        >>> house.remap(["grid.resolution_m=0.1"]).grid.resolution_m
-        0.1
         """
         pairs = (setting.partition("=") for setting in settings)
         return self.edited({"settings": {name: value for name, _, value in pairs}}, out=out)
@@ -319,17 +294,6 @@ class Map:
         ------
         ScanweaveError
             Where the folder holds another map and is not to be replaced, or a file cannot be written.
-
-        Examples
-        --------
-        >>> import slam
-        >>> from pathlib import Path
-        >>> from slam.simulation.synthetic_log import write_synthetic_log
-        >>> house = slam.map_log(write_synthetic_log(Path("monday"), duration_s=12.0).log_path)
-        >>> sorted(path.name for path in house.save("house"))[:3]
-        ['graph.g2o', 'map.db', 'map.pgm']
-        >>> slam.load_map("house").digest == house.digest
-        True
         """
         target = copy_into(Path(folder), self.path, overwrite=overwrite)
         return [target, *self.write_files(target.parent)]
