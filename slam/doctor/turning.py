@@ -10,10 +10,10 @@ the sense of the turn, and the beginning that explains most is the cut.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
-from typing import TypeAlias
+from typing import TypeAlias, TypeVar
 
 import gtsam
 import numpy as np
@@ -24,13 +24,15 @@ from slam.config import Config
 from slam.datasets.corrections_in_space import bearings_rad, turn_times
 from slam.doctor.finding import Finding
 from slam.doctor.imu import CLOCK_S
+from slam.doctor.scan_motion import track_stretches
 from slam.doctor.stretches import LASTS_S, MOST
 from slam.matching.cloud_alignment import align_cloud
-from slam.matching.cloud_points import SLICES, base_points
+from slam.matching.cloud_points import SLICES, base_points, voxel_of
 from slam.matching.plane_voxels import PlaneVoxels
-from slam.measurements import FloatArray, LaserScan, PointCloud
-from slam.odometry.cloud_tracker import CloudTracker, TrackedCloud
+from slam.measurements import FloatArray, LaserScan, PointCloud, pose2_from_row
+from slam.odometry.cloud_tracker import CloudTracker
 
+T = TypeVar("T")
 # Of so many turns one is recorded at least; planes of bent clouds are so thick, in voxels.
 _TURNS, _THICKNESS = 5, 0.2
 _CUTS_RAD = np.arange(SLICES) * math.tau / SLICES
@@ -102,7 +104,10 @@ _Told: TypeAlias = tuple[FloatArray, FloatArray]  # weights and sums (C,) of eac
 
 
 def turn_of(
-    stretches: Sequence[Sequence[PointCloud]], interval_s: float, config: Config, *, flat: bool = False
+    stretches: Sequence[Sequence[PointCloud]],
+    interval_s: float,
+    config: Config,
+    by_scans: Iterable[Sequence[_Pair]] | None = None,
 ) -> Turn | None:
     """How a lidar spins whose points tell no times; None where nothing is bent, or nothing tells.
 
@@ -112,30 +117,25 @@ def turn_of(
         Clouds one after the other, lidar's frame, thinned: as many stretches are looked at as it takes.
     interval_s
         From cloud to cloud: a whole number of turns.
+    by_scans
+        Of a 2D lidar, see `_pairs_of_scans`: of most logs they tell soon that nothing is bent.
     """
     if interval_s <= 0.0 or not (stretches and _looks_round(stretches[0])):
         return None
-    pairs, told, bent, fit, number = list[_Pair](), list[_Told](), Turn(0.0, 0.0, 0.0), None, 0
-    for number, clouds in enumerate(_spread_out(stretches), 1):
-        pairs += (new := _pairs(clouds, config))
-        told += _told_by(new, bent, config, _CUTS_RAD)
-        fit = _fit(told, _CUTS_RAD) if number > 1 else None
-        if fit is None:
-            continue
-        within_s = math.sqrt(gate()) * fit.sigma_s
-        # Planes of bent clouds hold back: at first it looks half as long.
-        if abs(fit.turn_s) + within_s < 0.5 * interval_s / (_TURNS + 0.5):
-            return None
-        if abs(fit.turn_s) > within_s and number > 3:
-            break
-    return _settled(pairs, fit, interval_s, config, flat) if fit is not None and number > 3 else None
+    if by_scans is not None and not _bends(by_scans, interval_s, config):
+        return None
+    bends = _bends((_pairs(clouds, config) for clouds in _spread_out(stretches)), interval_s, config)
+    return _settled(*bends, interval_s, config, by_scans is not None) if bends else None
 
 
 def turn_in_the_plane(
     stretches: Sequence[Sequence[LaserScan]], interval_s: float, config: Config
 ) -> Turn | None:
     """As `turn_of`, of a 2D lidar."""
-    return turn_of(_walls(stretches), interval_s, config, flat=True)
+    short = _short(stretches)
+    walls = [[_stood_up(scan) for scan in scans] for scans in short]
+    by_scans = (_pairs_of_scans(scans, config) for scans in _spread_out(short))
+    return turn_of(walls, interval_s, config, by_scans)
 
 
 def told_turn(stretches: Sequence[Sequence[LaserScan]], config: Config) -> Turn | None:
@@ -145,15 +145,15 @@ def told_turn(stretches: Sequence[Sequence[LaserScan]], config: Config) -> Turn 
     if not 0.0 < turn_s <= GAP_S:
         return None
     cut_rad = math.pi + 0.5 * (scan.start_angle_rad + float(scan.bearings_rad()[-1]))
-    pairs = [pair for clouds in _walls(stretches) for pair in _pairs(clouds, config)]
+    pairs = [pair for scans in _short(stretches) for pair in _pairs_of_scans(scans, config)]
     told = [Turn(sign * turn_s, 0.0, cut_rad) for sign in (1.0, -1.0)]
     return _bent(pairs, max(told, key=lambda turn: sum(_agreed(pairs, turn, config))), config)
 
 
-def _walls(stretches: Sequence[Sequence[LaserScan]]) -> list[list[PointCloud]]:
-    """Stretches of scans spread over a log, short ones, stood up."""
+def _short(stretches: Sequence[Sequence[LaserScan]]) -> list[list[LaserScan]]:
+    """Stretches spread over a log, the first seconds of each."""
     return [
-        [_stood_up(scan) for scan in scans if scan.stamp_s - scans[0].stamp_s <= LASTS_S]
+        [scan for scan in scans if scan.stamp_s - scans[0].stamp_s <= LASTS_S]
         for scans in stretches[:: -(-len(stretches) // MOST)]
     ]
 
@@ -165,6 +165,26 @@ def _stood_up(scan: LaserScan) -> PointCloud:
     rows = [np.column_stack([walls, np.full(len(walls), height_m)]) for height_m in heights_m]
     rows += [np.column_stack([share * walls, np.full(len(walls), heights_m[0])]) for share in shares]
     return PointCloud(scan.stamp_s, np.vstack(rows).astype(np.float32), None, sensor=scan.sensor)
+
+
+def _bends(
+    stretches: Iterable[Sequence[_Pair]], interval_s: float, config: Config
+) -> tuple[list[_Pair], Turn] | None:
+    """Pairs of as many stretches as it takes, and the turn they tell as bent; None where that is none."""
+    pairs, told, bent, fit, number = list[_Pair](), list[_Told](), Turn(0.0, 0.0, 0.0), None, 0
+    for number, new in enumerate(stretches, 1):
+        pairs += new
+        told += _told_by(new, bent, config, _CUTS_RAD)
+        fit = _fit(told, _CUTS_RAD) if number > 1 else None
+        if fit is None:
+            continue
+        within_s = math.sqrt(gate()) * fit.sigma_s
+        # Planes of bent clouds hold back: at first it looks half as long.
+        if abs(fit.turn_s) + within_s < 0.5 * interval_s / (_TURNS + 0.5):
+            return None
+        if abs(fit.turn_s) > within_s and number > 3:
+            break
+    return (pairs, fit) if fit is not None and number > 3 else None
 
 
 def _settled(pairs: Sequence[_Pair], fit: Turn, interval_s: float, config: Config, flat: bool) -> Turn | None:
@@ -270,31 +290,47 @@ def _told(
 
 
 def _pairs(clouds: Sequence[PointCloud], config: Config) -> list[_Pair]:
-    """Begin, middle and end of a stretch against each other, with the voxel of their planes."""
-    tracker, tracked = CloudTracker(config, None), list[tuple[PointCloud, TrackedCloud]]()
+    """The `_ends` of a stretch, by a tracker of its own."""
+    tracker, tracked = CloudTracker(config, None), list[tuple[PointCloud, gtsam.Pose3]]()
     for cloud in clouds:
         found = tracker.follow(cloud)
         if found.motion is not None or not tracked:
-            tracked.append((cloud, found))
+            tracked.append((cloud, found.pose))
+    return _ends(tracked, tracker.voxel_m)
+
+
+def _pairs_of_scans(scans: Sequence[LaserScan], config: Config) -> list[_Pair]:
+    """As `_pairs`, of the longest piece of a stretch that is matched in the plane: a tenth of the time."""
+    motion = max(track_stretches([scans], config), key=lambda one: len(one.stamps_s), default=None)
+    if motion is None:
+        return []
+    at, poses = {scan.stamp_s: scan for scan in scans}, map(pose2_from_row, motion.poses)
+    walls = [_stood_up(at[stamp_s]) for stamp_s in motion.stamps_s.tolist()]
+    points = base_points(walls[0], np.zeros(6), config.cloud_odometry)
+    voxel_m = voxel_of(points, config.cloud_odometry)
+    return _ends(list(zip(walls, map(gtsam.Pose3, poses), strict=True)), voxel_m)
+
+
+def _ends(tracked: Sequence[tuple[PointCloud, gtsam.Pose3]], voxel_m: float) -> list[_Pair]:
+    """Begin, middle and end of a stretch against each other, with the voxel of their planes."""
     if len(tracked) < 3 or any(one[0].stamp_s >= other[0].stamp_s for one, other in pairwise(tracked)):
         return []
     chosen = []
     for number in (0, len(tracked) // 2, len(tracked) - 1):
         before, after = tracked[max(number - 1, 0)], tracked[min(number + 1, len(tracked) - 1)]
-        way = gtsam.Pose3.Logmap(before[1].pose.between(after[1].pose))
-        cloud, found = tracked[number]
-        chosen.append(_Moving(cloud, found.pose, way / (after[0].stamp_s - before[0].stamp_s)))
-    return [(one, other, tracker.voxel_m) for one, other in [*pairwise(chosen), (chosen[0], chosen[2])]]
+        way = gtsam.Pose3.Logmap(before[1].between(after[1]))
+        chosen.append(_Moving(*tracked[number], way / (after[0].stamp_s - before[0].stamp_s)))
+    return [(one, other, voxel_m) for one, other in [*pairwise(chosen), (chosen[0], chosen[2])]]
 
 
 def _looks_round(clouds: Sequence[PointCloud]) -> bool:
     """Whether a lidar sees more than half a circle: what sees less may not spin."""
     bearings = [bearings_rad(cloud.points_lidar) for cloud in clouds]
     slices = np.floor(np.concatenate([*bearings, np.zeros(1)]) / math.tau * SLICES)
-    return len(np.unique(slices[np.isfinite(slices)])) > SLICES // 2
+    return len(np.unique(slices[np.isfinite(slices)])) > SLICES // 2 + 1  # half a circle touches one more
 
 
-def _spread_out(stretches: Sequence[Sequence[PointCloud]]) -> Iterator[Sequence[PointCloud]]:
+def _spread_out(stretches: Sequence[T]) -> Iterator[T]:
     """Every fourth first, then those between."""
     for begin in (0, 2, 1, 3):
         yield from stretches[begin::4]

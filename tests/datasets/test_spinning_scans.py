@@ -6,6 +6,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import cache
+from unittest.mock import Mock
 
 import gtsam
 import numpy as np
@@ -13,9 +14,11 @@ import pytest
 from flat_worlds import room, sweep
 from numpy.typing import ArrayLike
 
+from slam.config import Config
 from slam.config.calibration import Calibration, LidarCorrection
 from slam.datasets.corrections import corrected
 from slam.datasets.spinning_scans import straight
+from slam.doctor import turning
 from slam.doctor.diagnosis import diagnose
 from slam.measurements import FloatArray, LaserScan, Measurement, WheelOdometry, row_from_pose2
 
@@ -109,10 +112,18 @@ def test_a_turn_that_beams_tell_is_taken_about_its_middle_whichever_way_it_is_to
     assert len(off_m) > 200 and np.median(off_m) < 0.03
 
 
-def test_scans_that_are_taken_at_once_have_no_turn() -> None:
+def test_scans_that_are_taken_at_once_have_no_turn(monkeypatch: pytest.MonkeyPatch) -> None:
+    # How they lie in the plane tells that at once: to follow them as clouds takes ten times as long.
+    monkeypatch.setattr(turning, "CloudTracker", Mock(side_effect=AssertionError))
     assert diagnose(drive(0.0)) == []
     told = [replace(one, beam_s=5e-4) if isinstance(one, LaserScan) else one for one in drive(0.0)]
     assert diagnose(told) == []
+
+
+def test_what_sees_half_a_circle_to_both_edges_may_not_spin(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(turning, "track_stretches", Mock(side_effect=AssertionError))
+    half = sweep(room(), [0.0, 0.0, 0.0], beams=361, fov_rad=math.pi)
+    assert turning.turn_in_the_plane([[half] * 5], 0.2, Config()) is None
 
 
 def test_a_log_keeps_its_order_and_what_the_wheels_do_not_tell() -> None:
