@@ -129,7 +129,7 @@ class _Factor:
             found = splu(information, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options=symmetric)
         except RuntimeError as error:
             raise GraphError("the edges that are kept do not join all keyframes") from error
-        self._order = found.perm_c
+        self._order = found.perm_c.copy()  # its own holds all that SuperLU has made
         # With its diagonal as pivots the other factor is the transpose, but for the pivots.
         lower, self._roots = found.L.tocsc(), np.sqrt(found.U.diagonal())
         self._lower = lower.indptr, lower.indices, lower.data
@@ -154,7 +154,8 @@ class _Factor:
             self._room[at, place], told[at] = jacobian.data[entries], True
         _forward(*self._lower, self._room, told)
         (at,) = told.nonzero()
-        found: FloatArray = self._room[at] / self._roots[at, None]
+        found: FloatArray = self._room[at]
+        found /= self._roots[at, None]
         self._room[at] = 0.0
         return at, found
 

@@ -27,8 +27,10 @@ from slam.mapper.mount_learner import LearnedMounting
 from slam.mapper.planar_way import Moment, PlanarWay, Step, Steps
 from slam.mapper.protocol import Tracked
 from slam.mapping.moving_things import MovingThings
+from slam.matching.local_map import OrientedPoints
 from slam.measurements import BoolArray, LaserScan, Pose, pose2_from_row
 from slam.odometry import STANDARD, Odometries
+from slam.spool import ArraySpool
 from slam.vision.color_registration import ColorRegistration
 
 
@@ -64,6 +66,7 @@ class PlanarRobot:
         self._newest: Moment | None = None
         self._step: Step | None = None
         self._keyframe_scans: list[LaserScan | None] = []
+        self._kept = ArraySpool()
         self._travelled_m = 0.0
 
     def observe(self, measurement: Any) -> Tracked | None:
@@ -92,9 +95,10 @@ class PlanarRobot:
         """Remember a keyframe, and try the places that it may have come back to."""
         moment, found = self._newest, self._step
         assert moment is not None and found is not None
+        surface = OrientedPoints(*map(self._kept.keep, (found.surface.points, found.surface.normals)))
         # What is seen is the first part of the surface: kept once.
-        seen = found.surface.only(slice(found.seen))
-        self._closer.add_keyframe(seen, moment.pose, self._travelled_m, surface=found.surface)
+        seen = surface.only(slice(found.seen))
+        self._closer.add_keyframe(seen, moment.pose, self._travelled_m, surface=surface)
         self._keyframe_scans.append(moment.scan)
         self._moving.keep(moment.scan)
         if self._fusion is not None and moment.scan is not None:
@@ -121,7 +125,7 @@ class PlanarRobot:
         if self._places.fault is not None:
             graph.graph.doubt(*self._places.fault)
         if not found:
-            del self._places, self._closer  # it was the last search: what they know is large
+            del self._places, self._closer, self._kept  # it was the last search: what they know is large
             end_stage()
         return found
 

@@ -20,6 +20,7 @@ from fusion.time_alignment import GAP_S
 from slam.matching.object_evidence import GAP_M, LONGEST_M
 from slam.matching.planar import compose
 from slam.measurements import BoolArray, FloatArray, LaserScan, row_from_pose2
+from slam.spool import ArraySpool
 
 
 class _Sweep(NamedTuple):
@@ -88,6 +89,7 @@ class MovingThings:
         self._sweeps: list[_Sweep] = []
         self._judged = 0
         self._keyframes: list[_Sweep | None] = []
+        self._kept = ArraySpool()
 
     def add(self, scan: LaserScan, pose: FloatArray) -> None:
         """Take the next scan, whose base was at a pose (3,) in the odometry frame."""
@@ -110,7 +112,17 @@ class MovingThings:
     def keep(self, scan: LaserScan | None) -> None:
         """The newest scan is a keyframe's; nothing is known of another."""
         newest = self._sweeps[-1] if self._sweeps else None
-        self._keyframes.append(newest if newest is not None and newest.scan is scan else None)
+        if newest is None or newest.scan is not scan:
+            self._keyframes.append(None)
+            return
+        keep = self._kept.keep
+        self._sweeps[-1] = newest._replace(
+            beams=keep(newest.beams),
+            points=keep(newest.points),
+            begun=keep(newest.begun),
+            moves=keep(newest.moves),
+        )
+        self._keyframes.append(self._sweeps[-1])
 
     def taken_from(self, scans: Sequence[LaserScan | None]) -> list[LaserScan | None]:
         """The keyframes' scans, repaired or not, without what moves: its beams are negative."""
