@@ -142,6 +142,7 @@ class PlanarRobot:
             scans, result.fused = self._fusion.repair(scans)
             result.notes += [] if result.fused is None else [result.fused.note]
         scans = self._moving.taken_from(scans)
+        del self._moving  # it knows much of a long log, and nobody asks it any more
         result.stage_seconds["fusion"] = time.perf_counter() - started
         result.add_cameras(self._cameras.records(self._registrations), self._pictures.frames)
         result.map = replace(result.map, measured_scans=self._keyframe_scans, keyframe_scans=scans)
