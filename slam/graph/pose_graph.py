@@ -16,7 +16,7 @@ import numpy as np
 from fusion.estimation import TINY, gate
 from fusion.showing import one_line
 from slam.errors import GraphError
-from slam.graph.edge import Edge
+from slam.graph.edge import Edge, EdgeKind
 from slam.graph.factors import between_factor, gauge, mapping_noise, prior, solved, weighted
 from slam.graph.gravity import gravity_factors, heading_alone, upright_poses
 from slam.matching.upright import Gravity
@@ -184,15 +184,31 @@ class PoseGraph:
     def optimize(self, inlier_probability: float = 0.99) -> BatchResult:
         """Solve the whole graph anew: GNC-TLS over the untrusted edges, then plain least squares.
 
+        Loops that agree with each other may be false, and GNC ends near where it begins. So where it refuses
+        loops for the first time it begins once more from the steps alone; the solution of less cost is taken.
+
         Parameters
         ----------
         inlier_probability
             Chi-square probability at which a true edge passes the gate.
         """
-        kept = self._gnc_weights(inlier_probability) > 0.5
-        self._kept = kept.copy()
+        begun, limit = self._estimate, 0.5 * gate(self._dimension, inlier_probability)
+        found = [(self._decided(inlier_probability), self._estimate)]
+        loops = np.array([edge.kind == EdgeKind.LOOP and not edge.trusted for edge in self.edges], np.bool_)
+        if not len(self._kept) and (loops > found[0][0].kept).any():
+            self._estimate, self._kept = begun, ~loops
+            found.append((self._decided(inlier_probability), self._estimate))
+        outcome, self._estimate = min(
+            found, key=lambda one: one[0].error + limit * np.count_nonzero(~one[0].kept)
+        )
+        self._kept = outcome.kept.copy()
         # As large as the map, and rarely asked again.
         self._isam = None
+        return outcome
+
+    def _decided(self, inlier_probability: float) -> BatchResult:
+        """Which edges GNC keeps from where the poses are, and the poses by these."""
+        kept = self._gnc_weights(inlier_probability) > 0.5
         graph = self._graph(edge for edge, keep in zip(self.edges, kept, strict=True) if keep)
         self._estimate = solved(graph, self._estimate)
         return BatchResult(float(graph.error(self._estimate)), kept)
