@@ -17,7 +17,7 @@ from slam.doctor.camera_samples import SPREAD, SensorStep
 from slam.doctor.finding import Finding, Remedy
 from slam.doctor.pair import IN_ORDER, interval
 from slam.doctor.relation import fit_linear
-from slam.measurements import FloatArray, ImuReading
+from slam.measurements import BoolArray, FloatArray, ImuReading
 
 # By so much may a clock and a mounting be off without harm: at a turn of 1 rad/s a hundredth of a radian.
 CLOCK_S, _ANGLE_RAD = 0.005, math.radians(2.0)
@@ -88,7 +88,13 @@ def imu_findings(
     rows = samples.rows()
     if len(rows) < FEWEST:
         return []
-    found = _saturated(name, rows)
+    same = _frozen(rows)
+    text = f"{np.count_nonzero(same)} of {len(rows)} readings are the one before, to the bit"
+    once: Remedy = {"imus": {name: {"drop_repeated": True}}}
+    hangs = Finding(name, "frozen", text, "the robot is taken to turn on as it did", (once,), sure=True)
+    found = [hangs] if same.any() else []
+    rows = rows[~same]
+    found += _saturated(name, rows)
     unit = _unit(rows, steps)
     rows[:, 1:4] *= unit
     if T_base_lidar is None:
@@ -122,7 +128,8 @@ def turn_fit(rows: FloatArray, steps: Sequence[SensorStep]) -> TurnFit | None:
     seen, told = turns
 
     def error(ahead_s: float) -> float:
-        return float(np.median(np.sum(_apart(seen, told(ahead_s))[0] ** 2, axis=1)))
+        # Not their median: most steps may be straight.
+        return float(np.linalg.norm(_apart(seen, told(ahead_s))[0], axis=1).sum())
 
     coarse = np.arange(-GAP_S, GAP_S + 0.5 * STEP_S, STEP_S)
     best_s = float(min(coarse, key=error))
@@ -163,6 +170,8 @@ def _turns(
     """
     spans = np.array([[step.begun_s, step.ended_s] for step in steps]).reshape(-1, 2)
     within = (spans[:, 0] - GAP_S > rows[0, 0]) & (spans[:, 1] + GAP_S < rows[-1, 0])
+    first, last = (np.searchsorted(rows[:, 0], ends) for ends in spans.T)
+    within &= first < last  # not in a gap
     if within.sum() < FEWEST:
         return None
     seen = np.array([gtsam.Rot3.Logmap(step.motion.rotation()) for step in steps])[within]
@@ -296,6 +305,18 @@ def _sits(name: str, samples: ImuSamples, fit: TurnFit, T_base_lidar: gtsam.Pose
     # Where nothing is told, any rotation that is known to some degrees is better than none.
     sure = half_rad < (_ANGLE_RAD if told is not None else 2.0 * _ANGLE_RAD)
     return [Finding(name, "mounting", text, effect, (remedy,), sure=sure, value=math.degrees(value))]
+
+
+def _frozen(rows: FloatArray) -> BoolArray:
+    """Which rows (N, 7) are the one before to the bit; none where that never lasts: a driver asks too often.
+
+    Without any turn they may be of a robot that stands, by a simulator without noise.
+    """
+    told = rows[:, 1:]
+    same = np.append(False, (told[1:] == told[:-1]).all(axis=1))
+    same &= told[:, :3].any(axis=1) | ~told.any(axis=1)
+    new_s = np.maximum.accumulate(np.where(same, -np.inf, rows[:, 0]))
+    return same & bool((rows[:, 0] - new_s > GAP_S).any())
 
 
 def _saturated(name: str, rows: FloatArray) -> list[Finding]:

@@ -10,7 +10,7 @@ the sense of the turn, and the beginning that explains most is the cut.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import TypeAlias
@@ -116,7 +116,8 @@ def turn_of(
     if interval_s <= 0.0 or not (stretches and _looks_round(stretches[0])):
         return None
     pairs, told, bent, fit, number = list[_Pair](), list[_Told](), Turn(0.0, 0.0, 0.0), None, 0
-    for number, clouds in enumerate(_spread_out(stretches), 1):
+    every_fourth_first = (clouds for begin in (0, 2, 1, 3) for clouds in stretches[begin::4])
+    for number, clouds in enumerate(every_fourth_first, 1):
         pairs += (new := _pairs(clouds, config))
         told += _told_by(new, bent, config, _CUTS_RAD)
         fit = _fit(told, _CUTS_RAD) if number > 1 else None
@@ -292,9 +293,3 @@ def _looks_round(clouds: Sequence[PointCloud]) -> bool:
     bearings = [bearings_rad(cloud.points_lidar) for cloud in clouds]
     slices = np.floor(np.concatenate([*bearings, np.zeros(1)]) / math.tau * SLICES)
     return len(np.unique(slices[np.isfinite(slices)])) > SLICES // 2
-
-
-def _spread_out(stretches: Sequence[Sequence[PointCloud]]) -> Iterator[Sequence[PointCloud]]:
-    """Every fourth first, then those between."""
-    for begin in (0, 2, 1, 3):
-        yield from stretches[begin::4]
