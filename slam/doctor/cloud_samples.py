@@ -110,8 +110,7 @@ class CloudSamples:
             before = self._first.stamp_s, self._tracker.follow(self._first)
             tracked = self._tracker.follow(cloud)
         # What matched nothing is where it was guessed to be: no step begins there.
-        known = before is None or tracked.motion is not None
-        self._tracked = (cloud.stamp_s, tracked) if known else None
+        self._tracked = (cloud.stamp_s, tracked) if before is None or tracked.motion else None
         self._first = cloud if before is None else None
         if before is not None and tracked.motion is not None:
             step = before[1].pose.between(tracked.pose)

@@ -170,8 +170,7 @@ def _turns(
     """
     spans = np.array([[step.begun_s, step.ended_s] for step in steps]).reshape(-1, 2)
     within = (spans[:, 0] - GAP_S > rows[0, 0]) & (spans[:, 1] + GAP_S < rows[-1, 0])
-    first, last = (np.searchsorted(rows[:, 0], ends) for ends in spans.T)
-    within &= first < last  # not in a gap
+    within &= np.diff(np.searchsorted(rows[:, 0], spans))[:, 0] > 0  # not in a gap
     if within.sum() < FEWEST:
         return None
     seen = np.array([gtsam.Rot3.Logmap(step.motion.rotation()) for step in steps])[within]
