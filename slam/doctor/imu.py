@@ -88,7 +88,7 @@ def imu_findings(
     rows = samples.rows()
     if len(rows) < FEWEST:
         return []
-    same = _frozen(rows)
+    same = _frozen(rows, steps)
     text = f"{np.count_nonzero(same)} of {len(rows)} readings are the one before, to the bit"
     once: Remedy = {"imus": {name: {"drop_repeated": True}}}
     hangs = Finding(name, "frozen", text, "the robot is taken to turn on as it did", (once,), sure=True)
@@ -306,16 +306,14 @@ def _sits(name: str, samples: ImuSamples, fit: TurnFit, T_base_lidar: gtsam.Pose
     return [Finding(name, "mounting", text, effect, (remedy,), sure=sure, value=math.degrees(value))]
 
 
-def _frozen(rows: FloatArray) -> BoolArray:
-    """Which rows (N, 7) are the one before to the bit; none where that never lasts: a driver asks too often.
-
-    Without any turn they may be of a robot that stands, by a simulator without noise.
-    """
-    told = rows[:, 1:]
-    same = np.append(False, (told[1:] == told[:-1]).all(axis=1))
-    same &= told[:, :3].any(axis=1) | ~told.any(axis=1)
+def _frozen(rows: FloatArray, steps: Sequence[SensorStep]) -> BoolArray:
+    """Which rows (N, 7) are the one before to the bit; none unless that lasts while the lidar turns."""
+    same = np.append(False, (rows[1:, 1:] == rows[:-1, 1:]).all(axis=1))
     new_s = np.maximum.accumulate(np.where(same, -np.inf, rows[:, 0]))
-    return same & bool((rows[:, 0] - new_s > GAP_S).any())
+    hung_s = rows[rows[:, 0] - new_s > GAP_S, 0]
+    within = [step for step in steps if np.ptp(np.searchsorted(hung_s, (step.begun_s, step.ended_s)))]
+    turns = [gtsam.Rot3.Logmap(step.motion.rotation()) for step in within]
+    return same & bool(np.linalg.norm(np.sum(turns, axis=0)) > _ANGLE_RAD)
 
 
 def _saturated(name: str, rows: FloatArray) -> list[Finding]:

@@ -108,8 +108,10 @@ def test_one_that_hangs_is_told_and_what_it_repeats_left_out() -> None:
 
 def test_readings_that_come_twice_or_of_a_robot_that_stands_do_not_hang() -> None:
     assert findings([replace(SAID[n - n % 2], stamp_s=one.stamp_s) for n, one in enumerate(SAID)]) == {}
-    still = [replace(one, gyro_rad_s=np.zeros(3), specific_force_m_s2=np.ones(3)) for one in SAID[:600]]
-    assert "frozen" not in findings([*still, *SAID[600:]])
+    samples, stood = ImuSamples(), [replace(one, motion=gtsam.Pose3()) for one in steps()]
+    for reading in SAID:
+        samples.add(replace(SAID[0], stamp_s=reading.stamp_s))
+    assert all(one.kind != "frozen" for one in imu_findings("imu", samples, stood, T_BASE_LIDAR))
 
 
 def test_turn_rates_in_degrees_beside_a_3d_lidar() -> None:
