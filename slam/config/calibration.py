@@ -45,7 +45,10 @@ class SensorCorrection(StrictModel):
     """What any sensor may need."""
 
     use: bool = Field(default=True, description="false leaves the sensor out")
-    drop_repeated: bool = Field(default=False, description="leave out readings that equal the one before")
+    drop_repeated: bool = Field(
+        default=False,
+        description="leave out readings that equal the one before, clouds that begin in its turn",
+    )
     clock_offset_s: float = Field(
         default=0.0, ge=-1e4, le=1e4, description="by how much its stamps are ahead; taken off"
     )

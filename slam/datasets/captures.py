@@ -56,11 +56,6 @@ class _File(io.BufferedReader):
         return super().read(size)
 
 
-def looks_like_capture(path: Path, head: bytes) -> bool:
-    """Whether a file is a capture by its first bytes."""
-    return path.is_file() and head[:4] in _MAGICS
-
-
 def _load(path: Path, account: Account) -> Contents:
     """The clouds of one lidar, which is the robot's frame; of an Ouster its IMU, in the sensor's frame."""
     try:
@@ -178,7 +173,7 @@ def _payload(frame: bytes, before: int, waiting: dict[bytes, dict[int, tuple[byt
 
 FORMAT = recorded(
     "capture of a Velodyne's or an Ouster's packets (.pcap)",
-    looks_like_capture,
+    lambda path, head: path.is_file() and head[:4] in _MAGICS,
     _load,
     lambda path, account: None,
 )

@@ -10,15 +10,19 @@ from typing import Any, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
+from fusion.estimation import FEWEST
 from slam.datasets.budget import LARGEST_BYTES
 from slam.datasets.dataset import RecordFault
 from slam.datasets.las_points import read_las_points
+from slam.datasets.laser_geometry import ALIKE
 from slam.datasets.pcd_points import read_pcd_points
 from slam.datasets.ply_points import read_ply_points
 from slam.measurements import Float32Array
 
 CLOUD_SUFFIXES = frozenset({".bin", ".pcd", ".ply", ".las", ".laz"})
 CLOUD_NAMES = "(?:bin|pcd|ply|la[sz])"  # as a pattern
+# Of so many points; ranges that differ by less than single precision leaves of them are one.
+_LOOKED_AT, _ALIKE_SHARE = 2000, 1e-6
 
 MISSING = "cloud file missing"
 UNREADABLE = "cloud file cannot be read"
@@ -83,10 +87,27 @@ def read_cloud(path: Path, parse: Callable[[Path], Parsed] | None = None) -> Clo
 
 
 def is_return(points: Float32Array) -> NDArray[np.bool_]:
-    """Which of (N, 3) points are finite, and not at the lidar itself as what has no return is."""
+    """Which of (N, 3) points are finite, and not where drivers put what has no return.
+
+    That is the lidar itself, or a sphere about it.
+    """
     x, y, z = points.T
     # Axis by axis: a reduction over rows of three takes ten times as long.
-    return np.isfinite(x) & np.isfinite(y) & np.isfinite(z) & ((x != 0.0) | (y != 0.0) | (z != 0.0))
+    valid = np.isfinite(x) & np.isfinite(y) & np.isfinite(z) & ((x != 0.0) | (y != 0.0) | (z != 0.0))
+    if code_m := _told_alike_m(points, valid):
+        valid &= np.abs(np.sqrt(x**2 + y**2 + z**2) - code_m) > _ALIKE_SHARE * code_m
+    return valid
+
+
+def _told_alike_m(points: Float32Array, valid: NDArray[np.bool_]) -> float:
+    """The range that more of (N, 3) points tell than any surface makes alike; 0 where there is none."""
+    step = len(points) // _LOOKED_AT | 1  # odd: no ring is passed over
+    ranges_m = np.sort(np.linalg.norm(points[::step][valid[::step]].astype(np.float64), axis=1))
+    ends = np.flatnonzero(np.diff(ranges_m, append=np.inf) > _ALIKE_SHARE * ranges_m)
+    alike = np.diff(ends, prepend=-1)
+    if len(alike) < FEWEST or alike.max() < FEWEST or alike.max() <= ALIKE * np.partition(alike, -2)[-2]:
+        return 0.0
+    return float(ranges_m[ends[alike.argmax()]])
 
 
 @dataclass(frozen=True, slots=True)

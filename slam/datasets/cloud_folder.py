@@ -29,16 +29,6 @@ _NUMBERED = r"[a-z_-]*(\d{1,8})\." + CLOUD_NAMES
 _RATE_HZ = 10.0  # of most lidars; taken where clouds are numbered and nothing tells their stamps
 
 
-def looks_like_cloud_folder(path: Path, head: bytes) -> bool:
-    """Whether a path is a folder with clouds and a list of their stamps."""
-    return path.is_dir() and (has_clouds(path) or len(numbered_files(path, _NUMBERED)) > 1)
-
-
-def _load(path: Path, account: Account) -> Contents:
-    """A folder of clouds; the lidar's frame is the robot's unless ``calibration.yaml`` says where it sits."""
-    return Contents(log=beside_imu(read_clouds(path, account).numbered(account), imu_file(path), account))
-
-
 def has_clouds(path: Path) -> bool:
     """Whether a folder of a robot holds clouds with a list of stamps beside them."""
     return times_of(path) is not None and bool(_cloud_places(path))
@@ -121,7 +111,10 @@ def _kitti_rows(path: Path, account: Account) -> dict[str, gtsam.Pose3]:
 
 FORMAT = recorded(
     "folder of point clouds (KITTI odometry; .bin, .pcd, .ply or .las with a list of stamps)",
-    looks_like_cloud_folder,
-    _load,
+    lambda path, head: path.is_dir() and (has_clouds(path) or len(numbered_files(path, _NUMBERED)) > 1),
+    # The lidar's frame is the robot's unless ``calibration.yaml`` says where it sits.
+    lambda path, account: Contents(
+        log=beside_imu(read_clouds(path, account).numbered(account), imu_file(path), account)
+    ),
     _groundtruth,
 )

@@ -134,16 +134,28 @@ def _corrected_one_by_one(log: Iterable[Measurement], calibration: Calibration) 
 
 
 def repeats(before: Measurement | None, now: Measurement) -> bool:
-    """Whether a reading tells the same to the bit as the one before: what a sensor with noise never does."""
+    """Whether a reading tells the same to the bit as the one before: what a sensor with noise never does.
+
+    Or it is a cloud of the turn of the one before, by another lidar.
+    """
     if isinstance(before, LaserScan) and isinstance(now, LaserScan):
         return before.ranges_m.tobytes() == now.ranges_m.tobytes()
     if isinstance(before, RgbdFrame) and isinstance(now, RgbdFrame):
         return np.array_equal(before.depth_m, now.depth_m) and np.array_equal(before.color, now.color)
     if isinstance(before, PointCloud) and isinstance(now, PointCloud):
-        return np.array_equal(before.points_lidar, now.points_lidar)
+        return begins_early(before, now) or np.array_equal(before.points_lidar, now.points_lidar)
+    if isinstance(before, ImuReading) and isinstance(now, ImuReading):
+        same = np.array_equal(before.gyro_rad_s, now.gyro_rad_s)
+        return same and np.array_equal(before.specific_force_m_s2, now.specific_force_m_s2)
     if isinstance(before, WheelOdometry) and isinstance(now, WheelOdometry):
         return before.T_odom_base.equals(now.T_odom_base, 0.0)
     return False
+
+
+def begins_early(before: PointCloud, now: PointCloud) -> bool:
+    """Whether a cloud begins while the turn of the one before is not half over: one lidar turns on."""
+    times_s = before.times_s
+    return times_s is not None and 0.0 < 2.0 * (now.stamp_s - before.stamp_s) < float(np.ptp(times_s))
 
 
 class Unwound:

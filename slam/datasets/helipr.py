@@ -33,11 +33,6 @@ _POSES = PoseTable(stamp_units_s=(0.0,))
 _PROBED = 8
 
 
-def looks_like_helipr(path: Path, head: bytes) -> bool:
-    """Whether a path is the folder of a sequence, of its lidars, or of one of them."""
-    return path.is_dir() and bool(_lidars(path))
-
-
 def _load(path: Path, account: Account) -> Contents:
     """A folder of one sequence; of several lidars the first of Ouster, Velodyne, Aeva, Avia is read."""
     places = _lidars(path)
@@ -83,4 +78,6 @@ def _groundtruth(path: Path, account: Account) -> Trajectory | None:
     return _POSES.read(file, account) if file else None
 
 
-FORMAT = recorded("HeLiPR sequence", looks_like_helipr, _load, _groundtruth)
+FORMAT = recorded(
+    "HeLiPR sequence", lambda path, head: path.is_dir() and bool(_lidars(path)), _load, _groundtruth
+)

@@ -22,7 +22,7 @@ DEFAULT_NO_RETURN_M = 80.0
 _CODE_TOLERANCE_M = 1e-6
 _UNITS_IN_A_M = (100.0, 1000.0)  # centimetres, millimetres
 # Of beams on a wall, in whole steps, 1 + sqrt(2) times as many tell the shortest distance as the next.
-_ALIKE = FEWEST // 4
+ALIKE = FEWEST // 4
 
 _DEFAULT_FOV_DEG = 180.0
 # Beam counts that belong to one field of view: SICK LMS 2xx in its 100 degree mode, 270 degree scanners.
@@ -107,7 +107,7 @@ def _is_angle(angle_rad: float | None) -> bool:
 class ToldAlike:
     """The longest range that a sensor tells again and again, to the bit, by how many beams; the shortest.
 
-    So are codes told (8.183 m by a SICK). A longest that is another counts `_ALIKE` times against it.
+    So are codes told (8.183 m by a SICK). A longest that is another counts `ALIKE` times against it.
     """
 
     longest_m: float = 0.0
@@ -117,7 +117,7 @@ class ToldAlike:
     def take(self, longest_m: float, beams: int) -> bool:
         """Take the longest range of a scan, told by so many beams: whether what is told again is a code."""
         if beams > 1:
-            self.beams += beams if longest_m == self.longest_m else -_ALIKE * beams
+            self.beams += beams if longest_m == self.longest_m else -ALIKE * beams
         if self.beams < 0:
             self.longest_m, self.beams = longest_m, beams
         return self.beams >= FEWEST
@@ -152,7 +152,7 @@ def classify_ranges(
     most_m, alike, least_m, near = ends
     if near >= FEWEST and told_alike.shortest_m == least_m:
         others = np.unique(ranges_m[(ranges_m > least_m) & np.isfinite(classified)], return_counts=True)[1]
-        classified[(ranges_m == least_m) & (near > _ALIKE * max(others, default=0))] = math.nan
+        classified[(ranges_m == least_m) & (near > ALIKE * max(others, default=0))] = math.nan
     told_alike.shortest_m = least_m
     code_m = told_alike.longest_m if told_alike.take(most_m, alike) else math.inf
     # Codes of errors may be beyond it, and few are.

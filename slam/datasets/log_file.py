@@ -121,7 +121,9 @@ def numbered_lines(
                     budget.take(unpaid, _LINES_A_SHARE)
                     unpaid = 0
                     if on_share is not None:
-                        on_share(_position(stream) / size)
+                        raw = stream.raw
+                        read = raw.packed_position() if isinstance(raw, _Gunzipped) else stream.tell()
+                        on_share(read / size)
                 if len(line) == MAX_LINE_BYTES and not line.endswith(b"\n"):
                     _skip_line(stream, budget)
                     detail = f"more than {MAX_LINE_BYTES} bytes"
@@ -134,11 +136,6 @@ def numbered_lines(
             refuse(fault, number)
         except OSError as error:
             raise DatasetError(f"cannot read {path} after line {number}: {error.strerror}") from error
-
-
-def _position(stream: io.BufferedReader) -> int:
-    """Bytes of the file on disk that have been read."""
-    return stream.raw.packed_position() if isinstance(stream.raw, _Gunzipped) else stream.tell()
 
 
 def _skip_line(stream: io.BufferedReader, budget: Budget) -> None:

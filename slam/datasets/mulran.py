@@ -41,11 +41,6 @@ _XSENS = "time [ns],qx,qy,qz,qw,roll,pitch,yaw,gx,gy,gz,ax,ay,az,magnetic x,magn
 _SHIFT_M, _TURN_DEG = (1.7042, -0.021, 1.8047), (0.0001, 0.0003, 179.6654)
 
 
-def looks_like_mulran(path: Path, head: bytes) -> bool:
-    """Whether a path is the folder of one sequence."""
-    return ((path / _POSES).is_file() or (path / _SENSORS).is_dir()) and _clouds_folder(path) is not None
-
-
 def _load(path: Path, account: Account) -> Contents:
     """A folder of one sequence; the lidar sits where the publishers say."""
     place = _clouds_folder(path)
@@ -95,7 +90,9 @@ def read_poses(path: Path, account: Account) -> Trajectory | None:
 
 FORMAT = recorded(
     "MulRan or Complex Urban sequence",
-    looks_like_mulran,
+    lambda path, head: (
+        ((path / _POSES).is_file() or (path / _SENSORS).is_dir()) and _clouds_folder(path) is not None
+    ),
     _load,
     lambda path, account: read_poses(path / _POSES, account),
 )

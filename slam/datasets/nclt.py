@@ -34,11 +34,6 @@ _IMU_HEAD = "time [us],mag x,mag y,mag z,accel_x,accel_y,accel_z,gyro_x,gyro_y,g
 _T_DOWN_UP = gtsam.Pose3(gtsam.Rot3(np.diag([1.0, -1.0, -1.0])), np.zeros(3))
 
 
-def looks_like_nclt(path: Path, head: bytes) -> bool:
-    """Whether a path is the folder of one day with clouds."""
-    return (path / _INSIDE).is_dir()
-
-
 def _load(path: Path, account: Account) -> Contents:
     """A folder of one day, the robot's frame that of the clouds; they are free of the robot's motion."""
     files = clouds_by_name(
@@ -87,4 +82,4 @@ def read_poses(file: Path, account: Account) -> Trajectory | None:
     return trajectory_of(turned)
 
 
-FORMAT = recorded("NCLT day", looks_like_nclt, _load, _groundtruth)
+FORMAT = recorded("NCLT day", lambda path, head: (path / _INSIDE).is_dir(), _load, _groundtruth)

@@ -40,11 +40,6 @@ ASSUMED_MOUNT = "the publishers' camera mounting assumed, no trans_matrix.yaml"
 UNALIGNED = "depth taken as registered to colour, no aligned_depth.txt"
 
 
-def looks_like_open_loris(path: Path, head: bytes) -> bool:
-    """Whether a path is a folder with its lists of images."""
-    return (path / _COLOR).is_file() and any((path / name).is_file() for name in _DEPTHS)
-
-
 def _camera(folder: Path, account: Account) -> Camera:
     """The colour camera with the depth registered to it."""
     depth = next(folder / name for name in _DEPTHS if (folder / name).is_file())
@@ -111,7 +106,7 @@ def _numbers(matrix: Any, count: int) -> list[float]:
 
 FORMAT = recorded(
     "OpenLORIS-Scene folder",
-    looks_like_open_loris,
+    lambda path, head: (path / _COLOR).is_file() and any((path / name).is_file() for name in _DEPTHS),
     lambda *folder: Contents([_camera(*folder)], _wheels(*folder)),
     read_groundtruth,
 )

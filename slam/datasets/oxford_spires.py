@@ -37,11 +37,6 @@ _T_TRUTH_LIDAR = gtsam.Pose3(gtsam.Rot3.Yaw(np.pi), np.array([0.0, 0.0, 0.124]))
 _LOOKED_AT = 200
 
 
-def looks_like_oxford_spires(path: Path, head: bytes) -> bool:
-    """Whether a path is a folder with such clouds in it or two folders below."""
-    return path.is_dir() and _place(path) is not None
-
-
 def _load(path: Path, account: Account) -> Contents:
     """The clouds of one folder; the lidar is the robot's frame."""
     place = _place(path)
@@ -92,5 +87,8 @@ def _groundtruth(path: Path, account: Account) -> Trajectory | None:
 
 
 FORMAT = recorded(
-    "clouds named by their stamps (Oxford Spires)", looks_like_oxford_spires, _load, _groundtruth
+    "clouds named by their stamps (Oxford Spires)",
+    lambda path, head: path.is_dir() and _place(path) is not None,
+    _load,
+    _groundtruth,
 )

@@ -23,11 +23,6 @@ _BEFORE_RANGES = {6: 1, 9: 4, 5: 0, 4: 0}
 _PARAMETERS = (b"frontlaser_offset", b"frontlaser_sideoffset", b"frontlaser_angularoffset")
 
 
-def looks_like_player(path: Path, head: bytes) -> bool:
-    """Whether a file begins as such a log does."""
-    return head.startswith(_HEAD)
-
-
 def _load(path: Path, account: Account) -> Contents:
     """A log; poses in it are the robot's own belief."""
     refuse = refusing(path, account)
@@ -87,4 +82,6 @@ def _scan(data: list[bytes], stamp: bytes) -> list[bytes]:
     raise RecordFault(WRONG_COUNT, f"{len(data)} values of a scan")
 
 
-FORMAT = recorded("log of Player", looks_like_player, _load, lambda path, account: None)
+FORMAT = recorded(
+    "log of Player", lambda path, head: head.startswith(_HEAD), _load, lambda path, account: None
+)

@@ -33,11 +33,6 @@ _CENTRE = f"{WARNING}SICK_FRONT: where it sits is in none of the files; taken to
 _STEP_DEG, _QUARTERS, _GREATEST_M = 1.0, 4.0, b"81.91"
 
 
-def looks_like_rawseeds(path: Path, head: bytes) -> bool:
-    """Whether a path is a folder with its tables of scans."""
-    return path.is_dir() and any(path.glob(_SCANS))
-
-
 def _load(path: Path, account: Account) -> Contents:
     """The front scanner and the wheels, by their stamps."""
     for other in (file for pattern in _OTHERS for file in sorted(path.glob(pattern))):
@@ -96,4 +91,6 @@ def _groundtruth(path: Path, account: Account) -> Trajectory | None:
     return next((trajectory_of(poses(file)) for file in sorted(path.glob(_TRUTH))), None)
 
 
-FORMAT = recorded("Rawseeds folder", looks_like_rawseeds, _load, _groundtruth)
+FORMAT = recorded(
+    "Rawseeds folder", lambda path, head: path.is_dir() and any(path.glob(_SCANS)), _load, _groundtruth
+)

@@ -23,11 +23,6 @@ _NO_LOGS = frozenset(
 )
 
 
-def looks_like_recorded_folder(path: Path, head: bytes) -> bool:
-    """Whether a path is a folder with a CARMEN log, or with several cameras' folders."""
-    return path.is_dir() and bool(_carmen_logs(path) or _camera_folders(path))
-
-
 def _check(path: Path) -> None:
     """Refuse several logs: which one belongs to the images is not to be guessed."""
     if len(logs := _carmen_logs(path)) > 1:
@@ -77,5 +72,9 @@ def _carmen_logs(path: Path) -> list[Path]:
 
 
 FORMAT = recorded(
-    "folder of a CARMEN log and TUM images", looks_like_recorded_folder, _load, read_groundtruth, _check
+    "folder of a CARMEN log and TUM images",
+    lambda path, head: path.is_dir() and bool(_carmen_logs(path) or _camera_folders(path)),
+    _load,
+    read_groundtruth,
+    _check,
 )

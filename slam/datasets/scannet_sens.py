@@ -111,11 +111,6 @@ class _Scan:
             return stream.read(count)
 
 
-def looks_like_scannet_sens(path: Path, head: bytes) -> bool:
-    """Whether a path is such a file, or a folder with one."""
-    return _file(path).suffix == ".sens" and _file(path).is_file()
-
-
 def _load(path: Path, account: Account) -> Contents:
     """One scan; colour is drawn as the depth camera's lens sees it."""
     scan = _Scan(_file(path))
@@ -224,5 +219,9 @@ def _groundtruth(path: Path, account: Account) -> Trajectory | None:
 
 
 FORMAT = recorded(
-    "ScanNet .sens", looks_like_scannet_sens, _load, _groundtruth, lambda path: _read_head(_file(path))
+    "ScanNet .sens",
+    lambda path, head: _file(path).suffix == ".sens" and _file(path).is_file(),
+    _load,
+    _groundtruth,
+    lambda path: _read_head(_file(path)),
 )

@@ -57,11 +57,6 @@ _KNOWN = (
 )
 
 
-def looks_like_seven_scenes(path: Path, head: bytes) -> bool:
-    """Whether a path is a folder with a frame of either kind."""
-    return path.is_dir() and _names(path) is not None
-
-
 def _names(folder: Path) -> _Names | None:
     """How the frames of a folder are called."""
     kinds = ("color", "depth")
@@ -109,7 +104,7 @@ def _lens(info: Path, values: dict[str, list[bytes]], kind: str) -> CameraIntrin
 
 FORMAT = recorded(
     "7-Scenes folder",
-    looks_like_seven_scenes,
+    lambda path, head: path.is_dir() and _names(path) is not None,
     lambda *folder: Contents([_camera(*folder)]),
     lambda path, account: poses_of_files(numbered_files(path, _POSE), at_rate(), account),
 )

@@ -50,11 +50,6 @@ _RELEASES = (
 )
 
 
-def looks_like_tartanair(path: Path, head: bytes) -> bool:
-    """Whether a path is a folder of one trajectory with depth."""
-    return _release(path) is not None
-
-
 def _load(path: Path, account: Account) -> Contents:
     """A folder of one trajectory, its left camera; frame N is N / 10 s old."""
     release = _release(path)
@@ -81,4 +76,4 @@ def _groundtruth(path: Path, account: Account) -> Trajectory | None:
     return trajectory_of((k / _RATE_HZ, pose.compose(_T_NED_OPTICAL)) for k, (_, _, pose) in enumerate(rows))
 
 
-FORMAT = recorded("TartanAir trajectory", looks_like_tartanair, _load, _groundtruth)
+FORMAT = recorded("TartanAir trajectory", lambda path, head: _release(path) is not None, _load, _groundtruth)

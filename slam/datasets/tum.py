@@ -47,11 +47,6 @@ def has_tum_layout(folder: Path) -> bool:
     return any((folder / name).is_file() for name in _ASSOCIATIONS)
 
 
-def looks_like_tum(path: Path, head: bytes) -> bool:
-    """Whether a path is a folder in this layout."""
-    return path.is_dir() and has_tum_layout(path)
-
-
 def tum_camera(folder: Path, sensor: str, account: Account) -> Camera:
     """The camera whose lists lie in a folder.
 
@@ -101,7 +96,7 @@ def _image_lists(folder: Path, account: Account) -> tuple[list[StampedFile], lis
 
 FORMAT = recorded(
     "TUM RGB-D folder (ETH3D SLAM, Bonn)",
-    looks_like_tum,
+    lambda path, head: path.is_dir() and has_tum_layout(path),
     lambda path, account: Contents([tum_camera(path, "camera", account)]),
     read_groundtruth,
 )

@@ -9,7 +9,7 @@ import numpy as np
 
 from fusion.time_alignment import GAP_S
 from slam.config import Config
-from slam.datasets.corrections import repeats
+from slam.datasets.corrections import begins_early, repeats
 from slam.datasets.dataset import Thinned
 from slam.doctor.camera_samples import SensorStep
 from slam.doctor.stretches import Stretches
@@ -31,6 +31,8 @@ class CloudSamples:
     ----------
     clouds
         Those of each stretch that wait to be matched, thinned.
+    between
+        Clouds of the turn of the one before, by another lidar.
     interval_s, turn_s
         Between clouds, and what the times of a cloud's points span.
     turn
@@ -42,6 +44,7 @@ class CloudSamples:
     points: list[FloatArray] = field(default_factory=list)
     count: int = 0
     repeated: int = 0
+    between: int = 0
     interval_s: Thinned = field(default_factory=Thinned)
     turn_s: Thinned = field(default_factory=Thinned)
     turn: Turn | None = None
@@ -61,11 +64,13 @@ class CloudSamples:
         """Take the next cloud; it is kept for its motion only where that will be compared with another's."""
         self.count += 1
         if repeats(self._newest, cloud):
-            self.repeated += 1
+            between = self._newest is not None and begins_early(self._newest, cloud)
+            self.between += between
+            self.repeated += not between
             return
         if self._newest is not None:
             self.interval_s.add(cloud.stamp_s - self._newest.stamp_s)
-        if cloud.times_s is not None and cloud.times_s.size:
+        if cloud.times_s is not None and cloud.times_s.size >= _CONFIG.cloud_odometry.least_pairs:
             self.turn_s.add(float(np.ptp(cloud.times_s)))
         self._newest, self.T_base_lidar = cloud, cloud.T_base_lidar
         if not self._stretches.wants(cloud.stamp_s):
@@ -104,7 +109,9 @@ class CloudSamples:
             self._tracker = CloudTracker(_CONFIG, None, twist=self._tracker.twist)
             before = self._first.stamp_s, self._tracker.follow(self._first)
             tracked = self._tracker.follow(cloud)
-        self._tracked, self._first = (cloud.stamp_s, tracked), cloud if before is None else None
+        # What matched nothing is where it was guessed to be: no step begins there.
+        self._tracked = (cloud.stamp_s, tracked) if before is None or tracked.motion else None
+        self._first = cloud if before is None else None
         if before is not None and tracked.motion is not None:
             step = before[1].pose.between(tracked.pose)
             self.steps[-1].append(SensorStep(before[0], cloud.stamp_s, step))

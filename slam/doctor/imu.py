@@ -17,7 +17,7 @@ from slam.doctor.camera_samples import SPREAD, SensorStep
 from slam.doctor.finding import Finding, Remedy
 from slam.doctor.pair import IN_ORDER, interval
 from slam.doctor.relation import fit_linear
-from slam.measurements import FloatArray, ImuReading
+from slam.measurements import BoolArray, FloatArray, ImuReading
 
 # By so much may a clock and a mounting be off without harm: at a turn of 1 rad/s a hundredth of a radian.
 CLOCK_S, _ANGLE_RAD = 0.005, math.radians(2.0)
@@ -88,7 +88,13 @@ def imu_findings(
     rows = samples.rows()
     if len(rows) < FEWEST:
         return []
-    found = _saturated(name, rows)
+    same = _frozen(rows, steps)
+    text = f"{np.count_nonzero(same)} of {len(rows)} readings are the one before, to the bit"
+    once: Remedy = {"imus": {name: {"drop_repeated": True}}}
+    hangs = Finding(name, "frozen", text, "the robot is taken to turn on as it did", (once,), sure=True)
+    found = [hangs] if same.any() else []
+    rows = rows[~same]
+    found += _saturated(name, rows)
     unit = _unit(rows, steps)
     rows[:, 1:4] *= unit
     if T_base_lidar is None:
@@ -122,7 +128,8 @@ def turn_fit(rows: FloatArray, steps: Sequence[SensorStep]) -> TurnFit | None:
     seen, told = turns
 
     def error(ahead_s: float) -> float:
-        return float(np.median(np.sum(_apart(seen, told(ahead_s))[0] ** 2, axis=1)))
+        # Not their median: most steps may be straight.
+        return float(np.linalg.norm(_apart(seen, told(ahead_s))[0], axis=1).sum())
 
     coarse = np.arange(-GAP_S, GAP_S + 0.5 * STEP_S, STEP_S)
     best_s = float(min(coarse, key=error))
@@ -163,6 +170,7 @@ def _turns(
     """
     spans = np.array([[step.begun_s, step.ended_s] for step in steps]).reshape(-1, 2)
     within = (spans[:, 0] - GAP_S > rows[0, 0]) & (spans[:, 1] + GAP_S < rows[-1, 0])
+    within &= np.diff(np.searchsorted(rows[:, 0], spans))[:, 0] > 0  # not in a gap
     if within.sum() < FEWEST:
         return None
     seen = np.array([gtsam.Rot3.Logmap(step.motion.rotation()) for step in steps])[within]
@@ -296,6 +304,16 @@ def _sits(name: str, samples: ImuSamples, fit: TurnFit, T_base_lidar: gtsam.Pose
     # Where nothing is told, any rotation that is known to some degrees is better than none.
     sure = half_rad < (_ANGLE_RAD if told is not None else 2.0 * _ANGLE_RAD)
     return [Finding(name, "mounting", text, effect, (remedy,), sure=sure, value=math.degrees(value))]
+
+
+def _frozen(rows: FloatArray, steps: Sequence[SensorStep]) -> BoolArray:
+    """Which rows (N, 7) are the one before to the bit; none unless that lasts while the lidar turns."""
+    same = np.append(False, (rows[1:, 1:] == rows[:-1, 1:]).all(axis=1))
+    new_s = np.maximum.accumulate(np.where(same, -np.inf, rows[:, 0]))
+    hung_s = rows[rows[:, 0] - new_s > GAP_S, 0]
+    within = [step for step in steps if np.ptp(np.searchsorted(hung_s, (step.begun_s, step.ended_s)))]
+    turns = [gtsam.Rot3.Logmap(step.motion.rotation()) for step in within]
+    return same & bool(np.linalg.norm(np.sum(turns, axis=0)) > _ANGLE_RAD)
 
 
 def _saturated(name: str, rows: FloatArray) -> list[Finding]:

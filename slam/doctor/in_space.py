@@ -341,11 +341,17 @@ def cloud_findings(name: str, samples: CloudSamples) -> list[Finding]:
     if not interval_s or not turn_s:
         return found
     off = turn_s / interval_s
+    # One lidar whose turn is over when its next begins does not overlap itself.
+    if 4 * samples.between > samples.count and off < 1.0 + _SHARE:
+        text = f"{samples.between} of {samples.count} clouds begin while the turn of the one before goes on"
+        effect = "they are of another lidar under the same name, and fit nowhere"
+        remedy: Remedy = {"lidars_3d": {name: {"drop_repeated": True}}}
+        found.append(Finding(name, "several lidars", text, effect, (remedy,), sure=True))
     units = [unit for unit in (1e3, 1e-3, 1e6, 1e-6, 1e9, 1e-9) if abs(math.log(off / unit)) < 1.0]
     if not units:
         return found
     text = f"the times of a cloud's points span {turn_s:.3g} s, clouds come every {interval_s:.3g} s"
-    remedy: Remedy = {"lidars_3d": {name: {"times_scale": 1.0 / units[0]}}}
+    remedy = {"lidars_3d": {name: {"times_scale": 1.0 / units[0]}}}
     effect = "clouds are not set right for the motion within a turn"
     return [*found, Finding(name, "times of points", text, effect, (remedy,), sure=True, value=off)]
 

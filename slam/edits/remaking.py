@@ -88,7 +88,8 @@ def settled(
     """A map with its graph solved and turned; scans, images and grids as they were."""
     factors, loops = edited_loops(base, entries, before, config)
     poses = base.node_poses
-    if _differ(factors, base.factors) or config.loops != before.loops:
+    # Edges are compared by what made them.
+    if list(map(id, factors)) != list(map(id, base.factors)) or config.loops != before.loops:
         factors, poses = solved(base.node_poses, factors, before, config)
         edges = [factor.edge for factor in factors]
         loops = judged(loops, edges, [factor.kept for factor in factors])
@@ -170,13 +171,6 @@ def _misfits(poses: Sequence[Pose], edges: Sequence[Edge], kept: BoolArray, prob
         for number, edge in enumerate(edges)
         if not edge.trusted and (graph.at(number + 1).error(values) <= limit) != kept[number]
     }
-
-
-def _differ(factors: Sequence[SavedFactor], others: Sequence[SavedFactor]) -> bool:
-    """Whether some edges are not those that were solved; they are compared by what made them."""
-    return len(factors) != len(others) or any(
-        one is not other for one, other in zip(factors, others, strict=True)
-    )
 
 
 def _moved(pose: Pose, T_new_old: gtsam.Pose2) -> Pose:

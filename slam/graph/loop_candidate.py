@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 
@@ -9,6 +10,8 @@ from slam.estimates import MotionEstimate
 from slam.graph.edge import Edge, EdgeKind
 from slam.matching.motion import Motion
 from slam.measurements import one_line, row_from_pose2
+
+log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,6 +84,16 @@ def judged(
             else loop.refused("disagrees with the other loops (GNC)")
         )
     return verdicts
+
+
+def report(kind: str, candidate: LoopCandidate) -> None:
+    """One INFO line a candidate."""
+    verdict = "accepted" if candidate.accepted else f"refused, {candidate.reason}"
+    ends = candidate.keyframe, candidate.place
+    log.info(
+        "%s %d -> %d: %s (score %.2f, window %.2f m)",
+        *(kind, *ends, verdict, candidate.score, candidate.half_width_m),
+    )
 
 
 def found_motion(candidate: LoopCandidate) -> Motion:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import logging
 import math
 from collections.abc import Sequence
 from dataclasses import replace
@@ -14,7 +13,7 @@ from fusion.estimation import FEWEST
 from slam.config import Config
 from slam.config.stages import LoopConfig, MatchConfig
 from slam.estimates import MotionEstimate
-from slam.graph.loop_candidate import LoopCandidate, found_motion
+from slam.graph.loop_candidate import LoopCandidate, found_motion, report
 from slam.graph.relative_uncertainty import UncertaintyGraph
 from slam.graph.submaps import Submap, SubmapStore
 from slam.matching.correlative import search_window
@@ -25,8 +24,6 @@ from slam.matching.planar import between
 from slam.matching.scan_points import ScanPoints, extract_points
 from slam.measurements import FloatArray, LaserScan, row_from_pose2
 from slam.result_cache import COMPUTED, ResultCache
-
-log = logging.getLogger(__name__)
 
 
 class LoopCloser:
@@ -146,7 +143,7 @@ class LoopCloser:
             float(guess[0]),
             lambda: search_place(begun, submap, scan, guess, self._config, self._match),
         )
-        _report(candidate)
+        report("loop", candidate)
         return candidate
 
     def _propose(
@@ -273,15 +270,3 @@ def position_sigmas(covariances: FloatArray) -> FloatArray:
     known = np.isfinite(covariances).all(axis=(1, 2))
     sigmas[known] = np.sqrt(np.linalg.eigvalsh(covariances[known, :2, :2])[:, -1])
     return sigmas
-
-
-def _report(candidate: LoopCandidate) -> None:
-    """One INFO line a candidate."""
-    log.info(
-        "loop %d -> %d: %s (score %.2f, window %.2f m)",
-        candidate.keyframe,
-        candidate.place,
-        "accepted" if candidate.accepted else f"refused, {candidate.reason}",
-        candidate.score,
-        candidate.half_width_m,
-    )

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import logging
 from collections.abc import Sequence
 from typing import Protocol
 
@@ -10,15 +9,13 @@ import gtsam
 import numpy as np
 
 from slam.config import Config
-from slam.graph.loop_candidate import LoopCandidate
+from slam.graph.loop_candidate import LoopCandidate, report
 from slam.result_cache import COMPUTED, ResultCache
 from slam.vision.features import Descriptors
 from slam.vision.frame_matcher import FrameMatcher
 from slam.vision.place_recognition import PlaceIndex
 from slam.vision.prepared_frame import PreparedFrame
 from slam.vision.visual_match import VisualKeyframe, VisualMatch, dissimilarity
-
-log = logging.getLogger(__name__)
 
 
 class Keyframes(Protocol):
@@ -94,7 +91,7 @@ class VisualLoopCloser:
         tried += [self._verify(place, key, None, score) for place, score in alike if place not in near]
         for candidate in tried:
             self._join(candidate)
-            _report(candidate)
+            report("visual loop", candidate)
         return tried
 
     def near(
@@ -177,14 +174,3 @@ class VisualLoopCloser:
         if match.motion.degenerate:
             return candidate.refused("a direction is not determined")
         return LoopCandidate(place, key, 0.0, 0.0, score, match.motion, True, "")
-
-
-def _report(candidate: LoopCandidate) -> None:
-    """One INFO line a candidate."""
-    log.info(
-        "visual loop %d -> %d: %s (place score %.2f)",
-        candidate.keyframe,
-        candidate.place,
-        "accepted" if candidate.accepted else f"refused, {candidate.reason}",
-        candidate.score,
-    )

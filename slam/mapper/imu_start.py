@@ -9,13 +9,14 @@ from __future__ import annotations
 import math
 from collections import deque
 from collections.abc import Iterable, Iterator
+from contextlib import suppress
 
 from slam.config import Config
 from slam.matching.cloud_points import at_middle_of_turn
 from slam.measurements import ImuReading, Measurement, PointCloud
 from slam.odometry.cloud_tracker import CloudTracker
 from slam.odometry.cloud_velocity import LONGEST_STEP_S
-from slam.odometry.imu_tracker import ImuStart, ImuTracker
+from slam.odometry.imu_tracker import ImuStart, ImuTracker, UnfitImuError
 
 # While all of it is within the smoother's lag the first state is improved, too.
 _LOOK_S = 2.5
@@ -48,6 +49,7 @@ def start_of(log: Iterable[Measurement], config: Config) -> ImuStart | None:
             first_s = min(first_s, cloud.stamp_s)
             if cloud.stamp_s - first_s > _LOOK_S:
                 break
-            tracker.follow(cloud)
+            with suppress(UnfitImuError):  # gravity is a guess yet: who follows the way again judges
+                tracker.follow(cloud)
     start = imu.start()
     return start if start is not None and start.state.stamp_s == first_s else None

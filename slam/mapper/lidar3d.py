@@ -229,6 +229,9 @@ class CloudLidar:
         keyframe = tracked.new_keyframe and not self._passed(tracked)
         if keyframe:
             self._T_base_lidar = cloud.T_base_lidar
+        guessed = tracked.motion is None and not keyframe and self._imu is not None
+        if guessed and self._imu is not None and (spread := self._imu.spread()) is not None:
+            self.readings.bridged[self.readings.scan_count] = spread
         self.readings.add_scan(cloud.stamp_s, tracked.pose, told_s=told_s)
         return Tracked(told_s, tracked.motion, keyframe)
 

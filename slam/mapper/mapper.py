@@ -24,7 +24,12 @@ from slam.mapper.scan_record import ScanRecorder
 from slam.mapper.tags import PlaceAnchors
 from slam.measurements import FloatArray, GnssFix
 from slam.storage.map_contents import MapContents, SavedFactor, clock_sigma_s
-from slam.trajectory.carried import carried_covariances, late_covariances, unseen_covariances
+from slam.trajectory.carried import (
+    bridged_covariances,
+    carried_covariances,
+    late_covariances,
+    unseen_covariances,
+)
 
 
 class Mapper:
@@ -168,6 +173,8 @@ class Mapper:
         covariances = carried_covariances(trajectory, at, *of_keyframes)
         dimension = covariances.shape[1]
         covariances += unseen_covariances(trajectory, readings.placed(), readings.wheels(), dimension)
+        if readings.bridged:
+            covariances += bridged_covariances(trajectory, readings.bridged)
         if sigma_s := clock_sigma_s(found):
             covariances += late_covariances(trajectory, int(at[0]), [(len(trajectory), sigma_s)])
         return covariances

@@ -132,7 +132,8 @@ class LayeredMap:
         The decision is what the robot must not hit.
         """
         states = np.empty(self.shape, dtype=np.int8)
-        rule = self._rule
+        # Where no camera helped, the lidar's height and its every hit are all that there is.
+        rule = self.rule if self.depth is not None else DecisionRule("corrected", Thresholds())
         for part in _blocks(self.shape):
             if name == "decision":
                 lidar = rule.lidar.states(self._steps("lidar", part))
@@ -164,11 +165,6 @@ class LayeredMap:
             odds = np.exp(steps / np.float32(-bayes.STEPS_A_UNIT))
             percent[part] = np.where(steps == 0, bayes.UNKNOWN, np.rint(100.0 / (1.0 + odds)))
         return percent
-
-    @property
-    def _rule(self) -> DecisionRule:
-        """The rule; where no camera helped, the lidar's height and its every hit are all that there is."""
-        return self.rule if self.depth is not None else DecisionRule("corrected", Thresholds())
 
     def _grids(self) -> list[OccupancyGrid]:
         """Those that there are."""

@@ -35,7 +35,7 @@ def motion_from_alignment(alignment: Alignment, noise: MatchConfig) -> MotionEst
     # Points that fit nothing are a doubt about all the others.
     doubt = 1.0 / max(alignment.inlier_share, 0.1) ** 2
     # An edge ends at two keyframes, and the one that it starts from was itself matched as well as this one.
-    covariance = 2.0 * doubt * scale**2 * _correlated_inverse(alignment)
+    covariance = 2.0 * doubt * scale**2 * _widened(alignment)[0]
     covariance += diagonal(noise.floor_m**2, noise.floor_m**2, noise.floor_rad**2)
     if weak is not None:
         covariance += OPEN_M**2 * np.outer(weak, weak)
@@ -72,22 +72,17 @@ def weak_direction(alignment: Alignment, degenerate_share: float) -> FloatArray 
     return np.array([eigenvectors[0, 0], eigenvectors[1, 0], 0.0])
 
 
-def _correlated_inverse(alignment: Alignment) -> FloatArray:
-    """Covariance (3, 3) for a residual of 1: H^-1, widened by what the residuals share.
-
-    Eigenvalues of the Hessian are held above a hundredth of a point: no direction is infinitely uncertain.
-    Residuals that seem to share less than nothing do so by chance.
-    """
-    return _widened(alignment)[0]
-
-
 def points_a_witness(alignment: Alignment) -> float:
     """How many neighbouring points share their errors, as the residuals show: 1 where all are independent."""
     return _widened(alignment)[1]
 
 
 def _widened(alignment: Alignment) -> tuple[FloatArray, float]:
-    """H^-1 widened by what residuals share, (3, 3); by how much, in the mean of its axes."""
+    """H^-1 widened by what residuals share, (3, 3), for one of 1; by how much, in the mean of its axes.
+
+    Eigenvalues of the Hessian are held above a hundredth of a point: no direction is infinitely uncertain.
+    Residuals that seem to share less than nothing do so by chance.
+    """
     spread, squared = alignment.spread, alignment.residual_m**2
     if spread is None or not 0.0 < squared < math.inf:
         spread, squared = np.zeros((3, 3)), 1.0

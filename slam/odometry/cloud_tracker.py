@@ -15,14 +15,14 @@ from slam.config import Config
 from slam.estimates import MotionEstimate
 from slam.matching.cloud_points import base_points, deskewed, usable_intensities, voxel_of
 from slam.matching.local_cloud import REACH
-from slam.matching.planar import between
-from slam.measurements import Float32Array, FloatArray, ImuReading, PointCloud
+from slam.measurements import Float32Array, FloatArray, ImuReading, PointCloud, spatial
 from slam.odometry.cloud_odometry import CloudOdometry
 from slam.odometry.cloud_velocity import LONGEST_STEP_S, CloudVelocity
 from slam.odometry.imu_tracker import ImuTracker
 from slam.odometry.open_way import OpenWay
+from slam.odometry.predictor import LEAST_SHARE, Predictor
 from slam.odometry.turn_matcher import DeskewedCloud, TurnMatcher, pose_of
-from slam.odometry.wheel_tracker import WheelTracker
+from slam.odometry.wheel_tracker import WheelMoment, WheelTracker
 from slam.result_cache import COMPUTED, ResultCache
 
 # A direction in which nothing was seen, for the IMU: it must not take its own guess for a measurement.
@@ -85,7 +85,8 @@ class CloudTracker:
         self._pose = gtsam.Pose3()
         self._keyframe = gtsam.Pose3()
         self._stamp_s: float | None = None
-        self._wheel_pose: FloatArray | None = None
+        self._wheel_pose: WheelMoment | None = None
+        self.by_wheels = Predictor(config.prediction.memory_scans, LEAST_SHARE)
         self._lost = 0
         self._rolls: deque[tuple[float, FloatArray]] = deque()
         self.voxel_m = 0.0
@@ -98,7 +99,7 @@ class CloudTracker:
     def track(self, cloud: PointCloud) -> TrackedCloud:
         """Find the pose of the next cloud at its stamp; where it cannot be matched it is guessed."""
         step_s = 0.0 if self._stamp_s is None else cloud.stamp_s - self._stamp_s
-        guesses, before = self._guesses(cloud.stamp_s, step_s), self._pose
+        guesses, before = self._guesses(cloud, step_s), self._pose
         expected = guesses[0] if guesses else before
         self._stamp_s = cloud.stamp_s
         if self._imu is not None and deskewed(cloud, self._turns):
@@ -169,20 +170,20 @@ class CloudTracker:
         self._odometry.add_keyframe(tracked.points, tracked.pose)
         self._keyframe = tracked.pose
 
-    def _guesses(self, stamp_s: float, step_s: float) -> Sequence[gtsam.Pose3]:
+    def _guesses(self, cloud: PointCloud, step_s: float) -> Sequence[gtsam.Pose3]:
         """Where the robot may be by now: by its wheels, by its velocity."""
         guesses = []
-        if self._imu is not None and (told := self._imu.predicted(stamp_s)) is not None:
+        if self._imu is not None and (told := self._imu.predicted(cloud.stamp_s)) is not None:
             guesses.append(told)
         if self._wheels is not None:
-            before, now = self._wheel_pose, self._wheels.pose_at(stamp_s)
-            self._wheel_pose = now
-            if before is not None and now is not None:
-                moved = between(before, now)
-                if self._wheels.plausible(moved, step_s):
-                    turn = gtsam.Rot3.Yaw(float(moved[2]))
-                    shift = np.array([moved[0], moved[1], 0.0])
-                    guesses.append(self._pose.compose(gtsam.Pose3(turn, shift)))
+            self.by_wheels.guesses.clear()
+            # The middle of a turn is no moment of the log.
+            now = self._wheels.moment(cloud.stamp_s, in_order=cloud.times_s is None)
+            before, self._wheel_pose = self._wheel_pose, now
+            moved = self._wheels.motion(before, self._wheel_pose, step_s)
+            if moved is not None:
+                self.by_wheels.predict(moved, self._wheels.covariance(moved))
+                guesses.append(self._pose.compose(spatial(gtsam.Pose2(*moved))))
         # Nobody knows how long a robot that sees nothing goes on.
         if (
             self._velocity.known
@@ -203,6 +204,8 @@ class CloudTracker:
 
     def _matched(self, cloud: PointCloud, seen: DeskewedCloud, motion: MotionEstimate) -> TrackedCloud:
         """Where the robot is, and with which velocity."""
+        if self._lost == 0 and motion.converged and not motion.degenerate:
+            self._judge_wheels(self._pose.between(pose_of(motion)))
         self._lost = 0
         self._pose = pose_of(motion)
         points, measured = seen.points, motion.covariance
@@ -210,9 +213,18 @@ class CloudTracker:
             if deskewed(cloud, self._turns):
                 points = base_points(cloud, self._velocity.at(self._pose, cloud.stamp_s), self._turns)
             self._velocity.learn(self._pose, cloud.stamp_s, seen.arms_m, motion)
+            if self._wheels is not None:
+                self._wheels.see(self._velocity.speed_m_s)
         self._tell(measured + _UNSEEN_M**2 * np.outer(motion.weak_direction, motion.weak_direction))
         motion = self._open.widened(cloud.stamp_s, motion, self._velocity.twist, self._spread)
         return TrackedCloud(points, self._pose, motion, self._moved_on(self._pose))
+
+    def _judge_wheels(self, step: gtsam.Pose3) -> None:
+        """Learn from a step as it was matched what the wheels are worth."""
+        if self._wheels is not None and self.by_wheels.guesses:
+            seen = np.array([step.x(), step.y(), step.rotation().yaw()])
+            self._wheels.learn_scale(self.by_wheels.guesses[0].pose, seen)
+            self.by_wheels.judge(seen, np.zeros((3, 3)))
 
     def _believed(self, motion: MotionEstimate) -> bool:
         """Whether a match agrees with where the IMU leads; one that fits as usual may be off by a voxel more.
@@ -262,14 +274,14 @@ class CloudTracker:
         rows = np.array([pose for _, pose in self._rolls])
         rows[:, 2] = np.unwrap(rows[:, 2])
         ends = np.array([np.interp([state.stamp_s, stamp_s], stamps_s, column) for column in rows.T])
-        moved = between(*ends.T)
-        if not self._wheels.plausible(moved, stamp_s - state.stamp_s):
+        begun, ended = (WheelMoment(end, 0.0) for end in ends.T)
+        moved = self._wheels.motion(begun, ended, stamp_s - state.stamp_s)
+        if moved is None:
             return None
-        planar = self._wheels.covariance(moved)
+        planar = self.by_wheels.rescaled(moved, self._wheels.covariance(moved)).covariance
         # Wheels know nothing of roll and pitch; up and down they move as little as aside.
         covariance = np.diag([1.0, 1.0, planar[2, 2], planar[0, 0], planar[1, 1], planar[1, 1]])
-        turn, shift = gtsam.Rot3.Yaw(float(moved[2])), np.array([moved[0], moved[1], 0.0])
-        return gtsam.Pose3(turn, shift), covariance
+        return spatial(gtsam.Pose2(*moved)), covariance
 
     def _moved_on(self, pose: gtsam.Pose3) -> bool:
         """Whether the last keyframe is far enough behind."""

@@ -56,6 +56,7 @@ class ImuTracker:
 
     def __init__(self, start: ImuStart | None = None) -> None:
         self.bridged_s = 0.0
+        self._states = 0
         self._sensor = ""
         self._readings = ImuReadings()
         self._parameters: gtsam.PreintegrationCombinedParams | None = None
@@ -195,6 +196,7 @@ class ImuTracker:
         except RuntimeError:  # indeterminate: the lidar contradicts it beyond all bounds
             self._lose()
             return
+        self._states += 1
         if covariance is None:
             self.bridged_s += stamp_s - state.stamp_s
             return
@@ -232,7 +234,7 @@ class ImuTracker:
         state, gravity = self.state, self.gravity()
         if state is None or gravity is None:
             why = "velocity and gravity were not found; it needs a second of matches"
-            return [], {self._sensor: why}
+            return [], {self._sensor: why} if self._states < FEWEST else {}
         gyro, force = np.abs(state.bias.gyroscope()).max(), np.abs(state.bias.accelerometer()).max()
         notes = [
             f"{self._sensor}: gravity to {math.degrees(gravity.sigma_rad):.2f} degrees (sigma); biases up to "

@@ -28,7 +28,7 @@ from slam.measurements import FloatArray, row_from_pose2
 from slam.odometry.constant_velocity import repeated
 from slam.odometry.gyro_yaw import GyroMoment, YawGyro
 from slam.odometry.lidar_odometry import LidarOdometry
-from slam.odometry.predictor import Predictor
+from slam.odometry.predictor import LEAST_SHARE, Predictor
 from slam.odometry.tracked_scan import TrackedScan
 from slam.odometry.wheel_tracker import SHORTEST_STEP_S, WheelMoment, WheelTracker, thrown_aside
 
@@ -37,9 +37,6 @@ _SENSOR_FLOOR = np.diag([0.01, 0.01, 0.008]) ** 2
 # An object of a scan is one witness: however many beams it catches, it says no more than this (nats). Where
 # it fits while the map knows nothing of the other pose's ground, it may do so by chance: rooms are alike.
 _MOST_AN_OBJECT = np.array([[5.0], [1.0]])
-# Wheels that did well of late are taken to be more certain of the way, but not of the turn, than they claim:
-# a slip of time turns a robot that moves straight on. By no more than this share of the variance.
-_LEAST_SHARE = 0.02
 # Matches that err a little at every scan, all the same way, contradict the wheels' path over this time.
 _WINDOW_S = 1.0
 # Only a match that this share of the points agrees with may judge a predictor.
@@ -61,7 +58,7 @@ class MotionTracker:
         self._wheels, self._gyro = wheels, gyro
         self._config = config
         self._noise = match
-        self._by_wheels = Predictor(config.memory_scans, _LEAST_SHARE)
+        self._by_wheels = Predictor(config.memory_scans, LEAST_SHARE)
         self._by_velocity = Predictor(config.memory_scans)
         self._by_camera = Predictor(config.memory_scans)
         self._recent: deque[tuple[float, TrackedScan]] = deque()

@@ -12,6 +12,9 @@ from slam.measurements import FloatArray
 
 # One wild step says no more about a predictor than this many times its variance.
 _GREATEST_SURPRISE = 10.0
+# Wheels that did well of late are taken to be more certain of the way, but not of the turn, than they claim:
+# a slip of time turns a robot that moves straight on. By no more than this share of the variance.
+LEAST_SHARE = 0.02
 
 
 class Predictor:

@@ -59,6 +59,7 @@ class WheelTracker:
         self._rising = True
         # Whether a reading was ever another than the first; whether the robot has moved though none was.
         self.moved, self.dead = False, False
+        self._fastest_m_s = config.greatest_speed_m_s
         self._asked_s = math.nan
         self._ahead_s = 0.0
         self._T_odom_read = np.zeros(3)
@@ -155,6 +156,10 @@ class WheelTracker:
         metres2 = (self._config.swing_m_per_rad * step[2]) ** 2 + guessed_m**2
         return diagonal(metres2, metres2, (_TURN_PER_M * guessed_m) ** 2)
 
+    def see(self, speed_m_s: float) -> None:
+        """Who was seen to move as fast as that may move twice as fast."""
+        self._fastest_m_s = max(self._fastest_m_s, 2.0 * speed_m_s)
+
     def learn_scale(self, step: FloatArray, matched: FloatArray) -> None:
         """Learn what a metre of the wheels is from a step (3,) as `motion` told it and as it was matched.
 
@@ -220,7 +225,7 @@ class WheelTracker:
         """
         time_s = max(step_s, self._gaps.period_s, SHORTEST_STEP_S) if step_s > 0.0 else _UNKNOWN_STEP_S
         return bool(
-            math.hypot(step[0], step[1]) <= self._config.greatest_speed_m_s * time_s + self._config.floor_m
+            math.hypot(step[0], step[1]) <= self._fastest_m_s * time_s + self._config.floor_m
             and abs(step[2]) <= self._config.greatest_turn_rad_s * time_s + self._config.floor_rad
         )
 

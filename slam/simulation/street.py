@@ -30,7 +30,7 @@ from slam.simulation.record import FORMATS, Progress, appearing_whole
 from slam.simulation.rigs import MountedRingLidar, laser_pose
 from slam.simulation.sensor_clock import generator
 from slam.simulation.sensor_models import HDL_64E, VLP_16
-from slam.simulation.street_drive import drive_street
+from slam.simulation.street_drive import SIDEWARD_M_S2, drive_street
 from slam.simulation.street_lidar import StreetLidar, StreetTurn
 from slam.simulation.street_mesh import Label
 from slam.simulation.street_plan import generate_town
@@ -126,6 +126,7 @@ def record_street(
     tunnel: bool = False,
     undistorted: bool = False,
     formats: tuple[str, ...] = FORMATS,
+    sideward_m_s2: float = SIDEWARD_M_S2,
 ) -> StreetSummary:
     """Drive through the town of seed ``home`` and write what the lidar sees, with the truth.
 
@@ -146,6 +147,8 @@ def record_street(
         A single street through a tunnel instead of the grid.
     undistorted
         Clouds of the folder as if taken at once; the bag's always are as measured.
+    sideward_m_s2
+        How hard corners are taken, see `drive_street`.
 
     Raises
     ------
@@ -153,7 +156,7 @@ def record_street(
         ``out_dir`` holds something, or cannot be written.
     """
     town = generate_town(home, tunnel=tunnel)
-    drive = drive_street(town, generator(seed, "street", home))
+    drive = drive_street(town, generator(seed, "street", home), sideward_m_s2)
     traffic = Traffic(town, drive, faults.density, generator(seed, "street traffic", home))
     model = rig.lidar.model
     lidar = StreetLidar(town, drive, traffic, model, rig.lidar.T_base_laser)

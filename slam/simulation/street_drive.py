@@ -13,7 +13,7 @@ from slam.simulation.route import resample
 from slam.simulation.street_plan import LANE_M, Ground, Town
 
 _SPEED_M_S, _SLOWEST_M_S = 8.0, 0.5
-_SIDEWARD_M_S2, _ONWARD_M_S2 = 2.5, 1.5
+SIDEWARD_M_S2, _ONWARD_M_S2 = 2.5, 1.5
 _CORNER_M = 5.0  # radius
 _SPACING_M, _SMOOTHING_M = 0.25, 0.8
 _TOWN_M = 1500.0  # of the way that is planned
@@ -63,8 +63,14 @@ def road_poses(
     return rotations, np.column_stack([x, y, ground.height_m(x, y)])
 
 
-def drive_street(town: Town, rng: np.random.Generator) -> StreetDrive:
-    """Round one block first, so that places are seen again, then on at random; straight through a tunnel."""
+def drive_street(town: Town, rng: np.random.Generator, sideward_m_s2: float = SIDEWARD_M_S2) -> StreetDrive:
+    """Round one block first, so that places are seen again, then on at random; straight through a tunnel.
+
+    Parameters
+    ----------
+    sideward_m_s2
+        How hard corners are taken.
+    """
     corners = _lane(town, _junctions(town, rng))
     path = resample(_rounded(corners), _SPACING_M)
     sigma = _SMOOTHING_M / _SPACING_M
@@ -73,7 +79,7 @@ def drive_street(town: Town, rng: np.random.Generator) -> StreetDrive:
     headings = np.unwrap(np.arctan2(steps[:, 1], steps[:, 0]))
     step_m = np.linalg.norm(steps, axis=1)
     turn = np.abs(np.gradient(headings)) / step_m
-    speeds = np.minimum(_SPEED_M_S, np.sqrt(_SIDEWARD_M_S2 / np.maximum(turn, 1e-6)))
+    speeds = np.minimum(_SPEED_M_S, np.sqrt(sideward_m_s2 / np.maximum(turn, 1e-6)))
     speeds[0] = _SLOWEST_M_S
     for order in (1, -1):
         ordered = speeds[::order]

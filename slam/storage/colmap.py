@@ -32,7 +32,11 @@ def write_colmap(folder: Path, images: Sequence[PosedImage], cloud: ColoredCloud
     cameras: dict[tuple[str, CameraIntrinsics], int] = {}
     for image in images:
         cameras.setdefault((image.sensor, image.intrinsics), len(cameras) + 1)
-    lenses = [(number, lens.width, lens.height, _lens(lens)) for (_, lens), number in cameras.items()]
+    lenses = [
+        # COLMAP counts pixels from their corners.
+        (number, lens.width, lens.height, [lens.fx, lens.fy, lens.cx + 0.5, lens.cy + 0.5])
+        for (_, lens), number in cameras.items()
+    ]
     views = [
         (number, _world_to_camera(image), cameras[image.sensor, image.intrinsics], image.name)
         for number, image in enumerate(images, start=1)
@@ -70,11 +74,6 @@ def write_colmap(folder: Path, images: Sequence[PosedImage], cloud: ColoredCloud
         ),
     )
     return [binary, text]
-
-
-def _lens(lens: CameraIntrinsics) -> list[float]:
-    """Focal lengths and principal point as COLMAP counts pixels."""
-    return [lens.fx, lens.fy, lens.cx + 0.5, lens.cy + 0.5]
 
 
 def _world_to_camera(image: PosedImage) -> list[float]:

@@ -172,10 +172,6 @@ def _ranges(value: Any) -> bool:
     return fits and 0 < value.size <= MOST_BEAMS and not bool(np.isneginf(value).any())
 
 
-def _is_covariance(value: Any) -> bool:
-    return any(unsound_covariance([value], dimension) is None for dimension in (3, 6))
-
-
 def _are_covariances(values: FloatArray) -> bool:
     """Whether (..., d, d) matrices are finite, symmetric and positive definite."""
     if not np.isfinite(values).all():
@@ -191,14 +187,6 @@ def _are_covariances(values: FloatArray) -> bool:
 
 
 # GTSAM's types are named where they are used: ``info`` does without it.
-def _pose(value: Any) -> bool:
-    return isinstance(value, gtsam.Pose2 | gtsam.Pose3)
-
-
-def _pose2(value: Any) -> bool:
-    return isinstance(value, gtsam.Pose2)
-
-
 def _pose3(value: Any) -> bool:
     return isinstance(value, gtsam.Pose3)
 
@@ -210,12 +198,12 @@ _RULES: dict[type, dict[str, Rule]] = {
         "start_angle_rad": _number,
         "step_rad": lambda value: _number(value) and 0.0 <= value <= 2.0 * math.pi,
         "range_max_m": _positive,
-        "T_base_laser": _pose2,
+        "T_base_laser": lambda value: isinstance(value, gtsam.Pose2),
         "sensor": _name,
     },
     MotionEstimate: {
-        "T_reference_base": _pose,
-        "covariance": _is_covariance,
+        "T_reference_base": lambda value: isinstance(value, gtsam.Pose2 | gtsam.Pose3),
+        "covariance": lambda value: any(unsound_covariance([value], size) is None for size in (3, 6)),
         "inlier_share": _number,
         "fit": _number,
         "residual_m": _not_negative,

@@ -46,6 +46,7 @@ _FIELDS = {
 _PARTS = {number: attrgetter(*names) for number, names in _FIELDS.items()}
 _DTYPES = tuple(np.dtype(name) for name in ("f8", "f4", "i8", "i4", "i2", "i1", "u1", "?"))
 _DTYPE_NUMBER = {dtype: number for number, dtype in enumerate(_DTYPES)}
+_PLAIN = {b"N": None, b"T": True, b"F": False}
 _DEEPEST = 8
 _MOST_AXES = 4
 _FARTHEST_M = 1e8  # of a pose; farther than any place on Earth
@@ -241,7 +242,9 @@ def _unpack(content: bytes, at: int, depth: int) -> tuple[Any, int]:
         if not (off < _ROUNDING and np.linalg.det(turn) > 0.0):
             raise ValueError("not a pose")
         return gtsam.Pose3(gtsam.Rot3(rows[:, :3]), rows[:, 3]), at + 96
-    return {b"N": None, b"T": True, b"F": False}[tag] if tag in (b"N", b"T", b"F") else _unknown(tag), at
+    if tag not in _PLAIN:
+        raise ValueError(f"unknown tag {tag!r}")
+    return _PLAIN[tag], at
 
 
 def _unpack_many(content: bytes, at: int, count: int, depth: int) -> tuple[list[Any], int]:
@@ -266,8 +269,3 @@ def _unpack_array(content: bytes, at: int) -> tuple[np.ndarray[Any, Any], int]:
     found = np.frombuffer(content, dtype, math.prod(shape), at).reshape(shape, order="F" if fortran else "C")
     own = isinstance(content, bytearray) and found.flags.aligned
     return found if own else found.copy(order="A"), at + size
-
-
-def _unknown(tag: bytes) -> Any:
-    """Refuse a tag."""
-    raise ValueError(f"unknown tag {tag!r}")

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 import scipy
@@ -109,6 +109,14 @@ def unseen_covariances(
     told[inside] = share * (1.0 - share) * over[gap]
     covariances = told[:, [0, 0, 1] if size == 3 else [0, 0, 0, 1, 1, 1], None] * np.eye(size)
     return covariances if wheels is None else _moved(covariances, _from(trajectory, seen))
+
+
+def bridged_covariances(trajectory: Trajectory, bridged: Mapping[int, FloatArray]) -> FloatArray:
+    """(N, 6, 6) by how much poses are more uncertain to which an IMU alone led, see `Readings.bridged`."""
+    found, rows = np.zeros((len(trajectory), 6, 6)), list(bridged)
+    turns = scipy.spatial.transform.Rotation.from_quat(trajectory.quaternions_xyzw[rows])
+    found[rows] = _along_map(np.array(list(bridged.values())), turns)
+    return found
 
 
 def grown_covariances(trajectory: Trajectory, covariances: FloatArray, first: int, last: int) -> FloatArray:

@@ -17,9 +17,16 @@ from slam.trajectory.spread import spread_correction, steadied
 
 
 class Readings:
-    """Stamps and motion of every reading; numbers only, so that it stays small on a long log."""
+    """Stamps and motion of every reading; numbers only, so that it stays small on a long log.
+
+    Attributes
+    ----------
+    bridged
+        (6, 6) by the numbers of readings: how far an IMU may be off that alone led there, GTSAM's tangent.
+    """
 
     def __init__(self) -> None:
+        self.bridged: dict[int, FloatArray] = {}
         self._stamps_s = array("d")
         self._told_s = array("d")
         self._wheel_poses = array("d")

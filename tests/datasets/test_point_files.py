@@ -14,7 +14,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from point_files import Columns, lzf, write_pcd, write_ply
 
-from slam.datasets.cloud_files import CloudFile, read_cloud
+from slam.datasets.cloud_files import CloudFile, is_return, read_cloud
 from slam.datasets.dataset import RecordFault
 from slam.datasets.pcd_points import read_pcd_points
 from slam.datasets.ply_points import read_ply_points
@@ -231,3 +231,18 @@ def test_windows_lines_and_old_names_are_read(tmp_path: Path) -> None:
     (tmp_path / "a.pcd").write_bytes(pcd.encode() + b"1 2 3\n")
     for found in (read_ply_points(tmp_path / "a.ply"), read_pcd_points(tmp_path / "a.pcd")):
         assert {name: values.tolist() for name, values in found.items()} == {"x": [1], "y": [2], "z": [3]}
+
+
+def test_a_sphere_that_many_points_lie_on_is_no_return() -> None:
+    """Rings on a level floor are told alike, too, by a lidar without noise."""
+    rng = np.random.default_rng(4)
+    ways = rng.normal(size=(9000, 3))
+    ways /= np.linalg.norm(ways, axis=1)[:, None]
+    ranges_m = rng.uniform(1.0, 90.0, 9000)
+    ranges_m[:900] = 60.0
+    assert np.array_equal(is_return((ways * ranges_m[:, None]).astype(np.float32)), np.arange(9000) >= 900)
+    ranges_m[:900] = rng.normal(60.0, 0.01, 900)
+    assert is_return((ways * ranges_m[:, None]).astype(np.float32)).all()
+    ranges_m[:4000] = np.repeat([5.0, 7.0, 9.0, 12.0], 1000)
+    assert is_return((ways * ranges_m[:, None]).astype(np.float32)).all()
+    assert is_return(ways.astype(np.float32)).all()

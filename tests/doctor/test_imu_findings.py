@@ -13,10 +13,12 @@ from cloud_world import base, look, look_on_the_way
 from imu_world import T_BASE_IMU, readings, walk
 
 from fusion.estimation import half_interval
+from slam.config.calibration import Calibration
+from slam.datasets.corrections import corrected
 from slam.doctor.camera_samples import SensorStep
 from slam.doctor.cloud_samples import CloudSamples
 from slam.doctor.diagnosis import _in_space
-from slam.doctor.finding import Finding
+from slam.doctor.finding import Finding, remedied
 from slam.doctor.imu import ImuSamples, imu_findings, turn_fit
 from slam.doctor.samples import Samples
 from slam.doctor.turning import Turn
@@ -96,6 +98,22 @@ def test_saturation() -> None:
     assert "saturates" in found["saturation"].text
 
 
+def test_one_that_hangs_is_told_and_what_it_repeats_left_out() -> None:
+    hung = [*SAID[:1200], *(replace(SAID[1200], stamp_s=one.stamp_s) for one in SAID[1200:])]
+    (finding,) = findings(hung).values()
+    assert finding.kind == "frozen" and finding.text.startswith("1199 of 2400")
+    left = list(corrected(hung, remedied(Calibration(), [finding], only_sure=True)))
+    assert [one.stamp_s for one in left] == [one.stamp_s for one in SAID[:1201]]
+
+
+def test_readings_that_come_twice_or_of_a_robot_that_stands_do_not_hang() -> None:
+    assert findings([replace(SAID[n - n % 2], stamp_s=one.stamp_s) for n, one in enumerate(SAID)]) == {}
+    samples, stood = ImuSamples(), [replace(one, motion=gtsam.Pose3()) for one in steps()]
+    for reading in SAID:
+        samples.add(replace(SAID[0], stamp_s=reading.stamp_s))
+    assert all(one.kind != "frozen" for one in imu_findings("imu", samples, stood, T_BASE_LIDAR))
+
+
 def test_turn_rates_in_degrees_beside_a_3d_lidar() -> None:
     found = findings([replace(one, gyro_rad_s=np.degrees(one.gyro_rad_s)) for one in SAID])
     (remedy,) = found["turn rates"].remedies
@@ -135,6 +153,23 @@ def test_straight_ways_tell_nothing_of_a_clock() -> None:
         assert fit is not None
         within += abs(fit.ahead_s) <= half_interval(fit.ahead_sigma_s)
     assert within >= 14  # with the spread of all steps for that of those which tell, 2
+
+
+def test_one_corner_on_a_straight_way_tells_the_clock() -> None:
+    """What is left over of most steps is the same at any time."""
+    rows = np.zeros((3000, 7))
+    rows[:, 0] = 0.005 * np.arange(3000)
+    rows[:, 3] = 1.3 * np.exp(-(((rows[:, 0] - 12.0) / 0.6) ** 4))
+    turned = np.cumsum(0.005 * rows[:, 3])
+    rows[:, 1:4] += 3e-3 * np.random.default_rng(1).standard_normal((3000, 3))
+    for seed in range(10):
+        rng, said = np.random.default_rng(seed), []
+        for begun_s in np.arange(1.0, 14.0, 0.1):
+            turn_rad = float(np.diff(np.interp([begun_s, begun_s + 0.1], rows[:, 0], turned))[0])
+            turn = gtsam.Rot3.Expmap(np.array([0.0, 0.0, turn_rad]) + 5e-4 * rng.standard_normal(3))
+            said.append(SensorStep(begun_s, begun_s + 0.1, gtsam.Pose3(turn, np.zeros(3))))
+        fit = turn_fit(rows, said)
+        assert fit is not None and abs(fit.ahead_s) < 0.005
 
 
 def test_a_clock_that_three_turns_tell_is_as_uncertain_as_three_are() -> None:

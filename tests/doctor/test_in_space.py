@@ -12,6 +12,7 @@ from slam.config.calibration import Calibration
 from slam.datasets.corrections import corrected
 from slam.doctor.camera_samples import CameraSamples, MatchedPair, SensorStep
 from slam.doctor.cloud_samples import CloudSamples
+from slam.doctor.diagnosis import diagnose
 from slam.doctor.finding import Finding, remedied
 from slam.doctor.floor import floor_below_m
 from slam.doctor.in_space import (
@@ -242,6 +243,36 @@ def test_times_of_points_in_another_unit_are_named() -> None:
     (after,) = corrected([cloud], remedied(Calibration(), [finding], only_sure=True))
     assert isinstance(after, PointCloud) and after.times_s is not None
     assert after.times_s.tolist() == [0.0, 0.1] or after.times_s[1] == pytest.approx(0.1)
+
+
+def test_clouds_of_a_few_points_tell_no_times() -> None:
+    samples = CloudSamples()
+    for n in range(60):
+        count = 1600 if n % 3 == 0 else 20
+        rng = np.random.default_rng(n)
+        points, times_s = rng.normal(size=(count, 3)).astype(np.float32), 1e-3 * (np.arange(count) // 16)
+        samples.add(PointCloud(float(n), points, times_s), compared=False)
+    assert cloud_findings("lidar", samples) == []
+
+
+def turns(stamps_s: list[float], turn_s: float) -> list[PointCloud]:
+    times_s, rng = np.linspace(0.0, turn_s, 80), np.random.default_rng(3)
+    return [PointCloud(one, rng.normal(size=(80, 3)).astype(np.float32), times_s) for one in stamps_s]
+
+
+def test_a_second_lidar_under_the_same_name_is_told_and_left_out() -> None:
+    log = turns([0.1 * (n // 2) + 0.03 * (n % 2) for n in range(80)], 0.1)
+    (finding,) = [one for one in diagnose(log) if one.kind == "several lidars"]
+    assert finding.text.startswith("40 of 80")
+    left = list(corrected(log, remedied(Calibration(), [finding], only_sure=True)))
+    assert [one.stamp_s for one in left] == [one.stamp_s for one in log[::2]]
+
+
+@pytest.mark.parametrize(("turn_s", "step_s"), [(0.1, 0.1), (0.1, 0.05), (0.3, 0.1), (0.5, 0.1)])
+def test_one_lidar_whose_turns_touch_or_overlap_is_one(turn_s: float, step_s: float) -> None:
+    """Turns in two messages; windows of several turns that move on by one."""
+    log = turns([step_s * n for n in range(80)], turn_s)
+    assert not [one for one in diagnose(log) if one.kind == "several lidars"]
 
 
 def test_the_floor_is_the_lowest_level_surface() -> None:

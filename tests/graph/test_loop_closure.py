@@ -155,7 +155,7 @@ def test_a_different_place_is_refused(caplog: pytest.LogCaptureFixture) -> None:
     """The odometry says that the robot is back; the walls say that it is elsewhere."""
     here = OrientedPoints.from_scan(points_at(walls(), (1.0, 4.0, 0.0)))
     elsewhere = OrientedPoints.from_scan(points_at(walls(), (9.5, 7.0, 0.5)))
-    with caplog.at_level(logging.INFO, logger="slam.graph.loop_closure"):
+    with caplog.at_level(logging.INFO, logger="slam.graph.loop_candidate"):
         loops = line_drive(Drive(), here, elsewhere)
     assert loops
     assert not any(loop.accepted for loop in loops)

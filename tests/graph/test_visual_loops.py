@@ -88,7 +88,7 @@ def test_another_scene_is_refused(
     stranger = prepared(render(STRANGE, looking(0.0, 0.0, 1.2, 0.9, 0.1), MIDDLE))
     walk = Walk("visual_loops.least_place_score=1e-6")
     walk.through(views[:-1], TRUE[:-1])
-    with caplog.at_level(logging.INFO, logger="slam.graph.visual_loops"):
+    with caplog.at_level(logging.INFO, logger="slam.graph.loop_candidate"):
         loops = walk.add(stranger, believed)
     assert loops
     assert not any(loop.accepted for loop in loops)

@@ -5,7 +5,12 @@ import pytest
 
 from slam.estimates import Trajectory
 from slam.measurements import FloatArray
-from slam.trajectory.carried import carried_covariances, late_covariances, unseen_covariances
+from slam.trajectory.carried import (
+    bridged_covariances,
+    carried_covariances,
+    late_covariances,
+    unseen_covariances,
+)
 from slam.trajectory.poses import Poses
 
 ENDS = np.array([np.diag([1e-4, 2e-4, 1e-6]), np.diag([3e-4, 5e-4, 9e-6])])
@@ -160,3 +165,9 @@ def test_without_wheels_a_robot_may_be_anywhere_that_it_comes_to() -> None:
     for stamp_s in (3.0, 6.0):
         assert found[stamps_s == stamp_s][0] == pytest.approx(np.diag([4.0, 4.0, 0.0]))
     assert not unseen_covariances(trajectory, np.array([7]), None, 3).any()  # nothing tells how fast
+
+
+def test_where_an_imu_alone_led_poses_are_as_uncertain_along_the_map_as_it_says() -> None:
+    found = bridged_covariances(line(yaw=np.pi / 2), {3: np.diag([1.0, 2.0, 3.0, 4.0, 5.0, 6.0])})
+    assert found[3] == pytest.approx(np.diag([5.0, 4.0, 6.0, 2.0, 1.0, 3.0]))
+    assert not found[[0, 2, 4]].any()

@@ -92,11 +92,6 @@ def _image(message: Any) -> SimpleNamespace:
     return SimpleNamespace(header=_header(message), **size, **told)
 
 
-def _packed_image(message: Any) -> SimpleNamespace:
-    """A CompressedImage."""
-    return SimpleNamespace(header=_header(message), format=str(message.format), data=_bytes(message.data))
-
-
 def _lens(message: Any) -> SimpleNamespace:
     """A CameraInfo."""
     numbers = {name.lower(): np.array(list(getattr(message, name, ())), np.float64) for name in "DKRP"}
@@ -123,7 +118,10 @@ _AS: dict[str, tuple[str, Callable[[Any], SimpleNamespace]]] = {
     "PointCloud": ("sensor_msgs/msg/PointCloud2", _cloud),
     "LaserScan": ("sensor_msgs/msg/LaserScan", _scan),
     "RawImage": ("sensor_msgs/msg/Image", _image),
-    "CompressedImage": ("sensor_msgs/msg/CompressedImage", _packed_image),
+    "CompressedImage": (
+        "sensor_msgs/msg/CompressedImage",
+        lambda one: SimpleNamespace(header=_header(one), format=str(one.format), data=_bytes(one.data)),
+    ),
     "CameraCalibration": ("sensor_msgs/msg/CameraInfo", _lens),
     "FrameTransform": ("tf2_msgs/msg/TFMessage", _transforms),
     "FrameTransforms": ("tf2_msgs/msg/TFMessage", _transforms),

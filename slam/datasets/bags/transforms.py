@@ -83,7 +83,8 @@ class FrameTree:
                 self._parents[child] = parent, pose
         elif known[0] == parent and child not in self.tilting and _differs(known[1], pose):
             self.moving.add(child)
-            if _tilted(known[1], pose):
+            up, before_up = (one.rotation().matrix()[:, 2] for one in (pose, known[1]))
+            if up @ before_up < math.cos(_STILL_RAD):
                 self.tilting.add(child)
 
     def between(self, base: str, sensor: str) -> gtsam.Pose3 | None:
@@ -161,11 +162,6 @@ def pose_of(position: Any, rotation: Any) -> gtsam.Pose3:
         Not finite, or no unit quaternion.
     """
     return pose_from([position.x, position.y, position.z], [rotation.x, rotation.y, rotation.z, rotation.w])
-
-
-def _tilted(first: gtsam.Pose3, second: gtsam.Pose3) -> bool:
-    """Whether the z axes of two poses differ by more than rounding."""
-    return float(first.rotation().matrix()[:, 2] @ second.rotation().matrix()[:, 2]) < math.cos(_STILL_RAD)
 
 
 def _differs(first: gtsam.Pose3, second: gtsam.Pose3) -> bool:
