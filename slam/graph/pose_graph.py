@@ -39,10 +39,13 @@ class BatchResult:
         Half the sum of squared whitened residuals of the edges that were kept.
     kept
         (E,) in the order of ``PoseGraph.edges``: False where an edge was refused as an outlier.
+    cost
+        The error, and half the gate for each edge that was refused: of two solutions the less is likelier.
     """
 
     error: float
     kept: BoolArray
+    cost: float
 
 
 class PoseGraph:
@@ -85,8 +88,9 @@ class PoseGraph:
         # Nodes that updates leave where they are, and where the last one has put the others.
         self._held, self._moved = 0, gtsam.Values()
         self._count = 0
-        # What the last optimisation has kept of the edges of then.
+        # What the last optimisation has kept of the edges of then, and where it ended.
         self._kept = np.zeros(0, np.bool_)
+        self._found = BatchResult(math.inf, self._kept, math.inf)
         self.add_node(origin)
         self._pending.add(self._prior())
 
@@ -192,26 +196,45 @@ class PoseGraph:
         inlier_probability
             Chi-square probability at which a true edge passes the gate.
         """
-        begun, limit = self._estimate, 0.5 * gate(self._dimension, inlier_probability)
-        found = [(self._decided(inlier_probability), self._estimate)]
-        loops = np.array([edge.kind == EdgeKind.LOOP and not edge.trusted for edge in self.edges], np.bool_)
-        if not len(self._kept) and (loops > found[0][0].kept).any():
-            self._estimate, self._kept = begun, ~loops
-            found.append((self._decided(inlier_probability), self._estimate))
-        outcome, self._estimate = min(
-            found, key=lambda one: one[0].error + limit * np.count_nonzero(~one[0].kept)
-        )
-        self._kept = outcome.kept.copy()
+        begun, first, loops = self._estimate, not len(self._kept), self._loops()
+        found = self._decided(inlier_probability)
+        if first and (loops > found.kept).any():
+            found = self._better(found, begun, ~loops, inlier_probability)
+        self._found, self._kept = found, found.kept.copy()
         # As large as the map, and rarely asked again.
         self._isam = None
-        return outcome
+        return found
+
+    def begins_anew(self, inlier_probability: float) -> bool:
+        """Whether GNC, where it refused loops, ends at less cost once all edges count."""
+        before = self._found
+        if (self._loops() > before.kept).any():
+            self._found = self._better(before, self._estimate, before.kept | True, inlier_probability)
+            self._kept = self._found.kept.copy()
+        return self._found is not before
+
+    def _loops(self) -> BoolArray:
+        """(E,) which edges are loops that may be refused."""
+        return np.array([edge.kind == EdgeKind.LOOP and not edge.trusted for edge in self.edges], np.bool_)
+
+    def _better(
+        self, found: BatchResult, begun: gtsam.Values, kept: BoolArray, inlier_probability: float
+    ) -> BatchResult:
+        """A solution, or the one where GNC ends from elsewhere if it costs less."""
+        ended, self._estimate, self._kept = self._estimate, begun, kept
+        other = self._decided(inlier_probability)
+        if other.cost < found.cost - TINY:
+            return other
+        self._estimate = ended
+        return found
 
     def _decided(self, inlier_probability: float) -> BatchResult:
         """Which edges GNC keeps from where the poses are, and the poses by these."""
         kept = self._gnc_weights(inlier_probability) > 0.5
         graph = self._graph(edge for edge, keep in zip(self.edges, kept, strict=True) if keep)
         self._estimate = solved(graph, self._estimate)
-        return BatchResult(float(graph.error(self._estimate)), kept)
+        error, each = float(graph.error(self._estimate)), 0.5 * gate(self._dimension, inlier_probability)
+        return BatchResult(error, kept, error + each * np.count_nonzero(~kept))
 
     def level(self, down: dict[int, Gravity]) -> None:
         """Let the next optimisation put a graph in space upright.
