@@ -234,7 +234,7 @@ class PoseGraph:
         graph = self._graph(edge for edge, keep in zip(self.edges, kept, strict=True) if keep)
         self._estimate = solved(graph, self._estimate)
         error, each = float(graph.error(self._estimate)), 0.5 * gate(self._dimension, inlier_probability)
-        return BatchResult(error, kept, error + each * np.count_nonzero(~kept))
+        return BatchResult(error, kept, error + float(each * np.count_nonzero(~kept)))
 
     def level(self, down: dict[int, Gravity]) -> None:
         """Let the next optimisation put a graph in space upright.

@@ -294,32 +294,6 @@ def test_false_loops_are_refused_and_true_ones_kept(seed: int, updates: bool) ->
     assert error_m(graph, truth) < 1.1 * clean_m + 0.02
 
 
-@pytest.mark.parametrize("seed", range(2))
-def test_false_loops_that_agree_do_not_fold_a_way_of_wheels(seed: int) -> None:
-    """Twelve that agree, against ten true ones; each step of the wheels may have been wrong."""
-    rng = np.random.default_rng(seed)
-    out = [gtsam.Pose2(float(x), 0.0, 0.0) for x in range(30)]
-    truth = [*out, *(gtsam.Pose2(pose.x(), 0.0, math.pi) for pose in reversed(out))]
-    wheels, loops = np.array([0.03, 0.03, 0.01]), np.array([0.05, 0.05, 0.05])
-
-    def measured(source: int, end: gtsam.Pose2, sigmas: FloatArray) -> gtsam.Pose2:
-        return truth[source].between(end).compose(gtsam.Pose2(*(sigmas * rng.standard_normal(3))))
-
-    steps = [measured(n, truth[n + 1], wheels) for n in range(59)]
-    graph = graph_of(truth[0], [])
-    for n, step in enumerate(steps):
-        graph.add_node(graph.pose(n).compose(step))
-        graph.add_edge(edge(n, n + 1, step, 0.5, EdgeKind.ASSUMED))
-        graph.add_edge(edge(n, n + 1, step, wheels, EdgeKind.WHEEL, trusted=False))
-    for n in rng.permutation(30)[:10].tolist():
-        again = measured(29 - n, truth[30 + n], loops)
-        graph.add_edge(edge(29 - n, 30 + n, again, loops, EdgeKind.LOOP, trusted=False))
-    for n in range(12):
-        elsewhere = measured(n // 2, gtsam.Pose2(-12.0, 9.0, 1.2).compose(truth[35 + n]), loops)
-        graph.add_edge(edge(n // 2, 35 + n, elsewhere, loops, EdgeKind.LOOP, trusted=False))
-    assert not graph.optimize().kept[-12:].any()
-
-
 def test_a_trusted_edge_is_kept_even_where_all_others_disagree() -> None:
     graph = PoseGraph(gtsam.Pose2())
     graph.add_node(gtsam.Pose2(1.0, 0.0, 0.0))

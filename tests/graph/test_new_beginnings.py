@@ -1,0 +1,70 @@
+"""Where graduated non-convexity begins decides where it ends: the solution of less cost is taken."""
+
+import math
+
+import gtsam
+import numpy as np
+import pytest
+
+from slam.graph.edge import Edge, EdgeKind
+from slam.graph.pose_graph import PoseGraph
+from slam.measurements import FloatArray
+
+
+def edge(
+    source: int,
+    target: int,
+    pose: gtsam.Pose2,
+    sigmas: float | FloatArray,
+    kind: EdgeKind,
+    trusted: bool = True,
+) -> Edge:
+    covariance = np.diag(np.broadcast_to(np.asarray(sigmas, dtype=float), (3,)) ** 2)
+    return Edge(source, target, pose, covariance, kind, trusted)
+
+
+@pytest.mark.parametrize("seed", range(2))
+def test_false_loops_that_agree_do_not_fold_a_way_of_wheels(seed: int) -> None:
+    """Twelve that agree, against ten true ones; each step of the wheels may have been wrong."""
+    rng = np.random.default_rng(seed)
+    out = [gtsam.Pose2(float(x), 0.0, 0.0) for x in range(30)]
+    back = [gtsam.Pose2(pose.x(), 0.0, math.pi) for pose in reversed(out)]
+    truth = [*out, *back]
+    wheels, loops = np.array([0.03, 0.03, 0.01]), np.array([0.05, 0.05, 0.05])
+
+    def measured(source: int, end: gtsam.Pose2, sigmas: FloatArray) -> gtsam.Pose2:
+        return truth[source].between(end).compose(gtsam.Pose2(*(sigmas * rng.standard_normal(3))))
+
+    steps = [measured(n, truth[n + 1], wheels) for n in range(59)]
+    graph, pose = PoseGraph(truth[0]), truth[0]
+    for n, step in enumerate(steps):
+        graph.add_node(pose := pose.compose(step))
+        graph.add_edge(edge(n, n + 1, step, 0.5, EdgeKind.ASSUMED))
+        graph.add_edge(edge(n, n + 1, step, wheels, EdgeKind.WHEEL, trusted=False))
+    for n in rng.permutation(30)[:10].tolist():
+        again = measured(29 - n, truth[30 + n], loops)
+        graph.add_edge(edge(29 - n, 30 + n, again, loops, EdgeKind.LOOP, trusted=False))
+    for n in range(12):
+        elsewhere = measured(n // 2, gtsam.Pose2(-12.0, 9.0, 1.2).compose(truth[35 + n]), loops)
+        graph.add_edge(edge(n // 2, 35 + n, elsewhere, loops, EdgeKind.LOOP, trusted=False))
+    assert not graph.optimize().kept[-12:].any()
+
+
+@pytest.mark.parametrize("wrong", ["wheels", "loops"])
+def test_loops_that_were_refused_count_again_where_that_costs_less(wrong: str) -> None:
+    """One step of the wheels against three loops that agree, or that all say something else."""
+    graph = PoseGraph(gtsam.Pose2())
+    graph.add_node(step := gtsam.Pose2(1.0, 0.0, 0.0))
+    graph.add_edge(edge(0, 1, step, 2.0, EdgeKind.ASSUMED))
+    graph.add_edge(edge(0, 1, step, 0.05, EdgeKind.WHEEL, trusted=False))
+    for n in range(3):
+        claim = gtsam.Pose2(3.0, 0.0 if wrong == "wheels" else float(n), 0.0)
+        graph.add_edge(edge(0, 1, claim, 0.05, EdgeKind.LOOP, trusted=False))
+    graph.begin_with([True, True, False, False, False])
+    before = graph.optimize()
+    assert before.kept.tolist() == [True, True, False, False, False]
+    assert graph.begins_anew(0.99) is (wrong == "wheels")
+    after = graph.optimize()
+    assert after.kept.tolist() == [True, wrong == "loops", *[wrong == "wheels"] * 3]
+    assert (after.cost < before.cost) is (wrong == "wheels")
+    assert not graph.begins_anew(0.99), "it ends"
