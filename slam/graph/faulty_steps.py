@@ -177,8 +177,6 @@ class FaultySteps:
         How uncertain keyframes are of each other by these.
     unseen
         (n,) whether wheels alone tell the step from a keyframe to the next.
-    tied
-        (n,) number of the part of the way that matches and loops tie a keyframe to.
     share
         Of these steps, that is grossly wrong.
     """
@@ -232,7 +230,8 @@ class FaultySteps:
         time_s = np.abs(stamps_s[ended] - stamps_s[begun])[:, None]
         told = _moves(_off(poses[begun], poses[ended]))
         lone = lone_steps(edges, kept, len(poses), config.lost_sigma_m)
-        self.unseen, self.tied, self.share = lone.unseen, lone.tied, lone.share
+        self.unseen, self.share = np.zeros(len(poses), np.bool_), lone.share
+        self.unseen[lone.steps] = True
         self._farthest = told + time_s * np.quantile(speeds, loops.inlier_probability, axis=0)
 
     @cached_property

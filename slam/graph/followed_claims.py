@@ -44,8 +44,8 @@ class FollowedClaims:
         # As much as tells two hypotheses apart; the most that looks count, for a whole wing may be a copy.
         self._least, self._most = (share * gate(3, config.inlier_probability) for share in (0.5, 1.0))
         self._window = 2.0 * math.pi * (2.0 * window_m) ** 2
-        # Keyframes that nothing ties, and the least that is said of where a way ends.
-        self._claims, self._untied, self._least_nats = list[Claim](), set[int](), -math.inf
+        # The least that is said of where a way ends.
+        self._claims, self._least_nats = list[Claim](), -math.inf
 
     def follow(self, place: int, keyframe: int, pose: FloatArray) -> None:
         """Take a claim: the pose (3,) of a keyframe in the frame of a place, searched in a window."""
@@ -59,7 +59,8 @@ class FollowedClaims:
                 if not 0 <= key < len(self._submaps) or said < -self._least:
                     break
                 step = between(self._submaps.pose(key - onward), self._submaps.pose(key))
-                if (near := self._nearest(at, compose(expected, step), key)) is None:
+                near = self._nearest(at, compose(expected, step), key)
+                if near is None:
                     break
                 at, expected = near
                 told[key], fit = self._judged(at, key, expected)
@@ -79,12 +80,11 @@ class FollowedClaims:
         Parameters
         ----------
         untied
-            Keyframes that no loop ties to an earlier place; of others, claims that join two parts count.
+            Keyframes that no loop ties to an earlier place.
         known, loose
             What the estimate says of a way, and what it says where steps that wheels alone tell may be wrong.
         """
-        self._untied, tied = set(untied), faulty.tied
-        claims = [c for c in self._claims if c.keyframe in untied or tied[c.place] != tied[c.keyframe]]
+        claims = [one for one in self._claims if one.keyframe in untied]
         # However uncertain the way, it ends on the map.
         on_map = 2.0 * math.pi * float(np.ptp(poses[:, :2], axis=0).max()) ** 2
         self._least_nats = -math.log(max(on_map / self._window, 1.0))
@@ -124,9 +124,8 @@ class FollowedClaims:
             told: dict[int, float] = {}
             for key, nats in (item for m in same for item in claims[m].told.items()):
                 told[key] = max(nats, told.get(key, nats))
-            # A whole wing may be a copy; where two have no scan in common, and nothing ties them, less so.
-            free = [claims[m] for m in same if {one.keyframe, claims[m].keyframe} <= self._untied]
-            most = self._most + self._least * any(self._apart(one, other) for other in free)
+            # A whole wing may be a copy; where two have no scan in common less so.
+            most = self._most + self._least * any(self._apart(one, claims[m]) for m in same)
             sets[n] = min(self._looks(told, one.keyframe, faulty.share), most) + ways[n], same
         for n, (odd, same) in sorted(sets.items(), key=lambda item: -item[1][0]):
             rivals = [

@@ -172,15 +172,13 @@ def together(edges: Iterable[Edge]) -> dict[tuple[int, int], Motion]:
 
 
 class LoneSteps(NamedTuple):
-    """Steps that wheels alone tell, (n,) by keyframes where they begin, and the share of such that is wrong.
+    """Steps that wheels alone tell, by the keyframes where they begin, and the share of such that is wrong.
 
     ``pieces`` (n,) numbers those of all keyframes, were each such step a guess; ``untried`` steps join two.
-    ``tied`` (n,) numbers what hangs together in any direction: along a corridor a piece may still slide.
     """
 
-    unseen: BoolArray
+    steps: list[int]
     pieces: NDArray[np.int64]
-    tied: NDArray[np.int64]
     untried: list[int]
     share: float
 
@@ -192,9 +190,10 @@ def lone_steps(edges: Sequence[Edge], kept: BoolArray, nodes: int, lost_sigma_m:
     wrong less often: that counts as two steps, as in the rule of succession. Edges less certain than
     ``lost_sigma_m`` join nothing.
     """
-    verdicts = list(zip(edges, kept, strict=True))
-    held = [edge for edge, keep in verdicts if keep]
-    single = [(edge, keep) for edge, keep in verdicts if edge.target == edge.source + 1]
+    held = [edge for edge, keep in zip(edges, kept, strict=True) if keep]
+    single = [
+        (edge, bool(keep)) for edge, keep in zip(edges, kept, strict=True) if edge.target == edge.source + 1
+    ]
     seen = {edge.source for edge, keep in single if keep and edge.kind not in GUESSES}
     right = {edge.source: True for edge, _ in single if edge.kind is EdgeKind.WHEEL}
     right |= {edge.source: False for edge, keep in single if edge.kind is EdgeKind.WHEEL and not keep}
@@ -205,15 +204,12 @@ def lone_steps(edges: Sequence[Edge], kept: BoolArray, nodes: int, lost_sigma_m:
     # A fix may be off by metres, and yet is no guess.
     fixes = [(edge.source, edge.target) for edge in held if edge.kind in _PLACES]
     pieces = _joined(np.arange(nodes), [*sorted(known - {(step, step + 1) for step in lone}), *fixes])
-    unseen = np.isin(np.arange(nodes), lone)
-    seen_over = (e for e in held if e.loop is not None or not unseen[e.source : e.target].any())
-    tied = _joined(np.arange(nodes), [(edge.source, edge.target) for edge in seen_over])
     apart = {step for step in lone if pieces[step] != pieces[step + 1]}
     tried = [right[step] for step in lone if not right[step] or step not in apart]
     matched = [right[step] for step in right.keys() & seen]
     before = (1.0 + matched.count(False)) / (2.0 + len(matched))
     share = (tried.count(False) + 2.0 * before) / (len(tried) + 2.0)
-    return LoneSteps(unseen, pieces, tied, sorted(step for step in apart if (step, step + 1) in known), share)
+    return LoneSteps(lone, pieces, sorted(step for step in apart if (step, step + 1) in known), share)
 
 
 def _joined(numbers: NDArray[np.int64], ends: Sequence[tuple[int, int]]) -> NDArray[np.int64]:

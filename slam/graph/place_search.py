@@ -112,14 +112,18 @@ class PlaceSearch:
             self._trial = ClaimTrial(self._closer, stretches, self._sets, self._config, self._reach_m)
         self._faulty, known = faulty, faulty.known
         if self._corrected:
-            if near := self._closer.close_again(poses, known, loops):
+            near = self._closer.close_again(poses, known, loops)
+            if near:
                 return near
             self._corrected = False
-        if believed := self._believed(poses, known):
+        believed = self._believed(poses, known)
+        if believed:
             return believed
         for number in stretches.untied(loops):
             for place in stretches.candidates(number, *self._possible(stretches, number, poses, known)):
-                self._verify(stretches, place, number)
+                if (place, number) not in self._tried:
+                    self._tried.add((place, number))
+                    self._verify(stretches, place, number)
         return self._believed(poses, known)
 
     def _follow(
@@ -132,20 +136,22 @@ class PlaceSearch:
     ) -> list[LoopCandidate]:
         """Search as `search`, where each claim is followed along both ways.
 
-        Where that finds nothing, where steps that wheels alone tell may have led; tied ones in other parts.
+        Where that finds nothing also where steps that wheels alone tell may have led.
         """
-        known, loose, tied = _Known(poses, faulty.known), _Known(poses, faulty.loose), faulty.tied
-        untied = stretches.keys[stretches.untied(loops)].tolist()
+        known, loose = _Known(poses, faulty.known), _Known(poses, faulty.loose)
+        untied = stretches.untied(loops)
+        keys = stretches.keys[untied].tolist()
         for wider in (False, True):
-            for number, key in enumerate(stretches.keys.tolist()):
+            for number, key in zip(untied, keys, strict=True):
                 possible, apart_m = self._possible(stretches, number, poses, faulty.known)
                 if wider:
                     possible = ~possible & self._possible(stretches, number, poses, faulty.loose)[0]
-                possible &= (key in untied) | (tied[stretches.keys] != tied[key])
                 for place in stretches.candidates(number, possible, apart_m):
-                    if found := self._searched(stretches, place, number):
-                        followed.follow(int(stretches.keys[place]), key, np.array(found))
-            if believed := followed.believed(untied, poses, known, loose, faulty):
+                    if (place, number) not in self._tried:
+                        self._tried.add((place, number))
+                        if found := self._searched(stretches, place, number):
+                            followed.follow(int(stretches.keys[place]), key, np.array(found))
+            if believed := followed.believed(keys, poses, known, loose, faulty):
                 return believed
         return []
 
@@ -160,14 +166,12 @@ class PlaceSearch:
         sigmas_m = position_sigmas(known.relative_covariances(key, stretches.keys, poses))
         most_m = math.sqrt(self._gate * self._reach_m / stretches.spacing_m) * sigmas_m
         apart_m = np.hypot(*(poses[stretches.keys, :2] - poses[key, :2]).T)
-        near = apart_m <= math.sqrt(2.0) * stretches.window_m + most_m
-        return near & (self._submaps.sparse | (most_m > self._config.reach_m)), apart_m
+        window_m = math.sqrt(2.0) * stretches.window_m
+        sparse = self._followed is not None
+        return (sparse | (most_m > self._config.reach_m)) & (apart_m <= window_m + most_m), apart_m
 
     def _searched(self, stretches: Stretches, place: int, number: int) -> list[float]:
-        """The pose of a stretch at another; nothing where none is found, or the two were tried before."""
-        if (place, number) in self._tried:
-            return []
-        self._tried.add((place, number))
+        """The pose of a stretch at another; nothing where none is found."""
 
         def pose() -> list[float]:
             found = stretches.search(place, number)
@@ -177,7 +181,8 @@ class PlaceSearch:
 
     def _verify(self, stretches: Stretches, place: int, number: int) -> None:
         """Search the pose of a stretch at another, and take down what is found as a claim."""
-        if not (found := self._searched(stretches, place, number)):
+        found = self._searched(stretches, place, number)
+        if not found:
             return
         sigma = self._match.coarse_cell_m / self._config.sigmas
         covariance = np.diag(np.square([sigma, sigma, sigma / self._config.reach_m]))
@@ -215,7 +220,8 @@ class PlaceSearch:
             # What contradicts more than one fault explains must be confirmed by what lies around.
             if costs[n] > 2.0 * self._gate and len(more) <= refused:
                 continue
-            net_m = (len(found[n]) + len(more) - refused) * stretches.spacing_m
+            held = len(found[n]) + len(more) - refused
+            net_m = held * stretches.spacing_m
             # As long as it is seen from either end; where all of the map would pass, as a loop must be.
             map_m = float(np.ptp(poses[:, :2], axis=0).max())
             anywhere = math.sqrt(self._gate) * judged[n][1] > map_m

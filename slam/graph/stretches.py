@@ -63,7 +63,7 @@ class Stretches:
             (K,) their distance by the estimate.
         """
         earlier = self._way_m[number] - self._way_m > self._submaps.least_path_m
-        (others,) = np.nonzero(possible & earlier & self._determined & self._determined[number])
+        (others,) = np.nonzero(possible & earlier & self._determined)
         likest = others[np.argsort(-self._bank.likeness(number, others), kind="stable")]
         near = others[apart_m[others] <= self.window_m]
         nearest = near[np.argsort(apart_m[near], kind="stable")]

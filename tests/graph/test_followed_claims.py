@@ -74,7 +74,7 @@ def followed(submaps: SubmapStore) -> FollowedClaims:
 
 
 # No step between keyframes can have been wrong.
-SURE_STEPS: Any = SimpleNamespace(likelihood=lambda *_: -np.inf, share=0.5, tied=np.zeros(200))
+SURE_STEPS: Any = SimpleNamespace(likelihood=lambda *_: -np.inf, share=0.5)
 
 
 def known(sigma_m: float) -> Callable[[int, int], Motion]:
@@ -142,9 +142,7 @@ def test_no_claim_is_believed_that_has_a_rival(submaps: SubmapStore) -> None:
     assert believed([rivals[0], claim(6, 105, 7.0, 1.0)], 2.0, submaps)
 
 
-def agreed(
-    claims: list[Claim], submaps: SubmapStore, *, loose_m: float = 30.0, tied: bool = False
-) -> set[tuple[int, int]]:
+def agreed(claims: list[Claim], submaps: SubmapStore, *, loose_m: float = 30.0) -> set[tuple[int, int]]:
     """Where all keyframes before 50 are well known of each other, and those after that; the rest is loose."""
     trial = followed(submaps)
     trial._claims = claims
@@ -157,9 +155,8 @@ def agreed(
 
         return way
 
-    untied = [] if tied else [one.keyframe for one in claims]
-    steps = SimpleNamespace(**vars(SURE_STEPS) | {"tied": np.arange(200) > 50})
-    return set(ends(trial.believed(untied, MAP, known(1.0), known(loose_m), steps)))
+    untied = [one.keyframe for one in claims]
+    return set(ends(trial.believed(untied, MAP, known(1.0), known(loose_m), SURE_STEPS)))
 
 
 def test_claims_that_agree_on_what_was_wrong_are_believed(submaps: SubmapStore) -> None:
@@ -169,13 +166,6 @@ def test_claims_that_agree_on_what_was_wrong_are_believed(submaps: SubmapStore) 
     assert agreed(two[:1], submaps) == set()
     assert agreed([two[0], claim(7, 107, 5.5, 14.0)], submaps) == set(), "they contradict each other"
     assert agreed(two, submaps, loose_m=1.0) == set(), "no step can have been so wrong"
-
-
-def test_wings_that_are_copies_agree_all_along(submaps: SubmapStore) -> None:
-    """What is far apart bears out a wing, unless loops tie it: then it fits, or is a copy, as a whole."""
-    wing = [claim(5, 105, 9.0, 1500.0), claim(25, 125, 9.0, 1500.0)]
-    assert agreed(wing, submaps, loose_m=2000.0)
-    assert agreed(wing, submaps, loose_m=2000.0, tied=True) == set()
 
 
 def test_what_a_scan_says_counts_once(submaps: SubmapStore) -> None:
@@ -222,9 +212,3 @@ def test_what_is_tied_is_not_asked(submaps: SubmapStore) -> None:
     assert trial.believed([104], MAP, known(0.5), known(0.5), SURE_STEPS) == []
     assert trial.believed([105], MAP, known(0.5), known(0.5), SURE_STEPS)
     assert trial.believed([105], MAP, known(0.5), known(0.5), SURE_STEPS) == [], "none twice"
-
-
-def test_what_is_tied_within_its_own_part_tells_where_another_lies(submaps: SubmapStore) -> None:
-    trial, parts = followed(submaps), SimpleNamespace(**vars(SURE_STEPS) | {"tied": np.arange(200) > 50})
-    trial._claims = [claim(5, 105, 7.0), claim(60, 106, 7.0)]
-    assert ends(trial.believed([], MAP, known(0.5), known(0.5), parts)) == [(5, 105)]
