@@ -88,9 +88,8 @@ class PoseGraph:
         # Nodes that updates leave where they are, and where the last one has put the others.
         self._held, self._moved = 0, gtsam.Values()
         self._count = 0
-        # What the last optimisation has kept of the edges of then, and where it ended.
+        # What the last optimisation has kept of the edges of then.
         self._kept = np.zeros(0, np.bool_)
-        self._found = BatchResult(math.inf, self._kept, math.inf)
         self.add_node(origin)
         self._pending.add(self._prior())
 
@@ -196,36 +195,16 @@ class PoseGraph:
         inlier_probability
             Chi-square probability at which a true edge passes the gate.
         """
-        begun, first, loops = self._estimate, not len(self._kept), self._loops()
-        found = self._decided(inlier_probability)
+        begun, first = self._estimate, not len(self._kept)
+        found, ended = self._decided(inlier_probability), self._estimate
+        loops = np.array([edge.kind == EdgeKind.LOOP and not edge.trusted for edge in self.edges], np.bool_)
         if first and (loops > found.kept).any():
-            found = self._better(found, begun, ~loops, inlier_probability)
-        self._found, self._kept = found, found.kept.copy()
+            self._estimate, self._kept = begun, ~loops
+            other = self._decided(inlier_probability)
+            found, self._estimate = (other, self._estimate) if other.cost < found.cost else (found, ended)
+        self._kept = found.kept.copy()
         # As large as the map, and rarely asked again.
         self._isam = None
-        return found
-
-    def begins_anew(self, inlier_probability: float) -> bool:
-        """Whether GNC, where it refused loops, ends at less cost once all edges count."""
-        before = self._found
-        if (self._loops() > before.kept).any():
-            self._found = self._better(before, self._estimate, before.kept | True, inlier_probability)
-            self._kept = self._found.kept.copy()
-        return self._found is not before
-
-    def _loops(self) -> BoolArray:
-        """(E,) which edges are loops that may be refused."""
-        return np.array([edge.kind == EdgeKind.LOOP and not edge.trusted for edge in self.edges], np.bool_)
-
-    def _better(
-        self, found: BatchResult, begun: gtsam.Values, kept: BoolArray, inlier_probability: float
-    ) -> BatchResult:
-        """A solution, or the one where GNC ends from elsewhere if it costs less."""
-        ended, self._estimate, self._kept = self._estimate, begun, kept
-        other = self._decided(inlier_probability)
-        if other.cost < found.cost - TINY:
-            return other
-        self._estimate = ended
         return found
 
     def _decided(self, inlier_probability: float) -> BatchResult:

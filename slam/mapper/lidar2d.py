@@ -124,6 +124,9 @@ class PlanarRobot:
         found = self._places.search(graph.rows(), stamps_s, graph.graph.edges, kept, graph.loops)
         if self._places.fault is not None:
             graph.graph.doubt(*self._places.fault)
+        if not found:
+            del self._places, self._closer, self._kept  # it was the last search: what they know is large
+            end_stage()
         return found
 
     def bases(self, poses: Sequence[Pose]) -> Sequence[Pose]:
@@ -132,8 +135,6 @@ class PlanarRobot:
 
     def complete(self, result: MapResult) -> None:
         """The repaired scans, and the grids that scans and images draw."""
-        del self._places, self._closer, self._kept  # what they know is large
-        end_stage()
         started, scans = time.perf_counter(), self._keyframe_scans
         result.notes += [*registration_notes(self._registrations), *self._cameras.notes()]
         self._way.tell(result)

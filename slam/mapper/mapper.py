@@ -148,9 +148,8 @@ class Mapper:
         outcome = graph.optimize(probability)
         if self._places is not None:
             outcome = self._places.join(self._front_end.tags, graph, self._way(graph), outcome, probability)
-        search = self._front_end.search_again
-        # It ends: nothing is found twice, and each new beginning leads to less cost.
-        while (found := search(graph, outcome.kept)) or graph.graph.begins_anew(probability):
+        # It ends: nothing is found twice.
+        while found := self._front_end.search_again(graph, outcome.kept):
             for candidate in found:
                 graph.add_loop(candidate)
             outcome = graph.optimize(probability)

@@ -48,23 +48,3 @@ def test_false_loops_that_agree_do_not_fold_a_way_of_wheels(seed: int) -> None:
         elsewhere = measured(n // 2, gtsam.Pose2(-12.0, 9.0, 1.2).compose(truth[35 + n]), loops)
         graph.add_edge(edge(n // 2, 35 + n, elsewhere, loops, EdgeKind.LOOP, trusted=False))
     assert not graph.optimize().kept[-12:].any()
-
-
-@pytest.mark.parametrize("wrong", ["wheels", "loops"])
-def test_loops_that_were_refused_count_again_where_that_costs_less(wrong: str) -> None:
-    """One step of the wheels against three loops that agree, or that all say something else."""
-    graph = PoseGraph(gtsam.Pose2())
-    graph.add_node(step := gtsam.Pose2(1.0, 0.0, 0.0))
-    graph.add_edge(edge(0, 1, step, 2.0, EdgeKind.ASSUMED))
-    graph.add_edge(edge(0, 1, step, 0.05, EdgeKind.WHEEL, trusted=False))
-    for n in range(3):
-        claim = gtsam.Pose2(3.0, 0.0 if wrong == "wheels" else float(n), 0.0)
-        graph.add_edge(edge(0, 1, claim, 0.05, EdgeKind.LOOP, trusted=False))
-    graph.begin_with([True, True, False, False, False])
-    before = graph.optimize()
-    assert before.kept.tolist() == [True, True, False, False, False]
-    assert graph.begins_anew(0.99) is (wrong == "wheels")
-    after = graph.optimize()
-    assert after.kept.tolist() == [True, wrong == "loops", *[wrong == "wheels"] * 3]
-    assert (after.cost < before.cost) is (wrong == "wheels")
-    assert not graph.begins_anew(0.99), "it ends"
