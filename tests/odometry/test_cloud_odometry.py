@@ -105,6 +105,19 @@ def test_without_a_measured_motion_places_around_are_tried(odometry: CloudOdomet
     assert np.linalg.norm(error_of(motion, truth)) < 0.01
 
 
+@pytest.mark.parametrize("turned", [(0.9, 0.0, 0.0), (-1.2, 0.1, -0.1), (0.5, 0.0, 0.5), (0.0, 0.7, 0.0)])
+def test_without_a_measured_motion_turns_are_tried(
+    odometry: CloudOdometry, turned: tuple[float, float, float]
+) -> None:
+    """About any axis, for a lidar in the hand may be held in any way."""
+    truth = base(0.3, -0.2, 0.2)
+    before = truth.compose(gtsam.Pose3(gtsam.Rot3.Ypr(*turned), np.array([0.2, 0.1, 0.05])))
+    motion = odometry.match(points_at(truth), [before], before)
+    assert np.linalg.norm(error_of(motion, truth)) < 0.01
+    assert motion is not None
+    assert motion.converged
+
+
 def test_two_places_that_fit_alike_leave_the_motion_unsure() -> None:
     """A room without pillars looks the same after half a turn about its middle."""
     bare = np.zeros((0, 3, 2))
