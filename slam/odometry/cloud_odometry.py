@@ -65,7 +65,11 @@ class CloudOdometry:
         self._expected = own * max(float(np.median(self._known or [0.0])), _LEAST_KNOWN)
 
     def match(
-        self, points: FloatArray, guesses: Sequence[gtsam.Pose3], before: gtsam.Pose3 | None = None
+        self,
+        points: FloatArray,
+        guesses: Sequence[gtsam.Pose3],
+        before: gtsam.Pose3 | None = None,
+        turned_rad: float = 0.0,
     ) -> MotionEstimate | None:
         """Pose of a scan (N, 3), base frame, in the odometry frame; None where nothing fits.
 
@@ -77,7 +81,9 @@ class CloudOdometry:
             wheels that slip, or a robot that was pushed, a match arrives at what fits in part.
         before
             Where the robot was, as the last guess. Nobody has measured the motion since, and along a street
-            where it was fits well: places all around, and turned, are tried too.
+            where it was fits well: places all around are tried too.
+        turned_rad
+            How far it may have turned since, about any axis; turns are tried as far as that.
 
         Returns
         -------
@@ -96,7 +102,7 @@ class CloudOdometry:
         best = self._best(found)
         if before is not None and (best is None or best.found.agreement < self._usual):
             found.append(self._map.align(scan, before, REACH * self._voxel_m))
-            found.append(self._map.align(scan, self._map.best_of(scan, self._around(before))))
+            found.append(self._map.align(scan, self._map.best_of(scan, self._around(before, turned_rad))))
             best = self._best(found)
         return None if best is None else self._motion(best, found)
 
@@ -117,17 +123,14 @@ class CloudOdometry:
         """The least share of points on planes that is usual."""
         return _NEARLY * self._expected
 
-    def _around(self, pose: gtsam.Pose3) -> list[gtsam.Pose3]:
-        """Places ahead, behind and beside a pose, and turns there about the axes of a cube.
-
-        From clouds half a second apart a walker turns by more than a match finds.
-        """
+    def _around(self, pose: gtsam.Pose3, turned_rad: float) -> list[gtsam.Pose3]:
+        """Places ahead, behind and beside a pose, and turns there about the axes of a cube."""
         paths_m = self._voxel_m * np.arange(1.0, REACH + 1.0)
         ways = [
             [0, 0, 0, x, y, 0] for path in paths_m for x, y in ((path, 0), (-path, 0), (0, path), (0, -path))
         ]
         turn_rad = 2.0 * self._config.keyframes.angle_rad  # as far as a match finds, either way
-        turns_rad = np.arange(turn_rad, 0.5 * np.pi, turn_rad)
+        turns_rad = np.arange(turn_rad, min(turned_rad, 0.5 * np.pi), turn_rad)
         axes = [np.array(axis) / np.linalg.norm(axis) for axis in product((-1, 0, 1), repeat=3) if any(axis)]
         turns = [[*(turn * axis), 0, 0, 0] for turn in turns_rad for axis in axes]
         return [pose, *(pose.compose(gtsam.Pose3.Expmap(np.array(step))) for step in ways + turns)]

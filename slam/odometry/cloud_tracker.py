@@ -122,7 +122,7 @@ class CloudTracker:
             return replace(guessed, unseen_m=unseen_m)
         matcher = self._matcher
         motion = self._result_cache.cached(
-            "cloud", float(expected.x()), lambda: matcher.match(cloud, seen, guesses, before)
+            "cloud", float(expected.x()), lambda: matcher.match(cloud, seen, guesses, before, step_s)
         )
         if motion is None or not self._believed(motion):
             self._lost += 1

@@ -58,7 +58,12 @@ class TurnMatcher:
         self._voxel_m = voxel_m
 
     def match(
-        self, cloud: PointCloud, seen: DeskewedCloud, guesses: Sequence[gtsam.Pose3], before: gtsam.Pose3
+        self,
+        cloud: PointCloud,
+        seen: DeskewedCloud,
+        guesses: Sequence[gtsam.Pose3],
+        before: gtsam.Pose3,
+        step_s: float,
     ) -> MotionEstimate | None:
         """Pose of a cloud in the odometry frame; None where nothing fits.
 
@@ -68,8 +73,11 @@ class TurnMatcher:
             The cloud as the first guess straightens it.
         guesses, before
             See `CloudOdometry.match`.
+        step_s
+            Time since ``before``.
         """
-        motion = self._odometry.match(seen.points, guesses, before)
+        turned_rad = max(_TURN_RATE_OFFSETS_RAD_S) * step_s
+        motion = self._odometry.match(seen.points, guesses, before, turned_rad)
         if motion is None or not motion.converged:
             seen, motion = self._after_a_sudden_turn(cloud, seen, motion)
         for _ in range(_DESKEWED_TIMES):

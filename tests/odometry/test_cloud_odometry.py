@@ -112,7 +112,7 @@ def test_without_a_measured_motion_turns_are_tried(
     """About any axis, for a lidar in the hand may be held in any way."""
     truth = base(0.3, -0.2, 0.2)
     before = truth.compose(gtsam.Pose3(gtsam.Rot3.Ypr(*turned), np.array([0.2, 0.1, 0.05])))
-    motion = odometry.match(points_at(truth), [before], before)
+    motion = odometry.match(points_at(truth), [before], before, turned_rad=1.3)
     assert np.linalg.norm(error_of(motion, truth)) < 0.01
     assert motion is not None
     assert motion.converged
