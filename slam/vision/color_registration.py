@@ -187,7 +187,7 @@ def points_of_images(
     return np.column_stack([rays * z[:, None], z])
 
 
-@kernel
+@kernel(error_model="numpy")
 def _first_meetings(depth_m, starts, along, down, reach, steps, met):  # type: ignore[no-untyped-def]
     """Depths (N,) at which rays that start (at infinity) in depth pixels first meet the depth image; or 0."""
     height, width = depth_m.shape

@@ -110,6 +110,18 @@ def align(
     return fine.conclude(pose, config, converged=step < 10 * SETTLED)
 
 
+def align_features(
+    landmarks: Landmarks,
+    intrinsics: CameraIntrinsics,
+    guess: gtsam.Pose3,
+    config: RgbdOdometryConfig,
+    rounds: int,
+) -> gtsam.Pose3:
+    """``T_odom_camera`` by features alone, as `align` finds it."""
+    work = _Work.of(SurfacePoints(np.zeros((6, 0), np.float32)), landmarks)
+    return _descend(work, [], intrinsics, guess, config, rounds, SETTLED, 1.0)[0]
+
+
 def _descend(
     work: _Work,
     views: list[View],
@@ -176,11 +188,11 @@ class _Work:
     ) -> tuple[FloatArray, FloatArray]:
         """Normal equations (6, 6), (6,) of both parts, weighted by their correlations.
 
-        With the information of the surfaces, where ``informed``.
+        Where ``informed``, the surfaces' information takes the place of theirs.
         """
         self.seen[:] = 0.0
         self.point_residuals[:] = np.inf
-        sums = np.zeros((2, 6, 7))
+        sums = np.zeros((6, 7))
         gate_m, kernel = config.gate_m * slack, config.kernel_sigmas * slack
         limits = np.array([gate_m, kernel, config.depth_floor_m, config.depth_share], np.float32)
         for surface, view_pose in views:
@@ -197,7 +209,7 @@ class _Work:
                 self.point_residuals,
                 informed=informed,
             )
-        (depth_h, depth_i), depth_g = sums[:, :, :6], -sums[0, :, 6]
+        depth_h, depth_g = sums[:, :6], -sums[:, 6]
         feature_h, feature_g = np.zeros((6, 6)), np.zeros(6)
         feature_part(
             self.landmarks.points,
@@ -210,7 +222,7 @@ class _Work:
             feature_g,
             self.feature_residuals,
         )
-        self.information = (0.5 * (depth_i + depth_i.T), feature_h)
+        self.information = (0.5 * (depth_h + depth_h.T), feature_h)
         hessian = depth_h / config.correlated_points + feature_h / config.correlated_features
         gradient = depth_g / config.correlated_points + feature_g / config.correlated_features
         return hessian, gradient

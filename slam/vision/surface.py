@@ -48,11 +48,6 @@ class SurfacePoints:
         """(N, 3)."""
         return self.rows[:3].T
 
-    @property
-    def normals(self) -> Float32Array:
-        """(N, 3)."""
-        return self.rows[3:].T
-
     def every(self, step: int) -> SurfacePoints:
         """Some of them, evenly."""
         return SurfacePoints(np.ascontiguousarray(self.rows[:, ::step]))

@@ -83,8 +83,8 @@ def test_points_lie_on_the_room_and_are_as_many_as_asked(count: int) -> None:
     off_m = off_surfaces(room, in_world(found.points, pose))
     assert np.quantile(off_m, 0.9) < 0.002
     assert off_m.max() < 0.04  # where two walls meet, the plane cuts the corner
-    np.testing.assert_allclose(np.linalg.norm(found.normals, axis=1), 1.0, atol=1e-5)
-    assert (np.sum(found.normals * found.points, axis=1) < 0.0).all(), "towards the camera"
+    np.testing.assert_allclose(np.linalg.norm(found.rows[3:], axis=0), 1.0, atol=1e-5)
+    assert (np.sum(found.rows[3:] * found.rows[:3], axis=0) < 0.0).all(), "towards the camera"
 
 
 @pytest.mark.parametrize("width", [320, 200, 160, 100])
@@ -111,4 +111,4 @@ def test_points_are_the_surface_at_every_so_manyth_pixel(count: int) -> None:
     lattice[3::step, 3::step] = True
     on = lattice & (surface.planes[..., 0] > 0.0)
     np.testing.assert_array_equal(points.points[:, 2], np.float32(1.0) / surface.planes[..., 0][on])
-    np.testing.assert_array_equal(points.normals, surface.normals[on])
+    np.testing.assert_array_equal(points.rows[3:].T, surface.normals[on])
