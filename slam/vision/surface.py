@@ -31,11 +31,6 @@ class Surface:
     planes: Float32Array
     intrinsics: CameraIntrinsics
 
-    @property
-    def normals(self) -> Float32Array:
-        """(H, W, 3) unit, towards the camera, camera frame; zero where there is none."""
-        return self.planes[..., 1:]
-
 
 @dataclass(frozen=True, slots=True)
 class SurfacePoints:
