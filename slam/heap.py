@@ -8,8 +8,10 @@ import re
 from contextlib import suppress
 from pathlib import Path
 
-# What a file has put into memory and nobody has changed a page of, in /proc/self/smaps (proc_pid_smaps(5)).
-_UNCHANGED = re.compile(r"^(\w+)-(\w+) r-[x-]p \S+ \S+ \d+ +/.*\n(?:\w+: .*\n)*?Anonymous: +0 kB", re.M)
+# What of files is in memory and not this process's own, in /proc/self/smaps (proc_pid_smaps(5)).
+_UNCHANGED = re.compile(
+    r"^(\w+)-(\w+) (?:r-[x-]p|rw-s) \S+ \S+ \d+ +/.*\n(?:\w+: .*\n)*?Anonymous: +0 kB", re.M
+)
 
 # Whether nothing but a command runs in this process. Where others do, their code would have to come back
 # a stage later, and the system takes long to tell what a large process has in memory.
@@ -26,9 +28,10 @@ def give_back() -> None:
 
 
 def end_stage() -> None:
-    """`give_back`, and in an `own_process` let go of the code of libraries: the next stage calls others.
+    """`give_back`, and in an `own_process` let go of the code of libraries, and of arrays in files.
 
-    What it calls of these comes back from the system's cache of files. It takes some ten milliseconds.
+    The next stage calls others; what it asks for comes back from the system's cache of files. It takes some
+    ten milliseconds.
     """
     give_back()
     if not own_process:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ctypes
 import mmap
+import re
 import sys
 from pathlib import Path
 
@@ -11,6 +12,7 @@ import numpy as np
 import pytest
 
 from slam import heap
+from slam.spool import ArraySpool
 
 
 def _of_files_kb() -> int:
@@ -42,3 +44,13 @@ def test_what_was_changed_in_memory_stays(tmp_path: Path, monkeypatch: pytest.Mo
     protect(ctypes.c_void_p(at), ctypes.c_size_t(len(copied)), mmap.PROT_READ)  # as the linker does
     heap.end_stage()
     assert copied[10:13] == b"new"
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="elsewhere memory stays as it is")
+def test_arrays_in_files_leave_memory_and_come_back(monkeypatch: pytest.MonkeyPatch) -> None:
+    kept = ArraySpool().keep(np.arange(1 << 20))
+    monkeypatch.setattr(heap, "own_process", True)
+    heap.end_stage()
+    there = rf"^{kept.ctypes.data:x}-.*\n(?:\w+: .*\n)*?Rss: +0 kB"
+    assert re.search(there, Path("/proc/self/smaps").read_text(), re.M)
+    assert (kept == np.arange(1 << 20)).all()

@@ -142,7 +142,7 @@ def depth_of(
 
 def metres_of(steps: NDArray[Any], calibration: Calibration) -> Float32Array:
     """Metres of what a camera wrote; its codes for "no reading" become 0."""
-    for code in calibration.invalid_codes:
+    for code in filter(None, calibration.invalid_codes):
         steps[steps == code] = 0
     # Divided, not multiplied: 4020 / 5000 then is the float nearest to 0.804.
     depth_m: Float32Array = np.divide(steps, calibration.depth_steps_per_m, dtype=np.float32)

@@ -9,6 +9,7 @@ import numpy as np
 from fusion.estimation import gate
 from slam.config import Config
 from slam.graph.influence import all_edges, elimination_order, influences
+from slam.heap import give_back
 from slam.storage.map_contents import MapContents
 
 
@@ -23,6 +24,7 @@ def what_if_data(found: MapContents, config: Config) -> dict[str, Any]:
     kept = [factor.kept for factor in found.factors] + [False] * (len(edges) - len(factors))
     size = 3 if found.planar else 6
     told = influences(found.node_poses, edges, kept)
+    give_back()
     return {
         "influence": {
             "edge": told.edges.astype(np.int32),

@@ -10,6 +10,7 @@ import numpy as np
 
 from slam.graph.edge import Edge
 from slam.graph.factors import between_factor, gauge
+from slam.heap import give_back
 from slam.measurements import FloatArray, Pose
 
 
@@ -42,7 +43,10 @@ def marginals(poses: Sequence[Pose], edges: Iterable[Edge]) -> FloatArray:
         return gtsam.GaussianConditional(0, nothing, np.diag(nothing)), rest
 
     graph, values = held_graph(poses, edges)
-    graph.linearize(values).eliminateMultifrontal(None, eliminate)
+    linear = graph.linearize(values)
+    del graph, values  # as large as what comes now
+    give_back()
+    linear.eliminateMultifrontal(None, eliminate)
     size = 3 if isinstance(poses[0], gtsam.Pose2) else 6
     found, above = np.empty((len(poses), size, size)), dict[int, int]()
     clique_of = {key: n for n, (keys, root, _) in enumerate(told) for key in keys[: len(root) // size]}

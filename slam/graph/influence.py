@@ -30,6 +30,7 @@ from slam.errors import GraphError
 from slam.graph.edge import Edge
 from slam.graph.held_graph import held_graph
 from slam.graph.loop_candidate import LoopCandidate
+from slam.heap import end_stage, give_back
 from slam.measurements import BoolArray, FloatArray, Pose
 
 if TYPE_CHECKING:
@@ -84,7 +85,9 @@ class LinearMap:
         self._size = 3 if self._planar else 6
         self._kept = np.array(kept, np.bool_)
         self._jacobian, self._residuals = linearized(poses, edges)
+        give_back()
         self._factor = _Factor(self._jacobian[np.repeat(self._kept, self._size)])
+        end_stage()
         # One step to the very solution: optimisers stop a little before.
         self._residuals += self._jacobian @ self.step()
 
@@ -94,7 +97,7 @@ class LinearMap:
         gradient = self._jacobian[rows].T @ self._residuals[rows]
         return -self._factor.solve(gradient)
 
-    def influences(self, asked: Sequence[int] | NDArray[np.int64], together: int = 32) -> Influences:
+    def influences(self, asked: Sequence[int] | NDArray[np.int64], together: int = 24) -> Influences:
         """Of these edges, or of those of each row if switched together; so many at a time pass the factor."""
         sets = np.array(asked, np.int64)
         found = [self._switched(sets[first : first + together]) for first in range(0, len(sets), together)]

@@ -26,6 +26,7 @@ from slam.graph.loop_candidate import LoopCandidate
 from slam.graph.loop_closure import LoopCloser, position_sigmas
 from slam.graph.relative_uncertainty import UncertaintyGraph
 from slam.graph.stretches import Stretches
+from slam.heap import end_stage, give_back
 from slam.matching.motion import Motion
 from slam.matching.planar import between
 from slam.measurements import BoolArray, FloatArray
@@ -94,7 +95,11 @@ class PlaceSearch:
         settings, sparse = (self._submaps, self._config, self._match), self._submaps.sparse
         if self._stretches is None and sparse:
             self._submaps.lay(poses, [key + 1 for key in np.flatnonzero(faulty.unseen).tolist()])
-        stretches = self._stretches = self._stretches or Stretches(*settings)
+        if self._stretches is None:
+            give_back()
+            self._stretches = Stretches(*settings)
+            end_stage()  # they have looked at all scans
+        stretches = self._stretches
         if sparse:
             self._followed = self._followed or FollowedClaims(*settings, stretches.window_m)
             return self._follow(stretches, self._followed, poses, faulty, loops)

@@ -19,6 +19,7 @@ from slam.errors import GraphError
 from slam.graph.edge import Edge, EdgeKind
 from slam.graph.factors import between_factor, gauge, mapping_noise, prior, solved, weighted
 from slam.graph.gravity import gravity_factors, heading_alone, upright_poses
+from slam.heap import give_back
 from slam.matching.upright import Gravity
 from slam.measurements import BoolArray, FloatArray, Pose
 
@@ -181,6 +182,7 @@ class PoseGraph:
         # A few steps bring a map that was solved before up to date.
         self._estimate = solved(graph, self._estimate, most_steps=3 if held else 100)
         self._isam, self._held = None, held
+        give_back()
         self._pending = gtsam.NonlinearFactorGraph() if held else graph
         self._pending_values = gtsam.Values() if held else gtsam.Values(self._estimate)
 
@@ -204,7 +206,8 @@ class PoseGraph:
             found, self._estimate = (other, self._estimate) if other.cost < found.cost else (found, ended)
         self._kept = found.kept.copy()
         # As large as the map, and rarely asked again.
-        self._isam = None
+        self._isam, self._moved = None, gtsam.Values()
+        give_back()
         return found
 
     def _decided(self, inlier_probability: float) -> BatchResult:

@@ -14,6 +14,7 @@ from slam.graph.keyframe_graph import KeyframeGraph
 from slam.graph.loop_candidate import LoopCandidate
 from slam.graph.pose_covariances import pose_covariances
 from slam.graph.pose_graph import BatchResult
+from slam.heap import end_stage, give_back
 from slam.mapper.anchoring import Way
 from slam.mapper.gnss import GnssAnchors
 from slam.mapper.map_result import MapResult
@@ -133,7 +134,10 @@ class Mapper:
         result.stage_seconds["final optimisation"] = clock[1] - clock[0]
         front_end.complete(result)
         clock.append(time.perf_counter())
-        covariances = self._covariances(result.map, *told())
+        end_stage()
+        of_keyframes = told()
+        give_back()
+        covariances = self._covariances(result.map, *of_keyframes)
         result.map = replace(result.map, covariances=covariances)
         result.stage_seconds["map"] = clock[2] - clock[1] - result.stage_seconds.get("fusion", 0.0)
         result.stage_seconds["full trajectory"] = time.perf_counter() - clock[2]

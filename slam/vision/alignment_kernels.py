@@ -49,7 +49,7 @@ def surface_part(
     room
         By `room_for_points`.
     sums
-        (2, 6, 7) Hessian and residual's gradient; if ``informed``, the information and a column of no use.
+        (6, 7) Hessian and residual's gradient; if ``informed``, the information and a column of no use.
     seen, residuals
         (N,) 1 where any view has a surface; least residual in standard deviations.
     """
@@ -78,12 +78,13 @@ def _surface_part(  # type: ignore[no-untyped-def]
         part = seen[first:end], residuals[first:end]
         _judge(m[8], m[9], m[10], m[11], m[12], met, camera, limits, m[6], m[7], *part)
         _moment(px, py, pz, m[3], m[4], m[5], m[0], m[1], m[2])
-        for a in range(6):
-            _add_up(m[7], m[a], m[0], m[1], m[2], m[3], m[4], m[5], m[6], px.size, sums[0, a])
         if informed:
             _moment(px, py, pz, ox, oy, oz, m[8], m[9], m[10])
             for a in range(6):
-                _add_up(m[7], m[a], m[8], m[9], m[10], ox, oy, oz, m[6], px.size, sums[1, a])
+                _add_up(m[7], m[a], m[8], m[9], m[10], ox, oy, oz, m[6], px.size, sums[a])
+        else:
+            for a in range(6):
+                _add_up(m[7], m[a], m[0], m[1], m[2], m[3], m[4], m[5], m[6], px.size, sums[a])
 
 
 @kernel(nogil=True, error_model="numpy")

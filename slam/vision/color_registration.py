@@ -187,7 +187,7 @@ def points_of_images(
     return np.column_stack([rays * z[:, None], z])
 
 
-@kernel
+@kernel(error_model="numpy")
 def _first_meetings(depth_m, starts, along, down, reach, steps, met):  # type: ignore[no-untyped-def]
     """Depths (N,) at which rays that start (at infinity) in depth pixels first meet the depth image; or 0."""
     height, width = depth_m.shape
@@ -196,8 +196,8 @@ def _first_meetings(depth_m, starts, along, down, reach, steps, met):  # type: i
         column = starts[i, 0]
         row = starts[i, 1]
         for step in range(steps, -1, -1):
-            c = math.floor(column + right * step + 0.5)
-            r = math.floor(row + below * step + 0.5)
+            c = int(np.floor(column + right * step + 0.5))
+            r = int(np.floor(row + below * step + 0.5))
             if c < 0 or r < 0 or c >= width or r >= height:
                 continue
             z = np.float64(depth_m[r, c])
@@ -212,8 +212,8 @@ def _first_meetings(depth_m, starts, along, down, reach, steps, met):  # type: i
 @kernel(inline="always")
 def _surface_reading(depth_m, column, row):  # type: ignore[no-untyped-def]
     """Mean of the up to four readings around, by nearness; on a rim, the nearest of them; 0 without any."""
-    left = math.floor(column)
-    top = math.floor(row)
+    left = int(np.floor(column))
+    top = int(np.floor(row))
     total = weights = farthest = 0.0
     nearest = math.inf
     for r in range(top, top + 2):
@@ -259,8 +259,8 @@ def _buffer_depths(columns, rows, depth_m, buffer, visible):  # type: ignore[no-
     for r in range(depth_m.shape[0]):
         for c in range(depth_m.shape[1]):
             z = depth_m[r, c]
-            left = math.floor(columns[r, c])
-            top = math.floor(rows[r, c])
+            left = int(np.floor(columns[r, c]))
+            top = int(np.floor(rows[r, c]))
             if z > 0.0 and left >= 0 and top >= 0 and left < width - 1 and top < height - 1:
                 for y in range(top, top + 2):
                     for x in range(left, left + 2):
@@ -268,7 +268,7 @@ def _buffer_depths(columns, rows, depth_m, buffer, visible):  # type: ignore[no-
                             buffer[y, x] = z
     for r in range(depth_m.shape[0]):
         for c in range(depth_m.shape[1]):
-            x = math.floor(columns[r, c] + 0.5)
-            y = math.floor(rows[r, c] + 0.5)
+            x = int(np.floor(columns[r, c] + 0.5))
+            y = int(np.floor(rows[r, c] + 0.5))
             if depth_m[r, c] > 0.0 and x >= 0 and y >= 0 and x < width and y < height:
                 visible[r, c] = depth_m[r, c] <= (1.0 + _HIDING_SHARE) * buffer[y, x]

@@ -27,7 +27,7 @@ def settle_motions(
     camera: FloatArray,
     scale_px: float,
     iterations: int,
-) -> FloatArray:
+) -> tuple[FloatArray, FloatArray]:
     """Gauss-Newton on the reprojection errors of each pair, both ways, with the kernel of Geman and McClure.
 
     Parameters
@@ -49,28 +49,34 @@ def settle_motions(
     -------
     poses
         (P, 3, 4) settled.
+    errors
+        (N, 2) squared reprojection errors in pixels, a seen in b and b seen in a; NaN without a point.
     """
     points, pixels = np.stack([points_a, points_b]), np.stack([pixels_b, pixels_a])
     settled, diagonal = poses.copy(), np.arange(6)
-    rows = np.zeros((len(points_a), 4, 7))
-    for _ in range(iterations):
+    rows, errors = np.zeros((len(points_a), 4, 7)), np.empty((len(points_a), 2))
+    for left in range(iterations, -1, -1):
         turns, shifts = settled[:, :, :3], settled[:, :, 3:]
         back = turns.transpose(0, 2, 1)
         there = np.stack([settled, np.concatenate([back, -back @ shifts], axis=2)])
         # Turned into b, the derivatives by a point of b have the other sign.
         into_b = np.stack([np.broadcast_to(np.eye(3), turns.shape), -turns])
-        _linearize(points, pixels, starts, there, into_b, camera, scale_px * scale_px, rows)
+        _linearize(points, pixels, starts, there, into_b, camera, scale_px * scale_px, rows, errors)
+        if not left:
+            break
         blocks = [rows[first:end].reshape(-1, 7) for first, end in pairwise(starts)]
         sums = np.array([block[:, :6].T @ block for block in blocks])
         hessians, gradients = sums[:, :, :6], sums[:, :, 6:]
         hessians[:, diagonal, diagonal] += _DAMPING * (1.0 + hessians[:, diagonal, diagonal])
         steps = np.asarray(np.linalg.solve(hessians, gradients)[:, :, 0], np.float64)
         settled = _moved(settled, -steps)
-    return settled
+    return settled, errors
 
 
-@kernel
-def _linearize(points, pixels, starts, poses, into_b, camera, squared_scale, rows):  # type: ignore[no-untyped-def]
+@kernel(error_model="numpy")
+def _linearize(  # type: ignore[no-untyped-def]
+    points, pixels, starts, poses, into_b, camera, squared_scale, rows, errors
+):
     """The weighted derivatives and errors, ``rows`` (N, 4, 7): of x and y, of a point of a and of one of b.
 
     The points (2, N, 3) of a and of b are taken by ``poses`` (2, P, 3, 4) into the other camera, where they
@@ -86,11 +92,13 @@ def _linearize(points, pixels, starts, poses, into_b, camera, squared_scale, row
                 z = T[2, 0] * px + T[2, 1] * py + T[2, 2] * pz + T[2, 3]
                 if pz <= 0.0 or z <= 0.0:
                     rows[i, 2 * side : 2 * side + 2] = 0.0
+                    errors[i, side] = np.nan
                     continue
                 du = camera[0] * x / z + camera[2] - pixels[side, i, 0]
                 dv = camera[1] * y / z + camera[3] - pixels[side, i, 1]
+                errors[i, side] = du * du + dv * dv
                 # Geman and McClure.
-                share = squared_scale / (squared_scale + du * du + dv * dv)
+                share = squared_scale / (squared_scale + errors[i, side])
                 miss, along = du, x
                 # What moves is the point in b.
                 if side == 0:
@@ -108,25 +116,6 @@ def _linearize(points, pixels, starts, poses, into_b, camera, squared_scale, row
                     row[5] = px * b - py * a
                     row[6] = share * miss
                     miss, along = dv, y
-
-
-def squared_errors(
-    points_a: FloatArray,
-    points_b: FloatArray,
-    pixels_a: FloatArray,
-    pixels_b: FloatArray,
-    starts: IntArray,
-    poses: FloatArray,
-    camera: FloatArray,
-) -> FloatArray:
-    """(N, 2) squared reprojection errors in pixels, a seen in b and b seen in a; NaN without a point."""
-    turns = poses[:, :, :3].transpose(0, 2, 1)
-    back = np.concatenate([turns, -turns @ poses[:, :, 3:]], axis=2)
-    there = np.repeat(np.stack([poses, back]), np.diff(starts), axis=1)
-    points, pixels = np.stack([points_a, points_b]), np.stack([pixels_b, pixels_a])
-    moved = np.einsum("snij,snj->sni", there[..., :3], points) + there[..., 3]
-    z = np.where((points[..., 2:] > 0.0) & (moved[..., 2:] > 0.0), moved[..., 2:], np.nan)
-    return np.asarray(((camera[:2] * moved[..., :2] / z + camera[2:] - pixels) ** 2).sum(axis=2).T)
 
 
 def _moved(poses: FloatArray, steps: FloatArray) -> FloatArray:

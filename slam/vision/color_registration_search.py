@@ -16,7 +16,7 @@ from fusion.curves import NEAREST_M
 from fusion.estimation import FEWEST, ROUNDS
 from slam.measurements import AnyFloatArray, BoolArray, CameraIntrinsics, Float32Array, FloatArray
 from slam.vision.color_registration import camera_row, points_of_images, points_of_pixels
-from slam.vision.color_registration_kernels import IntArray, settle_motions, squared_errors
+from slam.vision.color_registration_kernels import IntArray, settle_motions
 
 # Error of a true match; at it a match has half its greatest loss.
 MATCH_PX = 2.0
@@ -181,8 +181,7 @@ def settle(
         for side, pixels in enumerate((problem.pixels_a, problem.pixels_b))
     )
     data = (of_a, of_b, problem.pixels_a, problem.pixels_b, problem.starts)
-    settled = settle_motions(*data, poses, cameras[:4], MATCH_PX, iterations)
-    return settled, squared_errors(*data, settled, cameras[:4])
+    return settle_motions(*data, poses, cameras[:4], MATCH_PX, iterations)
 
 
 def robust_loss(errors: FloatArray) -> FloatArray:

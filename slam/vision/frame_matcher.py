@@ -12,7 +12,7 @@ from slam.measurements import CameraIntrinsics, FloatArray
 from slam.vision.feature_pose import pose_from_features
 from slam.vision.features import Features, Matches, match_features
 from slam.vision.guided_matching import match_near
-from slam.vision.joint_alignment import JointAlignment, Landmarks, View, align
+from slam.vision.joint_alignment import JointAlignment, Landmarks, View, align, align_features
 from slam.vision.prepared_frame import PreparedFrame
 from slam.vision.visual_match import VisualKeyframe, VisualMatch, covariance_of
 
@@ -37,7 +37,7 @@ class FrameMatcher:
             landmarks = self._landmarks(frame, known)
         best = self._align(frame, local, landmarks, guess, self._match.coarse_iterations)
         least = self._match.confident_inlier_share
-        unlike = self._support(best, landmarks, frame) < least * len(landmarks.points)
+        unlike = self._support(best.pose, landmarks, frame) < least * len(landmarks.points)
         if unlike or self._share(best) < least or not best.converged:
             landmarks = landmarks if anywhere else self._landmarks(frame, known)
             best = self._better(best, self._by_features(frame, local, landmarks), landmarks, frame)
@@ -51,20 +51,20 @@ class FrameMatcher:
         Who walks before the camera takes along surfaces, which fit somewhere between; no features do.
         """
         config, k = self._config, frame.frame.intrinsics
-        alone = align(frame.points, [], landmarks, k, best.pose, config, (0, self._match.iterations))
-        if np.linalg.norm(best.pose.between(alone.pose).translation()) < config.gate_m:
+        alone = align_features(landmarks, k, best.pose, config, self._match.iterations)
+        if np.linalg.norm(best.pose.between(alone).translation()) < config.gate_m:
             return best
-        gain = self._support(alone, landmarks, frame) - self._support(best, landmarks, frame)
+        gain = self._support(alone, landmarks, frame) - self._support(best.pose, landmarks, frame)
         if 2 * config.kernel_sigmas**2 * gain / config.correlated_features < gate(6):
             return best
-        return self._better(best, [self._align(frame, local, landmarks, alone.pose, 0)], landmarks, frame)
+        return self._better(best, [self._align(frame, local, landmarks, alone, 0)], landmarks, frame)
 
     def _better(
         self, best: JointAlignment, others: list[JointAlignment], landmarks: Landmarks, frame: PreparedFrame
     ) -> JointAlignment:
         """The one that most features agree with, of others that are a match."""
         held = [one for one in others if self._judge(one) is not None]
-        return max([best, *held], key=lambda one: self._support(one, landmarks, frame))
+        return max([best, *held], key=lambda one: self._support(one.pose, landmarks, frame))
 
     def match_anywhere(self, frame: PreparedFrame, local: list[VisualKeyframe]) -> VisualMatch | None:
         """Pose of the frame's camera without a guess, or None where too few features agree."""
@@ -86,9 +86,9 @@ class FrameMatcher:
             return []
         return [self._align(frame, local, landmarks, found.T_reference_camera, 0)]
 
-    def _support(self, one: JointAlignment, landmarks: Landmarks, frame: PreparedFrame) -> float:
-        """How many features agree with an alignment, each as far as it does (Geman and McClure)."""
-        off_px = project(landmarks.points, one.pose.inverse(), frame.frame.intrinsics) - landmarks.pixels
+    def _support(self, pose: gtsam.Pose3, landmarks: Landmarks, frame: PreparedFrame) -> float:
+        """How many features agree with a pose, each as far as it does (Geman and McClure)."""
+        off_px = project(landmarks.points, pose.inverse(), frame.frame.intrinsics) - landmarks.pixels
         sigmas = np.linalg.norm(off_px, axis=1) / (np.sqrt(2.0) * landmarks.sigma_px)
         return float(np.nansum(1.0 / (1.0 + (sigmas / self._config.kernel_sigmas) ** 2)))
 

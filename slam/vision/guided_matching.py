@@ -68,16 +68,17 @@ def _within_reach(
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """Spans (N, 3, 2) of features that may lie within a radius of each place, and the order that they mean.
 
-    They are ordered by bands of rows, as high as the radius, and by column within; three bands are in reach.
+    They are ordered by cells as wide as the radius, with empty ones around; three rows of three are in reach.
     """
     reach = radius_px + 1.0  # a pixel more, for what rounds; the radius itself decides
-    widest = float(pixels[:, 0].max())
-    stride = widest + 2.0 * reach + 1.0
-    along = np.floor(pixels[:, 1].astype(np.float64) / reach) * stride + pixels[:, 0]
-    order = np.argsort(along, kind="stable")
-    middle = np.floor(expected_px[:, 1] / reach) * stride + expected_px[:, 0].clip(0.0, widest)
-    ends = middle[:, None, None] + stride * np.arange(-1, 2)[:, None] + np.array([-reach, reach])
-    return np.searchsorted(along[order], ends), order
+    last = np.floor([side.max() / reach for side in pixels.T])
+    # What is not in sight, NaN, is at the rim.
+    cells = [np.fmax(np.fmin(np.floor(side / reach), last + 1.0), -1.0) for side in (pixels, expected_px)]
+    columns, rows = (int(side) + 6 for side in last)
+    seen, middle = ((side.astype(np.int64) + 3) @ (1, columns) for side in cells)
+    up_to = np.cumsum(np.bincount(seen, minlength=rows * columns))
+    ends = np.add.outer(middle, np.add.outer([-columns, 0, columns], [-2, 1]).ravel())
+    return up_to[ends].reshape(-1, 3, 2), np.argsort(seen, kind="stable")
 
 
 @kernel(nogil=True)

@@ -10,11 +10,10 @@ from typing import NamedTuple
 
 import gtsam
 import numpy as np
-from numpy.typing import NDArray
 
 from fusion.estimation import FEWEST, SETTLED, TINY, median_to_sigma
 from slam.config.stages import RgbdOdometryConfig
-from slam.measurements import AnyFloatArray, CameraIntrinsics, Float32Array, FloatArray
+from slam.measurements import AnyFloatArray, CameraIntrinsics, FloatArray
 from slam.vision.alignment_kernels import feature_part, room_for_points, surface_part
 from slam.vision.surface import Surface, SurfacePoints
 
@@ -102,12 +101,24 @@ def align(
         Gauss-Newton steps at most: with everything four times as tolerant, and then.
     """
     # A few points lead near; all of them are asked for the last millimetres.
-    coarse = _Work.of(points.every(_THINNED), landmarks)
+    coarse = _Work(points.every(_THINNED), landmarks)
     near, _ = _descend(coarse, views, intrinsics, guess, config, rounds[0], 10 * SETTLED, 4.0)
-    fine = _Work.of(points, landmarks)
+    fine = _Work(points, landmarks)
     pose, step = _descend(fine, views, intrinsics, near, config, rounds[1], SETTLED, 1.0)
     fine.linearize(views, intrinsics, pose, config, 1.0, informed=True)
     return fine.conclude(pose, config, converged=step < 10 * SETTLED)
+
+
+def align_features(
+    landmarks: Landmarks,
+    intrinsics: CameraIntrinsics,
+    guess: gtsam.Pose3,
+    config: RgbdOdometryConfig,
+    rounds: int,
+) -> gtsam.Pose3:
+    """``T_odom_camera`` by features alone, as `align` finds it."""
+    work = _Work(SurfacePoints(np.zeros((6, 0), np.float32)), landmarks)
+    return _descend(work, [], intrinsics, guess, config, rounds, SETTLED, 1.0)[0]
 
 
 def _descend(
@@ -138,31 +149,15 @@ def _descend(
     return pose, length
 
 
-@dataclass(slots=True)
 class _Work:
     """Residuals and information of either part at one linearisation, kept to be judged after the last."""
 
-    points: SurfacePoints
-    landmarks: Landmarks
-    room: tuple[Float32Array, NDArray[np.int32]]
-    point_residuals: Float32Array
-    seen: Float32Array
-    feature_residuals: FloatArray
-    information: tuple[FloatArray, FloatArray]
-
-    @classmethod
-    def of(cls, points: SurfacePoints, landmarks: Landmarks) -> _Work:
-        count = len(points)
-        zeros = np.zeros((6, 6))
-        return cls(
-            points,
-            landmarks,
-            room_for_points(),
-            np.full(count, np.inf, np.float32),
-            np.zeros(count, np.float32),
-            np.full(len(landmarks.points), np.inf),
-            (zeros, zeros),
-        )
+    def __init__(self, points: SurfacePoints, landmarks: Landmarks) -> None:
+        self.points, self.landmarks, self.room = points, landmarks, room_for_points()
+        self.point_residuals = np.full(len(points), np.inf, np.float32)
+        self.seen = np.zeros(len(points), np.float32)
+        self.feature_residuals = np.full(len(landmarks.points), np.inf)
+        self.information = np.zeros((6, 6)), np.zeros((6, 6))
 
     def linearize(
         self,
@@ -176,11 +171,11 @@ class _Work:
     ) -> tuple[FloatArray, FloatArray]:
         """Normal equations (6, 6), (6,) of both parts, weighted by their correlations.
 
-        With the information of the surfaces, where ``informed``.
+        Where ``informed``, the surfaces' information takes the place of theirs.
         """
         self.seen[:] = 0.0
         self.point_residuals[:] = np.inf
-        sums = np.zeros((2, 6, 7))
+        sums = np.zeros((6, 7))
         gate_m, kernel = config.gate_m * slack, config.kernel_sigmas * slack
         limits = np.array([gate_m, kernel, config.depth_floor_m, config.depth_share], np.float32)
         for surface, view_pose in views:
@@ -197,7 +192,7 @@ class _Work:
                 self.point_residuals,
                 informed=informed,
             )
-        (depth_h, depth_i), depth_g = sums[:, :, :6], -sums[0, :, 6]
+        depth_h, depth_g = sums[:, :6], -sums[:, 6]
         feature_h, feature_g = np.zeros((6, 6)), np.zeros(6)
         feature_part(
             self.landmarks.points,
@@ -210,7 +205,7 @@ class _Work:
             feature_g,
             self.feature_residuals,
         )
-        self.information = (0.5 * (depth_i + depth_i.T), feature_h)
+        self.information = (0.5 * (depth_h + depth_h.T), feature_h)
         hessian = depth_h / config.correlated_points + feature_h / config.correlated_features
         gradient = depth_g / config.correlated_points + feature_g / config.correlated_features
         return hessian, gradient

@@ -31,11 +31,6 @@ class Surface:
     planes: Float32Array
     intrinsics: CameraIntrinsics
 
-    @property
-    def normals(self) -> Float32Array:
-        """(H, W, 3) unit, towards the camera, camera frame; zero where there is none."""
-        return self.planes[..., 1:]
-
 
 @dataclass(frozen=True, slots=True)
 class SurfacePoints:
@@ -47,11 +42,6 @@ class SurfacePoints:
     def points(self) -> Float32Array:
         """(N, 3)."""
         return self.rows[:3].T
-
-    @property
-    def normals(self) -> Float32Array:
-        """(N, 3)."""
-        return self.rows[3:].T
 
     def every(self, step: int) -> SurfacePoints:
         """Some of them, evenly."""

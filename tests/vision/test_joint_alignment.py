@@ -114,18 +114,19 @@ def test_the_derivative_of_point_to_plane(seed: int) -> None:
     inverse = (rays @ normal / (2.0 * normal[2]))[..., None]
     planes = np.concatenate([inverse, np.broadcast_to(normal, rays.shape)], axis=-1)
     sums, residuals = np.zeros((2, 6, 7)), np.full(1, np.inf, np.float32)
-    surface_part(
-        np.concatenate([point, pose.rotation().matrix().T @ normal])[:, None].astype(np.float32),
-        pose.matrix(),
-        planes.astype(np.float32),
-        np.array([*CAMERA, 160, 120], np.float32),
-        np.array([1.0, 1e9, 1.0, 0.0], np.float32),
-        room_for_points(),
-        sums,
-        np.zeros(1, np.float32),
-        residuals,
-        informed=True,
-    )
+    for informed in (False, True):
+        surface_part(
+            np.concatenate([point, pose.rotation().matrix().T @ normal])[:, None].astype(np.float32),
+            pose.matrix(),
+            planes.astype(np.float32),
+            np.array([*CAMERA, 160, 120], np.float32),
+            np.array([1.0, 1e9, 1.0, 0.0], np.float32),
+            room_for_points(),
+            sums[int(informed)],
+            np.zeros(1, np.float32),
+            residuals,
+            informed=informed,
+        )
     (hessian, information), gradient = sums[:, :, :6], -sums[0, :, 6]
 
     def residual(tangent: FloatArray) -> float:
