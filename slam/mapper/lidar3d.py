@@ -248,19 +248,15 @@ class CloudLidar:
 
     def _doubts(self) -> list[str]:
         """A warning of ways that nothing has seen, and where clouds fitted the map only in part."""
-        unseen = []
+        doubts, count = list[str](), f"{self._doubtful:,} of {self._matched:,} clouds"
         if self._unseen:
-            unseen = [
+            doubts.append(
                 f"nothing saw the way of about {', '.join(self._unseen)}: how what follows lies to what was "
                 "before rests on loops or GNSS, and is wrong where those are"
-            ]
-        if self._doubtful <= _MOST_DOUBTFUL * self._matched:
-            return unseen
-        return [
-            *unseen,
-            f"{self._doubtful:,} of {self._matched:,} clouds fit only in part; their motions count as "
-            f"uncertain",
-        ]
+            )
+        if self._doubtful > _MOST_DOUBTFUL * self._matched:
+            doubts.append(f"{count} fit only in part; their motions count as uncertain")
+        return doubts
 
     def _draw_plan(self, result: MapResult) -> None:
         """The flat scan of each keyframe, and the grids."""

@@ -175,7 +175,8 @@ def motion_of(alignment: CloudAlignment, config: Config, guess: gtsam.Pose3) -> 
     lever = levers(alignment.arms_m)
     turns = np.linalg.inv(lever)
     values, vectors = np.linalg.eigh(turns @ alignment.hessian @ turns)
-    weak = vectors[:, values < 0.5 * config.match.degenerate_share * max(alignment.weight, 1.0)]
+    ways = np.sum(np.square(vectors[3:]), axis=0)
+    weak = vectors[:, values < 0.5 * config.match.degenerate_share * max(alignment.weight, 1.0) * ways]
     least_m = config.match.minimal_residual_m
     scale = max(alignment.residual_m, least_m) if np.isfinite(alignment.residual_m) else 1.0
     # Points that fit nothing are a doubt about all the others.

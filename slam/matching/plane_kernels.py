@@ -136,8 +136,11 @@ def across(xx, xy, xz, yy, yz, zz):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def fit_planes(keys, sums, sizes, thickness_m, marks, touched, flat, planes):  # type: ignore[no-untyped-def]
-    """Whether each touched voxel holds a plane, its center and normal (V, 6); their marks are taken off."""
+def fit_planes(keys, sums, sizes, thickness_m, lidar, least_sine, marks, touched, flat, planes):  # type: ignore[no-untyped-def]
+    """Whether each touched voxel holds a plane, its center and normal (V, 6); their marks are taken off.
+
+    A ring that meets several walls is flat, but goes where the lidar goes: planes along its rays are none.
+    """
     for n in range(touched.shape[0]):
         i = touched[n]
         marks[i] = False
@@ -158,17 +161,22 @@ def fit_planes(keys, sums, sizes, thickness_m, marks, touched, flat, planes):  #
             sums[i, 9] / count - z * z,
         )
         extent_m = _LEAST_EXTENT * size_m
-        flat[i] = (
-            least < thickness_m * thickness_m
-            and middle > extent_m * extent_m
-            and middle > _LEAST_FLATNESS * least
-        )
         planes[i, 0] = x + (((keys[i] >> 2 * AXIS_BITS) & AXIS) - HALF) * size_m
         planes[i, 1] = y + (((keys[i] >> AXIS_BITS) & AXIS) - HALF) * size_m
         planes[i, 2] = z + ((keys[i] & AXIS) - HALF) * size_m
         planes[i, 3] = nx
         planes[i, 4] = ny
         planes[i, 5] = nz
+        x = planes[i, 0] - lidar[0]
+        y = planes[i, 1] - lidar[1]
+        z = planes[i, 2] - lidar[2]
+        least_m = least_sine * math.sqrt(x * x + y * y + z * z)
+        flat[i] = (
+            least < thickness_m * thickness_m
+            and middle > extent_m * extent_m
+            and middle > _LEAST_FLATNESS * least
+            and abs(x * nx + y * ny + z * nz) >= least_m
+        )
 
 
 @kernel

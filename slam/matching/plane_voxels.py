@@ -22,7 +22,7 @@ from slam.matching.plane_kernels import (
 )
 from slam.measurements import BoolArray, FloatArray
 
-_SIZES = np.array([4.0, 2.0, 1.0])
+SIZES = np.array([4.0, 2.0, 1.0])
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,10 +71,12 @@ class PlaneVoxels:
         Side of the smallest voxels.
     thickness_m
         Standard deviation across a plane, at most.
+    least_sine
+        Of the angle between a plane and the ray that tells it, by where a cloud was seen from.
     """
 
-    def __init__(self, voxel_m: float, thickness_m: float) -> None:
-        self._sizes_m, self._thickness_m = _SIZES * voxel_m, thickness_m
+    def __init__(self, voxel_m: float, thickness_m: float, least_sine: float = 0.0) -> None:
+        self._sizes_m, self._thickness_m, self._least_sine = SIZES * voxel_m, thickness_m, least_sine
         self._count, self._table = 0, table_for(1)
         self._keys, self._sums = np.empty(1, np.int64), np.empty((1, 10))
         self._flat, self._marks = np.zeros(1, np.bool_), np.zeros(1, np.bool_)
@@ -90,8 +92,10 @@ class PlaneVoxels:
     def __len__(self) -> int:
         return int(np.count_nonzero(self._flat[: self._count]))
 
-    def add(self, points: FloatArray, gone: FloatArray | None = None) -> None:
-        """Count a cloud (N, 3) in and another out that was counted in, and fit what they touch anew."""
+    def add(
+        self, points: FloatArray, gone: FloatArray | None = None, lidar: FloatArray | None = None
+    ) -> None:
+        """Count a cloud (N, 3), seen from (3,), in and another out, and fit what they touch anew."""
         points = np.ascontiguousarray(points, dtype=np.float64)
         gone = np.empty((0, 3)) if gone is None else np.ascontiguousarray(gone, dtype=np.float64)
         touched = np.empty((len(points) + len(gone)) * len(self._sizes_m), np.int64)
@@ -108,6 +112,8 @@ class PlaneVoxels:
             self._sums,
             self._sizes_m,
             self._thickness_m,
+            np.zeros(3) if lidar is None else lidar,
+            self._least_sine,
             self._marks,
             touched[:changed],
             self._flat,

@@ -15,6 +15,7 @@ from slam.estimates import MotionEstimate
 from slam.matching.cloud_alignment import levers
 from slam.matching.cloud_points import thinned
 from slam.matching.local_cloud import REACH, Aligned, LocalCloud, moved
+from slam.matching.plane_voxels import SIZES, PlaneVoxels
 from slam.measurements import FloatArray
 
 # This share of the points on planes is nearly as many; of what is expected a smaller one is no match at all.
@@ -35,31 +36,30 @@ class CloudOdometry:
 
     def __init__(self, config: Config, voxel_m: float) -> None:
         self._config, self._voxel_m = config, voxel_m
-        self._newest: deque[FloatArray] = deque()  # clouds that the map's planes hold
-        self._map: LocalCloud | None = None
         self._expected = 0.0
-        self._known: deque[float] = deque(maxlen=_KNOWN_KEYFRAMES)
+        self.restart()
 
     def restart(self) -> None:
         """Forget the local map."""
-        self._newest.clear()
-        self._map = None
-        self._known.clear()
+        self._newest: deque[FloatArray] = deque()  # clouds that the map's planes hold
+        self._known: deque[float] = deque(maxlen=_KNOWN_KEYFRAMES)
+        turns = self._config.cloud_odometry
+        # A ray that stays within a plane's thickness right across the largest voxel is along it.
+        least_sine = turns.thickness_m / (SIZES[0] * turns.greatest_voxel_m)
+        planes = PlaneVoxels(self._voxel_m, turns.thickness_m, least_sine)
+        self._map = LocalCloud(planes, self._voxel_m, self._config)
 
-    def add_keyframe(self, points: FloatArray, pose: gtsam.Pose3) -> None:
-        """Take points (N, 3), base frame, at ``T_odom_base`` into the local map."""
+    def add_keyframe(self, points: FloatArray, pose: gtsam.Pose3, lidar_base: FloatArray) -> None:
+        """Take points (N, 3), seen from (3,), both base frame, at ``T_odom_base`` into the local map."""
         if not len(points):
             return
         half = thinned(points, 0.5 * self._voxel_m)
         scan = thinned(half, self._voxel_m)  # the same points as of the whole cloud
-        before = self._agreement(scan, pose)
+        before = self._map.agreement(scan, pose)
         self._newest.append(moved(half, pose))
-        if self._map is None:
-            self._map = LocalCloud.of(self._newest[0], self._voxel_m, self._config)
-        else:
-            full = len(self._newest) > self._config.match.local_map_keyframes
-            self._map.planes.add(self._newest[-1], self._newest.popleft() if full else None)
-        own = self._agreement(scan, pose)
+        gone = self._newest.popleft() if len(self._newest) > self._config.match.local_map_keyframes else None
+        self._map.planes.add(self._newest[-1], gone, pose.transformFrom(lidar_base))
+        own = self._map.agreement(scan, pose)
         if before > 0.0 and own > 0.0:
             self._known.append(before / own)
         self._expected = own * max(float(np.median(self._known or [0.0])), _LEAST_KNOWN)
@@ -89,8 +89,6 @@ class CloudOdometry:
         -------
         Not converged, and uncertain by a voxel, where fewer points than usual lie on planes.
         """
-        if self._map is None:
-            return None
         scan = thinned(points, self._voxel_m)
         found: list[Aligned | None] = []
         for guess in guesses:
@@ -108,15 +106,11 @@ class CloudOdometry:
 
     def nearby(self, points: FloatArray, start: gtsam.Pose3) -> gtsam.Pose3:
         """Roughly where a scan (N, 3) fits near ``T_odom_base``."""
-        return start if self._map is None else self._map.best_of(thinned(points, self._voxel_m), [start])
+        return self._map.best_of(thinned(points, self._voxel_m), [start])
 
     def agreement(self, points: FloatArray, pose: gtsam.Pose3) -> float:
         """Share of a scan (N, 3), base frame, that lies on planes from ``T_odom_base``."""
-        return self._agreement(thinned(points, self._voxel_m), pose)
-
-    def _agreement(self, scan: FloatArray, pose: gtsam.Pose3) -> float:
-        """The same of a scan that is thinned."""
-        return 0.0 if self._map is None else self._map.agreement(scan, pose)
+        return self._map.agreement(thinned(points, self._voxel_m), pose)
 
     @property
     def _usual(self) -> float:

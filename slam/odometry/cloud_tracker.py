@@ -159,7 +159,7 @@ class CloudTracker:
 
     def add_keyframe(self, tracked: TrackedCloud) -> None:
         """Take a tracked cloud into the local map; of a lost one it is made anew."""
-        assert self._odometry is not None
+        assert self._odometry is not None and self._cloud is not None
         if self._lost >= self._config.match.lost_after:
             self._odometry.restart()
             self._lost = 0
@@ -167,7 +167,7 @@ class CloudTracker:
             if self._imu is not None:
                 self._imu.restart()
         self._open.add_keyframe()
-        self._odometry.add_keyframe(tracked.points, tracked.pose)
+        self._odometry.add_keyframe(tracked.points, tracked.pose, self._cloud.T_base_lidar.translation())
         self._keyframe = tracked.pose
 
     def _guesses(self, cloud: PointCloud, step_s: float) -> Sequence[gtsam.Pose3]:

@@ -175,14 +175,7 @@ class ImuSmoother:
 
     def first(self) -> ImuState:
         """The first state, as all since then have it; while it is not older than the lag."""
-        found = self._smoother.calculateEstimate()
-        return ImuState(
-            self._first_s,
-            found.atPose3(_X(0)),
-            np.asarray(found.atVector(_V(0))),
-            found.atConstantBias(_B(0)),
-            self._state.down,
-        )
+        return self._found(0, self._first_s)
 
     def restarted(self) -> ImuSmoother:
         """A smoother that begins at the newest state: the odometry's frame has begun anew there."""
@@ -217,14 +210,14 @@ class ImuSmoother:
         )
         self._smoother.update(graph, values, stamps)
         self._marginals = None
+        self._state = self._found(self._count, stamp_s)
+
+    def _found(self, number: int, stamp_s: float) -> ImuState:
+        """A state within the lag, as all since then have it."""
         found = self._smoother.calculateEstimate()
-        self._state = ImuState(
-            stamp_s,
-            found.atPose3(_X(self._count)),
-            np.asarray(found.atVector(_V(self._count))),
-            found.atConstantBias(_B(self._count)),
-            np.asarray(found.atUnit3(_G(self._downs)).unitVector()),
-        )
+        velocity = np.asarray(found.atVector(_V(number)))
+        down = np.asarray(found.atUnit3(_G(self._downs)).unitVector())
+        return ImuState(stamp_s, found.atPose3(_X(number)), velocity, found.atConstantBias(_B(number)), down)
 
     def _marginal(self, key: int) -> FloatArray:
         """Covariance of one variable."""

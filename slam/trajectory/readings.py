@@ -5,11 +5,14 @@ from __future__ import annotations
 import math
 from array import array
 from collections.abc import Sequence
+from itertools import pairwise
 
+import gtsam
 import numpy as np
 import scipy
 from numpy.typing import NDArray
 
+from fusion.estimation import TINY
 from slam.estimates import Trajectory
 from slam.measurements import BoolArray, FloatArray, Pose, spatial
 from slam.trajectory.poses import Poses
@@ -176,25 +179,24 @@ class Readings:
 def at_stamps(trajectory: Trajectory, stamps_s: FloatArray) -> Trajectory:
     """A pose for each of other stamps (N,), in the order of the trajectory's own and near them.
 
-    The motion to the pose before, or to the one after where that is nearer in time, is taken as even.
+    On the parabola through a pose and its neighbours: half a turn of a lidar before its middle a car that
+    begins a corner does not look where an even motion has it.
     """
     own_s = trajectory.stamps_s
     if len(own_s) < 2 or np.array_equal(own_s, stamps_s):
         return Trajectory(stamps_s, trajectory.positions_m, trajectory.quaternions_xyzw)
-    steps_s = np.diff(own_s)
+    poses, steps_s = trajectory.poses(), np.diff(own_s)
     steps_s[steps_s <= 0.0] = np.inf  # one that comes twice, or late, tells no motion
-    # After a gap the motion is that to the next one.
-    back = np.append(np.inf, steps_s) <= np.append(steps_s, np.inf)
-    back[0], back[-1] = False, True
-    left = np.arange(len(own_s)) - back
-    step_s = own_s[left + 1] - own_s[left]
-    share = back.astype(np.float64)
-    np.divide(stamps_s - own_s[left], step_s, out=share, where=step_s > 0.0)
-    poses = trajectory.poses()
-    moved = [
-        poses[n].slerp(float(part), poses[n + 1])
-        for n, part in zip(left, np.clip(share, -1.0, 2.0), strict=True)
-    ]
+    twists = np.array([gtsam.Pose3.Logmap(one.between(next_)) for one, next_ in pairwise(poses)])
+    rates = np.pad(twists / steps_s[:, None], ((1, 1), (0, 0)))
+    spans_s = np.pad(steps_s, 1, constant_values=np.inf)[:, None]
+    before, after, before_s, after_s = rates[:-1], rates[1:], spans_s[:-1], spans_s[1:]
+    # The shorter a step, the more it tells of the speed at its ends.
+    speeds = (before / before_s + after / after_s) / (TINY + 1.0 / before_s + 1.0 / after_s)
+    near_s = np.minimum(before_s, after_s)
+    late_s = np.clip((stamps_s - own_s)[:, None], -near_s, near_s)
+    offsets = late_s * (speeds + late_s * (after - before) / (before_s + after_s))
+    moved = [pose.compose(gtsam.Pose3.Expmap(offset)) for pose, offset in zip(poses, offsets, strict=True)]
     return Poses.of(moved).trajectory(stamps_s)
 
 

@@ -10,7 +10,7 @@ from cloud_world import ELEVATIONS, T_BASE_LIDAR, base, look, look_on_the_way, w
 from slam.config import Config
 from slam.config.clouds import CloudOdometryConfig
 from slam.estimates import MotionEstimate
-from slam.matching.cloud_alignment import align_cloud
+from slam.matching.cloud_alignment import CloudAlignment, align_cloud, motion_of
 from slam.matching.cloud_points import at_middle_of_turn, base_points, turn_known, voxel_of
 from slam.matching.local_cloud import LocalCloud
 from slam.matching.plane_voxels import PlaneVoxels
@@ -20,7 +20,7 @@ from slam.odometry.cloud_tracker import CloudTracker
 
 CONFIG = Config(cloud_odometry=CloudOdometryConfig(voxel_m=0.2))
 TURNS = CONFIG.cloud_odometry
-STILL = np.zeros(6)
+STILL, LIDAR = np.zeros(6), T_BASE_LIDAR.translation()
 
 
 def points_at(pose: gtsam.Pose3, seed: int = 0, **kwargs: object) -> FloatArray:
@@ -32,7 +32,7 @@ def odometry() -> CloudOdometry:
     """Knows the room from five places."""
     made = CloudOdometry(CONFIG, 0.2)
     for seed, x in enumerate((-1.0, -0.5, 0.0, 0.5, 1.0)):
-        made.add_keyframe(points_at(base(x, 0.2 * x, 0.3 * x), 100 + seed), base(x, 0.2 * x, 0.3 * x))
+        made.add_keyframe(points_at(base(x, 0.2 * x, 0.3 * x), 100 + seed), base(x, 0.2 * x, 0.3 * x), LIDAR)
     return made
 
 
@@ -123,7 +123,7 @@ def test_two_places_that_fit_alike_leave_the_motion_unsure() -> None:
     bare = np.zeros((0, 3, 2))
     made = CloudOdometry(CONFIG, 0.2)
     middle = base(0.5, 0.0, 0.0).compose(T_BASE_LIDAR.inverse())
-    made.add_keyframe(points_at(middle, boxes=bare), middle)
+    made.add_keyframe(points_at(middle, boxes=bare), middle, LIDAR)
     turned = middle.compose(T_BASE_LIDAR).compose(base(0.0, 0.0, np.pi)).compose(T_BASE_LIDAR.inverse())
     scan = points_at(middle, seed=1, boxes=bare)
     far = [pose.compose(base(0.3, 0.0, 0.0)) for pose in (turned, middle)]
@@ -137,7 +137,7 @@ def test_two_places_that_fit_alike_leave_the_motion_unsure() -> None:
 def test_rings_on_the_floor_do_not_pull_a_motion_short() -> None:
     """Two steps of 0.3 m on one keyframe; as points the floor would hold the robot back."""
     made = CloudOdometry(CONFIG, 0.2)
-    made.add_keyframe(points_at(base(0.0, 0.0, 0.0), 1), base(0.0, 0.0, 0.0))
+    made.add_keyframe(points_at(base(0.0, 0.0, 0.0), 1), base(0.0, 0.0, 0.0), LIDAR)
     truth = base(0.3, 0.0, 0.0)
     error = error_of(made.match(points_at(truth, 2), [base(0.0, 0.0, 0.0)]), truth)
     assert abs(error[3]) < 0.02
@@ -155,7 +155,7 @@ def test_between_two_walls_the_way_along_them_is_open() -> None:
         return np.column_stack([along, y, z]) + 0.005 * rng.standard_normal((count, 3))
 
     made = CloudOdometry(CONFIG, 0.2)
-    made.add_keyframe(corridor(), gtsam.Pose3())
+    made.add_keyframe(corridor(), gtsam.Pose3(), LIDAR)
     guess = base(0.11, 0.05, 0.01)
     motion = made.match(corridor(), [guess])
     assert motion is not None
@@ -181,9 +181,45 @@ def test_too_little_matches_nothing(odometry: CloudOdometry, points: FloatArray)
 def test_one_ring_tells_no_planes() -> None:
     made = CloudOdometry(CONFIG, 0.2)
     ring = points_at(gtsam.Pose3(), elevations=ELEVATIONS[7:8])
-    made.add_keyframe(ring, gtsam.Pose3())
+    made.add_keyframe(ring, gtsam.Pose3(), LIDAR)
     motion = made.match(ring, [gtsam.Pose3()])
     assert motion is None or motion.degenerate
+
+
+def test_a_ring_over_a_corner_is_no_plane() -> None:
+    """It is as flat as a floor, but in the lidar's own plane, where nothing is seen."""
+    bearing = np.linspace(-0.1, 0.1, 200) + 0.25 * np.pi
+    flat = np.column_stack([np.cos(bearing), np.sin(bearing)])
+    ring = np.column_stack([3.9 * flat / flat.max(axis=1)[:, None], np.zeros(len(flat))])
+    ring[:, 2] = np.tan(0.1) * np.hypot(ring[:, 0], ring[:, 1])
+    anyhow, within, above = (PlaneVoxels(1.0, 0.06, sine) for sine in (0.0, 0.025, 0.025))
+    anyhow.add(ring)
+    within.add(ring, None, np.zeros(3))
+    above.add(ring, None, np.array([0.0, 0.0, 3.0]))
+    assert (len(anyhow), len(within), len(above)) == (1, 0, 1)
+
+
+@pytest.mark.parametrize(("direction", "degenerate"), [(1, False), (3, True)], ids=["pitch", "way"])
+def test_few_points_tell_a_turn_but_no_way(direction: int, degenerate: bool) -> None:
+    """Ground tells pitch by few of a street's points; as little of the way is what normals err by."""
+    information = np.full(6, 1000.0)
+    information[direction] = 5.0
+    arms = np.eye(3)
+    sure = CloudAlignment(
+        gtsam.Pose3(),
+        np.diag(information),
+        np.diag(information),
+        1000.0,
+        arms,
+        1000,
+        1.0,
+        1.0,
+        1.0,
+        0.02,
+        True,
+        1.0,
+    )
+    assert motion_of(sure, CONFIG, gtsam.Pose3()).degenerate == degenerate
 
 
 def test_points_that_are_no_readings_are_left_out() -> None:
@@ -318,10 +354,10 @@ def test_after_a_restart_nothing_is_expected_of_what_was_seen_before() -> None:
     """Keyframes tell how much of the next one is known; a new place has to show that anew."""
     fresh, restarted = CloudOdometry(CONFIG, 0.2), CloudOdometry(CONFIG, 0.2)
     for seed, x in enumerate((-0.4, -0.2, 0.0, 0.2)):
-        restarted.add_keyframe(points_at(base(x, 0.0, 0.0), seed), base(x, 0.0, 0.0))
+        restarted.add_keyframe(points_at(base(x, 0.0, 0.0), seed), base(x, 0.0, 0.0), LIDAR)
     restarted.restart()
     for odometry in (fresh, restarted):
-        odometry.add_keyframe(points_at(base(0.5, 0.0, 0.1), 7), base(0.5, 0.0, 0.1))
+        odometry.add_keyframe(points_at(base(0.5, 0.0, 0.1), 7), base(0.5, 0.0, 0.1), LIDAR)
     # Of a scan whose half is nonsense, the old place would say that more of it has to fit.
     scan = points_at(base(0.6, 0.0, 0.1), 8)
     rng = np.random.default_rng(0)

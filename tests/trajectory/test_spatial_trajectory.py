@@ -32,6 +32,18 @@ def test_an_even_motion_is_carried_on(shift_s: float) -> None:
     np.testing.assert_allclose(turned, 1.0, atol=1e-12)
 
 
+@pytest.mark.parametrize("late_s", [0.05, 0.05 - 1e-9], ids=["even", "jitter"])
+def test_a_turn_that_begins_is_followed_half_a_step_before(late_s: float) -> None:
+    """4 rad/s^2: as even motion the yaw is off by 5 mrad, or 15, as the stamps jitter."""
+    own_s = 0.1 * np.arange(12)
+    own_s[::2] += 1e-9
+    yaw = 2.0 * np.square(own_s)
+    turns = np.column_stack([np.zeros((12, 2)), np.sin(0.5 * yaw), np.cos(0.5 * yaw)])
+    found = at_stamps(Trajectory(own_s, np.zeros((12, 3)), turns), own_s - late_s)
+    told = 2.0 * np.arctan2(found.quaternions_xyzw[:, 2], found.quaternions_xyzw[:, 3])
+    np.testing.assert_allclose(told[1:-1], 2.0 * np.square(own_s - late_s)[1:-1], atol=1e-6)
+
+
 def test_what_comes_twice_or_late_is_moved_as_its_neighbours_are() -> None:
     stamps_s = 0.1 * np.array([0, 1, 2, 2, 3, 5, 4, 6, 7])
     found, true = at_stamps(along(stamps_s + 0.05), stamps_s), along(stamps_s)
