@@ -260,12 +260,6 @@ class PoseGraph:
         """
         self._kept = np.fromiter(kept, np.bool_)
 
-    def doubt(self, first: int, last: int) -> None:
-        """Let the next optimisation begin without the steps of a part of the way that may be refused."""
-        for k, edge in enumerate(self.edges[: len(self._kept)]):
-            if edge.loop is None and not edge.trusted and edge.source < last and edge.target > first:
-                self._kept[k] = False
-
     def initialize(self) -> None:
         """Start from the edges alone: LAGO (Carlone 2014) in the plane, chordal initialisation in space.
 
