@@ -99,6 +99,21 @@ def test_a_turn_in_the_gap_explains_a_claim_however_far_that_leads() -> None:
     assert squares((), bent()) == np.inf
 
 
+@pytest.mark.parametrize("gap_s", [1.0, 25.0])
+def test_a_match_past_a_gap_may_be_as_wrong_as_that_is_long(gap_s: float) -> None:
+    """Another corridor, 12 m on and at right angles: beyond what nothing measured in a second, not in 25."""
+    edges, loose = chain(()), np.diag([30.0, 30.0, 12.0]) ** 2
+    edges[GAP] = step(GAP, SURE, EdgeKind.LIDAR, trusted=False)
+    edges.append(step(GAP, loose, EdgeKind.ASSUMED, trusted=True))
+    steps = [STEP.copy() for _ in range(COUNT - 1)]
+    steps[GAP] = np.array([9.0, -8.0, -1.5])
+    turned, known = walked(steps), Motion(between(POSES[5], POSES[70]), np.diag([0.3, 0.3, 0.03]) ** 2)
+    claim = Motion(between(turned[5], turned[70]), SURE)
+    faulty = judge(edges, np.arange(float(COUNT)) + (gap_s - 1.0) * (np.arange(COUNT) > GAP))
+    anywhere = faulty.explain(5, 70, known, claim)[0]
+    assert (anywhere < 4.0) == (gap_s > 20.0)
+
+
 def test_a_step_is_not_wrong_where_loops_on_both_sides_tell_it() -> None:
     """Were it wrong, so were the second gap."""
     gaps, claimed = (GAP, 60), bent((GAP, 1.2))
