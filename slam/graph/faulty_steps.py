@@ -192,10 +192,9 @@ class FaultySteps:
         match: MatchConfig,
     ) -> None:
         self._poses, self._gate = poses, gate(3, loops.inlier_probability)
-        single, took_s = [edge for edge in edges if edge.target == edge.source + 1], np.diff(stamps_s)
+        limit = unmeasured(config, planar=True)
+        single = [edge for edge in edges if edge.target == edge.source + 1]
         sources = np.array([edge.source for edge in single], np.int64)
-        # As in the chain: a match past a gap may be as wrong as that is long.
-        limit = unmeasured(config, planar=True) * np.maximum(took_s, 1.0)[sources, None, None] ** 2
         claimed = np.array([edge.covariance for edge in single]).reshape(-1, 3, 3)
         trusted = np.array([edge.trusted for edge in single], np.bool_)[:, None, None]
         measured = np.array([edge.kind not in GUESSES for edge in single], np.bool_)
@@ -225,6 +224,7 @@ class FaultySteps:
             numbers[first:last] = n
         self.held = believed_edges(edges, kept, poses)
         self.known = graph_of(len(poses), self.held, numbers)
+        took_s = np.diff(stamps_s)
         speeds = _moves(_off(poses[:-1], poses[1:])) / np.where(took_s > 0.0, took_s, np.inf)[:, None]
         begun, ended = self._ends.T
         time_s = np.abs(stamps_s[ended] - stamps_s[begun])[:, None]

@@ -212,8 +212,7 @@ class PlaceSearch:
             net_m = held * stretches.spacing_m
             # As long as it is seen from either end; where all of the map would pass, as a loop must be.
             map_m = float(np.ptp(poses[:, :2], axis=0).max())
-            # What takes a step to be wrong could pass anywhere.
-            anywhere = costs[n] > self._gate or math.sqrt(self._gate) * judged[n][1] > map_m
+            anywhere = math.sqrt(self._gate) * judged[n][1] > map_m
             if net_m >= (self._config.least_path_m if anywhere else 2.0 * reach_m):
                 believed = [*found[n], *more]
                 sets.remove(believed)

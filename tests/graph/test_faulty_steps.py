@@ -99,21 +99,6 @@ def test_a_turn_in_the_gap_explains_a_claim_however_far_that_leads() -> None:
     assert squares((), bent()) == np.inf
 
 
-@pytest.mark.parametrize("gap_s", [1.0, 25.0])
-def test_a_match_past_a_gap_may_be_as_wrong_as_that_is_long(gap_s: float) -> None:
-    """Another corridor, 12 m on and at right angles: beyond what nothing measured in a second, not in 25."""
-    edges, loose = chain(()), np.diag([30.0, 30.0, 12.0]) ** 2
-    edges[GAP] = step(GAP, SURE, EdgeKind.LIDAR, trusted=False)
-    edges.append(step(GAP, loose, EdgeKind.ASSUMED, trusted=True))
-    steps = [STEP.copy() for _ in range(COUNT - 1)]
-    steps[GAP] = np.array([9.0, -8.0, -1.5])
-    turned, known = walked(steps), Motion(between(POSES[5], POSES[70]), np.diag([0.3, 0.3, 0.03]) ** 2)
-    claim = Motion(between(turned[5], turned[70]), SURE)
-    faulty = judge(edges, np.arange(float(COUNT)) + (gap_s - 1.0) * (np.arange(COUNT) > GAP))
-    anywhere = faulty.explain(5, 70, known, claim)[0]
-    assert (anywhere < 4.0) == (gap_s > 20.0)
-
-
 def test_a_step_is_not_wrong_where_loops_on_both_sides_tell_it() -> None:
     """Were it wrong, so were the second gap."""
     gaps, claimed = (GAP, 60), bent((GAP, 1.2))
@@ -147,10 +132,8 @@ def test_that_a_step_was_wrong_costs_what_such_steps_have_shown() -> None:
     assert faulty.likelihood(5, 70, known, Motion(far, SURE)) == -np.inf
 
 
-@pytest.mark.parametrize(("repeats", "count"), [(True, 6), (False, 6), (False, 3)])
-def test_a_fault_is_not_believed_by_few_or_where_places_look_like_their_neighbours(
-    repeats: bool, count: int
-) -> None:
+@pytest.mark.parametrize("repeats", [True, False])
+def test_a_fault_is_not_believed_where_places_look_like_their_neighbours(repeats: bool) -> None:
     """Claims across the gap agree that it was wrong; what follows from them fits within a matched run."""
     edges, steps = chain(), [STEP.copy() for _ in range(COUNT - 1)]
     steps[GAP][2] += 1.2
@@ -161,7 +144,7 @@ def test_a_fault_is_not_believed_by_few_or_where_places_look_like_their_neighbou
         return LoopCandidate(place, key, 0.0, 0.0, 1.0, motion, True, "")
 
     across = [claim(key - 12, key, between(turned[key - 12], turned[key])) for key in range(42, 54)]
-    members, entailed = across[::2][:count], across[1::2][: count - 1]
+    members, entailed = across[::2], across[1::2]
     if repeats:
         entailed = [claim(key - 12, key, np.zeros(3)) for key in range(12, 40)]
     search = PlaceSearch(SimpleNamespace(submaps=None), LoopConfig(), MatchConfig(), GraphConfig())  # type: ignore[arg-type]
@@ -172,7 +155,7 @@ def test_a_fault_is_not_believed_by_few_or_where_places_look_like_their_neighbou
     stamps_s = np.arange(float(COUNT)) + 30.0 * (np.arange(COUNT) > GAP)
     search._faulty = judge(edges, stamps_s)
     believed = search._believed(POSES, search._faulty.known)
-    assert believed == ([] if repeats or count < 6 else [*members, *entailed])
+    assert believed == ([] if repeats else [*members, *entailed])
 
 
 def test_a_gap_of_several_steps_is_one_fault() -> None:
