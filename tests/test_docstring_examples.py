@@ -28,7 +28,7 @@ PUBLIC = {
 RETURNED = {"slam.Difference", "slam.GridMap", "slam.Joined", "slam.Localization", "slam.Merged"}
 RETURNED |= {"fusion.ClockOffset", "fusion.Denoised", "fusion.Registration", "fusion.RigEstimate"}
 # The mapper's and the command line's own.
-INNER = {"slam.Map.parts", "slam.Map.write_files", "slam.PoseGraph.doubt"}
+INNER = {"slam.Map.parts", "slam.Map.write_files"}
 INNER_PROPERTIES = {"fusion.Registration.first_yaw_step", "slam.GridMap.contents"}
 
 

@@ -251,9 +251,7 @@ class FaultySteps:
                 bounded[n] = np.linalg.inv(np.linalg.inv(bounded[n]) + np.linalg.inv(around))
         return bounded
 
-    def explain(
-        self, start: int, end: int, expected: Motion, claim: Motion
-    ) -> tuple[float, float, tuple[int, int]]:
+    def explain(self, start: int, end: int, expected: Motion, claim: Motion) -> tuple[float, float]:
         """Squared sigmas by which a claim is off, at the least, where one part is wrong.
 
         Parameters
@@ -265,15 +263,10 @@ class FaultySteps:
 
         Returns
         -------
-        Of any part, and of one that the robot can have moved so; infinite where there is none. The ends of
-        the latter.
+        Of any part, and of one that the robot can have moved so; infinite where there is none.
         """
-        ends, squares, possible, _ = self._asked(start, end, expected, claim)
-        if not len(ends):
-            return math.inf, math.inf, (start, end)
-        able = np.where(possible, squares, np.inf)
-        best = int(able.argmin())
-        return float(squares.min()), float(able[best]), (int(ends[best, 0]), int(ends[best, 1]))
+        _, squares, possible, _ = self._asked(start, end, expected, claim)
+        return float(squares.min(initial=np.inf)), float(squares[possible].min(initial=np.inf))
 
     def likelihood(self, start: int, end: int, expected: Motion, claim: Motion) -> float:
         """Log of the density of a claim where a step was wrong that nothing saw.

@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import TypeAlias
 
 import numpy as np
 
@@ -32,18 +31,9 @@ from slam.matching.planar import between
 from slam.measurements import BoolArray, FloatArray
 from slam.result_cache import COMPUTED, ResultCache
 
-# What a set asks of the estimate, how uncertain that is, and which part of the way must be wrong, if one is.
-_Cost: TypeAlias = tuple[float, float, tuple[int, int] | None]
-
 
 class PlaceSearch:
-    """Searches a finished run round by round, each from the estimate that the last one led to.
-
-    Attributes
-    ----------
-    fault
-        From which keyframe to which the last set that was believed takes the way to be wrong; or None.
-    """
+    """Searches a finished run round by round, each from the estimate that the last one led to."""
 
     def __init__(
         self,
@@ -65,7 +55,6 @@ class PlaceSearch:
         self._corrected = False
         self._faulty: FaultySteps | None = None
         self._followed: FollowedClaims | None = None
-        self.fault: tuple[int, int] | None = None
 
     def search(
         self,
@@ -88,7 +77,6 @@ class PlaceSearch:
         loops
             All candidates so far.
         """
-        self.fault = None
         if not self._config.enabled or len(poses) < 2:
             return []
         faulty = FaultySteps(edges, kept, poses, stamps_s, self._graph, self._config, self._match)
@@ -205,10 +193,10 @@ class PlaceSearch:
         ways_m = self._submaps.travelled_m  # from the start to the keyframes of a set
         found = [one for one in sets.largest() if np.ptp([ways_m(m.keyframe) for m in one]) >= reach_m]
         judged = [self._cost(one, seen) for one in found]
-        costs = np.array([cost for cost, *_ in judged])
+        costs = np.array([cost for cost, _ in judged])
         gains = self._gate * np.array([len(one) for one in found]) - costs
         # Plausible sets first, of them the nearest: there chance has the least room.
-        order = [(cost > self._gate, sigma_m if cost <= self._gate else cost) for cost, sigma_m, _ in judged]
+        order = [(cost > self._gate, sigma_m if cost <= self._gate else cost) for cost, sigma_m in judged]
         for n in sorted(range(len(found)), key=order.__getitem__):
             # One fault explains it, or it weighs twice what it contradicts.
             if costs[n] > max(2.0, 0.5 * len(found[n])) * self._gate or gains[n] <= 0.0:
@@ -233,11 +221,11 @@ class PlaceSearch:
             if net_m >= (self._config.least_path_m if anywhere else 2.0 * reach_m):
                 believed = [*found[n], *more]
                 sets.remove(believed)
-                self._corrected, self.fault = True, judged[n][2]
+                self._corrected = True
                 return believed
         return []
 
-    def _cost(self, members: Sequence[LoopCandidate], known: Known) -> _Cost:
+    def _cost(self, members: Sequence[LoopCandidate], known: Known) -> tuple[float, float]:
         """Squared sigmas of the bend that a set asks of what is known, and how uncertain that is in metres.
 
         Where one fault explains it better, that costs a gate. Infinite where nothing can be learned: what is
@@ -246,19 +234,19 @@ class PlaceSearch:
         expected = [known(one.place, one.keyframe) for one in members]
         sigma_m = float(np.median(position_sigmas(np.array([way.covariance for way in expected]))))
         if self._config.sigmas * sigma_m < self._match.coarse_cell_m:
-            return math.inf, sigma_m, None
+            return math.inf, sigma_m
         if not math.isfinite(sigma_m):
-            return 0.0, sigma_m, None
+            return 0.0, sigma_m
         asked = [self._bend(one, way) for one, way in zip(members, expected, strict=True)]
-        plain, likeliest, possible = np.median([one[:3] for one in asked], axis=0).tolist()
+        plain, likeliest, possible = np.median(asked, axis=0).tolist()
         if plain <= self._gate + likeliest:
-            return plain, sigma_m, None
-        return self._gate + possible, sigma_m, min(one[2:] for one in asked)[1]
+            return plain, sigma_m
+        return self._gate + possible, sigma_m
 
-    def _bend(self, claim: LoopCandidate, way: Motion) -> tuple[float, float, float, tuple[int, int]]:
+    def _bend(self, claim: LoopCandidate, way: Motion) -> tuple[float, float, float]:
         """Squared sigmas by which a claim is off what is known, and what `FaultySteps.explain` tells."""
         if not np.isfinite(way.covariance).all():
-            return 0.0, math.inf, math.inf, (claim.place, claim.keyframe)
+            return 0.0, math.inf, math.inf
         said = claimed(claim)
         way = way.widened(said.covariance)
         assert self._faulty is not None

@@ -7,6 +7,7 @@ least squares (Yang 2020) decides which loops and wheel steps are true. SE(2) an
 from __future__ import annotations
 
 import math
+from collections import Counter
 from collections.abc import Iterable
 from dataclasses import dataclass
 
@@ -41,7 +42,8 @@ class BatchResult:
     kept
         (E,) in the order of ``PoseGraph.edges``: False where an edge was refused as an outlier.
     cost
-        The error, and half the gate for each edge that was refused: of two solutions the less is likelier.
+        The error, half the gate for each edge that was refused, and the logarithm of how many ways there are
+        to refuse as many of a kind (Rissanen 1978): where few err, each says much. Less is likelier.
     """
 
     error: float
@@ -190,7 +192,8 @@ class PoseGraph:
         """Solve the whole graph anew: GNC-TLS over the untrusted edges, then plain least squares.
 
         Loops that agree with each other may be false, and GNC ends near where it begins. So where it refuses
-        loops for the first time it begins once more from the steps alone; the solution of less cost is taken.
+        loops for the first time it begins once more where the steps alone lead, which no loop has bent; the
+        solution of less cost is taken.
 
         Parameters
         ----------
@@ -202,7 +205,7 @@ class PoseGraph:
         loops = np.array([edge.kind == EdgeKind.LOOP and not edge.trusted for edge in self.edges], np.bool_)
         if first and (loops > found.kept).any():
             self._estimate, self._kept = begun, ~loops
-            other = self._decided(inlier_probability)
+            other = self._decided(inlier_probability, anew=True)
             found, self._estimate = (other, self._estimate) if other.cost < found.cost else (found, ended)
         self._kept = found.kept.copy()
         # As large as the map, and rarely asked again.
@@ -210,13 +213,17 @@ class PoseGraph:
         give_back()
         return found
 
-    def _decided(self, inlier_probability: float) -> BatchResult:
+    def _decided(self, inlier_probability: float, *, anew: bool = False) -> BatchResult:
         """Which edges GNC keeps from where the poses are, and the poses by these."""
-        kept = self._gnc_weights(inlier_probability) > 0.5
+        kept = self._gnc_weights(inlier_probability, anew) > 0.5
         graph = self._graph(edge for edge, keep in zip(self.edges, kept, strict=True) if keep)
         self._estimate = solved(graph, self._estimate)
         error, each = float(graph.error(self._estimate)), 0.5 * gate(self._dimension, inlier_probability)
-        return BatchResult(error, kept, error + float(each * np.count_nonzero(~kept)))
+        kinds = Counter(edge.kind for edge in self.edges if not edge.trusted)
+        refused = Counter(edge.kind for edge, keep in zip(self.edges, kept, strict=True) if not keep)
+        cost = error + each * refused.total()
+        cost += sum(math.log(math.comb(kinds[kind], count)) for kind, count in refused.items())
+        return BatchResult(error, kept, cost)
 
     def level(self, down: dict[int, Gravity]) -> None:
         """Let the next optimisation put a graph in space upright.
@@ -263,12 +270,6 @@ class PoseGraph:
         """
         self._kept = np.fromiter(kept, np.bool_)
 
-    def doubt(self, first: int, last: int) -> None:
-        """Let the next optimisation begin without the steps of a part of the way that may be refused."""
-        for k, edge in enumerate(self.edges[: len(self._kept)]):
-            if edge.loop is None and not edge.trusted and edge.source < last and edge.target > first:
-                self._kept[k] = False
-
     def initialize(self) -> None:
         """Start from the edges alone: LAGO (Carlone 2014) in the plane, chordal initialisation in space.
 
@@ -303,11 +304,12 @@ class PoseGraph:
         rows: FloatArray = gtsam.utilities.extractPose2(estimate)
         return rows.reshape(-1, 3)
 
-    def _gnc_weights(self, inlier_probability: float) -> FloatArray:
+    def _gnc_weights(self, inlier_probability: float, anew: bool) -> FloatArray:
         """Weight of every edge, 0..1, after GNC-TLS with the trusted edges as known inliers.
 
         As Yang 2020, Sec. IV-B, but a round makes one step from where the last one ended; GTSAM goes back
         to the first estimate, and solves to the end, each time. What was refused before begins refused.
+        Unless it begins ``anew``: then as it fits where all else leads, and half of it may be wrong.
         """
         weights = np.ones(len(self.edges))
         weights[: len(self._kept)] = self._kept
@@ -323,6 +325,8 @@ class PoseGraph:
         # Remark 5: where the surrogate cost begins to be convex.
         worst = max((factors[k].error(self._estimate) for k in begun), default=0.0)
         self._estimate = solved(graph, self._estimate)
+        if anew:
+            worst = float(np.median([factors[k].error(self._estimate) for k in factors.keys() - begun]))
         control = limit / (2.0 * worst - limit) if 2.0 * worst > limit else math.inf
         # Once in any case: what begins refused is asked, too.
         control = min(control, _GREATEST_CONTROL / _GNC_STEP)

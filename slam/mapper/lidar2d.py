@@ -119,11 +119,9 @@ class PlanarRobot:
         self._way.settle(graph)
 
     def search_again(self, graph: KeyframeGraph, kept: BoolArray) -> list[LoopCandidate]:
-        """Places all over the map; where they show which step was wrong, the graph begins without it."""
+        """Places all over the map."""
         stamps_s = self.readings.scan_stamps_s()[self.readings.keyframe_scans()]
         found = self._places.search(graph.rows(), stamps_s, graph.graph.edges, kept, graph.loops)
-        if self._places.fault is not None:
-            graph.graph.doubt(*self._places.fault)
         if not found:
             del self._places, self._closer, self._kept  # it was the last search: what they know is large
             end_stage()

@@ -334,39 +334,3 @@ def test_a_graph_of_one_node() -> None:
     assert result.error == pytest.approx(0.0, abs=1e-12)
     assert result.kept.shape == (0,)
     np.testing.assert_allclose(graph.planar_poses(), [[100.0, -40.0, 2.0]])
-
-
-@pytest.mark.parametrize("doubted", [0, 3])
-def test_of_steps_that_explain_loops_alike_the_one_in_doubt_is_refused(doubted: int) -> None:
-    """Any of four may be wrong by the 5 m that the loops show."""
-    graph = graph_of(gtsam.Pose2(), [])
-    for n in range(4):
-        graph.add_node(straight_2d(n + 1.0))
-        graph.add_edge(edge(n, n + 1, straight_2d(1.0), 0.01, EdgeKind.WHEEL, trusted=False))
-        graph.add_edge(edge(n, n + 1, straight_2d(1.0), 10.0, EdgeKind.ASSUMED))
-    graph.optimize()
-    for n in range(6):
-        graph.add_edge(Edge(0, 4, straight_2d(9.0), 1e-4 * np.eye(3), EdgeKind.LOOP, False, n))
-    graph.doubt(doubted, doubted + 1)
-    kept = graph.optimize().kept
-    assert kept[8:].all()
-    assert [n for n in range(4) if not kept[2 * n]] == [doubted]
-
-
-def test_a_graph_of_which_all_that_may_be_refused_is_in_doubt() -> None:
-    graph = graph_of(gtsam.Pose2(), [])
-    graph.add_node(straight_2d(1.0))
-    graph.add_edge(edge(0, 1, straight_2d(1.0), 0.01, EdgeKind.WHEEL, trusted=False))
-    graph.add_edge(edge(0, 1, straight_2d(1.0), 10.0, EdgeKind.ASSUMED))
-    graph.optimize()
-    graph.doubt(0, 1)
-    graph.optimize()
-    np.testing.assert_allclose(graph.planar_poses()[1], [1.0, 0.0, 0.0], atol=1e-9)
-
-
-def test_what_is_doubted_and_fits_the_rest_is_kept() -> None:
-    graph = graph_of(gtsam.Pose2(), [straight_2d(1.0), straight_2d(1.0)])
-    graph.add_edge(edge(0, 2, straight_2d(2.0), 0.05, EdgeKind.WHEEL, trusted=False))
-    graph.optimize()
-    graph.doubt(0, 2)
-    assert graph.optimize().kept.all()
