@@ -191,9 +191,9 @@ class PoseGraph:
     def optimize(self, inlier_probability: float = 0.99) -> BatchResult:
         """Solve the whole graph anew: GNC-TLS over the untrusted edges, then plain least squares.
 
-        Loops that agree with each other may be false, and GNC ends near where it begins. So where it refuses
-        loops for the first time it begins once more where the steps alone lead, which no loop has bent; the
-        solution of less cost is taken.
+        Loops that agree with each other may be false, and GNC ends near where it begins. So where it first
+        refuses more loops than the gate does by chance it begins once more where the steps alone lead, which
+        no loop has bent; the solution of less cost is taken.
 
         Parameters
         ----------
@@ -203,7 +203,8 @@ class PoseGraph:
         begun, first = self._estimate, not len(self._kept)
         found, ended = self._decided(inlier_probability), self._estimate
         loops = np.array([edge.kind == EdgeKind.LOOP and not edge.trusted for edge in self.edges], np.bool_)
-        if first and (loops > found.kept).any():
+        by_chance = (1.0 - inlier_probability) * np.count_nonzero(loops)
+        if first and np.count_nonzero(loops > found.kept) > by_chance:
             self._estimate, self._kept = begun, ~loops
             other = self._decided(inlier_probability, anew=True)
             found, self._estimate = (other, self._estimate) if other.cost < found.cost else (found, ended)
