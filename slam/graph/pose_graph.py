@@ -203,8 +203,7 @@ class PoseGraph:
         begun, first = self._estimate, not len(self._kept)
         found, ended = self._decided(inlier_probability), self._estimate
         loops = np.array([edge.kind == EdgeKind.LOOP and not edge.trusted for edge in self.edges], np.bool_)
-        by_chance = (1.0 - inlier_probability) * np.count_nonzero(loops)
-        if first and np.count_nonzero(loops > found.kept) > by_chance:
+        if first and (loops > found.kept).sum() > (1.0 - inlier_probability) * loops.sum():
             self._estimate, self._kept = begun, ~loops
             other = self._decided(inlier_probability, anew=True)
             found, self._estimate = (other, self._estimate) if other.cost < found.cost else (found, ended)
