@@ -59,7 +59,7 @@ def main() -> None:
                 cells = (f"{row[name]:.4g}" for name in COLUMNS)
                 print(f"| {times} | " + " | ".join(cells) + " |", flush=True)
     low, high = rows[1], rows[-1]
-    span = math.log(high["scans"] / low["scans"])
+    span = math.log(high["scans"] / low["scans"]) or math.nan  # of one length nothing is told
     powers = (f"{math.log(high[name] / low[name]) / span:.2f}" if low[name] else "" for name in COLUMNS)
     print("| exponent | " + " | ".join(powers) + " |")
     for row in rows[1:]:

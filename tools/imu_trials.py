@@ -23,7 +23,7 @@ from scipy.spatial.transform import Rotation
 
 import slam
 from slam.datasets import open_dataset
-from slam.datasets.dataset import Dataset, ReadReport
+from slam.datasets.dataset import Dataset
 from slam.estimates import Trajectory
 from slam.evaluation.coverage import coverage
 from slam.evaluation.trajectory_error import absolute_error, associate
@@ -76,12 +76,7 @@ class Cut:
     def __init__(self, log: Dataset, case: Case, truth: Trajectory) -> None:
         self._log, self._case, self._gap_s = log, case, case.gap_s(truth)
         self._wheels = list(wheels(truth)) if case.wheels else []
-        self.name, self.path = log.name, Path(log.path)
-
-    @property
-    def report(self) -> ReadReport:
-        """Of the latest pass."""
-        return self._log.report
+        self.name, self.path, self.report = log.name, Path(log.path), log.report
 
     def __iter__(self) -> Iterator[Measurement]:
         """In order."""

@@ -29,7 +29,7 @@ ON_ITS_SIDE = gtsam.Pose3(gtsam.Rot3.Roll(0.5 * np.pi), np.zeros(3))
 
 
 def rings(points: Points, every: int) -> Points:
-    """Of rings that lie evenly in elevation, every so manieth."""
+    """Every second ring, third and so on, of rings that lie evenly in elevation."""
     elevation = np.arctan2(points[:, 2], np.hypot(points[:, 0], points[:, 1]))
     low, high = np.percentile(elevation, [0.1, 99.9])
     ring = np.round((elevation - low) / (high - low) * (RINGS - 1)).astype(np.int64)
@@ -54,7 +54,7 @@ def noisy(points: Points, sigma_m: float, rng: np.random.Generator) -> Points:
 
 @dataclasses.dataclass(frozen=True)
 class Kind:
-    """What is done to a log: which of its clouds come, in which order, and what to each."""
+    """What is done to a log: which of its clouds come, in which order, and what to each; ``anew`` spaces their stamps evenly."""
 
     name: str
     order: Callable[[int, np.random.Generator], Sequence[int]] = lambda count, _: range(count)
