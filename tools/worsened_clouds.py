@@ -54,7 +54,10 @@ def noisy(points: Points, sigma_m: float, rng: np.random.Generator) -> Points:
 
 @dataclasses.dataclass(frozen=True)
 class Kind:
-    """What is done to a log: which of its clouds come, in which order, and what to each; ``anew`` spaces their stamps evenly."""
+    """What is done to a log: which of its clouds come, in which order, and what to each.
+
+    ``anew`` spaces their stamps evenly.
+    """
 
     name: str
     order: Callable[[int, np.random.Generator], Sequence[int]] = lambda count, _: range(count)

@@ -109,7 +109,7 @@ def test_without_a_measured_motion_places_around_are_tried(odometry: CloudOdomet
 def test_without_a_measured_motion_turns_are_tried(
     odometry: CloudOdometry, turned: tuple[float, float, float]
 ) -> None:
-    """About any axis, for a lidar in the hand may be held in any way."""
+    """About slanted axes too, for a lidar in the hand may be held in any way."""
     truth = base(0.3, -0.2, 0.2)
     before = truth.compose(gtsam.Pose3(gtsam.Rot3.Ypr(*turned), np.array([0.2, 0.1, 0.05])))
     motion = odometry.match(points_at(truth), [before], before, turned_rad=1.3)
