@@ -6,6 +6,7 @@ import time
 from array import array
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from typing import NamedTuple
 
 import gtsam
 import numpy as np
@@ -83,6 +84,13 @@ class Picture:
 
     frame: PreparedFrame
     T_base_camera: gtsam.Pose3
+
+
+class Taken(NamedTuple):
+    """Which camera took a frame, and when by its own clock."""
+
+    camera: str
+    stamp_s: float
 
 
 @dataclass(slots=True)
@@ -181,6 +189,18 @@ class RobotCameras:
         assert camera.T_base_camera is not None
         since = camera_pose.pose.between(camera.newest_pose)
         return Picture(camera.newest, camera.T_base_camera.compose(since))
+
+    def placed_at(self, taken: Taken, stamp_s: float, sigmas: float = 0.0) -> gtsam.Pose3 | None:
+        """Where a frame was taken, seen from the base at a stamp of the robot's clock; None if not known.
+
+        By clock and mounting as they are known by now; so many standard deviations of the clock beside.
+        """
+        camera = self.cameras[taken.camera]
+        there = camera.odometry.track.at(taken.stamp_s, 0.0)
+        base = camera.at(stamp_s + sigmas * camera.clock.sigma_s)
+        if camera.T_base_camera is None or there is None or base is None or there.segment != base.segment:
+            return None
+        return camera.T_base_camera.compose(base.pose.between(there.pose))
 
     def pictures(self, camera_poses: CameraPoses) -> list[Picture]:
         """The newest frame of every camera; one that is lost or not yet placed is taken as it stands."""
