@@ -95,7 +95,7 @@ class CameraKeyframes:
             registration = self._registrations.get(image.sensor)
             self._nodes.append(node)
             self._stamps_s.append(stamp_s)
-            self._taken.append(Taken(image.sensor, image.stamp_s))
+            self._taken.append(Taken.by(frame))
             self._T_node_camera.append(picture.T_base_camera)
             if places and rank == 0:
                 self._places.keys.append(self._store.add(frame, registration, node))

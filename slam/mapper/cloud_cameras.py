@@ -75,7 +75,7 @@ class CloudCameras:
         """Take the newest frames for a keyframe of the lidar, whose points are (N, 3) in the base frame."""
         self._camera_poses = self._cameras.camera_poses(stamp_s)
         self._cameras.look_for_tags()
-        placed = self._cameras.placed_pictures(self._camera_poses)
+        placed = self._cameras.placed_pictures(stamp_s)
         self._keyframes.add(node, stamp_s, placed, places=False)
         self._horizons.append(None)
         if placed and self._fusion is not None:
@@ -101,7 +101,7 @@ class CloudCameras:
         """
         if self._fusion is None or not any(self._horizons):
             return scans, None
-        mended, summary = self._fusion.repair(self._horizons, self._cameras.placed_at)
+        mended, summary = self._fusion.repair(self._horizons)
         if not in_band or not scans:
             return scans, summary
         return [

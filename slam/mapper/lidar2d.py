@@ -102,10 +102,10 @@ class PlanarRobot:
         self._keyframe_scans.append(moment.scan)
         self._moving.keep(moment.scan)
         if self._fusion is not None and moment.scan is not None:
-            self._fusion.add(key, moment.scan, self._cameras.pictures(moment.camera_poses))
+            self._fusion.add(key, moment.scan, self._cameras.pictures(moment.stamp_s))
         self._cameras.look_for_tags()
         tried = self._closer.close(key, graph.rows(), graph.uncertainty)
-        if pictures := self._cameras.placed_pictures(moment.camera_poses):
+        if pictures := self._cameras.placed_pictures(moment.stamp_s):
             self._pictures.add(key, moment.stamp_s, pictures, places=True)
             if moment.scan is None:
                 tried += self._pictures.close(graph.poses())
@@ -138,7 +138,7 @@ class PlanarRobot:
         result.notes += [*registration_notes(self._registrations), *self._cameras.notes()]
         self._way.tell(result)
         if self._fusion is not None:
-            scans, result.fused = self._fusion.repair(scans, self._cameras.placed_at)
+            scans, result.fused = self._fusion.repair(scans)
             result.notes += [] if result.fused is None else [result.fused.note]
         scans = self._moving.taken_from(scans)
         del self._moving  # it knows much of a long log, and nobody asks it any more

@@ -52,8 +52,6 @@ class Moment:
         The match that told it; None where nothing matched.
     new_keyframe
         Whether the robot has moved on enough.
-    camera_poses
-        Where every camera was.
     """
 
     stamp_s: float
@@ -61,7 +59,6 @@ class Moment:
     pose: FloatArray
     motion: MotionEstimate | None
     new_keyframe: bool
-    camera_poses: CameraPoses
 
 
 @dataclass(frozen=True, slots=True)
@@ -263,7 +260,7 @@ class PlanarWay:
             trusted=tracked.confident if scan is not None else bool(cameras),
         )
         moved_on = self._moved_on(tracked)
-        return Moment(stamp_s, scan, tracked.pose, tracked.motion, moved_on, camera_poses)
+        return Moment(stamp_s, scan, tracked.pose, tracked.motion, moved_on)
 
     def _moved_on(self, tracked: TrackedScan) -> bool:
         """Whether a scan is far enough from the last keyframe to be the next."""

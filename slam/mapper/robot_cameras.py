@@ -39,7 +39,6 @@ class RobotCamera:
     odometry: CameraOdometry
     T_base_camera: gtsam.Pose3 | None
     newest: PreparedFrame | None = None
-    newest_pose: gtsam.Pose3 | None = None
     learner: MountLearner | None = None
     clocks: ClockLearner = field(default_factory=ClockLearner)
     # Of the frames that carried the robot on: their numbers among the scans, and their own stamps.
@@ -92,6 +91,11 @@ class Taken(NamedTuple):
     camera: str
     stamp_s: float
 
+    @classmethod
+    def by(cls, frame: PreparedFrame) -> Taken:
+        """What a frame tells of it."""
+        return cls(frame.frame.sensor, frame.stamp_s)
+
 
 @dataclass(slots=True)
 class RobotCameras:
@@ -121,7 +125,7 @@ class RobotCameras:
             )
         camera = self.cameras[name]
         tracked = camera.odometry.add(frame)
-        camera.newest, camera.newest_pose = frame, tracked.pose
+        camera.newest = frame
         camera.note_turn()
         camera.clocks.learn(self._turns())
         motion = None if tracked.match is None else tracked.match.motion
@@ -172,23 +176,14 @@ class RobotCameras:
         stamps_s = [np.array(camera.led_s) - camera.clock.offset_s for camera in cameras]
         return np.concatenate([np.zeros(0, np.int64), *scans]), np.concatenate([np.zeros(0), *stamps_s])
 
-    def placed_pictures(self, camera_poses: CameraPoses) -> list[Picture]:
+    def placed_pictures(self, stamp_s: float) -> list[Picture]:
         """The newest frame of every camera with a known mounting, the first such camera's first.
 
         One that is lost is left out; where the first is, all are.
         """
-        names = [name for name, camera in self.cameras.items() if camera.T_base_camera is not None]
-        found = [self._placed(name, camera_poses) for name in names]
-        return [picture for picture in found if picture is not None] if found and found[0] else []
-
-    def _placed(self, name: str, camera_poses: CameraPoses) -> Picture | None:
-        """The newest frame of a camera with a known mounting; None where it is lost."""
-        camera, camera_pose = self.cameras[name], camera_poses.get(name)
-        if camera_pose is None or camera.newest is None or camera.newest_pose is None:
-            return None
-        assert camera.T_base_camera is not None
-        since = camera_pose.pose.between(camera.newest_pose)
-        return Picture(camera.newest, camera.T_base_camera.compose(since))
+        known = [camera.newest for camera in self.cameras.values() if camera.newest and camera.T_base_camera]
+        found = [(frame, self.placed_at(Taken.by(frame), stamp_s)) for frame in known]
+        return [Picture(frame, pose) for frame, pose in found if pose] if found and found[0][1] else []
 
     def placed_at(self, taken: Taken, stamp_s: float, sigmas: float = 0.0) -> gtsam.Pose3 | None:
         """Where a frame was taken, seen from the base at a stamp of the robot's clock; None if not known.
@@ -202,18 +197,13 @@ class RobotCameras:
             return None
         return camera.T_base_camera.compose(base.pose.between(there.pose))
 
-    def pictures(self, camera_poses: CameraPoses) -> list[Picture]:
+    def pictures(self, stamp_s: float) -> list[Picture]:
         """The newest frame of every camera; one that is lost or not yet placed is taken as it stands."""
         found = []
-        for name in sorted(self.cameras):
-            camera = self.cameras[name]
-            if camera.newest is None:
-                continue
-            mounting = T_BODY_CAMERA if camera.T_base_camera is None else camera.T_base_camera
-            camera_pose = camera_poses.get(name)
-            if camera_pose is not None and camera.newest_pose is not None:
-                mounting = mounting.compose(camera_pose.pose.between(camera.newest_pose))
-            found.append(Picture(camera.newest, mounting))
+        for _, camera in sorted(self.cameras.items()):
+            if (newest := camera.newest) is not None:
+                as_it_stands = camera.T_base_camera or T_BODY_CAMERA
+                found.append(Picture(newest, self.placed_at(Taken.by(newest), stamp_s) or as_it_stands))
         return found
 
     def steps(self, before: CameraPoses, after: CameraPoses) -> list[CameraStep]:
