@@ -202,7 +202,7 @@ class PlaceSearch:
             if costs[n] > max(2.0, 0.5 * len(found[n])) * self._gate or gains[n] <= 0.0:
                 continue
             rivals = (m for m in np.flatnonzero(2.0 * gains > gains[n]).tolist() if m != n)
-            if any(sets.contradiction(found[n], found[m], seen) > gains[m] for m in rivals):
+            if any(self._contradiction(sets.entailed(found[n], found[m]), seen) > gains[m] for m in rivals):
                 continue
             fits, refused = trial.hold(found[n])
             # One that fits where it cannot be shows that these places look alike.
@@ -238,20 +238,24 @@ class PlaceSearch:
         if not math.isfinite(sigma_m):
             return 0.0, sigma_m
         asked = [self._bend(one, way) for one, way in zip(members, expected, strict=True)]
-        plain, likeliest, possible = np.median(asked, axis=0).tolist()
-        if plain <= self._gate + likeliest:
-            return plain, sigma_m
-        return self._gate + possible, sigma_m
+        return self._explained(*np.median(asked, axis=0).tolist()), sigma_m
+
+    def _contradiction(self, entailed: tuple[int, int, Motion] | None, known: Known) -> float:
+        """Squared sigmas by which what is known must be wrong for both of two sets to be true, as `_cost`."""
+        if entailed is None:
+            return 0.0
+        assert self._faulty is not None
+        start, end, said = entailed
+        return self._explained(*self._faulty.explain(start, end, known(start, end), said))
+
+    def _explained(self, plain: float, likeliest: float, possible: float) -> float:
+        """As it is, or a gate and what is left where one fault explains it better."""
+        return plain if plain <= self._gate + likeliest else self._gate + possible
 
     def _bend(self, claim: LoopCandidate, way: Motion) -> tuple[float, float, float]:
-        """Squared sigmas by which a claim is off what is known, and what `FaultySteps.explain` tells."""
-        if not np.isfinite(way.covariance).all():
-            return 0.0, math.inf, math.inf
-        said = claimed(claim)
-        way = way.widened(said.covariance)
+        """Squared sigmas by which a claim is off what is known, see `FaultySteps.explain`."""
         assert self._faulty is not None
-        explained = self._faulty.explain(claim.place, claim.keyframe, way, said)
-        return way.squared_mahalanobis(said.pose), *explained
+        return self._faulty.explain(claim.place, claim.keyframe, way, claimed(claim))
 
 
 class _Known:
