@@ -286,13 +286,14 @@ class RobotCameras:
         return [name for name, camera in self.cameras.items() if camera.T_base_camera is None]
 
     def warnings(self) -> list[str]:
-        """What a person should know, one line a camera that failed often."""
-        lines = []
+        """What a person should know of cameras that failed often: a line for all of them, by what failed."""
+        lost, refused = list[str](), list[str]()
         for name, camera in self.cameras.items():
-            lost, frames = camera.odometry.lost_frames, camera.odometry.frames
-            if lost > 0.01 * frames:
-                lines.append(f"{name}: {lost:,} of {frames:,} frames matched nothing")
-            if camera.refused_steps > 0.01 * camera.steps:
-                refused = f"{camera.refused_steps:,} of {camera.steps:,}"
-                lines.append(f"{name}: {refused} motions left the floor and were refused")
-        return lines
+            tracked = camera.odometry
+            for lines, failed, count in (
+                (lost, tracked.lost_frames, tracked.frames),
+                (refused, camera.refused_steps, camera.steps),
+            ):
+                lines += [f"{failed:,} of {count:,} of {name}"] if failed > 0.01 * count else []
+        told = [f"Frames that matched nothing: {', '.join(lost)}"] if lost else []
+        return told + ([f"Motions that left the floor, refused: {', '.join(refused)}"] if refused else [])
