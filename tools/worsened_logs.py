@@ -66,7 +66,7 @@ def main() -> None:
 
 
 def told(folder: Path, kind: str, seed: int, settings: list[str]) -> str:
-    """Mean error of the relations of a log that was made worse, the greatest, and how many are bent."""
+    """Mean error of the relations of a log that was made worse, and the greatest."""
     config = load_config(None, settings)
     mapper, scans_s = Mapper(config, PlanarRobot(config)), []
     for measurement in worsened(folder / f"{folder.name}.log.gz", kind, np.random.default_rng(seed)):
