@@ -102,8 +102,7 @@ class ClaimSets:
         if start == end:
             return Motion(np.zeros(3), np.zeros((3, 3)))
         if (start, end) not in self._ways:
-            covariance = self._chain.relative_covariances(end, np.array([start]), self._poses)[0]
-            self._ways[start, end] = Motion(between(self._poses[start], self._poses[end]), covariance)
+            self._ways[start, end] = self._chain.motion(start, end, self._poses)
         return self._ways[start, end]
 
 
