@@ -44,7 +44,7 @@ class DenseOdometry:
 
         odometry = o3d.t.pipelines.odometry
         source, target = _image(frame), _image(keyframe.frame)
-        depth_m, k = frame.parts.depth
+        depth_m, k = frame.depth
         camera = o3d.core.Tensor.from_numpy(np.array([[k.fx, 0.0, k.cx], [0.0, k.fy, k.cy], [0.0, 0.0, 1.0]]))
         farthest_m = float(depth_m.max())
         if farthest_m <= 0.0:
@@ -123,7 +123,7 @@ def _image(frame: PreparedFrame) -> Any:
 
     o3d = load_open3d()
 
-    depth_m = frame.parts.depth[0]
+    depth_m = frame.depth[0]
     height, width = depth_m.shape
     color = cv2.resize(frame.frame.color, (width, height), interpolation=cv2.INTER_AREA)
     return o3d.t.geometry.RGBDImage(

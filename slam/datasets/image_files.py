@@ -65,14 +65,13 @@ class ImageFiles:
 
     def color(self, file: StampedFile, budget: Budget) -> ColorImage:
         """See `ImageSource`."""
-        return read_color(file.path, budget)
+        return color_of(file_content(file.path, budget), file.path.name, budget)
 
     def depth(self, file: StampedFile, calibration: Calibration, budget: Budget) -> Float32Array:
         """See `ImageSource`."""
         content = file_content(file.path, budget)
         depth_m = depth_of(content, file.path.name, calibration, budget, float_png=self.float_png)
-        beside = self.confidence / file.path.name if self.confidence else None
-        if beside is not None and beside.is_file():
+        if self.confidence and (beside := self.confidence / file.path.name).is_file():
             trust = decoded(file_content(beside, budget), beside.name, budget)
             if trust.shape != depth_m.shape:
                 raise RecordFault(OTHER_CONFIDENCE, f"{beside.name}: {trust.shape}, {depth_m.shape}")
@@ -83,19 +82,14 @@ class ImageFiles:
 FILES = ImageFiles()
 
 
-def read_color(path: Path, budget: Budget) -> ColorImage:
+def color_of(content: bytes, name: str, budget: Budget) -> ColorImage:
     """An 8-bit image as (H, W, 3) RGB; grey is spread over the channels, transparency is dropped.
 
     Raises
     ------
     RecordFault
-        Missing, unreadable, damaged, not 8-bit, or beyond the budget.
+        Damaged, not 8-bit, or beyond the budget.
     """
-    return color_of(file_content(path, budget), path.name, budget)
-
-
-def color_of(content: bytes, name: str, budget: Budget) -> ColorImage:
-    """As `read_color`, of the bytes of an image."""
     image = decoded(content, name, budget)
     color = rgb_of(image)
     if color is None:

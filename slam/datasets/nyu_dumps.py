@@ -20,7 +20,7 @@ from slam.datasets.camera_frames import Camera
 from slam.datasets.dataset import RecordFault
 from slam.datasets.dataset_format import recorded
 from slam.datasets.frame_pairs import pair_images
-from slam.datasets.image_files import NOT_16_BIT, decoded, file_content, read_color
+from slam.datasets.image_files import FILES, NOT_16_BIT, decoded, file_content
 from slam.datasets.recording import Contents
 from slam.datasets.stamped_files import StampedFile, stamp_of
 from slam.measurements import CameraIntrinsics, ColorImage, Float32Array
@@ -98,7 +98,7 @@ class _Dumps:
         """See `slam.datasets.image_files.ImageSource`."""
         height, width = self._latest.shape
         intrinsics = Calibration(DEPTH_LENS.intrinsics, 1.0).intrinsics_for(width, height)
-        return self._camera.fitted(read_color(file.path, budget), self._latest, intrinsics)
+        return self._camera.fitted(FILES.color(file, budget), self._latest, intrinsics)
 
 
 FORMAT = recorded("NYU raw dumps", looks_like_nyu_dumps, _load, lambda path, account: None)

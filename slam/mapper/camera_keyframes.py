@@ -90,18 +90,17 @@ class CameraKeyframes:
         """
         for rank, picture in enumerate(pictures):
             # Seen from the base at the node, so that who reads the image needs no other pose than the node's.
-            image = replace(picture.frame.frame, T_base_camera=picture.T_base_camera)
-            frame = replace(picture.frame, frame=image)
-            registration = self._registrations.get(image.sensor)
+            frame, mounting = picture.frame, picture.T_base_camera
+            registration = self._registrations.get(frame.frame.sensor)
             self._nodes.append(node)
             self._stamps_s.append(stamp_s)
             self._taken.append(Taken.by(frame))
-            self._T_node_camera.append(picture.T_base_camera)
-            if places and rank == 0:
-                self._places.keys.append(self._store.add(frame, registration, node))
+            self._T_node_camera.append(mounting)
+            found_again = places and rank == 0
+            key = self._store.add(frame, registration, node, mounting, matched=found_again)
+            if found_again:
+                self._places.keys.append(key)
                 self._closer.add_keyframe(frame)
-            else:
-                self._store.add_picture(frame, registration, node)
 
     def close(self, poses: Sequence[Pose]) -> list[LoopCandidate]:
         """Try the places that the newest frame may show, by the current estimates of all nodes.

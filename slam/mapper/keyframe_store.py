@@ -6,13 +6,14 @@ from collections import OrderedDict
 from collections.abc import Mapping
 from dataclasses import replace
 
+import gtsam
 import numpy as np
 
 from slam.config.stages import RgbdConfig
 from slam.storage.map_file import MapFile
 from slam.storage.map_frames import MapFrames
 from slam.vision.color_registration import ColorRegistration, register_color
-from slam.vision.prepared_frame import PreparedFrame, prepared_with
+from slam.vision.prepared_frame import PreparedFrame
 
 
 class KeyframeStore:
@@ -39,7 +40,13 @@ class KeyframeStore:
         return len(self.images)
 
     def add(
-        self, frame: PreparedFrame, registration: ColorRegistration | None = None, node: int | None = None
+        self,
+        frame: PreparedFrame,
+        registration: ColorRegistration | None = None,
+        node: int | None = None,
+        mounting: gtsam.Pose3 | None = None,
+        *,
+        matched: bool = True,
     ) -> int:
         """Take the next keyframe; its number.
 
@@ -49,25 +56,26 @@ class KeyframeStore:
             Where the colour camera sits; the colours are then moved to where the depth camera sees them.
         node
             Of the graph, where that is not the keyframe's own number.
+        mounting
+            ``T_base_camera`` of the image, where the frame tells another.
+        matched
+            Whether others are matched to it in this run; else it is for the map alone.
         """
-        key = self.add_picture(frame, registration, len(self) if node is None else node)
-        self._keep(key, frame)
-        return key
-
-    def add_picture(self, frame: PreparedFrame, registration: ColorRegistration | None, node: int) -> int:
-        """Take a frame that is for the map alone: nobody matches it to others in this run; its number."""
-        image = frame.frame
+        image = replace(frame.frame, T_base_camera=mounting or frame.frame.T_base_camera)
         if registration is not None and registration.accepted:
             color, known = register_color(image.color, image.depth_m, registration)
             # Depth without colour would paint the map black.
             image = replace(image, color=color, depth_m=np.where(known, image.depth_m, np.float32(0.0)))
-        return self.images.add(image, node, frame.features)
+        key = self.images.add(image, len(self) if node is None else node, frame.features)
+        if matched:
+            self._keep(key, frame)
+        return key
 
     def keyframe(self, key: int) -> PreparedFrame:
         """A keyframe, from memory or made anew from its images."""
         frame = self._cache.get(key)
         if frame is None:
-            frame = prepared_with(self.images.frame(key), self.images.features(key), self._config)
+            frame = PreparedFrame(self.images.frame(key), self._config, None, self.images.features(key))
         self._keep(key, frame)
         return frame
 

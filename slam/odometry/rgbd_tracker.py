@@ -125,7 +125,7 @@ class RgbdTracker:
         alike = [self._local[n] for n in order if n == order[0] or scores[n] < 1.0]
         self._in_use = [one for one in self._in_use if not any(one is other for other in alike)] + alike
         for unused in self._in_use[: -2 * views]:
-            unused.frame.parts.forget_surface()
+            unused.frame.forget_surface()
         del self._in_use[: -2 * views]
         return alike
 

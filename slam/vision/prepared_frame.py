@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
@@ -15,8 +14,8 @@ from slam.vision.features import Features, extract_features, gray_of
 from slam.vision.surface import Surface, SurfacePoints, points_of, surface_of, working_depth
 
 
-class FrameParts:
-    """Features and surfaces of a frame, each made when first asked for.
+class PreparedFrame:
+    """A frame, and features and surfaces of it, each made when first asked for.
 
     Parameters
     ----------
@@ -37,14 +36,16 @@ class FrameParts:
         registration: ColorRegistration | None = None,
         features: Features | None = None,
     ) -> None:
-        self._frame = frame
+        self.frame = frame
         self._config = config
         self._registration = registration
-        self._known = features
+        if features is not None:
+            self.features = features
 
-    def make_ready(self) -> None:
-        """Make what a match needs."""
-        _ = self.features, self.points
+    @property
+    def stamp_s(self) -> float:
+        """Time of the frame."""
+        return self.frame.stamp_s
 
     def forget_surface(self) -> None:
         """Give up what is large and quickly made again of the depth image."""
@@ -55,10 +56,8 @@ class FrameParts:
     @cached_property
     def features(self) -> Features:
         """At the full resolution, all of them in the depth camera's image."""
-        if self._known is not None:
-            return self._known
-        depth_m = self._frame.depth_m
-        features = extract_features(gray_of(self._frame), depth_m, self._config.features)
+        depth_m = self.frame.depth_m
+        features = extract_features(gray_of(self.frame), depth_m, self._config.features)
         if self._registration is None:
             return features
         pixels, depth_m = register_features(features.pixels, depth_m, self._registration)
@@ -67,7 +66,7 @@ class FrameParts:
     @cached_property
     def depth(self) -> tuple[Float32Array, CameraIntrinsics]:
         """The reduced depth image and its camera."""
-        return working_depth(self._frame.depth_m, self._frame.intrinsics, self._config.working_width)
+        return working_depth(self.frame.depth_m, self.frame.intrinsics, self._config.working_width)
 
     @cached_property
     def points(self) -> SurfacePoints:
@@ -84,39 +83,6 @@ class FrameParts:
     def median_depth_m(self) -> float:
         """Median depth of the surface points; 1 where there are none."""
         return float(np.median(self.points.points[:, 2])) if len(self.points) else 1.0
-
-
-@dataclass(frozen=True)
-class PreparedFrame:
-    """A frame and what odometry needs of it; see `FrameParts`."""
-
-    frame: RgbdFrame
-    parts: FrameParts
-
-    @property
-    def stamp_s(self) -> float:
-        """Time of the frame."""
-        return self.frame.stamp_s
-
-    @property
-    def features(self) -> Features:
-        """ORB features at the full resolution."""
-        return self.parts.features
-
-    @property
-    def points(self) -> SurfacePoints:
-        """Surface points of the reduced depth image."""
-        return self.parts.points
-
-    @property
-    def surface(self) -> Surface:
-        """The whole surface."""
-        return self.parts.surface
-
-    @property
-    def median_depth_m(self) -> float:
-        """Median depth of the surface points; 1 where there are none."""
-        return self.parts.median_depth_m
 
 
 class FramePreparer:
@@ -146,12 +112,7 @@ class FramePreparer:
         """A frame with its features; anything else as it is."""
         if not isinstance(measurement, RgbdFrame):
             return measurement
-        parts = FrameParts(measurement, self._config, self._registrations.get(measurement.sensor))
+        frame = PreparedFrame(measurement, self._config, self._registrations.get(measurement.sensor))
         if not self._idle():
-            parts.make_ready()
-        return PreparedFrame(measurement, parts)
-
-
-def prepared_with(frame: RgbdFrame, features: Features, config: RgbdConfig) -> PreparedFrame:
-    """Surface points anew, beside features that are known."""
-    return PreparedFrame(frame, FrameParts(frame, config, features=features))
+            _ = frame.features, frame.points  # what a match needs
+        return frame

@@ -36,7 +36,7 @@ REDKITCHEN = Path(__file__).parents[3] / "shared" / "data" / "rgbd" / "redkitche
 
 
 def read_color(path: Path) -> np.ndarray:
-    return image_files.read_color(path, Budget(0))
+    return image_files.FILES.color(StampedFile(0.0, path, 1), Budget(0))
 
 
 def read_depth(path: Path, steps_per_m: float, codes: tuple[int, ...] = ()) -> np.ndarray:

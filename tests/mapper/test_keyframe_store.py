@@ -31,7 +31,7 @@ def test_a_keyframe_from_disk_is_the_one_that_was_added(frames: list[PreparedFra
         assert found.stamp_s == frame.stamp_s
         np.testing.assert_array_equal(found.features.descriptors, frame.features.descriptors)
         np.testing.assert_array_equal(found.features.depth_m, frame.features.depth_m)
-        np.testing.assert_allclose(found.parts.depth[0], frame.parts.depth[0], atol=1.1e-4)
+        np.testing.assert_allclose(found.depth[0], frame.depth[0], atol=1.1e-4)
         assert abs(len(found.points) - len(frame.points)) < 20
         turned = np.linalg.norm((found.surface.planes - frame.surface.planes)[..., 1:], axis=2)
         assert np.median(turned) < 2e-3
@@ -83,4 +83,4 @@ def test_touching_does_to_the_memory_what_asking_does(frames: list[PreparedFrame
     for key in (2, 1, 0):
         one, other = looked.keyframe(key), touched.keyframe(key)
         assert (one is frames[key]) == (other is frames[key]), key
-        np.testing.assert_array_equal(one.parts.depth[0], other.parts.depth[0])
+        np.testing.assert_array_equal(one.depth[0], other.depth[0])

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Callable
+from dataclasses import replace
 
 import gtsam
 import numpy as np
@@ -57,8 +59,8 @@ class Run:
 
     def at(self, stamp_s: float) -> TrackedFrame:
         """Track the frame of a stamp, and keep it where the tracker asks for it."""
-        image = self._picture.frame
-        frame = PreparedFrame(type(image)(stamp_s, image.color, image.depth_m, SMALL), self._picture.parts)
+        frame = copy.copy(self._picture)
+        frame.frame = replace(frame.frame, stamp_s=stamp_s, intrinsics=SMALL)
         tracked = self.tracker.track(frame)
         if tracked.new_keyframe:
             self.tracker.add_keyframe(frame, tracked)

@@ -41,10 +41,10 @@ def seen(pose: gtsam.Pose3, room: Room | None = None, seed: int = 0) -> Prepared
 
 def with_parts(frame: PreparedFrame, **changes: object) -> PreparedFrame:
     """The frame with other parts than its images give."""
-    parts = copy.copy(frame.parts)
+    changed = copy.copy(frame)
     for name, value in changes.items():
-        setattr(parts, name, value)
-    return replace(frame, parts=parts)
+        setattr(changed, name, value)
+    return changed
 
 
 @pytest.fixture(scope="module")

@@ -30,7 +30,7 @@ def test_a_prepared_frame_keeps_its_image_and_obeys_the_limits() -> None:
     assert found.frame is FRAME
     assert 50 < len(found.features) <= 100
     assert len(found.points) < 800
-    assert found.parts.depth[0].shape == (120, 160)
+    assert found.depth[0].shape == (120, 160)
     assert found.surface.planes.shape == (120, 160, 4)
     assert 1.5 < found.median_depth_m < 3.0
     assert prepared(replace(FRAME, depth_m=0 * FRAME.depth_m)).median_depth_m == 1.0
