@@ -3,23 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Generator, Iterable
-from contextlib import suppress
 from dataclasses import dataclass, replace
-from functools import cached_property, lru_cache
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
 
 from slam.datasets.account import Account
 from slam.datasets.bags.lens import Lens
-from slam.datasets.budget import LARGEST_BYTES, Budget
+from slam.datasets.budget import Budget
 from slam.datasets.calibration import Calibration, same_aspect
 from slam.datasets.dataset import WARNING, RecordFault
 from slam.datasets.frame_pairs import FramePair
-from slam.datasets.image_files import FILES, ImageFiles, ImageSource
-from slam.errors import ScanweaveError
+from slam.datasets.image_files import FILES, ImageSource
 from slam.measurements import CameraIntrinsics, ColorImage, Float32Array, RgbdFrame
-from slam.spool import Spool
 from slam.vision.prefetch import prefetched
 
 SIZES_DIFFER = "colour and depth of different aspect"
@@ -64,45 +61,13 @@ class _Images:
     fault: RecordFault | None = None
 
 
-class DepthImages:
-    """Depth images that are asked for once more, in a temporary file: a tenth of the time of decoding them.
-
-    Attributes
-    ----------
-    room_bytes
-        So much more is kept, and nothing where the disk is full.
-    """
-
-    def __init__(self) -> None:
-        self.room_bytes = 2 * LARGEST_BYTES
-        self._places = dict[tuple[str, FramePair], tuple[int, tuple[int, ...]]]()
-
-    def image(self, camera: Camera, pair: FramePair, budget: Budget) -> Float32Array:
-        """The image of a pair, as its source has it."""
-        if place := self._places.get((camera.sensor, pair)):
-            return np.frombuffer(bytearray(self._file[place[0]]), np.float32).reshape(place[1])
-        depth_m = camera.source.depth(pair.depth, camera.calibration, budget)
-        # Other sources may need to be asked for each in turn.
-        if isinstance(camera.source, ImageFiles) and depth_m.nbytes <= self.room_bytes:
-            with suppress(ScanweaveError, OSError):
-                self._file.append(depth_m.tobytes())
-                self.room_bytes -= depth_m.nbytes
-                self._places[camera.sensor, pair] = len(self._file) - 1, depth_m.shape
-        return depth_m
-
-    @cached_property
-    def _file(self) -> Spool:
-        """Made when there is something to keep."""
-        return Spool()
-
-
 def read_frames(
-    requests: Iterable[tuple[Camera, FramePair]], account: Account, depths: DepthImages
+    requests: Iterable[tuple[Camera, FramePair]], account: Account
 ) -> Generator[tuple[int, RgbdFrame], None, None]:
     """Frames in the order of the requests, each with the line of its colour image; faults are counted."""
     sizes: dict[str, CameraIntrinsics] = {}
     budget = Budget(0)
-    for images in prefetched(requests, lambda request: _decode(request, budget, depths)):
+    for images in prefetched(requests, lambda request: _decode(request, budget)):
         camera, number = images.camera, images.pair.color.number
         account.report.line_count += 1
         try:
@@ -140,14 +105,15 @@ def _frame(images: _Images, sizes: dict[str, CameraIntrinsics]) -> RgbdFrame:
     )
 
 
-def _decode(request: tuple[Camera, FramePair], budget: Budget, depths: DepthImages) -> _Images:
+def _decode(request: tuple[Camera, FramePair], budget: Budget) -> _Images:
     """Both images, upright and of one size; runs on the thread that prefetches."""
     camera, pair = request
+    calibration = camera.calibration
     try:
-        depth_m = depths.image(camera, pair, budget)
+        depth_m = camera.source.depth(pair.depth, calibration, budget)
         color = camera.source.color(pair.color, budget)
         stored = (color.shape[1], color.shape[0])
-        color = _fitted(color, depth_m, camera.calibration)
+        color = _fitted(color, depth_m, calibration)
     except RecordFault as fault:
         return _Images(camera, pair, fault=fault)
     if turns := camera.quarter_turns % 4:

@@ -15,7 +15,7 @@ from typing import Any, TypeAlias
 from fusion.showing import one_line
 from slam.datasets.account import Account
 from slam.datasets.calibration_files import by_files, known_beside
-from slam.datasets.camera_frames import Camera, DepthImages, read_frames
+from slam.datasets.camera_frames import Camera, read_frames
 from slam.datasets.dataset import ReadReport
 from slam.datasets.frame_pairs import FramePair
 from slam.errors import DatasetError
@@ -53,8 +53,8 @@ def fewer_frames(log: Any, choose: FrameChoice | None) -> Iterator[None]:
 def read_once(log: Any, then: Callable[[], None] | None = None) -> Iterator[None]:
     """A log of scans and odometry is decoded once, meanwhile: further passes take it from memory.
 
-    The first pass afterwards does so too, and frees it. Of cameras their depth images are kept; one of
-    clouds, of more than `_MOST_KEPT_BYTES` or of another reader is read anew. ``then`` is called at the end.
+    The first pass afterwards does so too, and frees it. One with cameras or clouds, one of more than
+    `_MOST_KEPT_BYTES` and one of another reader is read anew. ``then`` is called once it is in memory.
     """
     while hasattr(log, "log"):
         log = log.log
@@ -137,7 +137,6 @@ class Recording:
         self.keeps = False
         self.when_kept: Callable[[], None] | None = None
         self.kept: tuple[list[Measurement], ReadReport] | None = None
-        self._depths: DepthImages | None = None
         self._load, self._truth, self._strict, self._remedy = load, truth, strict, remedy
 
     def __iter__(self) -> Iterator[Measurement]:
@@ -172,11 +171,7 @@ class Recording:
             ]
         # Frames take the time, where there are any; else the log beside them tells how far it was read.
         frames_in_all, frames_read = sum(len(camera.pairs) for camera in cameras), 0
-        depths = self._depths or DepthImages()
-        if not self.keeps:  # the file goes with this pass
-            depths.room_bytes = 0
-        self._depths = depths if self.keeps else None
-        with closing(read_frames(_by_time(cameras), account, depths)) as frames:
+        with closing(read_frames(_by_time(cameras), account)) as frames:
             for number, measurement in _frames_after_log(contents.log, frames):
                 report.observe(measurement, number)
                 if isinstance(measurement, RgbdFrame):

@@ -15,7 +15,7 @@ from slam.graph.loop_candidate import LoopCandidate
 from slam.graph.visual_loops import VisualLoopCloser
 from slam.mapper.checkpoint import Checkpoint
 from slam.mapper.keyframe_store import KeyframeStore
-from slam.mapper.robot_cameras import Picture, RobotCameras, Taken
+from slam.mapper.robot_cameras import Picture, RobotCameras
 from slam.matching.planar import between
 from slam.measurements import FloatArray, Pose, pose2_from_row, spatial
 from slam.odometry.clock_learner import SensorClock
@@ -70,7 +70,7 @@ class CameraKeyframes:
         self._registrations = registrations
         self._nodes: list[int] = []
         self._stamps_s: list[float] = []
-        self._taken: list[Taken] = []
+        self._taken: list[tuple[str, float]] = []
         self._T_node_camera: list[gtsam.Pose3] = []
         self._clocks: list[SensorClock] = []
         # Loops as they were measured between frames, by their nodes.
@@ -94,7 +94,7 @@ class CameraKeyframes:
             registration = self._registrations.get(frame.frame.sensor)
             self._nodes.append(node)
             self._stamps_s.append(stamp_s)
-            self._taken.append(Taken.by(frame))
+            self._taken.append((frame.frame.sensor, frame.stamp_s))
             self._T_node_camera.append(mounting)
             found_again = places and rank == 0
             key = self._store.add(frame, registration, node, mounting, matched=found_again)
@@ -143,9 +143,9 @@ class CameraKeyframes:
 
     def _place_anew(self) -> None:
         """Where frames were taken; one of which it is not known stays where it was."""
-        found = map(self._cameras.placed_at, self._taken, self._stamps_s)
         self._T_node_camera = [
-            before if now is None else now for now, before in zip(found, self._T_node_camera, strict=True)
+            self._cameras.placed_at(*taken, stamp_s) or before
+            for taken, stamp_s, before in zip(self._taken, self._stamps_s, self._T_node_camera, strict=True)
         ]
 
     def _of_nodes(self, candidate: LoopCandidate) -> LoopCandidate:
@@ -160,7 +160,7 @@ class CameraKeyframes:
         before, after = (self._T_node_camera[key] for key in frames)
         planar = planar_motion(motion.T_reference_base, motion.covariance, after, before)
         covariance = planar.covariance
-        late = [self._cameras.placed_at(self._taken[key], self._stamps_s[key], 1.0) for key in frames]
+        late = [self._cameras.placed_at(*self._taken[key], self._stamps_s[key], 1.0) for key in frames]
         if late[0] is not None and late[1] is not None:
             # The clock moves both ends, each as the robot moved there.
             moved = planar_motion(motion.T_reference_base, motion.covariance, late[1], late[0])

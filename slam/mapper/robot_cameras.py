@@ -6,7 +6,6 @@ import time
 from array import array
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import NamedTuple
 
 import gtsam
 import numpy as np
@@ -83,18 +82,6 @@ class Picture:
 
     frame: PreparedFrame
     T_base_camera: gtsam.Pose3
-
-
-class Taken(NamedTuple):
-    """Which camera took a frame, and when by its own clock."""
-
-    camera: str
-    stamp_s: float
-
-    @classmethod
-    def by(cls, frame: PreparedFrame) -> Taken:
-        """What a frame tells of it."""
-        return cls(frame.frame.sensor, frame.stamp_s)
 
 
 @dataclass(slots=True)
@@ -182,16 +169,16 @@ class RobotCameras:
         One that is lost is left out; where the first is, all are.
         """
         known = [camera.newest for camera in self.cameras.values() if camera.newest and camera.T_base_camera]
-        found = [(frame, self.placed_at(Taken.by(frame), stamp_s)) for frame in known]
+        found = [(frame, self.placed_at(frame.frame.sensor, frame.stamp_s, stamp_s)) for frame in known]
         return [Picture(frame, pose) for frame, pose in found if pose] if found and found[0][1] else []
 
-    def placed_at(self, taken: Taken, stamp_s: float, sigmas: float = 0.0) -> gtsam.Pose3 | None:
-        """Where a frame was taken, seen from the base at a stamp of the robot's clock; None if not known.
+    def placed_at(self, name: str, taken_s: float, stamp_s: float, sigmas: float = 0.0) -> gtsam.Pose3 | None:
+        """Where a camera took a frame, seen from the base at a stamp of the robot's clock; None if not known.
 
         By clock and mounting as they are known by now; so many standard deviations of the clock beside.
         """
-        camera = self.cameras[taken.camera]
-        there = camera.odometry.track.at(taken.stamp_s, 0.0)
+        camera = self.cameras[name]
+        there = camera.odometry.track.at(taken_s, 0.0)
         base = camera.at(stamp_s + sigmas * camera.clock.sigma_s)
         if camera.T_base_camera is None or there is None or base is None or there.segment != base.segment:
             return None
@@ -200,10 +187,10 @@ class RobotCameras:
     def pictures(self, stamp_s: float) -> list[Picture]:
         """The newest frame of every camera; one that is lost or not yet placed is taken as it stands."""
         found = []
-        for _, camera in sorted(self.cameras.items()):
+        for name, camera in sorted(self.cameras.items()):
             if (newest := camera.newest) is not None:
-                as_it_stands = camera.T_base_camera or T_BODY_CAMERA
-                found.append(Picture(newest, self.placed_at(Taken.by(newest), stamp_s) or as_it_stands))
+                placed = self.placed_at(name, newest.stamp_s, stamp_s)
+                found.append(Picture(newest, placed or camera.T_base_camera or T_BODY_CAMERA))
         return found
 
     def steps(self, before: CameraPoses, after: CameraPoses) -> list[CameraStep]:

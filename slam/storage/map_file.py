@@ -201,8 +201,7 @@ class MapFile:
     def replace(self, table: Table, number: int, *values: Value) -> None:
         """Write a row anew."""
         with reported(self.path, "written"):
-            row = (number, table.checksum(number, values), *values)
-            self._connection.execute(table.replace_sql, row)
+            self._connection.execute(table.replace_sql, (number, table.checksum(number, values), *values))
 
     def row(self, table: Table, number: int, *, again: bool = False) -> tuple[Value, ...]:
         """The values of a row; of one that is read again the checksum was found right.

@@ -31,12 +31,10 @@ from slam.datasets.calibration import OTHER_ASPECT
 from slam.datasets.camera_frames import SIZE_CHANGED, SIZES_DIFFER
 from slam.datasets.frame_pairs import NO_DEPTH
 from slam.datasets.image_files import DAMAGED, MISSING, NOT_16_BIT
-from slam.datasets.recording import fewer_frames, read_once
 from slam.datasets.stamped_files import BAD_NAME, BAD_POSE, BAD_STAMP, WRONG_FIELDS
-from slam.errors import BadRecordError, DatasetError, ScanweaveError
+from slam.errors import BadRecordError, DatasetError
 from slam.measurements import CameraIntrinsics, RgbdFrame
 from slam.simulation.tum_writer import calibration, write_yaml
-from slam.spool import Spool
 
 
 def test_frames_are_read_in_order_with_the_stamp_of_their_colour(tmp_path: Path) -> None:
@@ -292,32 +290,6 @@ def test_an_abandoned_reading_leaves_no_thread_and_a_second_pass_is_the_first_ag
     report = repr(dataset.report)
     assert [m.stamp_s for m in dataset] == first
     assert repr(dataset.report) == report
-
-
-def test_depth_is_decoded_once_and_the_pass_after_frees_it(tmp_path: Path) -> None:
-    write_tum(tmp_path, 4)
-    dataset = open_dataset(tmp_path)
-    fresh = frames(list(dataset))
-    with read_once(dataset), fewer_frames(dataset, lambda _, stamps_s: [n < 2 for n in range(len(stamps_s))]):
-        some = frames(list(dataset))
-    for path in sorted((tmp_path / "depth").iterdir())[:2]:
-        path.unlink()
-    again = frames(list(dataset))
-    assert [len(fresh), len(some), len(again), len(frames(list(dataset)))] == [4, 2, 4, 2]
-    for one, other in zip(fresh, again, strict=True):
-        np.testing.assert_array_equal(one.depth_m, other.depth_m)
-    again[0].depth_m[:] = 0.0  # who has it may write to it
-
-
-def test_a_full_disk_costs_time_alone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    def full(*_: object) -> None:
-        raise ScanweaveError("no room")
-
-    monkeypatch.setattr(Spool, "append", full)
-    write_tum(tmp_path, 4)
-    dataset = open_dataset(tmp_path)
-    with read_once(dataset):
-        assert len(frames(list(dataset))) == len(frames(list(dataset))) == 4
 
 
 def test_memory_does_not_grow_with_the_log(tmp_path: Path) -> None:

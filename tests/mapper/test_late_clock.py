@@ -15,7 +15,7 @@ from slam.graph.keyframe_graph import KeyframeGraph
 from slam.graph.loop_candidate import LoopCandidate
 from slam.mapper.camera_keyframes import CameraKeyframes
 from slam.mapper.checkpoint import Checkpoint
-from slam.mapper.robot_cameras import Picture, RobotCamera, RobotCameras, Taken
+from slam.mapper.robot_cameras import Picture, RobotCamera, RobotCameras
 from slam.odometry.camera_odometry import CameraOdometry
 from slam.odometry.camera_track import CameraPose
 from slam.odometry.clock_learner import SensorClock
@@ -42,7 +42,7 @@ def cameras() -> RobotCameras:
 
 def yaw_seen(cameras: RobotCameras, sigmas: float = 0.0) -> float:
     """Of the camera of a frame stamped 1.0, seen from the base at 1.0, beside its mounting."""
-    placed = cameras.placed_at(Taken("eye", 1.0), 1.0, sigmas)
+    placed = cameras.placed_at("eye", 1.0, 1.0, sigmas)
     assert placed is not None
     return float(placed.compose(MOUNT.inverse()).rotation().yaw())
 
@@ -55,9 +55,9 @@ def test_a_frame_is_placed_by_the_clock_as_it_is_known(cameras: RobotCameras) ->
 
 
 def test_nothing_is_known_where_the_camera_was_not(cameras: RobotCameras) -> None:
-    assert cameras.placed_at(Taken("eye", 1.0), 9.0) is None
+    assert cameras.placed_at("eye", 1.0, 9.0) is None
     cameras.cameras["eye"].T_base_camera = None
-    assert cameras.placed_at(Taken("eye", 1.0), 1.0) is None
+    assert cameras.placed_at("eye", 1.0, 1.0) is None
 
 
 def test_frames_and_the_loops_between_them_follow_the_clock(cameras: RobotCameras) -> None:
