@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -191,41 +192,21 @@ def _heading(pair: Pair, scale: float) -> Finding:
         "in degrees" if in_degrees else "" if abs(scale) == 1.0 else f"{1.0 / abs(scale):.3g} times too large"
     )
     sign = "of the wrong sign" if scale < 0.0 else ""
-    return Finding(
-        pair.wheels,
-        "heading",
-        f"its heading is {' and '.join(part for part in (what, sign) if part)}",
-        _GARBLED,
-        (pair.of_wheels(heading_scale=round(scale, 7)),),
-        sure=True,
-        value=scale,
-    )
+    text = f"its heading is {' and '.join(part for part in (what, sign) if part)}"
+    return _surely(pair, "heading", text, _GARBLED, scale, heading_scale=round(scale, 7))
 
 
 def _wrong_axes(pair: Pair, axes: str) -> Finding:
     """Written axes that are others."""
-    return Finding(
-        pair.wheels,
-        "axes",
-        f"what it writes as x y is {axes}",
-        _GARBLED,
-        (pair.of_wheels(axes=axes),),
-        sure=True,
-    )
+    return _surely(pair, "axes", f"what it writes as x y is {axes}", _GARBLED, axes=axes)
 
 
 def _crab(pair: Pair, heading_rad: float) -> Finding:
     """A heading that is off by always the same: the robot seems to go aside, as wheels cannot."""
     turned_deg = math.degrees(heading_rad)
-    return Finding(
-        pair.wheels,
-        "heading offset",
-        f"its heading is off by {-turned_deg:.1f} degrees: it goes aside, and the lidar does not",
-        _GARBLED,
-        (pair.of_wheels(heading_offset_deg=round(turned_deg, 2)),),
-        sure=True,
-        value=-heading_rad,
-    )
+    text = f"its heading is off by {-turned_deg:.1f} degrees: it goes aside, and the lidar does not"
+    offset_deg = round(turned_deg, 2)
+    return _surely(pair, "heading offset", text, _GARBLED, -heading_rad, heading_offset_deg=offset_deg)
 
 
 def _mounting(pair: Pair, relation: Relation, forward: bool, config: Config) -> list[Finding]:
@@ -353,13 +334,20 @@ def _unit(scale: float) -> float | None:
 def _turns(pair: Pair, scale: float, sigma: float) -> Finding:
     """Turns of the wheels that are too large or too small."""
     low, high = interval(scale, sigma)
-    return Finding(
-        pair.wheels,
+    text = f"its turns are {1.0 / scale:.3f} times the lidar's (95 % of their scale: {low:.3f} to {high:.3f})"
+    found = _surely(
+        pair,
         "turn scale",
-        f"its turns are {1.0 / scale:.3f} times the lidar's (95 % of their scale: {low:.3f} to {high:.3f})",
+        text,
         "in turns the wheels contradict the matches",
-        (pair.of_wheels(turn_scale=round(scale, 4)),),
-        sure=True,
-        value=scale,
-        interval=(low, high),
+        scale,
+        turn_scale=round(scale, 4),
     )
+    return replace(found, interval=(low, high))
+
+
+def _surely(
+    pair: Pair, kind: str, text: str, effect: str, value: float | None = None, **mended: object
+) -> Finding:
+    """What is beyond doubt wrong with the wheels, mended by entries of their calibration."""
+    return Finding(pair.wheels, kind, text, effect, (pair.of_wheels(**mended),), sure=True, value=value)

@@ -6,15 +6,19 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import gtsam
+import numpy as np
 
 from slam.config import Config
 from slam.estimates import MotionEstimate
+from slam.graph.keyframe_graph import KeyframeGraph
 from slam.graph.loop_candidate import LoopCandidate
 from slam.graph.visual_loops import VisualLoopCloser
 from slam.mapper.checkpoint import Checkpoint
 from slam.mapper.keyframe_store import KeyframeStore
-from slam.mapper.robot_cameras import Picture
-from slam.measurements import Pose, pose2_from_row, spatial
+from slam.mapper.robot_cameras import Picture, RobotCameras, Taken
+from slam.matching.planar import between
+from slam.measurements import FloatArray, Pose, pose2_from_row, spatial
+from slam.odometry.clock_learner import SensorClock
 from slam.storage.map_frames import MapFrames
 from slam.vision.color_registration import ColorRegistration
 from slam.vision.frame_matcher import FrameMatcher
@@ -41,27 +45,44 @@ class _Places:
 class CameraKeyframes:
     """Frames of a robot's cameras, each belonging to a node of the graph; the leading camera's are places.
 
+    When a frame was taken, and so where it was taken from, is known as well as its camera's clock; that is
+    learned on the way, so frames are placed anew with it.
+
     Parameters
     ----------
+    cameras
+        That take them.
     registrations
         Where colour cameras sit that are not registered to depth, by name.
     """
 
     def __init__(
-        self, config: Config, checkpoint: Checkpoint, registrations: Mapping[str, ColorRegistration]
+        self,
+        config: Config,
+        checkpoint: Checkpoint,
+        registrations: Mapping[str, ColorRegistration],
+        cameras: RobotCameras,
     ) -> None:
+        self._cameras = cameras
         self._store = KeyframeStore(config.rgbd, config.match.local_map_keyframes, checkpoint.spool())
         self._places = _Places(self._store)
         self._closer = VisualLoopCloser(config, FrameMatcher(config), self._places, checkpoint)
         self._registrations = registrations
         self._nodes: list[int] = []
+        self._stamps_s: list[float] = []
+        self._taken: list[Taken] = []
         self._T_node_camera: list[gtsam.Pose3] = []
+        self._clocks: list[SensorClock] = []
+        # Loops as they were measured between frames, by their nodes.
+        self._measured: dict[tuple[int, int], LoopCandidate] = {}
 
-    def add(self, node: int, pictures: Sequence[Picture], *, places: bool) -> None:
+    def add(self, node: int, stamp_s: float, pictures: Sequence[Picture], *, places: bool) -> None:
         """Take the frames of the newest node.
 
         Parameters
         ----------
+        stamp_s
+            Of the node, by the robot's clock.
         pictures
             A frame of each camera, the leading one's first, and where they were taken, seen from the node.
         places
@@ -73,6 +94,8 @@ class CameraKeyframes:
             frame = replace(picture.frame, frame=image)
             registration = self._registrations.get(image.sensor)
             self._nodes.append(node)
+            self._stamps_s.append(stamp_s)
+            self._taken.append(Taken.by(frame))
             self._T_node_camera.append(picture.T_base_camera)
             if places and rank == 0:
                 self._places.keys.append(self._store.add(frame, registration, node))
@@ -87,6 +110,10 @@ class CameraKeyframes:
         -------
         Every candidate that was tried, its ends being nodes.
         """
+        clocks = [camera.clock for camera in self._cameras.cameras.values()]
+        if clocks != self._clocks:
+            self._clocks = clocks
+            self._place_anew()
         keys = self._places.keys
         cameras = [spatial(poses[self._nodes[key]]).compose(self._T_node_camera[key]) for key in keys]
         tried = self._closer.close(len(keys) - 1, cameras)
@@ -97,22 +124,52 @@ class CameraKeyframes:
         """All of them."""
         return self._store.images
 
+    def settle(self, graph: KeyframeGraph, stamps_s: FloatArray) -> None:
+        """At the end: place frames, and loops between them, as the whole run tells clocks and mountings.
+
+        Parameters
+        ----------
+        stamps_s
+            (K,) of the nodes, by the robot's clock as it is known now.
+        """
+        self._stamps_s = stamps_s[self._nodes].tolist()
+        self._place_anew()
+        for key, T_node_camera in enumerate(self._T_node_camera):
+            self.frames.place(key, T_node_camera)
+        for n, edge in enumerate(graph.graph.edges):
+            measured = self._measured.get((edge.source, edge.target))
+            if edge.loop is not None and measured is not None:
+                told = replace(graph.loops[edge.loop], motion=self._of_nodes(measured).motion)
+                graph.loops[edge.loop], graph.graph.edges[n] = told, told.edge(edge.loop)
+
+    def _place_anew(self) -> None:
+        """Where frames were taken; one of which it is not known stays where it was."""
+        found = map(self._cameras.placed_at, self._taken, self._stamps_s)
+        self._T_node_camera = [
+            before if now is None else now for now, before in zip(found, self._T_node_camera, strict=True)
+        ]
+
     def _of_nodes(self, candidate: LoopCandidate) -> LoopCandidate:
         """A candidate between frames as one between nodes, projected to the plane."""
-        place, key = self._places.keys[candidate.place], self._places.keys[candidate.keyframe]
-        candidate = replace(candidate, place=self._nodes[place], keyframe=self._nodes[key])
+        frames = [self._places.keys[candidate.place], self._places.keys[candidate.keyframe]]
+        place, keyframe = (self._nodes[key] for key in frames)
+        of_frames, candidate = candidate, replace(candidate, place=place, keyframe=keyframe)
         motion = candidate.motion
         if motion is None or not isinstance(motion.T_reference_base, gtsam.Pose3):
             return candidate
-        planar = planar_motion(
-            motion.T_reference_base,
-            motion.covariance,
-            self._T_node_camera[key],
-            self._T_node_camera[place],
-        )
+        self._measured[place, keyframe] = of_frames
+        before, after = (self._T_node_camera[key] for key in frames)
+        planar = planar_motion(motion.T_reference_base, motion.covariance, after, before)
+        covariance = planar.covariance
+        late = [self._cameras.placed_at(self._taken[key], self._stamps_s[key], 1.0) for key in frames]
+        if late[0] is not None and late[1] is not None:
+            # The clock moves both ends, each as the robot moved there.
+            moved = planar_motion(motion.T_reference_base, motion.covariance, late[1], late[0])
+            by_clock = between(planar.motion, moved.motion)
+            covariance = covariance + np.outer(by_clock, by_clock)
         measured = MotionEstimate(
             T_reference_base=pose2_from_row(planar.motion),
-            covariance=planar.covariance,
+            covariance=covariance,
             inlier_share=motion.inlier_share,
             fit=motion.fit,
             residual_m=motion.residual_m,

@@ -11,6 +11,7 @@ from collections.abc import Mapping, Sequence
 import gtsam
 
 from slam.config import Config
+from slam.graph.keyframe_graph import KeyframeGraph
 from slam.mapper.camera_keyframes import CameraKeyframes
 from slam.mapper.checkpoint import Checkpoint
 from slam.mapper.keyframe_fusion import FusionSummary, KeyframeFusion
@@ -43,7 +44,7 @@ class CloudCameras:
         self._config, self._registrations = config, registrations
         self.tags = TagFinder(config.sensors.tags, registrations)
         self._cameras = RobotCameras(config, tags=self.tags, wheel_turns=wheel_turns, result_cache=checkpoint)
-        self._keyframes = CameraKeyframes(config, checkpoint, registrations)
+        self._keyframes = CameraKeyframes(config, checkpoint, registrations, self._cameras)
         self._fusion = KeyframeFusion(config.fusion) if config.fusion.enabled else None
         self._horizons: list[LaserScan | None] = []
         self._camera_poses: CameraPoses = {}
@@ -74,14 +75,19 @@ class CloudCameras:
         """Take the newest frames for a keyframe of the lidar, whose points are (N, 3) in the base frame."""
         self._camera_poses = self._cameras.camera_poses(stamp_s)
         self._cameras.look_for_tags()
-        placed = self._cameras.placed_pictures(self._camera_poses)
-        self._keyframes.add(node, placed, places=False)
+        placed = self._cameras.placed_pictures(stamp_s)
+        self._keyframes.add(node, stamp_s, placed, places=False)
         self._horizons.append(None)
         if placed and self._fusion is not None:
             ring = horizon_scan(points, stamp_s, T_base_lidar, self._config.cloud_map, _RING)
             if ring is not None:
                 self._horizons[-1] = ring
                 self._fusion.add(node, ring, placed)
+
+    def settle(self, graph: KeyframeGraph, stamps_s: FloatArray) -> None:
+        """Place the frames of all keyframes, whose stamps are (K,), as the whole run tells the clocks."""
+        self._cameras.settle_clocks()
+        self._keyframes.settle(graph, stamps_s)
 
     def repaired(
         self, scans: Sequence[LaserScan | None], *, in_band: bool

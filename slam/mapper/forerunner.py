@@ -70,7 +70,7 @@ class Ahead:
                 Edge(a, b, T_a_b, spread, EdgeKind(kind), sure) for a, b, T_a_b, spread, kind, sure in edges
             ]
             self._step = Step(moved, told, OrientedPoints(points, normals), seen)
-        return Moment(stamp_s, measurement, pose, motion, step is not None, {})
+        return Moment(stamp_s, measurement, pose, motion, step is not None)
 
     def step(self, key: int) -> Step:
         """What the newest moment adds to the map."""

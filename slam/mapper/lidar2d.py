@@ -60,7 +60,7 @@ class PlanarRobot:
         self.tags = self._cameras.tags
         self._closer = LoopCloser(config.loops, config.match, checkpoint)
         self._places = PlaceSearch(self._closer, config.loops, config.match, config.graph, checkpoint)
-        self._pictures = CameraKeyframes(config, checkpoint, registrations)
+        self._pictures = CameraKeyframes(config, checkpoint, registrations, self._cameras)
         self._fusion = KeyframeFusion(config.fusion) if config.fusion.enabled else None
         self._moving = MovingThings(config.scan.range_max_m)
         self._newest: Moment | None = None
@@ -102,11 +102,11 @@ class PlanarRobot:
         self._keyframe_scans.append(moment.scan)
         self._moving.keep(moment.scan)
         if self._fusion is not None and moment.scan is not None:
-            self._fusion.add(key, moment.scan, self._cameras.pictures(moment.camera_poses))
+            self._fusion.add(key, moment.scan, self._cameras.pictures(moment.stamp_s))
         self._cameras.look_for_tags()
         tried = self._closer.close(key, graph.rows(), graph.uncertainty)
-        if pictures := self._cameras.placed_pictures(moment.camera_poses):
-            self._pictures.add(key, pictures, places=True)
+        if pictures := self._cameras.placed_pictures(moment.stamp_s):
+            self._pictures.add(key, moment.stamp_s, pictures, places=True)
             if moment.scan is None:
                 tried += self._pictures.close(graph.poses())
         return tried
@@ -117,6 +117,7 @@ class PlanarRobot:
     def settle(self, graph: KeyframeGraph) -> None:
         """Say anew how cameras and wheels moved, as the whole run tells their clocks and mountings."""
         self._way.settle(graph)
+        self._pictures.settle(graph, self.readings.scan_stamps_s()[self.readings.keyframe_scans()])
 
     def search_again(self, graph: KeyframeGraph, kept: BoolArray) -> list[LoopCandidate]:
         """Places all over the map."""

@@ -180,12 +180,13 @@ class CloudLidar:
             )
 
     def settle(self, graph: KeyframeGraph) -> None:
-        """Put the map upright, where gravity is known; every step was settled when it was made.
+        """Place the frames, and put the map upright where gravity is known; steps were settled at once.
 
         Loops that nothing else confirms across ground that nothing saw are refused.
         """
         for loop in [] if self._closer is None else self._closer.alone():
             graph.add_loop(loop)
+        self._cameras.settle(graph, np.array(self._stamps_s))
         if self._down:
             graph.graph.level(apart_in_time(self._down))
 

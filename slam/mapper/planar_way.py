@@ -11,7 +11,7 @@ import numpy as np
 
 from slam.config import Config
 from slam.estimates import MotionEstimate
-from slam.graph.edge import Edge
+from slam.graph.edge import Edge, EdgeKind
 from slam.graph.faulty_steps import settle_wheels
 from slam.graph.keyframe_graph import KeyframeGraph
 from slam.mapper.map_result import MapResult
@@ -52,8 +52,6 @@ class Moment:
         The match that told it; None where nothing matched.
     new_keyframe
         Whether the robot has moved on enough.
-    camera_poses
-        Where every camera was.
     """
 
     stamp_s: float
@@ -61,7 +59,6 @@ class Moment:
     pose: FloatArray
     motion: MotionEstimate | None
     new_keyframe: bool
-    camera_poses: CameraPoses
 
 
 @dataclass(frozen=True, slots=True)
@@ -160,7 +157,9 @@ class PlanarWay:
             return Step(step, edges, OrientedPoints.none(), 0)
         lost = tracked.motion is None and tracked.wheels and len(points.oriented()[0]) >= LEAST_POINTS
         near = math.hypot(step[0], step[1]) < self._config.match.search_half_width_m
-        self._unexplained_s += [stamp_s] if lost and near and last and last.motion else []
+        # A camera that sees on was not carried off.
+        seen = any(edge.kind is EdgeKind.RGBD for edge in edges)
+        self._unexplained_s += [stamp_s] if lost and near and last and last.motion and not seen else []
         self._tracker.add_keyframe(points, tracked)
         return Step(step, edges, OrientedPoints.surface(points), len(points.oriented()[0]))
 
@@ -261,7 +260,7 @@ class PlanarWay:
             trusted=tracked.confident if scan is not None else bool(cameras),
         )
         moved_on = self._moved_on(tracked)
-        return Moment(stamp_s, scan, tracked.pose, tracked.motion, moved_on, camera_poses)
+        return Moment(stamp_s, scan, tracked.pose, tracked.motion, moved_on)
 
     def _moved_on(self, tracked: TrackedScan) -> bool:
         """Whether a scan is far enough from the last keyframe to be the next."""

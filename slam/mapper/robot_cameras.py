@@ -6,6 +6,7 @@ import time
 from array import array
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from typing import NamedTuple
 
 import gtsam
 import numpy as np
@@ -38,7 +39,6 @@ class RobotCamera:
     odometry: CameraOdometry
     T_base_camera: gtsam.Pose3 | None
     newest: PreparedFrame | None = None
-    newest_pose: gtsam.Pose3 | None = None
     learner: MountLearner | None = None
     clocks: ClockLearner = field(default_factory=ClockLearner)
     # Of the frames that carried the robot on: their numbers among the scans, and their own stamps.
@@ -85,6 +85,18 @@ class Picture:
     T_base_camera: gtsam.Pose3
 
 
+class Taken(NamedTuple):
+    """Which camera took a frame, and when by its own clock."""
+
+    camera: str
+    stamp_s: float
+
+    @classmethod
+    def by(cls, frame: PreparedFrame) -> Taken:
+        """What a frame tells of it."""
+        return cls(frame.frame.sensor, frame.stamp_s)
+
+
 @dataclass(slots=True)
 class RobotCameras:
     """All cameras by name."""
@@ -113,7 +125,7 @@ class RobotCameras:
             )
         camera = self.cameras[name]
         tracked = camera.odometry.add(frame)
-        camera.newest, camera.newest_pose = frame, tracked.pose
+        camera.newest = frame
         camera.note_turn()
         camera.clocks.learn(self._turns())
         motion = None if tracked.match is None else tracked.match.motion
@@ -164,36 +176,34 @@ class RobotCameras:
         stamps_s = [np.array(camera.led_s) - camera.clock.offset_s for camera in cameras]
         return np.concatenate([np.zeros(0, np.int64), *scans]), np.concatenate([np.zeros(0), *stamps_s])
 
-    def placed_pictures(self, camera_poses: CameraPoses) -> list[Picture]:
+    def placed_pictures(self, stamp_s: float) -> list[Picture]:
         """The newest frame of every camera with a known mounting, the first such camera's first.
 
         One that is lost is left out; where the first is, all are.
         """
-        names = [name for name, camera in self.cameras.items() if camera.T_base_camera is not None]
-        found = [self._placed(name, camera_poses) for name in names]
-        return [picture for picture in found if picture is not None] if found and found[0] else []
+        known = [camera.newest for camera in self.cameras.values() if camera.newest and camera.T_base_camera]
+        found = [(frame, self.placed_at(Taken.by(frame), stamp_s)) for frame in known]
+        return [Picture(frame, pose) for frame, pose in found if pose] if found and found[0][1] else []
 
-    def _placed(self, name: str, camera_poses: CameraPoses) -> Picture | None:
-        """The newest frame of a camera with a known mounting; None where it is lost."""
-        camera, camera_pose = self.cameras[name], camera_poses.get(name)
-        if camera_pose is None or camera.newest is None or camera.newest_pose is None:
+    def placed_at(self, taken: Taken, stamp_s: float, sigmas: float = 0.0) -> gtsam.Pose3 | None:
+        """Where a frame was taken, seen from the base at a stamp of the robot's clock; None if not known.
+
+        By clock and mounting as they are known by now; so many standard deviations of the clock beside.
+        """
+        camera = self.cameras[taken.camera]
+        there = camera.odometry.track.at(taken.stamp_s, 0.0)
+        base = camera.at(stamp_s + sigmas * camera.clock.sigma_s)
+        if camera.T_base_camera is None or there is None or base is None or there.segment != base.segment:
             return None
-        assert camera.T_base_camera is not None
-        since = camera_pose.pose.between(camera.newest_pose)
-        return Picture(camera.newest, camera.T_base_camera.compose(since))
+        return camera.T_base_camera.compose(base.pose.between(there.pose))
 
-    def pictures(self, camera_poses: CameraPoses) -> list[Picture]:
+    def pictures(self, stamp_s: float) -> list[Picture]:
         """The newest frame of every camera; one that is lost or not yet placed is taken as it stands."""
         found = []
-        for name in sorted(self.cameras):
-            camera = self.cameras[name]
-            if camera.newest is None:
-                continue
-            mounting = T_BODY_CAMERA if camera.T_base_camera is None else camera.T_base_camera
-            camera_pose = camera_poses.get(name)
-            if camera_pose is not None and camera.newest_pose is not None:
-                mounting = mounting.compose(camera_pose.pose.between(camera.newest_pose))
-            found.append(Picture(camera.newest, mounting))
+        for _, camera in sorted(self.cameras.items()):
+            if (newest := camera.newest) is not None:
+                as_it_stands = camera.T_base_camera or T_BODY_CAMERA
+                found.append(Picture(newest, self.placed_at(Taken.by(newest), stamp_s) or as_it_stands))
         return found
 
     def steps(self, before: CameraPoses, after: CameraPoses) -> list[CameraStep]:
@@ -286,13 +296,14 @@ class RobotCameras:
         return [name for name, camera in self.cameras.items() if camera.T_base_camera is None]
 
     def warnings(self) -> list[str]:
-        """What a person should know, one line a camera that failed often."""
-        lines = []
+        """What a person should know of cameras that failed often: a line for all of them, by what failed."""
+        lost, refused = list[str](), list[str]()
         for name, camera in self.cameras.items():
-            lost, frames = camera.odometry.lost_frames, camera.odometry.frames
-            if lost > 0.01 * frames:
-                lines.append(f"{name}: {lost:,} of {frames:,} frames matched nothing")
-            if camera.refused_steps > 0.01 * camera.steps:
-                refused = f"{camera.refused_steps:,} of {camera.steps:,}"
-                lines.append(f"{name}: {refused} motions left the floor and were refused")
-        return lines
+            tracked = camera.odometry
+            for lines, failed, count in (
+                (lost, tracked.lost_frames, tracked.frames),
+                (refused, camera.refused_steps, camera.steps),
+            ):
+                lines += [f"{failed:,} of {count:,} of {name}"] if failed > 0.01 * count else []
+        told = [f"Frames that matched nothing: {', '.join(lost)}"] if lost else []
+        return told + ([f"Motions that left the floor, refused: {', '.join(refused)}"] if refused else [])

@@ -194,11 +194,15 @@ class MapFile:
     def append(self, table: Table, *values: Value) -> int:
         """Write the next row; its number."""
         number = self._counts[table.name]
-        with reported(self.path, "written"):
-            row = (number, table.checksum(number, values), *values)
-            self._connection.execute(table.insert_sql, row)
+        self.replace(table, number, *values)
         self._counts[table.name] = number + 1
         return number
+
+    def replace(self, table: Table, number: int, *values: Value) -> None:
+        """Write a row anew."""
+        with reported(self.path, "written"):
+            row = (number, table.checksum(number, values), *values)
+            self._connection.execute(table.replace_sql, row)
 
     def row(self, table: Table, number: int, *, again: bool = False) -> tuple[Value, ...]:
         """The values of a row; of one that is read again the checksum was found right.

@@ -87,6 +87,12 @@ class MapFrames:
         color, depth = packed_color(frame.color), packed_depth(frame.depth_m, steps_per_m)
         return self._file.append(IMAGES, color, depth)
 
+    def place(self, index: int, T_base_camera: gtsam.Pose3) -> None:
+        """Say anew where a frame was taken; errors as in `frame`, and where the map cannot be written."""
+        *row, _, features = self._row(index)
+        camera = pack((self.head(index).intrinsics, T_base_camera))
+        self._file.replace(FRAMES, index, *row, camera, features)
+
     def head(self, index: int) -> FrameHead:
         """What is known of a frame without its images; errors as in `frame`."""
         node, stamp_s, sensor, steps_per_m, camera = self._row(index)[:5]

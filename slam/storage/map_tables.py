@@ -44,9 +44,9 @@ class Table:
         return f"CREATE TABLE {self.name} (number INTEGER PRIMARY KEY, checksum BLOB NOT NULL{columns})"
 
     @property
-    def insert_sql(self) -> str:
+    def replace_sql(self) -> str:
         """The statement that writes a row."""
-        return f"INSERT INTO {self.name} VALUES (?, ?{', ?' * len(self.columns)})"
+        return f"REPLACE INTO {self.name} VALUES (?, ?{', ?' * len(self.columns)})"
 
     def misfit(self, values: tuple[Value, ...]) -> str | None:
         """What is wrong with the types of a row's values; SQLite itself takes any in any column."""
