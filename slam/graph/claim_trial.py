@@ -5,6 +5,7 @@ Two corridors look alike for a while, and then they do not.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 
 import numpy as np
@@ -75,12 +76,8 @@ class ClaimTrial:
         """Those about a place on the same pass, from which a pose may be seen, nearest first."""
         way_m, config = self._submaps.travelled_m, self._config
         around = self._stretches.between(way_m(place) - self._reach_m, way_m(place) + self._reach_m)
-        apart_m = [
-            float(
-                np.hypot(*(between(self._submaps.pose(place), self._submaps.pose(one)) - expected.pose)[:2])
-            )
-            for one in around
-        ]
+        seen = [between(self._submaps.pose(place), self._submaps.pose(one)) for one in around]
+        apart_m = [math.dist(one[:2], expected.pose[:2]) for one in seen]
         chosen: list[int] = []
         for n in np.argsort(apart_m, kind="stable").tolist():
             if len(chosen) == config.near or apart_m[n] > self._stretches.window_m:

@@ -68,24 +68,22 @@ class ClaimSets:
         """Disjoint sets of claims that all agree, the largest first."""
         return [[self._claims[n] for n in members] for members in largest_cliques(self._agree)]
 
-    def contradiction(
-        self, one: Sequence[LoopCandidate], other: Sequence[LoopCandidate], known: Known
-    ) -> float:
-        """Squared sigmas by which what is known must be wrong for both of two sets to be true.
+    def entailed(
+        self, one: Sequence[LoopCandidate], other: Sequence[LoopCandidate]
+    ) -> tuple[int, int, Motion] | None:
+        """A place of one set, an equal or later one of the other, and what both sets say of the way there.
 
-        Zero where their keyframes are too far apart to tell.
+        None where their keyframes are too far apart to tell.
         """
         ways = [self._travelled_m[[claim.keyframe for claim in claims]] for claims in (one, other)]
         apart_m = np.abs(np.subtract.outer(*ways))
         if apart_m.min() > self._reach_m:
-            return 0.0
+            return None
         n, m = np.unravel_index(apart_m.argmin(), apart_m.shape)
-        a, b = one[int(n)], other[int(m)]
-        first = after(claimed(a), self.way(a.keyframe, b.keyframe))
-        second = after(known(a.place, b.place), claimed(b))
-        if not np.isfinite(second.covariance).all():
-            return 0.0
-        return first.widened(second.covariance).squared_mahalanobis(second.pose)
+        a, b = sorted((one[int(n)], other[int(m)]), key=lambda claim: claim.place)
+        onward = after(claimed(a), self.way(a.keyframe, b.keyframe))
+        back = together([b.edge(0).turned()])[b.keyframe, b.place]
+        return a.place, b.place, after(onward, back)
 
     def near(self, one: LoopCandidate, other: LoopCandidate) -> bool:
         """Whether two claims tell of different keyframes not far from each other, and of such places."""
@@ -104,8 +102,7 @@ class ClaimSets:
         if start == end:
             return Motion(np.zeros(3), np.zeros((3, 3)))
         if (start, end) not in self._ways:
-            covariance = self._chain.relative_covariances(end, np.array([start]), self._poses)[0]
-            self._ways[start, end] = Motion(between(self._poses[start], self._poses[end]), covariance)
+            self._ways[start, end] = self._chain.motion(start, end, self._poses)
         return self._ways[start, end]
 
 

@@ -251,27 +251,24 @@ class FaultySteps:
                 bounded[n] = np.linalg.inv(np.linalg.inv(bounded[n]) + np.linalg.inv(around))
         return bounded
 
-    def explain(self, start: int, end: int, expected: Motion, claim: Motion) -> tuple[float, float]:
-        """Squared sigmas by which a claim is off, at the least, where one part is wrong.
+    def explain(self, start: int, end: int, known: Motion, claim: Motion) -> tuple[float, float, float]:
+        """Squared sigmas by which a claim is off what is known, and what is left of them, at the least.
 
-        Parameters
-        ----------
-        expected
-            The end seen from the start, were nothing wrong; as uncertain as that and the claim are.
-        claim
-            The same, as claimed.
-
-        Returns
-        -------
-        Of any part, and of one that the robot can have moved so; infinite where there is none.
+        Left where any part is wrong, and one that the robot can have moved so; infinite where there is none.
+        What is known and the claim are the end seen from the start.
         """
+        if not np.isfinite(known.covariance).all():
+            return 0.0, math.inf, math.inf
+        expected = known.widened(claim.covariance)
         _, squares, possible, _ = self._asked(start, end, expected, claim)
-        return float(squares.min(initial=np.inf)), float(squares[possible].min(initial=np.inf))
+        any_part, able = (float(some.min(initial=np.inf)) for some in (squares, squares[possible]))
+        return expected.squared_mahalanobis(claim.pose), any_part, able
 
     def likelihood(self, start: int, end: int, expected: Motion, claim: Motion) -> float:
         """Log of the density of a claim where a step was wrong that nothing saw.
 
-        As likely as such steps have turned out wrong; the arguments are those of `explain`.
+        As likely as such steps have turned out wrong; expected is the end seen from the start, as uncertain
+        as what is known and the claim are.
         """
         ends, squares, possible, covariances = self._asked(start, end, expected, claim)
         able = possible & self.unseen[ends[:, 0]]

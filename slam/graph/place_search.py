@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from functools import partial
 
 import numpy as np
 
@@ -27,7 +28,6 @@ from slam.graph.relative_uncertainty import UncertaintyGraph
 from slam.graph.stretches import Stretches
 from slam.heap import end_stage, give_back
 from slam.matching.motion import Motion
-from slam.matching.planar import between
 from slam.measurements import BoolArray, FloatArray
 from slam.result_cache import COMPUTED, ResultCache
 
@@ -131,7 +131,7 @@ class PlaceSearch:
 
         Where that finds nothing also where steps that wheels alone tell may have led.
         """
-        known, loose = _Known(poses, faulty.known), _Known(poses, faulty.loose)
+        known, loose = (partial(one.motion, poses=poses) for one in (faulty.known, faulty.loose))
         untied = stretches.untied(loops)
         keys = stretches.keys[untied].tolist()
         for wider in (False, True):
@@ -189,7 +189,7 @@ class PlaceSearch:
         """The most plausible set; the estimate that it leads to judges the next."""
         sets, trial, stretches = self._sets, self._trial, self._stretches
         assert sets is not None and trial is not None and stretches is not None
-        seen, reach_m = _Known(poses, known), self._config.reach_m
+        seen, reach_m = partial(known.motion, poses=poses), self._config.reach_m
         ways_m = self._submaps.travelled_m  # from the start to the keyframes of a set
         found = [one for one in sets.largest() if np.ptp([ways_m(m.keyframe) for m in one]) >= reach_m]
         judged = [self._cost(one, seen) for one in found]
@@ -202,7 +202,7 @@ class PlaceSearch:
             if costs[n] > max(2.0, 0.5 * len(found[n])) * self._gate or gains[n] <= 0.0:
                 continue
             rivals = (m for m in np.flatnonzero(2.0 * gains > gains[n]).tolist() if m != n)
-            if any(sets.contradiction(found[n], found[m], seen) > gains[m] for m in rivals):
+            if any(self._contradiction(sets.entailed(found[n], found[m]), seen) > gains[m] for m in rivals):
                 continue
             fits, refused = trial.hold(found[n])
             # One that fits where it cannot be shows that these places look alike.
@@ -238,29 +238,21 @@ class PlaceSearch:
         if not math.isfinite(sigma_m):
             return 0.0, sigma_m
         asked = [self._bend(one, way) for one, way in zip(members, expected, strict=True)]
-        plain, likeliest, possible = np.median(asked, axis=0).tolist()
-        if plain <= self._gate + likeliest:
-            return plain, sigma_m
-        return self._gate + possible, sigma_m
+        return self._explained(*np.median(asked, axis=0).tolist()), sigma_m
+
+    def _contradiction(self, entailed: tuple[int, int, Motion] | None, known: Known) -> float:
+        """Squared sigmas by which what is known must be wrong for both of two sets to be true, as `_cost`."""
+        if entailed is None:
+            return 0.0
+        assert self._faulty is not None
+        start, end, said = entailed
+        return self._explained(*self._faulty.explain(start, end, known(start, end), said))
+
+    def _explained(self, plain: float, likeliest: float, possible: float) -> float:
+        """As it is, or a gate and what is left where one fault explains it better."""
+        return plain if plain <= self._gate + likeliest else self._gate + possible
 
     def _bend(self, claim: LoopCandidate, way: Motion) -> tuple[float, float, float]:
-        """Squared sigmas by which a claim is off what is known, and what `FaultySteps.explain` tells."""
-        if not np.isfinite(way.covariance).all():
-            return 0.0, math.inf, math.inf
-        said = claimed(claim)
-        way = way.widened(said.covariance)
+        """Squared sigmas by which a claim is off what is known, see `FaultySteps.explain`."""
         assert self._faulty is not None
-        explained = self._faulty.explain(claim.place, claim.keyframe, way, said)
-        return way.squared_mahalanobis(said.pose), *explained
-
-
-class _Known:
-    """What an estimate says of the way from a keyframe to another."""
-
-    def __init__(self, poses: FloatArray, graph: UncertaintyGraph) -> None:
-        self._poses, self._graph = poses, graph
-
-    def __call__(self, start: int, end: int) -> Motion:
-        """The pose of the end seen from the start; its covariance is infinite where nothing joins them."""
-        covariance = self._graph.relative_covariances(end, np.array([start]), self._poses)[0]
-        return Motion(between(self._poses[start], self._poses[end]), covariance)
+        return self._faulty.explain(claim.place, claim.keyframe, way, claimed(claim))

@@ -13,6 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fusion.kernel import ONE, ZERO, kernel
+from slam.matching.motion import Motion
+from slam.matching.planar import between
 from slam.measurements import FloatArray
 
 # A yaw error is worth its lever arm: how far from a node its surroundings are matched.
@@ -82,6 +84,11 @@ class UncertaintyGraph:
             ends = source // self._stride, target // self._stride
             self._append(ends, step[0], parts)
             self._append(ends[::-1], _back(step)[0], parts)
+
+    def motion(self, start: int, end: int, poses: FloatArray) -> Motion:
+        """The pose of a node seen from another; its covariance is infinite where nothing joins them."""
+        covariance = self.relative_covariances(end, np.array([start]), poses)[0]
+        return Motion(between(poses[start], poses[end]), covariance)
 
     def relative_covariances(
         self, start: int, targets: NDArray[np.int64], poses: FloatArray, without: int = -2

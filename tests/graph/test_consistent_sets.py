@@ -5,7 +5,6 @@ import itertools
 import numpy as np
 import pytest
 
-from fusion.estimation import gate
 from slam.estimates import MotionEstimate
 from slam.graph.consistent_sets import ClaimSets, claimed, largest_cliques
 from slam.graph.loop_candidate import LoopCandidate
@@ -69,18 +68,21 @@ def test_claims_far_apart_do_not_support_each_other() -> None:
 
 
 @pytest.mark.parametrize("off_m", [0.0, 8.0])
-def test_sets_contradict_where_their_places_cannot_both_be_seen(off_m: float) -> None:
+def test_two_sets_entail_how_their_places_lie(off_m: float) -> None:
     poses = straight()
     sets = sets_along(poses)
     one = [claim_of(4, 55, between(poses[4], poses[55]))]
     elsewhere = compose(np.array([off_m, 0.0, 0.0]), poses[52])
     other = [claim_of(20, 52, between(poses[20], elsewhere))]
 
-    def known(start: int, end: int) -> Motion:
-        return Motion(between(poses[start], poses[end]), np.diag(STEP_SIGMAS**2))
-
-    assert (sets.contradiction(one, other, known) > gate(3)) == (off_m > 0.0)
-    assert sets.contradiction(one, [claim_of(20, 15, np.zeros(3))], known) == 0.0
+    for pair in ((one, other), (other, one)):
+        entailed = sets.entailed(*pair)
+        assert entailed is not None
+        start, end, said = entailed
+        assert (start, end) == (4, 20)
+        there = Motion(between(poses[start], poses[end]), np.diag(STEP_SIGMAS**2))
+        assert said.agrees(there) == (off_m == 0.0)
+    assert sets.entailed(one, [claim_of(20, 15, np.zeros(3))]) is None
     assert claimed(one[0]).holds(between(poses[4], poses[55]))
 
 

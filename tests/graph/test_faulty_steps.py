@@ -7,6 +7,7 @@ import gtsam
 import numpy as np
 import pytest
 
+from fusion.estimation import gate
 from slam.config.stages import GraphConfig, LoopConfig, MatchConfig
 from slam.estimates import MotionEstimate
 from slam.graph.edge import Edge, EdgeKind
@@ -77,7 +78,7 @@ def squares(
         stamps_s[key + 1 :] += gap_s
     faulty = judge(edges, stamps_s)
     known = Motion(between(POSES[5], POSES[70]), np.diag([0.3, 0.3, 0.03]) ** 2)
-    return faulty.explain(5, 70, known, Motion(claimed, SURE))[1]
+    return faulty.explain(5, 70, known, Motion(claimed, SURE))[2]
 
 
 def bent(*turns: tuple[int, float]) -> FloatArray:
@@ -97,6 +98,24 @@ def test_a_turn_in_the_gap_explains_a_claim_however_far_that_leads() -> None:
     assert squares((GAP,), bent((GAP, 1.2))) < 4.0
     assert squares((20,), bent((GAP, 1.2))) > 20.0
     assert squares((), bent()) == np.inf
+
+
+@pytest.mark.parametrize("gaps", [(GAP,), ()])
+def test_two_sets_do_not_contradict_where_a_gap_between_their_places_may_be_wrong(
+    gaps: tuple[int, ...],
+) -> None:
+    closer = type("NoSubmaps", (), {"submaps": None})()
+    search = PlaceSearch(closer, LoopConfig(), MatchConfig(), GraphConfig())  # type: ignore[arg-type]
+    edges, stamps_s = chain(gaps), np.arange(float(COUNT))
+    stamps_s[GAP + 1 :] += 30.0 * len(gaps)
+    search._faulty = judge(edges, stamps_s)
+
+    def known(start: int, end: int) -> Motion:
+        return Motion(between(POSES[start], POSES[end]), np.diag([0.3, 0.3, 0.03]) ** 2)
+
+    entailed = 5, 70, Motion(bent((GAP, 1.2)), SURE)
+    assert (search._contradiction(entailed, known) < 2.0 * gate(3)) == bool(gaps)
+    assert search._contradiction(None, known) == 0.0
 
 
 def test_a_step_is_not_wrong_where_loops_on_both_sides_tell_it() -> None:
