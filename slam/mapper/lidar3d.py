@@ -82,7 +82,7 @@ class CloudLidar:
         self._cameras = CloudCameras(config, checkpoint, registrations, turns)
         self.tags = self._cameras.tags
         self._closer: CloudLoopCloser | None = None
-        self._steps = AnchoredSteps(config.match.local_map_keyframes)
+        self._steps = AnchoredSteps()
         self._newest: TrackedCloud | None = None
         self._last: gtsam.Pose3 | None = None
         self._stamps_s: list[float] = []
@@ -117,12 +117,11 @@ class CloudLidar:
         if self._last is not None:
             step = self._last.between(tracked.pose)
             if motion is not None:
-                covariance, bridge = self._steps.add(key, step, tracked.pose, motion)
+                covariance = self._steps.add(step, motion)
                 if self._between is not None:
                     carried = tracked.pose.between(self._between[0]).AdjointMap()
                     covariance = covariance + carried @ self._between[1] @ carried.T
                 edges.append(Edge(key - 1, key, step, covariance, EdgeKind.LIDAR, trusted=True))
-                edges += [] if bridge is None else [bridge]
             elif (seen := self._cameras.step(self._stamp_s)) is not None:
                 step, covariance = seen
                 edges.append(Edge(key - 1, key, step, covariance, EdgeKind.RGBD, trusted=True))
@@ -139,7 +138,7 @@ class CloudLidar:
                 spread[[3, 4], [3, 4]] = max(spread[3, 3], tracked.unseen_m**2 / 3.0)
                 edges.append(Edge(key - 1, key, step, spread, EdgeKind.ASSUMED, trusted=True))
         if motion is None:
-            self._steps.begin(key, tracked.pose)
+            self._steps.begin()
         self._last, self._between = tracked.pose, None
         return step, edges
 

@@ -102,7 +102,11 @@ class CloudOdometry:
             found.append(self._map.align(scan, before, REACH * self._voxel_m))
             found.append(self._map.align(scan, self._map.best_of(scan, self._around(before, turned_rad))))
             best = self._best(found)
-        return None if best is None else self._motion(best, found)
+        if best is None:
+            return None
+        rivals = [one.found for one in found if one and one.found.agreement >= _NEARLY * best.found.agreement]
+        poses = [*(one.pose for one in rivals), self._by_last(scan, best)]
+        return self._motion(best, poses, guesses, turned_rad)
 
     def nearby(self, points: FloatArray, start: gtsam.Pose3) -> gtsam.Pose3:
         """Roughly where a scan (N, 3) fits near ``T_odom_base``."""
@@ -136,16 +140,32 @@ class CloudOdometry:
         best = max(fitting, key=lambda one: one.found.agreement, default=None)
         return None if best is None or best.found.agreement < _HARDLY * self._expected else best
 
-    def _motion(self, best: Aligned, found: Sequence[Aligned | None]) -> MotionEstimate:
-        """The motion of the best match, as unsure as rivals with nearly as many points on planes are far."""
-        agreement = best.found.agreement
-        doubt = np.zeros((6, 6))
-        for rival in found:
-            if rival is not None and rival.found.agreement >= _NEARLY * agreement:
-                apart = gtsam.Pose3.Logmap(best.found.pose.between(rival.found.pose))
-                doubt += np.outer(apart, apart)
-        if agreement < self._usual:
+    def _by_last(self, scan: FloatArray, best: Aligned) -> gtsam.Pose3:
+        """Where the last cloud alone leads a match that settled far from its guess.
+
+        In a wrong place, where all clouds together fit as usual, it leads elsewhere.
+        """
+        if best.near:
+            return best.found.pose
+        last = LocalCloud.of(self._newest[-1], self._voxel_m, self._config)
+        found = last.refine(scan, best.found.pose)
+        return best.found.pose if found is None else found.found.pose
+
+    def _motion(
+        self, best: Aligned, rivals: list[gtsam.Pose3], guesses: Sequence[gtsam.Pose3], turned_rad: float
+    ) -> MotionEstimate:
+        """The motion of the best match, as unsure as its rivals are far.
+
+        One with fewer points on planes than usual is as unsure as the guess is far, too; without a guess as
+        the search is wide.
+        """
+        doubt, unusual = np.zeros((6, 6)), best.found.agreement < self._usual
+        for rival in rivals + list(guesses[:1] if unusual else []):
+            apart = gtsam.Pose3.Logmap(best.found.pose.between(rival))
+            doubt += np.outer(apart, apart)
+        if unusual:
             turns = np.linalg.inv(levers(best.found.arms_m))
             doubt += self._voxel_m**2 * turns @ turns
+            doubt[:3, :3] += 0.0 if guesses else turned_rad**2 * np.eye(3)
         motion = replace(best.motion, covariance=best.motion.covariance + doubt)
-        return motion if agreement >= self._usual else replace(motion, converged=False)
+        return replace(motion, converged=False) if unusual else motion

@@ -96,6 +96,38 @@ def test_what_fits_in_part_is_not_sure(odometry: CloudOdometry) -> None:
     assert odometry.match(points_at(truth), [truth.compose(base(1.0, 0.0, 1.0))]) is None
 
 
+def test_what_fits_in_part_is_as_unsure_as_its_guess_is_far_or_the_search_wide(
+    odometry: CloudOdometry,
+) -> None:
+    truth = base(0.3, -0.2, 0.2)
+    among = np.random.default_rng(0).uniform(-3.0, 3.0, (4000, 3))
+    scan = np.vstack([points_at(truth), among])
+    searched = odometry.match(scan, [], truth, turned_rad=0.6)
+    led = odometry.match(scan, [truth.compose(base(0.5, 0.0, 0.0))], truth, turned_rad=0.6)
+    assert searched is not None
+    assert led is not None
+    assert not searched.converged
+    assert not led.converged
+    assert searched.covariance[2, 2] > 0.6**2 > led.covariance[2, 2]
+    assert led.covariance[3, 3] > 0.4**2 > searched.covariance[3, 3]
+
+
+def test_where_the_last_cloud_leads_elsewhere_a_match_far_from_its_guess_is_unsure() -> None:
+    made, aside = CloudOdometry(CONFIG, 0.2), base(0.0, 0.15, 0.0)
+    for seed, x in enumerate((-0.9, -0.6, -0.3, 0.0, 0.2, 0.3)):
+        made.add_keyframe(points_at(base(x, 0.0, 0.0), 100 + seed), base(x, 0.0, 0.0), LIDAR)
+    truth = base(0.3, -0.2, 0.2)
+    far = truth.compose(base(0.3, 0.1, 0.0))
+    right = made.match(points_at(truth), [far])
+    made.add_keyframe(points_at(base(0.4, 0.0, 0.0), 110), aside.compose(base(0.4, 0.0, 0.0)), LIDAR)
+    wrong = made.match(points_at(truth), [far])
+    assert right is not None
+    assert wrong is not None
+    assert wrong.converged
+    sides_m = [np.sqrt(np.linalg.eigvalsh(one.covariance[3:, 3:])[-1]) for one in (right, wrong)]
+    assert sides_m[1] > 0.1 > 10.0 * sides_m[0]
+
+
 @pytest.mark.parametrize("ahead_m", [-0.9, 0.5, 1.0])
 def test_without_a_measured_motion_places_around_are_tried(odometry: CloudOdometry, ahead_m: float) -> None:
     """From where it was the scan fits well enough there."""
