@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import replace
-from itertools import combinations, pairwise
+from itertools import pairwise
 
 import numpy as np
 
@@ -36,7 +36,6 @@ class PlanarChain:
         self._last: TrackedScan | None = None
         self._matched: tuple[int, TrackedScan | None] = (0, None)
         self._stretch: tuple[int, TrackedScan | None] = (0, None)
-        self._guess_steps: list[Motion] = []
         self._camera_poses: CameraPoses = {}
         self._stamps_s: list[float] = []
         # Keyframe and camera of every edge by a camera so far, in their order.
@@ -61,17 +60,15 @@ class PlanarChain:
         -------
         (3,) the motion since the last one, and the edges to it.
         """
-        step, edges, cameras = np.zeros(3), list[Edge](), list[Motion]()
+        step, edges = np.zeros(3), list[Edge]()
         if self._last is None:
             self._stretch = key, tracked
         if self._last is not None:
-            step, edges, cameras = self._step(key, stamp_s, self._last, tracked, camera_poses)
+            step, edges = self._step(key, stamp_s, self._last, tracked, camera_poses)
         self._stamps_s.append(stamp_s)
         self._camera_poses, self._last = camera_poses, tracked
         if tracked.motion is not None or key == 0:
             self._matched = key, tracked
-        else:
-            self._guess_steps = cameras
         return step, edges
 
     def settle(
@@ -108,8 +105,8 @@ class PlanarChain:
 
     def _step(
         self, key: int, stamp_s: float, last: TrackedScan, tracked: TrackedScan, camera_poses: CameraPoses
-    ) -> tuple[FloatArray, list[Edge], list[Motion]]:
-        """Motion from the last keyframe, the edges, and what the cameras say."""
+    ) -> tuple[FloatArray, list[Edge]]:
+        """Motion from the last keyframe, and the edges."""
         step = between(last.pose, tracked.pose)
         match = None
         if tracked.motion is not None:
@@ -118,8 +115,7 @@ class PlanarChain:
         wheels = self._tracker.wheel_motion(last.wheels, tracked.wheels, stamp_s - self._stamps_s[-1])
         bridge = None
         guessed = last is not self._matched[1]
-        agree = all(one.agrees(other) for one, other in combinations(self._guess_steps, 2))
-        if match is not None and guessed and not (self._guess_steps and agree):
+        if match is not None and guessed:
             match, bridge = self._past_a_guess(match, last, tracked, stamp_s)
         moved = self._cameras.steps(self._camera_poses, camera_poses)
         by_camera = self._camera_steps(moved)
@@ -149,23 +145,23 @@ class PlanarChain:
             edges.append(_edge(self._matched[0], key, bridge, EdgeKind.LIDAR, trusted=False))
         self._camera_edges += [(key, name) for name in by_camera]
         self._cameras.learn(key - 1, key, moved, wheels if doubtful else match)
-        return step, edges, cameras
+        return step, edges
 
     def _past_a_guess(
         self, match: Motion, last: TrackedScan, tracked: TrackedScan, stamp_s: float
     ) -> tuple[Motion, Motion | None]:
         """A match where the last keyframe matched nothing: from there, and from the last that matched.
 
-        The guess was by the wheels, or by cameras that contradict each other. The match was made to keyframes
-        of before, and to the last one only as well as that was guessed; where the wheels are far from that,
-        or it is out of sight of them, rather to guessed ones. Where cameras hold the chain that is enough.
+        The guess was by the wheels or by cameras. The match was made to keyframes of before, and to the last
+        one only as well as that was guessed; where the wheels are far from that, or it is out of sight of
+        them, rather to guessed ones.
         """
         key, matched = self._matched
         assert matched is not None
         guess = unmeasured(self._config.graph, _GUESS_SHARE, planar=True)
         uncertain = Motion(match.pose, match.covariance + guess)
         bridge = Motion(between(matched.pose, compose(last.pose, match.pose)), match.covariance)
-        if self._guess_steps or math.hypot(bridge.pose[0], bridge.pose[1]) > self._config.loops.reach_m:
+        if math.hypot(bridge.pose[0], bridge.pose[1]) > self._config.loops.reach_m:
             return uncertain, None
         wheels = self._tracker.wheel_motion(matched.wheels, tracked.wheels, stamp_s - self._stamps_s[key])
         if wheels is not None:
