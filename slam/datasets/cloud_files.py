@@ -95,7 +95,8 @@ def is_return(points: Float32Array) -> NDArray[np.bool_]:
     # Axis by axis: a reduction over rows of three takes ten times as long.
     valid = np.isfinite(x) & np.isfinite(y) & np.isfinite(z) & ((x != 0.0) | (y != 0.0) | (z != 0.0))
     if code_m := _told_alike_m(points, valid):
-        valid &= np.abs(np.sqrt(x**2 + y**2 + z**2) - code_m) > _ALIKE_SHARE * code_m
+        with np.errstate(over="ignore"):
+            valid &= np.abs(np.sqrt(x**2 + y**2 + z**2) - code_m) > _ALIKE_SHARE * code_m
     return valid
 
 
