@@ -159,7 +159,7 @@ class FaultySteps:
     ----------
     edges, poses
         Of the graph: how far wrong a step may be is told by those of its edges that cannot be refused. Where
-        it was matched, that is no more than what nothing measured.
+        it was matched, that is no more than what nothing measured in a second, or, less likely, in its time.
     kept
         (E,) which of them the optimisation has kept.
     stamps_s
@@ -200,31 +200,33 @@ class FaultySteps:
         measured = np.array([edge.kind not in GUESSES for edge in single], np.bool_)
         guessed = np.ones(len(poses), np.bool_)
         guessed[sources[measured]] = False
-        # What is disputed is no less open than that.
-        most = np.where(trusted, limit, limit + claimed)
-        information = np.where(trusted, np.linalg.inv(claimed), 0.0)
-        information += np.where(measured[:, None, None], np.linalg.inv(most), 0.0)
-        held = np.zeros((len(poses), 3, 3))
-        np.add.at(held, sources, information)
+        # Of a second, and of its own time: what is disputed is no less open than that.
+        longer = np.maximum(np.abs(took_s := np.diff(stamps_s)), 1.0)[sources]
+        limits = limit * np.stack([np.ones_like(longer), longer])[..., None, None] ** 2
+        most = np.where(trusted, limit, limits + claimed)
+        information = np.where(measured[:, None, None], np.linalg.inv(most), 0.0)
+        information += np.where(trusted, np.linalg.inv(claimed), 0.0)
+        held = np.zeros((len(poses), 2, 3, 3))
+        np.add.at(held, sources, information.swapaxes(0, 1))
         open_: FloatArray = np.linalg.inv(held[steps := np.unique(sources)]).astype(np.float64)
-        moves_m = np.sqrt(np.diagonal(open_, axis1=1, axis2=2)) * [1.0, 1.0, loops.reach_m]
+        moves_m = np.sqrt(np.diagonal(open_[:, 0], axis1=1, axis2=2)) * [1.0, 1.0, loops.reach_m]
         wrong = moves_m.max(axis=1) > match.coarse_cell_m
         parts: list[tuple[int, int, FloatArray]] = []
         for step, free in zip(steps[wrong].tolist(), open_[wrong], strict=True):
             if parts and parts[-1][1] == step and guessed[step] and guessed[step - 1]:
                 first, _, before = parts.pop()
                 back = adjoint(between(poses[step + 1], poses[step]))
-                parts.append((first, step + 1, rotate_covariance(back, before) + free))
+                turned = np.stack([rotate_covariance(back, one) for one in before])
+                parts.append((first, step + 1, turned + free))
             else:
                 parts.append((step, step + 1, free))
         self._ends = np.array([part[:2] for part in parts], np.int64).reshape(-1, 2)
-        self._free = np.array([part[2] for part in parts]).reshape(-1, 3, 3)
+        self._free = np.array([part[2] for part in parts]).reshape(-1, 2, 3, 3)
         numbers = np.full(len(poses), -1)
         for n, (first, last) in enumerate(self._ends):
             numbers[first:last] = n
         self.held = believed_edges(edges, kept, poses)
         self.known = graph_of(len(poses), self.held, numbers)
-        took_s = np.diff(stamps_s)
         speeds = _moves(_off(poses[:-1], poses[1:])) / np.where(took_s > 0.0, took_s, np.inf)[:, None]
         begun, ended = self._ends.T
         time_s = np.abs(stamps_s[ended] - stamps_s[begun])[:, None]
@@ -242,7 +244,7 @@ class FaultySteps:
 
     @cached_property
     def _bounded(self) -> FloatArray:
-        """(P, 3, 3) how wrong each part may be; no more than the way round it allows."""
+        """(P, 2, 3, 3) how wrong each part may be; no more than the way round it allows."""
         bounded = self._free.copy()
         for n, (first, last) in enumerate(self._ends.tolist()):
             # Seen from its other end: the step's covariance is in the frame where it ends.
@@ -293,13 +295,16 @@ class FaultySteps:
         needed = _off(to_part, composed(claim.pose[None], inverse(rest)))
         off = _off(_off(poses[first], poses[last]), needed)
         around = moved(np.repeat(expected.covariance[None], len(rest), axis=0), rest)
-        covariances = self._bounded[within] + around
+        covariances, longer = np.moveaxis(self._bounded[within] + around[:, None], 1, 0)
+        # Who may be wrong by more is so by chance the oftener: by the volumes, as in a mixture of both.
+        volumes = np.diff(np.linalg.slogdet(self._free[within])[1])[:, 0]
         # What is farther than it can have gone the ways to the part and on from it must explain.
         shares = np.minimum(1.0, self._farthest[within] / np.maximum(_moves(needed), TINY))
         beyond = _off(needed * shares[:, [0, 0, 1]], needed)
         ways = moved(self.known.relative_covariances(start, first, poses), inverse(composed(to_part, needed)))
         ways += moved(self.known.relative_covariances(end, last, poses) + claim.covariance, rest)
-        return ends, _squares(off, covariances), _squares(beyond, ways) <= self._gate, covariances
+        squares = np.minimum(_squares(off, covariances), _squares(off, longer) + volumes)
+        return ends, squares, _squares(beyond, ways) <= self._gate, covariances
 
 
 def _moves(motions: FloatArray) -> FloatArray:

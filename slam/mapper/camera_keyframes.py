@@ -45,8 +45,7 @@ class _Places:
 class CameraKeyframes:
     """Frames of a robot's cameras, each belonging to a node of the graph; the leading camera's are places.
 
-    When a frame was taken, and so where it was taken from, is known as well as its camera's clock; that is
-    learned on the way, so frames are placed anew with it.
+    Where a frame was taken is known as well as its camera's clock: as that is learned, it is placed anew.
 
     Parameters
     ----------

@@ -134,6 +134,18 @@ def test_no_step_is_farther_than_a_robot_goes_in_its_time(far_m: float, gap_s: f
     assert squares((GAP,), claimed, gap_s=2.0 * far_m) < np.inf
 
 
+def test_a_match_past_a_gap_may_have_missed_a_corner_but_that_is_not_free() -> None:
+    """Of 25 s; as wrong as in a second alone it would be asked 62."""
+    match, wheels = Motion(STEP, SURE), Motion(STEP, BY_WHEELS)
+    edges = chain()[:GAP] + chain()[GAP + 1 :]
+    edges += edges_of(GAP + 1, STEP, match, wheels, [], GraphConfig(), 25.0, match_doubtful=True)
+    went = walked([STEP] * GAP + [np.array([6.0, 6.0, 1.2])] + [STEP] * (COUNT - GAP - 2))
+    faulty = judge(edges, np.arange(float(COUNT)) + 25.0 * (np.arange(COUNT) > GAP))
+    known = Motion(between(POSES[5], POSES[70]), np.diag([0.3, 0.3, 0.03]) ** 2)
+    asked = faulty.explain(5, 70, known, Motion(between(went[5], went[70]), SURE))[2]
+    assert gate(3) < asked < 20.0
+
+
 def test_that_a_step_was_wrong_costs_what_such_steps_have_shown() -> None:
     """However far that throws what lies behind; were it as certain as wheels are, hundreds of nats."""
     tight = step(GAP, SURE, EdgeKind.WHEEL, trusted=False)
