@@ -14,10 +14,12 @@ from slam.config.stages import GraphConfig
 from slam.graph.edge import Edge, EdgeKind
 from slam.graph.keyframe_graph import KeyframeGraph
 from slam.mapper.planar_chain import PlanarChain, edges_of
-from slam.mapper.robot_cameras import RobotCameras
+from slam.mapper.robot_cameras import RobotCamera, RobotCameras
 from slam.mapper.tags import TagFinder
 from slam.matching.motion import Motion
 from slam.measurements import FloatArray, pose2_from_row
+from slam.odometry.camera_odometry import CameraOdometry
+from slam.odometry.camera_track import CameraPose
 from slam.odometry.clock_learner import Turns
 from slam.odometry.tracked_scan import TrackedScan
 
@@ -44,20 +46,27 @@ def add(
     graph.add_keyframe(pose2_from_row(step), edges)
 
 
+@pytest.mark.parametrize("led", [False, True])
 @pytest.mark.parametrize(("guessed_m", "bridged"), [(1.0, True), (8.0, False)])
-def test_a_guess_is_bridged_only_from_where_the_same_is_seen(guessed_m: float, bridged: bool) -> None:
+def test_a_guess_is_bridged_only_from_where_the_same_is_seen(
+    guessed_m: float, bridged: bool, led: bool
+) -> None:
     """Farther on, the scan was matched to the one that was guessed, and knows no more than the guess."""
     tracker, config = Run(wheels=False).tracker, Config()
     cameras = RobotCameras(config, {}, tags=TagFinder(None, {}), wheel_turns=Turns())
+    if led:
+        mounted = gtsam.Pose3(gtsam.Rot3(), [0.0, 0.0, 1.0])
+        cameras.cameras["eye"] = RobotCamera(CameraOdometry(config), mounted)
     chain, edges = PlanarChain(config, tracker, None, cameras), list[Edge]()
     for key, at_m in enumerate((0.0, guessed_m, guessed_m + 0.3)):
         pose = np.array([at_m, 0.0, 0.0])
         seen = TrackedScan(pose, None if key == 1 else motion_at(pose), None, np.zeros((3, 3)))
-        edges += chain.add(key, 10.0 * key, seen, {})[1]
-    assert [(edge.source, edge.kind) for edge in edges if edge.target == 2] == [
-        (1, EdgeKind.LIDAR),
-        *[(0, EdgeKind.LIDAR)] * bridged,
-    ]
+        eye = CameraPose(gtsam.Pose3(gtsam.Rot3(), [at_m, 0.0, 1.0]), 1e-6 * np.eye(6), 0)
+        edges += chain.add(key, 10.0 * key, seen, {"eye": eye} if led else {})[1]
+    assert [one.kind for one in edges if one.target == 1] == [EdgeKind.RGBD] * led + [EdgeKind.ASSUMED]
+    matches = [edge for edge in edges if edge.target == 2 and edge.kind is EdgeKind.LIDAR]
+    assert [edge.source for edge in matches] == [1] + [0] * bridged
+    assert matches[0].covariance[0, 0] > 100.0 * matches[-1].covariance[0, 0] or not bridged
 
 
 class TestCamerasOnTheFloor:
