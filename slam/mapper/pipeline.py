@@ -108,9 +108,7 @@ class _Run:
                 self._config = mended
                 self._registered = _Registered(self._dataset, mended)
                 self._choice = self._chosen()
-            self._registrations = self._checkpoint.registrations(
-                lambda: self._registered(self._choice.cameras)
-            )
+        self._registrations = self._checkpoint.registrations(lambda: self._registered(self._choice.cameras))
         self._mountings = self._checkpoint.mountings()
         end_stage()
 

@@ -104,10 +104,8 @@ def test_what_fits_in_part_is_as_unsure_as_its_guess_is_far_or_the_search_wide(
     scan = np.vstack([points_at(truth), among])
     searched = odometry.match(scan, [], truth, turned_rad=0.6)
     led = odometry.match(scan, [truth.compose(base(0.5, 0.0, 0.0))], truth, turned_rad=0.6)
-    assert searched is not None
-    assert led is not None
-    assert not searched.converged
-    assert not led.converged
+    assert searched is not None and led is not None
+    assert not searched.converged and not led.converged
     assert searched.covariance[2, 2] > 0.6**2 > led.covariance[2, 2]
     assert led.covariance[3, 3] > 0.4**2 > searched.covariance[3, 3]
 
@@ -395,9 +393,8 @@ def test_after_a_restart_nothing_is_expected_of_what_was_seen_before() -> None:
     rng = np.random.default_rng(0)
     found = []
     for share in np.linspace(0.1, 0.9, 9):
-        spoilt = scan + np.where(rng.random(len(scan)) < share, 1.0, 0.0)[:, None] * rng.normal(
-            0.0, 2.0, scan.shape
-        )
+        nonsense = rng.random(len(scan)) < share
+        spoilt = scan + nonsense[:, None] * rng.normal(0.0, 2.0, scan.shape)
         found.append([one.match(spoilt, [base(0.6, 0.0, 0.1)]) is None for one in (fresh, restarted)])
     assert [one for one, _ in found] == [other for _, other in found]
     assert {one for one, _ in found} == {True, False}
