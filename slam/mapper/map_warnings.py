@@ -64,6 +64,6 @@ def unseen(
     from_s, to_s = trajectory.stamps_s[[first, last]] - trajectory.stamps_s[0]
     others = f" (the worst of {len(found)} times)" if len(found) > 1 else ""
     return [
-        f"No scan was placed from {from_s:.1f} to {to_s:.1f} s{others}: against what was before, poses are "
-        f"uncertain by up to {position_m:.2f} m and {np.degrees(turn_rad):.1f} degrees (one sigma)"
+        f"No scan or image was placed from {from_s:.1f} to {to_s:.1f} s{others}: against what was before, "
+        f"poses are uncertain by up to {position_m:.2f} m and {np.degrees(turn_rad):.1f} degrees (one sigma)"
     ]

@@ -83,8 +83,13 @@ class FreeCamera:
         tracked = self._tracker.track(measurement)
         self._newest = measurement, tracked
         self._place(measurement.stamp_s, tracked)
-        self.readings.add_scan(measurement.stamp_s, self._placed.compose(self._T_camera_base))
         motion = None if tracked.match is None else tracked.match.motion
+        self.readings.add_scan(
+            measurement.stamp_s,
+            self._placed.compose(self._T_camera_base),
+            covariance=None if motion is None else motion.covariance,
+            trusted=motion is not None or self._bridged,
+        )
         return Tracked(measurement.stamp_s, motion, tracked.new_keyframe, tracked.match)
 
     def origin(self) -> Pose:

@@ -11,6 +11,7 @@ from slam.config import Config
 from slam.odometry.constant_velocity import stretch
 from slam.odometry.rgbd_odometry import RgbdOdometry
 from slam.result_cache import COMPUTED, ResultCache
+from slam.vision.feature_pose import turn_from_features
 from slam.vision.prepared_frame import PreparedFrame
 from slam.vision.visual_match import VisualKeyframe, VisualMatch, dissimilarity
 
@@ -50,6 +51,7 @@ class RgbdTracker:
         # Of the local map those with their surfaces in memory, the latest used last.
         self._in_use: list[VisualKeyframe] = []
         self._last: TrackedFrame | None = None
+        self._before: PreparedFrame | None = None
         self._stamp_s = 0.0
         self._matched_s = 0.0
         self._step = gtsam.Pose3()
@@ -69,7 +71,7 @@ class RgbdTracker:
             self._step_s = frame.stamp_s - self._matched_s
         if tracked.match is not None or tracked.new_keyframe:
             self._matched_s = frame.stamp_s
-        self._last = tracked
+        self._last, self._before = tracked, frame
         self._stamp_s = frame.stamp_s
         return tracked
 
@@ -89,19 +91,33 @@ class RgbdTracker:
     def _match(self, frame: PreparedFrame, guess: gtsam.Pose3) -> TrackedFrame:
         """Match to the most alike keyframes, or say that the frame is lost."""
         match = self._cached(frame, guess)
-        if match is None and self._last is not None:
+        if match is None:
             # A camera that was held still or shaken has not moved on with constant velocity.
-            match = self._cached(frame, self._last.pose)
+            guess = self._turned(frame)
+            match = self._cached(frame, guess)
         if match is None or (self._lost and not self._found_again(match)):
             self._lost += 1
-            restart = self._lost >= self._config.match.lost_after
-            pose = self._last.pose if self._last is not None else guess
+            restart = self._lost >= self._config.match.lost_after and self._can_be_matched_to(frame)
             if restart:
                 self._lost = 0
-            return TrackedFrame(pose, None, new_keyframe=restart, restarted=restart)
+            return TrackedFrame(guess, None, new_keyframe=restart, restarted=restart)
         self._lost = 0
         pose = match.pose
         return TrackedFrame(pose, match, self._moved_on(frame, pose, match), restarted=False)
+
+    def _turned(self, frame: PreparedFrame) -> gtsam.Pose3:
+        """Where the last frame was taken, turned as the two images tell, which need no depth for that."""
+        assert self._last is not None and self._before is not None
+        turn = turn_from_features(
+            self._before.features, frame.features, frame.frame.intrinsics, self._config.rgbd_odometry
+        )
+        return self._last.pose.compose(gtsam.Pose3(turn, np.zeros(3)))
+
+    def _can_be_matched_to(self, frame: PreparedFrame) -> bool:
+        """Whether a frame has enough depth to begin a local map."""
+        config = self._config.rgbd_odometry
+        known = np.count_nonzero(frame.features.depth_m > 0.0)
+        return bool(known >= config.least_inliers) or len(frame.points) >= config.least_points
 
     def _cached(self, frame: PreparedFrame, guess: gtsam.Pose3) -> VisualMatch | None:
         """Match from a guess."""

@@ -166,14 +166,14 @@ class Readings:
 
     def _scans_of(self, keyframe_poses: Poses, wheels: Poses | None) -> Poses:
         """Poses of the scans: as matched between keyframes, noise taken out by the wheels' motion."""
-        keyframes = self.keyframe_scans()
+        keyframes, variances = self.keyframe_scans(), np.array(self._scan_variances).reshape(-1, 6)
         rows = np.array(self._scan_poses).reshape(-1, 3, 4)
         odometry = Poses(rows[:, :, 3], scipy.spatial.transform.Rotation.from_matrix(rows[:, :, :3]))
-        matched = spread_correction(odometry, keyframes, keyframe_poses)
+        matched = spread_correction(odometry, keyframes, keyframe_poses, np.isnan(variances[:, 0]))
         if wheels is None:
             return matched
         bridged = spread_correction(wheels[np.array(self._scan_readings)], keyframes, keyframe_poses)
-        return steadied(matched, bridged, np.array(self._scan_variances).reshape(-1, 6), keyframes)
+        return steadied(matched, bridged, variances, keyframes)
 
 
 def at_stamps(trajectory: Trajectory, stamps_s: FloatArray) -> Trajectory:

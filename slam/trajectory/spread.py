@@ -6,14 +6,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fusion.estimation import FEWEST, TINY
-from slam.measurements import FloatArray
+from slam.measurements import BoolArray, FloatArray
 from slam.trajectory.poses import Poses
 
 # A radian of turn counts as this much path when a correction is spread; standing still counts a little.
 _TURN_M_PER_RAD = 0.3
 
 
-def spread_correction(motion: Poses, anchors: NDArray[np.int64], anchor_poses: Poses) -> Poses:
+def spread_correction(
+    motion: Poses, anchors: NDArray[np.int64], anchor_poses: Poses, guessed: BoolArray | None = None
+) -> Poses:
     """Carry corrected anchor poses over to all poses of a drifting trajectory.
 
     Parameters
@@ -24,6 +26,8 @@ def spread_correction(motion: Poses, anchors: NDArray[np.int64], anchor_poses: P
         (M,) increasing numbers of the readings whose map pose is known, M > 0.
     anchor_poses
         M of them, in the map.
+    guessed
+        (N,) which poses nothing measured: the way to and from them is what is wrong, if any is.
 
     Returns
     -------
@@ -41,7 +45,12 @@ def spread_correction(motion: Poses, anchors: NDArray[np.int64], anchor_poses: P
     reached = anchor_poses[:-1].compose(motion[start].between(motion[stop]))
     turned = anchor_poses[1:].rotations * reached.rotations.inv()
     missed = np.hstack([anchor_poses[1:].positions_m - reached.positions_m, turned.as_rotvec()])
-    path = np.concatenate([[0.0], np.cumsum(path_lengths(motion))])
+    steps = path_lengths(motion)
+    if guessed is not None:
+        loose = guessed[:-1] | guessed[1:]
+        in_doubt = np.bincount(before[:-1], loose, len(anchors))[before[:-1]] > 0
+        steps = np.where(loose | ~in_doubt, steps, 0.0)
+    path = np.concatenate([[0.0], np.cumsum(steps)])
     inside = (numbers > anchors[0]) & (numbers < anchors[-1])
     gap = before[inside]
     share = np.zeros((len(motion), 1))

@@ -10,8 +10,10 @@ from dataclasses import dataclass
 import gtsam
 import numpy as np
 
-from fusion.estimation import CONFIDENCE
-from slam.measurements import BoolArray, CameraIntrinsics, FloatArray
+from fusion.estimation import CONFIDENCE, ROUNDS
+from slam.config.stages import RgbdOdometryConfig
+from slam.measurements import BoolArray, CameraIntrinsics, Float32Array, FloatArray
+from slam.vision.features import Features, match_features
 
 _ROUNDS = 200
 
@@ -87,3 +89,39 @@ def pose_from_features(
         return None
     T_camera_reference = gtsam.Pose3(gtsam.Rot3.Expmap(rotation.ravel()), translation.ravel())
     return FeaturePose(T_camera_reference.inverse(), mask)
+
+
+def turn_from_features(
+    before: Features, after: Features, intrinsics: CameraIntrinsics, config: RgbdOdometryConfig
+) -> gtsam.Rot3:
+    """Rotation of a camera from one image to the next, as if it had turned on the spot; no depth is needed.
+
+    None at all where fewer than ``config.least_inliers`` features agree.
+    """
+    import scipy
+
+    pairs = match_features(before.descriptors, after.descriptors, config.match_ratio, config.match_bits)
+    if len(pairs) < config.least_inliers:
+        return gtsam.Rot3()
+    first, second = (
+        _rays(one.pixels[chosen], intrinsics)
+        for one, chosen in ((before, pairs.first), (after, pairs.second))
+    )
+    tolerance = config.kernel_sigmas / intrinsics.fx
+    off, weights = np.zeros(len(pairs)), np.ones(len(pairs))
+    turn = scipy.spatial.transform.Rotation.identity()
+    for _ in range(ROUNDS):
+        turn = scipy.spatial.transform.Rotation.align_vectors(first, second, weights)[0]
+        off = np.linalg.norm(turn.apply(second) - first, axis=1)
+        # As tolerant as half of them need, until these are as near as a keypoint is located.
+        weights = 1.0 / (1.0 + (off / max(float(np.median(off)), tolerance)) ** 2) ** 2
+    if np.count_nonzero(off <= tolerance) < config.least_inliers:
+        return gtsam.Rot3()
+    return gtsam.Rot3(turn.as_matrix())
+
+
+def _rays(pixels: Float32Array, k: CameraIntrinsics) -> FloatArray:
+    """Directions (N, 3) of pixels (N, 2), of length 1."""
+    x, y = (pixels[:, 0] - k.cx) / k.fx, (pixels[:, 1] - k.cy) / k.fy
+    rays = np.stack([x, y, np.ones(len(pixels))], axis=1)
+    return np.asarray(rays / np.linalg.norm(rays, axis=1, keepdims=True))

@@ -180,7 +180,7 @@ class TestMishaps:
     @pytest.mark.parametrize(
         ("took_s", "told"),
         [
-            (10.0, "No scan was placed"),
+            (10.0, "No scan or image was placed"),
             (0.0, "At 4.4 s a scan fits nothing that was seen there (such scans: 1)"),
         ],
     )

@@ -225,6 +225,12 @@ class Rendered:
             frame = type(frame)(stamp_s, 0 * frame.color, 0 * frame.depth_m, SMALL)
         return self.odometry.add(prepared(frame))
 
+    def add_near_a_wall(self, stamp_s: float, turn: gtsam.Rot3) -> TrackedFrame:
+        """Too near for any depth, but seen all the same."""
+        self.pose = self.pose * gtsam.Pose3(turn, np.zeros(3))
+        frame = render(furnished(), self.pose, stamp_s=stamp_s)
+        return self.odometry.add(prepared(replace(frame, depth_m=0 * frame.depth_m)))
+
 
 def test_a_camera_is_known_at_its_frame_and_shortly_after() -> None:
     camera = Rendered()
@@ -266,11 +272,30 @@ def test_a_fresh_start_has_no_motion_to_what_was_before() -> None:
     camera.add(0.0)
     camera.add(0.1, STEP)
     before = camera.at(0.1)
-    tracked = [camera.add(0.2 + 0.1 * n, dead=True) for n in range(3)]
-    assert tracked[-1].restarted
-    camera.add(0.5)
-    assert camera_step(before, camera.at(0.5)) is None
+    assert not any(camera.add(0.2 + 0.1 * n, dead=True).restarted for n in range(4))
+    # Nothing could be matched to what saw nothing; it begins anew with what does, elsewhere.
+    assert camera.add(0.6, gtsam.Pose3(gtsam.Rot3.Ry(2.0), np.zeros(3))).restarted
+    assert camera_step(before, camera.at(0.6)) is None
     assert camera.odometry.lost_frames > 0
+
+
+def test_long_blind_and_back_where_it_was_goes_on() -> None:
+    camera = Rendered()
+    camera.add(0.0)
+    assert not any(camera.add(0.1 + 0.1 * n, dead=True).restarted for n in range(5))
+    found = camera.add(0.7, STEP)
+    assert found.match is not None
+    assert not found.restarted
+
+
+def test_without_depth_images_alone_tell_how_it_turns() -> None:
+    camera = Rendered()
+    camera.add(0.0)
+    turns = [gtsam.Rot3.Ypr(0.0, 0.08, 0.03)] * 4
+    lost = [camera.add_near_a_wall(0.1 + 0.1 * n, turn) for n, turn in enumerate(turns)]
+    assert all(frame.match is None for frame in lost[2:])
+    off = lost[-1].pose.rotation().between(gtsam.Rot3.Ypr(0.0, 0.32, 0.12))
+    assert np.degrees(np.linalg.norm(gtsam.Rot3.Logmap(off))) < 2.0
 
 
 @pytest.mark.parametrize("side", [0, 1])

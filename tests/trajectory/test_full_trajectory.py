@@ -158,6 +158,18 @@ def test_a_robot_that_stands_shares_evenly() -> None:
     np.testing.assert_allclose(result[:, 0], [0.0, 0.1, 0.2, 0.3, 0.4], atol=1e-9)
 
 
+@pytest.mark.parametrize(("guessed", "shares"), [([2, 3], [0, 0, 1, 2, 3, 3]), ([], [0, 1, 2, 3, 4, 5])])
+def test_what_nothing_measured_is_what_was_wrong(guessed: list[int], shares: list[int]) -> None:
+    """The steps to and from guesses take all of a correction; where there are none each takes its part."""
+    motion, end = np.zeros((6, 3)), np.array([0.3, 0.0, 0.0])
+    motion[:, 0] = np.arange(6)
+    mask = np.isin(np.arange(6), guessed)
+    anchors = np.array([0, 5])
+    poses = Poses.planar(np.array([motion[0], motion[5] + end]))
+    found = rows(spread.spread_correction(Poses.planar(motion), anchors, poses, mask))
+    np.testing.assert_allclose(found[:, 0] - motion[:, 0], 0.3 * np.array(shares) / shares[-1], atol=1e-9)
+
+
 def test_one_reading() -> None:
     found = spread_correction(np.ones((1, 3)), np.array([0]), np.array([[1.0, 2.0, 3.0]]))
     np.testing.assert_allclose(found, [[1.0, 2.0, 3.0]], atol=1e-12)
