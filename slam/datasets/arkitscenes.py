@@ -86,11 +86,9 @@ def _groundtruth(folder: Path, account: Account) -> Trajectory | None:
 
     def good() -> Iterator[tuple[float, gtsam.Pose3]]:
         for number, fields in rows_of(path, account, 7):
-            try:
+            with account.refusing(path.name, number, BAD_POSE, ValueError):
                 numbers = np.array([float(field) for field in fields[:7]])
                 yield float(numbers[0]), from_axis_angle(numbers[1:4], numbers[4:]).inverse()
-            except ValueError as error:
-                account.refuse(RecordFault(BAD_POSE, str(error)), path.name, number)
 
     return trajectory_of(good()) if path.is_file() else None
 

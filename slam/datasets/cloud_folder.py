@@ -100,7 +100,7 @@ def _groundtruth(path: Path, account: Account) -> Trajectory | None:
 def _kitti_rows(path: Path, account: Account) -> dict[str, gtsam.Pose3]:
     """The transforms of ``calib.txt`` by their names; projections, which are none, are left out."""
     found = {}
-    for _, line in numbered_lines(path, lambda fault, at: account.refuse(fault, path.name, at)):
+    for _, line in numbered_lines(path, account):
         name, _, numbers = line.partition(b":")
         try:
             found[name.decode("ascii", "replace").strip()] = pose_of_row(numbers.split())

@@ -101,10 +101,8 @@ def stamped_clouds(times: Path, folder: Path, account: Account) -> list[StampedF
     files = cloud_files(folder)
     found = []
     for (number, fields), path in zip(lines, files, strict=False):
-        try:
+        with account.refusing(times.name, number):
             found.append(StampedFile(stamp_of(fields[0]), path, number))
-        except RecordFault as fault:
-            account.refuse(fault, times.name, number)
     for number, _ in lines[len(files) :]:
         account.refuse(RecordFault(WITHOUT_CLOUD, f"{len(lines)} and {len(files)}"), times.name, number)
     for place in range(len(lines), len(files)):
@@ -151,10 +149,8 @@ def _named(times: Path, lines: list[tuple[int, list[bytes]]], account: Account) 
     """Clouds by lines ``stamp name``; names are relative to the list's folder."""
     found = []
     for number, fields in lines:
-        try:
+        with account.refusing(times.name, number):
             if len(fields) < 2:
                 raise RecordFault("index line with too few fields", "1 of 2")
             found.append(StampedFile(stamp_of(fields[0]), image_path(times.parent, fields[1]), number))
-        except RecordFault as fault:
-            account.refuse(fault, times.name, number)
     return found

@@ -109,7 +109,7 @@ def beside_imu(log: Iterable[Numbered], imu: ImuFile | Path | None, account: Acc
 
 def _has_columns(imu: ImuFile) -> bool:
     """Whether the first line of numbers is as long as the publisher's head."""
-    lines = (line.strip() for _, line in numbered_lines(imu.path, lambda fault, at: None))
+    lines = (line.strip() for _, line in numbered_lines(imu.path, Account.quiet(imu.path)))
     first = next((line for line in lines if line and not _is_head(line)), b"")
     return len(_parted(first)) >= len(_names(imu.head))
 
@@ -119,7 +119,7 @@ def _read_imu(imu: ImuFile, account: Account) -> Iterator[tuple[int, ImuReading]
     path, unit = imu.path, ForceUnit()
     mounting = _mounting(path) or imu.T_base_imu
     columns = _columns(imu.head) or _Columns(_PLAIN[:1], _PLAIN[1:4], _PLAIN[4:7])
-    for number, line in numbered_lines(path, lambda fault, at: account.refuse(fault, path.name, at)):
+    for number, line in numbered_lines(path, account):
         text = line.strip()
         if not text:
             continue
@@ -127,21 +127,15 @@ def _read_imu(imu: ImuFile, account: Account) -> Iterator[tuple[int, ImuReading]
             told = text.lstrip(b"#").decode("utf-8", "replace")
             columns = columns if imu.head else _columns(told) or columns
             continue
-        try:
+        with account.refusing(path.name, number, BAD_ROW, ValueError, IndexError):
             row = np.array([float(field) for field in _parted(text) if field.strip()])
             stamp_s = columns.stamp_s(row)
             gyro = row[list(columns.gyro)] * columns.gyro_scale
             force = row[list(columns.force)]
             if not np.isfinite([stamp_s, *gyro, *force]).all() or not force.any():
                 raise RecordFault(BAD_ROW, text[:60].decode("ascii", "replace"))
-        except (ValueError, IndexError) as error:
-            account.refuse(RecordFault(BAD_ROW, str(error)), path.name, number)
-            continue
-        except RecordFault as fault:
-            account.refuse(fault, path.name, number)
-            continue
-        account.report.accept("IMU reading")
-        yield number, ImuReading(stamp_s, gyro, unit.m_s2(force), mounting)
+            account.report.accept("IMU reading")
+            yield number, ImuReading(stamp_s, gyro, unit.m_s2(force), mounting)
     if unit.choice:
         account.report.note(f"imu: {unit.choice}", 1)
 

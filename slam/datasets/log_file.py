@@ -9,6 +9,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from slam.datasets.account import Account
 from slam.datasets.budget import Budget
 from slam.datasets.dataset import RecordFault
 from slam.errors import DatasetError
@@ -24,7 +25,6 @@ _BYTE_ORDER_MARK = b"\xef\xbb\xbf"
 LINE_TOO_LONG = "line too long"
 STREAM_DAMAGED = "compressed data damaged or cut short"
 
-Refuse = Callable[[RecordFault, int], None]
 OnShare = Callable[[float], None]
 _LINES_A_SHARE = 64
 
@@ -92,15 +92,15 @@ def read_head(path: Path, size: int) -> bytes:
 
 
 def numbered_lines(
-    path: Path, refuse: Refuse, on_share: OnShare | None = None
+    path: Path, account: Account, on_share: OnShare | None = None
 ) -> Iterator[tuple[int, bytes]]:
     """1-based numbers and lines, each with its line end, in constant memory.
 
     Parameters
     ----------
-    refuse
-        Called with the fault and the line number for an over-long line and for damaged compression;
-        the first is skipped, the second ends the stream after what could be read, as `Budget` does.
+    account
+        Refuses an over-long line, which is skipped, and damaged compression, which ends the stream after
+        what could be read, as `Budget` does.
     on_share
         Called now and then with the share of the file that has been read, 0..1.
 
@@ -126,14 +126,14 @@ def numbered_lines(
                         on_share(read / size)
                 if len(line) == MAX_LINE_BYTES and not line.endswith(b"\n"):
                     _skip_line(stream, budget)
-                    detail = f"more than {MAX_LINE_BYTES} bytes"
-                    refuse(RecordFault(LINE_TOO_LONG, detail), number)
+                    fault = RecordFault(LINE_TOO_LONG, f"more than {MAX_LINE_BYTES} bytes")
+                    account.refuse(fault, path.name, number)
                     continue
                 yield number, line.removeprefix(_BYTE_ORDER_MARK) if number == 1 else line
         except (EOFError, zlib.error, gzip.BadGzipFile) as error:
-            refuse(RecordFault(STREAM_DAMAGED, str(error)), number + 1)
+            account.refuse(RecordFault(STREAM_DAMAGED, str(error)), path.name, number + 1)
         except RecordFault as fault:
-            refuse(fault, number)
+            account.refuse(fault, path.name, number)
         except OSError as error:
             raise DatasetError(f"cannot read {path} after line {number}: {error.strerror}") from error
 

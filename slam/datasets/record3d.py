@@ -28,7 +28,7 @@ from slam.datasets.lens_files import checked, median_lens
 from slam.datasets.phone_poses import COMPARED, LENS_MOVES, T_ARKIT_OPTICAL
 from slam.datasets.pose_files import trajectory_of
 from slam.datasets.recording import Contents
-from slam.datasets.stamped_files import BAD_POSE, BAD_STAMP, StampedFile, stamp_of
+from slam.datasets.stamped_files import BAD_POSE, StampedFile, stamp_of
 from slam.errors import DatasetError
 from slam.estimates import Trajectory
 from slam.foreign import from_json
@@ -232,10 +232,8 @@ def _stamps(metadata: dict[str, Any], account: Account) -> Iterator[tuple[int, f
         account.report.note(f"no stamps: frame N taken as N / {rate_hz:g} s old", 1)
         told = [number / rate_hz for number in range(len(poses) if isinstance(poses, list) else 0)]
     for number, stamp in enumerate(told):
-        try:
+        with account.refusing(_METADATA, number):
             yield number, stamp_of(str(stamp).encode("ascii", "replace"))
-        except RecordFault as fault:
-            account.refuse(RecordFault(BAD_STAMP, fault.detail), _METADATA, number)
 
 
 def _truth(path: Path, account: Account) -> Trajectory | None:
@@ -247,12 +245,9 @@ def _truth(path: Path, account: Account) -> Trajectory | None:
         if not isinstance(poses, list):
             return
         for number, stamp_s in _stamps(metadata, account):
-            try:
+            with account.refusing(_METADATA, number, BAD_POSE, IndexError, TypeError, ValueError):
                 pose = pose_from(poses[number][4:7], poses[number][:4])
-            except (IndexError, TypeError, ValueError) as error:
-                account.refuse(RecordFault(BAD_POSE, str(error)), _METADATA, number)
-                continue
-            yield stamp_s, pose.compose(T_ARKIT_OPTICAL)
+                yield stamp_s, pose.compose(T_ARKIT_OPTICAL)
 
     return trajectory_of(good())
 

@@ -186,15 +186,11 @@ def _cameras(database: _Database, nodes: list[_Node], account: Account) -> list[
     for node in nodes:
         if node.number not in numbers:
             continue
-        try:
+        with account.refusing("Data", node.number):
             models = camera_models(database.blob("calibration", node.number))
-        except RecordFault as fault:
-            account.refuse(fault, "Data", node.number)
-            continue
-        if kept and len(models) != len(kept[0][1]):
-            account.refuse(RecordFault("another number of cameras", f"{len(models)}"), "Data", node.number)
-            continue
-        kept.append((node, models))
+            if kept and len(models) != len(kept[0][1]):
+                raise RecordFault("another number of cameras", f"{len(models)}")
+            kept.append((node, models))
     count = len(kept[0][1]) if kept else 0
     return [_camera(database, kept, index, count, account) for index in range(count)]
 
@@ -235,15 +231,12 @@ def _log(database: _Database, nodes: list[_Node], account: Account) -> Iterator[
             planar = gtsam.Pose2(pose.x(), pose.y(), pose.rotation().yaw())
             yield node.number, WheelOdometry(node.stamp_s, planar)
         if node.number in scanned:
-            try:
+            with account.refusing("Data", node.number):
                 info = scan_info(database.blob("scan_info", node.number))
                 reading = _scan(node.stamp_s, info, scan_points(database.blob("scan", node.number), budget))
-            except RecordFault as fault:
-                account.refuse(fault, "Data", node.number)
-                continue
-            account.report.line_count += 1
-            account.report.accept("scan")
-            yield node.number, reading
+                account.report.line_count += 1
+                account.report.accept("scan")
+                yield node.number, reading
 
 
 def _is_level(pose: gtsam.Pose3) -> bool:

@@ -39,7 +39,7 @@ def fields_of(path: Path, account: Account, least: int, most: int) -> Iterator[t
 
     The last field keeps its blanks where there would be more than ``most``.
     """
-    for number, line in numbered_lines(path, lambda fault, at: account.refuse(fault, path.name, at)):
+    for number, line in numbered_lines(path, account):
         text = line.strip()
         if not text or text.startswith(b"#"):
             continue
@@ -60,10 +60,8 @@ def read_image_list(path: Path, account: Account) -> list[StampedFile]:
     """
     found = []
     for number, (stamp, name) in fields_of(path, account, 2, 2):
-        try:
+        with account.refusing(path.name, number):
             found.append(StampedFile(stamp_of(stamp), image_path(path.parent, name), number))
-        except RecordFault as fault:
-            account.refuse(fault, path.name, number)
     return found
 
 
@@ -74,17 +72,14 @@ def read_associations(path: Path, account: Account) -> tuple[list[StampedFile], 
     """
     colors, depths = [], []
     for number, fields in fields_of(path, account, 4, 4):
-        try:
+        with account.refusing(path.name, number):
             first, second = (
                 StampedFile(stamp_of(fields[k]), image_path(path.parent, fields[k + 1]), number)
                 for k in (0, 2)
             )
-        except RecordFault as fault:
-            account.refuse(fault, path.name, number)
-            continue
-        swapped = b"depth" in fields[1].lower() and b"depth" not in fields[3].lower()
-        colors.append(second if swapped else first)
-        depths.append(first if swapped else second)
+            swapped = b"depth" in fields[1].lower() and b"depth" not in fields[3].lower()
+            colors.append(second if swapped else first)
+            depths.append(first if swapped else second)
     return colors, depths
 
 

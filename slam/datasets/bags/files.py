@@ -14,7 +14,6 @@ from slam.datasets.bags.compression import unpacked_message
 from slam.datasets.bags.records import BagRecord, Channel, Container
 from slam.datasets.bags.topics import IMU, OUSTER
 from slam.datasets.budget import Budget
-from slam.datasets.dataset import RecordFault
 from slam.errors import DatasetError
 from slam.foreign import from_yaml
 
@@ -66,12 +65,9 @@ class Bag:
             for channel, recorded_ns, content in container.records(path, account, budget, note_share):
                 number += 1
                 account.report.line_count = number
-                try:
+                with account.refusing(path.name, number):
                     message = unpacked_message(content, channel, budget)
-                except RecordFault as fault:
-                    account.refuse(fault, path.name, number)
-                    continue
-                yield BagRecord(number, _read_as(channel), recorded_ns * _NS, message)
+                    yield BagRecord(number, _read_as(channel), recorded_ns * _NS, message)
 
 
 @lru_cache

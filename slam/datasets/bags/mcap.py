@@ -173,13 +173,10 @@ def _learned(
     tables: _Tables, kind: int, content: bytes, account: Account, where: str
 ) -> Iterator[tuple[Channel, int, bytes]]:
     """The message of a record, if it is one; a damaged record is counted."""
-    try:
+    with account.refusing(where, account.report.line_count):
         message = tables.learn(kind, content)
-    except RecordFault as fault:
-        account.refuse(fault, where, account.report.line_count)
-        return
-    if message is not None:
-        yield message
+        if message is not None:
+            yield message
 
 
 def _unpacked(content: bytes, budget: Budget, *, whole: bool) -> bytes:

@@ -158,7 +158,7 @@ def _learned(
     channels: dict[int, Channel], fields: _Fields, content: bytes, account: Account, where: str
 ) -> Iterator[tuple[Channel, int, bytes]]:
     """The message of a record, if it is one; a damaged record is counted."""
-    try:
+    with account.refusing(where, account.report.line_count, DAMAGED, struct.error):
         if fields.get("op") == bytes([_CONNECTION]):
             number, channel = _connection(fields, content)
             channels[number] = channel
@@ -168,9 +168,6 @@ def _learned(
             if number not in channels:
                 raise RecordFault(DAMAGED, f"message on unknown connection {number}")
             yield channels[number], seconds * 1_000_000_000 + rest, content
-    except (RecordFault, struct.error) as error:
-        fault = error if isinstance(error, RecordFault) else RecordFault(DAMAGED, str(error))
-        account.refuse(fault, where, account.report.line_count)
 
 
 def _connection(fields: _Fields, content: bytes) -> tuple[int, Channel]:
