@@ -10,7 +10,8 @@ from pathlib import Path
 import gtsam
 import numpy as np
 
-from slam.config import Config, nearest
+from slam.config import Config
+from slam.config.files import nearest
 from slam.errors import ScanweaveError
 from slam.mapping.dense_map import Colors, DenseMap, DenseMapSettings, fuse_keyframes
 from slam.mapping.elevation import Elevation, elevation
