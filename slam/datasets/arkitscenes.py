@@ -21,7 +21,7 @@ from slam.datasets.dataset_format import recorded
 from slam.datasets.frame_pairs import pair_images
 from slam.datasets.image_files import ImageFiles
 from slam.datasets.lens_files import checked, median_lens
-from slam.datasets.phone_poses import COMPARED, LENS_MOVES
+from slam.datasets.phone_poses import COMPARED
 from slam.datasets.pose_files import from_axis_angle, numbers_of, rows_of, trajectory_of
 from slam.datasets.recording import Contents
 from slam.datasets.stamped_files import BAD_POSE, StampedFile
@@ -75,9 +75,7 @@ def _lens(path: Path, account: Account) -> CameraIntrinsics:
         lenses.append(checked(file.path, matrix, int(width), int(height)))
     if not lenses:
         raise DatasetError(f"{path} has no lens: {_LENSES} is missing or empty; download it, too")
-    lens, share = median_lens(lenses)
-    account.report.note(LENS_MOVES.format(share=share), 1)
-    return lens
+    return median_lens(lenses, account)
 
 
 def _groundtruth(folder: Path, account: Account) -> Trajectory | None:

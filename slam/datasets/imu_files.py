@@ -14,12 +14,11 @@ from numpy.typing import NDArray
 
 from fusion.time_alignment import GAP_S
 from slam.datasets.account import Account
-from slam.datasets.calibration import pose_from, read_yaml
+from slam.datasets.calibration import read_mounting
 from slam.datasets.dataset import RecordFault
 from slam.datasets.imu_units import ForceUnit
 from slam.datasets.log_file import numbered_lines
 from slam.datasets.recording import Numbered
-from slam.errors import DatasetError
 from slam.measurements import ImuReading
 
 BAD_ROW = "IMU line without a stamp, turn rate and acceleration"
@@ -117,7 +116,7 @@ def _has_columns(imu: ImuFile) -> bool:
 def _read_imu(imu: ImuFile, account: Account) -> Iterator[tuple[int, ImuReading]]:
     """Readings with their lines; what is none is counted."""
     path, unit = imu.path, ForceUnit()
-    mounting = _mounting(path) or imu.T_base_imu
+    mounting = read_mounting(path.parent / _SIDECAR, "T_base_imu") or imu.T_base_imu
     columns = _columns(imu.head) or _Columns(_PLAIN[:1], _PLAIN[1:4], _PLAIN[4:7])
     for number, line in numbered_lines(path, account):
         text = line.strip()
@@ -190,16 +189,3 @@ def _axes(names: list[str], pattern: re.Pattern[str]) -> tuple[int, ...]:
     """Where the three axes of a sensor are; empty where they are not all there."""
     found = {match[3]: n for n, name in reversed(list(enumerate(names))) if (match := pattern.match(name))}
     return tuple(found[axis] for axis in "xyz") if len(found) == 3 else ()
-
-
-def _mounting(path: Path) -> gtsam.Pose3 | None:
-    """``T_base_imu`` by the calibration beside the file, as the simulator writes it."""
-    sidecar = path.parent / _SIDECAR
-    content = read_yaml(sidecar) if sidecar.is_file() else {}
-    if content.get("T_base_imu") is None:
-        return None
-    try:
-        fields = content["T_base_imu"]
-        return pose_from(fields["translation_m"], fields["quaternion_xyzw"])
-    except (KeyError, TypeError, ValueError) as error:
-        raise DatasetError(f"{sidecar}: {error}; correct the mounting of the IMU, or remove it") from error

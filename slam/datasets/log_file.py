@@ -5,7 +5,7 @@ from __future__ import annotations
 import gzip
 import io
 import zlib
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Collection, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -89,6 +89,20 @@ def read_head(path: Path, size: int) -> bytes:
         except (EOFError, OSError, zlib.error):
             pass
     return b"".join(chunks).removeprefix(_BYTE_ORDER_MARK)
+
+
+def files_inside(folder: Path, suffixes: Collection[str]) -> list[Path]:
+    """Files directly in a folder with one of some endings in lower case, unsorted.
+
+    Raises
+    ------
+    DatasetError
+        The folder cannot be listed.
+    """
+    try:
+        return [file for file in folder.iterdir() if file.suffix.lower() in suffixes and file.is_file()]
+    except OSError as error:
+        raise DatasetError(f"cannot list {folder}: {error.strerror}; check its rights") from error
 
 
 def numbered_lines(

@@ -13,7 +13,7 @@ from slam.datasets.dataset_format import recorded
 from slam.datasets.image_files import ImageFiles
 from slam.datasets.lens_files import json_object, lens_of_json, median_lens
 from slam.datasets.numbered_frames import numbered_camera, numbered_files
-from slam.datasets.phone_poses import COMPARED, LENS_MOVES, T_ARKIT_OPTICAL
+from slam.datasets.phone_poses import COMPARED, T_ARKIT_OPTICAL
 from slam.datasets.pose_files import BAD_MATRIX, trajectory_of
 from slam.datasets.recording import Contents
 from slam.errors import DatasetError
@@ -74,9 +74,7 @@ def _lens(cameras: Path, account: Account) -> CameraIntrinsics:
     lenses = [lens_of_json(file, json_object(file)) for file in files]
     if not lenses:
         raise DatasetError(f"{cameras} holds no cameras; export the raw data again")
-    lens, share = median_lens(lenses)
-    account.report.note(LENS_MOVES.format(share=share), 1)
-    return lens
+    return median_lens(lenses, account)
 
 
 def _truth(path: Path, account: Account) -> Trajectory | None:

@@ -25,7 +25,7 @@ from slam.datasets.dataset_format import recorded
 from slam.datasets.frame_pairs import FramePair
 from slam.datasets.image_files import DAMAGED, MISSING, OTHER_CONFIDENCE, color_of, usable_metres
 from slam.datasets.lens_files import checked, median_lens
-from slam.datasets.phone_poses import COMPARED, LENS_MOVES, T_ARKIT_OPTICAL
+from slam.datasets.phone_poses import COMPARED, T_ARKIT_OPTICAL
 from slam.datasets.pose_files import trajectory_of
 from slam.datasets.recording import Contents
 from slam.datasets.stamped_files import BAD_POSE, StampedFile, stamp_of
@@ -204,10 +204,7 @@ def _lens(path: Path, metadata: dict[str, Any], account: Account) -> CameraIntri
         matrices = [np.array([[fx, 0.0, cx], [0.0, fy, cy]]) for fx, fy, cx, cy in numbers]
     except (KeyError, TypeError, ValueError, OverflowError) as error:
         raise DatasetError(f"{path}: its metadata gives no lens ({error}); export it again") from error
-    lens, share = median_lens([checked(path, matrix, *size) for matrix in matrices])
-    if frames:
-        account.report.note(LENS_MOVES.format(share=share), 1)
-    return lens
+    return median_lens([checked(path, matrix, *size) for matrix in matrices], account)
 
 
 def _depth_size(path: Path, metadata: dict[str, Any]) -> tuple[int, int]:

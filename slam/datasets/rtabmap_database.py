@@ -27,7 +27,6 @@ from slam.datasets.dataset_format import DatasetFormat
 from slam.datasets.frame_pairs import FramePair
 from slam.datasets.image_files import DAMAGED, MISSING, color_of, depth_of, metres_of
 from slam.datasets.lens_files import median_lens
-from slam.datasets.phone_poses import LENS_MOVES
 from slam.datasets.pose_files import trajectory_of
 from slam.datasets.recording import Contents, Numbered, Recording
 from slam.datasets.rtabmap_models import ScanInfo, camera_models, floats_of, pose_of, scan_info, scan_points
@@ -200,9 +199,7 @@ def _camera(
 ) -> Camera:
     """One of the cameras of the nodes."""
     sensor = "camera" if count == 1 else f"camera_{index + 1}"
-    lens, share = median_lens([models[index][0] for _, models in kept])
-    if share:
-        account.report.note(LENS_MOVES.format(share=share), 1)
+    lens = median_lens([models[index][0] for _, models in kept], account)
     calibration = Calibration(lens, 1000.0, T_base_camera=kept[0][1][index][1])
     calibration = read_calibration(database.path.parent, calibration)
     place = Path(str(index)) / str(count)
