@@ -15,8 +15,7 @@ from scipy import ndimage
 from slam.mapping.layer_builder import LayerSettings
 from slam.mapping.layered_map import LAYERS, DecisionRule, LayeredMap
 from slam.mapping.occupancy_grid import OCCUPIED
-from slam.measurements import LaserScan, RgbdFrame
-from slam.simulation.drive import planar_mount
+from slam.measurements import LaserScan, RgbdFrame, planar
 from slam.simulation.home import generate_home
 from slam.simulation.home_model import Home
 from slam.simulation.rigs import Rig
@@ -70,7 +69,7 @@ def _readings(
         model = rig.lidar.model
         seen = scan_lidar(caster, body.compose(rig.lidar.T_base_laser), model, rng)
         angles = (model.start_angle_rad, model.step_rad, model.range_max_m)
-        yield LaserScan(stamp_s, seen.ranges_m, *angles, planar_mount(rig.lidar)), base
+        yield LaserScan(stamp_s, seen.ranges_m, *angles, planar(rig.lidar.T_base_laser)), base
     for camera in rig.cameras:
         image = render_rgbd(caster, body.compose(camera.T_base_camera), camera.model, rng)
         images = (image.color, image.depth_m, camera.model.intrinsics)

@@ -13,8 +13,7 @@ from dataclasses import dataclass
 import gtsam
 import numpy as np
 
-from slam.measurements import LaserScan, RgbdFrame
-from slam.simulation.drive import planar_mount
+from slam.measurements import LaserScan, RgbdFrame, planar
 from slam.simulation.furniture import chair
 from slam.simulation.home_model import Home, Part, Room, Style, Thing, assemble
 from slam.simulation.rigs import RIGS
@@ -69,7 +68,7 @@ def readings(scene: Li2020Scene) -> Iterator[tuple[LaserScan | RgbdFrame, gtsam.
                 float(index),
                 scan.ranges_m,
                 *(model.start_angle_rad, model.step_rad, model.range_max_m),
-                planar_mount(lidar),
+                planar(lidar.T_base_laser),
             ),
             base,
         )

@@ -34,7 +34,7 @@ from slam.datasets.sqlite_reading import foreign_database, tables_of
 from slam.datasets.stamped_files import StampedFile
 from slam.errors import DatasetError
 from slam.estimates import Trajectory
-from slam.measurements import ColorImage, Float32Array, LaserScan, PointCloud, WheelOdometry
+from slam.measurements import ColorImage, Float32Array, LaserScan, PointCloud, WheelOdometry, planar
 
 _MAGIC = b"SQLite format 3\0"
 _RUNS = b"DEPTHRVL"
@@ -222,11 +222,9 @@ def _log(database: _Database, nodes: list[_Node], account: Account) -> Iterator[
     )
     for node in nodes:
         if level and node.T_odom_base:
-            pose = node.T_odom_base
             account.report.line_count += 1
             account.report.accept("odometry")
-            planar = gtsam.Pose2(pose.x(), pose.y(), pose.rotation().yaw())
-            yield node.number, WheelOdometry(node.stamp_s, planar)
+            yield node.number, WheelOdometry(node.stamp_s, planar(node.T_odom_base))
         if node.number in scanned:
             with account.refusing("Data", node.number):
                 info = scan_info(database.blob("scan_info", node.number))
