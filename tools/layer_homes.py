@@ -56,14 +56,14 @@ def keyframes(home: Home, rig: Rig, seed: int) -> Iterator[PosedReading]:
         if np.hypot(moved[0], moved[1]) < EVERY_M and moved[2] < EVERY_RAD:
             continue
         last = row
-        yield from _readings(caster, rig, gtsam.Pose2(*row), float(index), seed)
+        rng = np.random.default_rng([seed, _STREAM, index])
+        yield from readings_at(gtsam.Pose2(*row), caster, rig, float(index), rng)
 
 
-def _readings(
-    caster: Scene, rig: Rig, base: gtsam.Pose2, stamp_s: float, seed: int
+def readings_at(
+    base: gtsam.Pose2, caster: Scene, rig: Rig, stamp_s: float, rng: np.random.Generator
 ) -> Iterator[PosedReading]:
     """All sensors of the rig at one pose."""
-    rng = np.random.default_rng([seed, _STREAM, int(stamp_s)])
     body = gtsam.Pose3(base)
     if rig.lidar is not None:
         model = rig.lidar.model
