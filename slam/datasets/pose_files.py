@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import re
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
@@ -39,7 +38,8 @@ class PoseTable:
     position, rotation
         Columns of x and of the first number of the rotation.
     order
-        Of the rotation: ``xyzw`` and ``wxyz`` for quaternions, ``rpy`` for roll, pitch and yaw in radians.
+        Of the rotation: ``xyzw`` and ``wxyz`` for quaternions, ``rpy`` for roll, pitch and yaw in radians,
+        ``xyz`` for a rotation vector.
     """
 
     stamp_units_s: tuple[float, ...] = (1.0,)
@@ -71,11 +71,12 @@ class PoseTable:
         """The pose of a line."""
         position = numbers[self.position : self.position + 3]
         turn = numbers[self.rotation : self.rotation + len(self.order)]
-        if self.order != "rpy":
+        if len(self.order) == 4:
             return pose_from(position, turn if self.order == "xyzw" else turn[[1, 2, 3, 0]])
         if not np.isfinite(numbers).all():
             raise ValueError("not finite")
-        return gtsam.Pose3(gtsam.Rot3.Ypr(turn[2], turn[1], turn[0]), position)
+        by_angles = self.order == "rpy"
+        return gtsam.Pose3(gtsam.Rot3.Ypr(*turn[::-1]) if by_angles else gtsam.Rot3.Expmap(turn), position)
 
     def read(self, path: Path, account: Account) -> Trajectory | None:
         """The trajectory of a file, None where it holds no pose."""
@@ -201,10 +202,3 @@ def pose_blocks(path: Path, account: Account) -> dict[int, gtsam.Pose3]:
             index = int(float(head[0]))
             poses[index] = pose_of_row([field for _, row in lines[start + 1 : start + 5] for field in row])
     return poses
-
-
-def from_axis_angle(vector: FloatArray, translation: FloatArray) -> gtsam.Pose3:
-    """A pose from a rotation vector and a translation; ValueError where they are not finite."""
-    if not math.isfinite(float(np.abs(vector).sum() + np.abs(translation).sum())):
-        raise ValueError("not finite")
-    return gtsam.Pose3(gtsam.Rot3.Expmap(vector), translation)
