@@ -23,6 +23,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
+from saved_maps import map_of, scanweave
 from scipy import ndimage
 
 from slam.app.differing import Difference, diff_maps
@@ -37,7 +38,6 @@ from slam.outputs.finished_map import Map
 from slam.sessions.moved_things import ChangedThing
 from slam.simulation.rigs import RIGS, Rig
 from slam.storage.tum import read_tum
-from tools.saved_maps import map_of, scanweave
 
 _SIGHT_S = 1.0
 _AROUND = np.ones((3, 3), np.bool_)

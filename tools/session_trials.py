@@ -17,6 +17,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 
 import numpy as np
+from saved_maps import map_of, scanweave
 
 from slam.datasets import open_dataset
 from slam.estimates import Trajectory
@@ -29,7 +30,6 @@ from slam.simulation.home import generate_home
 from slam.simulation.record import record_drive
 from slam.simulation.rigs import RIGS
 from slam.storage.tum import read_tum
-from tools.saved_maps import map_of, scanweave
 
 _READINGS = ("ODOM", "FLASER")
 # Beyond any clock: keeps the stamps of two sessions apart.
