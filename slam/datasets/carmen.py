@@ -25,7 +25,9 @@ from slam.datasets.carmen_records import (
 from slam.datasets.dataset import ReadReport, RecordFault
 from slam.datasets.laser_geometry import (
     DEFAULT_NO_RETURN_M,
+    NO_VALID_RANGE,
     SICK_LARGEST_CODE_FREE_M,
+    ZERO_BEAMS,
     BeamLayout,
     ToldAlike,
     beam_layout,
@@ -57,8 +59,6 @@ _KNOWN = frozenset({*_PARSERS, "ODOM", "PARAM", "SYNC", "TRUEPOS"})
 
 TRUNCATED = "truncated last line"
 NO_MESSAGE = "line does not begin with a message name"
-ZERO_BEAMS = "scan without beams"
-NO_VALID_RANGE = "scan without a valid range"
 
 _SAME_POSE = 1e-6  # the last digit that the logs write
 _MOUNT_REACH_M = 3.0  # a laser is not mounted farther from the robot's centre

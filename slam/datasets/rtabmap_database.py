@@ -22,7 +22,7 @@ from slam.datasets.bags.run_length_depth import unpacked
 from slam.datasets.budget import LARGEST_BYTES, MOST_BEAMS, Budget
 from slam.datasets.calibration import Calibration, read_calibration
 from slam.datasets.camera_frames import Camera
-from slam.datasets.dataset import RecordFault
+from slam.datasets.dataset import STAMP_LIMIT_S, RecordFault
 from slam.datasets.dataset_format import DatasetFormat
 from slam.datasets.frame_pairs import FramePair
 from slam.datasets.image_files import DAMAGED, MISSING, color_of, depth_of, metres_of
@@ -96,7 +96,8 @@ class _Database:
         truth = "ground_truth_pose" if self.has("Node", "ground_truth_pose") else "NULL"
         found: list[_Node] = []
         for number, stamp, pose, true in self.rows(f"SELECT id, stamp, pose, {truth} FROM Node ORDER BY id"):
-            if not isinstance(number, int) or not isinstance(stamp, (int, float)) or not 0.0 < stamp < 1e11:
+            timed = isinstance(stamp, (int, float)) and 0.0 < stamp < STAMP_LIMIT_S
+            if not isinstance(number, int) or not timed:
                 account.refuse(RecordFault(BAD_NODE, f"stamp {str(stamp)[:24]}"), "Node", len(found) + 1)
                 continue
             found.append(_Node(number, float(stamp), _pose(pose), _pose(true)))
