@@ -327,6 +327,13 @@ def spatial(pose: Pose) -> gtsam.Pose3:
     return pose if isinstance(pose, gtsam.Pose3) else gtsam.Pose3(pose)
 
 
+def planar(pose: Pose) -> gtsam.Pose2:
+    """A pose on the floor: x, y and yaw of one in space."""
+    if isinstance(pose, gtsam.Pose2):
+        return pose
+    return gtsam.Pose2(pose.x(), pose.y(), pose.rotation().yaw())
+
+
 def row_from_pose(pose: Pose) -> list[float]:
     """x, y, z and the quaternion x, y, z, w of a pose."""
     turn: Any = spatial(pose).rotation().toQuaternion()

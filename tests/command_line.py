@@ -5,6 +5,7 @@ from __future__ import annotations
 import sys
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 import pytest
@@ -40,24 +41,30 @@ class Outcome:
 Scanweave = Callable[..., Outcome]
 
 
-@pytest.fixture
-def scanweave(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Scanweave:
-    """The command, in this process."""
-    monkeypatch.setenv("TERMINAL_WIDTH", "200")
-
-    def run(*arguments: object) -> Outcome:
-        monkeypatch.setattr(sys, "argv", ["scanweave", *map(str, arguments)])
-        capsys.readouterr()
-        try:
+def run(*arguments: object) -> int:
+    """Exit code of the command, in this process."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("TERMINAL_WIDTH", "200")
+        patch.setattr(sys, "argv", ["scanweave", *map(str, arguments)])
+        with pytest.raises(SystemExit) as stop:
             main()
-            code: object = 0
-        except SystemExit as stop:
-            code = stop.code or 0
-        captured = capsys.readouterr()
-        assert isinstance(code, int)
-        return Outcome(code, captured.out, captured.err)
+    code = stop.value.code or 0
+    assert isinstance(code, int)
+    return code
 
-    return run
+
+def outcome_of(capsys: pytest.CaptureFixture[str], *arguments: object) -> Outcome:
+    """What the command prints, and its exit code."""
+    capsys.readouterr()
+    code = run(*arguments)
+    captured = capsys.readouterr()
+    return Outcome(code, captured.out, captured.err)
+
+
+@pytest.fixture
+def scanweave(capsys: pytest.CaptureFixture[str]) -> Scanweave:
+    """The command, in this process."""
+    return partial(outcome_of, capsys)
 
 
 @pytest.fixture(scope="module")
@@ -69,11 +76,7 @@ def log(tmp_path_factory: pytest.TempPathFactory) -> SyntheticLog:
 def mapped(log: SyntheticLog, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The folder of a run with default settings."""
     out = tmp_path_factory.mktemp("mapped") / "made" / "where missing"
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(sys, "argv", ["scanweave", "map", str(log.log_path), "-o", str(out)])
-        with pytest.raises(SystemExit) as stop:
-            main()
-    assert not stop.value.code
+    assert run("map", log.log_path, "-o", out) == 0
     return out
 
 

@@ -4,14 +4,12 @@ from __future__ import annotations
 
 import json
 import sqlite3
-import sys
 from pathlib import Path
 
 import pytest
-from command_line import Scanweave, scanweave
+from command_line import Scanweave, run, scanweave
 from room_world import LESS, furnished, render, turning_walk, write_tum_folder
 
-from slam.cli import main
 from slam.mapper.checkpoint import Checkpoint
 from slam.simulation.synthetic_log import SyntheticLog, write_synthetic_log
 from slam.storage.map_file import MapFile
@@ -20,11 +18,7 @@ __all__ = ["scanweave"]  # a fixture
 
 
 def mapped(log: Path, out: Path, *settings: str) -> Path:
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(sys, "argv", ["scanweave", "map", str(log), "-o", str(out), *settings])
-        with pytest.raises(SystemExit) as stop:
-            main()
-    assert not stop.value.code
+    assert run("map", log, "-o", out, *settings) == 0
     return out
 
 

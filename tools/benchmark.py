@@ -149,12 +149,15 @@ class Bench:
         return self._data / name / f"{name}.log.gz"
 
     def _score(self, name: str, trajectory: Path) -> dict[str, Any]:
-        """Errors over the relations, by the product's own command."""
+        """Errors over the relations."""
         relations = self._data / name / f"{name}.relations"
-        command = [*scanweave(), "evaluate", str(trajectory), "--relations", str(relations), "--json"]
-        text = subprocess.run(command, check=True, capture_output=True, text=True).stdout
-        scores: dict[str, Any] = json.loads(text)["relations"]
-        return scores
+        return score(trajectory, "--relations", relations)["relations"]
+
+
+def score(trajectory: Path, option: str, truth: Path) -> Any:
+    """What the product's own command says of a trajectory."""
+    command = [*scanweave(), "evaluate", str(trajectory), option, str(truth), "--json"]
+    return json.loads(subprocess.run(command, check=True, capture_output=True, text=True).stdout)
 
 
 def scanweave() -> list[str]:

@@ -20,13 +20,12 @@ from __future__ import annotations
 import argparse
 import json
 import os
-import subprocess
 import sys
 import tempfile
 from pathlib import Path
 from typing import Any
 
-from benchmark import REPO, machine, run, scanweave
+from benchmark import REPO, machine, run, scanweave, score
 
 OURS: dict[str, list[str]] = {
     "Scanweave": [],
@@ -104,23 +103,16 @@ class Bench:
             settings = [part for value in OURS.get(name, []) for part in ("--set", value)]
             command = [*scanweave(), "map", str(data), "-o", str(trajectory.parent), *settings]
         costs = [run(command) for _ in range(self._repeat)]
-        score = self._score(trajectory, data)
+        error = score(trajectory, "--groundtruth", data)["ate"]
         return {
             "variant": name,
             "frames": count_lines(trajectory),
-            "ate_rmse_m": score["translation_m"]["rmse"],
+            "ate_rmse_m": error["translation_m"]["rmse"],
             "wall_s": min(cost.wall_s for cost in costs),
             "cpu_s": min(cost.cpu_s for cost in costs),
             "peak_mb": max(cost.peak_mb for cost in costs),
             "load": os.getloadavg()[0],
         }
-
-    def _score(self, trajectory: Path, data: Path) -> dict[str, Any]:
-        """Absolute error, by the product's own command."""
-        command = [*scanweave(), "evaluate", str(trajectory), "--groundtruth", str(data), "--json"]
-        text = subprocess.run(command, check=True, capture_output=True, text=True).stdout
-        score: dict[str, Any] = json.loads(text)["ate"]
-        return score
 
 
 def tool(name: str) -> list[str]:

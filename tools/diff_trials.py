@@ -16,8 +16,6 @@ from __future__ import annotations
 
 import argparse
 import json
-import subprocess
-import sys
 import time
 from collections import Counter
 from collections.abc import Iterator, Sequence
@@ -25,17 +23,18 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
+from saved_maps import map_of, scanweave
 from scipy import ndimage
 
 from slam.app.differing import Difference, diff_maps
 from slam.config import Config
-from slam.errors import MapFileError, ScanweaveError
+from slam.errors import ScanweaveError
 from slam.evaluation.alignment import align
 from slam.evaluation.association import nearest_indices
 from slam.mapping.keyframe_grid import layer_settings
 from slam.mapping.lidar_layer import lidar_board
 from slam.measurements import BoolArray, FloatArray, LaserScan, pose2_from_row
-from slam.outputs.finished_map import Map, load_map
+from slam.outputs.finished_map import Map
 from slam.sessions.moved_things import ChangedThing
 from slam.simulation.rigs import RIGS, Rig
 from slam.storage.tum import read_tum
@@ -136,9 +135,9 @@ def trial(arguments: argparse.Namespace, home: int) -> Row | None:
         if not (drive / "groundtruth.txt").is_file():
             length = () if arguments.duration is None else ("--duration", arguments.duration)
             chosen = ("--rig", arguments.rig, "--home", home, "--seed", seed, "--moved", moved, *length)
-            _scanweave("simulate", *chosen, "--format", "folder", "-o", drive)
+            scanweave("simulate", *chosen, "--format", "folder", "-o", drive)
         drives.append(drive)
-        maps.append(_map_of(drive))
+        maps.append(map_of(drive, drive.with_name(f"{drive.name}.map")))
     begun = time.process_time()
     try:
         found = diff_maps(*maps)
@@ -266,25 +265,6 @@ def _named(thing: ChangedThing, appeared: bool) -> str:
     x, y = thing.places_m[-1 if appeared else 0]
     what = "appeared" if appeared else "went"
     return f"{what} ({x:.1f}, {y:.1f}) {thing.size_m[0]:.2f} x {thing.size_m[1]:.2f} {thing.probability:.2f}"
-
-
-def _map_of(drive: Path) -> Map:
-    """The map of a drive, made where it is missing."""
-    folder = drive.with_name(f"{drive.name}.map")
-    try:
-        return load_map(folder)
-    except MapFileError:
-        _scanweave("map", drive, "-o", folder, "--set", "dense_map.enabled=false")
-        return load_map(folder)
-
-
-def _scanweave(*arguments: object) -> None:
-    """Run the command; its output only where it fails."""
-    begin = "import sys; from slam.cli import main; sys.argv[0] = 'scanweave'; sys.exit(main())"
-    command = [sys.executable, "-c", begin, *map(str, arguments)]
-    done = subprocess.run(command, capture_output=True, text=True)
-    if done.returncode:
-        sys.exit(f"{' '.join(command)}: {done.stderr.strip()}")
 
 
 if __name__ == "__main__":

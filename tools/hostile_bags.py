@@ -19,6 +19,7 @@ from slam.simulation import ros_messages as ros
 from slam.storage import ros_messages as messages
 from slam.zstandard import zstd
 from tools.hostile_maps import looped
+from tools.layouts.messages import ROS2, made
 
 Writer = Callable[[Path], Path]
 
@@ -55,27 +56,8 @@ def mcap(kind: str, text: str, content: bytes = bytes(64), language: str = "ros2
 
 def of(kind: str, **fields: Any) -> tuple[str, bytes]:
     """The definition of a common type, and a message of it with some fields set."""
-    store = messages.typestore()
-    return store.generate_msgdef(kind, ros_version=2)[0], bytes(
-        store.serialize_cdr(_made(kind, fields), kind)
-    )
-
-
-def _made(kind: str, fields: dict[str, Any]) -> Any:
-    """A message with what is not given zero or empty."""
-    store = messages.typestore()
-    values = {}
-    for name, (node, detail) in store.fielddefs[kind][1]:
-        if name in fields and not isinstance(fields[name], dict):
-            values[name] = fields[name]
-        elif node == 2:
-            values[name] = _made(detail, fields.get(name, {}))
-        elif node == 1:
-            values[name] = "" if detail[0] == "string" else 0
-        else:
-            base, size = detail[0], detail[1] if node == 3 else 0
-            values[name] = np.zeros(size, base[1][0]) if base[0] == 1 and base[1][0] != "string" else []
-    return store.types[kind](**values)
+    text, _ = ROS2.generate_msgdef(kind, ros_version=2)
+    return text, bytes(ROS2.serialize_cdr(made(ROS2, kind, fields), kind))
 
 
 def _nested(levels: int) -> str:

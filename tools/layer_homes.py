@@ -15,8 +15,7 @@ from scipy import ndimage
 from slam.mapping.layer_builder import LayerSettings
 from slam.mapping.layered_map import LAYERS, DecisionRule, LayeredMap
 from slam.mapping.occupancy_grid import OCCUPIED
-from slam.measurements import LaserScan, RgbdFrame
-from slam.simulation.drive import planar_mount
+from slam.measurements import LaserScan, RgbdFrame, planar
 from slam.simulation.home import generate_home
 from slam.simulation.home_model import Home
 from slam.simulation.rigs import Rig
@@ -57,20 +56,20 @@ def keyframes(home: Home, rig: Rig, seed: int) -> Iterator[PosedReading]:
         if np.hypot(moved[0], moved[1]) < EVERY_M and moved[2] < EVERY_RAD:
             continue
         last = row
-        yield from _readings(caster, rig, gtsam.Pose2(*row), float(index), seed)
+        rng = np.random.default_rng([seed, _STREAM, index])
+        yield from readings_at(gtsam.Pose2(*row), caster, rig, float(index), rng)
 
 
-def _readings(
-    caster: Scene, rig: Rig, base: gtsam.Pose2, stamp_s: float, seed: int
+def readings_at(
+    base: gtsam.Pose2, caster: Scene, rig: Rig, stamp_s: float, rng: np.random.Generator
 ) -> Iterator[PosedReading]:
     """All sensors of the rig at one pose."""
-    rng = np.random.default_rng([seed, _STREAM, int(stamp_s)])
     body = gtsam.Pose3(base)
     if rig.lidar is not None:
         model = rig.lidar.model
         seen = scan_lidar(caster, body.compose(rig.lidar.T_base_laser), model, rng)
         angles = (model.start_angle_rad, model.step_rad, model.range_max_m)
-        yield LaserScan(stamp_s, seen.ranges_m, *angles, planar_mount(rig.lidar)), base
+        yield LaserScan(stamp_s, seen.ranges_m, *angles, planar(rig.lidar.T_base_laser)), base
     for camera in rig.cameras:
         image = render_rgbd(caster, body.compose(camera.T_base_camera), camera.model, rng)
         images = (image.color, image.depth_m, camera.model.intrinsics)

@@ -12,14 +12,13 @@ from dataclasses import dataclass
 
 import gtsam
 import numpy as np
+from layer_homes import readings_at
 
 from slam.measurements import LaserScan, RgbdFrame
-from slam.simulation.drive import planar_mount
 from slam.simulation.furniture import chair
 from slam.simulation.home_model import Home, Part, Room, Style, Thing, assemble
 from slam.simulation.rigs import RIGS
 from slam.simulation.scene import Scene
-from slam.simulation.sensors import render_rgbd, scan_lidar
 
 ROOM = (-1.8, -2.2, 4.2, 2.2)
 WALL_M, HEIGHT_M = 0.1, 2.5
@@ -56,31 +55,10 @@ def readings(scene: Li2020Scene) -> Iterator[tuple[LaserScan | RgbdFrame, gtsam.
     """Scan and image of every keyframe of a short drive ahead, with the true pose of the robot."""
     rng = np.random.default_rng([scene.seed, _STREAM, 1])
     caster, rig = Scene(scene.home), RIGS["li2020"]
-    lidar, camera = rig.lidar, rig.cameras[0]
-    assert lidar is not None
     for index in range(KEYFRAMES):
         yaw = rng.uniform(-WOBBLE_RAD, WOBBLE_RAD)
         base = gtsam.Pose2(STEP_M * index - 0.3, rng.uniform(-0.03, 0.03), yaw)
-        body = gtsam.Pose3(base)
-        scan = scan_lidar(caster, body.compose(lidar.T_base_laser), lidar.model, rng)
-        model = lidar.model
-        yield (
-            LaserScan(
-                float(index),
-                scan.ranges_m,
-                *(model.start_angle_rad, model.step_rad, model.range_max_m),
-                planar_mount(lidar),
-            ),
-            base,
-        )
-        image = render_rgbd(caster, body.compose(camera.T_base_camera), camera.model, rng)
-        yield (
-            RgbdFrame(
-                *(float(index), image.color, image.depth_m, camera.model.intrinsics),
-                camera.T_base_camera,
-            ),
-            base,
-        )
+        yield from readings_at(base, caster, rig, float(index), rng)
 
 
 def _walls() -> list[Thing]:

@@ -19,6 +19,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from layer_page import plain, write_json
 from learn_repair_odds import RIG_NAMES
 from xu2024_drive import DriveResult, run_drive
 from xu2024_kinect import half_real_check
@@ -58,11 +59,10 @@ def main() -> None:
     kinect = None if arguments.redkitchen is None else half_real(arguments.redkitchen)
     results = summarise(drives, source)
     details = detail(drives, kinect)
-    for name, content in (("results.json", results), ("details.json", details)):
-        text = json.dumps(_plain(content), indent=2, allow_nan=False)
-        (arguments.out / name).write_text(text + "\n", encoding="utf-8")
+    write_json(arguments.out / "results.json", results)
+    write_json(arguments.out / "details.json", details)
     write_page(arguments.out / "index.html", drives, results, details)
-    print(json.dumps(_plain(results), indent=2))
+    print(json.dumps(plain(results), indent=2))
 
 
 def simulated(first_home: int, homes: int, seeds: int, pairs: int) -> list[DriveResult]:
@@ -164,17 +164,6 @@ def _mean(values: list[float | None]) -> float:
     """Mean of those that are known."""
     known = [float(value) for value in values if value is not None]
     return float(np.mean(known)) if known else math.nan
-
-
-def _plain(value: Any) -> Any:
-    """For JSON: what is not a number is null."""
-    if isinstance(value, dict):
-        return {key: _plain(item) for key, item in value.items()}
-    if isinstance(value, list | tuple):
-        return [_plain(item) for item in value]
-    if isinstance(value, float):
-        return round(value, 6) if math.isfinite(value) else None
-    return value
 
 
 if __name__ == "__main__":

@@ -12,20 +12,18 @@ import dataclasses
 import gzip
 import itertools
 import shutil
-import subprocess
-import sys
 import time
 from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 
 import numpy as np
+from saved_maps import map_of, scanweave
 
 from slam.datasets import open_dataset
-from slam.errors import MapFileError
 from slam.estimates import Trajectory
 from slam.evaluation.relations import read_relations, score_relations
 from slam.evaluation.trajectory_error import absolute_error
-from slam.outputs.finished_map import Map, load_map
+from slam.outputs.finished_map import Map
 from slam.sessions.connection import Connection, connect
 from slam.simulation.drive_faults import DriveFaults
 from slam.simulation.home import generate_home
@@ -52,11 +50,7 @@ class Drive:
 
     def opened(self) -> Map:
         """Its map, made where it is missing."""
-        try:
-            return load_map(self.map_folder)
-        except MapFileError:  # none yet, or one of another version
-            _scanweave("map", self.log, "-o", self.map_folder, "--set", "dense_map.enabled=false")
-            return load_map(self.map_folder)
+        return map_of(self.log, self.map_folder)
 
 
 def main() -> None:
@@ -232,7 +226,7 @@ def _simulated(arguments: argparse.Namespace, home: int, seed: int) -> Drive:
     elif not simulated:
         length = () if arguments.duration is None else ("--duration", arguments.duration)
         chosen = ("--rig", arguments.rig, "--home", home, "--seed", seed, *length)
-        _scanweave("simulate", *chosen, "--format", "folder", "-o", folder)
+        scanweave("simulate", *chosen, "--format", "folder", "-o", folder)
     if seed > 1 and arguments.skip > 0.0:
         name += f"-from-{arguments.skip:g}"
         folder = _later(folder, arguments.folder / name, arguments.skip)
@@ -340,14 +334,6 @@ def _write_part(path: Path, lines: Iterable[str], begin_s: float, end_s: float) 
     ]
     path.parent.mkdir(parents=True, exist_ok=True)
     path.write_text("\n".join(kept) + "\n", encoding="ascii")
-
-
-def _scanweave(*arguments: object) -> None:
-    """Run the command; its output only where it fails."""
-    command = [str(Path(sys.executable).with_name("scanweave")), *map(str, arguments)]
-    done = subprocess.run(command, capture_output=True, text=True)
-    if done.returncode:
-        sys.exit(f"{' '.join(command)}: {done.stderr.strip()}")
 
 
 if __name__ == "__main__":

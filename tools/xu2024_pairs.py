@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 import fusion
+from slam.measurements import planar
 from slam.simulation.drive import Drive
 from slam.simulation.drive_faults import LIDAR
 from slam.simulation.rigs import MountedCamera, MountedLidar
@@ -130,7 +131,7 @@ def _pair(drive: Drive, scene: Scene, lidar: MountedLidar, scan_at: int) -> True
         fault=seen.fault,
         obstacle=_obstacles(scene, T_map_laser, scan),
         images=tuple(_image(drive, scene, camera, scan_at) for camera in drive.rig.cameras),
-        T_map_laser=gtsam.Pose2(T_map_laser.x(), T_map_laser.y(), T_map_laser.rotation().yaw()),
+        T_map_laser=planar(T_map_laser),
         room=room,
     )
 

@@ -10,8 +10,8 @@ from fusion.showing import one_line
 from slam.app.map_run import MapRun, run_into
 from slam.app.progress import OnProgress, Progress, silent
 from slam.config import Config
-from slam.datasets import open_dataset
 from slam.datasets.dataset import Dataset
+from slam.datasets.opening import opened_by
 from slam.errors import MapFileError, ScanweaveError
 from slam.evaluation.saved_page import write_saved_page
 from slam.localization.known_map import has_walls
@@ -101,9 +101,7 @@ def join(
     if out is None and (known.in_memory or known.path.name != MAP_NAME):
         why = "lies in a temporary folder" if known.in_memory else f"is not named {MAP_NAME}"
         raise MapFileError(f"{known.path} {why}; say with --out (out=) where the joined map goes")
-    if isinstance(log, str | Path):
-        sensors = (config or Config()).sensors
-        log = open_dataset(log, strict=strict, topics=sensors.topics, calibration=sensors.calibration_files)
+    log = opened_by((config or Config()).sensors, log, strict=strict)
     identity = identity_of(log, config or known.config)
     if any(session.log_fingerprint == identity.log_fingerprint for session in known.sessions):
         raise ScanweaveError(f"{log.path} is in {known.path} already; the map is as it was")

@@ -13,8 +13,8 @@ import gtsam
 from fusion.showing import drawn, one_line, with_pictures
 from slam.app.progress import OnProgress, Progress, silent
 from slam.config import Config, config_of
-from slam.datasets import open_dataset
 from slam.datasets.dataset import Dataset
+from slam.datasets.opening import opened_by
 from slam.datasets.sensor_choice import SensorChoice, UsedMeasurements
 from slam.doctor.diagnosis import registrations_in
 from slam.doctor.finding import Finding
@@ -116,15 +116,7 @@ def localize_log(
     True
     """
     saved, config = opened(saved), config_of(config)
-    if isinstance(log, str | Path):
-        sensors = config.sensors
-        log = open_dataset(
-            log,
-            strict=strict,
-            topics=sensors.topics,
-            images=sensors.rgbd,
-            calibration=sensors.calibration_files,
-        )
+    log = opened_by(config.sensors, log, strict=strict)
     findings = findings_of(log, config)
     config = settled(config, findings)
     registrations = _registrations(saved.contents, log, config)

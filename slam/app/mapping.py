@@ -12,8 +12,8 @@ from slam.app.measured import Measured
 from slam.app.progress import OnProgress, silent
 from slam.config import Config, config_of, holds_places, with_places
 from slam.config.tags import FILE_NAME as TAGS_FILE
-from slam.datasets import open_dataset
 from slam.datasets.dataset import Dataset
+from slam.datasets.opening import opened_by
 from slam.errors import MapFileError
 from slam.measurements import Measurement
 from slam.outputs.finished_map import Map
@@ -92,7 +92,7 @@ def run_log(
         Where a recording for the Rerun viewer goes; None for none.
     """
     config = config_of(config)
-    dataset = _opened(log, config, strict)
+    dataset = opened_by(config.sensors, log, strict=strict)
     folder = dataset.path if dataset.path.is_dir() else dataset.path.parent
     if config.sensors.tags is None and holds_places(folder / TAGS_FILE):
         config = with_places(config, folder / TAGS_FILE)
@@ -156,20 +156,6 @@ def build_map(
     config = config_of(config)
     measured = Measured(measurements)
     return _in_memory(measured, identity_of(measured, config), on_progress).map
-
-
-def _opened(log: Path | str | Dataset, config: Config, strict: bool) -> Dataset:
-    """The log as a dataset."""
-    if not isinstance(log, str | Path):
-        return log
-    sensors = config.sensors
-    return open_dataset(
-        log,
-        strict=strict,
-        topics=sensors.topics,
-        images=sensors.rgbd,
-        calibration=sensors.calibration_files,
-    )
 
 
 def _in_memory(dataset: Dataset, identity: MapIdentity, on_progress: OnProgress | None) -> MapRun:

@@ -3,17 +3,15 @@
 from __future__ import annotations
 
 import difflib
-import json
 from collections import Counter
 from pathlib import Path
 from typing import Any, Literal, TypeAlias
 
-import yaml
-from pydantic import Field, ValidationError, model_validator
+from pydantic import Field, model_validator
 
 import slam
+from slam.config.files import find_file, model_of, nearest_field, read_tree
 from slam.config.strict import StrictModel
-from slam.errors import ConfigError
 
 # By way of the link to the top-level configs/, so that a wheel carries them as the presets.
 _READY = Path(slam.__file__).parent / "presets" / "experiments"
@@ -185,17 +183,7 @@ def find_experiment(name_or_path: str) -> Path:
     ConfigError
         Where there is none of that name.
     """
-    if Path(name_or_path).suffix in {".yaml", ".yml"}:
-        return Path(name_or_path)
-    names = sorted(file.stem for file in _READY.glob("*.yaml"))
-    if name_or_path not in names:
-        nearest = difflib.get_close_matches(name_or_path, names, n=1)
-        hint = f"; did you mean '{nearest[0]}'?" if nearest else ""
-        raise ConfigError(
-            f"no experiment '{name_or_path}'{hint}; ready ones are: {', '.join(names)}; "
-            "a file of your own must end in .yaml"
-        )
-    return _READY / f"{name_or_path}.yaml"
+    return find_file(name_or_path, _READY, "experiment")
 
 
 def load_experiment(path: Path) -> Experiment:
@@ -206,28 +194,5 @@ def load_experiment(path: Path) -> Experiment:
     ConfigError
         For a missing or malformed file, an unknown key (with the nearest valid one) or a bad value.
     """
-    try:
-        tree = yaml.safe_load(path.read_text(encoding="utf-8"))
-        return Experiment.model_validate_json(json.dumps({} if tree is None else tree))
-    except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
-        raise ConfigError(f"cannot read {path}: {' '.join(str(error).split())}") from error
-    except ValidationError as error:
-        raise ConfigError(f"{path.name}: " + "; ".join(_described(error))) from None
-    except (TypeError, ValueError) as error:  # a date as a value, an anchor that holds itself
-        raise ConfigError(f"{path.name}: not plain keys and values ({error})") from error
-
-
-def _described(error: ValidationError) -> list[str]:
-    """Every fault in one line: where, what, the nearest valid key."""
     models = (Experiment, DatasetEntry, Simulation, Configuration, External, Command)
-    known = sorted({name for model in models for name in model.model_fields})
-    lines = []
-    for fault in error.errors():
-        where = ".".join(str(part) for part in fault["loc"])
-        if fault["type"] == "extra_forbidden":
-            nearest = difflib.get_close_matches(str(fault["loc"][-1]), known, n=1)
-            lines.append(f"unknown key '{where}'" + (f"; did you mean '{nearest[0]}'?" if nearest else ""))
-        else:
-            text = fault["msg"].removeprefix("Value error, ")
-            lines.append(f"{where}: {text[0].lower()}{text[1:]}" if where else text)
-    return lines
+    return model_of(Experiment, read_tree(path), path.name, nearest_field(models))

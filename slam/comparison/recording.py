@@ -10,7 +10,7 @@ import numpy as np
 from slam.comparison.files import ERRORS, MAPS, TRAJECTORY
 from slam.comparison.perform import Row
 from slam.comparison.store import ResultStore
-from slam.measurements import pose2_from_row
+from slam.measurements import planar, pose2_from_row
 from slam.storage.tum import read_tum
 from slam.viewer.viewer import Viewer
 
@@ -42,6 +42,5 @@ def record_comparison(viewer: Viewer, rows: Sequence[Row], store: ResultStore) -
             with np.load(folder / MAPS, allow_pickle=False) as maps:
                 which = "decision" if "decision" in maps.files else "plane"
                 states, at = maps[which], maps[f"{which}_at"]
-            truth_pose = gtsam.Pose3(T_true_map)
-            corner = gtsam.Pose2(truth_pose.x(), truth_pose.y(), truth_pose.rotation().yaw())
+            corner = planar(gtsam.Pose3(T_true_map))
             viewer.grid(name, states, float(at[0]), corner.compose(pose2_from_row(at[1:])))

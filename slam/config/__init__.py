@@ -5,20 +5,18 @@ A preset is a YAML file under ``configs/`` that states only what differs from th
 
 from __future__ import annotations
 
-import difflib
-import json
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import yaml
-from pydantic import BaseModel, Field, ValidationError
+from pydantic import BaseModel, Field
 from pydantic.fields import FieldInfo
-from pydantic_core import ErrorDetails
 
 from slam.config.calibration import Calibration
 from slam.config.clouds import CloudLoopConfig, CloudMapConfig, CloudOdometryConfig
+from slam.config.files import ConfigLoader, find_file, model_of, read_tree, ready_names
 from slam.config.localization import CloudLocalizationConfig, LocalizationConfig
 from slam.config.stages import (
     DenseMapConfig,
@@ -40,7 +38,7 @@ from slam.config.stages import (
 from slam.config.strict import StrictModel
 from slam.config.tags import KnownPlaces
 from slam.errors import ConfigError
-from slam.foreign import Loader, from_yaml
+from slam.foreign import from_yaml
 
 DEFAULT_PRESET = "lidar2d"
 
@@ -99,7 +97,7 @@ def preset_names() -> list[str]:
     >>> preset_names()
     ['lidar2d']
     """
-    return sorted(file.stem for file in _PRESET_FOLDER.glob("*.yaml"))
+    return ready_names(_PRESET_FOLDER)
 
 
 def load_config(
@@ -135,14 +133,18 @@ def load_config(
     (0.3, 0.05)
     """
     overrides = [overrides] if isinstance(overrides, str) else overrides
-    file = _find_file(preset_or_path or DEFAULT_PRESET)
-    tree = _read_tree(file)
+    preset_or_path = preset_or_path or DEFAULT_PRESET
+    if not isinstance(preset_or_path, str | Path):
+        given = type(preset_or_path).__name__
+        raise ConfigError(f"a {given} is no configuration; give one by slam.load_config, or a preset or file")
+    file = find_file(preset_or_path, _PRESET_FOLDER, "preset")
+    tree = read_tree(file)
     # The file is judged alone first, so that a message blames the file or the override, not both.
-    config = _validated(tree, source=file.name)
+    config = model_of(Config, tree, file.name)
     if overrides:
         for override in overrides:
             _apply_override(tree, override)
-        config = _validated(tree, source="override")
+        config = model_of(Config, tree, "override")
     return config if calibration is None else with_calibration(config, calibration)
 
 
@@ -171,16 +173,13 @@ def with_places(config: Config, file: Path | str) -> Config:
     """A configuration with a file of tags and surveyed places; `ConfigError` as `load_calibration`."""
     if not Path(file).is_file():
         raise ConfigError(f"no file of tags at {file}; it begins with 'size_m: 0.16', the side of a tag")
-    try:
-        places = _validated({"sensors": {"tags": _read_tree(Path(file))}}, str(file)).sensors.tags
-    except ConfigError as error:
-        raise ConfigError(str(error).replace("sensors.tags.", "")) from None
+    places = model_of(KnownPlaces, read_tree(Path(file)), str(file))
     return config.model_copy(update={"sensors": config.sensors.model_copy(update={"tags": places})})
 
 
 def holds_places(file: Path) -> bool:
     """Whether a file that nobody has named tells of tags; other programs have files of that name, too."""
-    return file.is_file() and bool(_read_tree(file).keys() & KnownPlaces.model_fields.keys())
+    return file.is_file() and bool(read_tree(file).keys() & KnownPlaces.model_fields.keys())
 
 
 def load_calibration(file: Path | str) -> Calibration:
@@ -193,11 +192,7 @@ def load_calibration(file: Path | str) -> Calibration:
     """
     if not Path(file).is_file():
         raise ConfigError(f"no calibration file at {file}; 'scanweave doctor LOG --write {file}' makes one")
-    tree = {"sensors": {"calibration": _read_tree(Path(file))}}
-    try:
-        return _validated(tree, str(file)).sensors.calibration
-    except ConfigError as error:
-        raise ConfigError(str(error).replace("sensors.calibration.", "")) from None
+    return model_of(Calibration, read_tree(Path(file)), str(file))
 
 
 def dump_calibration(calibration: Calibration) -> str:
@@ -224,7 +219,7 @@ def with_settings(config: Config, overrides: Sequence[str]) -> Config:
     tree = config.model_dump(mode="json")
     for override in overrides:
         _apply_override(tree, override)
-    return _validated(tree, source="override")
+    return model_of(Config, tree, "override")
 
 
 def leaves(tree: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:
@@ -250,48 +245,6 @@ def dump_config(config: StrictModel) -> str:
     return "\n".join(_dump_lines(config, indent="")) + "\n"
 
 
-class ConfigLoader(Loader):  # type: ignore[misc]
-    """Safe YAML 1.1, but ``1e-3`` is a number as everywhere else."""
-
-
-ConfigLoader.add_implicit_resolver(
-    "tag:yaml.org,2002:float", re.compile(r"^[-+]?[0-9]+[eE][-+]?[0-9]+$"), list("-+0123456789")
-)
-
-
-def _find_file(preset_or_path: str) -> Path:
-    """Path of a preset or of a file of one's own."""
-    if not isinstance(preset_or_path, str | Path):
-        given = type(preset_or_path).__name__
-        raise ConfigError(f"a {given} is no configuration; give one by slam.load_config, or a preset or file")
-    if Path(preset_or_path).suffix in {".yaml", ".yml"}:
-        file = Path(preset_or_path)
-        if not file.is_file():
-            raise ConfigError(f"no configuration file at {file}; presets are: {', '.join(preset_names())}")
-        return file
-    names = preset_names()
-    if preset_or_path not in names:
-        hint = nearest(preset_or_path, names)
-        raise ConfigError(
-            f"no preset '{preset_or_path}'{hint}; presets are: {', '.join(names)}; "
-            "a file of your own must end in .yaml"
-        )
-    return _PRESET_FOLDER / f"{preset_or_path}.yaml"
-
-
-def _read_tree(file: Path) -> dict[str, Any]:
-    """Nested mapping in a YAML file; an empty file is an empty mapping."""
-    try:
-        tree = from_yaml(file.read_text(encoding="utf-8"), ConfigLoader)
-    except (OSError, ValueError) as error:
-        raise ConfigError(f"cannot read {file}: {' '.join(str(error).split())}") from error
-    if tree is None:
-        return {}
-    if not isinstance(tree, dict):
-        raise ConfigError(f"{file} holds a {type(tree).__name__}; write 'section:' and its keys under it")
-    return tree
-
-
 def _apply_override(tree: dict[str, Any], override: str) -> None:
     """Set one ``a.b=value`` in the tree."""
     dotted, equals, text = override.partition("=")
@@ -309,62 +262,6 @@ def _apply_override(tree: dict[str, Any], override: str) -> None:
             child = node[name] = {}
         node = child
     node[names[-1]] = value
-
-
-def _validated(tree: Mapping[str, Any], source: str) -> Config:
-    """Turn a tree into a Config, or all its faults into one line."""
-    try:
-        # By way of JSON, since there strict mode still takes a list for a tuple.
-        return Config.model_validate_json(json.dumps(tree, default=str))
-    except ValidationError as error:
-        raise ConfigError(f"{source}: " + "; ".join(map(_describe, error.errors()))) from None
-    except (TypeError, ValueError) as error:  # a date as a key, an anchor that holds itself
-        raise ConfigError(f"{source}: not plain keys and values ({error})") from error
-
-
-def _describe(fault: ErrorDetails) -> str:
-    """One fault of pydantic's in the words of a user: dotted path, value, limit."""
-    dotted = ".".join(str(part) for part in fault["loc"])
-    if fault["type"] != "extra_forbidden":
-        value = json.dumps(fault["input"], default=str)
-        return f"{dotted} = {value}: {fault['msg'][0].lower()}{fault['msg'][1:]}"
-    return f"unknown key '{dotted}'{_nearest_key(dotted)}"
-
-
-def _nearest_key(dotted: str) -> str:
-    """A hint at the key meant: the same name elsewhere, else a similar one beside it, else anywhere."""
-    section, _, name = dotted.rpartition(".")
-    paths = list(_all_paths(Config))
-    # Only last names are compared: a long shared section would make every key in it look similar.
-    anywhere = {path.rpartition(".")[2]: path for path in paths}
-    beside = {path.rpartition(".")[2]: path for path in paths if path.rpartition(".")[0] == section}
-    for candidates in ({name: anywhere[name]} if name in anywhere else {}, beside, anywhere):
-        match = difflib.get_close_matches(name, candidates, n=1)
-        if match:
-            return f"; did you mean '{candidates[match[0]]}'?"
-    return f"; valid here: {', '.join(beside.values())}"
-
-
-def nearest(name: str, candidates: Sequence[str]) -> str:
-    """A hint at the most similar candidate, or nothing.
-
-    Examples
-    --------
-    >>> from slam.config import nearest
-    >>> nearest("resolution", ["resolution_m", "margin_m"])
-    "; did you mean 'resolution_m'?"
-    """
-    match = difflib.get_close_matches(name, candidates, n=1)
-    return f"; did you mean '{match[0]}'?" if match else ""
-
-
-def _all_paths(model: type[BaseModel], prefix: str = "") -> Iterator[str]:
-    """Dotted path of every section and field."""
-    for name, field in model.model_fields.items():
-        yield prefix + name
-        section = field.annotation
-        if isinstance(section, type) and issubclass(section, BaseModel):
-            yield from _all_paths(section, f"{prefix}{name}.")
 
 
 def _dump_lines(model: BaseModel, indent: str) -> Iterator[str]:

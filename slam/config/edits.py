@@ -6,19 +6,14 @@ their session, from 1, and of their reading in its log: names that stay when the
 
 from __future__ import annotations
 
-import json
-from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any
 
 import yaml
-from pydantic import Field, ValidationError, model_validator
-from pydantic_core import ErrorDetails
+from pydantic import Field, model_validator
 
-from slam.config import ConfigLoader, nearest
+from slam.config.files import model_of, nearest_field, read_tree
 from slam.config.strict import StrictModel
-from slam.errors import ConfigError
-from slam.foreign import from_yaml, plain
 
 # Corners of a polygon, and entries of a list: no person draws more, and no check takes long.
 _MOST_CORNERS, _MOST_ENTRIES = 1000, 10_000
@@ -142,35 +137,8 @@ def edits_of(tree: object, source: str) -> Edits:
     ConfigError
         For an unknown key or a bad value, in one line.
     """
-    if tree is None:
-        tree = {}
-    if not isinstance(tree, Mapping):
-        raise ConfigError(f"{source} holds a {type(tree).__name__}; write 'erase:' and the like")
-    try:
-        # By way of JSON, since there strict mode still takes a list for a tuple.
-        return Edits.model_validate_json(json.dumps(tree))
-    except ValidationError as error:
-        # An unknown key says more than what is missing where it stands.
-        faults = sorted(error.errors(), key=lambda fault: fault["type"] != "extra_forbidden")
-        more = f"; and {len(faults) - 1} more" if len(faults) > 1 else ""
-        raise ConfigError(f"{source}: {_described(faults[0])}{more}") from None
-    except (TypeError, ValueError, RecursionError) as error:  # a date, a number that is none
-        raise ConfigError(f"{source}: not plain keys and values ({error})") from error
-
-
-def _described(fault: ErrorDetails) -> str:
-    """One fault of pydantic's in the words of a user."""
-    dotted = ".".join(str(part) for part in fault["loc"])
-    if fault["type"] == "extra_forbidden":
-        return f"unknown key '{dotted}'{nearest(str(fault['loc'][-1]), _names())}"
-    shown = plain(json.dumps(fault["input"], default=str), longest=60)
-    return f"{dotted} = {shown}: {fault['msg'][0].lower()}{fault['msg'][1:]}"
-
-
-def _names() -> list[str]:
-    """Every key that some part of the file takes."""
-    models = (Edits, LoopEdits, AddedLoop, Keyframe, Erased, SlowZone, Turn, Place)
-    return sorted({name for model in models for name in model.model_fields})
+    hint = nearest_field((Edits, LoopEdits, AddedLoop, Keyframe, Erased, SlowZone, Turn, Place))
+    return model_of(Edits, {} if tree is None else tree, source, hint, most=1)
 
 
 def load_edits(file: Path | str) -> Edits:
@@ -181,11 +149,7 @@ def load_edits(file: Path | str) -> Edits:
     ConfigError
         For a missing or malformed file, an unknown key or a bad value.
     """
-    try:
-        tree = from_yaml(Path(file).read_text(encoding="utf-8"), ConfigLoader)
-    except (OSError, ValueError) as error:
-        raise ConfigError(f"cannot read {file}: {' '.join(str(error).split())}") from error
-    return edits_of(tree, str(file))
+    return edits_of(read_tree(Path(file)), str(file))
 
 
 def dump_edits(edits: Edits) -> str:

@@ -7,10 +7,8 @@ RGB-D Data".
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator
 from pathlib import Path
 
-import gtsam
 import numpy as np
 
 from slam.datasets.account import Account
@@ -21,10 +19,10 @@ from slam.datasets.dataset_format import recorded
 from slam.datasets.frame_pairs import pair_images
 from slam.datasets.image_files import ImageFiles
 from slam.datasets.lens_files import checked, median_lens
-from slam.datasets.phone_poses import COMPARED, LENS_MOVES
-from slam.datasets.pose_files import from_axis_angle, numbers_of, rows_of, trajectory_of
+from slam.datasets.phone_poses import COMPARED
+from slam.datasets.pose_files import PoseTable, numbers_of, trajectory_of
 from slam.datasets.recording import Contents
-from slam.datasets.stamped_files import BAD_POSE, StampedFile
+from slam.datasets.stamped_files import StampedFile
 from slam.errors import DatasetError
 from slam.estimates import Trajectory
 from slam.measurements import CameraIntrinsics
@@ -35,6 +33,7 @@ _COLORS, _DEPTHS, _LENSES, _POSES = (
     "lowres_wide_intrinsics",
     "lowres_wide.traj",
 )
+_TABLE = PoseTable(position=4, rotation=1, order="xyz")
 _NAME = re.compile(r"(?:.*_)?(\d+\.\d+)\.(?:png|pincam)")  # VIDEO_SECONDS.png
 
 
@@ -75,24 +74,13 @@ def _lens(path: Path, account: Account) -> CameraIntrinsics:
         lenses.append(checked(file.path, matrix, int(width), int(height)))
     if not lenses:
         raise DatasetError(f"{path} has no lens: {_LENSES} is missing or empty; download it, too")
-    lens, share = median_lens(lenses)
-    account.report.note(LENS_MOVES.format(share=share), 1)
-    return lens
+    return median_lens(lenses, account)
 
 
 def _groundtruth(folder: Path, account: Account) -> Trajectory | None:
     """Lines of a stamp, a turn and a shift that take the world into the camera."""
-    path = folder / _POSES
-
-    def good() -> Iterator[tuple[float, gtsam.Pose3]]:
-        for number, fields in rows_of(path, account, 7):
-            try:
-                numbers = np.array([float(field) for field in fields[:7]])
-                yield float(numbers[0]), from_axis_angle(numbers[1:4], numbers[4:]).inverse()
-            except ValueError as error:
-                account.refuse(RecordFault(BAD_POSE, str(error)), path.name, number)
-
-    return trajectory_of(good()) if path.is_file() else None
+    rows = _TABLE.rows(folder / _POSES, account) if (folder / _POSES).is_file() else ()
+    return trajectory_of((stamp_s, pose.inverse()) for _, stamp_s, pose in rows)
 
 
 FORMAT = recorded("ARKitScenes video", looks_like_arkitscenes, _load, _groundtruth)

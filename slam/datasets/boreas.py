@@ -13,7 +13,6 @@ import numpy as np
 from slam.datasets.account import Account
 from slam.datasets.cloud_files import Rows, row_of
 from slam.datasets.clouds_over_time import CloudFolder, clouds_by_name
-from slam.datasets.dataset import RecordFault
 from slam.datasets.dataset_format import recorded
 from slam.datasets.imu_files import ImuFile, beside_imu, first_file
 from slam.datasets.mulran import NAMED_BY_CLOCK, stamp_of_clock
@@ -65,11 +64,9 @@ def _imu(path: Path, account: Account) -> ImuFile | None:
 
 def _calibrated(file: Path, account: Account) -> gtsam.Pose3 | None:
     """A transform of the calibration; None where there is none."""
-    try:
+    with account.refusing(file.name, 1):
         return pose_file(file) if file.is_file() else None
-    except RecordFault as fault:
-        account.refuse(fault, file.name, 1)
-        return None
+    return None
 
 
 def read_poses(path: Path, account: Account) -> Trajectory | None:

@@ -104,15 +104,33 @@ def read_calibration(folder: Path, default: Calibration) -> Calibration:
         if "intrinsics" in content:
             result = replace(result, intrinsics=_intrinsics(content["intrinsics"]), assumed="")
         if "depth_steps_per_m" in content:
-            result = replace(result, depth_steps_per_m=_positive(content["depth_steps_per_m"]))
-        if content.get("T_base_camera") is not None:
-            fields = content["T_base_camera"]
-            pose = pose_from(fields["translation_m"], fields["quaternion_xyzw"])
+            result = replace(result, depth_steps_per_m=positive(content["depth_steps_per_m"]))
+        if (pose := _mounting(content, "T_base_camera")) is not None:
             result = replace(result, T_base_camera=pose)
     except (KeyError, TypeError, ValueError, OverflowError) as error:
         missing = f"{error} is missing" if isinstance(error, KeyError) else str(error)
         raise DatasetError(f"{path}: {missing}; correct the calibration, or remove the file") from error
     return result
+
+
+def read_mounting(path: Path, name: str) -> gtsam.Pose3 | None:
+    """A pose by its name in a calibration; None where the file or the name is not there.
+
+    Raises
+    ------
+    DatasetError
+        The file cannot be read, or what it tells is no pose.
+    """
+    try:
+        return _mounting(read_yaml(path), name) if path.is_file() else None
+    except (KeyError, TypeError, ValueError) as error:
+        raise DatasetError(f"{path}: {name}: {error}; correct it, or remove the file") from error
+
+
+def _mounting(content: dict[str, Any], name: str) -> gtsam.Pose3 | None:
+    """A pose of named values; None where its name is not among them."""
+    fields = content.get(name)
+    return None if fields is None else pose_from(fields["translation_m"], fields["quaternion_xyzw"])
 
 
 def read_yaml(path: Path) -> dict[str, Any]:
@@ -184,7 +202,7 @@ def unit_quaternion(quaternion: FloatArray) -> FloatArray:
 
 def _intrinsics(fields: Any) -> CameraIntrinsics:
     """Positive focal lengths, a finite centre, and a size or none."""
-    fx, fy = _positive(fields["fx"]), _positive(fields["fy"])
+    fx, fy = positive(fields["fx"]), positive(fields["fy"])
     cx, cy = float(fields["cx"]), float(fields["cy"])
     width, height = int(fields.get("width") or 0), int(fields.get("height") or 0)
     if not (math.isfinite(cx) and math.isfinite(cy)) or min(width, height) < 0 or (width > 0) != (height > 0):
@@ -192,7 +210,7 @@ def _intrinsics(fields: Any) -> CameraIntrinsics:
     return CameraIntrinsics(fx, fy, cx, cy, width, height)
 
 
-def _positive(value: Any) -> float:
+def positive(value: Any) -> float:
     """A positive finite number."""
     number = float(value)
     if not 0.0 < number < math.inf:

@@ -6,7 +6,6 @@ settings, EuRoC's sensor.yaml, URDF, printed tf, lists of transforms, and our ow
 
 from __future__ import annotations
 
-import math
 import re
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
@@ -19,7 +18,7 @@ import gtsam
 import numpy as np
 
 from slam.datasets.bags.lens import Lens, lens_of
-from slam.datasets.calibration import pose_from, pose_from_matrix
+from slam.datasets.calibration import pose_from, pose_from_matrix, positive
 from slam.datasets.dataset import RecordFault
 from slam.foreign import MOST_TEXT, from_yaml
 from slam.measurements import FloatArray
@@ -146,9 +145,9 @@ def _own(tree: Mapping[Any, Any], path: Path) -> FileContent:
     if isinstance(fields, Mapping):
         size = int(fields.get("width") or 0), int(fields.get("height") or 0)
         lens = _lens([float(fields[name]) for name in ("fx", "fy", "cx", "cy")], size)
-    steps = tree.get("depth_steps_per_m")
+    steps = _steps(tree.get("depth_steps_per_m"))
     if lens is not None or steps is not None:
-        found.cameras.append(FileCamera("", lens, source, depth_steps_per_m=_positive(steps)))
+        found.cameras.append(FileCamera("", lens, source, depth_steps_per_m=steps))
     for name in ("T_base_camera", "T_base_lidar"):
         if isinstance(placed := tree.get(name), Mapping):
             setattr(found, name, pose_from(placed["translation_m"], placed["quaternion_xyzw"]))
@@ -197,9 +196,9 @@ def _matrices(tree: Mapping[Any, Any], path: Path) -> FileContent:
             if not (isinstance(row, Mapping) and {"parent_frame", "child_frame"} <= set(row)):
                 continue
             if "matrix" in row:
-                pose = pose_from_matrix(_numbers(row["matrix"]).reshape(4, 4))
+                pose = pose_from_matrix(numbers_in(row["matrix"]).reshape(4, 4))
             else:
-                pose = pose_from(_numbers(row["translation"]), _numbers(row["rotation"]))
+                pose = pose_from(numbers_in(row["translation"]), numbers_in(row["rotation"]))
             frames = _frame(row["parent_frame"]), _frame(row["child_frame"])
             found.transforms.append(FileTransform(*frames, pose, path.name))
     return found
@@ -216,9 +215,9 @@ def _orb_slam(tree: Mapping[Any, Any], path: Path) -> FileContent:
     if model == "equidistant":
         distortion = [float(given.get(f"k{place}", 0.0)) for place in range(1, 5)]
     pin_hole = [float(given[name]) for name in ("fx", "fy", "cx", "cy")]
-    steps = tree.get("DepthMapFactor", tree.get("RGBD.DepthMapFactor"))
+    steps = _steps(tree.get("DepthMapFactor", tree.get("RGBD.DepthMapFactor")))
     lens = _lens(pin_hole, size, distortion, model)
-    return FileContent([FileCamera(path.stem, lens, path.name, depth_steps_per_m=_positive(steps))])
+    return FileContent([FileCamera(path.stem, lens, path.name, depth_steps_per_m=steps)])
 
 
 def _euroc(tree: Mapping[Any, Any], path: Path) -> FileContent:
@@ -229,7 +228,7 @@ def _euroc(tree: Mapping[Any, Any], path: Path) -> FileContent:
     lens = _named_lens(tree, tree.get("distortion_coefficients", ()))
     found = FileContent([FileCamera(name, lens, f"{name}/{path.name}", frame=name)])
     if "T_BS" in tree:
-        pose = pose_from_matrix(_numbers(tree["T_BS"]).reshape(4, 4))
+        pose = pose_from_matrix(numbers_in(tree["T_BS"]).reshape(4, 4))
         found.transforms.append(FileTransform("body", name, pose, f"{name}/{path.name}"))
     return found
 
@@ -239,14 +238,14 @@ def _camera_info(tree: Mapping[Any, Any], path: Path) -> FileContent:
     matrix = next((tree[name] for name in _K_NAMES if name in tree), None)
     if matrix is None:
         return FileContent()
-    k = _numbers(matrix)
+    k = numbers_in(matrix)
     if k.size != 9:
         raise ValueError(f"a camera matrix of {k.size} numbers")
-    distortion = next((_numbers(tree[name]) for name in _D_NAMES if name in tree), np.zeros(0))
+    distortion = next((numbers_in(tree[name]) for name in _D_NAMES if name in tree), np.zeros(0))
     size = [next((int(tree[name]) for name in names if name in tree), 0) for names in (_WIDTHS, _HEIGHTS)]
     for name in ("image_size", "imageSize", "resolution"):
         if name in tree:
-            size = [int(number) for number in _numbers(tree[name])]
+            size = [int(number) for number in numbers_in(tree[name])]
     model = str(tree.get("distortion_model", ""))
     lens = _lens([k[0], k[4], k[2], k[5]], (size[0], size[1]), distortion, _MODELS.get(model, model))
     header = tree.get("header")
@@ -258,10 +257,10 @@ def _camera_info(tree: Mapping[Any, Any], path: Path) -> FileContent:
 def _named_lens(fields: Mapping[Any, Any], distortion: Any) -> Lens:
     """A lens with its models by name, as Kalibr gives it."""
     projection, model = str(fields.get("camera_model", "pinhole")), str(fields.get("distortion_model", ""))
-    numbers = _numbers(fields["intrinsics"])[-4:]
-    width, height = (int(number) for number in _numbers(fields.get("resolution", (0, 0))))
+    numbers = numbers_in(fields["intrinsics"])[-4:]
+    width, height = (int(number) for number in numbers_in(fields.get("resolution", (0, 0))))
     model = _MODELS.get(model, model) if projection == "pinhole" else projection
-    return _lens(numbers, (width, height), _numbers(distortion), model)
+    return _lens(numbers, (width, height), numbers_in(distortion), model)
 
 
 def _lens(pin_hole: Any, size: tuple[int, int], distortion: Any = (), model: str = "plumb_bob") -> Lens:
@@ -304,8 +303,8 @@ def _joints(text: str, source: str) -> Iterator[FileTransform]:
 def _joint(joint: Mapping[str, str], source: str) -> FileTransform:
     """One joint; roll, pitch and yaw turn about fixed axes."""
     given = dict(re.findall(r"(\w+)=([^\n]*)", joint.get("origin", "")))
-    translation = _numbers(given.get("xyz", "0 0 0").split())
-    turn = gtsam.Rot3.RzRyRx(*_numbers(given.get("rpy", "0 0 0").split()).tolist())
+    translation = numbers_in(given.get("xyz", "0 0 0").split())
+    turn = gtsam.Rot3.RzRyRx(*numbers_in(given.get("rpy", "0 0 0").split()).tolist())
     if translation.size != 3:
         raise ValueError(f"origin {given}")
     links = [joint[end].partition("=")[2].strip() for end in ("parent", "child")]
@@ -351,7 +350,7 @@ def _elements(text: str, *, attributes: bool = False) -> Iterator[tuple[str, str
     return iter(found)
 
 
-def _numbers(given: Any) -> FloatArray:
+def numbers_in(given: Any) -> FloatArray:
     """The finite numbers of a list, of lists, or of a matrix as OpenCV writes it, (N,)."""
     numbers: FloatArray = np.asarray(
         given["data"] if isinstance(given, Mapping) else given, dtype=np.float64
@@ -361,14 +360,9 @@ def _numbers(given: Any) -> FloatArray:
     return numbers
 
 
-def _positive(given: Any) -> float | None:
+def _steps(given: Any) -> float | None:
     """A positive number, None for none."""
-    if given is None:
-        return None
-    number = float(given)
-    if not 0.0 < number < math.inf:
-        raise ValueError(f"{given} is not a positive number")
-    return number
+    return None if given is None else positive(given)
 
 
 def _frame(name: Any) -> str:

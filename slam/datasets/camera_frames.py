@@ -70,18 +70,15 @@ def read_frames(
     for images in prefetched(requests, lambda request: _decode(request, budget)):
         camera, number = images.camera, images.pair.color.number
         account.report.line_count += 1
-        try:
+        with account.refusing(camera.sensor, number):
             frame = _frame(images, sizes)
-        except RecordFault as fault:
-            account.refuse(fault, camera.sensor, number)
-            continue
-        if camera.calibration.assumed:
-            account.report.note(f"{WARNING}{camera.sensor}: {camera.calibration.assumed}", number)
-        if images.resized_from:
-            width, height = images.resized_from
-            account.report.note(f"{camera.sensor}: {SIZE_NOTE}, from {width} x {height}", number)
-        account.report.accept(f"{camera.sensor} frame")
-        yield number, frame
+            if camera.calibration.assumed:
+                account.report.note(f"{WARNING}{camera.sensor}: {camera.calibration.assumed}", number)
+            if images.resized_from:
+                width, height = images.resized_from
+                account.report.note(f"{camera.sensor}: {SIZE_NOTE}, from {width} x {height}", number)
+            account.report.accept(f"{camera.sensor} frame")
+            yield number, frame
 
 
 def _frame(images: _Images, sizes: dict[str, CameraIntrinsics]) -> RgbdFrame:

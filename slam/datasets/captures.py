@@ -77,19 +77,15 @@ def _of_ouster(path: Path, account: Account, dpkt: Any, model: OusterModel) -> I
     sensor, number = Ouster(model), 0
     for number, stamp_s, payload in payloads(path, account, dpkt):
         account.report.line_count += 1
-        try:
+        with account.refusing(path.name, number):
             if len(payload) == IMU_BYTES:
                 reading = imu.read(sensor.imu(stamp_s, payload))
                 account.report.accept("imu")
                 yield number, reading
             elif len(payload) in packet_sizes() | {model.packet.itemsize}:
                 yield from _read(lidar, number, sensor.add(stamp_s, payload), account)
-        except RecordFault as fault:
-            account.refuse(fault, path.name, number)
-    try:
+    with account.refusing(path.name, number):
         yield from _read(lidar, number, sensor.rest(), account)
-    except RecordFault as fault:
-        account.refuse(fault, path.name, number)
     for line, text in enumerate(sensor.told(), 1):
         account.report.note(text, line)
 
@@ -100,16 +96,12 @@ def _clouds(path: Path, account: Account, dpkt: Any) -> Iterator[Numbered]:
     number = 0
     for number, stamp_s, payload in payloads(path, account, dpkt):
         account.report.line_count += 1
-        try:
+        with account.refusing(path.name, number):
             if len(payload) in packet_sizes():
                 raise RecordFault(NO_METADATA, f"{len(payload)} bytes")
             yield from _read(reader, number, decoder.add(stamp_s, payload), account)
-        except RecordFault as fault:
-            account.refuse(fault, path.name, number)
-    try:
+    with account.refusing(path.name, number):
         yield from _read(reader, number, decoder.rest(), account)
-    except RecordFault as fault:
-        account.refuse(fault, path.name, number)
 
 
 def _read(

@@ -25,13 +25,15 @@ from slam.datasets.carmen_records import (
 from slam.datasets.dataset import ReadReport, RecordFault
 from slam.datasets.laser_geometry import (
     DEFAULT_NO_RETURN_M,
+    NO_VALID_RANGE,
     SICK_LARGEST_CODE_FREE_M,
+    ZERO_BEAMS,
     BeamLayout,
     ToldAlike,
     beam_layout,
     classify_ranges,
 )
-from slam.datasets.log_file import Refuse, numbered_lines, read_head
+from slam.datasets.log_file import numbered_lines, read_head
 from slam.datasets.recording import Contents, Numbered, Recording
 from slam.foreign import plain
 from slam.measurements import LaserScan, Measurement, WheelOdometry, pose2_from_row
@@ -57,8 +59,6 @@ _KNOWN = frozenset({*_PARSERS, "ODOM", "PARAM", "SYNC", "TRUEPOS"})
 
 TRUNCATED = "truncated last line"
 NO_MESSAGE = "line does not begin with a message name"
-ZERO_BEAMS = "scan without beams"
-NO_VALID_RANGE = "scan without a valid range"
 
 _SAME_POSE = 1e-6  # the last digit that the logs write
 _MOUNT_REACH_M = 3.0  # a laser is not mounted farther from the robot's centre
@@ -95,22 +95,16 @@ def open_carmen(path: Path, strict: bool) -> Recording:
 
 def read_carmen(path: Path, account: Account) -> Iterator[Numbered]:
     """Line numbers and measurements of a log."""
-    refuse = refusing(path, account)
-    lines = numbered_lines(path, refuse, account.report.note_share)
+    lines = numbered_lines(path, account, account.report.note_share)
     kinds = _preferred_kinds(read_head(path, HEAD_BYTES))
-    return read_messages(lines, lambda line: (line.split(),), refuse, account.report, kinds)
-
-
-def refusing(path: Path, account: Account) -> Refuse:
-    """What counts a damaged line of a file."""
-    return lambda fault, number: account.refuse(fault, path.name, number)
+    return read_messages(lines, lambda line: (line.split(),), path.name, account, kinds)
 
 
 def read_messages(
     lines: Iterable[tuple[int, bytes]],
     words: Callable[[bytes], Iterable[list[bytes]]],
-    refuse: Refuse,
-    report: ReadReport,
+    where: str,
+    account: Account,
     kinds: frozenset[str] = frozenset(("RAWLASER1",)),
 ) -> Iterator[Numbered]:
     """Measurements of numbered lines that say what CARMEN's messages do, perhaps in other words.
@@ -119,20 +113,23 @@ def read_messages(
     ----------
     words
         The messages of a line; a `RecordFault` where it is damaged.
+    where
+        The file of the lines.
     kinds
         The messages of scans that are read.
     """
-    decoder = _Decoder(report, kinds)
+    decoder = _Decoder(account.report, kinds)
     last = 0
     for number, line in lines:
-        report.line_count += max(number - last, 0)
+        account.report.line_count += max(number - last, 0)
         last = number
         try:
             for message in words(line):
                 for measurement in decoder.decode(message, number):
                     yield number, measurement
         except RecordFault as fault:
-            refuse(fault if line.endswith(b"\n") else RecordFault(TRUNCATED, str(fault)), number)
+            whole = line.endswith(b"\n")
+            account.refuse(fault if whole else RecordFault(TRUNCATED, str(fault)), where, number)
 
 
 class _Decoder:

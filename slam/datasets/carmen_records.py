@@ -20,7 +20,7 @@ from typing import TypeAlias
 import numpy as np
 
 from fusion.kernel import ZERO, kernel
-from slam.datasets.dataset import RecordFault
+from slam.datasets.dataset import STAMP_LIMIT_S, RecordFault
 from slam.measurements import FloatArray
 
 WRONG_COUNT = "wrong number of values"
@@ -33,7 +33,6 @@ Row: TypeAlias = tuple[float, float, float]
 
 _POSITION_LIMIT_M = 1e6
 _YAW_LIMIT_RAD = 1e6  # some counters never wrap
-_STAMP_LIMIT_S = 1e11  # year 5138; milliseconds or ticks by mistake are beyond it
 # Integers and powers of ten up to these are exact as floats.
 _EXACT, _MOST_DIGITS = 2**53, 18
 # All three, always: were some optional, a wrong count could shift poses and stamp and still fit.
@@ -238,7 +237,7 @@ def finite_row(values: FloatArray) -> Row:
 def _stamp(stamp_s: float) -> float:
     """A stamp, finite and of this age."""
     stamp_s = float(stamp_s)
-    if not abs(stamp_s) < _STAMP_LIMIT_S:
+    if not abs(stamp_s) < STAMP_LIMIT_S:
         raise RecordFault(BAD_STAMP, f"{stamp_s}")
     return stamp_s
 

@@ -7,7 +7,7 @@ from pathlib import Path
 import gtsam
 
 from slam.datasets.account import Account
-from slam.datasets.calibration import pose_from, read_yaml
+from slam.datasets.calibration import read_mounting
 from slam.datasets.cloud_files import CLOUD_NAMES
 from slam.datasets.clouds_over_time import CloudFolder, cloud_files, stamped_clouds, times_of
 from slam.datasets.dataset_format import recorded
@@ -57,17 +57,7 @@ def _cloud_places(path: Path) -> list[Path]:
 
 def _mount(folder: Path) -> gtsam.Pose3:
     """``T_base_lidar`` by ``calibration.yaml`` beside the clouds, else the lidar is the robot's frame."""
-    path = folder / LIDAR_CALIBRATION
-    content = read_yaml(path) if path.is_file() else {}
-    if content.get("T_base_lidar") is None:
-        return gtsam.Pose3()
-    try:
-        fields = content["T_base_lidar"]
-        return pose_from(fields["translation_m"], fields["quaternion_xyzw"])
-    except (KeyError, TypeError, ValueError) as error:
-        raise DatasetError(
-            f"{path}: T_base_lidar: {error}; correct the calibration, or remove the file"
-        ) from error
+    return read_mounting(folder / LIDAR_CALIBRATION, "T_base_lidar") or gtsam.Pose3()
 
 
 def _groundtruth(path: Path, account: Account) -> Trajectory | None:
@@ -100,7 +90,7 @@ def _groundtruth(path: Path, account: Account) -> Trajectory | None:
 def _kitti_rows(path: Path, account: Account) -> dict[str, gtsam.Pose3]:
     """The transforms of ``calib.txt`` by their names; projections, which are none, are left out."""
     found = {}
-    for _, line in numbered_lines(path, lambda fault, at: account.refuse(fault, path.name, at)):
+    for _, line in numbered_lines(path, account):
         name, _, numbers = line.partition(b":")
         try:
             found[name.decode("ascii", "replace").strip()] = pose_of_row(numbers.split())

@@ -13,12 +13,12 @@ import gtsam
 from slam.datasets.account import Account
 from slam.datasets.cloud_files import CLOUD_SUFFIXES, CloudFile, Parsed, read_cloud
 from slam.datasets.dataset import RecordFault
+from slam.datasets.log_file import files_inside
 from slam.datasets.point_intensity import intensities_of
 from slam.datasets.point_times import PointTimes
 from slam.datasets.recording import Numbered
-from slam.datasets.stamped_files import BAD_STAMP, StampedFile, fields_of, image_path, stamp_of
+from slam.datasets.stamped_files import BAD_STAMP, StampedFile, fields_of, read_image_list, stamp_of
 from slam.datasets.wheels_between import WHEELS_KEPT, wheels_at
-from slam.errors import DatasetError
 from slam.measurements import PointCloud, WheelOdometry
 from slam.vision.prefetch import prefetched
 
@@ -84,27 +84,19 @@ def times_of(folder: Path) -> Path | None:
 
 def cloud_files(folder: Path) -> list[Path]:
     """Clouds directly in a folder, numbers in their names in the order of numbers."""
-    try:
-        found = [
-            path for path in folder.iterdir() if path.suffix.lower() in CLOUD_SUFFIXES and path.is_file()
-        ]
-    except OSError as error:
-        raise DatasetError(f"cannot list {folder}: {error.strerror}; check its rights") from error
+    found = files_inside(folder, CLOUD_SUFFIXES)
     return sorted(found, key=lambda path: (len(path.stem) if path.stem.isdecimal() else 0, path.name))
 
 
 def stamped_clouds(times: Path, folder: Path, account: Account) -> list[StampedFile]:
     """The clouds of a list of stamps: by the names in it, else one after another as the folder has them."""
-    lines = list(fields_of(times, account, 1, 2))
-    if any(len(fields) > 1 for _, fields in lines):
-        return _named(times, lines, account)
-    files = cloud_files(folder)
+    if any(len(fields) > 1 for _, fields in fields_of(times, Account.quiet(times), 1, 2)):
+        return read_image_list(times, account)
+    lines, files = list(fields_of(times, account, 1, 1)), cloud_files(folder)
     found = []
     for (number, fields), path in zip(lines, files, strict=False):
-        try:
+        with account.refusing(times.name, number):
             found.append(StampedFile(stamp_of(fields[0]), path, number))
-        except RecordFault as fault:
-            account.refuse(fault, times.name, number)
     for number, _ in lines[len(files) :]:
         account.refuse(RecordFault(WITHOUT_CLOUD, f"{len(lines)} and {len(files)}"), times.name, number)
     for place in range(len(lines), len(files)):
@@ -145,16 +137,3 @@ def merged(log: Iterable[Numbered], clouds: Iterator[tuple[int, PointCloud]]) ->
     if waiting is not None:
         yield waiting
         yield from clouds
-
-
-def _named(times: Path, lines: list[tuple[int, list[bytes]]], account: Account) -> list[StampedFile]:
-    """Clouds by lines ``stamp name``; names are relative to the list's folder."""
-    found = []
-    for number, fields in lines:
-        try:
-            if len(fields) < 2:
-                raise RecordFault("index line with too few fields", "1 of 2")
-            found.append(StampedFile(stamp_of(fields[0]), image_path(times.parent, fields[1]), number))
-        except RecordFault as fault:
-            account.refuse(fault, times.name, number)
-    return found

@@ -22,6 +22,7 @@ JUMP_SLACK_M = 0.3
 JUMP_TURN_RAD_S = math.pi
 JUMP_SLACK_RAD = 0.5
 
+STAMP_LIMIT_S = 1e11  # year 5138; milliseconds or ticks by mistake are beyond it
 _SAMPLES_KEPT = 4096  # numbers kept for a median
 _LINES_KEPT = 3  # examples kept of each kind of event
 MOST_TOPICS = 2000  # a robot has some dozens; damaged names must not fill the memory

@@ -14,12 +14,11 @@ from numpy.typing import NDArray
 
 from fusion.time_alignment import GAP_S
 from slam.datasets.account import Account
-from slam.datasets.calibration import pose_from, read_yaml
+from slam.datasets.calibration import read_mounting
 from slam.datasets.dataset import RecordFault
 from slam.datasets.imu_units import ForceUnit
 from slam.datasets.log_file import numbered_lines
 from slam.datasets.recording import Numbered
-from slam.errors import DatasetError
 from slam.measurements import ImuReading
 
 BAD_ROW = "IMU line without a stamp, turn rate and acceleration"
@@ -109,7 +108,7 @@ def beside_imu(log: Iterable[Numbered], imu: ImuFile | Path | None, account: Acc
 
 def _has_columns(imu: ImuFile) -> bool:
     """Whether the first line of numbers is as long as the publisher's head."""
-    lines = (line.strip() for _, line in numbered_lines(imu.path, lambda fault, at: None))
+    lines = (line.strip() for _, line in numbered_lines(imu.path, Account.quiet(imu.path)))
     first = next((line for line in lines if line and not _is_head(line)), b"")
     return len(_parted(first)) >= len(_names(imu.head))
 
@@ -117,9 +116,9 @@ def _has_columns(imu: ImuFile) -> bool:
 def _read_imu(imu: ImuFile, account: Account) -> Iterator[tuple[int, ImuReading]]:
     """Readings with their lines; what is none is counted."""
     path, unit = imu.path, ForceUnit()
-    mounting = _mounting(path) or imu.T_base_imu
+    mounting = read_mounting(path.parent / _SIDECAR, "T_base_imu") or imu.T_base_imu
     columns = _columns(imu.head) or _Columns(_PLAIN[:1], _PLAIN[1:4], _PLAIN[4:7])
-    for number, line in numbered_lines(path, lambda fault, at: account.refuse(fault, path.name, at)):
+    for number, line in numbered_lines(path, account):
         text = line.strip()
         if not text:
             continue
@@ -127,21 +126,15 @@ def _read_imu(imu: ImuFile, account: Account) -> Iterator[tuple[int, ImuReading]
             told = text.lstrip(b"#").decode("utf-8", "replace")
             columns = columns if imu.head else _columns(told) or columns
             continue
-        try:
+        with account.refusing(path.name, number, BAD_ROW, ValueError, IndexError):
             row = np.array([float(field) for field in _parted(text) if field.strip()])
             stamp_s = columns.stamp_s(row)
             gyro = row[list(columns.gyro)] * columns.gyro_scale
             force = row[list(columns.force)]
             if not np.isfinite([stamp_s, *gyro, *force]).all() or not force.any():
                 raise RecordFault(BAD_ROW, text[:60].decode("ascii", "replace"))
-        except (ValueError, IndexError) as error:
-            account.refuse(RecordFault(BAD_ROW, str(error)), path.name, number)
-            continue
-        except RecordFault as fault:
-            account.refuse(fault, path.name, number)
-            continue
-        account.report.accept("IMU reading")
-        yield number, ImuReading(stamp_s, gyro, unit.m_s2(force), mounting)
+            account.report.accept("IMU reading")
+            yield number, ImuReading(stamp_s, gyro, unit.m_s2(force), mounting)
     if unit.choice:
         account.report.note(f"imu: {unit.choice}", 1)
 
@@ -196,16 +189,3 @@ def _axes(names: list[str], pattern: re.Pattern[str]) -> tuple[int, ...]:
     """Where the three axes of a sensor are; empty where they are not all there."""
     found = {match[3]: n for n, name in reversed(list(enumerate(names))) if (match := pattern.match(name))}
     return tuple(found[axis] for axis in "xyz") if len(found) == 3 else ()
-
-
-def _mounting(path: Path) -> gtsam.Pose3 | None:
-    """``T_base_imu`` by the calibration beside the file, as the simulator writes it."""
-    sidecar = path.parent / _SIDECAR
-    content = read_yaml(sidecar) if sidecar.is_file() else {}
-    if content.get("T_base_imu") is None:
-        return None
-    try:
-        fields = content["T_base_imu"]
-        return pose_from(fields["translation_m"], fields["quaternion_xyzw"])
-    except (KeyError, TypeError, ValueError) as error:
-        raise DatasetError(f"{sidecar}: {error}; correct the mounting of the IMU, or remove it") from error

@@ -16,7 +16,7 @@ import numpy as np
 from slam.datasets.account import Account
 from slam.datasets.cloud_files import DAMAGED, KITTI_ROWS, Parsed
 from slam.datasets.clouds_over_time import UNPAIRED, WITHOUT_CLOUD, CloudFolder
-from slam.datasets.dataset import ReadReport, RecordFault
+from slam.datasets.dataset import RecordFault
 from slam.datasets.dataset_format import recorded
 from slam.datasets.imu_files import first_file, with_imu
 from slam.datasets.log_file import numbered_lines
@@ -97,7 +97,7 @@ def _clouds(path: Path, account: Account) -> list[StampedFile]:
 
 def _stamps(path: Path, account: Account) -> Iterator[tuple[int, float]]:
     """Lines ``2011-09-26 13:02:25.951199337`` by their numbers from 0."""
-    for number, line in numbered_lines(path, lambda fault, at: account.refuse(fault, path.name, at)):
+    for number, line in numbered_lines(path, account):
         text = line.decode("ascii", "replace").strip()
         try:
             moment, _, fraction = text.partition(".")
@@ -110,7 +110,7 @@ def _stamps(path: Path, account: Account) -> Iterator[tuple[int, float]]:
 
 def _turn(path: Path) -> float:
     """Seconds of a turn: between the stamps of its begin and end, or from cloud to cloud."""
-    quiet = Account(path.name, ReadReport(), strict=False)
+    quiet = Account.quiet(path)
     first, last = (
         dict(_stamps(file, quiet)) if (file := path / _INSIDE / name).is_file() else {}
         for name in ("timestamps_start.txt", "timestamps_end.txt")

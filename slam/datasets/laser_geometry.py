@@ -13,6 +13,8 @@ from slam.datasets.budget import MOST_BEAMS
 from slam.datasets.dataset import RecordFault
 from slam.measurements import Float32Array, FloatArray
 
+ZERO_BEAMS = "scan without beams"
+NO_VALID_RANGE = "scan without a valid range"
 MANY_BEAMS = "scan of more beams than any lidar has"
 
 # A SICK LMS in its 80 m mode says "nothing met" and its error codes with 8183, 8187, 8190 and 8191 cm.

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from slam.datasets.account import Account
 from slam.datasets.bags.lens import Lens
 from slam.datasets.numbered_frames import lens_of
 from slam.datasets.pose_files import numbers_of, square_matrix
@@ -14,6 +15,7 @@ from slam.errors import DatasetError
 from slam.foreign import from_json
 from slam.measurements import CameraIntrinsics, FloatArray
 
+LENS_MOVES = "camera: the lens moves by up to {share:.1%} of its focal length, its median taken"
 _LARGEST_BYTES = 1 << 26  # of a JSON file; of a phone's with a pose a frame
 
 
@@ -90,12 +92,13 @@ def open3d_lens(path: Path) -> CameraIntrinsics:
     return checked(path, matrix, *size)
 
 
-def median_lens(lenses: list[CameraIntrinsics]) -> tuple[CameraIntrinsics, float]:
-    """The middle of the lenses of many frames, and how far their focal length moves as a share."""
+def median_lens(lenses: list[CameraIntrinsics], account: Account) -> CameraIntrinsics:
+    """The middle of the lenses of many frames; how far their focal length moves is noted."""
     numbers = np.array([[lens.fx, lens.fy, lens.cx, lens.cy] for lens in lenses])
     fx, fy, cx, cy = (float(value) for value in np.median(numbers, axis=0))
-    spread = float(np.abs(numbers[:, 0] / fx - 1.0).max())
-    return CameraIntrinsics(fx, fy, cx, cy, lenses[0].width, lenses[0].height), spread
+    if spread := float(np.abs(numbers[:, 0] / fx - 1.0).max()):
+        account.report.note(LENS_MOVES.format(share=spread), 1)
+    return CameraIntrinsics(fx, fy, cx, cy, lenses[0].width, lenses[0].height)
 
 
 def plain_lens(intrinsics: CameraIntrinsics) -> Lens:

@@ -5,10 +5,11 @@ from __future__ import annotations
 import gzip
 import io
 import zlib
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Collection, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from slam.datasets.account import Account
 from slam.datasets.budget import Budget
 from slam.datasets.dataset import RecordFault
 from slam.errors import DatasetError
@@ -24,7 +25,6 @@ _BYTE_ORDER_MARK = b"\xef\xbb\xbf"
 LINE_TOO_LONG = "line too long"
 STREAM_DAMAGED = "compressed data damaged or cut short"
 
-Refuse = Callable[[RecordFault, int], None]
 OnShare = Callable[[float], None]
 _LINES_A_SHARE = 64
 
@@ -91,16 +91,30 @@ def read_head(path: Path, size: int) -> bytes:
     return b"".join(chunks).removeprefix(_BYTE_ORDER_MARK)
 
 
+def files_inside(folder: Path, suffixes: Collection[str]) -> list[Path]:
+    """Files directly in a folder with one of some endings in lower case, unsorted.
+
+    Raises
+    ------
+    DatasetError
+        The folder cannot be listed.
+    """
+    try:
+        return [file for file in folder.iterdir() if file.suffix.lower() in suffixes and file.is_file()]
+    except OSError as error:
+        raise DatasetError(f"cannot list {folder}: {error.strerror}; check its rights") from error
+
+
 def numbered_lines(
-    path: Path, refuse: Refuse, on_share: OnShare | None = None
+    path: Path, account: Account, on_share: OnShare | None = None
 ) -> Iterator[tuple[int, bytes]]:
     """1-based numbers and lines, each with its line end, in constant memory.
 
     Parameters
     ----------
-    refuse
-        Called with the fault and the line number for an over-long line and for damaged compression;
-        the first is skipped, the second ends the stream after what could be read, as `Budget` does.
+    account
+        Refuses an over-long line, which is skipped, and damaged compression, which ends the stream after
+        what could be read, as `Budget` does.
     on_share
         Called now and then with the share of the file that has been read, 0..1.
 
@@ -126,14 +140,14 @@ def numbered_lines(
                         on_share(read / size)
                 if len(line) == MAX_LINE_BYTES and not line.endswith(b"\n"):
                     _skip_line(stream, budget)
-                    detail = f"more than {MAX_LINE_BYTES} bytes"
-                    refuse(RecordFault(LINE_TOO_LONG, detail), number)
+                    fault = RecordFault(LINE_TOO_LONG, f"more than {MAX_LINE_BYTES} bytes")
+                    account.refuse(fault, path.name, number)
                     continue
                 yield number, line.removeprefix(_BYTE_ORDER_MARK) if number == 1 else line
         except (EOFError, zlib.error, gzip.BadGzipFile) as error:
-            refuse(RecordFault(STREAM_DAMAGED, str(error)), number + 1)
+            account.refuse(RecordFault(STREAM_DAMAGED, str(error)), path.name, number + 1)
         except RecordFault as fault:
-            refuse(fault, number)
+            account.refuse(fault, path.name, number)
         except OSError as error:
             raise DatasetError(f"cannot read {path} after line {number}: {error.strerror}") from error
 

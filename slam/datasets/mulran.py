@@ -16,7 +16,6 @@ import numpy as np
 from slam.datasets.account import Account
 from slam.datasets.cloud_files import KITTI_ROWS
 from slam.datasets.clouds_over_time import CloudFolder, clouds_by_name
-from slam.datasets.dataset import RecordFault
 from slam.datasets.dataset_format import recorded
 from slam.datasets.imu_files import ImuFile, beside_imu, first_file
 from slam.datasets.ouster_order import with_column_times
@@ -80,10 +79,8 @@ def read_poses(path: Path, account: Account) -> Trajectory | None:
 
     def good() -> Iterator[tuple[float, gtsam.Pose3]]:
         for number, fields in rows_of(path, account, 13):
-            try:
+            with account.refusing(path.name, number, BAD_MATRIX, ValueError):
                 yield by_its_size(float(fields[0])), pose_of_row(fields[1:13])
-            except ValueError as error:
-                account.refuse(RecordFault(BAD_MATRIX, str(error)), path.name, number)
 
     return trajectory_of(good()) if path.is_file() else None
 

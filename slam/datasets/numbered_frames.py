@@ -93,11 +93,7 @@ def poses_of_files(
 
     def good() -> Iterable[tuple[float, gtsam.Pose3]]:
         for number, path in sorted(files.items()):
-            try:
-                pose = pose_file(path)
-            except RecordFault as fault:
-                account.refuse(fault, path.name, number)
-                continue
-            yield stamp_of(number), pose
+            with account.refusing(path.name, number):
+                yield stamp_of(number), pose_file(path)
 
     return trajectory_of(good())

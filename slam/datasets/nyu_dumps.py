@@ -69,10 +69,8 @@ def _images(path: Path, pattern: str, account: Account) -> list[StampedFile]:
     """Files in the order of the stamps in their names; what the driver left empty is counted."""
     found = []
     for number, file in enumerate(sorted(path.glob(pattern)), 1):
-        try:
+        with account.refusing(file.name, number):
             found.append(StampedFile(stamp_of(file.name.split("-")[1].encode()), file, number))
-        except RecordFault as fault:
-            account.refuse(fault, file.name, number)
     return sorted(found, key=lambda image: image.stamp_s)
 
 

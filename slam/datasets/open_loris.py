@@ -8,13 +8,13 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import gtsam
 import numpy as np
 
 from slam.datasets.account import Account
 from slam.datasets.calibration import Calibration, pose_from, pose_from_matrix, read_calibration, read_yaml
+from slam.datasets.calibration_formats import numbers_in
 from slam.datasets.camera_frames import Camera
 from slam.datasets.dataset_format import recorded
 from slam.datasets.frame_pairs import pair_images
@@ -73,7 +73,7 @@ def _intrinsics(path: Path) -> CameraIntrinsics:
     """The colour camera in ``sensors.yaml``, whose order is fx cx fy cy."""
     try:
         camera = read_yaml(path)[_CAMERA_FRAME]
-        fx, cx, fy, cy = _numbers(camera["intrinsics"], 4)
+        fx, cx, fy, cy = numbers_in(camera["intrinsics"]).tolist()
         width, height = int(camera["width"]), int(camera["height"])
     except (KeyError, TypeError, ValueError) as error:
         raise DatasetError(f"{path} gives no intrinsics of {_CAMERA_FRAME} ({error}); correct it") from error
@@ -88,20 +88,11 @@ def _mount(path: Path) -> gtsam.Pose3 | None:
         for transform in read_yaml(path)["trans_matrix"]:
             frames = (transform["parent_frame"], transform["child_frame"])
             if set(frames) == {_BASE_FRAME, _CAMERA_FRAME}:
-                pose = pose_from_matrix(np.reshape(_numbers(transform["matrix"], 16), (4, 4)))
+                pose = pose_from_matrix(numbers_in(transform["matrix"]).reshape(4, 4))
                 return pose if frames[0] == _BASE_FRAME else pose.inverse()
     except (KeyError, TypeError, ValueError) as error:
         raise DatasetError(f"{path} holds no list of transforms ({error}); correct or remove it") from error
     return None
-
-
-def _numbers(matrix: Any, count: int) -> list[float]:
-    """The finite numbers of a matrix as OpenCV writes it, or of a plain list."""
-    numbers = np.asarray(matrix["data"] if isinstance(matrix, dict) else matrix, dtype=np.float64).ravel()
-    if numbers.size != count or not np.isfinite(numbers).all():
-        raise ValueError(f"{numbers.size} numbers instead of {count} finite ones")
-    values: list[float] = numbers.tolist()
-    return values
 
 
 FORMAT = recorded(

@@ -8,6 +8,7 @@ from difflib import get_close_matches
 from itertools import islice
 from pathlib import Path
 
+from slam.config.stages import SensorsConfig
 from slam.datasets.carmen import HEAD_BYTES, looks_like_carmen, open_carmen
 from slam.datasets.dataset import Dataset
 from slam.datasets.dataset_format import DatasetFormat
@@ -129,6 +130,14 @@ def open_dataset(
     raise DatasetError(
         f"{path} {what.format(path=path) if what else f'is a file of no known format; {_supported()}'}"
     )
+
+
+def opened_by(sensors: SensorsConfig, log: Path | str | Dataset, *, strict: bool) -> Dataset:
+    """A log, opened as settings say, where it is a path; errors as in `open_dataset`."""
+    if not isinstance(log, str | Path):
+        return log
+    files = sensors.calibration_files
+    return open_dataset(log, strict=strict, topics=sensors.topics, images=sensors.rgbd, calibration=files)
 
 
 def _opened(known: DatasetFormat, path: Path, strict: bool, topics: tuple[str, ...]) -> Dataset:

@@ -8,4 +8,3 @@ import numpy as np
 # ARKit's camera has x right, y up and looks along -z; an optical frame y down and z forward.
 T_ARKIT_OPTICAL = gtsam.Pose3(gtsam.Rot3(np.diag([1.0, -1.0, -1.0])), np.zeros(3))
 COMPARED = "the phone's own tracking is only compared with"
-LENS_MOVES = "camera: the lens moves by up to {share:.1%} of its focal length, its median taken"

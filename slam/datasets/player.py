@@ -9,7 +9,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from slam.datasets.account import Account
-from slam.datasets.carmen import read_messages, refusing
+from slam.datasets.carmen import read_messages
 from slam.datasets.carmen_records import WRONG_COUNT
 from slam.datasets.dataset import ReadReport, RecordFault
 from slam.datasets.dataset_format import recorded
@@ -25,9 +25,8 @@ _PARAMETERS = (b"frontlaser_offset", b"frontlaser_sideoffset", b"frontlaser_angu
 
 def _load(path: Path, account: Account) -> Contents:
     """A log; poses in it are the robot's own belief."""
-    refuse = refusing(path, account)
-    lines = numbered_lines(path, refuse, account.report.note_share)
-    return Contents(log=read_messages(lines, _Words(account.report).of, refuse, account.report))
+    lines = numbered_lines(path, account, account.report.note_share)
+    return Contents(log=read_messages(lines, _Words(account.report).of, path.name, account))
 
 
 class _Words:

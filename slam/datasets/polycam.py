@@ -9,12 +9,11 @@ import numpy as np
 
 from slam.datasets.account import Account
 from slam.datasets.calibration import Calibration, pose_from_matrix, read_calibration
-from slam.datasets.dataset import RecordFault
 from slam.datasets.dataset_format import recorded
 from slam.datasets.image_files import ImageFiles
 from slam.datasets.lens_files import json_object, lens_of_json, median_lens
 from slam.datasets.numbered_frames import numbered_camera, numbered_files
-from slam.datasets.phone_poses import COMPARED, LENS_MOVES, T_ARKIT_OPTICAL
+from slam.datasets.phone_poses import COMPARED, T_ARKIT_OPTICAL
 from slam.datasets.pose_files import BAD_MATRIX, trajectory_of
 from slam.datasets.recording import Contents
 from slam.errors import DatasetError
@@ -75,9 +74,7 @@ def _lens(cameras: Path, account: Account) -> CameraIntrinsics:
     lenses = [lens_of_json(file, json_object(file)) for file in files]
     if not lenses:
         raise DatasetError(f"{cameras} holds no cameras; export the raw data again")
-    lens, share = median_lens(lenses)
-    account.report.note(LENS_MOVES.format(share=share), 1)
-    return lens
+    return median_lens(lenses, account)
 
 
 def _truth(path: Path, account: Account) -> Trajectory | None:
@@ -86,13 +83,11 @@ def _truth(path: Path, account: Account) -> Trajectory | None:
     _, cameras = _images_and_cameras(_keyframes(path))
     for number, file in sorted(numbered_files(cameras, _STAMPED % "json").items()):
         fields = json_object(file)
-        try:
+        damages = (KeyError, TypeError, ValueError, OverflowError)
+        with account.refusing(file.name, number, BAD_MATRIX, *damages):
             rows = [[float(fields[f"t_{row}{column}"]) for column in range(4)] for row in range(3)]
             pose = pose_from_matrix(np.array([*rows, [0.0, 0.0, 0.0, 1.0]]))
-        except (KeyError, TypeError, ValueError, OverflowError) as error:
-            account.refuse(RecordFault(BAD_MATRIX, str(error)), file.name, number)
-            continue
-        found.append((_stamp(number), pose.compose(T_ARKIT_OPTICAL)))
+            found.append((_stamp(number), pose.compose(T_ARKIT_OPTICAL)))
     return trajectory_of(found)
 
 

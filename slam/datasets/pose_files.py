@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import re
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
@@ -39,7 +38,8 @@ class PoseTable:
     position, rotation
         Columns of x and of the first number of the rotation.
     order
-        Of the rotation: ``xyzw`` and ``wxyz`` for quaternions, ``rpy`` for roll, pitch and yaw in radians.
+        Of the rotation: ``xyzw`` and ``wxyz`` for quaternions, ``rpy`` for roll, pitch and yaw in radians,
+        ``xyz`` for a rotation vector.
     """
 
     stamp_units_s: tuple[float, ...] = (1.0,)
@@ -71,11 +71,12 @@ class PoseTable:
         """The pose of a line."""
         position = numbers[self.position : self.position + 3]
         turn = numbers[self.rotation : self.rotation + len(self.order)]
-        if self.order != "rpy":
+        if len(self.order) == 4:
             return pose_from(position, turn if self.order == "xyzw" else turn[[1, 2, 3, 0]])
         if not np.isfinite(numbers).all():
             raise ValueError("not finite")
-        return gtsam.Pose3(gtsam.Rot3.Ypr(turn[2], turn[1], turn[0]), position)
+        by_angles = self.order == "rpy"
+        return gtsam.Pose3(gtsam.Rot3.Ypr(*turn[::-1]) if by_angles else gtsam.Rot3.Expmap(turn), position)
 
     def read(self, path: Path, account: Account) -> Trajectory | None:
         """The trajectory of a file, None where it holds no pose."""
@@ -84,7 +85,7 @@ class PoseTable:
 
 def rows_of(path: Path, account: Account, least: int) -> Iterator[tuple[int, list[bytes]]]:
     """Line numbers and fields of a table, comments and empty lines left out, short lines counted."""
-    for number, line in numbered_lines(path, lambda fault, at: account.refuse(fault, path.name, at)):
+    for number, line in numbered_lines(path, account):
         text = line.strip()
         if not text or text.startswith(b"#"):
             continue
@@ -180,17 +181,15 @@ def pose_of_row(fields: list[bytes]) -> gtsam.Pose3:
 def rotation_and_shift(file: Path, account: Account) -> gtsam.Pose3 | None:
     """The transform of a line ``R:`` of nine numbers and one ``T:`` of three; what is none is counted."""
     rows: dict[bytes, list[bytes]] = {}
-    for _, line in numbered_lines(file, lambda fault, at: account.refuse(fault, file.name, at)):
+    for _, line in numbered_lines(file, account):
         name, _, numbers = line.partition(b":")
         rows[name.strip()] = numbers.split()
     turn, shift = rows.get(b"R", []), rows.get(b"T", [])
-    try:
+    with account.refusing(file.name, 1, BAD_MATRIX, ValueError):
         if len(turn) != 9 or len(shift) != 3:
             raise ValueError(f"{len(turn)} and {len(shift)} numbers")
         return pose_of_row([*turn[:3], shift[0], *turn[3:6], shift[1], *turn[6:], shift[2]])
-    except ValueError as error:
-        account.refuse(RecordFault(BAD_MATRIX, str(error)), file.name, 1)
-        return None
+    return None
 
 
 def pose_blocks(path: Path, account: Account) -> dict[int, gtsam.Pose3]:
@@ -199,16 +198,7 @@ def pose_blocks(path: Path, account: Account) -> dict[int, gtsam.Pose3]:
     poses = {}
     for start in range(0, len(lines) - 4, 5):
         number, head = lines[start]
-        try:
+        with account.refusing(path.name, number, BAD_MATRIX, ValueError, OverflowError):
             index = int(float(head[0]))
             poses[index] = pose_of_row([field for _, row in lines[start + 1 : start + 5] for field in row])
-        except (ValueError, OverflowError) as error:
-            account.refuse(RecordFault(BAD_MATRIX, str(error)), path.name, number)
     return poses
-
-
-def from_axis_angle(vector: FloatArray, translation: FloatArray) -> gtsam.Pose3:
-    """A pose from a rotation vector and a translation; ValueError where they are not finite."""
-    if not math.isfinite(float(np.abs(vector).sum() + np.abs(translation).sum())):
-        raise ValueError("not finite")
-    return gtsam.Pose3(gtsam.Rot3.Expmap(vector), translation)

@@ -14,7 +14,7 @@ import gtsam
 import numpy as np
 
 from slam.datasets.account import Account
-from slam.datasets.carmen import read_messages, refusing
+from slam.datasets.carmen import read_messages
 from slam.datasets.carmen_records import BAD_POSE, WRONG_COUNT, finite_row
 from slam.datasets.dataset import WARNING, RecordFault
 from slam.datasets.dataset_format import recorded
@@ -39,23 +39,20 @@ def _load(path: Path, account: Account) -> Contents:
         account.report.ignore(other.name, _NOT_PLACED)
     account.report.note(_CENTRE, 1)
     file = sorted(path.glob(_SCANS))[0]
-    refuse = refusing(file, account)
     tables = [_rows(one, account) for one in (*sorted(path.glob(_WHEELS))[:1], file)]
     merged = heapq.merge(*tables, key=lambda row: row[0])
     rows = ((number, line) for _, number, line in merged)
-    return Contents(log=read_messages(rows, _words, refuse, account.report))
+    return Contents(log=read_messages(rows, _words, file.name, account))
 
 
 def _rows(file: Path, account: Account) -> Iterator[tuple[float, int, bytes]]:
     """Stamps and lines of a table; one before the line before it comes with that."""
-    refuse, newest_s = refusing(file, account), -math.inf
-    for number, line in numbered_lines(file, refuse, account.report.note_share):
-        try:
+    newest_s = -math.inf
+    for number, line in numbered_lines(file, account, account.report.note_share):
+        with account.refusing(file.name, number):
             if line.strip():
                 newest_s = max(newest_s, stamp_of(line.partition(b",")[0]))
                 yield newest_s, number, line
-        except RecordFault as fault:
-            refuse(fault, number)
 
 
 def _words(line: bytes) -> Iterator[list[bytes]]:
@@ -82,11 +79,9 @@ def _groundtruth(path: Path, account: Account) -> Trajectory | None:
 
     def poses(file: Path) -> Iterator[tuple[float, gtsam.Pose3]]:
         for number, fields in rows_of(file, account, 4):
-            try:
+            with account.refusing(file.name, number, BAD_POSE, ValueError):
                 pose = pose2_from_row(finite_row(np.array(fields[1:4], dtype=np.float64)))
                 yield stamp_of(fields[0]), gtsam.Pose3(pose)
-            except (RecordFault, ValueError) as error:
-                account.refuse(RecordFault(BAD_POSE, str(error)), file.name, number)
 
     return next((trajectory_of(poses(file)) for file in sorted(path.glob(_TRUTH))), None)
 

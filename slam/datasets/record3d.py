@@ -25,10 +25,10 @@ from slam.datasets.dataset_format import recorded
 from slam.datasets.frame_pairs import FramePair
 from slam.datasets.image_files import DAMAGED, MISSING, OTHER_CONFIDENCE, color_of, usable_metres
 from slam.datasets.lens_files import checked, median_lens
-from slam.datasets.phone_poses import COMPARED, LENS_MOVES, T_ARKIT_OPTICAL
+from slam.datasets.phone_poses import COMPARED, T_ARKIT_OPTICAL
 from slam.datasets.pose_files import trajectory_of
 from slam.datasets.recording import Contents
-from slam.datasets.stamped_files import BAD_POSE, BAD_STAMP, StampedFile, stamp_of
+from slam.datasets.stamped_files import BAD_POSE, StampedFile, stamp_of
 from slam.errors import DatasetError
 from slam.estimates import Trajectory
 from slam.foreign import from_json
@@ -204,10 +204,7 @@ def _lens(path: Path, metadata: dict[str, Any], account: Account) -> CameraIntri
         matrices = [np.array([[fx, 0.0, cx], [0.0, fy, cy]]) for fx, fy, cx, cy in numbers]
     except (KeyError, TypeError, ValueError, OverflowError) as error:
         raise DatasetError(f"{path}: its metadata gives no lens ({error}); export it again") from error
-    lens, share = median_lens([checked(path, matrix, *size) for matrix in matrices])
-    if frames:
-        account.report.note(LENS_MOVES.format(share=share), 1)
-    return lens
+    return median_lens([checked(path, matrix, *size) for matrix in matrices], account)
 
 
 def _depth_size(path: Path, metadata: dict[str, Any]) -> tuple[int, int]:
@@ -232,10 +229,8 @@ def _stamps(metadata: dict[str, Any], account: Account) -> Iterator[tuple[int, f
         account.report.note(f"no stamps: frame N taken as N / {rate_hz:g} s old", 1)
         told = [number / rate_hz for number in range(len(poses) if isinstance(poses, list) else 0)]
     for number, stamp in enumerate(told):
-        try:
+        with account.refusing(_METADATA, number):
             yield number, stamp_of(str(stamp).encode("ascii", "replace"))
-        except RecordFault as fault:
-            account.refuse(RecordFault(BAD_STAMP, fault.detail), _METADATA, number)
 
 
 def _truth(path: Path, account: Account) -> Trajectory | None:
@@ -247,12 +242,9 @@ def _truth(path: Path, account: Account) -> Trajectory | None:
         if not isinstance(poses, list):
             return
         for number, stamp_s in _stamps(metadata, account):
-            try:
+            with account.refusing(_METADATA, number, BAD_POSE, IndexError, TypeError, ValueError):
                 pose = pose_from(poses[number][4:7], poses[number][:4])
-            except (IndexError, TypeError, ValueError) as error:
-                account.refuse(RecordFault(BAD_POSE, str(error)), _METADATA, number)
-                continue
-            yield stamp_s, pose.compose(T_ARKIT_OPTICAL)
+                yield stamp_s, pose.compose(T_ARKIT_OPTICAL)
 
     return trajectory_of(good())
 

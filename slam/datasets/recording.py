@@ -157,18 +157,7 @@ class Recording:
         contents = self._load(account)
         kept: list[Measurement] | None = [] if self.keeps and not contents.cameras else None
         kept_bytes = 0
-        cameras = contents.cameras if self.read_images else []
-        if cameras or self.calibration_files:
-            known = known_beside(self.path, self.calibration_files)
-            cameras = [by_files(camera, known, account) for camera in cameras]
-            for note in known.notes:
-                report.note(note, 1)
-        if (choose := self.choose_frames) is not None:
-            cameras = [
-                replace(camera, pairs=list(compress(camera.pairs, choose(camera.sensor, stamps_s))))
-                for camera in cameras
-                for stamps_s in [[pair.stamp_s for pair in camera.pairs]]
-            ]
+        cameras = self._chosen(contents.cameras if self.read_images else [], account)
         # Frames take the time, where there are any; else the log beside them tells how far it was read.
         frames_in_all, frames_read = sum(len(camera.pairs) for camera in cameras), 0
         with closing(read_frames(_by_time(cameras), account)) as frames:
@@ -190,6 +179,21 @@ class Recording:
             self.kept = kept, report
             if self.when_kept is not None:
                 self.when_kept()
+
+    def _chosen(self, cameras: list[Camera], account: Account) -> list[Camera]:
+        """The cameras by what calibration files tell, with the frames of each that come."""
+        if cameras or self.calibration_files:
+            known = known_beside(self.path, self.calibration_files)
+            cameras = [by_files(camera, known, account) for camera in cameras]
+            for note in known.notes:
+                account.report.note(note, 1)
+        if (choose := self.choose_frames) is None:
+            return cameras
+        chosen = []
+        for camera in cameras:
+            comes = choose(camera.sensor, [pair.stamp_s for pair in camera.pairs])
+            chosen.append(replace(camera, pairs=list(compress(camera.pairs, comes))))
+        return chosen
 
     def _again(self, kept: list[Any], report: ReadReport, *, free: bool) -> Iterator[Measurement]:
         """A pass from memory."""

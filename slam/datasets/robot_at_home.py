@@ -86,13 +86,10 @@ def _load(indexes: list[Path], account: Account) -> Contents:
 def _observations(index: Path, account: Account) -> Iterator[tuple[str, _Observation]]:
     """Labels and observations of an index, in its order."""
     for number, fields in fields_of(index, account, _FIELDS, _FIELDS):
-        try:
+        with account.refusing(index.name, number):
             stamp_s = unix_stamp_s(_whole(fields[8]))
             key, label = str(_whole(fields[0])), fields[1].decode("ascii", "replace")
-        except RecordFault as fault:
-            account.refuse(fault, index.name, number)
-            continue
-        yield label, _Observation(stamp_s, number, key, index.with_suffix(""))
+            yield label, _Observation(stamp_s, number, key, index.with_suffix(""))
 
 
 def _whole(field: bytes) -> int:
@@ -116,16 +113,13 @@ def _scans(observations: list[_Observation], account: Account) -> Iterator[Numbe
     """Scans, one file at a time."""
     for one in observations:
         account.report.line_count += 1
-        try:
+        with account.refusing(one.folder.name, one.number):
             aperture, maximum, count, ranges, valid = _scan_lines(one.folder / f"{one.key}_scan.txt")
             if not aperture.size == maximum.size == count.size == 1 or count[0] != ranges.size:
                 raise RecordFault(BAD_SCAN, f"{one.key}: {ranges.size} ranges")
             scan = laser_scan(one.stamp_s, ranges, valid, float(aperture[0]), float(maximum[0]), account)
-        except RecordFault as fault:
-            account.refuse(fault, one.folder.name, one.number)
-            continue
-        account.report.accept(LASER)
-        yield one.number, scan
+            account.report.accept(LASER)
+            yield one.number, scan
 
 
 def _scan_lines(path: Path) -> list[FloatArray]:

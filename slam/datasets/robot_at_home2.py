@@ -114,10 +114,8 @@ def _load(chosen: _Selection, account: Account) -> Contents:
     with _connected(chosen.database) as database:
         for row in _observations(database, chosen):
             if row["sensor"] != LASER:
-                try:
+                with account.refusing(str(row["sensor"]), int(row["id"])):
                     pairs[plain(row["sensor"])].append(_pair(chosen.database.parent, row))
-                except RecordFault as fault:
-                    account.refuse(fault, str(row["sensor"]), int(row["id"]))
     return Contents([camera(name, pairs[name]) for name in sorted(pairs)], _scans(chosen, account))
 
 
@@ -169,15 +167,12 @@ def _scans(chosen: _Selection, account: Account) -> Iterator[Numbered]:
                 continue
             number = int(row["id"])
             account.report.line_count += 1
-            try:
+            with account.refusing(LASER, number):
                 shots = _shots(database, tables, number)
                 maxima = (_number(row["aperture_rad"]), _number(row["max_m"]))
                 scan = laser_scan(_stamp_s(row), shots[:, 0], shots[:, 1], *maxima, account)
-            except RecordFault as fault:
-                account.refuse(fault, LASER, number)
-                continue
-            account.report.accept(LASER)
-            yield number, scan
+                account.report.accept(LASER)
+                yield number, scan
 
 
 def _shots(

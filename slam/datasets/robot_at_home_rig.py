@@ -13,16 +13,15 @@ import numpy as np
 from slam.datasets.account import Account
 from slam.datasets.calibration import Calibration
 from slam.datasets.camera_frames import Camera
-from slam.datasets.dataset import RecordFault
+from slam.datasets.dataset import STAMP_LIMIT_S, RecordFault
 from slam.datasets.frame_pairs import FramePair
-from slam.datasets.laser_geometry import ToldAlike, classify_ranges
+from slam.datasets.laser_geometry import NO_VALID_RANGE, ToldAlike, classify_ranges
 from slam.measurements import CameraIntrinsics, FloatArray, LaserScan
 from slam.vision.camera_frame import T_BODY_CAMERA
 
 LASER = "HOKUYO1"
 BAD_TIME = "observation without a time of this age"
 BAD_SCAN = "scan whose numbers do not fit each other"
-NO_VALID_RANGE = "scan without a valid range"
 
 T_BASE_LASER = gtsam.Pose2(0.205, 0.0, 0.0)
 # x, y, z of the optical centres and the yaw of their axes; the cameras lie on their sides.
@@ -39,7 +38,6 @@ _QUARTER_TURNS = 1
 _DEPTH_STEPS_PER_M = 6553.5
 _TICKS_PER_S = 10_000_000
 _EPOCH_S = 11644473600  # from 1601 to 1970
-_STAMP_LIMIT_S = 1e11
 
 
 def camera(sensor: str, pairs: list[FramePair]) -> Camera:
@@ -61,7 +59,7 @@ def unix_stamp_s(ticks: int) -> float:
         Before 1970 or far ahead: no tick count.
     """
     whole, rest = divmod(ticks, _TICKS_PER_S)
-    if not 0 <= whole - _EPOCH_S < _STAMP_LIMIT_S:
+    if not 0 <= whole - _EPOCH_S < STAMP_LIMIT_S:
         raise RecordFault(BAD_TIME, f"{ticks} ticks")
     return (whole - _EPOCH_S) + rest / _TICKS_PER_S
 

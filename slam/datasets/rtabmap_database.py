@@ -22,12 +22,11 @@ from slam.datasets.bags.run_length_depth import unpacked
 from slam.datasets.budget import LARGEST_BYTES, MOST_BEAMS, Budget
 from slam.datasets.calibration import Calibration, read_calibration
 from slam.datasets.camera_frames import Camera
-from slam.datasets.dataset import RecordFault
+from slam.datasets.dataset import STAMP_LIMIT_S, RecordFault
 from slam.datasets.dataset_format import DatasetFormat
 from slam.datasets.frame_pairs import FramePair
 from slam.datasets.image_files import DAMAGED, MISSING, color_of, depth_of, metres_of
 from slam.datasets.lens_files import median_lens
-from slam.datasets.phone_poses import LENS_MOVES
 from slam.datasets.pose_files import trajectory_of
 from slam.datasets.recording import Contents, Numbered, Recording
 from slam.datasets.rtabmap_models import ScanInfo, camera_models, floats_of, pose_of, scan_info, scan_points
@@ -35,7 +34,7 @@ from slam.datasets.sqlite_reading import foreign_database, tables_of
 from slam.datasets.stamped_files import StampedFile
 from slam.errors import DatasetError
 from slam.estimates import Trajectory
-from slam.measurements import ColorImage, Float32Array, LaserScan, PointCloud, WheelOdometry
+from slam.measurements import ColorImage, Float32Array, LaserScan, PointCloud, WheelOdometry, planar
 
 _MAGIC = b"SQLite format 3\0"
 _RUNS = b"DEPTHRVL"
@@ -97,7 +96,8 @@ class _Database:
         truth = "ground_truth_pose" if self.has("Node", "ground_truth_pose") else "NULL"
         found: list[_Node] = []
         for number, stamp, pose, true in self.rows(f"SELECT id, stamp, pose, {truth} FROM Node ORDER BY id"):
-            if not isinstance(number, int) or not isinstance(stamp, (int, float)) or not 0.0 < stamp < 1e11:
+            timed = isinstance(stamp, (int, float)) and 0.0 < stamp < STAMP_LIMIT_S
+            if not isinstance(number, int) or not timed:
                 account.refuse(RecordFault(BAD_NODE, f"stamp {str(stamp)[:24]}"), "Node", len(found) + 1)
                 continue
             found.append(_Node(number, float(stamp), _pose(pose), _pose(true)))
@@ -186,15 +186,11 @@ def _cameras(database: _Database, nodes: list[_Node], account: Account) -> list[
     for node in nodes:
         if node.number not in numbers:
             continue
-        try:
+        with account.refusing("Data", node.number):
             models = camera_models(database.blob("calibration", node.number))
-        except RecordFault as fault:
-            account.refuse(fault, "Data", node.number)
-            continue
-        if kept and len(models) != len(kept[0][1]):
-            account.refuse(RecordFault("another number of cameras", f"{len(models)}"), "Data", node.number)
-            continue
-        kept.append((node, models))
+            if kept and len(models) != len(kept[0][1]):
+                raise RecordFault("another number of cameras", f"{len(models)}")
+            kept.append((node, models))
     count = len(kept[0][1]) if kept else 0
     return [_camera(database, kept, index, count, account) for index in range(count)]
 
@@ -204,9 +200,7 @@ def _camera(
 ) -> Camera:
     """One of the cameras of the nodes."""
     sensor = "camera" if count == 1 else f"camera_{index + 1}"
-    lens, share = median_lens([models[index][0] for _, models in kept])
-    if share:
-        account.report.note(LENS_MOVES.format(share=share), 1)
+    lens = median_lens([models[index][0] for _, models in kept], account)
     calibration = Calibration(lens, 1000.0, T_base_camera=kept[0][1][index][1])
     calibration = read_calibration(database.path.parent, calibration)
     place = Path(str(index)) / str(count)
@@ -229,21 +223,16 @@ def _log(database: _Database, nodes: list[_Node], account: Account) -> Iterator[
     )
     for node in nodes:
         if level and node.T_odom_base:
-            pose = node.T_odom_base
             account.report.line_count += 1
             account.report.accept("odometry")
-            planar = gtsam.Pose2(pose.x(), pose.y(), pose.rotation().yaw())
-            yield node.number, WheelOdometry(node.stamp_s, planar)
+            yield node.number, WheelOdometry(node.stamp_s, planar(node.T_odom_base))
         if node.number in scanned:
-            try:
+            with account.refusing("Data", node.number):
                 info = scan_info(database.blob("scan_info", node.number))
                 reading = _scan(node.stamp_s, info, scan_points(database.blob("scan", node.number), budget))
-            except RecordFault as fault:
-                account.refuse(fault, "Data", node.number)
-                continue
-            account.report.line_count += 1
-            account.report.accept("scan")
-            yield node.number, reading
+                account.report.line_count += 1
+                account.report.accept("scan")
+                yield node.number, reading
 
 
 def _is_level(pose: gtsam.Pose3) -> bool:

@@ -81,7 +81,7 @@ def _calibration(folder: Path, published: Calibration) -> Calibration:
     info = next((folder / name for name in _INFOS if (folder / name).is_file()), None)
     if info is None:
         return published
-    told = dict(line.partition(b"=")[::2] for _, line in numbered_lines(info, lambda fault, at: None))
+    told = dict(line.partition(b"=")[::2] for _, line in numbered_lines(info, Account.quiet(info)))
     values = {name.strip().decode("ascii", "replace"): value.split() for name, value in told.items()}
     try:
         depth, color = (_lens(info, values, kind) for kind in ("Depth", "Color"))

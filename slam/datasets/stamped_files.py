@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from slam.datasets.account import Account
-from slam.datasets.dataset import RecordFault
+from slam.datasets.dataset import STAMP_LIMIT_S, RecordFault
 from slam.datasets.log_file import numbered_lines
 from slam.estimates import Trajectory
 from slam.measurements import FloatArray
@@ -21,7 +21,6 @@ BAD_STAMP = "index line without a stamp of this age"
 BAD_NAME = "index line without a usable file name"
 BAD_POSE = "pose line without finite numbers or a unit quaternion"
 
-_STAMP_LIMIT_S = 1e11  # year 5138; milliseconds or ticks by mistake are beyond it
 _QUATERNION_TOLERANCE = 1e-2  # public ground truths carry four decimals
 
 
@@ -39,7 +38,7 @@ def fields_of(path: Path, account: Account, least: int, most: int) -> Iterator[t
 
     The last field keeps its blanks where there would be more than ``most``.
     """
-    for number, line in numbered_lines(path, lambda fault, at: account.refuse(fault, path.name, at)):
+    for number, line in numbered_lines(path, account):
         text = line.strip()
         if not text or text.startswith(b"#"):
             continue
@@ -60,10 +59,8 @@ def read_image_list(path: Path, account: Account) -> list[StampedFile]:
     """
     found = []
     for number, (stamp, name) in fields_of(path, account, 2, 2):
-        try:
+        with account.refusing(path.name, number):
             found.append(StampedFile(stamp_of(stamp), image_path(path.parent, name), number))
-        except RecordFault as fault:
-            account.refuse(fault, path.name, number)
     return found
 
 
@@ -74,17 +71,14 @@ def read_associations(path: Path, account: Account) -> tuple[list[StampedFile], 
     """
     colors, depths = [], []
     for number, fields in fields_of(path, account, 4, 4):
-        try:
+        with account.refusing(path.name, number):
             first, second = (
                 StampedFile(stamp_of(fields[k]), image_path(path.parent, fields[k + 1]), number)
                 for k in (0, 2)
             )
-        except RecordFault as fault:
-            account.refuse(fault, path.name, number)
-            continue
-        swapped = b"depth" in fields[1].lower() and b"depth" not in fields[3].lower()
-        colors.append(second if swapped else first)
-        depths.append(first if swapped else second)
+            swapped = b"depth" in fields[1].lower() and b"depth" not in fields[3].lower()
+            colors.append(second if swapped else first)
+            depths.append(first if swapped else second)
     return colors, depths
 
 
@@ -107,7 +101,7 @@ def numbered_poses(path: Path, account: Account) -> Iterator[tuple[int, FloatArr
             row = np.array([float(field) for field in fields[:8]])
         except ValueError:
             row = np.full(8, np.nan)
-        sound = bool(np.isfinite(row).all()) and abs(row[0]) < _STAMP_LIMIT_S
+        sound = bool(np.isfinite(row).all()) and abs(row[0]) < STAMP_LIMIT_S
         norm = math.hypot(*row[4:].tolist()) if sound else math.inf
         if not abs(norm - 1.0) <= _QUATERNION_TOLERANCE:
             account.refuse(RecordFault(BAD_POSE, f"quaternion of length {norm:.4g}"), path.name, number)
@@ -128,7 +122,7 @@ def stamp_of(field: bytes) -> float:
         stamp_s = float(field)
     except ValueError:
         stamp_s = math.nan
-    if not abs(stamp_s) < _STAMP_LIMIT_S:
+    if not abs(stamp_s) < STAMP_LIMIT_S:
         raise RecordFault(BAD_STAMP, repr(field[:24]))
     return stamp_s
 

@@ -20,7 +20,7 @@ from slam.datasets.dataset_format import recorded
 from slam.datasets.image_files import DAMAGED, ImageFiles, rgb_of
 from slam.datasets.lens_files import camera_matrix, checked, median_lens
 from slam.datasets.numbered_frames import numbered_camera, numbered_files
-from slam.datasets.phone_poses import COMPARED, LENS_MOVES, T_ARKIT_OPTICAL
+from slam.datasets.phone_poses import COMPARED, T_ARKIT_OPTICAL
 from slam.datasets.pose_files import rows_of, trajectory_of
 from slam.datasets.recording import Contents
 from slam.datasets.stamped_files import BAD_POSE, StampedFile, stamp_of
@@ -124,9 +124,7 @@ def _lens(path: Path, rows: dict[int, _Row], account: Account) -> CameraIntrinsi
     if not lenses:
         return camera_matrix(path / _MATRIX, 3, *size)
     matrices = [np.array([[fx, 0.0, cx], [0.0, fy, cy]]) for fx, fy, cx, cy in lenses]
-    lens, share = median_lens([checked(path / _POSES, matrix, *size) for matrix in matrices])
-    account.report.note(LENS_MOVES.format(share=share), 1)
-    return lens
+    return median_lens([checked(path / _POSES, matrix, *size) for matrix in matrices], account)
 
 
 def _opened(video: Path) -> Any:

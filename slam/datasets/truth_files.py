@@ -10,7 +10,6 @@ import gtsam
 
 from slam.datasets import boreas, euroc, mulran, nclt, newer_college
 from slam.datasets.account import Account
-from slam.datasets.dataset import ReadReport
 from slam.datasets.log_file import read_head
 from slam.datasets.numbered_frames import RATE_HZ
 from slam.datasets.pose_files import numbers_of, pose_blocks, pose_lines, rows_of, trajectory_of
@@ -35,7 +34,7 @@ def read_truth(path: Path) -> Trajectory | None:
         The file holds no pose, or KITTI's poses are without their times.
     """
     head = read_head(path, _HEAD_BYTES).decode("ascii", "replace")
-    account = Account(path.name, ReadReport(), strict=False)
+    account = Account.quiet(path)
     lines = list(islice(rows_of(path, account, 1), 2))
     counts = [len(fields) for _, fields in lines]
     if not counts:

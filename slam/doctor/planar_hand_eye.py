@@ -25,14 +25,12 @@ class PlanarHandEye:
         (3,) the robot's upright in the sensor's frame, unit length.
     ahead
         (3,) the robot's forward there.
-    turn_gain
-        The sensor's turns over the robot's.
     scale
         The sensor's shifts over the robot's.
     lever_m
         (2,) where the sensor sits on the robot, x and y, in the robot's metres.
     sigmas
-        (5,) standard deviations of turn_gain, scale, the angle of ``ahead`` in radians, and the lever.
+        (5,) standard deviations of the gain of turns, scale, the angle of ``ahead`` (radians), the lever.
     tilt_sigma_rad
         Of ``up``.
     spread
@@ -43,7 +41,6 @@ class PlanarHandEye:
 
     up: FloatArray
     ahead: FloatArray
-    turn_gain: float
     scale: float
     lever_m: FloatArray
     sigmas: FloatArray
@@ -98,7 +95,7 @@ def planar_hand_eye(turns: FloatArray, shifts_m: FloatArray, base: FloatArray) -
     gain_sigma = math.sqrt(float(up @ slope_cov @ up))
     sigmas = np.array([gain_sigma, sigma_ab, sigma_ab / scale, *lever_sigmas])
     spread = float(np.median(left) / max(np.median(moved), SETTLED))
-    return PlanarHandEye(up, ahead, gain, scale, lever, sigmas, tilt, spread, agree)
+    return PlanarHandEye(up, ahead, scale, lever, sigmas, tilt, spread, agree)
 
 
 def _robust(design: FloatArray, seen: FloatArray) -> tuple[FloatArray, FloatArray, int]:

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fusion.estimation import FEWEST, ROUNDS, SETTLED, gate, median_to_sigma
-from slam.measurements import BoolArray, FloatArray
+from slam.measurements import FloatArray
 
 ComplexArray = NDArray[np.complex128]
 
@@ -35,14 +35,11 @@ class Linear:
         (P, P), of whole stretches against each other: steps of one share their errors.
     sigma
         Robust standard deviation of a residual.
-    inliers
-        (N,) residuals within the gate.
     """
 
     values: FloatArray
     covariance: FloatArray
     sigma: float
-    inliers: BoolArray
 
 
 def fit_linear(design: FloatArray, measured: FloatArray, stretch: FloatArray) -> Linear | None:
@@ -72,7 +69,7 @@ def fit_linear(design: FloatArray, measured: FloatArray, stretch: FloatArray) ->
     # Stretches that agree by chance are no more certain than their residuals.
     floor_of = bread * sigma**2
     covariance = bread @ meat @ bread + floor_of
-    return Linear(values, covariance, sigma, residuals**2 < gate() * sigma**2)
+    return Linear(values, covariance, sigma)
 
 
 @dataclass(frozen=True, slots=True)
@@ -87,15 +84,12 @@ class Relation:
         (4, 4) of the real and imaginary parts of alpha, then of beta.
     sigma_m
         Robust standard deviation of a residual along an axis.
-    agreeing
-        Share of the steps within the gate.
     """
 
     alpha: complex
     beta: complex
     covariance: FloatArray
     sigma_m: float
-    agreeing: float
 
     @property
     def yaw_rad(self) -> float:
@@ -153,11 +147,5 @@ def relate(
         return None
     a, b, c, d = fitted.values.tolist()
     scale = np.array([1.0 / unit, 1.0 / unit, 1.0, 1.0])
-    agreeing = fitted.inliers.reshape(2, -1).all(axis=0)
-    return Relation(
-        complex(a, b) / unit,
-        complex(c, d),
-        fitted.covariance * np.outer(scale, scale),
-        fitted.sigma,
-        float(agreeing.mean()),
-    )
+    covariance = fitted.covariance * np.outer(scale, scale)
+    return Relation(complex(a, b) / unit, complex(c, d), covariance, fitted.sigma)

@@ -131,23 +131,23 @@ def solved(
     """
     kept = np.array([factor.kept for factor in factors], np.bool_)
     certain = [replace(factor.edge, trusted=True) for factor in factors if factor.kept]
-    graph = _graph_of(poses, certain)
+    graph = graph_of(poses, certain)
     graph.optimize()
-    found, edges = _poses_of(graph), [factor.edge for factor in factors]
+    found, edges = poses_of(graph), [factor.edge for factor in factors]
     told, probability = before.loops.inlier_probability, config.loops.inlier_probability
     if _misfits(found, edges, kept, probability) <= _misfits(poses, edges, kept, told):
         return list(factors), found
-    graph = _graph_of(found, edges)
+    graph = graph_of(found, edges)
     graph.begin_with(kept)
     known = set[bytes]()
     while kept.tobytes() not in known:
         known.add(kept.tobytes())
         kept = graph.optimize(probability).kept
     held = [replace(factor, kept=bool(keep)) for factor, keep in zip(factors, kept, strict=True)]
-    return held, _poses_of(graph)
+    return held, poses_of(graph)
 
 
-def _graph_of(poses: Sequence[Pose], edges: Sequence[Edge]) -> PoseGraph:
+def graph_of(poses: Sequence[Pose], edges: Sequence[Edge]) -> PoseGraph:
     """Nodes where they are, and edges."""
     graph = PoseGraph(poses[0])
     for pose in poses[1:]:
@@ -157,7 +157,7 @@ def _graph_of(poses: Sequence[Pose], edges: Sequence[Edge]) -> PoseGraph:
     return graph
 
 
-def _poses_of(graph: PoseGraph) -> list[Pose]:
+def poses_of(graph: PoseGraph) -> list[Pose]:
     """Where its nodes are."""
     return [graph.pose(node) for node in range(len(graph))]
 

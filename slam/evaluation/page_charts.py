@@ -82,13 +82,16 @@ def map_charts(result: MapResult, unit: str, truth: TruthComparison | None) -> l
 
 def sigma_charts(stamps_s: FloatArray, covariances: FloatArray) -> list[dict[str, Any]]:
     """Sigma of the position where it is greatest, and of the yaw; of covariances as in `slam.Map`."""
+    positions, yaws = sigmas_of(covariances)
+    rows = (("Sigma of the position, cm", 100.0 * positions), ("Sigma of the yaw, degrees", np.degrees(yaws)))
+    return [chart(title, "time, s", _since(stamps_s), {title: values}) for title, values in rows]
+
+
+def sigmas_of(covariances: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """(N,) sigma of each position where it is greatest, and of the yaw; metres, radians."""
     axes = 2 if covariances.shape[1] == 3 else 3
-    places = 100.0 * np.sqrt(np.linalg.eigvalsh(covariances[:, :axes, :axes])[:, -1])
-    yaws = np.degrees(np.sqrt(covariances[:, -1, -1]))
-    return [
-        chart(title, "time, s", _since(stamps_s), {title: values})
-        for title, values in (("Sigma of the position, cm", places), ("Sigma of the yaw, degrees", yaws))
-    ]
+    positions = np.sqrt(np.linalg.eigvalsh(covariances[:, :axes, :axes])[:, -1])
+    return positions, np.sqrt(covariances[:, -1, -1])
 
 
 def _scores(result: MapResult) -> list[dict[str, Any]]:

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from slam.config import Config
 from slam.estimates import Trajectory
 from slam.evaluation.association import nearest_indices
+from slam.evaluation.page_charts import sigmas_of
 from slam.evaluation.page_layers import layer_pictures
 from slam.evaluation.page_what_if import what_if_data
 from slam.graph.loop_candidate import LoopCandidate
@@ -152,9 +153,8 @@ def _sigmas(found: MapContents) -> tuple[NDArray[np.float32], NDArray[np.float32
     if covariances is None:
         unknown = np.full(len(found.trajectory), np.nan, np.float32)
         return unknown, unknown
-    axes = 2 if covariances.shape[1] == 3 else 3
-    positions = np.sqrt(np.linalg.eigvalsh(covariances[:, :axes, :axes])[:, -1])
-    return positions.astype(np.float32), np.sqrt(covariances[:, -1, -1]).astype(np.float32)
+    positions, yaws = sigmas_of(covariances)
+    return positions.astype(np.float32), yaws.astype(np.float32)
 
 
 def _plane_covariances(covariances: FloatArray | None, rows: NDArray[np.intp]) -> NDArray[np.float32]:

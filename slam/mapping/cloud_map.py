@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 
 from fusion.estimation import FEWEST
 from fusion.height_band import thin_to_voxels
-from slam.errors import ScanweaveError
 from slam.mapping.dense_map import ColoredCloud, Colors
+from slam.mapping.posed_frames import refuse_lost
 from slam.matching.local_cloud import moved
 from slam.matching.plane_voxels import surface_normals
 from slam.measurements import AnyFloatArray, BoolArray, Float32Array, FloatArray
@@ -52,9 +52,7 @@ class CloudTiles:
         self._voxel_m, self._file = voxel_m, file
         self._path = np.array([pose.translation() for pose in poses]).reshape(-1, 3)
         self._seen, pieces = list[_Span](), [np.zeros((0, 5), np.int64)]
-        for number, pose in enumerate(poses):
-            if not np.isfinite(pose.matrix()).all():
-                raise ScanweaveError(f"pose {number} of {len(poses)} keyframes is not finite; see the report")
+        refuse_lost(poses)
         seen = enumerate(zip(clouds, poses, strict=True))
         self._columns = 4
         for placed, tiles in prefetched(seen, lambda one: _by_tile(one[0], _placed(*one[1]), voxel_m), 1):

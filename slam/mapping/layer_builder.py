@@ -24,7 +24,7 @@ from slam.mapping.glass_panes import head_on, in_straight_runs
 from slam.mapping.lidar_layer import LidarModel, lidar_board
 from slam.mapping.occupancy_grid import OccupancyGrid, Steps
 from slam.mapping.ray_tracing import Box
-from slam.measurements import LaserScan, Pose, RgbdFrame, row_from_pose2, spatial
+from slam.measurements import LaserScan, Pose, RgbdFrame, planar, row_from_pose2, spatial
 
 Reading: TypeAlias = LaserScan | RgbdFrame
 
@@ -89,7 +89,7 @@ class LayerBuilder:
         """
         if not (np.abs(T_map_base.matrix()) < _MAX_POSITION_M).all():
             raise ScanweaveError(f"cannot map the reading at {reading.stamp_s:.6f} s: its pose is lost")
-        under = _planar(T_map_base)
+        under = planar(T_map_base)
         key = (reading.sensor, reading.stamp_s, row_from_pose2(under).tobytes())
         if key in self._seen:
             return False
@@ -149,7 +149,7 @@ class LayerBuilder:
         if isinstance(reading, LaserScan):
             cell_m, model = settings.resolution_m, settings.lidar
             for name, scan in (("lidar", reading), ("head on", head_on(reading, model.noise, cell_m))):
-                yield name, lidar_board(scan, _planar(T_map_base), model, cell_m)
+                yield name, lidar_board(scan, planar(T_map_base), model, cell_m)
             return
         if reading.T_base_camera is None:
             raise ScanweaveError(
@@ -175,10 +175,3 @@ class LayerBuilder:
         """What holds all layers so far, and other boxes."""
         used = [tiles.used for tiles in self._tiles.values() if tiles.used is not None]
         return reduce(union, [*used, *boxes])
-
-
-def _planar(T_map_base: Pose) -> gtsam.Pose2:
-    """A pose on the floor."""
-    if isinstance(T_map_base, gtsam.Pose2):
-        return T_map_base
-    return gtsam.Pose2(T_map_base.x(), T_map_base.y(), T_map_base.rotation().yaw())

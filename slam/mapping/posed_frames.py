@@ -21,9 +21,12 @@ def posed_frames(
     ScanweaveError
         Before the first pair where a pose is not finite.
     """
-    for index, T_map_camera in enumerate(poses):
-        if not np.isfinite(T_map_camera.matrix()).all():
-            raise ScanweaveError(
-                f"pose {index} of {len(poses)} keyframes is not finite; look at the graph's report"
-            )
+    refuse_lost(poses)
     yield from zip(frames, poses, strict=True)
+
+
+def refuse_lost(poses: Sequence[gtsam.Pose3]) -> None:
+    """Refuse poses of keyframes of which one is not finite, with a `ScanweaveError`."""
+    for index, pose in enumerate(poses):
+        if not np.isfinite(pose.matrix()).all():
+            raise ScanweaveError(f"pose {index} of {len(poses)} keyframes is not finite; see the report")

@@ -10,7 +10,8 @@ from pathlib import Path
 import gtsam
 import numpy as np
 
-from slam.config import Config, nearest
+from slam.config import Config
+from slam.config.files import nearest
 from slam.errors import ScanweaveError
 from slam.mapping.dense_map import Colors, DenseMap, DenseMapSettings, fuse_keyframes
 from slam.mapping.elevation import Elevation, elevation
@@ -98,10 +99,11 @@ class Exports:
         ScanweaveError
             Where the map does not hold what the format needs, or a file cannot be written.
         """
-        found = self.contents
         if format_ not in FORMATS:
             hint = nearest(format_, FORMATS)
             raise ScanweaveError(f"no format '{format_}'{hint}; formats are: {', '.join(FORMATS)}")
+        if lacking := self._lacking(format_):
+            raise ScanweaveError(f"the map holds no {lacking}, so there is nothing to write as {format_}")
         if format_ in _PLANS or format_ == ZONES:
             return self._write_plan(format_, out)
         if format_ in ("colmap", "nerfstudio"):
@@ -111,44 +113,51 @@ class Exports:
         if format_ == "mcap":
             return [self._write_bag(out)]
         if format_ in CLOUD_FORMATS:
-            if found.clouds is None:
-                raise ScanweaveError(f"the map holds no cloud, so there is nothing to write as {format_}")
-            with lidar_cloud(found, self.config, self.ground) as cloud:
+            with lidar_cloud(self.contents, self.config, self.ground) as cloud:
                 return export_cloud(format_, out, cloud)
-        seen = found.frames is not None or found.clouds is not None
-        if (format_ == "nav2" and self.layers is None) or (format_ in ("ply", "bt", "e57") and not seen):
-            lacking = "grid" if format_ == "nav2" else "image or cloud"
-            raise ScanweaveError(f"the map holds no {lacking}, so there is nothing to write as {format_}")
         if out.is_dir() or not out.suffix:
             make_folder(out)
-            out /= _NAMES.get(format_, "cloud.ply" if found.frames is None else "mesh.ply")
-        if format_ == "nav2":
-            assert self.layers is not None
-            return list(write_driving_map(out.with_suffix(""), self.layers))
-        if format_ == "ply":
-            return self._write_ply(out)
-        if format_ == "glb":
-            return self._write_glb(out)
-        if format_ == "e57":
-            write_e57(out, self._scans())
-            return [out]
-        if format_ == "kitti":
-            return write_kitti(out, found.trajectory)
-        if format_ == "gpx":
-            if found.georeference is None:
-                raise ScanweaveError("the map does not tell where on the earth it lies: its log had no GNSS")
-            write_gpx(out, found.trajectory, found.georeference)
-            return [out]
-        if format_ == "tum":
-            return write_trajectory(out, found.trajectory, found.covariances)
-        if format_ == "g2o":
-            write_g2o(out, found.node_poses, (factor.edge for factor in found.factors if factor.kept))
-        elif found.clouds is not None:
-            _save_cloud_octomap(out, found, self.config)
-        elif found.frames is not None:
-            resolution_m, range_max_m = self.config.grid.resolution_m, self.config.layers.depth_max_m
-            poses = found.frame_poses()
-            write_octomap(out, found.frames, poses, resolution_m=resolution_m, range_max_m=range_max_m)
+            out /= _NAMES.get(format_, "cloud.ply" if self.contents.frames is None else "mesh.ply")
+        return self._write_file(format_, out)
+
+    def _lacking(self, format_: str) -> str:
+        """What the map does not hold of what a format needs; empty where it holds all."""
+        found = self.contents
+        if format_ == "nav2" and self.layers is None:
+            return "grid"
+        if format_ in ("ply", "bt", "e57") and found.frames is None and found.clouds is None:
+            return "image or cloud"
+        if format_ in ("glb", "colmap", "nerfstudio") and found.frames is None:
+            return "image"
+        if format_ in CLOUD_FORMATS and found.clouds is None:
+            return "cloud"
+        unplaced = format_ == "gpx" and found.georeference is None
+        return "place on the earth, as its log had no GNSS" if unplaced else ""
+
+    def _write_file(self, format_: str, out: Path) -> list[Path]:
+        """Write one of the formats that are a file, with what belongs to it beside."""
+        found = self.contents
+        match format_:
+            case "nav2":
+                assert self.layers is not None
+                return list(write_driving_map(out.with_suffix(""), self.layers))
+            case "ply":
+                return self._write_ply(out)
+            case "kitti":
+                return write_kitti(out, found.trajectory)
+            case "tum":
+                return write_trajectory(out, found.trajectory, found.covariances)
+            case "glb":
+                write_mesh_glb(out, self._surface.mesh)
+            case "e57":
+                write_e57(out, self._scans())
+            case "gpx":
+                assert found.georeference is not None
+                write_gpx(out, found.trajectory, found.georeference)
+            case "g2o":
+                write_g2o(out, found.node_poses, (factor.edge for factor in found.factors if factor.kept))
+            case "bt":
+                self._write_octree(out)
         return [out]
 
     def write_files(self, folder: Path) -> list[Path]:
@@ -213,8 +222,7 @@ class Exports:
     def _write_images(self, format_: str, folder: Path) -> list[Path]:
         """Images with poses and lenses and a cloud to start from, in a folder."""
         found = self.contents
-        if found.frames is None:
-            raise ScanweaveError(f"the map holds no image, so there is nothing to write as {format_}")
+        assert found.frames is not None
         make_folder(folder)
         moved_colors = {name for name, one in found.registrations.items() if one.accepted}
         images = write_posed_images(folder, found.frames, found.frame_poses(), moved_colors)
@@ -235,13 +243,6 @@ class Exports:
         found, dense = self.contents, self.config.dense_map
         settings = DenseMapSettings(dense.voxel_m, self.config.layers.depth_max_m, dense.nearest_m)
         return fuse_keyframes(found.frames or (), found.frame_poses(), settings)
-
-    def _write_glb(self, out: Path) -> list[Path]:
-        """The coloured surface of the images."""
-        if self.contents.frames is None:
-            raise ScanweaveError("the map holds no image, so there is no surface to write as glb")
-        write_mesh_glb(out, self._surface.mesh)
-        return [out]
 
     def _scans(
         self,
@@ -311,16 +312,21 @@ class Exports:
                 written += write_lidar_cloud(path, cloud)
         return written
 
-
-def _save_cloud_octomap(path: Path, found: MapContents, config: Config) -> None:
-    """The octree of a 3D lidar's keyframes."""
-    T_base_lidar = found.T_base_lidar
-    T_lidar_base = T_base_lidar.inverse()
-    views = (
-        (moved(points, T_lidar_base), spatial(T_map_base).compose(T_base_lidar))
-        for points, T_map_base in zip(found.clouds or (), found.node_poses, strict=True)
-    )
-    write_octree(path, views, config.grid.resolution_m, config.cloud_map.plan_range_m)
+    def _write_octree(self, out: Path) -> None:
+        """The octree of a 3D lidar's keyframes, else of the images."""
+        found, resolution_m = self.contents, self.config.grid.resolution_m
+        if found.clouds is None:
+            assert found.frames is not None
+            seen_m = self.config.layers.depth_max_m
+            write_octomap(out, found.frames, found.frame_poses(), resolution_m, seen_m)
+            return
+        T_base_lidar = found.T_base_lidar
+        T_lidar_base = T_base_lidar.inverse()
+        views = (
+            (moved(points, T_lidar_base), spatial(T_map_base).compose(T_base_lidar))
+            for points, T_map_base in zip(found.clouds, found.node_poses, strict=True)
+        )
+        write_octree(out, views, resolution_m, self.config.cloud_map.plan_range_m)
 
 
 def _save_surface(path: Path, surface: DenseMap) -> list[Path]:

@@ -16,6 +16,7 @@ from slam.measurements import FloatArray
 from slam.sessions.changes import Comparison
 from slam.sessions.moved_things import ChangedThing
 from slam.storage.files import make_folder, write_bytes
+from slam.storage.plan_geojson import feature
 
 _COLORS = {"went": RED, "appeared": BLUE, "moved": ORANGE}
 
@@ -61,11 +62,7 @@ def write_difference(
     """
     make_folder(folder)
     features = [
-        {
-            "type": "Feature",
-            "geometry": {"type": "Polygon", "coordinates": [_rounded([*corners, corners[0]])]},
-            "properties": {"what": thing.what, "at": at, **_told(thing)},
-        }
+        feature("Polygon", [_rounded([*corners, corners[0]])], what=thing.what, at=at, **_told(thing))
         for thing in things
         for at, corners in (("before", thing.before_m), ("after", thing.after_m))
         if corners is not None

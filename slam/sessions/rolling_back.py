@@ -10,9 +10,9 @@ from pathlib import Path
 from slam.config import Config
 from slam.edits.edited_file import write_entries
 from slam.edits.keyframes import bases_of
+from slam.edits.remaking import graph_of, poses_of
 from slam.graph.loop_candidate import judged
 from slam.graph.pose_covariances import pose_covariances
-from slam.graph.pose_graph import PoseGraph
 from slam.mapper.map_result import drawn
 from slam.outputs.finished_map import Map, load_map
 from slam.sessions.joined_files import write_sessions
@@ -74,13 +74,9 @@ def _alone(base: MapContents, nodes: int, sessions: Sequence[MapSession], config
         for edge in (factor.edge for factor in base.factors)
         if max(edge.source, edge.target) < nodes
     ]
-    graph = PoseGraph(base.node_poses[0])
-    for pose in base.node_poses[1:nodes]:
-        graph.add_node(pose)
-    for edge in edges:
-        graph.add_edge(edge)
+    graph = graph_of(base.node_poses[:nodes], edges)
     kept = graph.optimize(config.loops.inlier_probability).kept.tolist()
-    poses = [graph.pose(node) for node in range(nodes)]
+    poses = poses_of(graph)
     bases = bases_of(base, poses)
     whole = base.trajectory[: sum(session.poses for session in sessions)]
     trajectory, covariances = resettled(

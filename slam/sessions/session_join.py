@@ -9,11 +9,11 @@ import numpy as np
 
 from slam.config import Config
 from slam.edits.keyframes import bases_of
+from slam.edits.remaking import graph_of, poses_of
 from slam.estimates import Trajectory
 from slam.graph.keyframe_graph import row_of
 from slam.graph.loop_candidate import LoopCandidate, judged
 from slam.graph.pose_covariances import pose_covariances
-from slam.graph.pose_graph import PoseGraph
 from slam.localization.poses import apart, composed
 from slam.mapping.keyframe_grid import lidar_grids
 from slam.measurements import Pose
@@ -127,17 +127,12 @@ def _optimised(
     config: Config,
 ) -> tuple[list[bool], list[Pose]]:
     """Which factors hold, and the poses of all nodes."""
-    graph = PoseGraph(known.node_poses[0])
-    for pose in known.node_poses[1:]:
-        graph.add_node(pose)
     own = bases_of(session, session.node_poses)
     T_map_session, _ = placing.nearest(own[len(own) // 2], own)
-    for pose in session.node_poses:
-        graph.add_node(composed(T_map_session, pose))
-    for factor in factors:
-        graph.add_edge(factor.edge)
+    placed = [composed(T_map_session, pose) for pose in session.node_poses]
+    graph = graph_of([*known.node_poses, *placed], [factor.edge for factor in factors])
     outcome = graph.optimize(config.loops.inlier_probability)
-    return outcome.kept.tolist(), [graph.pose(node) for node in range(len(graph))]
+    return outcome.kept.tolist(), poses_of(graph)
 
 
 def _renumbered(session: MapContents, nodes: int, loops: int) -> list[SavedFactor]:

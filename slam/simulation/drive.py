@@ -15,13 +15,13 @@ import gtsam
 import numpy as np
 
 from slam.errors import ConfigError
-from slam.measurements import FloatArray, LaserScan, RgbdFrame, WheelOdometry, pose2_from_row
+from slam.measurements import FloatArray, LaserScan, RgbdFrame, WheelOdometry, planar, pose2_from_row
 from slam.simulation.drive_faults import LIDAR, LIDAR_3D, DriveFaults
 from slam.simulation.events import CloudEvent, DriveEvent, ImageEvent, OdometryEvent, ScanEvent, TruthEvent
 from slam.simulation.home_model import Home
 from slam.simulation.imu import ImuRecord, record_imu
 from slam.simulation.person import Walk, plan_walk
-from slam.simulation.rigs import MountedCamera, MountedLidar, Rig
+from slam.simulation.rigs import MountedCamera, Rig
 from slam.simulation.scene import Scene
 from slam.simulation.sensor_clock import Schedule, generator, schedule
 from slam.simulation.sensors import render_rgbd, scan_lidar, scan_lidar_3d
@@ -139,7 +139,7 @@ class Drive:
             start_angle_rad=model.start_angle_rad,
             step_rad=model.step_rad,
             range_max_m=model.range_max_m,
-            T_base_laser=planar_mount(lidar),
+            T_base_laser=planar(lidar.T_base_laser),
             sensor=readings.sensor,
         )
         return ScanEvent(FIRST_STAMP_S + time_s, base, scan, seen.true_ranges_m, seen.fault)
@@ -245,12 +245,6 @@ def simulate_drive(
 def leading_sensor(rig: Rig) -> str:
     """Name of the sensor that a rig goes by most: its planar lidar, else the other one, else a camera."""
     return next(iter(_schedules(rig, DriveFaults(), 1.0, 0)))
-
-
-def planar_mount(lidar: MountedLidar) -> gtsam.Pose2:
-    """``T_base_laser`` in the plane."""
-    mount = lidar.T_base_laser
-    return gtsam.Pose2(mount.x(), mount.y(), mount.rotation().yaw())
 
 
 def _schedules(rig: Rig, faults: DriveFaults, duration_s: float, seed: int) -> dict[str, Schedule]:

@@ -31,7 +31,7 @@ FORMATS = ("folder", "mcap")
 Progress = Callable[[float, float], None]
 Sink = Callable[[DriveEvent], None]
 
-_BAG = "log"  # rosbags names the file in a bag after the bag
+BAG = "log"  # rosbags names the file in a bag after the bag
 _FLOOR_M = 0.012  # thresholds below are driven over, and are no obstacle in the grids of truth
 _LIDAR_BAND_M = 0.02  # about the lidar's height
 _WORKERS = 2
@@ -125,9 +125,7 @@ def record_drive(
                 elif progress is not None:
                     progress(event.true_stamp_s - FIRST_STAMP_S, drive.tour.duration_s)
         if "mcap" in formats:
-            for name in BAG_FILES:
-                (folder / _BAG / name).rename(folder / name)
-            (folder / _BAG).rmdir()
+            unfold_bag(folder)
     return _summary(Path(out_dir), drive, counts)
 
 
@@ -143,7 +141,7 @@ def _open_sinks(
         sinks.append(_FolderSink(stack, folder, drive, images))
     if "mcap" in formats:
         # One thread of its own for the bag, closed before the bag is: messages keep their order.
-        bag = stack.enter_context(BagWriter(folder / _BAG, drive, FIRST_STAMP_S, compress=compress_bag))
+        bag = stack.enter_context(BagWriter(folder / BAG, drive, FIRST_STAMP_S, compress=compress_bag))
         messages = stack.enter_context(OrderedPool(1, _PENDING_MESSAGES))
         sinks.append(lambda event: messages.submit(bag.write, event))
     return sinks
@@ -215,6 +213,13 @@ def appearing_whole(out_dir: Path) -> Iterator[Path]:
         raise DatasetError(f"cannot write {out_dir}: {reason}; check the folder and its space") from error
     finally:
         shutil.rmtree(temporary, ignore_errors=True)
+
+
+def unfold_bag(folder: Path) -> None:
+    """Bring the files of the bag `BAG` in a folder up into it."""
+    for name in BAG_FILES:
+        (folder / BAG / name).rename(folder / name)
+    (folder / BAG).rmdir()
 
 
 def _name(event: DriveEvent) -> str | None:

@@ -70,8 +70,8 @@ def follow_path(
     poses, twists = [], []
     for _ in range(math.ceil(duration_s / STEP_S - 1e-9) + 1):
         wanted_speed, wanted_turn = follower.command(x, y, yaw)
-        speed += _limited(wanted_speed - speed, limits.acceleration_m_s2 * STEP_S)
-        turn += _limited(wanted_turn - turn, limits.turn_acceleration_rad_s2 * STEP_S)
+        speed += limited(wanted_speed - speed, limits.acceleration_m_s2 * STEP_S)
+        turn += limited(wanted_turn - turn, limits.turn_acceleration_rad_s2 * STEP_S)
         poses.append((x, y, yaw))
         twists.append((speed, turn))
         if follower.arrived and speed == 0.0 and turn == 0.0:
@@ -144,6 +144,6 @@ class _Follower:
                 return distance
 
 
-def _limited(change: float, limit: float) -> float:
+def limited(change: float, limit: float) -> float:
     """A change, at most as large as the limit."""
     return max(-limit, min(limit, change))

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from slam.estimates import Trajectory
 from slam.measurements import FloatArray, GnssFix
 from slam.simulation import ros_messages as ros
-from slam.simulation.bag_writer import BAG_FILES, BASE_FRAME, IMU_FRAME, LASER_3D_FRAME
+from slam.simulation.bag_writer import BASE_FRAME, IMU_FRAME, LASER_3D_FRAME
 from slam.simulation.drive import FIRST_STAMP_S
 from slam.simulation.gnss import GnssFaults, record_gnss
 from slam.simulation.imu import (
@@ -26,7 +26,7 @@ from slam.simulation.imu import (
     record_imu,
     write_euroc,
 )
-from slam.simulation.record import FORMATS, Progress, appearing_whole
+from slam.simulation.record import BAG, FORMATS, Progress, appearing_whole, unfold_bag
 from slam.simulation.rigs import MountedRingLidar, laser_pose
 from slam.simulation.sensor_clock import generator
 from slam.simulation.sensor_models import HDL_64E, VLP_16
@@ -64,7 +64,7 @@ _T_CAMERA_LIDAR = gtsam.Pose3(
 )
 _DURATION_S = 34.0
 _TRUTH_HZ = 100.0
-_BAG, _ANTENNA_FRAME, _FIX = "log", "antenna", "/gnss/fix"
+_ANTENNA_FRAME, _FIX = "antenna", "/gnss/fix"
 
 
 @dataclass(frozen=True, slots=True)
@@ -169,19 +169,16 @@ def record_street(
         antenna_m = np.array(rig.antenna_m)
         fixes = record_gnss(antenna_m, lidar.poses_at, faults.gnss, end_s, FIRST_STAMP_S, seed, home)
     if town.tunnel_m is not None:
-        _, positions = lidar.poses_at(np.array([fix.stamp_s - FIRST_STAMP_S for fix in fixes]))
-        entry_m, exit_m = town.tunnel_m
-        in_sight = (positions[:, 0] < entry_m) | (positions[:, 0] > exit_m)
-        fixes = [fix for fix, seen in zip(fixes, in_sight.tolist(), strict=True) if seen]
+        fixes = _outside(town.tunnel_m, fixes, lidar)
     rng, turn_s = generator(seed, "street lidar", home), 1.0 / model.rate_hz
     begins_s: FloatArray = np.arange(int(end_s * model.rate_hz + 1e-9), dtype=np.float64) * turn_s
     begins_s = begins_s[rng.random(len(begins_s)) >= faults.lost_share]
     points = moving = 0
     with appearing_whole(out_dir) as folder:
         with ExitStack() as stack:
-            bag = (
-                stack.enter_context(_StreetBag(folder / _BAG, rig, imu, fixes)) if "mcap" in formats else None
-            )
+            bag = _StreetBag(folder / BAG, rig, imu, fixes) if "mcap" in formats else None
+            if bag is not None:
+                stack.enter_context(bag)
             for name in ("labels", *(["velodyne"] if "folder" in formats else [])):
                 (folder / name).mkdir()
             for number, begin_s in enumerate(begins_s.tolist()):
@@ -196,9 +193,7 @@ def record_street(
                 if progress is not None:
                     progress(begin_s, end_s)
         if bag is not None:
-            for name in BAG_FILES:
-                (folder / _BAG / name).rename(folder / name)
-            (folder / _BAG).rmdir()
+            unfold_bag(folder)
         if "folder" in formats:
             _write_kitti(folder, lidar, begins_s + 0.5 * turn_s)
             if rig.imu is not None and imu is not None:
@@ -206,6 +201,14 @@ def record_street(
         times_s = np.arange(round(end_s * _TRUTH_HZ) + 1) / _TRUTH_HZ
         write_tum(folder / "groundtruth.txt", _trajectory(lidar, times_s))
     return StreetSummary(end_s, float(drive.path_m(end_s)), len(begins_s), points, moving)
+
+
+def _outside(tunnel_m: tuple[float, float], fixes: list[GnssFix], lidar: StreetLidar) -> list[GnssFix]:
+    """Those that were taken before and behind a tunnel."""
+    _, positions = lidar.poses_at(np.array([fix.stamp_s - FIRST_STAMP_S for fix in fixes]))
+    entry_m, exit_m = tunnel_m
+    in_sight = (positions[:, 0] < entry_m) | (positions[:, 0] > exit_m)
+    return [fix for fix, seen in zip(fixes, in_sight.tolist(), strict=True) if seen]
 
 
 def _write_bin(path: Path, turn: StreetTurn, *, undistorted: bool) -> None:

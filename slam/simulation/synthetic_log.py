@@ -18,6 +18,9 @@ from slam.errors import ConfigError
 from slam.estimates import Trajectory
 from slam.measurements import FloatArray
 from slam.simulation.floor_plan import TOUR_M, cast_rays, walls
+from slam.simulation.steering import limited
+from slam.storage.files import write_lines
+from slam.storage.tum import write_tum
 
 
 @dataclass(frozen=True, slots=True)
@@ -136,13 +139,12 @@ def write_synthetic_log(
     poses = drive_tour(config, duration)
     stamps_s = config.first_stamp_s + np.arange(len(poses)) / config.odometry_rate_hz
     odometry = wheel_odometry(config, poses, rng)
-    log_lines = list(_log_lines(config, stamps_s, poses, odometry, rng))
     truth = Trajectory.from_planar(stamps_s, poses)
     directory = Path(directory)
     directory.mkdir(parents=True, exist_ok=True)
     log_path, truth_path = directory / "scans.log", directory / "groundtruth.txt"
-    _write(log_path, log_lines)
-    _write(truth_path, _tum_lines(truth))
+    write_lines(log_path, _log_lines(config, stamps_s, poses, odometry, rng))
+    write_tum(truth_path, truth)
     return SyntheticLog(
         log_path=log_path,
         truth_path=truth_path,
@@ -169,8 +171,8 @@ def drive_tour(config: SyntheticLogConfig, duration_s: float) -> FloatArray:
         # Far off the heading the robot slows down to turn on the spot rather than to cut through a wall.
         wanted_speed = config.speed_m_s * max(0.0, 1.0 - abs(bearing) / 1.0)
         wanted_turn = float(np.clip(2.5 * bearing, -config.turn_rate_rad_s, config.turn_rate_rad_s))
-        speed += _limited(wanted_speed - speed, config.acceleration_m_s2 * step_s)
-        turn += _limited(wanted_turn - turn, config.turn_acceleration_rad_s2 * step_s)
+        speed += limited(wanted_speed - speed, config.acceleration_m_s2 * step_s)
+        turn += limited(wanted_turn - turn, config.turn_acceleration_rad_s2 * step_s)
         x += speed * step_s * math.cos(yaw + 0.5 * turn * step_s)
         y += speed * step_s * math.sin(yaw + 0.5 * turn * step_s)
         yaw = math.remainder(yaw + turn * step_s, 2.0 * math.pi)
@@ -191,11 +193,6 @@ def _advance(path: FloatArray, at: int, x: float, y: float, lookahead_m: float) 
     while math.hypot(path[at, 0] - x, path[at, 1] - y) < lookahead_m:
         at = (at + 1) % len(path)
     return at
-
-
-def _limited(change: float, limit: float) -> float:
-    """A change, at most as large as the limit."""
-    return max(-limit, min(limit, change))
 
 
 def wheel_odometry(config: SyntheticLogConfig, poses: FloatArray, rng: np.random.Generator) -> FloatArray:
@@ -283,18 +280,3 @@ def _laser_pose(config: SyntheticLogConfig, robot: FloatArray) -> FloatArray:
 def _row_text(row: FloatArray) -> str:
     """x, y, yaw as CARMEN writes them."""
     return f"{row[0]:.6f} {row[1]:.6f} {row[2]:.6f}"
-
-
-def _tum_lines(truth: Trajectory) -> Iterator[str]:
-    """Lines of a TUM file."""
-    for stamp_s, position, quaternion in zip(
-        truth.stamps_s, truth.positions_m, truth.quaternions_xyzw, strict=True
-    ):
-        yield f"{stamp_s:.9f} " + " ".join(f"{value:.17g}" for value in (*position, *quaternion))
-
-
-def _write(path: Path, lines: Iterator[str] | list[str]) -> None:
-    """Write under a temporary name, then rename."""
-    temporary = path.with_name(path.name + ".part")
-    temporary.write_text("\n".join(lines) + "\n", encoding="ascii", newline="\n")
-    temporary.replace(path)

@@ -17,7 +17,7 @@ from slam.measurements import CameraIntrinsics, Pose, RgbdFrame, spatial
 from slam.storage.map_edits import mask_of
 from slam.storage.map_file import MapFile
 from slam.storage.map_soundness import of, require, sound_name, sound_stamp
-from slam.storage.map_tables import FRAMES, IMAGES, Value
+from slam.storage.map_tables import FRAMES, IMAGES, Table, Value
 from slam.storage.packing import pack, unpack
 from slam.vision.features import Features
 
@@ -156,9 +156,7 @@ class MapFrames:
 
     def jpeg(self, index: int) -> bytes:
         """The colours of a frame as they are kept; errors as in `frame`."""
-        if not 0 <= index < len(self):
-            raise IndexError(f"keyframe {index} of {len(self)}")
-        return cast(bytes, self._file.row(IMAGES, index)[0])
+        return cast(bytes, self._row(index, IMAGES)[0])
 
     def taken(self) -> Iterator[RgbdFrame]:
         """As by iteration, depth that was taken away negative."""
@@ -210,8 +208,8 @@ class MapFrames:
                 "map anew, without --resume"
             )
 
-    def _row(self, index: int) -> tuple[Value, ...]:
+    def _row(self, index: int, table: Table = FRAMES) -> tuple[Value, ...]:
         """The values of a row."""
         if not 0 <= index < len(self):
             raise IndexError(f"keyframe {index} of {len(self)}")
-        return self._file.row(FRAMES, index)
+        return self._file.row(table, index)

@@ -22,6 +22,7 @@ from slam.measurements import FloatArray
 from slam.storage.files import make_folder, write_lines
 from slam.storage.nav2 import write_nav2_map
 from slam.storage.nav2_layers import write_raw
+from slam.storage.plan_geojson import feature
 
 # What drives through a door drives at half its speed.
 _DOOR_PERCENT = 50
@@ -115,7 +116,7 @@ class _Graph:
                 cost = round(float(np.hypot(*(to - from_))), 3)
                 properties = {"id": 0, "startid": source, "endid": target, "cost": cost, "overridable": True}
                 line = [from_.round(3).tolist(), to.round(3).tolist()]
-                self.edges.append(_feature("MultiLineString", [line], properties))
+                self.edges.append(feature("MultiLineString", [line], **properties))
 
     def _node(self, point: list[float], name: str) -> int:
         """The number of a node, made where there is none."""
@@ -125,7 +126,7 @@ class _Graph:
             properties: dict[str, Any] = {"id": self._known[key], "frame": "map"}
             if name:
                 properties["metadata"] = {"name": name}
-            self.nodes.append(_feature("Point", list(key), properties))
+            self.nodes.append(feature("Point", list(key), **properties))
         return self._known[key]
 
 
@@ -158,15 +159,6 @@ def _roomy(space: FreeSpace, at_m: FloatArray) -> tuple[float, float] | None:
     middles = space.middle_of(cells)
     x, y = middles[np.argmin(np.hypot(*(middles - at_m).T))]
     return float(x), float(y)
-
-
-def _feature(geometry: str, coordinates: Any, properties: dict[str, Any]) -> dict[str, Any]:
-    """One of GeoJSON's features."""
-    return {
-        "type": "Feature",
-        "properties": properties,
-        "geometry": {"type": geometry, "coordinates": coordinates},
-    }
 
 
 def _parameters() -> list[str]:

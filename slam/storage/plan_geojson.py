@@ -40,7 +40,7 @@ def plan_geojson(plan: FloorPlan) -> dict[str, Any]:
             for length in room.lengths
         ]
         features.append(
-            _feature(
+            feature(
                 "Polygon",
                 [[*ring, ring[0]]],
                 kind="room",
@@ -55,7 +55,7 @@ def plan_geojson(plan: FloorPlan) -> dict[str, Any]:
             for begin, end, seen in wall.pieces():
                 line = [_rounded(begin), _rounded(end)]
                 features.append(
-                    _feature(
+                    feature(
                         "LineString",
                         line,
                         kind="wall",
@@ -68,12 +68,12 @@ def plan_geojson(plan: FloorPlan) -> dict[str, Any]:
         line = [_rounded(door.begin_m), _rounded(door.end_m)]
         width = round(door.width_m, 2)
         features.append(
-            _feature("LineString", line, kind="door", rooms=door.rooms, driven=door.driven, width_m=width)
+            feature("LineString", line, kind="door", rooms=door.rooms, driven=door.driven, width_m=width)
         )
     return {"type": "FeatureCollection", "frame": "map", "unit": "metre", "features": features}
 
 
-def _feature(geometry: str, coordinates: Any, **properties: Any) -> dict[str, Any]:
+def feature(geometry: str, coordinates: Any, **properties: Any) -> dict[str, Any]:
     """One of GeoJSON's features."""
     return {
         "type": "Feature",

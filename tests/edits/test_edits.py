@@ -246,7 +246,7 @@ BOX = [[0, 0], [1, 0], [1, 1]]
         ("settings: {keyframes.distance_m: 1.0}", "takes the log"),
         ("settings: {grid: {resolution_m: 1.0}}", "dotted names"),
         ("- erase", "holds a list"),
-        ("places: [{name: x, position: [2020-01-01, 0]}]", "not plain keys and values"),
+        ("places: [{name: x, position: [2020-01-01, 0]}]", 'places.0.position.0 = "2020-01-01"'),
         ("a: &a [*a]", "aliases are not read"),
     ],
 )

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import sys
 from collections.abc import Callable
 from pathlib import Path
 
@@ -11,10 +10,9 @@ import gtsam
 import numpy as np
 import pytest
 from cloud_world import ROOM, SMALL, look, way_round, write_log
-from command_line import Scanweave, assert_one_line_error
+from command_line import Scanweave, assert_one_line_error, run
 from command_line import scanweave as scanweave
 
-from slam.cli import main
 from slam.mapper.checkpoint import Checkpoint
 from slam.matching.local_cloud import moved
 from slam.outputs.finished_map import load_map
@@ -41,11 +39,7 @@ def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def mapped(log: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Its map."""
     out = tmp_path_factory.mktemp("clouds mapped")
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(sys, "argv", ["scanweave", "map", str(log), "-o", str(out), *SETTINGS, *OCTOMAP])
-        with pytest.raises(SystemExit) as stop:
-            main()
-    assert not stop.value.code
+    assert run("map", log, "-o", out, *SETTINGS, *OCTOMAP) == 0
     return out
 
 

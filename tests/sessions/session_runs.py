@@ -2,50 +2,12 @@
 
 from __future__ import annotations
 
-import sys
 from dataclasses import dataclass
 from pathlib import Path
 
-import pytest
-
-from slam.cli import main
 from slam.simulation.synthetic_log import SyntheticLog, write_synthetic_log
 
 READINGS = ("ODOM", "FLASER")
-
-
-@dataclass(frozen=True)
-class Outcome:
-    """What a command left behind."""
-
-    code: object
-    out: str
-    err: str
-
-    def error(self) -> str:
-        """Its last line, an error."""
-        assert self.code == 1, self
-        line = self.err.splitlines()[-1]
-        assert line.startswith("scanweave: ")
-        return line
-
-
-def scanweave(capsys: pytest.CaptureFixture[str], *arguments: object) -> Outcome:
-    """The command, in this process."""
-    capsys.readouterr()
-    code = run(*arguments)
-    captured = capsys.readouterr()
-    return Outcome(code, captured.out, captured.err)
-
-
-def run(*arguments: object) -> object:
-    """Exit code of the command."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setenv("TERMINAL_WIDTH", "200")
-        patch.setattr(sys, "argv", ["scanweave", *map(str, arguments)])
-        with pytest.raises(SystemExit) as stop:
-            main()
-    return stop.value.code or 0
 
 
 @dataclass(frozen=True)

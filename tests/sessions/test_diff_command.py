@@ -9,8 +9,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from command_line import outcome_of, run
 from PIL import Image
-from session_runs import mirror_of, part_of, run, scanweave
+from session_runs import mirror_of, part_of
 
 import slam
 from slam.simulation import floor_plan
@@ -37,7 +38,7 @@ def days(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def test_a_pillar_that_moved_is_told(days: Path, capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
-    done = scanweave(capsys, "diff", days / "monday", days / "wednesday", "-o", tmp_path / "diff")
+    done = outcome_of(capsys, "diff", days / "monday", days / "wednesday", "-o", tmp_path / "diff")
     assert done.code == 0, done
     # Met from other sides on the two days, it need not look like the same pillar.
     assert re.search(r"a thing of 0\.[34] x 0\.[234] m from \(5\.0, -0\.7\)", done.out)
@@ -58,26 +59,28 @@ def test_a_pillar_that_moved_is_told(days: Path, capsys: pytest.CaptureFixture[s
 
 
 def test_where_nothing_moved_nothing_is_told(days: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    done = scanweave(capsys, "diff", days / "monday", days / "tuesday", "--json")
+    done = outcome_of(capsys, "diff", days / "monday", days / "tuesday", "--json")
     assert done.code == 0, done
     assert json.loads(done.out)["things"] == []
-    done = scanweave(capsys, "diff", days / "monday", days / "monday")
+    done = outcome_of(capsys, "diff", days / "monday", days / "monday")
     assert "nothing has changed where both have looked" in done.out
 
 
 def test_two_sessions_of_one_map(days: Path, capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     log = days / "wednesday-log" / "scans.log"
     assert run("map", log, "--into", days / "monday", "-o", tmp_path / "both") == 0
-    done = scanweave(capsys, "diff", tmp_path / "both", "--sessions", 1, 2)
+    done = outcome_of(capsys, "diff", tmp_path / "both", "--sessions", 1, 2)
     assert done.code == 0, done
     assert re.search(r"(at|to) \(6\.2, 0\.7\)", done.out) and "from (5.0, -0.7)" in done.out
-    back = scanweave(capsys, "diff", tmp_path / "both", "--sessions", 2, 1)
+    back = outcome_of(capsys, "diff", tmp_path / "both", "--sessions", 2, 1)
     assert "from (6.2, 0.7)" in back.out and re.search(r"(at|to) \(5\.0, -0\.7\)", back.out)
     assert "1 to 2; name two of them, not 2 and 3" in (
-        scanweave(capsys, "diff", tmp_path / "both", "--sessions", 2, 3).error()
+        outcome_of(capsys, "diff", tmp_path / "both", "--sessions", 2, 3).error()
     )
     # One of the maps is a part of the other.
-    assert "are in the map already" in (scanweave(capsys, "diff", tmp_path / "both", days / "monday").error())
+    assert "are in the map already" in (
+        outcome_of(capsys, "diff", tmp_path / "both", days / "monday").error()
+    )
 
 
 def test_what_cannot_be_compared_is_refused(
@@ -86,16 +89,16 @@ def test_what_cannot_be_compared_is_refused(
     monday = days / "monday"
     (tmp_path / MAP_NAME).write_bytes(b"no map")
     for other in (tmp_path, tmp_path / "missing", days / "monday-log" / "scans.log"):
-        scanweave(capsys, "diff", monday, other, "-o", tmp_path / "out").error()
-        scanweave(capsys, "diff", other, monday, "-o", tmp_path / "out").error()
-    assert "give one of both" in scanweave(capsys, "diff", monday).error()
-    assert "give one of both" in scanweave(capsys, "diff", monday, monday, "--sessions", 1, 2).error()
+        outcome_of(capsys, "diff", monday, other, "-o", tmp_path / "out").error()
+        outcome_of(capsys, "diff", other, monday, "-o", tmp_path / "out").error()
+    assert "give one of both" in outcome_of(capsys, "diff", monday).error()
+    assert "give one of both" in outcome_of(capsys, "diff", monday, monday, "--sessions", 1, 2).error()
     log = days / "tuesday-log" / "scans.log"
     begin_s = next(iter(slam.open_dataset(log))).stamp_s
     mirrored = mirror_of(
         part_of(log, tmp_path / "part.log", begin_s, begin_s + 12.0), tmp_path / "mirrored.log"
     )
     assert run("map", mirrored, "-o", tmp_path / "mirrored") == 0
-    refused = scanweave(capsys, "diff", monday, tmp_path / "mirrored", "-o", tmp_path / "out").error()
+    refused = outcome_of(capsys, "diff", monday, tmp_path / "mirrored", "-o", tmp_path / "out").error()
     assert "does not connect" in refused
     assert not (tmp_path / "out").exists()

@@ -9,7 +9,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from session_runs import Sessions, run, scanweave, sessions_in
+from command_line import outcome_of, run
+from session_runs import Sessions, sessions_in
 
 from slam.estimates import Trajectory
 from slam.evaluation.trajectory_error import absolute_error
@@ -96,11 +97,11 @@ class TestJoined:
     def test_the_other_commands_take_it(
         self, sessions: Sessions, joined: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
     ) -> None:
-        info = json.loads(scanweave(capsys, "info", joined, "--json").out)
+        info = json.loads(outcome_of(capsys, "info", joined, "--json").out)
         assert info["sessions"] == 2 and 40.0 < info["duration_s"] < 60.0
-        assert scanweave(capsys, "check", joined).code == 0
-        assert scanweave(capsys, "export", joined, "--format", "nav2", "-o", tmp_path / "nav2").code == 0
-        localized = scanweave(capsys, "localize", joined, sessions.prefix, "-o", tmp_path / "localized")
+        assert outcome_of(capsys, "check", joined).code == 0
+        assert outcome_of(capsys, "export", joined, "--format", "nav2", "-o", tmp_path / "nav2").code == 0
+        localized = outcome_of(capsys, "localize", joined, sessions.prefix, "-o", tmp_path / "localized")
         assert localized.code == 0 and "tracking" in localized.out
 
     def test_a_third_session(
@@ -108,7 +109,7 @@ class TestJoined:
     ) -> None:
         third = write_synthetic_log(tmp_path / "third", seed=3, duration_s=18.0)
         out = tmp_path / "three"
-        outcome = scanweave(capsys, "map", third.log_path, "--into", joined, "--out", out)
+        outcome = outcome_of(capsys, "map", third.log_path, "--into", joined, "--out", out)
         assert outcome.code == 0, outcome.err
         two, three = load_map(joined), load_map(out)
         assert list(three.sessions[:2]) == list(two.sessions) and len(three.sessions) == 3
@@ -125,9 +126,9 @@ def test_localising_adds_the_log_only_where_it_is_told_to(
 ) -> None:
     before = contents_of(map_)
     arguments = ("localize", map_, sessions.later_log, "-o", tmp_path / "localized")
-    assert scanweave(capsys, *arguments).code == 0
+    assert outcome_of(capsys, *arguments).code == 0
     assert contents_of(map_) == before
-    assert scanweave(capsys, *arguments, "--update").code == 0
+    assert outcome_of(capsys, *arguments, "--update").code == 0
     assert (map_ / "trajectory-2.tum").read_bytes() == (joined / "trajectory-2.tum").read_bytes()
 
 
@@ -136,7 +137,7 @@ class TestRefused:
         self, sessions: Sessions, map_: Path, capsys: pytest.CaptureFixture[str]
     ) -> None:
         before = contents_of(map_)
-        error = scanweave(capsys, "map", sessions.mirrored, "--into", map_).error()
+        error = outcome_of(capsys, "map", sessions.mirrored, "--into", map_).error()
         assert "does not connect" in error and "the map is as it was" in error
         assert contents_of(map_) == before
 
@@ -144,8 +145,8 @@ class TestRefused:
         self, sessions: Sessions, map_: Path, capsys: pytest.CaptureFixture[str]
     ) -> None:
         before = contents_of(map_)
-        assert "already" in scanweave(capsys, "map", sessions.first.log_path, "--into", map_).error()
-        error = scanweave(capsys, "map", sessions.prefix, "--into", map_).error()
+        assert "already" in outcome_of(capsys, "map", sessions.first.log_path, "--into", map_).error()
+        error = outcome_of(capsys, "map", sessions.prefix, "--into", map_).error()
         assert "keyframes are in the map already" in error
         assert contents_of(map_) == before
 
@@ -154,17 +155,17 @@ class TestRefused:
             file.execute("UPDATE factors SET source = 0 WHERE number = 3")
         file.close()
         before = contents_of(map_)
-        assert "table factors, row 3" in scanweave(capsys, "map", sessions.later_log, "--into", map_).error()
+        assert "table factors, row 3" in outcome_of(capsys, "map", sessions.later_log, "--into", map_).error()
         assert contents_of(map_) == before
 
     def test_no_map_and_no_log(
         self, sessions: Sessions, map_: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
     ) -> None:
-        assert "no map at" in scanweave(capsys, "map", sessions.later_log, "--into", tmp_path / "x").error()
-        assert "does not exist" in scanweave(capsys, "map", tmp_path / "y", "--into", map_).error()
+        assert "no map at" in outcome_of(capsys, "map", sessions.later_log, "--into", tmp_path / "x").error()
+        assert "does not exist" in outcome_of(capsys, "map", tmp_path / "y", "--into", map_).error()
         other = map_.rename(tmp_path / "house") / "map.db"
         named = other.rename(other.with_name("house.db"))
-        assert "--out" in scanweave(capsys, "map", sessions.later_log, "--into", named).error()
+        assert "--out" in outcome_of(capsys, "map", sessions.later_log, "--into", named).error()
 
     def test_a_log_that_breaks_off(
         self, sessions: Sessions, map_: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
@@ -172,12 +173,12 @@ class TestRefused:
         empty = tmp_path / "empty.log"
         empty.write_text("# nothing\nPARAM robot_frontlaser_offset 0.1 1000.0 synthetic 0.0\n")
         before = contents_of(map_)
-        scanweave(capsys, "map", empty, "--into", map_, "--out", tmp_path / "out").error()
+        outcome_of(capsys, "map", empty, "--into", map_, "--out", tmp_path / "out").error()
         assert contents_of(map_) == before and not (tmp_path / "out").exists()
 
     def test_two_at_once(self, sessions: Sessions, map_: Path, capsys: pytest.CaptureFixture[str]) -> None:
         with only_one_in(map_):
-            error = scanweave(capsys, "map", sessions.later_log, "--into", map_).error()
+            error = outcome_of(capsys, "map", sessions.later_log, "--into", map_).error()
         assert "another run" in error
 
     def test_wrong_usage(self, sessions: Sessions) -> None:
@@ -200,11 +201,11 @@ def test_an_interrupted_session_goes_on_to_the_same_map(
     before = contents_of(map_)
     with monkeypatch.context() as patch:
         patch.setattr(Checkpoint, "keep", interrupted)
-        outcome = scanweave(capsys, "map", sessions.later_log, "--into", map_)
+        outcome = outcome_of(capsys, "map", sessions.later_log, "--into", map_)
     assert outcome.code == 130 and "--resume goes on with it" in outcome.err
     assert {name: whole for name, whole in contents_of(map_).items() if "joining" not in name} == before
 
-    outcome = scanweave(capsys, "map", sessions.later_log, "--into", map_, "--resume")
+    outcome = outcome_of(capsys, "map", sessions.later_log, "--into", map_, "--resume")
     assert outcome.code == 0 and "going on with" in outcome.err
     assert (map_ / "map.db").read_bytes() == (joined / "map.db").read_bytes()
     assert not (map_ / "joining").exists()
@@ -227,9 +228,9 @@ def test_a_move_that_was_killed_is_done_again(
 
     with monkeypatch.context() as patch:
         patch.setattr(Path, "replace", stopped)
-        assert scanweave(capsys, "map", sessions.later_log, "--into", map_).code == 130
+        assert outcome_of(capsys, "map", sessions.later_log, "--into", map_).code == 130
     assert (map_ / "map.db").read_bytes() == before
-    assert scanweave(capsys, "map", sessions.later_log, "--into", map_, "--resume").code == 0
+    assert outcome_of(capsys, "map", sessions.later_log, "--into", map_, "--resume").code == 0
     for name, whole in contents_of(joined).items():
         if not name.startswith("report"):
             assert (map_ / name).read_bytes() == whole, name
@@ -242,14 +243,14 @@ def test_maps_merge_in_whatever_order_they_connect(
     for name, log in logs.items():
         assert run("map", log, "-o", tmp_path / name) == 0
     maps, out = [mapped, tmp_path / "mirrored", tmp_path / "later"], tmp_path / "out"
-    outcome = scanweave(capsys, "merge", *maps, "-o", out)
+    outcome = outcome_of(capsys, "merge", *maps, "-o", out)
     assert outcome.code == 0 and "2 of 3 maps in one, 2 sessions" in outcome.out
     assert f"warning: {maps[1] / 'map.db'} does not connect" in outcome.err
     with load_map(out) as found, load_map(joined) as other:
         assert [one.log_name for one in found.sessions] == ["scans.log", "later.log"]
         assert found.digest == other.digest
-    assert "is a map; --force" in scanweave(capsys, "merge", *maps, "-o", out).error()
-    error = scanweave(capsys, "merge", mapped, joined, "-o", tmp_path / "none").error()
+    assert "is a map; --force" in outcome_of(capsys, "merge", *maps, "-o", out).error()
+    error = outcome_of(capsys, "merge", mapped, joined, "-o", tmp_path / "none").error()
     assert "its log scans.log is in the others already" in error and not (tmp_path / "none").exists()
 
 

@@ -12,8 +12,8 @@ import gtsam
 import numpy as np
 import pytest
 from cloud_world import OTHER, WAY, drive, seen, write_log
+from command_line import outcome_of, run
 from room_world import LESS, furnished, render, turning_walk, write_tum_folder
-from session_runs import run, scanweave
 
 from slam.estimates import Trajectory
 from slam.evaluation.trajectory_error import absolute_error
@@ -92,14 +92,14 @@ def test_nothing_is_lost(mapped: Path, joined: Path) -> None:
 def test_the_other_commands_take_it(
     logs: Path, joined: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert json.loads(scanweave(capsys, "info", joined, "--json").out)["sessions"] == 2
-    assert scanweave(capsys, "check", joined).code == 0
+    assert json.loads(outcome_of(capsys, "info", joined, "--json").out)["sessions"] == 2
+    assert outcome_of(capsys, "check", joined).code == 0
     found = load_map(joined)
     assert found.digest[:12] in (joined / "report.html").read_text()
     found.close()
-    assert scanweave(capsys, "export", joined, "--format", "nav2", "-o", tmp_path / "nav2").code == 0
-    assert scanweave(capsys, "export", joined, "--format", "ply", "-o", tmp_path / "cloud.ply").code == 0
-    outcome = scanweave(capsys, "localize", joined, logs / "part", "-o", tmp_path / "localized", *COARSE)
+    assert outcome_of(capsys, "export", joined, "--format", "nav2", "-o", tmp_path / "nav2").code == 0
+    assert outcome_of(capsys, "export", joined, "--format", "ply", "-o", tmp_path / "cloud.ply").code == 0
+    outcome = outcome_of(capsys, "localize", joined, logs / "part", "-o", tmp_path / "localized", *COARSE)
     assert outcome.code == 0 and "tracking" in outcome.out
 
 
@@ -108,15 +108,15 @@ def test_what_does_not_belong_leaves_the_map_as_it_was(
 ) -> None:
     folder = Path(shutil.copytree(mapped, tmp_path / "map"))
     before = {file.name: file.read_bytes() for file in folder.iterdir() if file.is_file()}
-    error = scanweave(capsys, "map", logs / "mirrored", "--into", folder).error()
+    error = outcome_of(capsys, "map", logs / "mirrored", "--into", folder).error()
     assert "does not connect" in error and "the map is as it was" in error
-    assert "is in" in scanweave(capsys, "map", logs / "first", "--into", folder).error()
+    assert "is in" in outcome_of(capsys, "map", logs / "first", "--into", folder).error()
     assert (
         "keyframes are in the map already"
-        in scanweave(capsys, "map", logs / "part", "--into", folder).error()
+        in outcome_of(capsys, "map", logs / "part", "--into", folder).error()
     )
     flat = write_synthetic_log(tmp_path / "flat", seed=1, duration_s=10.0).log_path
-    assert "a robot on a floor" in scanweave(capsys, "map", flat, "--into", folder).error()
+    assert "a robot on a floor" in outcome_of(capsys, "map", flat, "--into", folder).error()
     assert {file.name: file.read_bytes() for file in folder.iterdir() if file.is_file()} == before
     assert not (folder / "joining").exists()
 
@@ -125,8 +125,8 @@ def test_a_session_is_taken_back(
     mapped: Path, joined: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     folder = Path(shutil.copytree(joined, tmp_path / "map"))
-    assert "1 to 1 can stay, not 2" in scanweave(capsys, "edit", folder, "--sessions", 2).error()
-    assert scanweave(capsys, "edit", folder, "--sessions", 1).code == 0
+    assert "1 to 1 can stay, not 2" in outcome_of(capsys, "edit", folder, "--sessions", 2).error()
+    assert outcome_of(capsys, "edit", folder, "--sessions", 1).code == 0
     with load_map(folder) as found, load_map(mapped) as before:
         found.check()
         assert list(found.sessions) == list(before.sessions) and found.identity == before.identity
@@ -161,10 +161,10 @@ def test_a_camera_in_space_joins_its_own_room_alone(
     assert run("map", first, "-o", folder, *COARSE) == 0
     before = (folder / "map.db").read_bytes()
     other = filmed(tmp_path / "other", WALKS[1][:20], seed=5)
-    error = scanweave(capsys, "map", other, "--into", folder).error()
+    error = outcome_of(capsys, "map", other, "--into", folder).error()
     assert "no place of it was recognised" in error and (folder / "map.db").read_bytes() == before
 
-    assert scanweave(capsys, "map", later, "--into", folder).code == 0
+    assert outcome_of(capsys, "map", later, "--into", folder).code == 0
     with load_map(folder) as found:
         found.check()
         ends = [(f.edge.source, f.edge.target) for f in found.factors]
@@ -178,5 +178,5 @@ def test_a_camera_in_space_joins_its_own_room_alone(
         for rows in (found_m, true_m)
     )
     assert absolute_error(*parts).translation_m.rmse < 0.01
-    outcome = scanweave(capsys, "localize", folder, later, "-o", tmp_path / "localized")
+    outcome = outcome_of(capsys, "localize", folder, later, "-o", tmp_path / "localized")
     assert outcome.code == 0 and "tracking" in outcome.out

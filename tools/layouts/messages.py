@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -16,6 +16,7 @@ from rosbags.rosbag2 import Writer as Writer2
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from slam.measurements import CameraIntrinsics
+from slam.storage.ros_messages import nanoseconds
 
 ROS1, ROS2 = get_typestore(Stores.ROS1_NOETIC), get_typestore(Stores.ROS2_HUMBLE)
 _OWN = {
@@ -62,7 +63,7 @@ def ros1(path: Path, messages: Iterable[Sent], *, packed: str = "") -> Path:
     if packed:
         bag.set_compression(Writer1.CompressionFormat[packed])
     with bag:
-        _write(bag, ROS1, messages, ROS1.serialize_ros1)
+        write(bag, ROS1, _by_time(messages))
     return path
 
 
@@ -73,37 +74,41 @@ def ros2(path: Path, messages: Iterable[Sent], *, mcap: bool = False, packed: st
     if packed:
         bag.set_compression(CompressionMode[packed], CompressionFormat.ZSTD)
     with bag:
-        _write(bag, ROS2, messages, ROS2.serialize_cdr)
+        write(bag, ROS2, _by_time(messages))
     return path
 
 
-def _write(bag: Any, store: Any, messages: Iterable[Sent], serialised: Callable[..., Any]) -> None:
+def _by_time(messages: Iterable[Sent]) -> list[Sent]:
+    return sorted(messages, key=lambda one: one.stamp_s + one.late_s)
+
+
+def write(bag: Any, store: Any, messages: Iterable[Sent]) -> None:
+    """Messages into an open bag, in the order given."""
+    serialised = store.serialize_ros1 if store is ROS1 else store.serialize_cdr
     topics: dict[str, Any] = {}
-    for sent in sorted(messages, key=lambda one: one.stamp_s + one.late_s):
+    for sent in messages:
         if sent.topic not in topics:
             topics[sent.topic] = bag.add_connection(sent.topic, sent.kind, typestore=store)
-        message = _built(store, sent)
-        bag.write(
-            topics[sent.topic],
-            round((sent.stamp_s + sent.late_s) * 1e6) * 1000,
-            serialised(message, sent.kind),
-        )
+        content = serialised(built(store, sent), sent.kind)
+        bag.write(topics[sent.topic], nanoseconds(sent.stamp_s + sent.late_s), content)
 
 
-def _built(store: Any, sent: Sent) -> Any:
+def built(store: Any, sent: Sent) -> Any:
+    """The message of a store's types."""
     fields = dict(sent.fields)
     if "header" in dict(store.fielddefs[sent.kind][1]):
         fields.setdefault("header", header(sent.stamp_s, sent.frame))
-    return _made(store, sent.kind, fields)
+    return made(store, sent.kind, fields)
 
 
 def header(stamp_s: float, frame: str) -> dict[str, Any]:
     """A stamp to the microsecond, and a frame."""
-    seconds, rest = divmod(round(stamp_s * 1e6) * 1000, 10**9)
+    seconds, rest = divmod(nanoseconds(stamp_s), 10**9)
     return {"stamp": {"sec": seconds, "nanosec": rest}, "frame_id": frame}
 
 
-def _made(store: Any, kind: str, fields: dict[str, Any]) -> Any:
+def made(store: Any, kind: str, fields: dict[str, Any]) -> Any:
+    """A message of nested dictionaries."""
     own = {name.lower(): value for name, value in fields.items()}
     described = store.fielddefs[kind][1]
     unknown = set(own) - {name.lower() for name, _ in described}
@@ -117,10 +122,10 @@ def _value(store: Any, form: Any, given: Any) -> Any:
         name = detail[0]
         return given if given is not None else "" if name == "string" else False if name == "bool" else 0
     if node.name == "NAME":
-        return _made(store, detail, given or {})
+        return made(store, detail, given or {})
     (inner, inner_detail), count = detail
     if inner.name == "NAME":
-        return [_made(store, inner_detail, item) for item in given or []]
+        return [made(store, inner_detail, item) for item in given or []]
     if inner_detail[0] == "string":
         return list(given or [])
     kind = {"byte": "uint8", "char": "uint8", "octet": "uint8"}.get(inner_detail[0], inner_detail[0])

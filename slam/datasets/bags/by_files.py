@@ -10,10 +10,9 @@ import numpy as np
 from slam.datasets.bags.lens import Lens
 from slam.datasets.bags.survey import Survey
 from slam.datasets.bags.topics import CLOUDS
+from slam.datasets.bags.transforms import differs
 from slam.datasets.calibration_files import KnownCalibration, contradiction
 from slam.datasets.calibration_formats import FileTransform
-
-_STILL_M, _STILL_RAD = 0.005, np.radians(0.5)  # nearer than that two mountings are the same
 
 
 @dataclass(slots=True)
@@ -117,9 +116,7 @@ class FileFacts:
 
     def _compare(self, what: str, told: FileTransform, other: gtsam.Pose3, *, sure: bool) -> None:
         """Tell both values where a file and the bag contradict each other."""
-        step = gtsam.Pose3.Logmap(told.pose.between(other))
-        apart = float(np.linalg.norm(step[3:])) > _STILL_M or float(np.linalg.norm(step[:3])) > _STILL_RAD
-        if apart:
+        if differs(told.pose, other):
             self.notes.append(
                 f"warning: {what}: {told.source} says {_told(told.pose)}, the bag says {_told(other)}; "
                 f"that of {told.source if sure else 'the bag'} is used"

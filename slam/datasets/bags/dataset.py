@@ -263,13 +263,10 @@ class _Reader:
     def _made(self, record: BagRecord, decode: Callable[[], Any]) -> list[Measurement | StampedImage]:
         """What a message that is to be decoded holds; nothing where it is damaged."""
         topic = record.channel.topic
-        try:
+        damages = (AttributeError, TypeError, ValueError, OverflowError, IndexError, RuntimeError)
+        with self._account.refusing(topic, record.number, NO_FIELD, *damages):
             message = decode()
             return [] if message is None else self._converted(record, message)
-        except RecordFault as fault:
-            self._account.refuse(fault, topic, record.number)
-        except (AttributeError, TypeError, ValueError, OverflowError, IndexError, RuntimeError) as error:
-            self._account.refuse(RecordFault(NO_FIELD, str(error)), topic, record.number)
         return []
 
     def _converted(self, record: BagRecord, message: Any) -> list[Measurement | StampedImage]:

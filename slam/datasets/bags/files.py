@@ -14,7 +14,7 @@ from slam.datasets.bags.compression import unpacked_message
 from slam.datasets.bags.records import BagRecord, Channel, Container
 from slam.datasets.bags.topics import IMU, OUSTER
 from slam.datasets.budget import Budget
-from slam.datasets.dataset import RecordFault
+from slam.datasets.log_file import files_inside
 from slam.errors import DatasetError
 from slam.foreign import from_yaml
 
@@ -66,12 +66,9 @@ class Bag:
             for channel, recorded_ns, content in container.records(path, account, budget, note_share):
                 number += 1
                 account.report.line_count = number
-                try:
+                with account.refusing(path.name, number):
                     message = unpacked_message(content, channel, budget)
-                except RecordFault as fault:
-                    account.refuse(fault, path.name, number)
-                    continue
-                yield BagRecord(number, _read_as(channel), recorded_ns * _NS, message)
+                    yield BagRecord(number, _read_as(channel), recorded_ns * _NS, message)
 
 
 @lru_cache
@@ -134,10 +131,7 @@ def _container_of(path: Path) -> Container | None:
 
 def _parts_inside(folder: Path) -> list[Path]:
     """The bag files directly in a folder, in the order of the numbers in their names."""
-    try:
-        files = [file for file in folder.iterdir() if file.suffix.lower() in _SUFFIXES and file.is_file()]
-    except OSError as error:
-        raise DatasetError(f"cannot list {folder}: {error.strerror}; check its rights") from error
+    files = files_inside(folder, _SUFFIXES)
     return sorted(files, key=lambda file: (_title(file), _part_number(file), file.name))
 
 

@@ -13,13 +13,11 @@ from slam.datasets.bags.run_length_depth import unpacked
 from slam.datasets.bags.topics import is_infrared
 from slam.datasets.budget import MOST_PIXELS, Budget
 from slam.datasets.dataset import RecordFault
-from slam.datasets.image_files import rgb_of
-from slam.datasets.quiet_decoder import decode_quietly
+from slam.datasets.image_files import decoded, rgb_of
 from slam.measurements import ColorImage, Float32Array
 
 BAD_SIZE = "image with fewer bytes than its size says"
 BAD_ENCODING = "image encoding that is not read"
-DAMAGED = "image truncated or damaged"
 
 MILLIMETRES_PER_M = 1000.0  # REP-118
 _CONFIG_BYTES = 12  # of compressedDepth: a format number and two parameters
@@ -167,7 +165,7 @@ def _metres(steps: NDArray[Any], steps_per_m: float = MILLIMETRES_PER_M) -> Floa
 
 def _compressed_color(message: Any, budget: Budget) -> ColorImage:
     """A PNG or JPEG; `cv_bridge` stores both so that every decoder shows them right."""
-    image = _decoded(bytes(message.data), budget)
+    image = decoded(bytes(message.data), "a compressed image", budget)
     color = rgb_of(image)
     if color is None:
         raise RecordFault(BAD_ENCODING, f"compressed {image.dtype} {image.shape}")
@@ -179,7 +177,8 @@ def _compressed_depth(message: Any, budget: Budget, steps_per_m: float) -> Float
     content, words = bytes(message.data), str(message.format)
     with_header = "compressedDepth" in words
     image = content[_CONFIG_BYTES:] if with_header else content
-    steps = unpacked(image, budget) if with_header and "rvl" in words.lower() else _decoded(image, budget)
+    runs = with_header and "rvl" in words.lower()
+    steps = unpacked(image, budget) if runs else decoded(image, "compressed depth", budget)
     if steps.ndim != 2 or steps.dtype != np.uint16:
         raise RecordFault(BAD_ENCODING, f"compressed depth {steps.dtype} {steps.shape}")
     if not (with_header and words.startswith("32FC1")):
@@ -189,11 +188,3 @@ def _compressed_depth(message: Any, budget: Budget, steps_per_m: float) -> Float
     with np.errstate(divide="ignore", invalid="ignore"):
         metres = np.where(steps > 0, np.float32(scale) / (steps - np.float32(offset)), 0.0)
     return _metres(metres.astype(np.float32))
-
-
-def _decoded(content: bytes, budget: Budget) -> NDArray[Any]:
-    """Pixels of an image file, all of them."""
-    image = decode_quietly(content, budget) if content else None
-    if image is None:
-        raise RecordFault(DAMAGED, f"{len(content)} bytes")
-    return image

@@ -12,11 +12,15 @@ import numpy as np
 from fusion.time_alignment import GAP_S
 from slam.datasets.bags.decoding import stamp_of
 from slam.datasets.dataset import RecordFault
-from slam.datasets.laser_geometry import DEFAULT_NO_RETURN_M, ToldAlike, classify_ranges
+from slam.datasets.laser_geometry import (
+    DEFAULT_NO_RETURN_M,
+    NO_VALID_RANGE,
+    ZERO_BEAMS,
+    ToldAlike,
+    classify_ranges,
+)
 from slam.measurements import FloatArray, LaserScan
 
-ZERO_BEAMS = "scan without beams"
-NO_VALID_RANGE = "scan without a valid range"
 BAD_ANGLES = "angles of the scan are none"
 UPRIGHT = "laser not level: its plane stands on edge"
 

@@ -11,6 +11,7 @@ import io
 import struct
 import zlib
 from collections.abc import Iterator
+from contextlib import suppress
 from pathlib import Path
 from typing import BinaryIO
 
@@ -158,28 +159,23 @@ def _from_chunk(
     tables: _Tables, content: bytes, account: Account, budget: Budget, where: str, number: int, *, whole: bool
 ) -> Iterator[tuple[Channel, int, bytes]]:
     """The messages of a chunk, as far as it goes."""
-    try:
+    # Where the file is cut that is said once, at its end.
+    cut = suppress(RecordFault, CutError)
+    with account.refusing(where, number, DAMAGED, CutError) if whole else cut:
         records = io.BytesIO(_unpacked(content, budget, whole=whole))
         for kind, inner, inner_whole in _raw_records(records, budget):
             if inner_whole:
                 yield from _learned(tables, kind, inner, account, where)
-    except (RecordFault, CutError) as error:
-        if whole:  # else the file is cut, which is said once
-            fault = error if isinstance(error, RecordFault) else RecordFault(DAMAGED, str(error))
-            account.refuse(fault, where, number)
 
 
 def _learned(
     tables: _Tables, kind: int, content: bytes, account: Account, where: str
 ) -> Iterator[tuple[Channel, int, bytes]]:
     """The message of a record, if it is one; a damaged record is counted."""
-    try:
+    with account.refusing(where, account.report.line_count):
         message = tables.learn(kind, content)
-    except RecordFault as fault:
-        account.refuse(fault, where, account.report.line_count)
-        return
-    if message is not None:
-        yield message
+        if message is not None:
+            yield message
 
 
 def _unpacked(content: bytes, budget: Budget, *, whole: bool) -> bytes:

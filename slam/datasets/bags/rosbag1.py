@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import struct
 from collections.abc import Iterator
+from contextlib import suppress
 from pathlib import Path
 from typing import BinaryIO
 
@@ -141,24 +142,22 @@ def _from_chunk(
     whole: bool,
 ) -> Iterator[tuple[Channel, int, bytes]]:
     """The messages of a chunk, as far as it goes."""
-    try:
+    # Where the file is cut that is said once, at its end.
+    cut = suppress(RecordFault, CutError, struct.error)
+    with account.refusing(f"{where}, chunk", number, DAMAGED, CutError, struct.error) if whole else cut:
         (size,) = struct.unpack("<I", fields.get("size", b""))
         compression = fields.get("compression", b"none").decode("ascii", "replace")
         records = unpacked_chunk(content, compression, size, budget, cut=not whole)
         for inner, message, inner_whole in _raw_records(io.BytesIO(records), budget):
             if inner_whole:
                 yield from _learned(channels, inner, message, account, where)
-    except (RecordFault, CutError, struct.error) as error:
-        if whole:  # else the file is cut, which is said once
-            fault = error if isinstance(error, RecordFault) else RecordFault(DAMAGED, str(error))
-            account.refuse(fault, f"{where}, chunk", number)
 
 
 def _learned(
     channels: dict[int, Channel], fields: _Fields, content: bytes, account: Account, where: str
 ) -> Iterator[tuple[Channel, int, bytes]]:
     """The message of a record, if it is one; a damaged record is counted."""
-    try:
+    with account.refusing(where, account.report.line_count, DAMAGED, struct.error):
         if fields.get("op") == bytes([_CONNECTION]):
             number, channel = _connection(fields, content)
             channels[number] = channel
@@ -168,9 +167,6 @@ def _learned(
             if number not in channels:
                 raise RecordFault(DAMAGED, f"message on unknown connection {number}")
             yield channels[number], seconds * 1_000_000_000 + rest, content
-    except (RecordFault, struct.error) as error:
-        fault = error if isinstance(error, RecordFault) else RecordFault(DAMAGED, str(error))
-        account.refuse(fault, where, account.report.line_count)
 
 
 def _connection(fields: _Fields, content: bytes) -> tuple[int, Channel]:

@@ -33,7 +33,7 @@ from slam.datasets.bags.topics import (
     camera_info_topics,
 )
 from slam.datasets.bags.transforms import BASE_FRAMES, FrameTree
-from slam.datasets.dataset import ReadReport, RecordFault
+from slam.datasets.dataset import RecordFault
 
 LOOK_S = 10.0  # of the bag's time, at most
 _LEAST_S = 2.0  # of the bag's time, for stamps of images and for transforms that come once a second
@@ -167,7 +167,7 @@ def survey_bag(bag: Bag, wanted: Sequence[str] = ()) -> Survey:
     survey.robots = Robots.of({topic: one.kind for topic, one in survey.channels.items()}, wanted)
     budget = bag.budget()
     decoder = Decoder(budget, Ousters(bag.path))
-    quiet = Account(bag.path.name, ReadReport(), strict=False)
+    quiet = Account.quiet(bag.path)
     first_s: float | None = None
     looking = True
     for record in bag.records(quiet, budget):
@@ -221,7 +221,7 @@ def restamp(message: Any, stamp_s: float) -> None:
 
 def count_messages(bag: Bag) -> Counter[str]:
     """Messages on each topic, by reading all of the bag."""
-    quiet = Account(bag.path.name, ReadReport(), strict=False)
+    quiet = Account.quiet(bag.path)
     return Counter(record.channel.topic for record in bag.records(quiet, bag.budget()))
 
 

@@ -17,7 +17,7 @@ from slam.datasets.dataset import RecordFault
 BAD_TRANSFORM = "transform that is none"
 BASE_FRAMES = ("base_footprint", "base_link", "base")
 
-_STILL_M, _STILL_RAD = 0.005, math.radians(0.5)
+_STILL_M, _STILL_RAD = 0.005, math.radians(0.5)  # nearer than that two mountings are the same
 _MOST_FRAMES = 2000  # a robot has some dozens; damaged names must not fill the memory
 
 
@@ -81,7 +81,7 @@ class FrameTree:
         if known is None:
             if len(self._parents) < _MOST_FRAMES:
                 self._parents[child] = parent, pose
-        elif known[0] == parent and child not in self.tilting and _differs(known[1], pose):
+        elif known[0] == parent and child not in self.tilting and differs(known[1], pose):
             self.moving.add(child)
             up, before_up = (one.rotation().matrix()[:, 2] for one in (pose, known[1]))
             if up @ before_up < math.cos(_STILL_RAD):
@@ -164,7 +164,7 @@ def pose_of(position: Any, rotation: Any) -> gtsam.Pose3:
     return pose_from([position.x, position.y, position.z], [rotation.x, rotation.y, rotation.z, rotation.w])
 
 
-def _differs(first: gtsam.Pose3, second: gtsam.Pose3) -> bool:
+def differs(first: gtsam.Pose3, second: gtsam.Pose3) -> bool:
     """Whether two poses are farther apart than rounding."""
     step = gtsam.Pose3.Logmap(first.between(second))
     return float(np.linalg.norm(step[3:])) > _STILL_M or float(np.linalg.norm(step[:3])) > _STILL_RAD

@@ -13,7 +13,6 @@ from slam.datasets.bags.decoding import Decoder, stamp_of
 from slam.datasets.bags.files import Bag
 from slam.datasets.bags.topics import ODOMETRY
 from slam.datasets.bags.transforms import pose_of
-from slam.datasets.dataset import RecordFault
 from slam.estimates import Trajectory
 from slam.measurements import row_from_pose
 
@@ -48,16 +47,13 @@ def read_truth(bag: Bag, topic: str, account: Account) -> Trajectory | None:
     for record in bag.records(account, budget):
         if record.channel.topic != topic:
             continue
-        try:
+        damages = (AttributeError, TypeError, ValueError, OverflowError, RuntimeError)
+        with account.refusing(topic, record.number, "pose that is none", *damages):
             message = decoder.decode(record)
             if record.channel.kind == PATH:
                 rows = max(rows, [_row(pose) for pose in message.poses], key=len)
             else:
                 rows.append(_row(message))
-        except RecordFault as fault:
-            account.refuse(fault, topic, record.number)
-        except (AttributeError, TypeError, ValueError, OverflowError, RuntimeError) as error:
-            account.refuse(RecordFault("pose that is none", str(error)), topic, record.number)
     if not rows:
         return None
     table = np.array(rows)

@@ -18,23 +18,11 @@ from numpy.typing import NDArray
 from rosbags.rosbag1 import Writer as Writer1
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin
 from rosbags.rosbag2 import Writer as Writer2
-from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
-ROS1, ROS2 = get_typestore(Stores.ROS1_NOETIC), get_typestore(Stores.ROS2_HUMBLE)
-ROS1.register(get_types_from_msg("geometry_msgs/TransformStamped[] transforms", "tf2_msgs/msg/TFMessage"))
-for _store in (ROS1, ROS2):
-    for _name, _text in {
-        "livox_ros_driver2/msg/CustomPoint": "uint32 offset_time\nfloat32 x\nfloat32 y\nfloat32 z\n"
-        "uint8 reflectivity\nuint8 tag\nuint8 line",
-        "livox_ros_driver2/msg/CustomMsg": "std_msgs/Header header\nuint64 timebase\nuint32 point_num\n"
-        "uint8 lidar_id\nuint8[3] rsvd\nlivox_ros_driver2/CustomPoint[] points",
-        "realsense2_camera_msgs/msg/Extrinsics": "float64[9] rotation\nfloat64[3] translation",
-        "ouster_sensor_msgs/msg/PacketMsg": "uint8[] buf",
-        "velodyne_msgs/msg/VelodynePacket": "builtin_interfaces/Time stamp\nuint8[1206] data",
-        "velodyne_msgs/msg/VelodyneScan": "std_msgs/Header header\nvelodyne_msgs/VelodynePacket[] packets",
-    }.items():
-        _store.register(get_types_from_msg(_text, _name))
-START_S = 1_700_000_000.0
+from slam.storage.ros_messages import nanoseconds
+from tools.layouts import messages as ros
+from tools.layouts.messages import ROS1, ROS2, START_S, built
+
 WRITERS = ("mcap", "mcap_plain", "mcap_lz4", "rosbags_mcap", "db3", "db3_packed", "bag", "bag_bz2", "bag_lz4")
 
 SCAN = "sensor_msgs/msg/LaserScan"
@@ -48,14 +36,10 @@ TF = "tf2_msgs/msg/TFMessage"
 
 
 @dataclass
-class Sent:
-    """A message with its fields as nested dictionaries; fields that are left out are zero or empty."""
+class Sent(ros.Sent):
+    """A message that is recorded at once; without fields all is zero or empty."""
 
-    topic: str
-    kind: str
-    stamp_s: float
     fields: dict[str, Any] = field(default_factory=dict)
-    frame: str = ""
     late_s: float = 0.0
 
 
@@ -73,12 +57,7 @@ def _write_bag1(path: Path, writer: str, messages: list[Sent]) -> Path:
     if writer != "bag":
         bag.set_compression(Writer1.CompressionFormat[writer.removeprefix("bag_").upper()])
     with bag:
-        topics: dict[str, Any] = {}
-        for sent in messages:
-            if sent.topic not in topics:
-                topics[sent.topic] = bag.add_connection(sent.topic, sent.kind, typestore=ROS1)
-            content = ROS1.serialize_ros1(built(ROS1, sent), sent.kind)
-            bag.write(topics[sent.topic], _ns(sent.stamp_s + sent.late_s), content)
+        ros.write(bag, ROS1, messages)
     return path
 
 
@@ -88,12 +67,7 @@ def _write_bag2(path: Path, writer: str, messages: list[Sent]) -> Path:
     if writer == "db3_packed":
         bag.set_compression(CompressionMode.MESSAGE, CompressionFormat.ZSTD)
     with bag:
-        topics: dict[str, Any] = {}
-        for sent in messages:
-            if sent.topic not in topics:
-                topics[sent.topic] = bag.add_connection(sent.topic, sent.kind, typestore=ROS2)
-            content = ROS2.serialize_cdr(built(ROS2, sent), sent.kind)
-            bag.write(topics[sent.topic], _ns(sent.stamp_s + sent.late_s), content)
+        ros.write(bag, ROS2, messages)
     return path
 
 
@@ -113,7 +87,7 @@ def _write_mcap(path: Path, writer: str, messages: list[Sent]) -> Path:
                 schema = bag.register_schema(sent.kind, "ros2msg", text.encode())
                 topics[sent.topic] = bag.register_channel(sent.topic, "cdr", schema)
             content = bytes(ROS2.serialize_cdr(built(ROS2, sent), sent.kind))
-            at = _ns(sent.stamp_s + sent.late_s)
+            at = nanoseconds(sent.stamp_s + sent.late_s)
             bag.add_message(topics[sent.topic], at, content, at)
         bag.finish()
     return path
@@ -127,50 +101,6 @@ def one_file(bag: Path) -> Path:
     alone = bag.with_suffix(found.suffix)
     shutil.copyfile(found, alone)
     return alone
-
-
-def built(store: Any, sent: Sent) -> Any:
-    """The message of a store's types."""
-    fields = dict(sent.fields)
-    if "header" in dict(store.fielddefs[sent.kind][1]):
-        fields["header"] = header(sent.stamp_s, sent.frame)
-    return _made(store, sent.kind, fields)
-
-
-def header(stamp_s: float, frame: str) -> dict[str, Any]:
-    seconds, rest = divmod(_ns(stamp_s), 1_000_000_000)
-    return {"stamp": {"sec": seconds, "nanosec": rest}, "frame_id": frame}
-
-
-def _made(store: Any, kind: str, fields: dict[str, Any]) -> Any:
-    """An object of a message type from nested dictionaries."""
-    own = {name.lower(): value for name, value in fields.items()}
-    _, described = store.fielddefs[kind]
-    unknown = set(own) - {name.lower() for name, _ in described}
-    assert not unknown, f"{kind} has no {unknown}"
-    values = {name: _value(store, form, own.get(name.lower())) for name, form in described}
-    return store.types[kind](**values)
-
-
-def _value(store: Any, form: Any, given: Any) -> Any:
-    """The value of a field, zero or empty where none is given."""
-    node, detail = form
-    if node.name == "BASE":
-        name = detail[0]
-        return given if given is not None else "" if name == "string" else False if name == "bool" else 0
-    if node.name == "NAME":
-        return _made(store, detail, given or {})
-    (inner, inner_detail), count = detail
-    if inner.name == "NAME":
-        return [_made(store, inner_detail, item) for item in given or []]
-    if inner_detail[0] == "string":
-        return list(given or [])
-    kind = {"byte": "uint8", "char": "uint8", "octet": "uint8"}.get(inner_detail[0], inner_detail[0])
-    return np.zeros(count, kind) if given is None else np.asarray(given, dtype=kind).ravel()
-
-
-def _ns(stamp_s: float) -> int:
-    return round(stamp_s * 1e6) * 1000
 
 
 def scan(topic: str = "/scan", stamp_s: float = START_S, frame: str = "laser", **fields: Any) -> Sent:
@@ -196,14 +126,8 @@ def transforms(
     topic: str = "/tf_static",
     stamp_s: float = START_S,
 ) -> Sent:
-    items = []
-    for child, pose in mounts.items():
-        x, y, z = pose.translation()
-        q = pose.rotation().toQuaternion()
-        rotation = {"x": q.x(), "y": q.y(), "z": q.z(), "w": q.w()}
-        transform = {"translation": {"x": x, "y": y, "z": z}, "rotation": rotation}
-        items.append({"header": header(stamp_s, parent), "child_frame_id": child, "transform": transform})
-    return Sent(topic, TF, stamp_s, {"transforms": items})
+    poses = {child: pose.matrix() for child, pose in mounts.items()}
+    return Sent(topic, TF, stamp_s, ros.tf(parent, poses, stamp_s).fields)
 
 
 def image(topic: str, pixels: NDArray[Any], encoding: str, stamp_s: float = START_S, **more: Any) -> Sent:

@@ -15,7 +15,6 @@ from bag_writing import (
     START_S,
     Sent,
     cloud,
-    header,
     image,
     odometry,
     scan,
@@ -29,6 +28,7 @@ from slam.datasets.bags.topics import choose
 from slam.datasets.inspection import inspect_dataset
 from slam.errors import DatasetError
 from slam.measurements import LaserScan, WheelOdometry
+from tools.layouts.messages import header
 
 COLOR = np.random.default_rng(3).integers(0, 256, (48, 64, 3), dtype=np.uint8)
 

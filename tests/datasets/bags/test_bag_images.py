@@ -14,10 +14,11 @@ import pytest
 from bag_writing import START_S, Sent, image, info, packed_image, png, rvl, transforms, write_bag
 
 from slam.datasets import open_dataset
-from slam.datasets.bags.images import BAD_ENCODING, BAD_SIZE, DAMAGED
+from slam.datasets.bags.images import BAD_ENCODING, BAD_SIZE
 from slam.datasets.bags.run_length_depth import DAMAGED_RUNS
 from slam.datasets.dataset import Dataset
 from slam.datasets.frame_pairs import NO_COLOR, NO_DEPTH
+from slam.datasets.image_files import DAMAGED
 from slam.measurements import RgbdFrame
 
 RNG = np.random.default_rng(3)

@@ -1,0 +1,155 @@
+"""YAML files of what can be set: found, read, and turned into a model, or refused in one line."""
+
+from __future__ import annotations
+
+import difflib
+import json
+import re
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from functools import partial
+from pathlib import Path
+from typing import Any, TypeVar
+
+from pydantic import BaseModel, ValidationError
+from pydantic_core import ErrorDetails
+
+from slam.errors import ConfigError
+from slam.foreign import Loader, from_yaml, plain
+
+Model = TypeVar("Model", bound=BaseModel)
+
+
+class ConfigLoader(Loader):  # type: ignore[misc]
+    """Safe YAML 1.1, but ``1e-3`` is a number as everywhere else."""
+
+
+ConfigLoader.add_implicit_resolver(
+    "tag:yaml.org,2002:float", re.compile(r"^[-+]?[0-9]+[eE][-+]?[0-9]+$"), list("-+0123456789")
+)
+
+
+def ready_names(folder: Path) -> list[str]:
+    """Names of the files of a folder that come with Scanweave, sorted."""
+    return sorted(file.stem for file in folder.glob("*.yaml"))
+
+
+def find_file(name_or_path: str, folder: Path, kind: str) -> Path:
+    """Path of a file of one's own (ends in .yaml or .yml), or of one that is ready in a folder, by its name.
+
+    Raises
+    ------
+    ConfigError
+        Where there is none.
+    """
+    names = ready_names(folder)
+    if Path(name_or_path).suffix in {".yaml", ".yml"}:
+        file = Path(name_or_path)
+        if not file.is_file():
+            raise ConfigError(f"no configuration file at {file}; {kind}s are: {', '.join(names)}")
+        return file
+    if name_or_path not in names:
+        raise ConfigError(
+            f"no {kind} '{name_or_path}'{nearest(name_or_path, names)}; {kind}s are: {', '.join(names)}; "
+            "a file of your own must end in .yaml"
+        )
+    return folder / f"{name_or_path}.yaml"
+
+
+def read_tree(file: Path) -> Any:
+    """What a YAML file holds; an empty one is an empty mapping."""
+    try:
+        tree = from_yaml(file.read_text(encoding="utf-8"), ConfigLoader)
+    except (OSError, ValueError) as error:
+        raise ConfigError(f"cannot read {file}: {' '.join(str(error).split())}") from error
+    return {} if tree is None else tree
+
+
+def model_of(
+    kind: type[Model],
+    tree: Any,
+    source: str,
+    hint: Callable[[str], str] | None = None,
+    *,
+    most: int | None = None,
+) -> Model:
+    """A model of plain values.
+
+    Parameters
+    ----------
+    source
+        What they came from, for messages.
+    hint
+        What to say of a dotted key that there is not; None looks among those of the model.
+    most
+        So many faults are told, and how many more there are.
+
+    Raises
+    ------
+    ConfigError
+        For something that is no mapping, an unknown key or a bad value.
+    """
+    if not isinstance(tree, dict):
+        raise ConfigError(f"{source} holds a {type(tree).__name__}; write 'section:' and its keys under it")
+    try:
+        # By way of JSON, since there strict mode still takes a list for a tuple.
+        return kind.model_validate_json(json.dumps(tree, default=str))
+    except ValidationError as error:
+        # An unknown key says more than what is missing where it stands.
+        faults = sorted(error.errors(), key=lambda fault: fault["type"] != "extra_forbidden")
+        told = [_described(fault, hint or partial(_nearest_key, kind)) for fault in faults[:most]]
+        more = [f"and {len(faults) - len(told)} more"] if len(faults) > len(told) else []
+        raise ConfigError(f"{source}: {'; '.join(told + more)}") from None
+    except (TypeError, ValueError, RecursionError) as error:  # a date as a key, an anchor that holds itself
+        raise ConfigError(f"{source}: not plain keys and values ({error})") from error
+
+
+def _described(fault: ErrorDetails, hint: Callable[[str], str]) -> str:
+    """One fault of pydantic's in the words of a user: dotted path, value, limit."""
+    dotted = ".".join(str(part) for part in fault["loc"])
+    if fault["type"] == "extra_forbidden":
+        return f"unknown key '{dotted}'{hint(dotted)}"
+    told = fault["msg"].removeprefix("Value error, ")
+    shown = plain(json.dumps(fault["input"], default=str), longest=60)
+    return f"{dotted} = {shown}: {told[0].lower()}{told[1:]}" if dotted else told
+
+
+def nearest(name: str, candidates: Sequence[str]) -> str:
+    """A hint at the most similar candidate, or nothing.
+
+    Examples
+    --------
+    >>> from slam.config.files import nearest
+    >>> nearest("resolution", ["resolution_m", "margin_m"])
+    "; did you mean 'resolution_m'?"
+    """
+    match = difflib.get_close_matches(name, candidates, n=1)
+    return f"; did you mean '{match[0]}'?" if match else ""
+
+
+def _nearest_key(model: type[BaseModel], dotted: str) -> str:
+    """A hint at the key meant: the same name elsewhere, else a similar one beside it, else anywhere."""
+    section, _, name = dotted.rpartition(".")
+    paths = list(_all_paths(model))
+    # Only last names are compared: a long shared section would make every key in it look similar.
+    anywhere = {path.rpartition(".")[2]: path for path in paths}
+    beside = {path.rpartition(".")[2]: path for path in paths if path.rpartition(".")[0] == section}
+    for candidates in ({name: anywhere[name]} if name in anywhere else {}, beside, anywhere):
+        match = difflib.get_close_matches(name, candidates, n=1)
+        if match:
+            return f"; did you mean '{candidates[match[0]]}'?"
+    return f"; valid here: {', '.join(beside.values())}"
+
+
+def _all_paths(model: type[BaseModel], prefix: str = "") -> Iterator[str]:
+    """Dotted path of every section and field."""
+    for name, field in model.model_fields.items():
+        yield prefix + name
+        section = field.annotation
+        if isinstance(section, type) and issubclass(section, BaseModel):
+            yield from _all_paths(section, f"{prefix}{name}.")
+
+
+def nearest_field(models: Iterable[type[BaseModel]]) -> Callable[[str], str]:
+    """What hints at the most similar name of a field of some models."""
+    names = sorted({name for model in models for name in model.model_fields})
+    return lambda dotted: nearest(dotted.rpartition(".")[2], names)
