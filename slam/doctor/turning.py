@@ -189,15 +189,15 @@ def _bends(
 
 def _settled(pairs: Sequence[_Pair], fit: Turn, interval_s: float, config: Config, flat: bool) -> Turn | None:
     """The whole share of the interval that clouds tell once straightened, and where they agree best."""
+    own = np.array([fit.cut_rad])  # straightened in part, another cut may explain the rest, and lead astray
     for _ in range(ROUNDS):
-        before, fit = fit, _fit(_told_by(pairs, fit, config, _CUTS_RAD), _CUTS_RAD) or fit
+        before, fit = fit, _fit(_told_by(pairs, fit, config, own), own) or fit
         if abs(fit.turn_s - before.turn_s) <= fit.sigma_s:
             break
     # Bent clouds tell it surely only once they are straightened: then from one that takes half as long.
     if abs(fit.turn_s) < max(interval_s / (_TURNS + 0.5), 2 * math.sqrt(gate()) * fit.sigma_s):
         return None
     shares = [math.copysign(interval_s / turns, fit.turn_s) for turns in range(1, _TURNS + 1)]
-    own = np.array([fit.cut_rad])
     again = [_fit(_told_by(pairs, replace(fit, turn_s=share), config, own), own) or fit for share in shares]
     # What straightens them as it should, they tell once more.
     told, turn_s = min(zip(again, shares, strict=True), key=lambda one: abs(one[0].turn_s / one[1] - 1.0))

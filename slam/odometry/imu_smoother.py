@@ -110,9 +110,10 @@ class ImuSmoother:
         graph.add(gtsam.PriorFactorPose3(_X(0), start.pose, noise(np.diag([_HELD**2] * 6))))
         graph.add(gtsam.PriorFactorVector(_V(0), start.velocity_m_s, noise(spread.velocity)))
         graph.add(gtsam.PriorFactorConstantBias(_B(0), start.bias, noise(spread.bias)))
-        graph.add(self._down_prior(start.down, spread.down_rad))
+        down, along = gtsam.Unit3(start.down), gtsam.noiseModel.Isotropic.Sigma(2, spread.down_rad)
+        graph.add(gtsam.PriorFactorUnit3(_G(0), down, along))
         self._insert(values, start)
-        values.insert(_G(0), gtsam.Unit3(start.down))
+        values.insert(_G(0), down)
         self._state = start
         self._update(graph, values, start.stamp_s)
 
@@ -183,11 +184,6 @@ class ImuSmoother:
         spread = ImuSpread(self._marginal(_V(number)), self._marginal(_B(number)), self.down_sigma_rad())
         return ImuSmoother(self._state, spread)
 
-    def _down_prior(self, down: FloatArray, sigma_rad: float) -> gtsam.NonlinearFactor:
-        """The newest direction of gravity."""
-        noise = gtsam.noiseModel.Isotropic.Sigma(2, sigma_rad)
-        return gtsam.PriorFactorUnit3(_G(self._downs), gtsam.Unit3(down), noise)
-
     def _insert(self, values: gtsam.Values, state: ImuState) -> None:
         """First values of the newest state."""
         values.insert(_X(self._count), state.pose)
@@ -221,7 +217,9 @@ class ImuSmoother:
 
     def _marginal(self, key: int) -> FloatArray:
         """Covariance of one variable."""
-        graph, found = self._smoother.getFactors(), self._smoother.calculateEstimate()
+        # What is summed up has the axes of directions as they were then; GTSAM's of one that points down
+        # swing by a right angle as it wanders.
+        graph, found = self._smoother.getFactors(), self._smoother.getLinearizationPoint()
         try:
             # All that is asked between two updates is asked of one factorisation.
             if self._marginals is None:

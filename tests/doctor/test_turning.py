@@ -72,6 +72,13 @@ def test_a_turn_its_sense_and_its_cut_are_found(turn_s: float, cut_deg: float) -
     assert abs(math.remainder(turn.cut_rad - math.radians(cut_deg), math.tau)) < 0.2
 
 
+def test_what_is_left_once_straightened_in_part_does_not_move_the_cut() -> None:
+    found = clouds(-0.1, 60.0, count=42, seed=2)
+    turn = turn_of([found[begin : begin + 10] for begin in range(0, 40, 10)], INTERVAL_S, Config())
+    assert turn is not None and turn.turn_s == pytest.approx(-0.1)
+    assert abs(turn.cut_rad - math.radians(60.0)) < 0.2
+
+
 def test_clouds_that_were_seen_at_once_have_no_turn() -> None:
     assert turn_of(stretches(clouds(0.0, 180.0)), INTERVAL_S, Config()) is None
 

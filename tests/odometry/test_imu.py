@@ -70,6 +70,13 @@ def test_who_stands_knows_gravity_only_as_well_as_the_accelerometer() -> None:
     assert apart_rad(gravity.down, stands(0.0).rotation().unrotate(DOWN)) < 2.0 * gravity.sigma_rad
 
 
+def test_who_drives_straight_knows_gravity_no_better_than_who_stands() -> None:
+    # Of a direction with two components alike the axes that GTSAM gives it swing by a right angle.
+    tilt = gtsam.Rot3.Ypr(0.0, 0.1, 0.1)
+    gravity = tracked(lambda time_s: gtsam.Pose3(tilt, time_s * tilt.matrix()[:, 0]), 7.0).gravity()
+    assert gravity is not None and 0.01 < gravity.sigma_rad < 0.04
+
+
 def test_three_seconds_without_a_cloud_are_bridged_and_owned_up_to() -> None:
     imu = tracked(walk, 9.1, lambda time_s: time_s < 6.0)
     spread, state = imu.spread(), imu.state
