@@ -213,9 +213,8 @@ def _tied_along(
     ways_m = np.append(0.0, np.cumsum(np.hypot(*np.diff(rows[:, :2], axis=0).T)))
     ends = np.array([(edge.source, edge.target) for edge in edges], np.int64).reshape(-1, 2)
     across = (parts[ends[:, 0]] != parts[ends[:, 1]]) & (np.diff(ends)[:, 0] != 1)
-    loops, wheels = (
-        across & [edge.kind is kind for edge in edges] for kind in (EdgeKind.LOOP, EdgeKind.WHEEL)
-    )
+    kinds = np.array([edge.kind for edge in edges], np.str_)
+    loops, wheels = (across & (kinds == kind.value) for kind in (EdgeKind.LOOP, EdgeKind.WHEEL))
     tying, first, last = ends[loops & kept], np.full(len(parts), np.inf), np.zeros(len(parts))
     np.minimum.at(first, parts[tying], ways_m[tying])
     np.maximum.at(last, parts[tying], ways_m[tying])
