@@ -231,9 +231,7 @@ class FaultySteps:
         begun, ended = self._ends.T
         time_s = np.abs(stamps_s[ended] - stamps_s[begun])[:, None]
         told = _moves(_off(poses[begun], poses[ended]))
-        lone = lone_steps(edges, kept, len(poses), config.lost_sigma_m)
-        self.unseen, self.share = np.zeros(len(poses), np.bool_), lone.share
-        self.unseen[lone.steps] = True
+        self.unseen, _, self.share = lone_steps(edges, kept, len(poses), config.lost_sigma_m)
         self._farthest = told + time_s * np.quantile(speeds, loops.inlier_probability, axis=0)
 
     @cached_property

@@ -84,8 +84,7 @@ class KeyframeGraph:
                 self.graph.add_edge(edge)
             else:
                 self.add_edge(edge)
-        steps = [_in_plane(edge) for edge in edges if edge.source == key - 1 and edge.target == key]
-        covariance = steps[0] if len(steps) == 1 else np.linalg.inv(np.linalg.inv(steps).sum(axis=0))
+        covariance = together(edge for edge in edges if edge.source == key - 1)[key - 1, key].covariance
         self.uncertainty.add_edge(key - 1, key, np.array(row_of(step)), covariance)
         return key
 
@@ -112,19 +111,12 @@ class KeyframeGraph:
             self._read_poses(self.graph.update())
             self._loop_waits = False
 
-    def pieces(self, kept: BoolArray) -> NDArray[np.int64]:
-        """(n,) number of the piece of each keyframe; between two pieces nothing is better than a guess.
-
-        Parameters
-        ----------
-        kept
-            (E,) edges that the optimisation has kept.
-        """
-        lone = lone_steps(self.graph.edges, kept, len(self), self._config.lost_sigma_m)
-        # One of them must be expected to be wrong.
-        if len(lone.untried) * lone.share >= 1.0:
-            return lone.pieces
-        return _joined(lone.pieces, [(lone.pieces[step], lone.pieces[step + 1]) for step in lone.untried])
+    def pieces(self, kept: BoolArray, reach_m: float) -> NDArray[np.int64]:
+        """(n,) piece of each keyframe by the edges (E,) that are kept; between two nothing beats a guess."""
+        edges, count, lost_m = self.graph.edges, len(self), self._config.lost_sigma_m
+        parts = np.append(0, np.cumsum(lone_steps(edges, kept, count, lost_m).unseen[:-1]))
+        tied_m = _tied_along(edges, kept, parts, self.rows())
+        return lone_steps(edges, kept & (tied_m >= 2.0 * reach_m), count, lost_m).pieces
 
     def optimize(self, inlier_probability: float) -> BatchResult:
         """Solve everything anew; a loop that disagrees with the others is marked as refused."""
@@ -172,14 +164,13 @@ def together(edges: Iterable[Edge]) -> dict[tuple[int, int], Motion]:
 
 
 class LoneSteps(NamedTuple):
-    """Steps that wheels alone tell, by the keyframes where they begin, and the share of such that is wrong.
+    """Whether wheels alone tell the step that begins at a keyframe (n,), and the share of such that is wrong.
 
-    ``pieces`` (n,) numbers those of all keyframes, were each such step a guess; ``untried`` steps join two.
+    ``pieces`` (n,) numbers those of all keyframes, were each such step a guess.
     """
 
-    steps: list[int]
+    unseen: BoolArray
     pieces: NDArray[np.int64]
-    untried: list[int]
     share: float
 
 
@@ -190,10 +181,9 @@ def lone_steps(edges: Sequence[Edge], kept: BoolArray, nodes: int, lost_sigma_m:
     wrong less often: that counts as two steps, as in the rule of succession. Edges less certain than
     ``lost_sigma_m`` join nothing.
     """
-    held = [edge for edge, keep in zip(edges, kept, strict=True) if keep]
-    single = [
-        (edge, bool(keep)) for edge, keep in zip(edges, kept, strict=True) if edge.target == edge.source + 1
-    ]
+    judged_edges = list(zip(edges, kept.tolist(), strict=True))
+    held = [edge for edge, keep in judged_edges if keep]
+    single = [(edge, keep) for edge, keep in judged_edges if edge.target == edge.source + 1]
     seen = {edge.source for edge, keep in single if keep and edge.kind not in GUESSES}
     right = {edge.source: True for edge, _ in single if edge.kind is EdgeKind.WHEEL}
     right |= {edge.source: False for edge, keep in single if edge.kind is EdgeKind.WHEEL and not keep}
@@ -209,7 +199,26 @@ def lone_steps(edges: Sequence[Edge], kept: BoolArray, nodes: int, lost_sigma_m:
     matched = [right[step] for step in right.keys() & seen]
     before = (1.0 + matched.count(False)) / (2.0 + len(matched))
     share = (tried.count(False) + 2.0 * before) / (len(tried) + 2.0)
-    return LoneSteps(lone, pieces, sorted(step for step in apart if (step, step + 1) in known), share)
+    return LoneSteps(np.isin(np.arange(nodes), lone), pieces, share)
+
+
+def _tied_along(
+    edges: Sequence[Edge], kept: BoolArray, parts: NDArray[np.int64], rows: FloatArray
+) -> FloatArray:
+    """(E,) along how much of a part of the way loops tie it to others, in metres; infinite within a part.
+
+    What fits once may be a place that looks the same; wheels over many steps tell what they tell of each.
+    ``parts`` (n,) number what was seen in one go.
+    """
+    ways_m = np.append(0.0, np.cumsum(np.hypot(*np.diff(rows[:, :2], axis=0).T)))
+    ends = np.array([(edge.source, edge.target) for edge in edges], np.int64).reshape(-1, 2)
+    across = (parts[ends[:, 0]] != parts[ends[:, 1]]) & (np.diff(ends)[:, 0] != 1)
+    kinds = np.array([edge.kind for edge in edges], np.str_)
+    loops, wheels = (across & (kinds == kind.value) for kind in (EdgeKind.LOOP, EdgeKind.WHEEL))
+    tying, first, last = ends[loops & kept], np.full(len(parts), np.inf), np.zeros(len(parts))
+    np.minimum.at(first, parts[tying], ways_m[tying])
+    np.maximum.at(last, parts[tying], ways_m[tying])
+    return np.where(loops, (last - first)[parts[ends]].min(axis=1), np.where(wheels, 0.0, np.inf))
 
 
 def _joined(numbers: NDArray[np.int64], ends: Sequence[tuple[int, int]]) -> NDArray[np.int64]:

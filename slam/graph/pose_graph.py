@@ -20,6 +20,7 @@ from slam.errors import GraphError
 from slam.graph.edge import Edge, EdgeKind
 from slam.graph.factors import between_factor, gauge, mapping_noise, prior, solved, weighted
 from slam.graph.gravity import gravity_factors, heading_alone, upright_poses
+from slam.graph.influence import influences
 from slam.heap import give_back
 from slam.matching.upright import Gravity
 from slam.measurements import BoolArray, FloatArray, Pose
@@ -214,8 +215,28 @@ class PoseGraph:
         return found
 
     def _decided(self, inlier_probability: float, *, anew: bool = False) -> BatchResult:
-        """Which edges GNC keeps from where the poses are, and the poses by these."""
-        kept = self._gnc_weights(inlier_probability, anew) > 0.5
+        """Which edges GNC keeps from where the poses are, and the poses by these.
+
+        A long chain bends far for little, so that GNC, which ends near where it begins, may keep a loop that
+        all others contradict: such are refused, the worst first, as long as the solution costs less.
+        """
+        found = self._solution(self._gnc_weights(inlier_probability, anew) > 0.5, inlier_probability)
+        while True:
+            ended, kept = self._estimate, found.kept.copy()
+            told = influences([self.pose(key) for key in range(self._count)], self.edges, kept)
+            asked = [kept[n] and not self.edges[n].trusted for n in told.edges]
+            left_out = np.where(asked, told.left_out, 0.0)
+            if left_out.max(initial=0.0) ** 2 <= gate(self._dimension, inlier_probability):
+                return found
+            kept[told.edges[left_out.argmax()]] = False
+            other = self._solution(kept, inlier_probability)
+            if other.cost >= found.cost:
+                self._estimate = ended
+                return found
+            found = other
+
+    def _solution(self, kept: BoolArray, inlier_probability: float) -> BatchResult:
+        """The poses by the edges that are kept, and what that costs."""
         graph = self._graph(edge for edge, keep in zip(self.edges, kept, strict=True) if keep)
         self._estimate = solved(graph, self._estimate)
         error, each = float(graph.error(self._estimate)), 0.5 * gate(self._dimension, inlier_probability)
@@ -269,30 +290,6 @@ class PoseGraph:
         [True, False]
         """
         self._kept = np.fromiter(kept, np.bool_)
-
-    def initialize(self) -> None:
-        """Start from the edges alone: LAGO (Carlone 2014) in the plane, chordal initialisation in space.
-
-        Examples
-        --------
-        >>> import gtsam, numpy as np, slam
-        >>> graph = slam.PoseGraph(gtsam.Pose2())
-        >>> lost = graph.add_node(gtsam.Pose2(50.0, 0.0, 2.0))
-        >>> step = gtsam.Pose2(1.0, 0.0, 0.0)
-        >>> graph.add_edge(slam.Edge(0, lost, step, np.eye(3), slam.EdgeKind.WHEEL, trusted=True))
-        >>> graph.initialize()
-        >>> round(graph.pose(lost).x(), 3)
-        1.0
-        """
-        if self._dimension == 6:
-            self._estimate = gtsam.InitializePose3.initialize(self._graph(self.edges))
-            return
-        graph = gtsam.NonlinearFactorGraph()
-        graph.add(self._prior())
-        for edge in self.edges:
-            # LAGO takes no correlated noise; for a start the variances are enough.
-            graph.add(between_factor(edge, gtsam.noiseModel.Diagonal.Variances(np.diag(edge.covariance))))
-        self._estimate = gtsam.lago.initialize(graph)
 
     def pose(self, key: int) -> Pose:
         """Estimated pose of a node."""

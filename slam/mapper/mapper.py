@@ -142,7 +142,8 @@ class Mapper:
         result.stage_seconds["map"] = clock[2] - clock[1] - result.stage_seconds.get("fusion", 0.0)
         result.stage_seconds["full trajectory"] = time.perf_counter() - clock[2]
         self._tell(result)
-        result.warnings += apart(graph.pieces(outcome.kept), way.stamps_s - result.scans.stamps_s[0])
+        pieces = graph.pieces(outcome.kept, self._config.loops.reach_m)
+        result.warnings += apart(pieces, way.stamps_s - result.scans.stamps_s[0])
         result.warnings += unseen(result.map.trajectory, readings.placed(), covariances, self._config)
         return result
 

@@ -1,6 +1,7 @@
 """Where graduated non-convexity begins decides where it ends: the solution of less cost is taken."""
 
 import math
+from dataclasses import replace
 
 import gtsam
 import numpy as np
@@ -73,3 +74,20 @@ def test_to_doubt_two_of_a_hundred_steps_costs_more_than_all_of_three_loops() ->
         costs.append(found.cost)
     assert gates[0] > gates[1]
     assert costs[0] < costs[1]
+
+
+@pytest.mark.parametrize("trusted", [False, True])
+def test_a_loop_that_many_others_contradict_a_little_is_refused(trusted: bool) -> None:
+    """An earlier solution had it, alone then; each of those that came since bends by 2.5 sigmas to it."""
+    graph, ahead = PoseGraph(gtsam.Pose2()), gtsam.Pose2(1.0, 0.0, 0.0)
+    for n in range(1, 24):
+        graph.add_node(gtsam.Pose2(float(n), 5.0 * (n >= 12), 0.0))
+        graph.add_edge(edge(n - 1, n, ahead, 20.0 if n == 12 else 0.02, EdgeKind.ASSUMED))
+    away = gtsam.Pose2(12.0, 5.0, 0.0)
+    graph.add_edge(replace(edge(0, 12, away, 0.1, EdgeKind.LOOP, trusted), loop=0))
+    for n in range(12):
+        there = edge(n, 12 + n, gtsam.Pose2(12.0, 0.0, 0.0), 2.0, EdgeKind.LOOP, trusted=False)
+        graph.add_edge(replace(there, loop=1 + n))
+    graph.begin_with([True] * len(graph.edges))
+    assert graph.optimize().kept.tolist() == [True] * 23 + [trusted] + [True] * 12
+    assert graph.pose(12).y() == pytest.approx(5.0 if trusted else 0.0, abs=0.1)
