@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import gtsam
+import numpy as np
 
 from fusion.estimation import TINY
 from slam.graph.edge import Edge
@@ -52,3 +55,16 @@ def solved(graph: gtsam.NonlinearFactorGraph, start: gtsam.Values, most_steps: i
     parameters = gtsam.LevenbergMarquardtParams()
     parameters.setMaxIterations(most_steps)
     return gtsam.LevenbergMarquardtOptimizer(graph, start, parameters).optimize()
+
+
+def begun(edges: Sequence[Edge], held: gtsam.NonlinearFactor) -> gtsam.Values:
+    """Where nodes are by edges alone: LAGO (Carlone 2014) in the plane, chordal initialisation in space."""
+    planar = isinstance(held, gtsam.PriorFactorPose2)
+    graph = gtsam.NonlinearFactorGraph()
+    graph.add(held)
+    for edge in edges:
+        noise = gtsam.noiseModel.Gaussian.Covariance(edge.covariance)
+        if planar:  # LAGO takes no correlated noise; for a start the variances are enough
+            noise = gtsam.noiseModel.Diagonal.Variances(np.diag(edge.covariance))
+        graph.add(between_factor(edge, noise))
+    return gtsam.lago.initialize(graph) if planar else gtsam.InitializePose3.initialize(graph)

@@ -18,7 +18,7 @@ from fusion.estimation import TINY, gate
 from fusion.showing import one_line
 from slam.errors import GraphError
 from slam.graph.edge import Edge, EdgeKind
-from slam.graph.factors import between_factor, gauge, mapping_noise, prior, solved, weighted
+from slam.graph.factors import begun, between_factor, gauge, mapping_noise, prior, solved, weighted
 from slam.graph.gravity import gravity_factors, heading_alone, upright_poses
 from slam.graph.influence import influences
 from slam.heap import give_back
@@ -290,6 +290,22 @@ class PoseGraph:
         [True, False]
         """
         self._kept = np.fromiter(kept, np.bool_)
+
+    def initialize(self) -> None:
+        """Start from the edges alone: LAGO (Carlone 2014) in the plane, chordal initialisation in space.
+
+        Examples
+        --------
+        >>> import gtsam, numpy as np, slam
+        >>> graph = slam.PoseGraph(gtsam.Pose2())
+        >>> lost = graph.add_node(gtsam.Pose2(50.0, 0.0, 2.0))
+        >>> step = gtsam.Pose2(1.0, 0.0, 0.0)
+        >>> graph.add_edge(slam.Edge(0, lost, step, np.eye(3), slam.EdgeKind.WHEEL, trusted=True))
+        >>> graph.initialize()
+        >>> round(graph.pose(lost).x(), 3)
+        1.0
+        """
+        self._estimate = begun(self.edges, self._prior())
 
     def pose(self, key: int) -> Pose:
         """Estimated pose of a node."""

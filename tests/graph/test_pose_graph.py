@@ -159,6 +159,30 @@ def test_the_prior_is_only_the_gauge(origin: Pose) -> None:
     assert result.error == pytest.approx(0.5 * 3 * (1.0 / 0.1) ** 2, rel=1e-6)
 
 
+@pytest.mark.parametrize("correlated", [False, True])
+@pytest.mark.parametrize("is_3d", [False, True])
+def test_initialize_forgets_a_bad_start(is_3d: bool, correlated: bool) -> None:
+    """The edges of a closed ring, and guesses that are nonsense: the start is made from the edges alone."""
+    step: Pose = gtsam.Pose2(1.0, 0.0, math.pi / 6)
+    if is_3d:
+        step = gtsam.Pose3(gtsam.Rot3.Yaw(math.pi / 6), np.array([1.0, 0.0, 0.0]))
+    size = 6 if is_3d else 3
+    covariance = 0.01 * (np.eye(size) + 0.5 * correlated)  # as every measured one is
+    nowhere = type(step)()
+    graph = PoseGraph(nowhere)
+    truth = [nowhere]
+    for n in range(11):
+        truth.append(truth[-1].compose(step))
+        graph.add_node(nowhere)
+        graph.add_edge(Edge(n, n + 1, step, covariance, EdgeKind.LIDAR, trusted=True))
+    graph.add_edge(Edge(11, 0, step, covariance, EdgeKind.LOOP, trusted=True))
+    graph.initialize()
+    result = graph.optimize()
+    assert result.error < 1e-9
+    for n, pose in enumerate(truth):
+        assert_same(graph.pose(n), pose, 1e-5)
+
+
 def bad_edges() -> dict[str, Edge]:
     step, good = gtsam.Pose2(1.0, 0.0, 0.0), np.eye(3)
     lidar = EdgeKind.LIDAR
