@@ -18,7 +18,7 @@ import pytest
 from cloud_world import look, look_on_the_way, way_round
 from flat_worlds import box, room, sweep
 from imu_world import readings, stands
-from room_world import SMALL, T_BODY_CAMERA, blind, furnished, render, turning_walk
+from room_world import SMALL, T_BODY_CAMERA, furnished, render, turning_walk
 
 from slam.app.mapping import run_log
 from slam.config import Config, load_config
@@ -210,14 +210,15 @@ def fused(config: Config, course: Course) -> None:
 
 @cache
 def spatial_log() -> Log:
-    """A camera in the hand goes round in a room; it is swung once, and covered for a moment."""
+    """A camera in the hand goes round in a room; it is swung once, and a board covers it for a moment."""
     walk = turning_walk(70, turns=1.25)
     poses = [walk[n] for n in [*range(0, 44, 2), *range(47, 69, 2)]]
     frames = [
         render(furnished(), pose, SMALL, n / 10.0, noise=(0.001, 0.0012), seed=n, smooth=False)
         for n, pose in enumerate(poses)
     ]
-    return Log([blind(frame) if n in (24, 25) else frame for n, frame in enumerate(frames)])
+    board = {"color": np.zeros_like(frames[0].color), "depth_m": np.full_like(frames[0].depth_m, 0.5)}
+    return Log([replace(frame, **board) if n in (24, 25) else frame for n, frame in enumerate(frames)])
 
 
 def spatial(config: Config, course: Course) -> None:
