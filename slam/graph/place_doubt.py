@@ -13,7 +13,7 @@ from slam.estimates import MotionEstimate
 from slam.measurements import FloatArray
 
 
-class AnchoredSteps:
+class PlaceDoubt:
     """Remembers how unsure the last keyframe's place is; of one that begins a local map, not at all."""
 
     def __init__(self) -> None:

@@ -17,11 +17,11 @@ from fusion.estimation import FEWEST
 from fusion.height_band import HeightBand
 from slam.config import Config
 from slam.errors import DatasetError, ScanweaveError
-from slam.graph.anchored_steps import AnchoredSteps
 from slam.graph.cloud_loops import CloudLoopCloser
 from slam.graph.edge import Edge, EdgeKind
 from slam.graph.keyframe_graph import KeyframeGraph, unmeasured
 from slam.graph.loop_candidate import LoopCandidate
+from slam.graph.place_doubt import PlaceDoubt
 from slam.heap import end_stage
 from slam.mapper.checkpoint import Checkpoint
 from slam.mapper.cloud_cameras import CloudCameras
@@ -82,7 +82,7 @@ class CloudLidar:
         self._cameras = CloudCameras(config, checkpoint, registrations, turns)
         self.tags = self._cameras.tags
         self._closer: CloudLoopCloser | None = None
-        self._steps = AnchoredSteps()
+        self._doubt = PlaceDoubt()
         self._newest: TrackedCloud | None = None
         self._last: gtsam.Pose3 | None = None
         self._stamps_s: list[float] = []
@@ -117,7 +117,7 @@ class CloudLidar:
         if self._last is not None:
             step = self._last.between(tracked.pose)
             if motion is not None:
-                covariance = self._steps.add(step, motion)
+                covariance = self._doubt.add(step, motion)
                 if self._between is not None:
                     carried = tracked.pose.between(self._between[0]).AdjointMap()
                     covariance = covariance + carried @ self._between[1] @ carried.T
@@ -138,7 +138,7 @@ class CloudLidar:
                 spread[[3, 4], [3, 4]] = max(spread[3, 3], tracked.unseen_m**2 / 3.0)
                 edges.append(Edge(key - 1, key, step, spread, EdgeKind.ASSUMED, trusted=True))
         if motion is None:
-            self._steps.begin()
+            self._doubt.begin()
         self._last, self._between = tracked.pose, None
         return step, edges
 

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from slam.estimates import MotionEstimate
-from slam.graph.anchored_steps import AnchoredSteps
+from slam.graph.place_doubt import PlaceDoubt
 from slam.measurements import FloatArray
 
 CONFIDENT = np.diag([1e-6] * 3 + [1e-4] * 3)
@@ -20,14 +20,14 @@ def match(covariance: FloatArray, *, degenerate: bool = False, converged: bool =
 
 
 def test_between_sure_keyframes_a_match_is_the_step() -> None:
-    steps = AnchoredSteps()
+    steps = PlaceDoubt()
     for _ in range(2):
         np.testing.assert_array_equal(steps.add(STEP, match(CONFIDENT)), CONFIDENT)
 
 
 @pytest.mark.parametrize("doubt", [{"degenerate": True}, {"converged": False}])
 def test_the_step_after_an_unsure_keyframe_is_as_unsure(doubt: dict[str, bool]) -> None:
-    steps = AnchoredSteps()
+    steps = PlaceDoubt()
     np.testing.assert_array_equal(steps.add(STEP, match(ALONG, **doubt)), ALONG)
     # The corridor's direction is x at the uncertain keyframe, and y after the turn.
     covariance = steps.add(STEP, match(CONFIDENT))
@@ -36,7 +36,7 @@ def test_the_step_after_an_unsure_keyframe_is_as_unsure(doubt: dict[str, bool]) 
 
 
 def test_a_keyframe_that_begins_a_local_map_is_certain_in_it() -> None:
-    steps = AnchoredSteps()
+    steps = PlaceDoubt()
     steps.add(STEP, match(ALONG, degenerate=True))
     steps.begin()
     np.testing.assert_array_equal(steps.add(STEP, match(CONFIDENT)), CONFIDENT)
