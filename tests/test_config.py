@@ -166,6 +166,8 @@ def test_a_file_of_tags_of_another_program_beside_a_log_is_none_of_ours(tmp_path
     assert not holds_places(file)
     file.write_text("apriltag:\n  ros__parameters: {family: 36h11, size: 0.16}\n")
     assert not holds_places(file)
+    file.write_text("- kitchen\n- hall\n")  # a list, of another program
+    assert not holds_places(file)
     file.write_text("size_m: 0.16\nsurveyd: []\n")
     assert holds_places(file)
     with pytest.raises(ConfigError, match="surveyd"):

@@ -179,7 +179,8 @@ def with_places(config: Config, file: Path | str) -> Config:
 
 def holds_places(file: Path) -> bool:
     """Whether a file that nobody has named tells of tags; other programs have files of that name, too."""
-    return file.is_file() and bool(read_tree(file).keys() & KnownPlaces.model_fields.keys())
+    tree = read_tree(file) if file.is_file() else None
+    return isinstance(tree, dict) and bool(tree.keys() & KnownPlaces.model_fields.keys())
 
 
 def load_calibration(file: Path | str) -> Calibration:

@@ -5,14 +5,14 @@ The squares are those of Yang2021 Eq. (3)-(6).
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import gtsam
 import numpy as np
 
 from fusion.estimation import CONFIDENCE, ROUNDS
 from slam.config.stages import RgbdOdometryConfig
-from slam.measurements import BoolArray, CameraIntrinsics, Float32Array, FloatArray
+from slam.measurements import BoolArray, CameraIntrinsics, FloatArray
 from slam.vision.features import Features, match_features
 
 _ROUNDS = 200
@@ -96,17 +96,15 @@ def turn_from_features(
 ) -> gtsam.Rot3:
     """Rotation of a camera from one image to the next, as if it had turned on the spot; no depth is needed.
 
-    None at all where fewer than ``config.least_inliers`` features agree.
+    The identity where fewer than ``config.least_inliers`` features agree.
     """
     import scipy
 
     pairs = match_features(before.descriptors, after.descriptors, config.match_ratio, config.match_bits)
     if len(pairs) < config.least_inliers:
         return gtsam.Rot3()
-    first, second = (
-        _rays(one.pixels[chosen], intrinsics)
-        for one, chosen in ((before, pairs.first), (after, pairs.second))
-    )
+    first = _rays(before, intrinsics)[pairs.first]
+    second = _rays(after, intrinsics)[pairs.second]
     tolerance = config.kernel_sigmas / intrinsics.fx
     off, weights = np.zeros(len(pairs)), np.ones(len(pairs))
     turn = scipy.spatial.transform.Rotation.identity()
@@ -120,8 +118,7 @@ def turn_from_features(
     return gtsam.Rot3(turn.as_matrix())
 
 
-def _rays(pixels: Float32Array, k: CameraIntrinsics) -> FloatArray:
-    """Directions (N, 3) of pixels (N, 2), of length 1."""
-    x, y = (pixels[:, 0] - k.cx) / k.fx, (pixels[:, 1] - k.cy) / k.fy
-    rays = np.stack([x, y, np.ones(len(pixels))], axis=1)
-    return np.asarray(rays / np.linalg.norm(rays, axis=1, keepdims=True))
+def _rays(features: Features, intrinsics: CameraIntrinsics) -> FloatArray:
+    """Directions (N, 3) of features, of length 1."""
+    points = replace(features, depth_m=np.ones_like(features.depth_m)).points_camera(intrinsics)
+    return np.asarray(points / np.linalg.norm(points, axis=1, keepdims=True))
