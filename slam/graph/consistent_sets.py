@@ -87,8 +87,9 @@ class ClaimSets:
 
     def near(self, one: LoopCandidate, other: LoopCandidate) -> bool:
         """Whether two claims tell of different keyframes not far from each other, and of such places."""
-        apart_m = np.abs(self._travelled_m[[*_ends(one)]] - self._travelled_m[[*_ends(other)]])
-        return one.keyframe != other.keyframe and bool(apart_m.max() <= self._reach_m)
+        way_m, ends = self._travelled_m, zip(_ends(one), _ends(other), strict=True)
+        apart_m = max(abs(way_m[a] - way_m[b]) for a, b in ends)
+        return one.keyframe != other.keyframe and bool(apart_m <= self._reach_m)
 
     def _consistent(self, one: LoopCandidate, other: LoopCandidate) -> bool:
         """Whether the cycle of two claims and the chain between their places and their keyframes closes."""
@@ -111,12 +112,12 @@ def largest_cliques(agree: BoolArray) -> list[list[int]]:
 
     Each begins with the one that most others agree with, and takes on those that most of the rest agree with.
     """
-    left = np.ones(len(agree), np.bool_)
+    left, ones = np.ones(len(agree), np.bool_), agree.astype(np.float32)  # which BLAS counts
     cliques = []
     while left.any():
         candidates, members = left.copy(), list[int]()
         while candidates.any():
-            counts = np.where(candidates, (agree & candidates).sum(axis=1), -1)
+            counts = np.where(candidates, ones @ candidates, -1)
             members.append(int(counts.argmax()))
             candidates &= agree[members[-1]]
         left[members] = False

@@ -16,7 +16,7 @@ tests one observation for a blunder.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
@@ -30,7 +30,7 @@ from slam.errors import GraphError
 from slam.graph.edge import Edge
 from slam.graph.held_graph import held_graph
 from slam.graph.loop_candidate import LoopCandidate
-from slam.heap import end_stage, give_back
+from slam.heap import give_back
 from slam.measurements import BoolArray, FloatArray, Pose
 
 if TYPE_CHECKING:
@@ -87,7 +87,7 @@ class LinearMap:
         self._jacobian, self._residuals = linearized(poses, edges)
         give_back()
         self._factor = _Factor(self._jacobian[np.repeat(self._kept, self._size)])
-        end_stage()
+        give_back()
         # One step to the very solution: optimisers stop a little before.
         self._residuals += self._jacobian @ self.step()
 
@@ -97,27 +97,35 @@ class LinearMap:
         gradient = self._jacobian[rows].T @ self._residuals[rows]
         return -self._factor.solve(gradient)
 
-    def influences(self, asked: Sequence[int] | NDArray[np.int64], together: int = 24) -> Influences:
-        """Of these edges, or of those of each row if switched together; so many at a time pass the factor."""
-        sets = np.array(asked, np.int64)
-        found = [self._switched(sets[first : first + together]) for first in range(0, len(sets), together)]
-        shifts, nodes, residuals, left_out = map(np.concatenate, zip(*found, strict=True))
-        return Influences(sets, shifts, nodes, residuals, left_out)
+    def influences(self, asked: Sequence[int] | NDArray[np.int64]) -> Influences:
+        """Of these edges, or of those of each row if switched together."""
+        sets, told = np.array(asked, np.int64), list[tuple[NDArray[Any], ...]]()
+        for at, pulled, residuals, left_out in self._switched(sets):
+            tangents = self._factor.backward(at, pulled).reshape(-1, self._size, len(residuals))
+            squares = np.square(tangents[:, :2] if self._planar else tangents[:, 3:]).sum(axis=1)
+            most = squares.argmax(axis=0)
+            told.append((np.sqrt(squares.max(axis=0)), most + 1, np.linalg.norm(residuals, axis=1), left_out))
+        return Influences(sets, *map(np.concatenate, zip(*told, strict=True)))
 
-    def _switched(self, sets: NDArray[np.int64]) -> tuple[NDArray[Any], ...]:
-        """Shift, node, residual and residual when left out, of each set of edges by itself."""
+    def left_out(self, asked: Sequence[int]) -> FloatArray:
+        """By how much the map without each of these edges misses it: see `Influences`."""
+        return np.concatenate([left_out for *_, left_out in self._switched(np.array(asked, np.int64))])
+
+    def _switched(self, sets: NDArray[np.int64], together: int = 24) -> Iterator[tuple[NDArray[Any], ...]]:
+        """Of sets of edges, each alone: where it pulls at the factor, and how; what is missed, and without.
+
+        So many sets at a time pass the factor.
+        """
         sets, size = sets.reshape(len(sets), -1), self._size
-        rows = (sets[..., None] * size + np.arange(size)).reshape(len(sets), -1)
-        at, pulled = self._factor.forward(self._jacobian, rows.ravel())
-        columns, residuals = pulled.reshape(len(at), *rows.shape).swapaxes(0, 1), self._residuals[rows]
-        signs = np.repeat(np.where(self._kept[sets], -1.0, 1.0), size, axis=1)
-        leverage = columns.swapaxes(1, 2) @ columns
-        pull = np.linalg.solve(signs[..., None] * np.eye(rows.shape[1]) + leverage, residuals[..., None])
-        tangents = self._factor.backward(at, (columns @ pull)[..., 0].T).reshape(-1, size, len(sets))
-        squares = np.square(tangents[:, :2] if self._planar else tangents[:, 3:]).sum(axis=1)
-        most = squares.argmax(axis=0)
-        fallen = np.abs((residuals * pull[..., 0]).sum(axis=1))
-        return np.sqrt(squares.max(axis=0)), most + 1, np.linalg.norm(residuals, axis=1), np.sqrt(fallen)
+        for some in (sets[first : first + together] for first in range(0, len(sets), together)):
+            rows = (some[..., None] * size + np.arange(size)).reshape(len(some), -1)
+            at, pulled = self._factor.forward(self._jacobian, rows.ravel())
+            columns, residuals = pulled.reshape(len(at), *rows.shape).swapaxes(0, 1), self._residuals[rows]
+            signs = np.repeat(np.where(self._kept[some], -1.0, 1.0), size, axis=1)
+            leverage = columns.swapaxes(1, 2) @ columns
+            pull = np.linalg.solve(signs[..., None] * np.eye(rows.shape[1]) + leverage, residuals[..., None])
+            left_out = np.sqrt(np.abs((residuals * pull[..., 0]).sum(axis=1)))
+            yield at, (columns @ pull)[..., 0].T, residuals, left_out
 
 
 class _Factor:
@@ -214,6 +222,13 @@ def influences(poses: Sequence[Pose], edges: Sequence[Edge], kept: Sequence[bool
         with suppress(GraphError):
             return LinearMap(poses, edges, kept).influences(loops)
     return Influences(none, nothing, none, nothing, nothing)
+
+
+def misfits(poses: Sequence[Pose], edges: Sequence[Edge], kept: BoolArray, asked: list[int]) -> FloatArray:
+    """See `LinearMap.left_out`; nothing where the edges that are kept do not join all nodes."""
+    with suppress(GraphError):
+        return LinearMap(poses, edges, kept).left_out(asked) if asked else np.zeros(0)
+    return np.zeros(0)
 
 
 def all_edges(edges: Sequence[Edge], loops: Sequence[LoopCandidate]) -> list[Edge]:

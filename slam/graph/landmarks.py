@@ -162,7 +162,7 @@ def _still(
         if not asked:
             return nodes, still
         found = LinearMap(nodes, [*edges, *links], np.ones(len(edges) + len(links), np.bool_))
-        without = found.influences([len(edges) + n for n in asked]).left_out
+        without = found.left_out([len(edges) + n for n in asked])
         if without.max() ** 2 <= gate(dimension):
             return nodes, still
         worst = links[asked[int(without.argmax())]].source - first

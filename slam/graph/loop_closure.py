@@ -266,7 +266,7 @@ def _judge(
 
 def position_sigmas(covariances: FloatArray) -> FloatArray:
     """Greatest standard deviation of the position, (m,) for (m, 3, 3); infinite where no path leads."""
-    sigmas = np.full(len(covariances), np.inf)
+    xx, yy, xy = covariances[:, 0, 0], covariances[:, 1, 1], covariances[:, 0, 1]
     known = np.isfinite(covariances).all(axis=(1, 2))
-    sigmas[known] = np.sqrt(np.linalg.eigvalsh(covariances[known, :2, :2])[:, -1])
-    return sigmas
+    with np.errstate(invalid="ignore"):
+        return np.where(known, np.sqrt(0.5 * (xx + yy) + np.hypot(0.5 * (xx - yy), xy)), np.inf)

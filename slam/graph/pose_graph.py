@@ -10,6 +10,7 @@ import math
 from collections import Counter
 from collections.abc import Iterable
 from dataclasses import dataclass
+from itertools import compress
 
 import gtsam
 import numpy as np
@@ -20,7 +21,7 @@ from slam.errors import GraphError
 from slam.graph.edge import Edge, EdgeKind
 from slam.graph.factors import begun, between_factor, gauge, mapping_noise, prior, solved, weighted
 from slam.graph.gravity import gravity_factors, heading_alone, upright_poses
-from slam.graph.influence import influences
+from slam.graph.influence import misfits
 from slam.heap import give_back
 from slam.matching.upright import Gravity
 from slam.measurements import BoolArray, FloatArray, Pose
@@ -220,29 +221,31 @@ class PoseGraph:
         A long chain bends far for little, so that GNC, which ends near where it begins, may keep a loop that
         all others contradict: such are refused, the worst first, as long as the solution costs less.
         """
-        found = self._solution(self._gnc_weights(inlier_probability, anew) > 0.5, inlier_probability)
+        most = gate(self._dimension, inlier_probability)
+        factors = [weighted(edge, 1.0) for edge in self.edges]
+        loops = [k for k, edge in enumerate(self.edges) if edge.loop is not None and not edge.trusted]
+        found = self._solution(factors, self._gnc_weights(factors, most, anew) > 0.5, most)
         while True:
-            ended, kept = self._estimate, found.kept.copy()
-            told = influences([self.pose(key) for key in range(self._count)], self.edges, kept)
-            asked = [kept[n] and not self.edges[n].trusted for n in told.edges]
-            left_out = np.where(asked, told.left_out, 0.0)
-            if left_out.max(initial=0.0) ** 2 <= gate(self._dimension, inlier_probability):
+            ended, kept, poses = self._estimate, found.kept.copy(), map(self.pose, range(self._count))
+            asked = [k for k in loops if kept[k]]
+            left_out = misfits(list(poses), self.edges, kept, asked)
+            if left_out.max(initial=0.0) ** 2 <= most:
                 return found
-            kept[told.edges[left_out.argmax()]] = False
-            other = self._solution(kept, inlier_probability)
+            kept[asked[left_out.argmax()]] = False
+            other = self._solution(factors, kept, most)
             if other.cost >= found.cost:
                 self._estimate = ended
                 return found
             found = other
 
-    def _solution(self, kept: BoolArray, inlier_probability: float) -> BatchResult:
-        """The poses by the edges that are kept, and what that costs."""
-        graph = self._graph(edge for edge, keep in zip(self.edges, kept, strict=True) if keep)
+    def _solution(self, factors: list[gtsam.NonlinearFactor], kept: BoolArray, most: float) -> BatchResult:
+        """The poses by the edges that are kept, and what that costs where a gate is ``most``."""
+        graph = self._graph(compress(factors, kept))
         self._estimate = solved(graph, self._estimate)
-        error, each = float(graph.error(self._estimate)), 0.5 * gate(self._dimension, inlier_probability)
+        error = float(graph.error(self._estimate))
         kinds = Counter(edge.kind for edge in self.edges if not edge.trusted)
         refused = Counter(edge.kind for edge, keep in zip(self.edges, kept, strict=True) if not keep)
-        cost = error + each * refused.total()
+        cost = error + 0.5 * most * refused.total()
         cost += sum(math.log(math.comb(kinds[kind], count)) for kind, count in refused.items())
         return BatchResult(error, kept, cost)
 
@@ -317,7 +320,7 @@ class PoseGraph:
         rows: FloatArray = gtsam.utilities.extractPose2(estimate)
         return rows.reshape(-1, 3)
 
-    def _gnc_weights(self, inlier_probability: float, anew: bool) -> FloatArray:
+    def _gnc_weights(self, factors: list[gtsam.NonlinearFactor], most: float, anew: bool) -> FloatArray:
         """Weight of every edge, 0..1, after GNC-TLS with the trusted edges as known inliers.
 
         As Yang 2020, Sec. IV-B, but a round makes one step from where the last one ended; GTSAM goes back
@@ -326,45 +329,43 @@ class PoseGraph:
         """
         weights = np.ones(len(self.edges))
         weights[: len(self._kept)] = self._kept
-        graph = self._graph(self.edges)
-        # Factor 0 is the prior. A factor's error is half its squared residual, and so is the limit.
-        factors = {k: graph.at(k + 1) for k, edge in enumerate(self.edges) if not edge.trusted}
-        limit = 0.5 * gate(self._dimension, inlier_probability)
-        if all((factor.error(self._estimate) <= limit) == weights[k] for k, factor in factors.items()):
+        graph, asked = self._graph(factors), [k for k, edge in enumerate(self.edges) if not edge.trusted]
+
+        def errors() -> FloatArray:
+            return np.array([factors[k].error(self._estimate) for k in asked])
+
+        limit, own = 0.5 * most, weights[asked]  # an error is half a squared residual
+        if ((errors() <= limit) == own).all():
             return weights
-        begun = [k for k in factors if weights[k] > 0.0]
-        for k in factors.keys() - begun:
-            graph.replace(k + 1, weighted(self.edges[k], 0.0))
+        for k in np.array(asked)[own <= 0.0].tolist():
+            graph.replace(k + 1, weighted(self.edges[k], 0.0))  # factor 0 is the prior
         # Remark 5: where the surrogate cost begins to be convex.
-        worst = max((factors[k].error(self._estimate) for k in begun), default=0.0)
+        worst = float(errors()[own > 0.0].max(initial=0.0))
         self._estimate = solved(graph, self._estimate)
         if anew:
-            worst = float(np.median([factors[k].error(self._estimate) for k in factors.keys() - begun]))
+            worst = float(np.median(errors()[own <= 0.0]))
         control = limit / (2.0 * worst - limit) if 2.0 * worst > limit else math.inf
         # Once in any case: what begins refused is asked, too.
         control = min(control, _GREATEST_CONTROL / _GNC_STEP)
         while control < _GREATEST_CONTROL:
-            for k, factor in factors.items():
-                # Eq. (14).
-                share = limit * control * (control + 1.0) / max(factor.error(self._estimate), TINY)
-                weight = min(max(math.sqrt(share) - control, 0.0), 1.0)
-                if weight != weights[k]:
-                    weights[k] = weight
-                    graph.replace(k + 1, weighted(self.edges[k], weight))
+            # Eq. (14).
+            shares = limit * control * (control + 1.0) / np.maximum(errors(), TINY)
+            before, own = own, np.clip(np.sqrt(shares) - control, 0.0, 1.0)
+            for n in np.flatnonzero(own != before).tolist():
+                graph.replace(asked[n] + 1, weighted(self.edges[asked[n]], float(own[n])))
             self._estimate = solved(graph, self._estimate, most_steps=1)
-            if ((weights == 0.0) | (weights == 1.0)).all():
+            if ((own == 0.0) | (own == 1.0)).all():
                 break
             control *= _GNC_STEP
+        weights[asked] = own
         return weights
 
-    def _graph(self, edges: Iterable[Edge]) -> gtsam.NonlinearFactorGraph:
-        """Prior and edges with Gaussian noise."""
+    def _graph(self, factors: Iterable[gtsam.NonlinearFactor]) -> gtsam.NonlinearFactorGraph:
+        """Prior and edges."""
         graph = gtsam.NonlinearFactorGraph()
         graph.add(self._prior())
-        for edge in edges:
-            graph.add(between_factor(edge, gtsam.noiseModel.Gaussian.Covariance(edge.covariance)))
-        # Behind the edges, which are found by their place.
-        for factor in gravity_factors(self._down):
+        # Gravity behind the edges, which are found by their place.
+        for factor in [*factors, *gravity_factors(self._down)]:
             graph.add(factor)
         return graph
 

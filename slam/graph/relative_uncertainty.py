@@ -122,12 +122,15 @@ class UncertaintyGraph:
         barred = (self._parts[:, 0] <= without) & (without <= self._parts[:, 1])
         _follow(first, wanted, anchors, *edges, distance, seen, *queue, barred)
         # Where the nine elements of a symmetric matrix are in its upper triangle.
-        found = seen[targets // self._stride][:, [0, 1, 2, 1, 3, 4, 2, 4, 5]].reshape(-1, 3, 3)
-        own, others = self._inside[[start]], self._inside[targets]
-        away = composed(inverse(poses[[start]]), poses[targets])
-        found = moved(found, inverse(own[:, _POSE])) + _covariance(own) + moved(_covariance(others), away)
+        anchor = targets // self._stride
+        found, far = seen[anchor][:, [0, 1, 2, 1, 3, 4, 2, 4, 5]].reshape(-1, 3, 3), distance[anchor]
+        if self._stride > 1:
+            own, others = self._inside[[start]], self._inside[targets]
+            away = composed(inverse(poses[[start]]), poses[targets])
+            found = moved(found, inverse(own[:, _POSE])) + _covariance(own) + moved(_covariance(others), away)
+            far = far + own[:, _COST] + others[:, _COST]
         found[targets == start] = 0.0
-        found[np.isinf(distance[targets // self._stride] + own[:, _COST] + others[:, _COST])] = np.inf
+        found[np.isinf(far)] = np.inf
         return found
 
     def _append(self, ends: tuple[int, int], step: FloatArray, parts: tuple[int, int]) -> None:
