@@ -7,7 +7,7 @@ import resource
 import signal
 import sys
 import tempfile
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from importlib import import_module
 from pathlib import Path
@@ -43,9 +43,9 @@ class Outcome:
     lines: tuple[str, ...] = ()
 
 
-def load_libraries() -> None:
+def load_libraries(names: Iterable[str] = _LIBRARIES) -> None:
     """Import what commands import when they begin, so that children do not pay for it."""
-    for name in _LIBRARIES:
+    for name in names:
         import_module(name)
 
 

@@ -8,7 +8,7 @@ import pytest
 from ring_graphs import PLANE, RINGS, SIDES, ring, solved
 
 from slam.graph.edge import Edge, EdgeKind
-from slam.graph.influence import LinearMap, influences
+from slam.graph.influence import LinearMap, influences, misfits
 from slam.measurements import FloatArray, Pose
 from tools.false_loops import snooped
 
@@ -91,8 +91,16 @@ def test_a_map_without_loops_or_in_pieces_has_no_influences() -> None:
     chain = [edge for edge in edges if edge.loop is None]
     assert len(influences(poses, chain, [True] * len(chain)).edges) == 0
     poses, edges = ring(*RINGS["plane"])
-    kept = [edge.loop is not None for edge in edges]
-    assert len(influences(poses, edges, kept).edges) == 0
+    kept = np.array([edge.loop is not None for edge in edges])
+    assert len(influences(poses, edges, kept).edges) == len(misfits(poses, edges, kept, [0])) == 0
+
+
+def test_what_some_edges_miss_is_told_without_what_they_move() -> None:
+    poses, edges = ring(*RINGS["plane"])
+    found = influences(poses, edges, kept := np.ones(len(edges), np.bool_))
+    some = found.edges[1::2].tolist()
+    assert misfits(poses, edges, kept, some) == pytest.approx(found.left_out[1::2], rel=1e-9)
+    assert len(misfits(poses, edges, kept, [])) == 0
 
 
 def test_snooping_leaves_out_false_loops_alone_and_together() -> None:

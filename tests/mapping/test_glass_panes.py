@@ -6,6 +6,7 @@ from dataclasses import replace
 import gtsam
 import numpy as np
 import pytest
+from scipy import ndimage
 
 from fusion.depth_model import RangeNoise
 from slam.mapping.glass_panes import head_on, in_straight_runs, straight_runs
@@ -71,6 +72,15 @@ def test_runs_are_straight_and_long(slope):
     assert straight_runs(cells, 0.05).sum() >= 0.8 * cells.sum()
     cells[:, ::5] = False  # cut into pieces of 0.2 m
     assert not straight_runs(cells, 0.05).any()
+
+
+def test_a_run_across_is_what_opening_by_it_leaves():
+    rows = np.random.default_rng(5).random((41, 30)) < 0.7
+    wide = ndimage.binary_dilation(rows, np.ones((3, 1)))
+    assert not (rows & ndimage.binary_opening(wide, np.ones((1, 9))) & ~straight_runs(rows, 0.05)).any()
+    lone = np.zeros((9, 40), np.bool_)
+    lone[4, 2:11] = lone[0, 20:29] = True  # no longer than they must be, one at the rim
+    assert (straight_runs(lone, 0.05) == lone).all()
 
 
 def test_runs_are_found_band_by_band_as_in_the_whole_grid():
