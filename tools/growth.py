@@ -19,7 +19,7 @@ import math
 import tempfile
 import time
 from collections.abc import Iterator
-from itertools import cycle
+from itertools import chain, cycle
 from pathlib import Path
 from typing import Any
 
@@ -54,7 +54,9 @@ def main() -> None:
         for times in (1, *options.times):  # the first warms up: what is compiled is kept
             scans = options.scans * times
             drive = iter(lines) if options.sparse else back_and_forth(lines, options.scans)
-            log.write_text("".join([*head, *until(drive, scans)]))
+            with log.open("w") as stream:
+                stream.writelines(chain(head, until(drive, scans)))
+            heap.give_back()  # a child begins with all that its parent holds
             row = measured(log, out)
             rows.append(row)
             if len(rows) > 1:
