@@ -105,6 +105,7 @@ class LinearMap:
             squares = np.square(tangents[:, :2] if self._planar else tangents[:, 3:]).sum(axis=1)
             most = squares.argmax(axis=0)
             told.append((np.sqrt(squares.max(axis=0)), most + 1, np.linalg.norm(residuals, axis=1), left_out))
+            del at, pulled, tangents, squares
         return Influences(sets, *map(np.concatenate, zip(*told, strict=True)))
 
     def left_out(self, asked: Sequence[int]) -> FloatArray:
@@ -112,10 +113,7 @@ class LinearMap:
         return np.concatenate([left_out for *_, left_out in self._switched(np.array(asked, np.int64))])
 
     def _switched(self, sets: NDArray[np.int64], together: int = 24) -> Iterator[tuple[NDArray[Any], ...]]:
-        """Of sets of edges, each alone: where it pulls at the factor, and how; what is missed, and without.
-
-        So many sets at a time pass the factor.
-        """
+        """Of sets of edges, some at a time: where it pulls at the factor, what is missed, and left out."""
         sets, size = sets.reshape(len(sets), -1), self._size
         for some in (sets[first : first + together] for first in range(0, len(sets), together)):
             rows = (some[..., None] * size + np.arange(size)).reshape(len(some), -1)
@@ -125,7 +123,9 @@ class LinearMap:
             leverage = columns.swapaxes(1, 2) @ columns
             pull = np.linalg.solve(signs[..., None] * np.eye(rows.shape[1]) + leverage, residuals[..., None])
             left_out = np.sqrt(np.abs((residuals * pull[..., 0]).sum(axis=1)))
-            yield at, (columns @ pull)[..., 0].T, residuals, left_out
+            pulled = (columns @ pull)[..., 0].T
+            del columns, leverage  # as large as all that comes now
+            yield at, pulled, residuals, left_out
 
 
 class _Factor:
