@@ -84,6 +84,7 @@ class LinearMap:
         self._planar = isinstance(poses[0], gtsam.Pose2)
         self._size = 3 if self._planar else 6
         self._kept = np.array(kept, np.bool_)
+        give_back()  # what a solver has left
         self._jacobian, self._residuals = linearized(poses, edges)
         give_back()
         self._factor = _Factor(self._jacobian[np.repeat(self._kept, self._size)])
