@@ -219,7 +219,8 @@ def _tied_along(
     tying, first, last = ends[loops & kept], np.full(len(parts), np.inf), np.zeros(len(parts))
     np.minimum.at(first, parts[tying], ways_m[tying])
     np.maximum.at(last, parts[tying], ways_m[tying])
-    many = np.bincount(parts[tying].ravel(), minlength=len(parts)) > len(edges[0].covariance)
+    numbers = max(len(edge.covariance) for edge in edges) if edges else 0
+    many = np.bincount(parts[tying].ravel(), minlength=len(parts)) > numbers
     last[many] = np.inf
     return np.where(loops, (last - first)[parts[ends]].min(axis=1), np.where(wheels, 0.0, np.inf))
 

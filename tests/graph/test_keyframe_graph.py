@@ -242,7 +242,7 @@ class TestPieces:
     def test_what_wheels_alone_tell_is_a_guess_until_loops_tie_it_along_its_way(
         self, loops: list[int], pieces: int
     ) -> None:
-        """As far as a place is seen to both ends (20 cm a step), or by more than three; wheels are the same ones."""
+        """As far as a place is seen to both ends (20 cm a step), or by more than three loops."""
         graph, ahead = empty(), Motion(AHEAD, ROUGH)
         for n in range(100):
             follow(graph, AHEAD, None if n == 50 else step(), ahead)
