@@ -207,8 +207,9 @@ def _tied_along(
 ) -> FloatArray:
     """(E,) along how much of a part of the way loops tie it to others, in metres; infinite within a part.
 
-    What fits once may be a place that looks the same; wheels over many steps tell what they tell of each.
-    ``parts`` (n,) number what was seen in one go.
+    What fits once may be a place that looks the same, and so may a few loops: of a part with more than a pose
+    has numbers that is no more thought. Wheels over many steps tell what they tell of each. ``parts`` (n,)
+    number what was seen in one go.
     """
     ways_m = np.append(0.0, np.cumsum(np.hypot(*np.diff(rows[:, :2], axis=0).T)))
     ends = np.array([(edge.source, edge.target) for edge in edges], np.int64).reshape(-1, 2)
@@ -218,6 +219,9 @@ def _tied_along(
     tying, first, last = ends[loops & kept], np.full(len(parts), np.inf), np.zeros(len(parts))
     np.minimum.at(first, parts[tying], ways_m[tying])
     np.maximum.at(last, parts[tying], ways_m[tying])
+    numbers = max(len(edge.covariance) for edge in edges) if edges else 0
+    many = np.bincount(parts[tying].ravel(), minlength=len(parts)) > numbers
+    last[many] = np.inf
     return np.where(loops, (last - first)[parts[ends]].min(axis=1), np.where(wheels, 0.0, np.inf))
 
 

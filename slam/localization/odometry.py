@@ -5,8 +5,10 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
+import gtsam
 import numpy as np
 
+from fusion.estimation import TINY
 from fusion.time_alignment import GAP_S
 from slam.config import Config
 from slam.localization.poses import Measured, composed, diagonal, position_sigma_m, squared_mahalanobis
@@ -15,7 +17,7 @@ from slam.matching.planar import between
 from slam.measurements import FloatArray, PointCloud, Pose, WheelOdometry, pose2_from_row, row_from_pose2
 from slam.odometry.clock_learner import Turns
 from slam.odometry.cloud_tracker import CloudTracker, TrackedCloud
-from slam.odometry.constant_velocity import repeated
+from slam.odometry.constant_velocity import repeated, stretch
 from slam.odometry.motion_tracker import MotionTracker
 from slam.odometry.surfel_odometry import SurfelOdometry
 from slam.odometry.tracked_scan import TrackedScan
@@ -54,7 +56,9 @@ class ScanOdometry:
         self._unmatched = 0
         self._stamp_s = self._wheels_s = 0.0
         self._silent_s = 0.0
-        self._step, self._step_s = np.zeros(3), 0.0
+        self._step, self._step_s = Measured(gtsam.Pose2(), np.zeros((3, 3))), 0.0
+        # Sums of squared ways, turns and times of the steps that matches told: how it moves as a rule.
+        self._squares = np.zeros(3)
         self._turns = Turns()
 
     def add_wheels(self, reading: WheelOdometry) -> None:
@@ -77,10 +81,17 @@ class ScanOdometry:
         return self._repeated(step_s)
 
     def _repeated(self, step_s: float) -> Measured:
-        """The last motion once more, for another time: as steady as it was while it was measured."""
-        steady_s = max(GAP_S, self._step_s)
-        motion = repeated(self._step, self._step_s, step_s, self._config.prediction, steady_s=steady_s)
-        return Measured(pose2_from_row(motion.pose), motion.covariance)
+        """The last motion once more, for another time: as steady as it was while it was measured.
+
+        What that did not tell is not told by repeating it, and who stands may go as fast as usual.
+        """
+        steady_s, config = max(GAP_S, self._step_s), self._config.prediction
+        step = row_from_pose2(self._step.pose)
+        motion = repeated(step, self._step_s, step_s, config, steady_s=steady_s)
+        usual = self._squares[:2] / max(self._squares[2], TINY) * step_s**2
+        faster = np.maximum(usual - [motion.pose[:2] @ motion.pose[:2], motion.pose[2] ** 2], 0.0)
+        unknown = stretch(step_s, self._step_s) ** 2 * self._step.covariance + np.diag(faster[[0, 0, 1]])
+        return Measured(pose2_from_row(motion.pose), motion.covariance + unknown)
 
     def add(self, view: ScanView) -> OdometryStep:
         """Take a scan."""
@@ -100,8 +111,10 @@ class ScanOdometry:
                 self._turns.add_turn(begun_s, view.stamp_s, float(step[2]))
                 if self._wheels is not None:
                     self._wheels.learn_clock(self._turns)
+                if tracked.determined:
+                    self._squares += step[0] ** 2 + step[1] ** 2, step[2] ** 2, elapsed_s**2
         self._silent_s = 0.0
-        self._step = np.zeros(3) if moved is None else row_from_pose2(moved.pose)
+        self._step = moved or Measured(gtsam.Pose2(), np.zeros((3, 3)))
         self._step_s = elapsed_s
         if self._moved_on(tracked):
             self._tracker.add_keyframe(view.points, tracked)

@@ -34,7 +34,8 @@ class PlanarChain:
     ) -> None:
         self._config, self._tracker, self._wheels, self._cameras = config, tracker, wheels, cameras
         self._last: TrackedScan | None = None
-        self._matched: tuple[int, TrackedScan | None] = (0, None)
+        # The last keyframe that matched, as long as none after it has seen what others may be matched to.
+        self._matched: tuple[int, TrackedScan] | None = None
         self._stretch: tuple[int, TrackedScan | None] = (0, None)
         self._camera_poses: CameraPoses = {}
         self._stamps_s: list[float] = []
@@ -47,7 +48,13 @@ class PlanarChain:
         return self._last
 
     def add(
-        self, key: int, stamp_s: float, tracked: TrackedScan, camera_poses: CameraPoses
+        self,
+        key: int,
+        stamp_s: float,
+        tracked: TrackedScan,
+        camera_poses: CameraPoses,
+        *,
+        blind: bool = False,
     ) -> tuple[FloatArray, list[Edge]]:
         """Take the next keyframe.
 
@@ -55,6 +62,8 @@ class PlanarChain:
         ----------
         camera_poses
             Where every camera was.
+        blind
+            Whether its lidar saw too little for anything to be matched to.
 
         Returns
         -------
@@ -69,6 +78,8 @@ class PlanarChain:
         self._camera_poses, self._last = camera_poses, tracked
         if tracked.motion is not None or key == 0:
             self._matched = key, tracked
+        elif not blind:
+            self._matched = None
         return step, edges
 
     def settle(
@@ -114,9 +125,8 @@ class PlanarChain:
             match = Motion(between(last.pose, matched), tracked.motion.covariance + tracked.dispute)
         wheels = self._tracker.wheel_motion(last.wheels, tracked.wheels, stamp_s - self._stamps_s[-1])
         bridge = None
-        guessed = last is not self._matched[1]
-        if match is not None and guessed:
-            match, bridge = self._past_a_guess(match, last, tracked, stamp_s)
+        if match is not None and (self._matched is None or last is not self._matched[1]):
+            match, bridge = self._past_a_guess(key, match, last)
         moved = self._cameras.steps(self._camera_poses, camera_poses)
         by_camera = self._camera_steps(moved)
         cameras = list(by_camera.values())
@@ -141,35 +151,26 @@ class PlanarChain:
             motion = Motion(np.array([step[0], step[1], turn[0]]), told)
             edges.append(_edge(key - 1, key, motion, EdgeKind.IMU, trusted=True))
         if bridge is not None:
-            # It may have been made to the guessed keyframes: loops may overrule it.
-            edges.append(_edge(self._matched[0], key, bridge, EdgeKind.LIDAR, trusted=False))
+            # Loops may overrule it.
+            edges.append(bridge)
         self._camera_edges += [(key, name) for name in by_camera]
         self._cameras.learn(key - 1, key, moved, wheels if doubtful else match)
         return step, edges
 
-    def _past_a_guess(
-        self, match: Motion, last: TrackedScan, tracked: TrackedScan, stamp_s: float
-    ) -> tuple[Motion, Motion | None]:
+    def _past_a_guess(self, key: int, match: Motion, last: TrackedScan) -> tuple[Motion, Edge | None]:
         """A match where the last keyframe matched nothing: from there, and from the last that matched.
 
-        The guess was by the wheels or by cameras. The match was made to keyframes of before, and to the last
-        one only as well as that was guessed; where the wheels are far from that, or it is out of sight of
-        them, rather to guessed ones.
+        The guess was by the wheels or by cameras, and a match to keyframes of before knows no more of the
+        guessed one. A guessed one that saw enough and yet fitted nowhere was somewhere else: then it is what
+        was matched to, and of those before nothing is known.
         """
-        key, matched = self._matched
-        assert matched is not None
         guess = unmeasured(self._config.graph, _GUESS_SHARE, planar=True)
         uncertain = Motion(match.pose, match.covariance + guess)
-        bridge = Motion(between(matched.pose, compose(last.pose, match.pose)), match.covariance)
-        if math.hypot(bridge.pose[0], bridge.pose[1]) > self._config.loops.reach_m:
+        if self._matched is None:
             return uncertain, None
-        wheels = self._tracker.wheel_motion(matched.wheels, tracked.wheels, stamp_s - self._stamps_s[key])
-        if wheels is not None:
-            squares = bridge.widened(wheels.covariance).squared_mahalanobis(wheels.pose)
-            # No farther than wheels are on average, one for each degree of freedom: the gate lets half a
-            # radian pass, and a false bridge folds the map.
-            return uncertain, bridge if squares <= len(wheels.pose) else None
-        return uncertain, bridge
+        source, matched = self._matched
+        bridge = Motion(between(matched.pose, compose(last.pose, match.pose)), match.covariance)
+        return uncertain, _edge(source, key, bridge, EdgeKind.LIDAR, trusted=False)
 
     def _long_wheels(self, key: int, stamp_s: float, tracked: TrackedScan) -> list[Edge]:
         """Every so often the wheels say how far a whole stretch went: no single wrong match can turn it."""

@@ -152,10 +152,11 @@ class PlanarWay:
         assert self._newest is not None
         stamp_s, points, tracked = self._newest
         last = self._chain.last
-        step, edges = self._chain.add(key, stamp_s, tracked, self._camera_poses)
+        blind = points is None or len(points.oriented()[0]) < LEAST_POINTS
+        step, edges = self._chain.add(key, stamp_s, tracked, self._camera_poses, blind=blind)
         if points is None:
             return Step(step, edges, OrientedPoints.none(), 0)
-        lost = tracked.motion is None and tracked.wheels and len(points.oriented()[0]) >= LEAST_POINTS
+        lost = tracked.motion is None and tracked.wheels and not blind
         near = math.hypot(step[0], step[1]) < self._config.match.search_half_width_m
         # A camera that sees on was not carried off.
         seen = any(edge.kind is EdgeKind.RGBD for edge in edges)

@@ -236,11 +236,13 @@ class TestPieces:
         assert len(set(found)) == pieces
         assert len(set(found[:5])) == len(set(found[5:])) == 1
 
-    @pytest.mark.parametrize(("loops", "pieces"), [([], 2), ([60], 2), ([60, 70], 2), ([60, 95], 1)])
+    @pytest.mark.parametrize(
+        ("loops", "pieces"), [([], 2), ([60], 2), ([60, 70], 2), ([60, 95], 1), ([60, 62, 64, 66], 1)]
+    )
     def test_what_wheels_alone_tell_is_a_guess_until_loops_tie_it_along_its_way(
         self, loops: list[int], pieces: int
     ) -> None:
-        """As far as a place is seen to both ends: 20 cm a step. Wheels over more steps are the same ones."""
+        """As far as a place is seen to both ends (20 cm a step), or by more than three loops."""
         graph, ahead = empty(), Motion(AHEAD, ROUGH)
         for n in range(100):
             follow(graph, AHEAD, None if n == 50 else step(), ahead)

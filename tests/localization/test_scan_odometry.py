@@ -4,7 +4,7 @@ import gtsam
 import numpy as np
 import pytest
 
-from slam.config import Config
+from slam.config import Config, load_config
 from slam.localization.odometry import OdometryStep, ScanOdometry
 from slam.localization.scan_view import ScanView
 from slam.measurements import FloatArray, LaserScan, WheelOdometry
@@ -80,3 +80,16 @@ def test_a_heading_that_slips_does_not_leave_the_corridor_open() -> None:
     assert moved is not None and abs(moved.pose.theta()) < 0.02
     assert moved.pose.x() == pytest.approx(SPEED_M_S, abs=0.1)
     assert np.sqrt(moved.covariance[0, 0]) < 0.5
+
+
+def test_without_wheels_who_stands_may_go_where_nothing_tells_it() -> None:
+    """As fast as before; and how fast it goes then, the next scan of a bare corridor does not tell either."""
+    odometry = ScanOdometry(load_config(None, ["sensors.wheels=false"]))
+    for n in range(25):
+        ahead_m = 4.0 - 0.2 * SPEED_M_S * min(n, 18)
+        ranges = np.minimum(corridor_scan(0.0).ranges_m, ahead_m / np.maximum(np.cos(ANGLES), 1e-3))
+        odometry.add(ScanView.of(scan_of(0.2 * n, ranges), Config()))
+    steps = [add(odometry, 0.2 * n).moved for n in (25, 26)]
+    sigmas = [np.sqrt(step.covariance[0, 0]) for step in steps if step is not None]
+    usual_m = 0.2 * SPEED_M_S * np.sqrt(18.0 / 24.0)
+    assert sigmas == pytest.approx(np.sqrt([1.0, 2.0]) * np.hypot(usual_m, 0.05), rel=0.1)
