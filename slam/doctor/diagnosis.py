@@ -23,6 +23,7 @@ from slam.doctor.lost_sign import lost_sign
 from slam.doctor.own_body import blocked_beams, blocked_finding, without
 from slam.doctor.pair import Pair
 from slam.doctor.paired_motions import BaseTrack, mended_rows
+from slam.doctor.registration_pairs import registrations_of
 from slam.doctor.samples import Samples, WheelSamples
 from slam.doctor.scan_motion import ScanMotion, Steps, track_stretches
 from slam.doctor.stretches import Stretches
@@ -30,7 +31,6 @@ from slam.doctor.turning import told_turn, turn_in_the_plane
 from slam.doctor.wheels_and_lidar import compare
 from slam.measurements import LaserScan, Measurement
 from slam.vision.color_registration import ColorRegistration
-from slam.vision.registration_pairs import paired_frames, registrations_of
 
 # Where the colour cameras of some names sit.
 Registrations: TypeAlias = Callable[[Sequence[str]], dict[str, ColorRegistration]]
@@ -46,7 +46,7 @@ def diagnose(log: Iterable[Measurement], registrations: Registrations | None = N
     log
         A dataset, or a list of measurements in the order in which they came: it is read more than once.
     registrations
-        Tells where colour cameras sit, for who asks for them again; None for `registrations_in` the log.
+        Tells where colour cameras sit, for who asks for them again; None for `registrations_of` the log.
 
     Returns
     -------
@@ -73,14 +73,6 @@ class Diagnosis:
 
     findings: list[Finding]
     open: list[str]
-
-
-def registrations_in(
-    log: Iterable[Measurement], cameras: Sequence[str], config: Config
-) -> dict[str, ColorRegistration]:
-    """See `registrations_of`; of the log no other images are read."""
-    with fewer_frames(log, paired_frames):
-        return registrations_of(log, cameras, config)
 
 
 def examine(log: Iterable[Measurement], registrations: Registrations | None = None) -> Diagnosis:
@@ -143,7 +135,7 @@ def examine(log: Iterable[Measurement], registrations: Registrations | None = No
     vouched = any(lidar.stretches for lidar in samples.lidars.values()) and not unknown
     findings += _in_space(samples, wheels, findings, vouched=vouched)
     lenses = [one.sensor for one in findings if one.kind == "lens"]
-    found_apart = registrations(lenses) if registrations else registrations_in(log, lenses, config)
+    found_apart = registrations(lenses) if registrations else registrations_of(log, lenses, config)
     apart = [name for name, one in found_apart.items() if one.accepted]
     findings = [one for one in findings if one.kind != "lens" or one.sensor not in apart]
     unknown += [f"{name}: its lens, for its colours lie beside its depths" for name in apart]
