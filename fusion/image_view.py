@@ -30,15 +30,14 @@ class ImageView:
         Ranges at the columns' bearings.
     pixel, range_of_depth, slopes
         As in `fusion.panorama.Lookup`.
-    best_m, low_m, high_m
-        Heights of the curve, and of all that are as good.
+    low_m, high_m
+        Between them lie all heights that are as good as the curve's.
     """
 
     curve: Curve
     pixel: IntArray
     range_of_depth: Float32Array
     slopes: Float32Array
-    best_m: float
     low_m: float
     high_m: float
 
@@ -60,6 +59,5 @@ class ImageView:
 def view_at_height(image: DepthImage, best_m: float, low_m: float, high_m: float) -> ImageView:
     """The slice of an image with intrinsics at a height above the camera."""
     lookup = lookup_of(image, native_step_rad(image))
-    return ImageView(
-        native_slice(image, best_m), lookup.pixel, lookup.range_of_depth, lookup.slopes, best_m, low_m, high_m
-    )
+    curve = native_slice(image, best_m)
+    return ImageView(curve, lookup.pixel, lookup.range_of_depth, lookup.slopes, low_m, high_m)

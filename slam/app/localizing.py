@@ -16,8 +16,8 @@ from slam.config import Config, config_of
 from slam.datasets.dataset import Dataset
 from slam.datasets.opening import opened_by
 from slam.datasets.sensor_choice import SensorChoice, UsedMeasurements
-from slam.doctor.diagnosis import registrations_in
 from slam.doctor.finding import Finding
+from slam.doctor.registration_pairs import registrations_of
 from slam.errors import ConfigError, DatasetError
 from slam.estimates import Trajectory
 from slam.evaluation.localization_report import write_localization_report
@@ -152,7 +152,7 @@ def _registrations(
     if known_map.frames is None or known_map.registrations:
         return None
     choice = SensorChoice.of(log, config.sensors)
-    return registrations_in(UsedMeasurements(log, config.sensors), choice.cameras, config)
+    return registrations_of(UsedMeasurements(log, config.sensors), choice.cameras, config)
 
 
 def _driven(

@@ -89,6 +89,13 @@ class SpinningCorrection(SensorCorrection):
     )
 
 
+class FloorLine(StrictModel):
+    """A straight line on the floor, as the log's own beams see it."""
+
+    from_m: float = Field(gt=0, description="readings on the line and behind begin here")
+    bearing_deg: float = Field(ge=-360, le=360, description="of its nearest point")
+
+
 class LidarCorrection(SpinningCorrection):
     """A 2D lidar; what is not given stays as the log tells it."""
 
@@ -100,6 +107,7 @@ class LidarCorrection(SpinningCorrection):
     blocked_beams: tuple[tuple[int, int], ...] = Field(
         default=(), description="first and last beam, from 0, of those that see the robot itself"
     )
+    floor: FloorLine | None = Field(default=None, description="where it sees the floor: left out")
 
     @model_validator(mode="after")
     def _beams_in_order(self) -> LidarCorrection:

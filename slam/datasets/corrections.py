@@ -198,6 +198,9 @@ class _Lidar:
                     f"which has {ranges.size}"
                 )
             ranges[first : last + 1] = np.nan
+        if given.floor is not None:
+            ahead = np.cos(scan.bearings_rad() - math.radians(given.floor.bearing_deg))
+            ranges[scan.ranges_m * ahead > given.floor.from_m] = np.nan
         start_rad = (
             scan.start_angle_rad if given.start_angle_deg is None else math.radians(given.start_angle_deg)
         )

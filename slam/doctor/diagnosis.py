@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, TypeAlias
+from typing import TypeAlias, cast
 
 import numpy as np
 
@@ -23,14 +23,15 @@ from slam.doctor.lost_sign import lost_sign
 from slam.doctor.own_body import blocked_beams, blocked_finding, without
 from slam.doctor.pair import Pair
 from slam.doctor.paired_motions import BaseTrack, mended_rows
+from slam.doctor.registration_pairs import registrations_of
 from slam.doctor.samples import Samples, WheelSamples
 from slam.doctor.scan_motion import ScanMotion, Steps, track_stretches
+from slam.doctor.seen_floor import floor_findings
 from slam.doctor.stretches import Stretches
 from slam.doctor.turning import told_turn, turn_in_the_plane
 from slam.doctor.wheels_and_lidar import compare
 from slam.measurements import LaserScan, Measurement
 from slam.vision.color_registration import ColorRegistration
-from slam.vision.registration_pairs import paired_frames, registrations_of
 
 # Where the colour cameras of some names sit.
 Registrations: TypeAlias = Callable[[Sequence[str]], dict[str, ColorRegistration]]
@@ -46,7 +47,7 @@ def diagnose(log: Iterable[Measurement], registrations: Registrations | None = N
     log
         A dataset, or a list of measurements in the order in which they came: it is read more than once.
     registrations
-        Tells where colour cameras sit, for who asks for them again; None for `registrations_in` the log.
+        Tells where colour cameras sit, for who asks for them again; None for `registrations_of` the log.
 
     Returns
     -------
@@ -75,14 +76,6 @@ class Diagnosis:
     open: list[str]
 
 
-def registrations_in(
-    log: Iterable[Measurement], cameras: Sequence[str], config: Config
-) -> dict[str, ColorRegistration]:
-    """See `registrations_of`; of the log no other images are read."""
-    with fewer_frames(log, paired_frames):
-        return registrations_of(log, cameras, config)
-
-
 def examine(log: Iterable[Measurement], registrations: Registrations | None = None) -> Diagnosis:
     """As `diagnose`, with what could not be judged."""
     config = Config()
@@ -103,8 +96,6 @@ def examine(log: Iterable[Measurement], registrations: Registrations | None = No
         middle_m = _median_m(stretches)
         if wheels is None:
             findings += in_space.unit_finding("lidars", name, middle_m)
-            if not samples.imus:
-                continue
         stretches, scale = _within_reach(stretches, middle_m / config.scan.range_max_m)
         turn = told_turn(stretches, config) if wheels else None
         if turn:
@@ -113,6 +104,11 @@ def examine(log: Iterable[Measurement], registrations: Registrations | None = No
                 for scans in stretches
             ]
         tracked = track_stretches(stretches, config)
+        floor = floor_findings(name, stretches, tracked, config) if scale == 1.0 else []
+        if floor:
+            findings += floor
+            stretches = _mended(stretches, floor)
+            tracked = track_stretches(stretches, config)
         by_imus = None if vouched_for else _by_imus(samples, tracked, config)
         vouched_for = vouched_for or by_imus is not None
         if wheels is None:
@@ -123,7 +119,8 @@ def examine(log: Iterable[Measurement], registrations: Registrations | None = No
         found, left_open = compare(pair, tracked, config)
         if not (found or left_open):
             with fewer_frames(log, None):
-                lost = lost_sign(log, wheels[0], name, wheels[1].rows(), config)
+                mended = corrected(log, remedied(Calibration(), floor, only_sure=True))
+                lost = lost_sign(mended, wheels[0], name, wheels[1].rows(), config)
             found = [lost] if lost else []
         if not found:
             turn = turn or turn_in_the_plane(stretches, lidar.interval_s.median() or 0.0, config)
@@ -136,14 +133,12 @@ def examine(log: Iterable[Measurement], registrations: Registrations | None = No
         ]
         if by_imus and own:
             # What contradicts the IMU is the lidar's own mistake.
-            mended = remedied(Calibration(), own, only_sure=False)
-            again: Any = [list(corrected(scans, mended)) for scans in stretches]
-            by_imus = _by_imus(samples, track_stretches(again, config), config)
+            by_imus = _by_imus(samples, track_stretches(_mended(stretches, own), config), config)
         findings += by_imus or []
     vouched = any(lidar.stretches for lidar in samples.lidars.values()) and not unknown
     findings += _in_space(samples, wheels, findings, vouched=vouched)
     lenses = [one.sensor for one in findings if one.kind == "lens"]
-    found_apart = registrations(lenses) if registrations else registrations_in(log, lenses, config)
+    found_apart = registrations(lenses) if registrations else registrations_of(log, lenses, config)
     apart = [name for name, one in found_apart.items() if one.accepted]
     findings = [one for one in findings if one.kind != "lens" or one.sensor not in apart]
     unknown += [f"{name}: its lens, for its colours lie beside its depths" for name in apart]
@@ -193,6 +188,12 @@ def _by_imus(samples: Samples, tracked: list[ScanMotion], config: Config) -> lis
     if not (steps and samples.imus):
         return None
     return [one for name, imu in samples.imus.items() for one in imu_findings(name, imu, steps, None)]
+
+
+def _mended(stretches: list[list[LaserScan]], findings: list[Finding]) -> list[list[LaserScan]]:
+    """Scans as findings have them."""
+    by = remedied(Calibration(), findings, only_sure=False)
+    return [cast(list[LaserScan], list(corrected(scans, by))) for scans in stretches]
 
 
 def _or_upside_down(finding: Finding, lidar: str) -> Finding:

@@ -20,7 +20,7 @@ from fusion.estimation import ROUNDS, TINY, gate
 from slam.graph.edge import Edge, EdgeKind
 from slam.graph.factors import solved
 from slam.graph.held_graph import held_graph, marginals
-from slam.measurements import IN_PLANE, FloatArray, Pose, motion_between, spatial
+from slam.measurements import IN_PLANE, FloatArray, Pose, motion_between, planar, spatial
 
 _FREEDOM = 3.0
 # Whitened errors settle to that.
@@ -276,4 +276,4 @@ def _like(pose: Pose, other: gtsam.Pose3) -> Pose:
     """A pose of the plane, seen from above, where the first is one."""
     if isinstance(pose, gtsam.Pose3):
         return other
-    return gtsam.Pose2(other.x(), other.y(), other.rotation().yaw())
+    return planar(other)

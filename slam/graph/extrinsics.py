@@ -90,8 +90,6 @@ class ExtrinsicsResult:
         (N,) pairs that agree.
     inlier_share
         Their share, 0 without a pair.
-    residual_rad, residual_m
-        Root mean square of a coordinate of the agreeing camera steps, measured less predicted.
     converged
         Whether the iteration settled on something that was reported.
     """
@@ -101,8 +99,6 @@ class ExtrinsicsResult:
     unobservable: tuple[str, ...]
     inliers: BoolArray
     inlier_share: float
-    residual_rad: float
-    residual_m: float
     converged: bool
 
 
@@ -128,11 +124,8 @@ def estimate_extrinsics(pairs: Sequence[MotionPair], start: gtsam.Pose3 | None =
     if not pairs:
         axes = _base_axes(nominal)
         covariance = axes.T @ np.diag((_UNKNOWN * vague) ** 2) @ axes
-        unmeasured = float("nan")
         nothing = np.zeros(0, np.bool_)
-        return ExtrinsicsResult(
-            nominal, covariance, ("all",), nothing, 0.0, unmeasured, unmeasured, converged=False
-        )
+        return ExtrinsicsResult(nominal, covariance, ("all",), nothing, 0.0, converged=False)
     motions = _motions(pairs, settings)
     rough = search(motions, nominal.rotation().matrix(), nominal.translation())
     fit = refine(motions, *rough, settings.inlier_probability)
@@ -256,19 +249,16 @@ def _from_base(mount: gtsam.Pose3, covariance: FloatArray, vague: FloatArray) ->
 def _result(
     fit: Fit, mount: gtsam.Pose3, covariance: FloatArray, untold: FloatArray, vague: FloatArray
 ) -> ExtrinsicsResult:
-    """Names, residuals and trust."""
+    """Names and trust."""
     unobservable = np.diag(untold) > _UNTOLD_SHARE
     last_step = _base_axes(mount) @ fit.last_step / vague
     settled = np.abs(last_step - untold @ last_step).max() < _SETTLED
-    agreeing = fit.errors[fit.inliers]
     return ExtrinsicsResult(
         T_base_camera=mount,
         covariance=0.5 * (covariance + covariance.T),
         unobservable=("all",) if unobservable.all() else tuple(np.array(_NAMES)[unobservable].tolist()),
         inliers=fit.inliers,
         inlier_share=float(fit.inliers.mean()),
-        residual_rad=float(np.sqrt(np.mean(agreeing[:, :3] ** 2))),
-        residual_m=float(np.sqrt(np.mean(agreeing[:, 3:] ** 2))),
         converged=bool(settled and not unobservable.all()),
     )
 

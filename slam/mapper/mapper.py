@@ -47,6 +47,7 @@ class Mapper:
         self._config, self._front_end = config, front_end
         self._sensors: dict[type, Sensor] = {}
         self._graph: KeyframeGraph | None = None
+        self._last: Tracked | None = None  # the newest moment, where it was matched and is no keyframe
         self._record, self._gnss = ScanRecorder(), GnssAnchors()
         places = config.sensors.tags
         self._places = None if places is None else PlaceAnchors(places)
@@ -88,6 +89,7 @@ class Mapper:
         if tracked is None:
             self._beside_s += time.perf_counter() - started
             return
+        self._last = None if tracked.new_keyframe or tracked.motion is None else tracked
         if tracked.new_keyframe:
             before = time.perf_counter()
             self._add_keyframe(tracked)
@@ -107,6 +109,9 @@ class Mapper:
             Where nothing could be mapped.
         """
         self._front_end.refuse()
+        if len(self._keyframes) == 1 and self._last is not None:
+            # Else nothing would tell how well what came after it was matched to it.
+            self._add_keyframe(self._last)
         graph, front_end, readings = self._keyframes, self._front_end, self._front_end.readings
         clock = [time.perf_counter()]
         front_end.settle(graph)

@@ -12,8 +12,9 @@ from slam.config import Config, calibrated
 from slam.datasets.dataset import Dataset
 from slam.datasets.recording import fewer_frames, read_once
 from slam.datasets.sensor_choice import SensorChoice, SensorTally, UsedMeasurements, use_lines
-from slam.doctor.diagnosis import Registrations, diagnose, registrations_in
+from slam.doctor.diagnosis import Registrations, diagnose
 from slam.doctor.finding import Finding, remedied
+from slam.doctor.registration_pairs import paired_frames, registrations_of
 from slam.errors import DatasetError
 from slam.heap import end_stage
 from slam.mapper.checkpoint import Checkpoint
@@ -33,7 +34,6 @@ from slam.vision.color_registration import ColorRegistration
 from slam.vision.features import forget_keypoints
 from slam.vision.prefetch import prefetched
 from slam.vision.prepared_frame import FramePreparer, PreparedFrame
-from slam.vision.registration_pairs import paired_frames
 
 OnStep: TypeAlias = Callable[[str, int], None]
 
@@ -239,7 +239,7 @@ class _Registered:
         """See `slam.doctor.diagnosis.Registrations`."""
         unknown = [name for name in cameras if name not in self.found]
         log = UsedMeasurements(self.dataset, self.config.sensors)
-        self.found |= registrations_in(log, unknown, self.config)
+        self.found |= registrations_of(log, unknown, self.config)
         return {name: self.found[name] for name in cameras if name in self.found}
 
 

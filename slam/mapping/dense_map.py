@@ -33,8 +33,8 @@ class DenseMapSettings:
     depth_min_m, depth_max_m
         Readings outside are not used.
     minimum_views
-        A surface enters the result where at least so many frames saw it; more removes fragments, and thins
-        out what was seen in passing.
+        A surface enters the result where at least so many frames saw it, or all of fewer; more removes
+        fragments, and thins out what was seen in passing.
     memory_limit_mb
         Memory the voxels may take, in 10^6 bytes.
     """
@@ -127,7 +127,7 @@ def fuse_keyframes(
         posed_frames(frames, poses), lambda posed: _integrate(blocks, settings, *posed), most_waiting=1
     )
     fused = sum(told)
-    vertices, colors, normals, faces = surface_of_blocks(blocks, settings.minimum_views)
+    vertices, colors, normals, faces = surface_of_blocks(blocks, min(settings.minimum_views, fused))
     cloud = ColoredCloud(vertices, colors, normals)
     return DenseMap(ColoredMesh(vertices, colors, normals, faces), cloud, fused)
 

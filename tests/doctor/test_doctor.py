@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import replace
 from functools import cache
@@ -211,6 +212,29 @@ def test_a_short_drive_tells_of_blocked_beams() -> None:
     blocked = blocked_beams(stretches, Config())
     assert blocked is not None and np.flatnonzero(blocked).tolist() == list(range(30))
     assert blocked_beams(stretches[:3], Config()) is None
+
+
+def tilted(log: Log, at_m: float, bearing_rad: float) -> Log:
+    """A lidar that sees the floor on a line, to 1 %."""
+    rng = np.random.default_rng(1)
+
+    def seen(scan: LaserScan) -> LaserScan:
+        ahead = np.cos(scan.bearings_rad() - bearing_rad)
+        floor_m = np.where(ahead > 0.05, at_m * rng.normal(1.0, 0.01) / np.maximum(ahead, 0.05), np.inf)
+        return replace(scan, ranges_m=np.fmin(scan.ranges_m, floor_m).astype(np.float32))
+
+    return [seen(one) if isinstance(one, LaserScan) else one for one in log]
+
+
+@pytest.mark.parametrize("wheels", [True, False])
+def test_the_floor_that_a_tilted_lidar_sees_is_told_and_left_out(wheels: bool) -> None:
+    log = [one for one in tilted(sound(), 2.5, 0.2) if wheels or isinstance(one, LaserScan)]
+    (found,) = diagnose(log)
+    assert (found.kind, found.sure) == ("floor", True)
+    (line,) = [one["floor"] for one in found.remedies[0]["lidars"].values()]
+    assert line["from_m"] == pytest.approx(0.9 * 2.5, rel=0.05)
+    assert line["bearing_deg"] == pytest.approx(math.degrees(0.2), abs=6.0)
+    assert diagnose(corrected(log, remedied(Calibration(), [found], only_sure=True))) == []
 
 
 def test_a_clock_that_is_set_back_is_no_mistake_of_the_sensors() -> None:

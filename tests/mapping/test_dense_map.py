@@ -108,9 +108,13 @@ def test_readings_outside_the_depth_range_are_not_used():
 def test_what_too_few_frames_saw_and_what_has_no_depth_is_left_out():
     frame, pose = box_frame(gtsam.Pose3()), gtsam.Pose3(gtsam.Rot3(), [0.0, 0.0, 0.007])
     blind = RgbdFrame(0.0, frame.color, np.zeros_like(frame.depth_m), CAMERA)
-    once = fuse_keyframes([frame, blind], [pose, pose], SETTINGS)
-    assert once.frames_fused == 1
+    behind = gtsam.Pose3(gtsam.Rot3.Ypr(0.0, np.pi, 0.0), pose.translation())
+    once = fuse_keyframes([frame, frame], [pose, behind], SETTINGS)
+    assert once.frames_fused == 2
     assert once.mesh.faces.shape == once.cloud.points_map.shape == (0, 3)
+    alone = fuse_keyframes([frame, blind], [pose, pose], SETTINGS)
+    assert alone.frames_fused == 1
+    assert len(alone.mesh.faces) > 1000, "no other could have seen it"
     never = fuse_keyframes([blind], [pose], SETTINGS)
     assert never.frames_fused == 0
     assert never.mesh.vertices_map.shape == never.cloud.colors.shape == (0, 3)

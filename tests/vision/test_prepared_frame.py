@@ -12,10 +12,10 @@ from room_world import LESS, MIDDLE, furnished, looking, prepared, render
 
 from slam.config import load_config
 from slam.config.stages import RgbdConfig
+from slam.doctor.registration_pairs import registrations_of
 from slam.measurements import Measurement, WheelOdometry
 from slam.vision.color_registration import ColorRegistration
 from slam.vision.prepared_frame import FramePreparer, PreparedFrame
-from slam.vision.registration_pairs import registrations_of
 
 FRAME = render(furnished(), looking(0.0, 0.0, 1.3, 0.3), MIDDLE)
 

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Iterable, Iterator, Sequence
+import math
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from itertools import islice
 from typing import TypeAlias
 
@@ -12,6 +13,7 @@ import numpy as np
 from fusion.estimation import FEWEST
 from slam.config import Config
 from slam.config.stages import RgbdOdometryConfig
+from slam.datasets.recording import fewer_frames
 from slam.measurements import Measurement, RgbdFrame
 from slam.vision.color_registration import ColorRegistration
 from slam.vision.color_registration_fit import FramePair, estimate_registration
@@ -29,7 +31,7 @@ _LEAST_MOTION, _GREATEST_MOTION = 0.03, 0.25
 
 
 def paired_frames(_: str, stamps_s: Sequence[float]) -> list[bool]:
-    """Of a camera's frames those that `registrations_of` looks at, by their stamps."""
+    """Of a camera's frames those that `registrations_of` looks at first, by their stamps."""
     looked_s, chosen = -np.inf, []
     for stamp_s in stamps_s:
         chosen.append(stamp_s - looked_s >= _EVERY_S)
@@ -38,29 +40,44 @@ def paired_frames(_: str, stamps_s: Sequence[float]) -> list[bool]:
 
 
 def registrations_of(
-    measurements: Iterable[Measurement], cameras: Sequence[str], config: Config
+    log: Iterable[Measurement], cameras: Sequence[str], config: Config
 ) -> dict[str, ColorRegistration]:
     """Where the colour camera sits beside the depth camera, and why, for every camera that was seen.
 
+    Where a camera moved too far from one frame that is looked at to the next, and in a short log, every frame
+    is looked at.
+
     Parameters
     ----------
-    measurements
-        Of the log from its beginning; it is read until every camera has shown enough, at most 40 seconds.
+    log
+        From its beginning, once or twice; it is read until every camera has shown enough, at most 40 seconds,
+        and of its images no others where it can be asked so.
     cameras
         Names of the cameras.
     """
     if not cameras or config.rgbd.registration == "given":
         return {}
     collectors = {name: _Collector(config) for name in cameras}
+    with fewer_frames(log, paired_frames):
+        _collect(log, collectors)
+    if fast := {name: collector for name, collector in collectors.items() if collector.look_closer()}:
+        with fewer_frames(
+            log, lambda name, stamps_s: [name in fast and fast[name].asks(s) for s in stamps_s]
+        ):
+            _collect(log, fast)
+    found = {name: collector.registration(config.seed) for name, collector in collectors.items()}
+    return {name: registration for name, registration in found.items() if registration is not None}
+
+
+def _collect(log: Iterable[Measurement], collectors: Mapping[str, _Collector]) -> None:
+    """Show the cameras' frames to their collectors."""
     first_s: float | None = None
-    for measurement in measurements:
+    for measurement in log:
         first_s = measurement.stamp_s if first_s is None else first_s
         if measurement.stamp_s - first_s > _LONGEST_S or all(c.done for c in collectors.values()):
             break
         if isinstance(measurement, RgbdFrame) and measurement.sensor in collectors:
             collectors[measurement.sensor].add(measurement)
-    found = {name: collector.registration(config.seed) for name, collector in collectors.items()}
-    return {name: registration for name, registration in found.items() if registration is not None}
 
 
 class _Collector:
@@ -70,23 +87,42 @@ class _Collector:
         self._config = config
         self._pairs: list[FramePair] = []
         self._anchors: list[Seen] = []
-        self._looked_s = -np.inf
+        self._looked_s: list[float] = []
+        self._missed_s: list[tuple[float, float]] = []  # from frame to frame, where it moved too far
+        self._known_s: frozenset[float] = frozenset()
 
     @property
     def done(self) -> bool:
         """Whether there are enough."""
         return len(self._pairs) >= _PAIRS
 
+    def look_closer(self) -> bool:
+        """Whether frames between those that were looked at may tell more; these are asked for then."""
+        if 0 < len(self._looked_s) < _PAIRS:
+            self._missed_s = [(-math.inf, math.inf)]
+        self._known_s = frozenset(self._looked_s)
+        return not self.done and bool(self._missed_s)
+
+    def asks(self, stamp_s: float) -> bool:
+        """Whether a frame of that time is looked at."""
+        if self._known_s:
+            return any(first_s <= stamp_s <= last_s for first_s, last_s in self._missed_s)
+        return not self._looked_s or stamp_s - self._looked_s[-1] >= _EVERY_S
+
     def add(self, frame: RgbdFrame) -> None:
         """Pair a frame with the anchor before it, if the motion between suits."""
-        if self.done or frame.stamp_s - self._looked_s < _EVERY_S:
+        if self.done or not self.asks(frame.stamp_s):
             return
-        self._looked_s = frame.stamp_s
+        self._looked_s.append(frame.stamp_s)
         count = self._config.rgbd.features
         features = extract_features(gray_of(frame), frame.depth_m, count, again=True)
         seen, pair, motion = (frame, features), None, np.inf
         if self._anchors:
-            pair, motion = _pair(self._anchors[-1], seen, self._config.rgbd_odometry)
+            before_s = self._anchors[-1][0].stamp_s
+            if not self._known_s.issuperset((before_s, frame.stamp_s)):
+                pair, motion = _pair(self._anchors[-1], seen, self._config.rgbd_odometry)
+            if motion > _GREATEST_MOTION and not self._known_s:
+                self._missed_s.append((before_s, frame.stamp_s))
         if pair is not None:
             self._pairs.append(pair)
         if pair is not None or motion > _GREATEST_MOTION:
