@@ -105,7 +105,8 @@ def unseen_covariances(
     inside = np.flatnonzero(~outside)
     inside = inside[apart_s[last[inside]] > GAP_S]
     gap = last[inside]
-    share = (since[inside] / (way[scans[gap + 1]] - way[scans[gap]]))[:, None]
+    # Stamps may run backward.
+    share = np.clip(since[inside] / (way[scans[gap + 1]] - way[scans[gap]]), 0.0, 1.0)[:, None]
     told[inside] = share * (1.0 - share) * over[gap]
     covariances = told[:, [0, 0, 1] if size == 3 else [0, 0, 0, 1, 1, 1], None] * np.eye(size)
     return covariances if wheels is None else _moved(covariances, _from(trajectory, seen))

@@ -167,6 +167,13 @@ def test_without_wheels_a_robot_may_be_anywhere_that_it_comes_to() -> None:
     assert not unseen_covariances(trajectory, np.array([7]), None, 3).any()  # nothing tells how fast
 
 
+def test_a_stamp_that_runs_backward_makes_no_variance_negative() -> None:
+    stamps_s = np.array([0.0, 0.25, 0.2, 0.75, 1.25, 1.5])
+    trajectory = Poses.planar(np.column_stack([2.0 * stamps_s, stamps_s, stamps_s])).trajectory(stamps_s)
+    found = unseen_covariances(trajectory, np.array([0, 1, 4, 5]), None, 3)
+    assert found[2, 0, 0] == 0.0 < found[3, 0, 0]
+
+
 def test_where_an_imu_alone_led_poses_are_as_uncertain_along_the_map_as_it_says() -> None:
     found = bridged_covariances(line(yaw=np.pi / 2), {3: np.diag([1.0, 2.0, 3.0, 4.0, 5.0, 6.0])})
     assert found[3] == pytest.approx(np.diag([5.0, 4.0, 6.0, 2.0, 1.0, 3.0]))
