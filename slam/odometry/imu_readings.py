@@ -31,12 +31,20 @@ class ImuReadings:
         # Time between two readings as a rule, and after how many more it is looked at again.
         self._usual_s, self._left = 0.0, 0
 
-    def add(self, reading: ImuReading) -> None:
-        """Take the next reading; one that is not later than the one before is left out."""
-        if self._rows:
-            step_s = reading.stamp_s - self._rows[-1][0]
-            if step_s <= 0.0:
-                return
+    def add(self, reading: ImuReading) -> bool:
+        """Take the next reading; one that is not later than the one before is left out.
+
+        Returns
+        -------
+        Whether its clock was set back: those before are forgotten.
+        """
+        step_s = reading.stamp_s - self.newest_s
+        set_back = self.is_gap(-step_s)
+        if set_back:
+            self._rows.clear()
+        elif step_s <= 0.0:
+            return False
+        elif self._rows:
             self._steps_s.append(step_s)
             # Hundreds come a second: not each is worth a median.
             self._left -= 1
@@ -47,6 +55,7 @@ class ImuReadings:
         self._rows.append((reading.stamp_s, told))
         while self._rows[-1][0] - self._rows[0][0] > _KEPT_S:
             self._rows.popleft()
+        return set_back
 
     @property
     def newest_s(self) -> float:
@@ -62,7 +71,7 @@ class ImuReadings:
 
     def covers(self, begin_s: float, end_s: float) -> bool:
         """Whether there are readings all the way; beyond the newest by a few steps counts."""
-        if len(self._rows) < 2:
+        if len(self._rows) < 2 or end_s < begin_s:
             return False
         if self.is_gap(self._rows[0][0] - begin_s) or self.is_gap(end_s - self.newest_s):
             return False

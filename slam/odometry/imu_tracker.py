@@ -70,7 +70,8 @@ class ImuTracker:
     def add(self, reading: ImuReading) -> None:
         """Take the next reading."""
         self._sensor = reading.sensor
-        self._readings.add(reading)
+        if self._readings.add(reading):
+            self._lose()
         self._whole = None
 
     @property

@@ -195,3 +195,14 @@ def test_a_reading_that_is_not_later_is_left_out() -> None:
     for stamp_s in (0.0, 0.01, 0.01, 0.005, 0.02):
         held.add(ImuReading(stamp_s, np.zeros(3), -9.8 * DOWN))
     assert held.newest_s == 0.02 and held.covers(0.0, 0.02) and not held.covers(0.0, 5.0)
+
+
+def test_where_a_clock_is_set_back_it_begins_anew() -> None:
+    imu = tracked(walk, 3.0)
+    assert imu.state is not None
+    imu.add(ImuReading(1.0, np.zeros(3), -9.8 * DOWN))
+    assert imu.state is None and imu.predicted(3.0) is None
+    held = ImuReadings()
+    for stamp_s in (6.0, 6.01, 6.02, 1.0, 1.01):
+        held.add(ImuReading(stamp_s, np.zeros(3), -9.8 * DOWN))
+    assert held.newest_s == 1.01 and held.covers(1.0, 1.01) and not held.covers(6.0, 1.0)
