@@ -218,9 +218,12 @@ class CloudTracker:
             if self._wheels is not None:
                 self._wheels.see(self._velocity.speed_m_s)
         self._tell(measured + _UNSEEN_M**2 * np.outer(motion.weak_direction, motion.weak_direction))
-        if not motion.converged and self._imu is not None and (told := self._imu.off(self._pose)) is not None:
+        sure = motion.converged and not motion.degenerate
+        told = None if sure or self._imu is None else self._imu.off(self._pose)
+        if told is None:
+            motion = self._open.widened(cloud.stamp_s, motion, self._velocity.twist)
+        else:
             motion = replace(motion, covariance=told)
-        motion = self._open.widened(cloud.stamp_s, motion, self._velocity.twist, self._spread)
         return TrackedCloud(points, self._pose, motion, self._moved_on(self._pose))
 
     def _judge_wheels(self, step: gtsam.Pose3) -> None:
@@ -235,7 +238,7 @@ class CloudTracker:
 
         After seconds that nobody saw a street fits where it looks the same.
         """
-        if told is None:
+        if told is None or self._imu is None:
             return True
         apart, covariance = gtsam.Pose3.Logmap(told.between(pose_of(motion))), motion.covariance
         if motion.converged:
@@ -246,11 +249,9 @@ class CloudTracker:
             return bool(apart @ np.linalg.solve(covariance, apart) <= gate(6))
 
         # What agrees without the spread, which is slow to tell, agrees all the more with it.
-        return agrees(covariance) or ((spread := self._spread()) is not None and agrees(covariance + spread))
-
-    def _spread(self) -> FloatArray | None:
-        """(6, 6) covariance of the newest pose by the IMU; None where none tells it."""
-        return None if self._imu is None else self._imu.spread()
+        if agrees(covariance):
+            return True
+        return (spread := self._imu.spread()) is not None and agrees(covariance + spread)
 
     def _guessed(self, points: FloatArray, pose: gtsam.Pose3, *, new_keyframe: bool) -> TrackedCloud:
         """A cloud that did not match."""
