@@ -18,6 +18,9 @@ _KEPT_S = 30.0
 _GYRO_DENSITY, _FORCE_DENSITY = 2e-5, 1e-3
 # Biases wander: by Forster 2017, Sec. VIII, ten times a tactical unit's.
 GYRO_WALK, FORCE_WALK = 1e-4, 1e-3
+# Sigmas of a gyroscope before anything is learned: bias in rad/s, share by which its turns are too large (of
+# cheap ones, by their data sheets).
+GYRO_UNKNOWN = np.diag([0.1, 0.03])
 
 
 class ImuReadings:
@@ -107,9 +110,15 @@ class ImuReadings:
         """The readings between two stamps; the nearest one stands where none is."""
         whole = gtsam.PreintegratedCombinedMeasurements(parameters, bias)
         stamps_s, told = self._with_ends(begin_s, end_s)
+        # What turns are too large by is no bias: it changes sign with them.
+        noise, rates = parameters.getGyroscopeCovariance(), told[:, :3].mean(axis=0) - bias.gyroscope()
+        parameters.setGyroscopeCovariance(
+            noise + (end_s - begin_s) * np.diag(GYRO_UNKNOWN[1, 1] * rates) ** 2
+        )
         for step_s, row in zip(np.diff(stamps_s), 0.5 * (told[1:] + told[:-1]), strict=True):
             if step_s > 0.0:
                 whole.integrateMeasurement(row[3:], row[:3], float(step_s))
+        parameters.setGyroscopeCovariance(noise)
         return whole
 
     def turns(self, times_s: FloatArray, at_s: float, gyro_bias: FloatArray) -> FloatArray:
