@@ -51,7 +51,8 @@ def clock_offset(
     Parameters
     ----------
     first_spans_s, first_turned_rad
-        (N, 2) stamps between which the first sensor saw (N,) turns: of any length, rising.
+        (N, 2) stamps between which the first sensor saw (N,) turns, of any length. One that begins before
+        one before has ended is left out, of either sensor: a clock may have been set back.
     second_spans_s, second_turned_rad
         (M, 2) and (M,) of the second, which are taken as even between their stamps.
     most_s
@@ -61,11 +62,6 @@ def clock_offset(
     -------
     None where the offset is open: too few turns, hardly one, or no clear peak inside the range. What meets a
     time of which the second says nothing, at any offset that is tried, is left out.
-
-    Raises
-    ------
-    ValueError
-        Stamps that do not rise.
 
     Examples
     --------
@@ -78,9 +74,8 @@ def clock_offset(
     >>> round(found.offset_s, 2)
     0.25
     """
-    for spans_s in (first_spans_s, second_spans_s):
-        if np.any(np.diff(spans_s.ravel()) < 0.0) or np.any(spans_s[:, 0] >= spans_s[:, 1]):
-            raise ValueError("stamps must rise; sort them and drop doubles")
+    first_spans_s, first_turned_rad = _rising(first_spans_s, first_turned_rad)
+    second_spans_s, second_turned_rad = _rising(second_spans_s, second_turned_rad)
     if min(len(first_spans_s), len(second_spans_s)) < FEWEST:
         return None
     # Turns taken as even are smooth where stamps lie halfway and rough where they meet. Averaged over a whole
@@ -112,6 +107,13 @@ def clock_offset(
     slopes_squared = -2.0 * bend * turned.std() * moved[best].std() * min(turned.size, len(second_spans_s))
     sigma_s = math.sqrt(max(float((moved[best] - turned).var()), TINY**2) / slopes_squared)
     return ClockOffset(offset, sigma_s, float(correlation[best]))
+
+
+def _rising(spans_s: FloatArray, turned_rad: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Spans and turns without those that begin before one before has ended."""
+    ended_s = np.maximum.accumulate(np.concatenate([[-np.inf], spans_s[:, 1]]))[:-1]
+    rising = (spans_s[:, 0] >= ended_s) & (spans_s[:, 1] > spans_s[:, 0])
+    return spans_s[rising], turned_rad[rising]
 
 
 def turns_between(told_s: FloatArray, turned_rad: FloatArray, spans_s: FloatArray) -> FloatArray:

@@ -11,6 +11,7 @@ from typing import Protocol
 
 import numpy as np
 
+from fusion.time_alignment import GAP_S
 from slam.estimates import Trajectory
 from slam.foreign import plain
 from slam.measurements import Measurement, WheelOdometry
@@ -142,7 +143,11 @@ class ReadReport:
     @property
     def warnings(self) -> list[str]:
         """The notes that a person should see before trusting a map."""
-        return sorted(note.removeprefix(WARNING) for note in self.notes if note.startswith(WARNING))
+        found = [note.removeprefix(WARNING) for note in self.notes if note.startswith(WARNING)]
+        back_s = {name: tally.largest for name, tally in self.backward_steps.items() if tally.largest > GAP_S}
+        if back_s:
+            found.append(f"stamps of {', '.join(back_s)} go back by up to {max(back_s.values()):.1f} s")
+        return sorted(found)
 
     def accept(self, kind: str) -> None:
         """Count an accepted record."""

@@ -348,6 +348,8 @@ def cloud_findings(name: str, samples: CloudSamples) -> list[Finding]:
         remedy: Remedy = {"lidars_3d": {name: {"drop_repeated": True}}}
         found.append(Finding(name, "several lidars", text, effect, (remedy,), sure=True))
     units = [unit for unit in (1e3, 1e-3, 1e6, 1e-6, 1e9, 1e-9) if abs(math.log(off / unit)) < 1.0]
+    if abs(off / 2.0 - 1.0) < _SHARE:  # of turns at half the rate
+        units = [2.0]
     if not units:
         return found
     text = f"the times of a cloud's points span {turn_s:.3g} s, clouds come every {interval_s:.3g} s"

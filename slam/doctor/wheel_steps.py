@@ -108,8 +108,5 @@ def clock_of(tracked: list[ScanMotion], rows: FloatArray, sign: float) -> ClockO
         [np.column_stack([one.stamps_s[:-1], one.stamps_s[1:]]) for one in tracked] or [np.zeros((0, 2))]
     )
     turned = np.concatenate([np.diff(np.unwrap(one.poses[:, 2])) for one in tracked] or [np.zeros(0)])
-    # A clock may have been set back.
-    ended = np.maximum.accumulate(np.concatenate([[-np.inf], spans[:, 1]]))[:-1]
-    rising = (spans[:, 1] > spans[:, 0]) & (spans[:, 0] >= ended)
     wheel_spans = np.column_stack([rows[:-1, 0], rows[1:, 0]])
-    return clock_offset(spans[rising], turned[rising], wheel_spans, sign * np.diff(rows[:, 3]), most_s=2.0)
+    return clock_offset(spans, turned, wheel_spans, sign * np.diff(rows[:, 3]), most_s=2.0)

@@ -99,7 +99,8 @@ class CloudTracker:
     def track(self, cloud: PointCloud) -> TrackedCloud:
         """Find the pose of the next cloud at its stamp; where it cannot be matched it is guessed."""
         step_s = 0.0 if self._stamp_s is None else cloud.stamp_s - self._stamp_s
-        guesses, before = self._guesses(cloud, step_s), self._pose
+        told = None if self._imu is None else self._imu.predicted(cloud.stamp_s)
+        guesses, before = self._guesses(cloud, step_s, told), self._pose
         expected = guesses[0] if guesses else before
         self._stamp_s = cloud.stamp_s
         if self._imu is not None and deskewed(cloud, self._turns):
@@ -122,9 +123,11 @@ class CloudTracker:
             return replace(guessed, unseen_m=unseen_m)
         matcher = self._matcher
         motion = self._result_cache.cached(
-            "cloud", float(expected.x()), lambda: matcher.match(cloud, seen, guesses, before, step_s)
+            "cloud",
+            float(expected.x()),
+            lambda: matcher.match(cloud, seen, guesses, before, step_s, told=told is not None),
         )
-        if motion is None or not self._believed(motion):
+        if motion is None or not self._believed(motion, told):
             self._lost += 1
             return self._guessed(
                 seen.points, expected, new_keyframe=self._lost >= self._config.match.lost_after
@@ -170,11 +173,9 @@ class CloudTracker:
         self._odometry.add_keyframe(tracked.points, tracked.pose, self._cloud.T_base_lidar.translation())
         self._keyframe = tracked.pose
 
-    def _guesses(self, cloud: PointCloud, step_s: float) -> Sequence[gtsam.Pose3]:
-        """Where the robot may be by now: by its wheels, by its velocity."""
-        guesses = []
-        if self._imu is not None and (told := self._imu.predicted(cloud.stamp_s)) is not None:
-            guesses.append(told)
+    def _guesses(self, cloud: PointCloud, step_s: float, told: gtsam.Pose3 | None) -> Sequence[gtsam.Pose3]:
+        """Where the robot may be by now: as its IMU has told, by its wheels; without one by its velocity."""
+        guesses = [] if told is None else [told]
         if self._wheels is not None:
             self.by_wheels.guesses.clear()
             # The middle of a turn is no moment of the log.
@@ -186,7 +187,8 @@ class CloudTracker:
                 guesses.append(self._pose.compose(spatial(gtsam.Pose2(*moved))))
         # Nobody knows how long a robot that sees nothing goes on.
         if (
-            self._velocity.known
+            told is None
+            and self._velocity.known
             and abs(step_s) < LONGEST_STEP_S
             and self._lost < self._config.match.lost_after
         ):
@@ -216,7 +218,12 @@ class CloudTracker:
             if self._wheels is not None:
                 self._wheels.see(self._velocity.speed_m_s)
         self._tell(measured + _UNSEEN_M**2 * np.outer(motion.weak_direction, motion.weak_direction))
-        motion = self._open.widened(cloud.stamp_s, motion, self._velocity.twist, self._spread)
+        sure = motion.converged and not motion.degenerate
+        told = None if sure or self._imu is None else self._imu.off(self._pose)
+        if told is None:
+            motion = self._open.widened(cloud.stamp_s, motion, self._velocity.twist)
+        else:
+            motion = replace(motion, covariance=told)
         return TrackedCloud(points, self._pose, motion, self._moved_on(self._pose))
 
     def _judge_wheels(self, step: gtsam.Pose3) -> None:
@@ -226,13 +233,12 @@ class CloudTracker:
             self._wheels.learn_scale(self.by_wheels.guesses[0].pose, seen)
             self.by_wheels.judge(seen, np.zeros((3, 3)))
 
-    def _believed(self, motion: MotionEstimate) -> bool:
+    def _believed(self, motion: MotionEstimate, told: gtsam.Pose3 | None) -> bool:
         """Whether a match agrees with where the IMU leads; one that fits as usual may be off by a voxel more.
 
         After seconds that nobody saw a street fits where it looks the same.
         """
-        told = self._imu is not None and self._stamp_s is not None and self._imu.predicted(self._stamp_s)
-        if not told or self._imu is None:
+        if told is None or self._imu is None:
             return True
         apart, covariance = gtsam.Pose3.Logmap(told.between(pose_of(motion))), motion.covariance
         if motion.converged:
@@ -243,11 +249,9 @@ class CloudTracker:
             return bool(apart @ np.linalg.solve(covariance, apart) <= gate(6))
 
         # What agrees without the spread, which is slow to tell, agrees all the more with it.
-        return agrees(covariance) or ((spread := self._spread()) is not None and agrees(covariance + spread))
-
-    def _spread(self) -> FloatArray | None:
-        """(6, 6) covariance of the newest pose by the IMU; None where none tells it."""
-        return None if self._imu is None else self._imu.spread()
+        if agrees(covariance):
+            return True
+        return (spread := self._imu.spread()) is not None and agrees(covariance + spread)
 
     def _guessed(self, points: FloatArray, pose: gtsam.Pose3, *, new_keyframe: bool) -> TrackedCloud:
         """A cloud that did not match."""

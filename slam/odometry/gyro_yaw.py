@@ -18,10 +18,7 @@ from fusion.time_alignment import GAP_S
 from slam.matching.planar import wrap
 from slam.measurements import FloatArray, ImuReading
 from slam.odometry.clock_learner import ClockLearner, Turns
-from slam.odometry.imu_readings import GYRO_WALK, ImuReadings
-
-# Sigmas before anything is learned: bias in rad/s, share (cheap ones, by their data sheets).
-_UNKNOWN = np.diag([0.1, 0.03])
+from slam.odometry.imu_readings import GYRO_UNKNOWN, GYRO_WALK, ImuReadings
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,7 +56,7 @@ class YawGyro:
         self._recent: deque[GyroMoment] = deque()
         # Where what is being compared with the lidar began, its heading and the variance of that.
         self._begun: tuple[GyroMoment, float, float] | None = None
-        self._known, self._spread = np.zeros(2), _UNKNOWN**2
+        self._known, self._spread = np.zeros(2), GYRO_UNKNOWN**2
         self._compared_s, self._doubt = 0.0, 1.0
 
     def add(self, reading: ImuReading) -> None:

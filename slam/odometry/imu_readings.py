@@ -18,6 +18,9 @@ _KEPT_S = 30.0
 _GYRO_DENSITY, _FORCE_DENSITY = 2e-5, 1e-3
 # Biases wander: by Forster 2017, Sec. VIII, ten times a tactical unit's.
 GYRO_WALK, FORCE_WALK = 1e-4, 1e-3
+# Sigmas of a gyroscope before anything is learned: bias in rad/s, share by which its turns are too large (of
+# cheap ones, by their data sheets).
+GYRO_UNKNOWN = np.diag([0.1, 0.03])
 
 
 class ImuReadings:
@@ -31,12 +34,20 @@ class ImuReadings:
         # Time between two readings as a rule, and after how many more it is looked at again.
         self._usual_s, self._left = 0.0, 0
 
-    def add(self, reading: ImuReading) -> None:
-        """Take the next reading; one that is not later than the one before is left out."""
-        if self._rows:
-            step_s = reading.stamp_s - self._rows[-1][0]
-            if step_s <= 0.0:
-                return
+    def add(self, reading: ImuReading) -> bool:
+        """Take the next reading; one that is not later than the one before is left out.
+
+        Returns
+        -------
+        Whether its clock was set back: those before are forgotten.
+        """
+        step_s = reading.stamp_s - self.newest_s
+        set_back = self.is_gap(-step_s)
+        if set_back:
+            self._rows.clear()
+        elif step_s <= 0.0:
+            return False
+        elif self._rows:
             self._steps_s.append(step_s)
             # Hundreds come a second: not each is worth a median.
             self._left -= 1
@@ -47,6 +58,7 @@ class ImuReadings:
         self._rows.append((reading.stamp_s, told))
         while self._rows[-1][0] - self._rows[0][0] > _KEPT_S:
             self._rows.popleft()
+        return set_back
 
     @property
     def newest_s(self) -> float:
@@ -62,7 +74,7 @@ class ImuReadings:
 
     def covers(self, begin_s: float, end_s: float) -> bool:
         """Whether there are readings all the way; beyond the newest by a few steps counts."""
-        if len(self._rows) < 2:
+        if len(self._rows) < 2 or end_s < begin_s:
             return False
         if self.is_gap(self._rows[0][0] - begin_s) or self.is_gap(end_s - self.newest_s):
             return False
@@ -98,9 +110,15 @@ class ImuReadings:
         """The readings between two stamps; the nearest one stands where none is."""
         whole = gtsam.PreintegratedCombinedMeasurements(parameters, bias)
         stamps_s, told = self._with_ends(begin_s, end_s)
+        # What turns are too large by is no bias: it changes sign with them.
+        noise, rates = parameters.getGyroscopeCovariance(), told[:, :3].mean(axis=0) - bias.gyroscope()
+        parameters.setGyroscopeCovariance(
+            noise + (end_s - begin_s) * np.diag(GYRO_UNKNOWN[1, 1] * rates) ** 2
+        )
         for step_s, row in zip(np.diff(stamps_s), 0.5 * (told[1:] + told[:-1]), strict=True):
             if step_s > 0.0:
                 whole.integrateMeasurement(row[3:], row[:3], float(step_s))
+        parameters.setGyroscopeCovariance(noise)
         return whole
 
     def turns(self, times_s: FloatArray, at_s: float, gyro_bias: FloatArray) -> FloatArray:

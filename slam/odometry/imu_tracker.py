@@ -70,7 +70,8 @@ class ImuTracker:
     def add(self, reading: ImuReading) -> None:
         """Take the next reading."""
         self._sensor = reading.sensor
-        self._readings.add(reading)
+        if self._readings.add(reading):
+            self._lose()
         self._whole = None
 
     @property
@@ -217,6 +218,14 @@ class ImuTracker:
             return None
         back = self._readings.T_base_imu.AdjointMap()
         return np.asarray(back @ self._smoother.spread() @ back.T)
+
+    def off(self, pose: gtsam.Pose3) -> FloatArray | None:
+        """(6, 6) how far the newest ``T_odom_base`` may be from a pose; None before there is a state."""
+        state, spread = self.state, self.spread()
+        if state is None or spread is None:
+            return None
+        apart = gtsam.Pose3.Logmap(pose.between(state.pose.compose(self._readings.T_base_imu.inverse())))
+        return spread + np.outer(apart, apart)
 
     def gravity(self) -> Gravity | None:
         """As the base feels it at the newest state."""

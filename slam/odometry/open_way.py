@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -32,13 +31,7 @@ class OpenWay:
         """What is not known up to here is in the edges."""
         self._told_m2 = self._variance_m2
 
-    def widened(
-        self,
-        stamp_s: float,
-        motion: MotionEstimate,
-        twist: FloatArray,
-        spread: Callable[[], FloatArray | None],
-    ) -> MotionEstimate:
+    def widened(self, stamp_s: float, motion: MotionEstimate, twist: FloatArray) -> MotionEstimate:
         """A match, as uncertain as the way since the last keyframe where nothing determines it.
 
         Of a robot that may have stopped, or gone twice as fast, the way is anything from nothing to twice the
@@ -49,9 +42,6 @@ class OpenWay:
         ----------
         twist
             (6,) of the base as it last was determined.
-        spread
-            Tells the (6, 6) covariance of the pose by an IMU that goes on where clouds tell nothing; None
-            without. It is asked only where the way is open.
         """
         if motion.converged and not motion.degenerate:
             self._known_s, self._variance_m2 = stamp_s, 0.0
@@ -62,10 +52,7 @@ class OpenWay:
             self._direction = motion.weak_direction / ahead
         if not self._direction.any():
             return motion
-        told = spread()
-        if told is not None:
-            variance = float(self._direction @ told @ self._direction)
-        elif self._known_s is None:
+        if self._known_s is None:
             self._known_s, variance = stamp_s, 0.0
         else:
             speed = max(self._speed_m_s, self._greatest_m_s)

@@ -64,6 +64,8 @@ class TurnMatcher:
         guesses: Sequence[gtsam.Pose3],
         before: gtsam.Pose3,
         step_s: float,
+        *,
+        told: bool,
     ) -> MotionEstimate | None:
         """Pose of a cloud in the odometry frame; None where nothing fits.
 
@@ -75,10 +77,12 @@ class TurnMatcher:
             See `CloudOdometry.match`.
         step_s
             Time since ``before``.
+        told
+            Whether a gyroscope tells how it turned: no sudden turn is left to be found.
         """
         turned_rad = max(_TURN_RATE_OFFSETS_RAD_S) * step_s
         motion = self._odometry.match(seen.points, guesses, before, turned_rad)
-        if motion is None or not motion.converged:
+        if not told and (motion is None or not motion.converged):
             seen, motion = self._after_a_sudden_turn(cloud, seen, motion)
         for _ in range(_DESKEWED_TIMES):
             if motion is None or not self._is_skewed(cloud, seen, motion):

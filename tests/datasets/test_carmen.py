@@ -69,6 +69,7 @@ def test_file_order_is_kept_and_backward_stamps_are_counted(tmp_path: Path) -> N
     assert [m.stamp_s for m in found] == [5.0, 6.0, 4.5, 4.75, 4.0]
     backward = dataset.report.backward_steps["odometry"]
     assert (backward.count, backward.largest, backward.lines) == (2, 1.5, [3, 5])
+    assert "stamps of odometry go back by up to 1.5 s" in dataset.report.warnings
 
 
 def test_a_jump_of_the_odometry_is_counted_and_kept(tmp_path: Path) -> None:

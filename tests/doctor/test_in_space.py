@@ -232,14 +232,15 @@ def test_what_repeats_itself_is_named() -> None:
     assert [one.kind for one in camera_findings("camera", samples)] == ["repeated frames"]
 
 
-def test_times_of_points_in_another_unit_are_named() -> None:
+@pytest.mark.parametrize(("turn_s", "scale"), [(100.0, 0.001), (0.2, 0.5)])
+def test_times_of_points_that_cannot_be_are_named(turn_s: float, scale: float) -> None:
     samples = CloudSamples(count=50)
     for _ in range(50):
         samples.interval_s.add(0.1)
-        samples.turn_s.add(100.0)
+        samples.turn_s.add(turn_s)
     (finding,) = cloud_findings("lidar", samples)
-    assert finding.remedies == ({"lidars_3d": {"lidar": {"times_scale": 0.001}}},)
-    cloud = PointCloud(0.0, np.ones((2, 3), np.float32), np.array([0.0, 100.0]))
+    assert finding.remedies == ({"lidars_3d": {"lidar": {"times_scale": scale}}},)
+    cloud = PointCloud(0.0, np.ones((2, 3), np.float32), np.array([0.0, turn_s]))
     (after,) = corrected([cloud], remedied(Calibration(), [finding], only_sure=True))
     assert isinstance(after, PointCloud) and after.times_s is not None
     assert after.times_s.tolist() == [0.0, 0.1] or after.times_s[1] == pytest.approx(0.1)

@@ -8,11 +8,14 @@ import gtsam
 import numpy as np
 import pytest
 from cloud_world import base, look
+from imu_world import readings
 
+from fusion.estimation import gate
 from slam.config import Config
 from slam.config.clouds import CloudOdometryConfig
 from slam.measurements import PointCloud, WheelOdometry
 from slam.odometry.cloud_tracker import CloudTracker, TrackedCloud
+from slam.odometry.imu_tracker import ImuTracker
 from slam.odometry.wheel_tracker import WheelMoment, WheelTracker
 
 CONFIG = Config(cloud_odometry=CloudOdometryConfig(voxel_m=0.2))
@@ -111,3 +114,28 @@ def test_after_a_gap_at_speed_what_fits_nearby_is_another_place() -> None:
     again = tracker.track(look(base(0.35, -0.5, 0.0), 3.6, seed=10))
     assert again.motion is not None
     assert np.linalg.norm(late.pose.between(again.pose).translation() - [0.05, 0.0, 0.0]) < 0.02
+
+
+def test_what_fits_in_part_is_as_sure_as_the_imu_that_led_there() -> None:
+    def way(time_s: float) -> gtsam.Pose3:
+        return base(-1.5 + 0.4 * time_s, 0.5 * np.sin(0.7 * time_s), 0.6 * np.sin(0.8 * time_s))
+
+    tracker, tracked, next_s = CloudTracker(CONFIG, None, imu=ImuTracker()), None, 0.0
+    for reading in readings(way, 3.33):
+        tracker.hear(reading)
+        time_s = reading.stamp_s - 0.01
+        if time_s < next_s - 1e-9:
+            continue
+        next_s, cloud = next_s + 0.1, look(way(time_s), time_s, seed=int(10 * time_s))
+        if time_s > 2.5:
+            cloud = dataclasses.replace(cloud, points_lidar=cloud.points_lidar[:20])
+        if time_s > 3.25:
+            cloud = look(way(time_s), time_s, seed=40)
+            cloud.points_lidar[::3] *= np.random.default_rng(4).uniform(0.3, 0.9, (1920, 1))
+        tracked = tracker.follow(cloud)
+    assert tracked is not None and tracked.motion is not None and not tracked.motion.converged
+    # Without the IMU it is as unsure as a voxel is wide.
+    covariance = tracked.motion.covariance
+    off = gtsam.Pose3.Logmap(way(0.0).between(way(next_s - 0.1)).between(tracked.pose))
+    assert np.sqrt(np.diag(covariance)).max() < 0.25 * CONFIG.cloud_odometry.voxel_m
+    assert off @ np.linalg.solve(covariance, off) < gate(6)

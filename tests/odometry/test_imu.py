@@ -28,12 +28,13 @@ def tracked(
     *,
     told: gtsam.Pose3 = T_BASE_IMU,
     wheels: bool = False,
+    scale: float = 1.0,
 ) -> ImuTracker:
     """Ten poses a second as a lidar matches them, where it sees; the odometry begins level at the first."""
     imu, rng, last = ImuTracker(), np.random.default_rng(1), 0.0
     T_odom_map = way(0.05).inverse()
     for reading in readings(way, until_s, told=told):
-        imu.add(reading)
+        imu.add(replace(reading, gyro_rad_s=scale * reading.gyro_rad_s))
         time_s = reading.stamp_s - 0.05
         if time_s < last + 0.1 - 1e-9 or time_s < 0.05:
             continue
@@ -117,6 +118,17 @@ def test_wheels_hold_a_long_bridge() -> None:
     assert np.linalg.norm(state.pose.compose(T_BASE_IMU.inverse()).translation() - true) < 0.1
 
 
+def test_turns_that_are_some_percent_too_large_lead_nowhere() -> None:
+    def way(time_s: float) -> gtsam.Pose3:
+        yaw = 3.2 * np.sin(0.5 * time_s) ** 3
+        return gtsam.Pose3(gtsam.Rot3.Yaw(yaw), np.array([0.3 * time_s, 0.2 * np.sin(time_s), 0.0]))
+
+    state = tracked(way, 8.0, scale=1.02).state
+    assert state is not None
+    seen = way(0.05).between(way(state.stamp_s)).compose(T_BASE_IMU)
+    assert np.linalg.norm(gtsam.Rot3.Logmap(seen.between(state.pose).rotation())) < 5e-3
+
+
 def test_a_wrong_mounting_is_found_out() -> None:
     with pytest.raises(UnfitImuError) as found:
         tracked(walk, 8.0, told=gtsam.Pose3(gtsam.Rot3.Roll(1.5), np.zeros(3)))
@@ -195,3 +207,14 @@ def test_a_reading_that_is_not_later_is_left_out() -> None:
     for stamp_s in (0.0, 0.01, 0.01, 0.005, 0.02):
         held.add(ImuReading(stamp_s, np.zeros(3), -9.8 * DOWN))
     assert held.newest_s == 0.02 and held.covers(0.0, 0.02) and not held.covers(0.0, 5.0)
+
+
+def test_where_a_clock_is_set_back_it_begins_anew() -> None:
+    imu = tracked(walk, 3.0)
+    assert imu.state is not None
+    imu.add(ImuReading(1.0, np.zeros(3), -9.8 * DOWN))
+    assert imu.state is None and imu.predicted(3.0) is None
+    held = ImuReadings()
+    for stamp_s in (6.0, 6.01, 6.02, 1.0, 1.01):
+        held.add(ImuReading(stamp_s, np.zeros(3), -9.8 * DOWN))
+    assert held.newest_s == 1.01 and held.covers(1.0, 1.01) and not held.covers(6.0, 1.0)
