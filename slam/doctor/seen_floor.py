@@ -11,7 +11,7 @@ from fusion.estimation import FEWEST
 from slam.config import Config
 from slam.doctor.finding import Finding
 from slam.doctor.scan_motion import ScanMotion
-from slam.measurements import FloatArray, LaserScan
+from slam.measurements import BoolArray, FloatArray, LaserScan
 
 
 def floor_findings(
@@ -19,23 +19,34 @@ def floor_findings(
 ) -> list[Finding]:
     """What is said of a lidar that sees the floor; nothing where it sees none, or hardly turns.
 
-    While a robot turns, walls turn with what it sees. A line that stays, on both sides of its middle, and
-    behind which nothing ever is, is the floor.
+    While a robot turns, walls turn with what it sees. A line that stays through two turns, on both sides of
+    its middle, and behind which nothing ever is, is the floor.
     """
-    turned = [one for one in tracked if np.ptp(np.unwrap(one.poses[:, 2])) > config.keyframes.angle_rad]
     known = {scan.stamp_s: scan for scans in stretches for scan in scans}
-    scans = [known[stamp_s] for one in turned for stamp_s in one.stamps_s.tolist()]
-    scans = [scan for scan in scans if scan.ranges_m.size == scans[0].ranges_m.size]
-    if len(scans) < FEWEST:
+    scans, turns, headings = list[LaserScan](), list[int](), list[float]()
+    for turn, one in enumerate(tracked):
+        if np.ptp(np.unwrap(one.poses[:, 2])) > config.keyframes.angle_rad:
+            scans += [known[stamp_s] for stamp_s in one.stamps_s.tolist()]
+            turns += [turn] * len(one.poses)
+            headings += np.unwrap(one.poses[:, 2]).tolist()
+    if len(scans) < FEWEST or len({scan.ranges_m.size for scan in scans}) > 1:
         return []
     table = np.array([np.where(np.isfinite(scan.ranges_m), scan.ranges_m, 0.0) for scan in scans])
-    middles_rad = np.linspace(-math.pi, math.pi, 6 * FEWEST, endpoint=False).tolist()
-    angles = scans[0].bearings_rad()
-    lines = [_line(table, np.angle(np.exp(1j * (angles - one)))) for one in middles_rad]
-    (share, at_m), middle_rad = max(zip(lines, middles_rad, strict=True))
     # As far as the lidar reaches it sees no line, but an arc.
-    reach_m = float(np.quantile(table[table > 0.0], 1.0 - FEWEST**-2)) if table.any() else 0.0
-    if share <= 2.0 / FEWEST or at_m > math.cos(math.pi / 4) * reach_m:
+    most_m = math.cos(math.pi / 4) * float(np.quantile(table, 1.0 - FEWEST**-2))
+    angles, rows = scans[0].bearings_rad(), np.array([turns, headings])
+
+    def through(seen: BoolArray) -> tuple[int, float]:
+        """Through how many turns, and through which angle in all."""
+        spans = [np.ptp(rows[1, seen & (rows[0] == turn)]) for turn in np.unique(rows[0, seen])]
+        return sum(span > config.keyframes.angle_rad for span in spans), float(sum(spans))
+
+    middles_rad = np.linspace(-math.pi, math.pi, 6 * FEWEST, endpoint=False).tolist()
+    lines = [_line(table, np.angle(np.exp(1j * (angles - one))), most_m) for one in middles_rad]
+    (count, _), at_m, middle_rad = max(
+        (through(seen), at_m, one) for (at_m, seen), one in zip(lines, middles_rad, strict=True)
+    )
+    if count < 2:
         return []
     line = {"from_m": round((1.0 - 2.0 / FEWEST) * at_m, 2), "bearing_deg": round(math.degrees(middle_rad))}
     text = (
@@ -47,22 +58,22 @@ def floor_findings(
     return [Finding(name, "floor", text, effect, (remedy,), sure=True, value=at_m)]
 
 
-def _line(ranges_m: FloatArray, aside_rad: FloatArray) -> tuple[float, float]:
-    """The share of scans (S, N) that see a line across a bearing on both sides, and how far away it is.
+def _line(ranges_m: FloatArray, aside_rad: FloatArray, most_m: float) -> tuple[float, BoolArray]:
+    """How far away the farthest line across a bearing is; which scans (S, N) see it, on both sides.
 
-    The share is 0 where things are seen behind.
+    None does where things are behind, or it is farther than ``most_m``.
     """
-    near = np.abs(aside_rad) < math.pi / 4
+    none, near = np.zeros(len(ranges_m), np.bool_), np.abs(aside_rad) < math.pi / 4
     ahead_m, left = ranges_m[:, near] * np.cos(aside_rad[near]), aside_rad[near] > 0.0
     if min(np.count_nonzero(left), np.count_nonzero(~left)) < FEWEST:
-        return 0.0, 0.0
+        return 0.0, none
     last = ahead_m.shape[1] - ahead_m.shape[1] // FEWEST
     farthest = np.partition(ahead_m, last, axis=1)[:, last]
     at_m = float(np.quantile(farthest, 1.0 - 2.0 / FEWEST))
-    if at_m == 0.0 or np.mean(farthest > (1.0 + 2.0 / FEWEST) * at_m) >= 1.0 / FEWEST:
-        return 0.0, at_m
+    if at_m > most_m or np.mean(farthest > (1.0 + 2.0 / FEWEST) * at_m) >= 1.0 / FEWEST:
+        return at_m, none
     on_line = np.abs(ahead_m - at_m) < at_m / FEWEST
     # Where scans are cut off, nothing is seen more often.
     sides = [(on_line[:, one], ahead_m[:, one] == 0.0) for one in (left, ~left)]
     seen = [np.count_nonzero(on, axis=1) > np.maximum(FEWEST // 4, np.sum(no, axis=1)) for on, no in sides]
-    return float(min(one.mean() for one in seen)), at_m
+    return at_m, seen[0] & seen[1]
