@@ -209,6 +209,16 @@ class TestMishaps:
         assert len(result.map.trajectory) == 1
         assert result.map.readings.tolist() == [0]
 
+    def test_the_last_of_few_frames_is_as_sure_as_it_was_matched(
+        self, frames: list[RgbdFrame], tmp_path: Path
+    ) -> None:
+        path = edited(frames, tmp_path / "log", lambda n, frame: frame if n < 2 else None)
+        result = run(path)
+        assert result.map.readings.tolist() == [0, 1]
+        assert result.map.covariances is not None
+        first, last = (np.trace(one[:3, :3]) for one in result.map.covariances)
+        assert 2.0 * first < last < 0.01**2
+
 
 def test_without_its_camera_there_is_nothing_to_map(log: Path) -> None:
     with pytest.raises(DatasetError, match="no scan or frame"):
