@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slam.graph.edge import Edge
-from slam.graph.keyframe_graph import graph_of, row_of, together
+from slam.graph.keyframe_graph import graph_of, joined, row_of, together
 from slam.graph.loop_closure import position_sigmas
 from slam.measurements import FloatArray, Pose
 
@@ -104,16 +104,11 @@ def _tracked(edges: Sequence[Edge], poses: Sequence[Pose]) -> tuple[list[Pose], 
 
 def loop_groups(ends: FloatArray, reach: float) -> list[NDArray[np.int64]]:
     """The loops that belong together, by their numbers: both ends, (n, 2) along the way, within reach."""
-    # SciPy is loaded where it is used: that takes 0.1 s.
-    from scipy.sparse import coo_array
-    from scipy.sparse.csgraph import connected_components
-    from scipy.spatial import cKDTree
+    from scipy.spatial import cKDTree  # loaded where it is used: that takes 0.1 s
 
     pairs = cKDTree(ends).query_pairs(reach, p=math.inf, output_type="ndarray")
-    shape = (len(ends), len(ends))
-    joined = coo_array((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=shape)
-    count, numbers = connected_components(joined, directed=False)
-    return [np.flatnonzero(numbers == number) for number in range(count)]
+    numbers = joined(len(ends), pairs)
+    return [np.flatnonzero(numbers == number) for number in range(numbers.max() + 1)]
 
 
 def _missed(loop: Edge, poses: Sequence[Pose]) -> tuple[float, float]:

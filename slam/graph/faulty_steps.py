@@ -26,14 +26,16 @@ from slam.matching.planar import adjoint, between, compose, rotate_covariance
 from slam.measurements import BoolArray, FloatArray, pose2_from_row, row_from_pose2
 
 
-def settle_wheels(graph: KeyframeGraph, least_m: float, poses: FloatArray) -> None:
+def settle_wheels(
+    graph: KeyframeGraph, least_m: float, poses: FloatArray, stamps_s: FloatArray, config: GraphConfig
+) -> None:
     """Let steps that wheels alone tell be as certain as wheels have proved, unless loops refuse that.
 
-    Proved on long stretches that matches tell throughout. Where scans lie so far apart that there are hardly
-    any, on single steps of ``least_m`` and more, in the directions that a match tells better; and then along
-    corridors, too, wheels are as certain as that.
+    Then as they claim; where loops refuse that, too, as what nothing measured. Proved on long stretches that
+    matches tell throughout. Where scans lie so far apart that there are hardly any, on single steps of
+    ``least_m`` and more, in the directions that a match tells better; and then along corridors, too.
 
-    ``poses`` (n, 3) are where the wheels alone have the keyframes.
+    ``poses`` (n, 3) are where the wheels alone have the keyframes of ``stamps_s`` (n,).
     """
     edges = graph.graph.edges
     alone = [n for n, edge in enumerate(edges) if edge.kind is EdgeKind.WHEEL and edge.trusted]
@@ -58,10 +60,15 @@ def settle_wheels(graph: KeyframeGraph, least_m: float, poses: FloatArray) -> No
         if edge.kind is EdgeKind.WHEEL and edge.covariance[2, 2] > math.pi**2:
             for k, shares in ((n, [*scale[:2], 1.0]), (n + 1, [1.0, 1.0, scale[2]])):
                 edges[k] = replace(edges[k], covariance=edges[k].covariance * np.outer(shares, shares))
+    took_s = np.diff(stamps_s).tolist()
     for n in alone:
         edge = edges[n]
         edges[n] = replace(edge, covariance=edge.covariance * np.outer(scale, scale), trusted=False)
-        graph.add_edge(replace(edge, kind=EdgeKind.ASSUMED))
+        free = unmeasured(config, max(abs(took_s[edge.source]), 1.0), planar=True)
+        # These two together are what wheels claim.
+        claimed = edge.covariance @ np.linalg.solve(free, edge.covariance + free)
+        for covariance, trusted in ((edge.covariance + free, True), (claimed, False)):
+            graph.add_edge(replace(edge, kind=EdgeKind.ASSUMED, covariance=covariance, trusted=trusted))
 
 
 def _errors_of_stretches(graph: KeyframeGraph, longer: Sequence[Edge]) -> FloatArray:
@@ -196,7 +203,8 @@ class FaultySteps:
         single = [edge for edge in edges if edge.target == edge.source + 1]
         sources = np.array([edge.source for edge in single], np.int64)
         claimed = np.array([edge.covariance for edge in single]).reshape(-1, 3, 3)
-        trusted = np.array([edge.trusted for edge in single], np.bool_)[:, None, None]
+        sure = [edge.trusted or edge.kind is EdgeKind.ASSUMED for edge in single]  # also what wheels claim
+        trusted = np.array(sure, np.bool_)[:, None, None]
         measured = np.array([edge.kind not in GUESSES for edge in single], np.bool_)
         guessed = np.ones(len(poses), np.bool_)
         guessed[sources[measured]] = False

@@ -60,9 +60,8 @@ def marginals(poses: Sequence[Pose], edges: Iterable[Edge]) -> FloatArray:
         keys, root, shares = told[clique]
         inverse, own = np.linalg.inv(root), len(root)
         # R x + S y = noise, with y the nodes that the clique shares with the one above.
-        rows = (
-            np.array([above[key] for key in keys[own // size :]], np.int64)[:, None] + range(size)
-        ).ravel()
+        first = np.array([above[key] for key in keys[own // size :]], np.int64)
+        rows = (first[:, None] + range(size)).ravel()
         shared, gain = known[np.ix_(rows, rows)], inverse @ shares
         across = gain @ shared
         joint = np.block([[inverse @ inverse.T + across @ gain.T, -across], [-across.T, shared]])

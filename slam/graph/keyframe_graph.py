@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import gtsam
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from slam.config.stages import GraphConfig
 from slam.graph.edge import GUESSES, Edge, EdgeKind
@@ -193,7 +193,7 @@ def lone_steps(edges: Sequence[Edge], kept: BoolArray, nodes: int, lost_sigma_m:
     known = {ends for ends, enough in zip(motions, sure, strict=True) if enough}
     # A fix may be off by metres, and yet is no guess.
     fixes = [(edge.source, edge.target) for edge in held if edge.kind in _PLACES]
-    pieces = _joined(np.arange(nodes), [*sorted(known - {(step, step + 1) for step in lone}), *fixes])
+    pieces = joined(nodes, [*sorted(known - {(step, step + 1) for step in lone}), *fixes])
     apart = {step for step in lone if pieces[step] != pieces[step + 1]}
     tried = [right[step] for step in lone if not right[step] or step not in apart]
     matched = [right[step] for step in right.keys() & seen]
@@ -220,21 +220,19 @@ def _tied_along(
     np.minimum.at(first, parts[tying], ways_m[tying])
     np.maximum.at(last, parts[tying], ways_m[tying])
     numbers = max(len(edge.covariance) for edge in edges) if edges else 0
-    many = np.bincount(parts[tying].ravel(), minlength=len(parts)) > numbers
-    last[many] = np.inf
+    last[np.bincount(parts[tying].ravel(), minlength=len(parts)) > numbers] = np.inf
     return np.where(loops, (last - first)[parts[ends]].min(axis=1), np.where(wheels, 0.0, np.inf))
 
 
-def _joined(numbers: NDArray[np.int64], ends: Sequence[tuple[int, int]]) -> NDArray[np.int64]:
-    """(n,) numbers of what is one, where so many pairs of numbers are joined."""
+def joined(nodes: int, ends: ArrayLike) -> NDArray[np.int64]:
+    """(n,) numbers of what is one, where so many pairs of nodes are joined."""
     # SciPy is loaded where it is used: that takes 0.1 s.
     from scipy.sparse import coo_array
     from scipy.sparse.csgraph import connected_components
 
     sources, targets = np.array(ends, np.int64).reshape(-1, 2).T
-    shape = (int(numbers.max(initial=0)) + 1,) * 2
-    graph = coo_array((np.ones(len(ends)), (sources, targets)), shape=shape)
-    return np.asarray(connected_components(graph, directed=False)[1], np.int64)[numbers]
+    graph = coo_array((np.ones(len(sources)), (sources, targets)), shape=(nodes, nodes))
+    return np.asarray(connected_components(graph, directed=False)[1], np.int64)
 
 
 def graph_of(nodes: int, edges: Iterable[Edge], parts: NDArray[np.int64] | None = None) -> UncertaintyGraph:

@@ -98,9 +98,8 @@ class PlaceSearch:
             measured = {edge.source for edge in faulty.held if edge.kind not in GUESSES}
             sure = (edge for edge in faulty.held if edge.trusted or edge.source in measured)
             chain = graph_of(len(poses), (edge for edge in sure if edge.loop is None))
-            keys = range(len(poses))
-            odometry = np.array([self._submaps.pose(key) for key in keys])
-            ways_m = np.array([self._submaps.travelled_m(key) for key in keys])
+            odometry = np.array([self._submaps.pose(key) for key in range(len(poses))])
+            ways_m = np.array([self._submaps.travelled_m(key) for key in range(len(poses))])
             self._sets = ClaimSets(odometry, ways_m, chain, self._reach_m)
             self._trial = ClaimTrial(self._closer, stretches, self._sets, self._config, self._reach_m)
         self._faulty, known = faulty, faulty.known

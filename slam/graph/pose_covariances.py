@@ -26,6 +26,7 @@ from dataclasses import replace
 
 import gtsam
 import numpy as np
+from numpy.typing import NDArray
 
 from fusion.estimation import FEWEST
 from slam.config import Config
@@ -110,19 +111,19 @@ def _may_repeat_a_guess(edge: Edge) -> bool:
 def _slips(edges: Sequence[Edge], kept: Sequence[bool] | BoolArray) -> dict[int, FloatArray]:
     """Covariance of each step that wheels alone tell, by its source."""
     matched = {edge.source for edge in edges if edge.kind in _MATCHES and edge.target == edge.source + 1}
-    loose: dict[int, FloatArray] = {}
+    loose: dict[int, NDArray[np.floating]] = {}
     wheels: dict[int, tuple[FloatArray, bool]] = {}
     for edge, keep in zip(edges, kept, strict=True):
         if edge.target != edge.source + 1 or edge.source in matched:
             continue
         if edge.kind is EdgeKind.ASSUMED:
-            loose[edge.source] = edge.covariance
+            loose[edge.source] = np.linalg.inv(edge.covariance) + loose.get(edge.source, 0.0)
         elif edge.kind is EdgeKind.WHEEL and not edge.trusted:
             wheels[edge.source] = edge.covariance, bool(keep)
     alone = loose.keys() & wheels.keys()
     refused = sum(not wheels[source][1] for source in alone)
     wrong = (refused + 1) / (len(alone) + 2)
-    return {source: wheels[source][0] + wrong * (loose[source] - wheels[source][0]) for source in alone}
+    return {key: (1.0 - wrong) * wheels[key][0] + wrong * np.linalg.inv(loose[key]) for key in alone}
 
 
 def _unit_variance(poses: Sequence[Pose], held: Sequence[Edge], config: Config) -> float:

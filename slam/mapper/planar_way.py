@@ -175,8 +175,9 @@ class PlanarWay:
             used = self._wheels.clock_was_used
             self.readings.read_wheels_at(self._wheels.clock.significant_s, None if used else led)
         stamps_s = self.readings.scan_stamps_s()[self.readings.keyframe_scans()]
-        self._chain.settle(graph, stamps_s, before, self.readings.keyframe_wheels())
-        settle_wheels(graph, self._config.loops.reach_m, self.readings.keyframe_wheels())
+        wheels, config = self.readings.keyframe_wheels(), self._config
+        self._chain.settle(graph, stamps_s, before, wheels)
+        settle_wheels(graph, config.loops.reach_m, wheels, stamps_s, config.graph)
 
     def learned(self) -> tuple[Any, ...]:
         """What the whole way has told: plain objects, for `take_over`."""

@@ -1,5 +1,6 @@
 """A claim that one wrong step explains is told from one that none does; wheels are as good as they proved."""
 
+import math
 from collections.abc import Sequence
 from types import SimpleNamespace
 
@@ -56,6 +57,10 @@ def wheels_of(graph: KeyframeGraph) -> FloatArray:
         if edge.kind is EdgeKind.WHEEL and edge.target == edge.source + 1:
             steps[edge.source] = row_from_pose2(edge.T_source_target)
     return walked(steps)
+
+
+def settle(graph: KeyframeGraph, least_m: float, wheels: FloatArray) -> None:
+    settle_wheels(graph, least_m, wheels, np.arange(float(len(graph))), GraphConfig())
 
 
 def judge(edges: list[Edge], stamps_s: FloatArray) -> FaultySteps:
@@ -205,14 +210,36 @@ def test_wheels_alone_are_as_certain_as_long_stretches_prove(proved: bool) -> No
             off = between(POSES[key], POSES[key + 10]) + [0.01, 0.01, 0.02] * rng.standard_normal(3)
             far = Edge(key, key + 10, pose2_from_row(off), BY_WHEELS, EdgeKind.WHEEL, trusted=False)
             graph.add_edge(far)
-    settle_wheels(graph, 0.9, wheels_of(graph))
+    settle(graph, 0.9, wheels_of(graph))
     of_gap = [edge for edge in graph.graph.edges if (edge.source, edge.target) == (GAP, GAP + 1)]
     sigmas = [float(np.sqrt(edge.covariance[2, 2])) for edge in of_gap]
     if proved:
-        assert [edge.trusted for edge in of_gap] == [False, True]
-        assert sigmas == [pytest.approx(0.02, rel=0.5), pytest.approx(0.8)]
-    else:
-        assert sigmas == [pytest.approx(0.8)]
+        assert [edge.trusted for edge in of_gap] == [False, True, False]
+        assert sigmas[0] == pytest.approx(0.02, rel=0.5)
+        # All that loops may refuse left out, what holds is as loose as what nothing measured.
+        assert sigmas[1] == pytest.approx(math.hypot(0.8, GraphConfig().lost_sigma_rad))
+    (both,) = together(of_gap[-2:]).values()
+    np.testing.assert_allclose(both.covariance, BY_WHEELS, rtol=1e-6)
+
+
+@pytest.mark.parametrize("off_m", [0.0, 5.5])
+def test_loops_that_agree_outweigh_the_claim_of_a_single_step_of_wheels(off_m: float) -> None:
+    """The step is off by eleven of the sigmas that wheels claim, and eight loops across it say so."""
+    graph = KeyframeGraph(gtsam.Pose2(), GraphConfig())
+    for edge in chain((GAP,)):
+        graph.add_keyframe(edge.T_source_target, [edge])
+    rng = np.random.default_rng(0)
+    for key in range(24):
+        far = between(POSES[key], POSES[key + 10]) + [0.1, 0.1, 0.02] * rng.standard_normal(3)
+        graph.add_edge(Edge(key, key + 10, pose2_from_row(far), BY_WHEELS, EdgeKind.WHEEL, trusted=False))
+    settle(graph, 0.9, wheels_of(graph))
+    true = walked([np.add(STEP, [0.0, off_m * (key == GAP), 0.0]) for key in range(COUNT - 1)])
+    for n in range(8):
+        told = pose2_from_row(between(true[GAP - 20 + n], true[GAP + 10 + n]))
+        graph.add_edge(Edge(GAP - 20 + n, GAP + 10 + n, told, SURE, EdgeKind.LOOP, trusted=False, loop=n))
+    kept = graph.graph.optimize().kept[-8:]
+    assert kept.all()
+    assert np.hypot(*(graph.graph.planar_poses()[-1] - true[-1])[:2]) < 0.05
 
 
 @pytest.mark.parametrize("least_m", [0.9, 3.0])
@@ -225,7 +252,7 @@ def test_scans_far_apart_prove_wheels_step_by_step(least_m: float) -> None:
         seen = {"match": match if key % 2 else None, "match_open": bool(key % 2)}
         edges = edges_of(key, STEP, wheels=wheels, cameras=[], config=GraphConfig(), **seen)
         graph.add_keyframe(pose2_from_row(STEP), edges)
-    settle_wheels(graph, least_m, wheels_of(graph))
+    settle(graph, least_m, wheels_of(graph))
     edges = [edge for edge in graph.graph.edges if edge.kind is EdgeKind.WHEEL]
     assert any(edge.trusted for edge in edges) == (least_m > 1.0)
     if least_m > 1.0:
@@ -254,7 +281,7 @@ def test_wheels_of_scans_far_apart_are_calibrated_by_those_that_match(learned: f
         graph.add_keyframe(pose2_from_row(true), edges)
     far = Edge(0, 4, pose2_from_row(np.array([24.7, 0.6, 0.04])), BY_WHEELS, EdgeKind.WHEEL, trusted=False)
     graph.add_edge(far)
-    settle_wheels(graph, 0.9, np.array(poses))
+    settle(graph, 0.9, np.array(poses))
     for edge in graph.graph.edges:
         if edge.kind is EdgeKind.WHEEL:
             steps = edge.target - edge.source
