@@ -37,8 +37,8 @@ class WheelGaps:
         self._stamp_s = self._counted_s = self._placed_s = math.nan
         self._twist = np.zeros(3)
         self.period_s = self._lasted_s = 0.0
-        # Whether to count nothing from now on would be to stop harder than a robot can.
-        self._stops_dead = False
+        # The time in which a robot stops, and the longest between two readings since the last that moved.
+        self._stop_s = self._silent_s = 0.0
         self.guessed_m = 0.0
 
     def add(self, reading: WheelOdometry, step: FloatArray, step_s: float, *, possible: bool) -> FloatArray:
@@ -67,10 +67,15 @@ class WheelGaps:
         elif still:
             step = guess
             self.guessed_m += math.hypot(step[0], step[1])
+            # It can have stopped in a silence: readings that repeat as often as ever after one are true.
+            if step_s <= self.period_s and self._silent_s > self._stop_s:
+                self._stop_s = 0.0
+            self._silent_s = max(self._silent_s, step_s)
         self._pose = compose(self._pose, step)
         if not still or step.any():
             self._placed_s = stamp_s
         if not still:
+            self._silent_s = 0.0
             self._count(stamp_s)
         return self._pose
 
@@ -82,7 +87,7 @@ class WheelGaps:
 
     def guess_at(self, stamp_s: float) -> FloatArray:
         """(3,) motion since the last reading that the wheels have not counted; zero where there is none."""
-        if not (self._stops_dead and stamp_s - self._counted_s > 2.0 * self._lasted_s):
+        if not self._stop_s > self._lasted_s < 0.5 * (stamp_s - self._counted_s):
             return np.zeros(3)
         return self._twist * max(stamp_s - self._placed_s, 0.0)
 
@@ -92,7 +97,6 @@ class WheelGaps:
         if since_s >= max(self.period_s, TINY):
             self._twist, self._lasted_s = between(self._counted, self._pose) / since_s, since_s
             # Who stands still at the end of that time was twice as fast at its beginning.
-            speed_m_s = 2.0 * math.hypot(self._twist[0], self._twist[1])
-            self._stops_dead = speed_m_s > _HARDEST_BRAKING * since_s
+            self._stop_s = 2.0 * math.hypot(self._twist[0], self._twist[1]) / _HARDEST_BRAKING
         if since_s >= self.period_s or since_s < 0.0:
             self._counted, self._counted_s = self._pose, stamp_s

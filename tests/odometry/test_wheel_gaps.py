@@ -69,6 +69,15 @@ def test_readings_that_only_repeat_the_last_one_count_nothing(jump_rad: float) -
     assert tracker._gaps.guessed_m == pytest.approx(2.0 * SPEED_M_S)
 
 
+def test_readings_that_come_as_ever_after_a_silence_and_repeat_are_true() -> None:
+    """Two seconds without a reading, in which it can have stopped; then it stands for ten."""
+    tracker = WheelTracker(WheelConfig())
+    stamp_s, x_m = driven(tracker)
+    for n in range(100):
+        tracker.add(reading(stamp_s + 2.0 + n * PERIOD_S, x_m))
+    assert tracker._gaps.guessed_m == pytest.approx(2.0 * SPEED_M_S, abs=2.0 * PERIOD_S * SPEED_M_S)
+
+
 def test_a_driver_that_speaks_only_while_it_moves_goes_nowhere_in_a_stop() -> None:
     """It brakes at 1 m/s^2, says nothing for a minute, and drives on."""
     tracker = WheelTracker(WheelConfig())
