@@ -16,6 +16,7 @@ from slam.matching.planar import between, compose, diagonal, wrap
 from slam.measurements import FloatArray, WheelOdometry
 from slam.odometry.clock_learner import ClockLearner, SensorClock, Turns
 from slam.odometry.gyro_yaw import GyroMoment, YawGyro
+from slam.odometry.usual_speed import UsualSpeed
 from slam.odometry.wheel_gaps import WheelGaps
 
 # Readings whose stamps coincide or run backward took a time that nobody knows.
@@ -60,6 +61,10 @@ class WheelTracker:
         # Whether a reading was ever another than the first; whether the robot has moved though none was.
         self.moved, self.dead = False, False
         self._fastest_m_s = config.greatest_speed_m_s
+        self._speed = UsualSpeed(config.greatest_speed_m_s)
+        self._turning = UsualSpeed(config.greatest_turn_rad_s)
+        # Way, turn and time of the reading before, if those were unusual.
+        self._unusual: tuple[float, float, float] | None = None
         self._asked_s = math.nan
         self._ahead_s = 0.0
         self._T_odom_read = np.zeros(3)
@@ -98,7 +103,8 @@ class WheelTracker:
         Its turns are joined with those of a gyroscope, each by its covariance.
         """
         step, step_s = self._gaps.step(reading)
-        alone = self._gaps.add(reading, step, step_s, possible=self.plausible(step, step_s))
+        possible, usual = self.plausible(step, step_s), self._usual(step, step_s)
+        alone = self._gaps.add(reading, step, step_s, possible=possible, usual=usual)
         self.turns.add(reading.stamp_s, float(alone[2]))
         pose = self._joined(alone, reading.stamp_s)
         if self._recent and (pose != self._recent[0][1]).any():
@@ -218,12 +224,39 @@ class WheelTracker:
             return pose
         return compose(pose, between(begun[1], ended) / (ended_s - begun[0]) * (asked_s - read_s))
 
+    def _usual(self, step: FloatArray, step_s: float) -> bool:
+        """Whether this robot makes motions such as ``step`` (3,), the next to learn that from.
+
+        What is usual together with an unusual one before it, whose stamp came too early, vouches for that.
+        """
+        x, y, turn = step.tolist()
+        if not (x or y or turn):
+            return True
+        gone = math.hypot(x, y), abs(turn), self._time_s(step_s)
+        before, self._unusual = self._unusual, None
+        early = before is not None and not self._exceeds(*(a + b for a, b in zip(before, gone, strict=True)))
+        if self._exceeds(*gone, times=2.0):
+            self._unusual = gone
+        self._speed.add(gone[0] / gone[2])
+        self._turning.add(gone[1] / gone[2])
+        return self._unusual is None and not early
+
+    def _exceeds(self, way_m: float, turn_rad: float, time_s: float, times: float = 1.0) -> bool:
+        """Whether so much in a time is more than so many times as fast as usual."""
+        return self._speed.exceeded_by((way_m - self._config.floor_m) / time_s, times) or (
+            self._turning.exceeded_by((turn_rad - self._config.floor_rad) / time_s, times)
+        )
+
+    def _time_s(self, step_s: float) -> float:
+        """Time that a step may have taken."""
+        return max(step_s, self._gaps.period_s, SHORTEST_STEP_S) if step_s > 0.0 else _UNKNOWN_STEP_S
+
     def plausible(self, step: FloatArray, step_s: float) -> bool:
         """Whether a robot can move by ``step`` (3,) in that time, or in that between readings as a rule.
 
         Stamps may come late by about as much: then two readings are one right after the other.
         """
-        time_s = max(step_s, self._gaps.period_s, SHORTEST_STEP_S) if step_s > 0.0 else _UNKNOWN_STEP_S
+        time_s = self._time_s(step_s)
         return bool(
             math.hypot(step[0], step[1]) <= self._fastest_m_s * time_s + self._config.floor_m
             and abs(step[2]) <= self._config.greatest_turn_rad_s * time_s + self._config.floor_rad
