@@ -25,8 +25,8 @@ class UsualSpeed:
     >>> for _ in range(100):
     ...     usual.add(0.42)
     >>> usual.add(4.6)  # a jump
-    >>> round(usual.most, 2), usual.exceeded_by(0.8, 1.0), usual.exceeded_by(0.8, 2.0)
-    (0.45, True, False)
+    >>> round(usual.most, 2), usual.exceeded_by(1.2), usual.exceeded_by(4.6)
+    (0.45, False, True)
     """
 
     def __init__(self, greatest: float) -> None:
@@ -55,6 +55,6 @@ class UsualSpeed:
         known = self._moved >= FEWEST and self._top < _STEPS
         return (self._top + 1) * self._width if known else math.inf
 
-    def exceeded_by(self, speed: float, times: float) -> bool:
-        """Whether a speed is more than so many times as fast."""
-        return speed > times * self.most
+    def exceeded_by(self, speed: float) -> bool:
+        """Whether a speed is more than three times as fast."""
+        return speed > 3.0 * self.most

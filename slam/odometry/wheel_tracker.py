@@ -63,8 +63,6 @@ class WheelTracker:
         self._fastest_m_s = config.greatest_speed_m_s
         self._speed = UsualSpeed(config.greatest_speed_m_s)
         self._turning = UsualSpeed(config.greatest_turn_rad_s)
-        # Way, turn and time of the reading before, if those were unusual.
-        self._unusual: tuple[float, float, float] | None = None
         self._asked_s = math.nan
         self._ahead_s = 0.0
         self._T_odom_read = np.zeros(3)
@@ -225,27 +223,14 @@ class WheelTracker:
         return compose(pose, between(begun[1], ended) / (ended_s - begun[0]) * (asked_s - read_s))
 
     def _usual(self, step: FloatArray, step_s: float) -> bool:
-        """Whether this robot makes motions such as ``step`` (3,), the next to learn that from.
-
-        What is usual together with an unusual one before it, whose stamp came too early, vouches for that.
-        """
-        x, y, turn = step.tolist()
-        if not (x or y or turn):
-            return True
-        gone = math.hypot(x, y), abs(turn), self._time_s(step_s)
-        before, self._unusual = self._unusual, None
-        early = before is not None and not self._exceeds(*(a + b for a, b in zip(before, gone, strict=True)))
-        if self._exceeds(*gone, times=2.0):
-            self._unusual = gone
-        self._speed.add(gone[0] / gone[2])
-        self._turning.add(gone[1] / gone[2])
-        return self._unusual is None and not early
-
-    def _exceeds(self, way_m: float, turn_rad: float, time_s: float, times: float = 1.0) -> bool:
-        """Whether so much in a time is more than so many times as fast as usual."""
-        return self._speed.exceeded_by((way_m - self._config.floor_m) / time_s, times) or (
-            self._turning.exceeded_by((turn_rad - self._config.floor_rad) / time_s, times)
+        """Whether this robot makes motions such as ``step`` (3,), the next to learn that from."""
+        time_s, way_m, turn_rad = self._time_s(step_s), math.hypot(step[0], step[1]), abs(float(step[2]))
+        unusual = self._speed.exceeded_by((way_m - self._config.floor_m) / time_s) or (
+            self._turning.exceeded_by((turn_rad - self._config.floor_rad) / time_s)
         )
+        self._speed.add(way_m / time_s)
+        self._turning.add(turn_rad / time_s)
+        return not unusual
 
     def _time_s(self, step_s: float) -> float:
         """Time that a step may have taken."""

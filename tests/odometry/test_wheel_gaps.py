@@ -37,11 +37,11 @@ def test_a_heading_that_jumps_turns_nothing() -> None:
 
 
 @pytest.mark.parametrize("goes_on", [False, True])
-@pytest.mark.parametrize(("ahead_m", "turned_rad"), [(1.2, 0.0), (0.2, 0.5)])
+@pytest.mark.parametrize(("ahead_m", "turned_rad"), [(1.2, 0.0), (0.2, 0.6)])
 def test_what_a_robot_does_for_one_reading_only_is_no_motion(
     ahead_m: float, turned_rad: float, goes_on: bool
 ) -> None:
-    """Twice a second: 2.4 m/s, or 1 rad/s, of a robot that so far went 0.4 m/s and turned 0.1 rad/s."""
+    """Twice a second: 2.4 m/s, or 1.2 rad/s, of a robot that so far went 0.4 m/s and turned 0.1 rad/s."""
     tracker, odom, true = WheelTracker(WheelConfig()), np.zeros(3), np.zeros(3)
     usual, jump = np.array([0.2, 0.0, 0.05]), np.array([ahead_m, 0.0, turned_rad])
     for n in range(60):
@@ -149,7 +149,7 @@ def test_what_a_larger_wheel_turns_is_learned_and_told_where_nothing_is_matched(
     for n in range(900):
         turn_rad = 0.05 * math.sin(0.1 * n)
         # A larger right wheel, and one that spins now and then.
-        slip_rad = 0.2 if n % 50 == 7 else 0.0
+        slip_rad = 0.3 if n % 50 == 7 else 0.0
         told = compose(told, np.array([0.05, 0.0, turn_rad - 0.1 * 0.05 + slip_rad]))
         true = compose(true, np.array([0.05, 0.0, turn_rad]))
         tracker.add(WheelOdometry(n * PERIOD_S, pose2_from_row(told)))
@@ -163,7 +163,7 @@ def test_what_a_larger_wheel_turns_is_learned_and_told_where_nothing_is_matched(
     begun, ended = asked[600], asked[-1]
     step = tracker.motion(begun[0], ended[0], 300 * PERIOD_S)
     assert step is not None
-    # Mended are 1.5 rad that the larger wheel turns, and 1.2 that it spins, faster than the robot ever turns.
+    # Mended are 1.5 rad that the larger wheel turns, and 1.8 that it spins, faster than the robot ever turns.
     assert abs(wrap(step[2] - between(begun[1], ended[1])[2])) < 0.15
 
 
