@@ -18,9 +18,10 @@ _HARDEST_BRAKING = 4.9
 class WheelGaps:
     """Joins readings to one motion, and knows how much of it nothing has told.
 
-    A jump that no robot can make is left out: the robot went on as before for this one reading. So it did
-    where readings stay away or repeat each other for a while after a speed from which no robot stops at once,
-    and that way is a guess.
+    A jump that no robot can make is left out: the robot went on as before for this one reading. So is one
+    that this robot does not make, unless the next reading is as fast, too: then it is put back. And the robot
+    went on where readings stay away or repeat each other for a while after a speed from which no robot stops
+    at once, and that way is a guess.
 
     Attributes
     ----------
@@ -36,12 +37,16 @@ class WheelGaps:
         # Of the last reading, of the last one that moved, and until when the way is in the pose.
         self._stamp_s = self._counted_s = self._placed_s = math.nan
         self._twist = np.zeros(3)
+        # What was left out of the last reading; None if that was as fast as usual.
+        self._left_out: FloatArray | None = None
         self.period_s = self._lasted_s = 0.0
         # The time in which a robot stops, and the longest between two readings since the last that moved.
         self._stop_s = self._silent_s = 0.0
         self.guessed_m = 0.0
 
-    def add(self, reading: WheelOdometry, step: FloatArray, step_s: float, *, possible: bool) -> FloatArray:
+    def add(
+        self, reading: WheelOdometry, step: FloatArray, step_s: float, *, possible: bool, usual: bool
+    ) -> FloatArray:
         """Take the next reading: its pose (3,) without what came before it that cannot be.
 
         Parameters
@@ -50,6 +55,8 @@ class WheelGaps:
             As `step` tells them of the reading.
         possible
             Whether a robot can have made the motion since the last reading.
+        usual
+            Whether this robot makes such motions.
         """
         stamp_s, self._stamp_s = reading.stamp_s, reading.stamp_s
         told, self._told = self._told, row_from_pose2(reading.T_odom_base)
@@ -60,10 +67,16 @@ class WheelGaps:
         if step_s > 0.0:
             self.period_s += (min(step_s, GAP_S) - self.period_s) / (FEWEST if self.period_s else 1.0)
         guess, (x, y, turn) = self.guess_at(stamp_s), step.tolist()
+        lone = not usual and self._left_out is None
+        # A reading that repeats the last one, as scan lines do, tells nothing of how fast the robot is.
+        left_out = (None if usual else np.zeros(3)) if step.any() else self._left_out
         # Whoever cannot have stopped has not turned on the spot either: then the heading has jumped.
         still = possible and max(abs(x), abs(y)) < SETTLED and (abs(turn) < SETTLED or bool(guess.any()))
-        if not possible:
-            step = self._twist * max(step_s, 0.0)
+        if lone or not possible:
+            still, onward = False, self._twist * max(step_s, 0.0)
+            if possible:
+                left_out = between(onward, step)
+            step = onward
         elif still:
             step = guess
             self.guessed_m += math.hypot(step[0], step[1])
@@ -71,6 +84,10 @@ class WheelGaps:
             if step_s <= self.period_s and self._silent_s > self._stop_s:
                 self._stop_s = 0.0
             self._silent_s = max(self._silent_s, step_s)
+        elif self._left_out is not None and not usual:
+            begun = compose(self._pose, self._left_out)
+            self._counted, self._pose = compose(begun, between(self._pose, self._counted)), begun
+        self._left_out = left_out
         self._pose = compose(self._pose, step)
         if not still or step.any():
             self._placed_s = stamp_s

@@ -16,6 +16,7 @@ from slam.matching.planar import between, compose, diagonal, wrap
 from slam.measurements import FloatArray, WheelOdometry
 from slam.odometry.clock_learner import ClockLearner, SensorClock, Turns
 from slam.odometry.gyro_yaw import GyroMoment, YawGyro
+from slam.odometry.usual_speed import UsualSpeed
 from slam.odometry.wheel_gaps import WheelGaps
 
 # Readings whose stamps coincide or run backward took a time that nobody knows.
@@ -60,6 +61,8 @@ class WheelTracker:
         # Whether a reading was ever another than the first; whether the robot has moved though none was.
         self.moved, self.dead = False, False
         self._fastest_m_s = config.greatest_speed_m_s
+        self._speed = UsualSpeed(config.greatest_speed_m_s)
+        self._turning = UsualSpeed(config.greatest_turn_rad_s)
         self._asked_s = math.nan
         self._ahead_s = 0.0
         self._T_odom_read = np.zeros(3)
@@ -98,7 +101,8 @@ class WheelTracker:
         Its turns are joined with those of a gyroscope, each by its covariance.
         """
         step, step_s = self._gaps.step(reading)
-        alone = self._gaps.add(reading, step, step_s, possible=self.plausible(step, step_s))
+        possible, usual = self.plausible(step, step_s), self._usual(step, step_s)
+        alone = self._gaps.add(reading, step, step_s, possible=possible, usual=usual)
         self.turns.add(reading.stamp_s, float(alone[2]))
         pose = self._joined(alone, reading.stamp_s)
         if self._recent and (pose != self._recent[0][1]).any():
@@ -218,12 +222,26 @@ class WheelTracker:
             return pose
         return compose(pose, between(begun[1], ended) / (ended_s - begun[0]) * (asked_s - read_s))
 
+    def _usual(self, step: FloatArray, step_s: float) -> bool:
+        """Whether this robot makes motions such as ``step`` (3,), the next to learn that from."""
+        time_s, way_m, turn_rad = self._time_s(step_s), math.hypot(step[0], step[1]), abs(float(step[2]))
+        unusual = self._speed.exceeded_by((way_m - self._config.floor_m) / time_s) or (
+            self._turning.exceeded_by((turn_rad - self._config.floor_rad) / time_s)
+        )
+        self._speed.add(way_m / time_s)
+        self._turning.add(turn_rad / time_s)
+        return not unusual
+
+    def _time_s(self, step_s: float) -> float:
+        """Time that a step may have taken."""
+        return max(step_s, self._gaps.period_s, SHORTEST_STEP_S) if step_s > 0.0 else _UNKNOWN_STEP_S
+
     def plausible(self, step: FloatArray, step_s: float) -> bool:
         """Whether a robot can move by ``step`` (3,) in that time, or in that between readings as a rule.
 
         Stamps may come late by about as much: then two readings are one right after the other.
         """
-        time_s = max(step_s, self._gaps.period_s, SHORTEST_STEP_S) if step_s > 0.0 else _UNKNOWN_STEP_S
+        time_s = self._time_s(step_s)
         return bool(
             math.hypot(step[0], step[1]) <= self._fastest_m_s * time_s + self._config.floor_m
             and abs(step[2]) <= self._config.greatest_turn_rad_s * time_s + self._config.floor_rad

@@ -1,0 +1,60 @@
+"""How fast a robot is as a rule, by its own wheels."""
+
+from __future__ import annotations
+
+import math
+
+from fusion.estimation import FEWEST
+
+# Speeds are told apart to this share of the greatest.
+_STEPS = 100
+
+
+class UsualSpeed:
+    """The speed that all but one in twenty of the readings that move keep to.
+
+    Parameters
+    ----------
+    greatest
+        Of any robot, metres or radians a second; who is slower than a hundredth of it stands.
+
+    Examples
+    --------
+    >>> from slam.odometry.usual_speed import UsualSpeed
+    >>> usual = UsualSpeed(5.0)
+    >>> for _ in range(100):
+    ...     usual.add(0.42)
+    >>> usual.add(4.6)  # a jump
+    >>> round(usual.most, 2), usual.exceeded_by(1.2), usual.exceeded_by(4.6)
+    (0.45, False, True)
+    """
+
+    def __init__(self, greatest: float) -> None:
+        self._width, self._counts, self._moved = greatest / _STEPS, [0] * (_STEPS + 1), 0
+        # How many were faster than the steps up to this one.
+        self._top, self._faster = _STEPS, 0
+
+    def add(self, speed: float) -> None:
+        """Take the speed of the next reading."""
+        step = min(int(speed / self._width), _STEPS)
+        if not step:
+            return
+        self._moved += 1
+        self._counts[step] += 1
+        self._faster += step > self._top
+        while self._faster * FEWEST > self._moved:
+            self._top += 1
+            self._faster -= self._counts[self._top]
+        while (self._faster + self._counts[self._top]) * FEWEST <= self._moved:
+            self._faster += self._counts[self._top]
+            self._top -= 1
+
+    @property
+    def most(self) -> float:
+        """The speed; infinite before readings are enough, and of who is as fast as any robot."""
+        known = self._moved >= FEWEST and self._top < _STEPS
+        return (self._top + 1) * self._width if known else math.inf
+
+    def exceeded_by(self, speed: float) -> bool:
+        """Whether a speed is more than three times as fast."""
+        return speed > 3.0 * self.most
