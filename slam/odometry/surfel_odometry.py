@@ -90,7 +90,8 @@ class SurfelOdometry:
     def _fits_what_is_known(self, local_map: LocalMap, scan: OrientedPoints, best: Alignment) -> bool:
         """Whether few points agree only because the robot looks at ground that no scan has seen."""
         known = best.inlier_share + local_map.contradicted(scan, best.pose)
-        fits = best.inlier_share >= self._match.confident_inlier_share * known
+        least_share = max(self._match.confident_inlier_share, self._match.least_inlier_share)
+        fits = best.inlier_share >= least_share * known
         # The farther apart keyframes lie, the less of a scan can be known.
         spacing_m = (self._ways_m[-1] - self._ways_m[0]) / max(len(self._ways_m) - 1, 1)
         seen = self._loops.reach_m / max(spacing_m, self._loops.reach_m)
