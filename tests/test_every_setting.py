@@ -109,7 +109,6 @@ VALUES: dict[str, Any] = {
     "wheels.swing_m_per_rad": 5.0,
     "wheels.greatest_speed_m_s": 0.01,
     "loops.greatest_half_width_m": 0.001,
-    "loops.greatest_residual_m": 0.005,
     "loops.inlier_probability": 0.001,
     "grid.hit_probability": 0.9,
     "grid.miss_probability": 0.3,

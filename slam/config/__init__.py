@@ -16,7 +16,7 @@ from pydantic.fields import FieldInfo
 
 from slam.config.calibration import Calibration
 from slam.config.clouds import CloudLoopConfig, CloudMapConfig, CloudOdometryConfig
-from slam.config.files import ConfigLoader, find_file, model_of, read_tree, ready_names
+from slam.config.files import ConfigLoader, find_file, model_of, read_tree
 from slam.config.localization import CloudLocalizationConfig, LocalizationConfig
 from slam.config.stages import (
     DenseMapConfig,
@@ -86,18 +86,6 @@ class Config(StrictModel):
     cloud_map: CloudMapConfig = CloudMapConfig()
     localization: LocalizationConfig = LocalizationConfig()
     cloud_localization: CloudLocalizationConfig = CloudLocalizationConfig()
-
-
-def preset_names() -> list[str]:
-    """Names that ``load_config`` takes instead of a path, sorted.
-
-    Examples
-    --------
-    >>> from slam.config import preset_names
-    >>> preset_names()
-    ['lidar2d']
-    """
-    return ready_names(_PRESET_FOLDER)
 
 
 def load_config(

@@ -28,11 +28,6 @@ ConfigLoader.add_implicit_resolver(
 )
 
 
-def ready_names(folder: Path) -> list[str]:
-    """Names of the files of a folder that come with Scanweave, sorted."""
-    return sorted(file.stem for file in folder.glob("*.yaml"))
-
-
 def find_file(name_or_path: str, folder: Path, kind: str) -> Path:
     """Path of a file of one's own (ends in .yaml or .yml), or of one that is ready in a folder, by its name.
 
@@ -41,7 +36,7 @@ def find_file(name_or_path: str, folder: Path, kind: str) -> Path:
     ConfigError
         Where there is none.
     """
-    names = ready_names(folder)
+    names = sorted(file.stem for file in folder.glob("*.yaml"))
     if Path(name_or_path).suffix in {".yaml", ".yml"}:
         file = Path(name_or_path)
         if not file.is_file():

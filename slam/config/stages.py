@@ -172,7 +172,6 @@ class LoopConfig(StrictModel):
     least_inlier_share: float = Field(
         default=0.6, gt=0, le=1, description="least share of agreeing readings, of those"
     )
-    greatest_residual_m: float = Field(default=0.04, gt=0, description="greatest residual of scans")
     inlier_probability: float = Field(
         default=0.99, gt=0, lt=1, description="GNC: a true loop passes the chi-square gate with this"
     )

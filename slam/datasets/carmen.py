@@ -192,7 +192,6 @@ class _Decoder:
         limit_m = min(stated_m, SICK_LARGEST_CODE_FREE_M) if stated_m > 0.0 else DEFAULT_NO_RETURN_M
         ranges_m, limit_m = classify_ranges(record.ranges_m, limit_m, self._told_alike[record.kind])
         invalid = int(np.count_nonzero(np.isnan(ranges_m)))
-        self._report.invalid_ranges += invalid
         if invalid == ranges_m.size:
             raise RecordFault(NO_VALID_RANGE, f"{invalid} beams")
         return LaserScan(

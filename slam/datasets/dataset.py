@@ -113,8 +113,6 @@ class ReadReport:
         By sensor: stamps earlier than the one before them; ``largest`` in seconds. Nothing is dropped.
     odometry_jumps
         Odometry steps faster than any robot; ``largest`` in metres.
-    invalid_ranges
-        Beams that read zero, negative or NaN.
     share
         Of the log that has been read, 0..1; None where the reader cannot tell.
     """
@@ -130,7 +128,6 @@ class ReadReport:
     notes: dict[str, Tally] = field(default_factory=dict)
     backward_steps: dict[str, Tally] = field(default_factory=dict)
     odometry_jumps: Tally = field(default_factory=Tally)
-    invalid_ranges: int = 0
     measurement_count: int = 0
     _last_stamp_s: dict[str, float] = field(default_factory=dict, repr=False)
     _last_odometry: WheelOdometry | None = field(default=None, repr=False)

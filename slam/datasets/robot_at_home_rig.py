@@ -91,7 +91,6 @@ def laser_scan(
     clean, max_m = classify_ranges(ranges_m, max_m, ToldAlike())
     clean[(valid == 0.0) & np.isfinite(clean)] = np.nan
     invalid = int(np.count_nonzero(np.isnan(clean)))
-    account.report.invalid_ranges += invalid
     if invalid == clean.size:
         raise RecordFault(NO_VALID_RANGE, f"{invalid} beams")
     step_rad = aperture_rad / (ranges_m.size - 1)

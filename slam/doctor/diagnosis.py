@@ -28,7 +28,7 @@ from slam.doctor.samples import Samples, WheelSamples
 from slam.doctor.scan_motion import ScanMotion, Steps, track_stretches
 from slam.doctor.seen_floor import floor_findings
 from slam.doctor.stretches import Stretches
-from slam.doctor.turning import told_turn, turn_in_the_plane
+from slam.doctor.turning import Turn, told_turn, turn_in_the_plane
 from slam.doctor.wheels_and_lidar import compare
 from slam.measurements import LaserScan, Measurement
 from slam.vision.color_registration import ColorRegistration
@@ -88,44 +88,16 @@ def examine(log: Iterable[Measurement], registrations: Registrations | None = No
         findings += in_space.repeated("lidars", name, lidar.repeated, lidar.count, "scans")
         if not lidar.stretches:
             continue
-        stretches = lidar.stretches
-        blocked = blocked_beams(stretches, config)
-        if blocked is not None and (finding := blocked_finding(name, blocked)):
-            findings.append(finding)
-            stretches = [[without(scan, blocked) for scan in scans] for scans in stretches]
-        middle_m = _median_m(stretches)
-        if wheels is None:
-            findings += in_space.unit_finding("lidars", name, middle_m)
-        stretches, scale = _within_reach(stretches, middle_m / config.scan.range_max_m)
-        turn = told_turn(stretches, config) if wheels else None
-        if turn:
-            stretches = [
-                [replace(scan, stamp_s=scan.stamp_s + middle_s(scan)) for scan in scans]
-                for scans in stretches
-            ]
-        tracked = track_stretches(stretches, config)
-        floor = floor_findings(name, stretches, tracked, config) if scale == 1.0 else []
-        if floor:
-            findings += floor
-            stretches = _mended(stretches, floor)
-            tracked = track_stretches(stretches, config)
-        by_imus = None if vouched_for else _by_imus(samples, tracked, config)
+        alone = _alone(name, lidar.stretches, config, with_wheels=wheels is not None)
+        findings += alone.findings
+        by_imus = None if vouched_for else _by_imus(samples, alone.tracked, config)
         vouched_for = vouched_for or by_imus is not None
         if wheels is None:
             findings += [_or_upside_down(one, name) for one in by_imus or []]
             continue
         side = 0.0 if by_imus is None else handed(by_imus)
-        pair = Pair(wheels[0], name, wheels[1].rows(), stretches, scale, side)
-        found, left_open = compare(pair, tracked, config)
-        if not (found or left_open):
-            with fewer_frames(log, None):
-                mended = corrected(log, remedied(Calibration(), floor, only_sure=True))
-                lost = lost_sign(mended, wheels[0], name, wheels[1].rows(), config)
-            found = [lost] if lost else []
-        if not found:
-            turn = turn or turn_in_the_plane(stretches, lidar.interval_s.median() or 0.0, config)
-        if turn and all(one.kind == "clock" for one in found):
-            found.append(turn.finding("lidars", name))
+        pair = Pair(wheels[0], name, wheels[1].rows(), alone.stretches, alone.scale, side)
+        found, left_open = _beside_wheels(log, pair, alone, lidar.interval_s.median() or 0.0, config)
         findings += found
         unknown += left_open
         own = [
@@ -133,7 +105,7 @@ def examine(log: Iterable[Measurement], registrations: Registrations | None = No
         ]
         if by_imus and own:
             # What contradicts the IMU is the lidar's own mistake.
-            by_imus = _by_imus(samples, track_stretches(_mended(stretches, own), config), config)
+            by_imus = _by_imus(samples, track_stretches(_mended(alone.stretches, own), config), config)
         findings += by_imus or []
     vouched = any(lidar.stretches for lidar in samples.lidars.values()) and not unknown
     findings += _in_space(samples, wheels, findings, vouched=vouched)
@@ -143,6 +115,68 @@ def examine(log: Iterable[Measurement], registrations: Registrations | None = No
     findings = [one for one in findings if one.kind != "lens" or one.sensor not in apart]
     unknown += [f"{name}: its lens, for its colours lie beside its depths" for name in apart]
     return Diagnosis(findings, unknown)
+
+
+@dataclass(frozen=True, slots=True)
+class _Alone:
+    """A 2D lidar by itself: its scans as what they show mends them, and the motion that they tell.
+
+    Attributes
+    ----------
+    scale
+        By what ranges were multiplied.
+    turn
+        How it spins, where scans tell the time of their beams.
+    floor, findings
+        That it sees the floor; all that is wrong, this too.
+    """
+
+    stretches: list[list[LaserScan]]
+    tracked: list[ScanMotion]
+    scale: float
+    turn: Turn | None
+    floor: list[Finding]
+    findings: list[Finding]
+
+
+def _alone(name: str, stretches: list[list[LaserScan]], config: Config, *, with_wheels: bool) -> _Alone:
+    """What scans show without another sensor."""
+    findings = list[Finding]()
+    blocked = blocked_beams(stretches, config)
+    if blocked is not None and (finding := blocked_finding(name, blocked)):
+        findings.append(finding)
+        stretches = [[without(scan, blocked) for scan in scans] for scans in stretches]
+    middle_m = _median_m(stretches)
+    if not with_wheels:
+        findings += in_space.unit_finding("lidars", name, middle_m)
+    stretches, scale = _within_reach(stretches, middle_m / config.scan.range_max_m)
+    turn = told_turn(stretches, config) if with_wheels else None
+    if turn:
+        stretches = [
+            [replace(scan, stamp_s=scan.stamp_s + middle_s(scan)) for scan in scans] for scans in stretches
+        ]
+    tracked = track_stretches(stretches, config)
+    floor = floor_findings(name, stretches, tracked, config) if scale == 1.0 else []
+    if floor:
+        stretches = _mended(stretches, floor)
+        tracked = track_stretches(stretches, config)
+    return _Alone(stretches, tracked, scale, turn, floor, findings + floor)
+
+
+def _beside_wheels(
+    log: Iterable[Measurement], pair: Pair, alone: _Alone, interval_s: float, config: Config
+) -> tuple[list[Finding], list[str]]:
+    """What a lidar and wheels say of each other that cannot be, and what they leave open."""
+    found, left_open = compare(pair, alone.tracked, config)
+    if not (found or left_open):
+        with fewer_frames(log, None):
+            mended = corrected(log, remedied(Calibration(), alone.floor, only_sure=True))
+            lost = lost_sign(mended, pair.wheels, pair.lidar, pair.rows, config)
+        found = [lost] if lost else []
+    turn = alone.turn if found else alone.turn or turn_in_the_plane(alone.stretches, interval_s, config)
+    if turn and all(one.kind == "clock" for one in found):
+        found.append(turn.finding("lidars", pair.lidar))
+    return found, left_open
 
 
 def _in_space(

@@ -26,7 +26,6 @@ from slam.vision.frame_matcher import FrameMatcher
 
 FORBIDDEN = "forbidden by hand"
 _FEW = ("too few points fit", "too few readings fit")
-_LARGE = "residual too large"
 _OFF = "no loops are closed"
 
 
@@ -58,7 +57,7 @@ def edited_loops(
         for pair in entry.forced:
             state[best_of(loops, pair)] = True
     if config.loops != before.loops:
-        loops = [_rejudged(loop, before, config, planar=base.planar) for loop in loops]
+        loops = [_rejudged(loop, config) for loop in loops]
     forced = {decided for decided, on in state.items() if on}
     for decided, on in state.items():
         loops[decided] = (
@@ -72,7 +71,7 @@ def edited_loops(
             continue
         there.add(number)
         # Refused by a person or a setting, not by the others.
-        if loops[number].reason in (FORBIDDEN, _OFF, _LARGE, *_FEW):
+        if loops[number].reason in (FORBIDDEN, _OFF, *_FEW):
             continue
         factors.append(_trusted(factor) if number in forced else factor)
     for candidate, loop in enumerate(loops):
@@ -106,21 +105,16 @@ def _trusted(factor: SavedFactor) -> SavedFactor:
     return SavedFactor(replace(factor.edge, trusted=True), True)
 
 
-def _rejudged(loop: LoopCandidate, before: Config, config: Config, *, planar: bool) -> LoopCandidate:
+def _rejudged(loop: LoopCandidate, config: Config) -> LoopCandidate:
     """A loop by other limits, as far as its match tells."""
     settings, motion = config.loops, loop.motion
     if not settings.enabled:
         return loop.refused(_OFF)
-    if motion is None or not (loop.accepted or "GNC" in loop.reason or loop.reason in (*_FEW, _LARGE)):
+    if motion is None or not (loop.accepted or "GNC" in loop.reason or loop.reason in _FEW):
         return loop
     if motion.inlier_share < settings.least_inlier_share:
         return loop if loop.reason in _FEW else loop.refused(_FEW[0])
-    # Only loops by scans have that limit, and a window.
-    by_scan = planar and loop.half_width_m > 0.0
-    if by_scan and motion.residual_m > settings.greatest_residual_m:
-        return loop.refused(_LARGE)
-    known = loop.reason in _FEW or (by_scan and loop.reason == _LARGE)
-    return replace(loop, accepted=True, reason="") if known else loop
+    return replace(loop, accepted=True, reason="") if loop.reason in _FEW else loop
 
 
 def refuse_unknown(loops: Sequence[LoopCandidate], pair: Pair, told: str, *, matched: bool) -> None:

@@ -10,9 +10,7 @@ from slam.errors import ConfigError
 # What is drawn and written of keyframes, and what only later commands ask for.
 _FREE = ("grid.", "layers.", "dense_map.", "cloud_map.", "localization.", "cloud_localization.")
 # Of the graph: which loops count.
-_LOOPS = frozenset(
-    {"loops.enabled", "loops.inlier_probability", "loops.least_inlier_share", "loops.greatest_residual_m"}
-)
+_LOOPS = frozenset({"loops.enabled", "loops.inlier_probability", "loops.least_inlier_share"})
 _FUSION = "fusion.enabled"
 
 

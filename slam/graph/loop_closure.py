@@ -254,8 +254,6 @@ def _judge(
     moved_m = math.hypot(moved[0], moved[1])
     if motion.inlier_share < config.least_inlier_share:
         return candidate.refused("too few points fit")
-    if motion.residual_m > config.greatest_residual_m:
-        return candidate.refused("residual too large")
     if moved_m > basin_m:
         return candidate.refused("refinement left the window")
     if motion.degenerate and candidate.half_width_m >= 0.5 * config.reach_m:

@@ -3,7 +3,7 @@
 What `slam.graph.loop_closure` closes while mapping lies within the uncertainty of the estimate. Where the
 chain is bent, places are found by their appearance instead, and believed only in sets: claims that agree with
 each other along the way (`slam.graph.consistent_sets`), that what lies around them confirms
-(`slam.graph.claim_trial`), and that together weigh more than what they contradict.
+(`slam.graph.claim_trial`), and that contradict no more than one fault of the chain explains.
 """
 
 from __future__ import annotations
@@ -197,8 +197,8 @@ class PlaceSearch:
         # Plausible sets first, of them the nearest: there chance has the least room.
         order = [(cost > self._gate, sigma_m if cost <= self._gate else cost) for cost, sigma_m in judged]
         for n in sorted(range(len(found)), key=order.__getitem__):
-            # One fault explains it, or it weighs twice what it contradicts.
-            if costs[n] > max(2.0, 0.5 * len(found[n])) * self._gate or gains[n] <= 0.0:
+            # What contradicts more than one fault explains is not believed, however many say so.
+            if costs[n] > 2.0 * self._gate:
                 continue
             rivals = (m for m in np.flatnonzero(2.0 * gains > gains[n]).tolist() if m != n)
             if any(self._contradiction(sets.entailed(found[n], found[m]), seen) > gains[m] for m in rivals):
@@ -209,9 +209,6 @@ class PlaceSearch:
             most = costs[n] + self._gate
             more = [one for one, bend in zip(fits, bends, strict=True) if min(bend[0], bend[2]) <= most]
             refused += len(fits) - len(more)
-            # What contradicts more than one fault explains must be confirmed by what lies around.
-            if costs[n] > 2.0 * self._gate and len(more) <= refused:
-                continue
             held = len(found[n]) + len(more) - refused
             net_m = held * stretches.spacing_m
             # As long as it is seen from either end; where all of the map would pass, as a loop must be.

@@ -231,7 +231,7 @@ class CloudTracker:
         if self._wheels is not None and self.by_wheels.guesses:
             seen = np.array([step.x(), step.y(), step.rotation().yaw()])
             self._wheels.learn_scale(self.by_wheels.guesses[0].pose, seen)
-            self.by_wheels.judge(seen, np.zeros((3, 3)))
+            self.by_wheels.judge(seen)
 
     def _believed(self, motion: MotionEstimate, told: gtsam.Pose3 | None) -> bool:
         """Whether a match agrees with where the IMU leads; one that fits as usual may be off by a voxel more.

@@ -364,10 +364,8 @@ class MotionTracker:
             self._gyro.learn(gyro, float(pose[2]), float(motion.covariance[2, 2]))
         if last is None:
             return
-        # What went wrong along a direction that the last scan left open is made up for now.
-        slack = last.motion.covariance if last.motion is not None and last.open else np.zeros((3, 3))
         for predictor in (self._by_camera, self._by_wheels, self._by_velocity):
-            predictor.judge(pose, slack)
+            predictor.judge(pose)
         if self._wheels is None or last.open:
             return
         if not self._wheels.moved:

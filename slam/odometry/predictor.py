@@ -45,19 +45,11 @@ class Predictor:
         both = math.sqrt(way * turn)
         return Motion(pose, covariance * np.array([[way, way, both], [way, way, both], [both, both, turn]]))
 
-    def judge(self, pose: FloatArray, slack: FloatArray) -> None:
-        """Learn from where the scan was taken: the mean of the first guess's normalised squared error.
-
-        Parameters
-        ----------
-        pose
-            (3,) of the scan.
-        slack
-            (3, 3) covariance of where the step began, which is no error of the guess.
-        """
+    def judge(self, pose: FloatArray) -> None:
+        """Learn from where the scan was taken (3,): the first guess's normalised squared error on average."""
         if not self.guesses:
             return
-        guess = self.guesses[0].widened(slack)
+        guess = self.guesses[0]
         squares = self.doubt * guess.squared_mahalanobis(pose) / 3.0
         average = self.doubt + self._rate * (min(squares, _GREATEST_SURPRISE * self.doubt) - self.doubt)
         self.doubt = max(1.0, average)

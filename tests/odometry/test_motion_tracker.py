@@ -351,12 +351,11 @@ def test_a_gap_that_nothing_bridges_leaves_a_match_open(gap_s: float, wheels: bo
 
 
 def test_the_end_of_a_corridor_makes_up_for_what_went_wrong_along_it() -> None:
-    """The wheels jumped where nothing could tell: it is no fault of the steps after, and no velocity."""
+    """The wheels jumped where nothing could tell: what makes up for it is no velocity."""
     run = Run()
     run.see_the_truth()
     for _ in range(5):
         run.scan()
-    doubt = run.wheel_doubt()
     along = np.array([0.4, 0.0, 0.0])
     ahead = motion_at(compose(run.true_pose, compose(STEP, along)), degenerate=True)
     ahead = replace(ahead, covariance=ahead.covariance + np.diag([900.0, 0.0, 0.0]))
@@ -364,7 +363,6 @@ def test_the_end_of_a_corridor_makes_up_for_what_went_wrong_along_it() -> None:
     run.scan(wheel_step=compose(STEP, along))
     run.see_the_truth()
     run.scan()
-    assert run.wheel_doubt() == pytest.approx(doubt)
     run.scan()
     first, *_ = guesses = run.odometry.asked[-1]
     np.testing.assert_allclose(first.pose, run.true_pose, atol=1e-9)
@@ -395,5 +393,5 @@ def test_one_wild_step_does_not_ruin_a_predictor(off_sigmas: float) -> None:
     """Its variance grows as if the step had been ten times what it claims, however wild it was."""
     predictor = Predictor(30.0)
     predictor.predict(np.zeros(3), np.eye(3) * 0.01**2)
-    predictor.judge(np.array([0.01 * off_sigmas, 0.0, 0.0]), np.zeros((3, 3)))
+    predictor.judge(np.array([0.01 * off_sigmas, 0.0, 0.0]))
     assert predictor.doubt == pytest.approx(1.0 + (10.0 - 1.0) / 30.0)

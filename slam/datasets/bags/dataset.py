@@ -8,8 +8,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from slam.datasets.account import Account
 from slam.datasets.bags.camera import BagCamera
 from slam.datasets.bags.decoding import Decoder, stamp_of
@@ -31,7 +29,7 @@ from slam.datasets.dataset import ReadReport, RecordFault
 from slam.errors import DatasetError
 from slam.estimates import Trajectory
 from slam.foreign import plain
-from slam.measurements import LaserScan, Measurement, RgbdFrame
+from slam.measurements import Measurement, RgbdFrame
 from slam.vision.prefetch import prefetched
 
 NO_FIELD = "message without a field of its type"
@@ -285,9 +283,7 @@ class _Reader:
             return [StampedImage(stamp_s, record.number, record.recorded_s, message, size)]
         made = layout.readers[topic](message)
         readings = made if isinstance(made, list) else [made]
-        for reading in readings:
-            if isinstance(reading, LaserScan):
-                self._account.report.invalid_ranges += int(np.count_nonzero(np.isnan(reading.ranges_m)))
+        for _ in readings:
             self._account.report.accept(layout.makes(topic, record.channel.kind))
         return [*readings]
 
