@@ -60,14 +60,14 @@ def settle_wheels(
         if edge.kind is EdgeKind.WHEEL and edge.covariance[2, 2] > math.pi**2:
             for k, shares in ((n, [*scale[:2], 1.0]), (n + 1, [1.0, 1.0, scale[2]])):
                 edges[k] = replace(edges[k], covariance=edges[k].covariance * np.outer(shares, shares))
-    took_s = np.diff(stamps_s).tolist()
     for n in alone:
         edge = edges[n]
         edges[n] = replace(edge, covariance=edge.covariance * np.outer(scale, scale), trusted=False)
-        free = unmeasured(config, max(abs(took_s[edge.source]), 1.0), planar=True)
-        # These two together are what wheels claim.
+        free = unmeasured(config, max(abs(stamps_s[edge.target] - stamps_s[edge.source]), 1.0), planar=True)
+        # Both together are what wheels claim; where scans lie far apart too few loops tell of a step.
         claimed = edge.covariance @ np.linalg.solve(free, edge.covariance + free)
-        for covariance, trusted in ((edge.covariance + free, True), (claimed, False)):
+        both = [(edge.covariance, True)] if sparse else [(edge.covariance + free, True), (claimed, False)]
+        for covariance, trusted in both:
             graph.add_edge(replace(edge, kind=EdgeKind.ASSUMED, covariance=covariance, trusted=trusted))
 
 
