@@ -6,37 +6,35 @@ import math
 
 from fusion.estimation import FEWEST
 
-# Speeds are told apart to this share of the greatest.
-_STEPS = 100
-
 
 class UsualSpeed:
     """The speed that all but one in twenty of the readings that move keep to.
 
     Parameters
     ----------
-    greatest
-        Of any robot, metres or radians a second; who is slower than a hundredth of it stands.
+    greatest, least
+        Of any robot, and of one that moves, metres or radians a second.
 
     Examples
     --------
     >>> from slam.odometry.usual_speed import UsualSpeed
-    >>> usual = UsualSpeed(5.0)
-    >>> for _ in range(100):
+    >>> usual = UsualSpeed(5.0, 0.05)
+    >>> for _ in range(400):
     ...     usual.add(0.42)
     >>> usual.add(4.6)  # a jump
     >>> round(usual.most, 2), usual.exceeded_by(1.2), usual.exceeded_by(4.6)
     (0.45, False, True)
     """
 
-    def __init__(self, greatest: float) -> None:
-        self._width, self._counts, self._moved = greatest / _STEPS, [0] * (_STEPS + 1), 0
+    def __init__(self, greatest: float, least: float) -> None:
+        self._width, self._greatest, self._moved = least, int(greatest / least), 0
+        self._counts = [0] * (self._greatest + 1)
         # How many were faster than the steps up to this one.
-        self._top, self._faster = _STEPS, 0
+        self._top, self._faster = self._greatest, 0
 
     def add(self, speed: float) -> None:
         """Take the speed of the next reading."""
-        step = min(int(speed / self._width), _STEPS)
+        step = min(int(speed / self._width), self._greatest)
         if not step:
             return
         self._moved += 1
@@ -51,8 +49,8 @@ class UsualSpeed:
 
     @property
     def most(self) -> float:
-        """The speed; infinite before readings are enough, and of who is as fast as any robot."""
-        known = self._moved >= FEWEST and self._top < _STEPS
+        """The speed; infinite before twenty readings exceed it, and of who is as fast as any robot."""
+        known = self._moved >= FEWEST**2 and self._top < self._greatest
         return (self._top + 1) * self._width if known else math.inf
 
     def exceeded_by(self, speed: float) -> bool:

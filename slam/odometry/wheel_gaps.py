@@ -18,10 +18,9 @@ _HARDEST_BRAKING = 4.9
 class WheelGaps:
     """Joins readings to one motion, and knows how much of it nothing has told.
 
-    A jump that no robot can make is left out: the robot went on as before for this one reading. So is one
-    that this robot does not make, unless the next reading is as fast, too: then it is put back. And the robot
-    went on where readings stay away or repeat each other for a while after a speed from which no robot stops
-    at once, and that way is a guess.
+    A jump that the robot does not make is left out: it went on as before for this one reading. If the next
+    is as fast, the robot is, or has jumped back: then it is put back. Where readings stay away or repeat each
+    other for a while after a speed from which no robot stops at once it went on, and that way is a guess.
 
     Attributes
     ----------
@@ -44,19 +43,15 @@ class WheelGaps:
         self._stop_s = self._silent_s = 0.0
         self.guessed_m = 0.0
 
-    def add(
-        self, reading: WheelOdometry, step: FloatArray, step_s: float, *, possible: bool, usual: bool
-    ) -> FloatArray:
+    def add(self, reading: WheelOdometry, step: FloatArray, step_s: float, *, usual: bool) -> FloatArray:
         """Take the next reading: its pose (3,) without what came before it that cannot be.
 
         Parameters
         ----------
         step, step_s
             As `step` tells them of the reading.
-        possible
-            Whether a robot can have made the motion since the last reading.
         usual
-            Whether this robot makes such motions.
+            Whether the robot makes such motions.
         """
         stamp_s, self._stamp_s = reading.stamp_s, reading.stamp_s
         told, self._told = self._told, row_from_pose2(reading.T_odom_base)
@@ -71,12 +66,10 @@ class WheelGaps:
         # A reading that repeats the last one, as scan lines do, tells nothing of how fast the robot is.
         left_out = (None if usual else np.zeros(3)) if step.any() else self._left_out
         # Whoever cannot have stopped has not turned on the spot either: then the heading has jumped.
-        still = possible and max(abs(x), abs(y)) < SETTLED and (abs(turn) < SETTLED or bool(guess.any()))
-        if lone or not possible:
-            still, onward = False, self._twist * max(step_s, 0.0)
-            if possible:
-                left_out = between(onward, step)
-            step = onward
+        still = not lone and max(abs(x), abs(y)) < SETTLED and (abs(turn) < SETTLED or bool(guess.any()))
+        if lone:
+            onward = self._twist * max(step_s, 0.0)
+            step, left_out = onward, between(onward, step)
         elif still:
             step = guess
             self.guessed_m += math.hypot(step[0], step[1])

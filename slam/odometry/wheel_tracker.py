@@ -61,8 +61,8 @@ class WheelTracker:
         # Whether a reading was ever another than the first; whether the robot has moved though none was.
         self.moved, self.dead = False, False
         self._fastest_m_s = config.greatest_speed_m_s
-        self._speed = UsualSpeed(config.greatest_speed_m_s)
-        self._turning = UsualSpeed(config.greatest_turn_rad_s)
+        self._speed = UsualSpeed(config.greatest_speed_m_s, config.floor_m)
+        self._turning = UsualSpeed(config.greatest_turn_rad_s, config.floor_rad)
         self._asked_s = math.nan
         self._ahead_s = 0.0
         self._T_odom_read = np.zeros(3)
@@ -101,8 +101,7 @@ class WheelTracker:
         Its turns are joined with those of a gyroscope, each by its covariance.
         """
         step, step_s = self._gaps.step(reading)
-        possible, usual = self.plausible(step, step_s), self._usual(step, step_s)
-        alone = self._gaps.add(reading, step, step_s, possible=possible, usual=usual)
+        alone = self._gaps.add(reading, step, step_s, usual=self._usual(step, step_s))
         self.turns.add(reading.stamp_s, float(alone[2]))
         pose = self._joined(alone, reading.stamp_s)
         if self._recent and (pose != self._recent[0][1]).any():
@@ -225,8 +224,10 @@ class WheelTracker:
     def _usual(self, step: FloatArray, step_s: float) -> bool:
         """Whether this robot makes motions such as ``step`` (3,), the next to learn that from."""
         time_s, way_m, turn_rad = self._time_s(step_s), math.hypot(step[0], step[1]), abs(float(step[2]))
-        unusual = self._speed.exceeded_by((way_m - self._config.floor_m) / time_s) or (
-            self._turning.exceeded_by((turn_rad - self._config.floor_rad) / time_s)
+        unusual = (
+            self._speed.exceeded_by((way_m - self._config.floor_m) / time_s)
+            or self._turning.exceeded_by((turn_rad - self._config.floor_rad) / time_s)
+            or not self.plausible(step, step_s)
         )
         self._speed.add(way_m / time_s)
         self._turning.add(turn_rad / time_s)
