@@ -100,6 +100,11 @@ def test_what_sees_a_part_of_the_circle_tells_its_turn_where_that_shows() -> Non
     assert turn_of(stretches(ahead), INTERVAL_S, Config()) is None
 
 
+def test_four_seconds_tell_a_turn() -> None:
+    turn = turn_of(stretches(clouds(-0.1, 180.0, 42)), INTERVAL_S, Config())
+    assert turn is not None and turn.turn_s == pytest.approx(-0.1)
+
+
 @pytest.mark.parametrize("backward", [False, True])
 def test_times_that_run_backward_are_told_and_turned_round(backward: bool) -> None:
     right = [replace(one, times_s=turn_times(one.points_lidar, -0.1, math.pi)) for one in clouds(-0.1, 180.0)]
