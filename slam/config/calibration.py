@@ -132,7 +132,7 @@ class CloudCorrection(SpinningCorrection):
 
     T_base_lidar: Mounting | None = Field(default=None, description="where it sits")
     range_scale: float = Field(default=1.0, gt=0, description="of the points: 0.3048 where they are in feet")
-    times_scale: float = Field(default=1.0, description="of the points' times: -1 for a wrong sign")
+    times_scale: float = Field(default=1.0, description="of the points' times: -1 where they run backward")
     elevation_deg: float = Field(
         default=0.0, ge=-10, le=10, description="by how much all beams look too low: 0.205 for KITTI odometry"
     )

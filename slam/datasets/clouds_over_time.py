@@ -66,8 +66,8 @@ class CloudFolder:
                 file.stamp_s, cloud.points_lidar, times_s, self.T_base_lidar, intensities=intensities
             )
             yield file.number, seen
-        if times.choice:
-            account.report.note(f"lidar: {times.choice}", 1)
+        for note in times.told("lidar"):
+            account.report.note(note, 1)
 
     def _read(self, file: StampedFile) -> tuple[StampedFile, CloudFile | RecordFault]:
         """A cloud, or why there is none; runs on the thread that prefetches."""

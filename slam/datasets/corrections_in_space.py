@@ -53,9 +53,10 @@ class CloudCorrector:
 
     def __call__(self, cloud: PointCloud) -> PointCloud:
         """A cloud."""
-        given, times_s = self._correction, cloud.times_s
+        given = self._correction
+        times_s = (turned_round(cloud) if given.times_scale < 0.0 else cloud).times_s
         if times_s is not None:
-            times_s = times_s * given.times_scale
+            times_s = times_s * abs(given.times_scale)
         elif given.turn_s != 0.0:
             times_s = turn_times(cloud.points_lidar, given.turn_s, math.radians(given.cut_deg))
         return replace(
@@ -64,6 +65,12 @@ class CloudCorrector:
             times_s=times_s,
             T_base_lidar=cloud.T_base_lidar if self._mounting is None else self._mounting,
         )
+
+
+def turned_round(cloud: PointCloud) -> PointCloud:
+    """A cloud whose points were seen in the reverse order, within the same span."""
+    told_s = cloud.times_s
+    return cloud if told_s is None else replace(cloud, times_s=told_s.min() + told_s.max() - told_s)
 
 
 def turn_times(points_lidar: AnyFloatArray, turn_s: float, cut_rad: float) -> FloatArray:

@@ -10,10 +10,11 @@ import numpy as np
 from fusion.time_alignment import GAP_S
 from slam.config import Config
 from slam.datasets.corrections import begins_early, repeats
+from slam.datasets.corrections_in_space import turned_round
 from slam.datasets.dataset import Thinned
 from slam.doctor.camera_samples import SensorStep
 from slam.doctor.stretches import Stretches
-from slam.doctor.turning import Turn, turn_of
+from slam.doctor.turning import Turn, run_backward, turn_of
 from slam.matching.cloud_points import at_middle_of_turn
 from slam.measurements import FloatArray, PointCloud
 from slam.odometry.cloud_tracker import CloudTracker, TrackedCloud
@@ -37,6 +38,8 @@ class CloudSamples:
         Between clouds, and what the times of a cloud's points span.
     turn
         How it spins, where its points do not tell their times and it shows.
+    backward
+        Whether their times run backward.
     """
 
     steps: list[list[SensorStep]] = field(default_factory=list)
@@ -48,6 +51,7 @@ class CloudSamples:
     interval_s: Thinned = field(default_factory=Thinned)
     turn_s: Thinned = field(default_factory=Thinned)
     turn: Turn | None = None
+    backward: bool = False
     T_base_lidar: gtsam.Pose3 = field(default_factory=lambda: gtsam.Pose3())
     _stretches: Stretches = field(default_factory=Stretches)
     _tracker: CloudTracker | None = None
@@ -60,8 +64,8 @@ class CloudSamples:
         """How long a turn takes of whose points nobody knows the times; 0 where they are known."""
         return 0.0 if self.turn_s.values or self.turn else self.interval_s.median() or 0.0
 
-    def add(self, cloud: PointCloud, *, compared: bool) -> None:
-        """Take the next cloud; it is kept for its motion only where that will be compared with another's."""
+    def add(self, cloud: PointCloud) -> None:
+        """Take the next cloud."""
         self.count += 1
         if repeats(self._newest, cloud):
             between = self._newest is not None and begins_early(self._newest, cloud)
@@ -84,19 +88,20 @@ class CloudSamples:
                 del self.clouds[1::2], self.points[1::2]
             self.clouds.append([])
             self.points.append(thinned.points_lidar.astype(np.float64))
-        if compared or times_s is None:
-            # Stamped at its beginning, what straightens a turn would swing from step to step.
-            self.clouds[-1].append(at_middle_of_turn(thinned, _CONFIG.cloud_odometry))
+        # Stamped at its beginning, what straightens a turn would swing from step to step.
+        self.clouds[-1].append(at_middle_of_turn(thinned, _CONFIG.cloud_odometry))
 
     def close(self, *, compared: bool) -> None:
         """Find how it spins, and the motions of the stretches that were not given up."""
         if not self.turn_s.values:
             self.turn = turn_of(self.clouds, self.interval_s.median() or 0.0, _CONFIG)
+        self.backward = bool(self.turn_s.values) and run_backward(self.clouds, _CONFIG)
         while self.clouds:
             clouds = self.clouds.pop(0)
             self.steps.append([])
             for cloud in clouds if compared else []:
-                self._track(cloud if self.turn is None else self.turn.timed(cloud))
+                timed = turned_round(cloud) if self.backward else cloud
+                self._track(timed if self.turn is None else self.turn.timed(timed))
 
     def _track(self, cloud: PointCloud) -> None:
         """The step from the cloud before; after a gap everything begins anew."""

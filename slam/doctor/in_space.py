@@ -191,7 +191,10 @@ def findings_against(base: Base, sensors: Sequence[Seen], doubtful: frozenset[st
         others = [one for one in told if one is not seen and one.name not in doubtful]
         found += _scale(base, seen, others)
         found += _mounting(base, seen, others)
-    return _once(found)
+    first = dict[tuple[str, str], Finding]()  # what several sensors tell of the wheels is told once
+    for finding in found:
+        first.setdefault((finding.sensor, finding.kind), finding)
+    return list(first.values())
 
 
 def _clock(base: Base, seen: Seen, others: Sequence[Seen]) -> list[Finding]:
@@ -337,6 +340,11 @@ def cloud_findings(name: str, samples: CloudSamples) -> list[Finding]:
         found += unit_finding("lidars_3d", name, median_m, (ways.range_min_m, ways.range_max_m))
     if samples.turn is not None:
         found.append(samples.turn.finding("lidars_3d", name))
+    effect = "clouds are not set right for the motion within a turn"
+    if samples.backward:
+        text, reverse = "the times of a cloud's points run backward", {"times_scale": -1.0}
+        remedy: Remedy = {"lidars_3d": {name: reverse}}
+        found.append(Finding(name, "times of points", text, effect, (remedy,), sure=True, value=-1.0))
     interval_s, turn_s = samples.interval_s.median(), samples.turn_s.median()
     if not interval_s or not turn_s:
         return found
@@ -344,9 +352,9 @@ def cloud_findings(name: str, samples: CloudSamples) -> list[Finding]:
     # One lidar whose turn is over when its next begins does not overlap itself.
     if 4 * samples.between > samples.count and off < 1.0 + _SHARE:
         text = f"{samples.between} of {samples.count} clouds begin while the turn of the one before goes on"
-        effect = "they are of another lidar under the same name, and fit nowhere"
-        remedy: Remedy = {"lidars_3d": {name: {"drop_repeated": True}}}
-        found.append(Finding(name, "several lidars", text, effect, (remedy,), sure=True))
+        why = "they are of another lidar under the same name, and fit nowhere"
+        remedy = {"lidars_3d": {name: {"drop_repeated": True}}}
+        found.append(Finding(name, "several lidars", text, why, (remedy,), sure=True))
     units = [unit for unit in (1e3, 1e-3, 1e6, 1e-6, 1e9, 1e-9) if abs(math.log(off / unit)) < 1.0]
     if abs(off / 2.0 - 1.0) < _SHARE:  # of turns at half the rate
         units = [2.0]
@@ -354,7 +362,6 @@ def cloud_findings(name: str, samples: CloudSamples) -> list[Finding]:
         return found
     text = f"the times of a cloud's points span {turn_s:.3g} s, clouds come every {interval_s:.3g} s"
     remedy = {"lidars_3d": {name: {"times_scale": 1.0 / units[0]}}}
-    effect = "clouds are not set right for the motion within a turn"
     return [*found, Finding(name, "times of points", text, effect, (remedy,), sure=True, value=off)]
 
 
@@ -378,11 +385,3 @@ def repeated(kind: str, name: str, repeated: int, count: int, what: str) -> list
 def _within(off: float, sigma: float, limit: float) -> bool:
     """Whether a difference may be smaller than what matters."""
     return not abs(off) > limit + gate() ** 0.5 * sigma
-
-
-def _once(findings: Sequence[Finding]) -> list[Finding]:
-    """Findings of wheels that several sensors tell, once."""
-    first: dict[tuple[str, str], Finding] = {}
-    for finding in findings:
-        first.setdefault((finding.sensor, finding.kind), finding)
-    return list(first.values())

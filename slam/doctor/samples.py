@@ -127,7 +127,7 @@ class Samples:
                 camera.add(measurement, compared=bool(samples.wheels))
             elif isinstance(measurement, PointCloud):
                 clouds = samples.clouds.setdefault(measurement.sensor, CloudSamples())
-                clouds.add(measurement, compared=bool(samples.wheels or samples.imus))
+                clouds.add(measurement)
             elif isinstance(measurement, ImuReading):
                 samples.imus.setdefault(measurement.sensor, ImuSamples()).add(measurement)
         for lidar in samples.lidars.values():

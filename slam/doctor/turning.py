@@ -10,18 +10,18 @@ the sense of the turn, and the beginning that explains most is the cut.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from itertools import pairwise
+from itertools import islice, pairwise
 from typing import TypeAlias, TypeVar
 
 import gtsam
 import numpy as np
 
-from fusion.estimation import ROUNDS, TINY, gate
+from fusion.estimation import FEWEST, ROUNDS, TINY, gate
 from fusion.time_alignment import GAP_S
 from slam.config import Config
-from slam.datasets.corrections_in_space import bearings_rad, turn_times
+from slam.datasets.corrections_in_space import bearings_rad, turn_times, turned_round
 from slam.doctor.finding import Finding
 from slam.doctor.imu import CLOCK_S
 from slam.doctor.scan_motion import track_stretches
@@ -101,6 +101,7 @@ class _Moving:
 
 _Pair: TypeAlias = tuple[_Moving, _Moving, float]
 _Told: TypeAlias = tuple[FloatArray, FloatArray]  # weights and sums (C,) of each cut
+_Timed: TypeAlias = Callable[[PointCloud], PointCloud]
 
 
 def turn_of(
@@ -120,12 +121,21 @@ def turn_of(
     by_scans
         Of a 2D lidar, see `_pairs_of_scans`: of most logs they tell soon that nothing is bent.
     """
-    if interval_s <= 0.0 or not (stretches and _looks_round(stretches[0])):
+    if interval_s <= 0.0 or not stretches:
         return None
-    if by_scans is not None and not _bends(by_scans, interval_s, config):
+    if by_scans is not None and not (_looks_round(stretches[0]) and _bends(by_scans, interval_s, config)):
         return None
+    while len(stretches) < 4 and len(stretches[0]) >= FEWEST:  # of a short log
+        stretches = [half for one in stretches for half in (one[: len(one) // 2], one[len(one) // 2 :])]
     bends = _bends((_pairs(clouds, config) for clouds in _spread_out(stretches)), interval_s, config)
     return _settled(*bends, interval_s, config, by_scans is not None) if bends else None
+
+
+def run_backward(stretches: Sequence[Sequence[PointCloud]], config: Config) -> bool:
+    """Whether clouds of four stretches fit better with reversed times, by twice what chance may do."""
+    pairs = [pair for clouds in islice(_spread_out(stretches), 5) for pair in _pairs(clouds, config)]
+    gain = _gain(pairs, turned_round, lambda cloud: cloud, config) if len(pairs) > 9 else 0.0
+    return gain > 2
 
 
 def turn_in_the_plane(
@@ -147,7 +157,7 @@ def told_turn(stretches: Sequence[Sequence[LaserScan]], config: Config) -> Turn 
     cut_rad = math.pi + 0.5 * (scan.start_angle_rad + float(scan.bearings_rad()[-1]))
     pairs = [pair for scans in _short(stretches) for pair in _pairs_of_scans(scans, config)]
     told = [Turn(sign * turn_s, 0.0, cut_rad) for sign in (1.0, -1.0)]
-    return _bent(pairs, max(told, key=lambda turn: sum(_agreed(pairs, turn, config))), config)
+    return _bent(pairs, max(told, key=lambda turn: sum(_agreed(pairs, turn.timed, config))), config)
 
 
 def _short(stretches: Sequence[Sequence[LaserScan]]) -> list[list[LaserScan]]:
@@ -205,31 +215,31 @@ def _settled(pairs: Sequence[_Pair], fit: Turn, interval_s: float, config: Confi
     for slices in (4, 2, 1):
         step_rad = slices * math.tau / SLICES
         tried = [replace(best, cut_rad=best.cut_rad + side * step_rad) for side in (0, -1, 1)]
-        best = max(tried, key=lambda turn: sum(_agreed(pairs, turn, config)))
+        best = max(tried, key=lambda turn: sum(_agreed(pairs, turn.timed, config)))
     return _bent(pairs, best, config) if flat else best
 
 
 def _bent(pairs: Sequence[_Pair], turn: Turn, config: Config) -> Turn | None:
-    """The turn where more of the points of flat scans fit by it, by twice what chance may do."""
-    gains = np.subtract(_agreed(pairs, turn, config), _agreed(pairs, replace(turn, turn_s=TINY), config))
-    return turn if len(gains) and gains.mean() > 2 * gains.std() / math.sqrt(len(gains)) else None
+    """The turn where flat scans fit better by it."""
+    return turn if _gain(pairs, turn.timed, replace(turn, turn_s=TINY).timed, config) > 2 else None
 
 
-def _agreed(pairs: Sequence[_Pair], turn: Turn, config: Config) -> list[float]:
-    """The `_agreement` of each pair."""
-    return [_agreement(pair, turn, config) for pair in pairs]
+def _gain(pairs: Sequence[_Pair], one: _Timed, other: _Timed, config: Config) -> float:
+    """How many more points fit by one way to time them than by another, over what chance may do."""
+    gains = np.subtract(_agreed(pairs, one, config), _agreed(pairs, other, config))
+    return float(gains.mean() / max(gains.std() / math.sqrt(len(gains)), TINY)) if len(gains) else 0.0
 
 
-def _agreement(pair: _Pair, turn: Turn, config: Config) -> float:
-    """Share of a cloud's points on planes of the other, both as a turn straightens them."""
-    first, second, voxel_m = pair
-    known, seen = (
-        base_points(turn.timed(one.cloud), one.twist, config.cloud_odometry) for one in (first, second)
-    )
-    planes = PlaneVoxels.build(known, voxel_m, config.cloud_odometry.thickness_m)
-    guess = first.pose.between(second.pose)
-    found = align_cloud(seen[::4], planes, guess, ROUNDS, 0.5 * voxel_m)
-    return 0.0 if found is None else found.agreement
+def _agreed(pairs: Sequence[_Pair], timed: _Timed, config: Config) -> list[float]:
+    """Of each pair the share of a cloud's points on planes of the other, both straightened as timed."""
+    found, ways = list[float](), config.cloud_odometry
+    for first, second, voxel_m in pairs:
+        known, seen = (base_points(timed(one.cloud), one.twist, ways) for one in (first, second))
+        planes = PlaneVoxels.build(known, voxel_m, ways.thickness_m)
+        guess = first.pose.between(second.pose)
+        aligned = align_cloud(seen[::4], planes, guess, ROUNDS, 0.5 * voxel_m)
+        found.append(0.0 if aligned is None else aligned.agreement)
+    return found
 
 
 def _fit(told: Sequence[_Told], cuts_rad: FloatArray) -> Turn | None:
@@ -323,9 +333,9 @@ def _ends(tracked: Sequence[tuple[PointCloud, gtsam.Pose3]], voxel_m: float) -> 
     return [(one, other, voxel_m) for one, other in [*pairwise(chosen), (chosen[0], chosen[2])]]
 
 
-def _looks_round(clouds: Sequence[PointCloud]) -> bool:
-    """Whether a lidar sees more than half a circle: what sees less may not spin."""
-    bearings = [bearings_rad(cloud.points_lidar) for cloud in clouds]
+def _looks_round(walls: Sequence[PointCloud]) -> bool:
+    """Whether a 2D lidar sees more than half a circle: what sees less may not spin."""
+    bearings = [bearings_rad(one.points_lidar) for one in walls]
     slices = np.floor(np.concatenate([*bearings, np.zeros(1)]) / math.tau * SLICES)
     return len(np.unique(slices[np.isfinite(slices)])) > SLICES // 2 + 1  # half a circle touches one more
 

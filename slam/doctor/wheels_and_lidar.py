@@ -145,7 +145,8 @@ def _axes(
     else:
         quarter = -quarter % 4
     if names[quarter] != _QUARTERS[0]:
-        findings.append(_wrong_axes(pair, names[quarter]))
+        axes = names[quarter]
+        findings.append(_surely(pair, "axes", f"what it writes as x y is {axes}", _GARBLED, axes=axes))
         turned = complex(0.0, 1.0) ** quarter
         steps = steps * turned
         relation = relation.with_wheels_turned(turned)
@@ -194,11 +195,6 @@ def _heading(pair: Pair, scale: float) -> Finding:
     sign = "of the wrong sign" if scale < 0.0 else ""
     text = f"its heading is {' and '.join(part for part in (what, sign) if part)}"
     return _surely(pair, "heading", text, _GARBLED, scale, heading_scale=round(scale, 7))
-
-
-def _wrong_axes(pair: Pair, axes: str) -> Finding:
-    """Written axes that are others."""
-    return _surely(pair, "axes", f"what it writes as x y is {axes}", _GARBLED, axes=axes)
 
 
 def _crab(pair: Pair, heading_rad: float) -> Finding:

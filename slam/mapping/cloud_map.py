@@ -55,7 +55,7 @@ class CloudTiles:
         refuse_lost(poses)
         seen = enumerate(zip(clouds, poses, strict=True))
         self._columns = 4
-        for placed, tiles in prefetched(seen, lambda one: _by_tile(one[0], _placed(*one[1]), voxel_m), 1):
+        for placed, tiles in prefetched(seen, lambda one: _by_tile(one[0], *one[1], voxel_m), 1):
             self._seen.append(self._keep(placed))
             begin, _, columns = self._seen[-1]
             self._columns = max(self._columns, columns)
@@ -124,18 +124,14 @@ class CloudTiles:
         return thin_to_voxels(np.concatenate([kept, *waiting]), self._voxel_m)
 
 
-def _placed(rows: FloatArray, T_map_base: gtsam.Pose3) -> FloatArray:
-    """Rows (N, 3 or 4) of points, and what stands beside them, in the map."""
-    points = moved(rows, T_map_base)
-    return points if rows.shape[1] == 3 else np.column_stack([points, rows[:, 3:]])
-
-
-def _by_tile(number: int, points: FloatArray, voxel_m: float) -> tuple[Float32Array, NDArray[np.int64]]:
-    """Rows of `CloudTiles` of points (N, 3 or 4) in the map, one a voxel, tile by tile.
+def _by_tile(
+    number: int, points: FloatArray, T_map_base: gtsam.Pose3, voxel_m: float
+) -> tuple[Float32Array, NDArray[np.int64]]:
+    """Rows of `CloudTiles` of points (N, 3 or 4), base frame, one a voxel of the map, tile by tile.
 
     With them (T, 3) place of each tile, and how many rows it has.
     """
-    points = thin_to_voxels(points, voxel_m)
+    points = thin_to_voxels(np.column_stack([moved(points, T_map_base), points[:, 3:]]), voxel_m)
     rows = np.empty((len(points), 1 + points.shape[1]), np.float32)
     if not len(points):
         return rows, np.zeros((0, 3), np.int64)

@@ -93,8 +93,10 @@ class LocalCloud:
         found = self._by_planes(scan, guess) if reach_m is None else None
         near = found is not None and self._is_near(found, guess) and found.agreement >= least_agreement
         if not near:
-            start = self._arrive(scan, guess, REACH * self._voxel_m if reach_m is None else reach_m)
-            found = self._by_planes(scan, start)
+            part, tries = _part(scan, _ARRIVING_POINTS), 2 * self._config.match.iterations
+            reach_m = REACH * self._voxel_m if reach_m is None else reach_m
+            start = drawn_near(part, self.planes, guess, tries, reach_m)
+            found = self._by_planes(scan, start if np.isfinite(start.matrix()).all() else guess)
         return self._aligned(found, guess, near=near)
 
     def refine(self, scan: FloatArray, guess: gtsam.Pose3) -> Aligned | None:
@@ -132,13 +134,6 @@ class LocalCloud:
         moved_m = np.abs(levers(found.arms_m) @ gtsam.Pose3.Logmap(guess.between(found.pose)))
         confident = found.converged and found.inlier_share >= self._config.match.confident_inlier_share
         return bool(confident and moved_m.max() <= self._voxel_m)
-
-    def _arrive(self, scan: FloatArray, guess: gtsam.Pose3, reach_m: float) -> gtsam.Pose3:
-        """Where a part of the scan is drawn to; the guess itself where nothing draws it."""
-        pose = drawn_near(
-            _part(scan, _ARRIVING_POINTS), self.planes, guess, 2 * self._config.match.iterations, reach_m
-        )
-        return pose if np.isfinite(pose.matrix()).all() else guess
 
 
 def _part(scan: FloatArray, count: int) -> FloatArray:

@@ -166,7 +166,7 @@ class CloudTracker:
         if self._lost >= self._config.match.lost_after:
             self._odometry.restart()
             self._lost = 0
-            self._velocity.forget()
+            self._velocity.known = False
             if self._imu is not None:
                 self._imu.restart()
         self._open.add_keyframe()

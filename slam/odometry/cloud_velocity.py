@@ -39,10 +39,6 @@ class CloudVelocity:
         """The first cloud, at the origin."""
         self._stamp_s = stamp_s
 
-    def forget(self) -> None:
-        """A new local map begins: what was before may be wrong."""
-        self.known = False
-
     def to(self, pose: gtsam.Pose3, stamp_s: float) -> FloatArray:
         """The twist (6,) from the last sure pose to another, ``T_odom_base``; after a gap that of before."""
         step_s = stamp_s - self._stamp_s

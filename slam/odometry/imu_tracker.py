@@ -120,7 +120,7 @@ class ImuTracker:
         bias, acceleration = np.zeros(3), np.zeros(3)
         velocity = (T_imu_base.AdjointMap() @ twist)[3:]
         state = self.state
-        if state is not None and state.stamp_s <= cloud.stamp_s and self._covered(state, cloud.stamp_s):
+        if state is not None and self._readings.covers(state.stamp_s, cloud.stamp_s):
             pose, moving = state.carried(self._integrated(state, cloud.stamp_s))
             bias, velocity = np.asarray(state.bias.gyroscope()), np.asarray(pose.rotation().unrotate(moving))
             force = self._readings.mean(cloud.stamp_s + first_s, cloud.stamp_s + last_s)[3:]
@@ -186,7 +186,7 @@ class ImuTracker:
         state = smoother.state
         if stamp_s <= state.stamp_s:
             return
-        if not self._covered(state, stamp_s):
+        if not self._readings.covers(state.stamp_s, stamp_s):
             self._lose()
             return
         whole = self._integrated(state, stamp_s)
@@ -304,10 +304,6 @@ class ImuTracker:
         """What was known is of no use after a gap in the readings."""
         self._smoother = None
         self._poses.clear()
-
-    def _covered(self, state: ImuState, stamp_s: float) -> bool:
-        """Whether there are readings from a state to a stamp."""
-        return self._readings.covers(state.stamp_s, stamp_s)
 
     def _integrated(self, state: ImuState, stamp_s: float) -> gtsam.PreintegratedCombinedMeasurements:
         """The readings from a state to a stamp; a cloud's are asked for more than once."""

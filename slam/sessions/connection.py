@@ -57,7 +57,8 @@ def connect(known: Map, session: Map) -> Connection:
         Where the joined grid would have too many cells.
     """
     config = known.config
-    shared, keyframes = _shared_readings(known, session), len(session.contents.node_poses)
+    own, keyframes = set(_readings(known.contents)), len(session.contents.node_poses)
+    shared = sum(reading in own for reading in _readings(session.contents))
     # Real readings never repeat to the last digit: where half are shared, one log is a part of the other.
     if shared > 0.5 * min(keyframes, len(known.contents.node_poses)):
         reason = f"{shared} of its {keyframes} keyframes are in the map already"
@@ -81,12 +82,6 @@ def connect(known: Map, session: Map) -> Connection:
         )
         return Connection(placing, loops, None, reason)
     return Connection(placing, loops, joined, "")
-
-
-def _shared_readings(known: Map, session: Map) -> int:
-    """How many readings of the session's keyframes are the map's own, time and all that was measured."""
-    known_readings = set(_readings(known.contents))
-    return sum(reading in known_readings for reading in _readings(session.contents))
 
 
 def _readings(contents: MapContents) -> Iterator[Hashable]:

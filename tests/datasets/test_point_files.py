@@ -18,6 +18,7 @@ from slam.datasets.cloud_files import CloudFile, is_return, read_cloud
 from slam.datasets.dataset import RecordFault
 from slam.datasets.pcd_points import read_pcd_points
 from slam.datasets.ply_points import read_ply_points
+from slam.datasets.point_times import PointTimes
 
 RNG = np.random.default_rng(3)
 POINTS = RNG.normal(size=(200, 3)).astype(np.float32)
@@ -246,3 +247,14 @@ def test_a_sphere_that_many_points_lie_on_is_no_return() -> None:
     ranges_m[:4000] = np.repeat([5.0, 7.0, 9.0, 12.0], 1000)
     assert is_return((ways * ranges_m[:, None]).astype(np.float32)).all()
     assert is_return(ways.astype(np.float32)).all()
+
+
+def test_points_that_tell_no_time_have_that_of_their_neighbours() -> None:
+    right, times = np.arange(1000) * 1e5, PointTimes()
+    told = np.where(np.arange(1000) % 2, right, 0.0)
+    found = times.of(["t"], lambda _: told, 5.0)
+    assert found is not None and np.abs(found - 1e-9 * right).max() < 2e-4
+    assert times.told("/points")[1].startswith("warning: /points: many points tell no time")
+    sound = PointTimes()
+    sound.of(["t"], lambda _: right, 5.0)
+    assert len(sound.told("/points")) == 1

@@ -224,7 +224,7 @@ def test_a_stretch_begins_as_fast_as_the_robot_is() -> None:
     twist, samples = np.array([0.0, 0.0, 1.5, 0.4, 0.0, 0.0]), CloudSamples()
     for n in range(5):
         pose = base(-1.2, -0.8, 0.3).compose(gtsam.Pose3.Expmap(0.1 * n * twist))
-        samples.add(look_on_the_way(pose, twist, 0.1 * n, seed=n), compared=True)
+        samples.add(look_on_the_way(pose, twist, 0.1 * n, seed=n))
     samples.close(compared=True)
     true = PILLARED.inverse().compose(gtsam.Pose3.Expmap(0.1 * twist)).compose(PILLARED)
     (stretch,) = samples.steps
@@ -237,7 +237,7 @@ def test_only_stretches_that_are_kept_are_matched() -> None:
     samples, points = CloudSamples(), np.zeros((32_000, 3), np.float32)
     for n in range(300):
         points = points + np.float32(1.0)
-        samples.add(PointCloud(0.1 * n, points), compared=True)
+        samples.add(PointCloud(0.1 * n, points))
     kept = [cloud for stretch in samples.clouds for cloud in stretch]
     assert len(samples.clouds) == len(samples.points) < 10 and len(kept) < 200
     assert all(cloud.points_lidar.base is None for cloud in kept)

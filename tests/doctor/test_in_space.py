@@ -252,7 +252,7 @@ def test_clouds_of_a_few_points_tell_no_times() -> None:
         count = 1600 if n % 3 == 0 else 20
         rng = np.random.default_rng(n)
         points, times_s = rng.normal(size=(count, 3)).astype(np.float32), 1e-3 * (np.arange(count) // 16)
-        samples.add(PointCloud(float(n), points, times_s), compared=False)
+        samples.add(PointCloud(float(n), points, times_s))
     assert cloud_findings("lidar", samples) == []
 
 

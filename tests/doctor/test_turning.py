@@ -14,9 +14,12 @@ from cloud_world import write_log
 from slam.app.localizing import localize_log
 from slam.app.mapping import map_log
 from slam.config import Config, load_config
-from slam.config.calibration import CloudCorrection
-from slam.datasets.corrections_in_space import CloudCorrector
+from slam.config.calibration import Calibration, CloudCorrection
+from slam.datasets.corrections import corrected
+from slam.datasets.corrections_in_space import CloudCorrector, turn_times, turned_round
 from slam.doctor.cloud_samples import CloudSamples
+from slam.doctor.diagnosis import diagnose
+from slam.doctor.finding import remedied
 from slam.doctor.in_space import cloud_findings
 from slam.doctor.turning import turn_of
 from slam.measurements import FloatArray, PointCloud
@@ -83,12 +86,35 @@ def test_clouds_that_were_seen_at_once_have_no_turn() -> None:
     assert turn_of(stretches(clouds(0.0, 180.0)), INTERVAL_S, Config()) is None
 
 
-def test_what_sees_half_a_circle_may_not_spin() -> None:
+def test_what_sees_a_part_of_the_circle_tells_its_turn_where_that_shows() -> None:
+    behind = [
+        replace(one, points_lidar=one.points_lidar[one.points_lidar[:, 0] < 0.0])
+        for one in clouds(-0.1, 180.0, 84)
+    ]
+    turn = turn_of(stretches(behind), INTERVAL_S, Config())
+    assert turn is not None and turn.turn_s == pytest.approx(-0.1)
     ahead = [
         replace(one, points_lidar=one.points_lidar[one.points_lidar[:, 0] > 0.0])
-        for one in clouds(-0.1, 180.0, 42)
+        for one in clouds(0.0, 180.0, 84)
     ]
     assert turn_of(stretches(ahead), INTERVAL_S, Config()) is None
+
+
+def test_four_seconds_tell_a_turn() -> None:
+    turn = turn_of(stretches(clouds(-0.1, 180.0, 42)), INTERVAL_S, Config())
+    assert turn is not None and turn.turn_s == pytest.approx(-0.1)
+
+
+@pytest.mark.parametrize("backward", [False, True])
+def test_times_that_run_backward_are_told_and_turned_round(backward: bool) -> None:
+    right = [replace(one, times_s=turn_times(one.points_lidar, -0.1, math.pi)) for one in clouds(-0.1, 180.0)]
+    log = [turned_round(one) for one in right] if backward else right
+    found = [one for one in diagnose(log) if one.kind == "times of points"]
+    assert len(found) == backward
+    mended = corrected(log, remedied(Calibration(), found, only_sure=True))
+    for one, true in zip(mended, right, strict=True):
+        assert isinstance(one, PointCloud) and one.times_s is not None and true.times_s is not None
+        assert np.allclose(one.times_s, true.times_s)
 
 
 def test_of_nothing_no_turn_is_told() -> None:
@@ -102,7 +128,7 @@ def test_of_nothing_no_turn_is_told() -> None:
 def test_the_doctor_tells_the_turn_and_its_remedy_times_the_points() -> None:
     samples = CloudSamples()
     for cloud in clouds(-0.1, 180.0):
-        samples.add(cloud, compared=False)
+        samples.add(cloud)
     samples.close(compared=False)
     assert samples.untimed_s == 0.0
     (finding,) = cloud_findings("lidar", samples)

@@ -10,9 +10,9 @@ from cloud_world import ELEVATIONS, T_BASE_LIDAR, base, look, look_on_the_way, w
 from slam.config import Config
 from slam.config.clouds import CloudOdometryConfig
 from slam.estimates import MotionEstimate
+from slam.matching import local_cloud
 from slam.matching.cloud_alignment import CloudAlignment, align_cloud, motion_of
 from slam.matching.cloud_points import at_middle_of_turn, base_points, turn_known, voxel_of
-from slam.matching.local_cloud import LocalCloud
 from slam.matching.plane_voxels import PlaneVoxels
 from slam.measurements import FloatArray, PointCloud
 from slam.odometry.cloud_odometry import CloudOdometry
@@ -331,8 +331,8 @@ def test_middles_of_voxels_are_asked_only_where_the_guess_is_far(
 ) -> None:
     """It takes most of the time, and planes find the same pose from a near guess."""
     truth, asked = base(0.3, -0.2, 0.2), []
-    arrive = LocalCloud._arrive
-    monkeypatch.setattr(LocalCloud, "_arrive", lambda *args: asked.append(1) or arrive(*args))  # type: ignore[func-returns-value]
+    draw = local_cloud.drawn_near
+    monkeypatch.setattr(local_cloud, "drawn_near", lambda *args: asked.append(1) or draw(*args))  # type: ignore[func-returns-value]
     near = odometry.match(points_at(truth), [truth.compose(base(0.06, -0.04, 0.01))])
     assert not asked
     far = odometry.match(points_at(truth), [truth.compose(base(0.4, -0.3, 0.1))])

@@ -37,8 +37,6 @@ def test_it_is_known_after_one_step() -> None:
     on = velocity.carry_on(velocity.twist, 5.3)
     assert on is not None
     assert on.equals(gtsam.Pose3.Expmap(0.3 * AHEAD), 1e-9)
-    velocity.forget()
-    assert not velocity.known
 
 
 @pytest.mark.parametrize("late_s", [0.0, 0.1])

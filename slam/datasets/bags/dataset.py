@@ -121,10 +121,8 @@ class BagDataset:
                 report.observe(done.measurement, done.number)
                 yield done.measurement
         self._tell_topics(survey, layout)
-        for cloud in layout.clouds:
-            if cloud.times.choice:
-                report.note(f"{cloud.topic}: {cloud.times.choice}", 1)
-        for note in (note for imu in layout.imus for note in imu.told()):
+        told = [note for cloud in layout.clouds for note in cloud.times.told(cloud.topic)]
+        for note in [*told, *(note for imu in layout.imus for note in imu.told())]:
             report.note(note, 1)
         if report.measurement_count == 0 and self.read_images:
             raise DatasetError(_nothing_usable(self.path, report, survey, layout))
