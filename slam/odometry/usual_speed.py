@@ -19,7 +19,7 @@ class UsualSpeed:
     --------
     >>> from slam.odometry.usual_speed import UsualSpeed
     >>> usual = UsualSpeed(5.0, 0.05)
-    >>> for _ in range(400):
+    >>> for _ in range(200):
     ...     usual.add(0.42)
     >>> usual.add(4.6)  # a jump
     >>> round(usual.most, 2), usual.exceeded_by(1.2), usual.exceeded_by(4.6)
@@ -49,8 +49,8 @@ class UsualSpeed:
 
     @property
     def most(self) -> float:
-        """The speed; infinite before twenty readings exceed it, and of who is as fast as any robot."""
-        known = self._moved >= FEWEST**2 and self._top < self._greatest
+        """The speed; infinite before ten readings exceed it, and of who is as fast as any robot."""
+        known = self._moved >= 10 * FEWEST and self._top < self._greatest
         return (self._top + 1) * self._width if known else math.inf
 
     def exceeded_by(self, speed: float) -> bool:

@@ -44,8 +44,8 @@ def test_what_a_robot_does_for_one_reading_only_is_no_motion(
     """Twice a second: 2.4 m/s, or 1.2 rad/s, of a robot that so far went 0.4 m/s and turned 0.1 rad/s."""
     tracker, odom, true = WheelTracker(WheelConfig()), np.zeros(3), np.zeros(3)
     usual, jump = np.array([0.2, 0.0, 0.05]), np.array([ahead_m, 0.0, turned_rad])
-    for n in range(460):
-        step = jump if n == 450 or (goes_on and n > 450) else usual
+    for n in range(260):
+        step = jump if n == 250 or (goes_on and n > 250) else usual
         odom = compose(odom, step)
         true = compose(true, step if goes_on else usual)
         pose = tracker.add(WheelOdometry(0.5 * n, pose2_from_row(odom)))
