@@ -174,19 +174,21 @@ def _small_things(  # type: ignore[no-untyped-def]
 ):
     """Write the beams and points of the small things of `_Sweep`, where each begins; how many there are."""
     things, count, small = ZERO, ZERO, True
+    cos, sin = math.cos(laser[2] + start_rad), math.sin(laser[2] + start_rad)
+    turn_cos, turn_sin = math.cos(step_rad), math.sin(step_rad)
     for beam in range(ranges_m.size + 1):
         range_m = 0.0
         x = math.inf
         y = math.inf
         if beam < ranges_m.size:
             range_m = np.float64(ranges_m[beam])
+            x = laser[0] + range_m * cos
+            y = laser[1] + range_m * sin
+            cos, sin = cos * turn_cos - sin * turn_sin, sin * turn_cos + cos * turn_sin
             if not 0.0 < range_m <= reach_m:
                 continue
-            angle_rad = laser[2] + start_rad + beam * step_rad
-            x = laser[0] + range_m * math.cos(angle_rad)
-            y = laser[1] + range_m * math.sin(angle_rad)
         first = np.int64(begun[things])
-        if count > first and math.hypot(x - points[count - 1, 0], y - points[count - 1, 1]) > apart_m:
+        if count > first and (x - points[count - 1, 0]) ** 2 + (y - points[count - 1, 1]) ** 2 > apart_m**2:
             if small and count - first > 2:
                 things += 1
                 begun[things] = count
@@ -196,7 +198,7 @@ def _small_things(  # type: ignore[no-untyped-def]
             beams[count] = beam
             points[count, 0] = x
             points[count, 1] = y
-            small = small and math.hypot(x - points[first, 0], y - points[first, 1]) <= widest_m
+            small = small and (x - points[first, 0]) ** 2 + (y - points[first, 1]) ** 2 <= widest_m**2
             count += 1
     return things
 
