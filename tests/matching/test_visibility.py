@@ -46,3 +46,11 @@ def test_what_stands_before_a_scan_is_as_if_every_point_were_looked_at(seed: int
     found = standing_before(points, images, 0.1, pose, scan, margins_m).less_far(scan, margins_m, -1)
     np.testing.assert_array_equal(found, expected)
     assert 0 < found.sum() < len(found)
+
+
+def test_two_beams_back_to_back_are_two_bearings() -> None:
+    beams = np.array([[2.0, 0.0], [-2.0, -0.1]])
+    images = RangeImages.of([RangeImage.of(beams, HOME, beams)] * 2)
+    near, far = transform_points(0.5 * beams, HOME), transform_points(2.0 * beams, HOME)
+    assert images.less_far(near, np.full(2, 0.1), 1).all()
+    assert not images.less_far(far, np.full(2, 0.1), 1).any()
