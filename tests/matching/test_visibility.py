@@ -50,7 +50,7 @@ def test_what_stands_before_a_scan_is_as_if_every_point_were_looked_at(seed: int
 
 def test_two_beams_back_to_back_are_two_bearings() -> None:
     beams = np.array([[2.0, 0.0], [-2.0, -0.1]])
-    images = RangeImages.of([RangeImage.of(beams, HOME, beams)] * 2)
+    images = RangeImages.of(RangeImage.of(seen, HOME, beams) for seen in (beams[:0], beams))
     near, far = transform_points(0.5 * beams, HOME), transform_points(2.0 * beams, HOME)
     assert images.less_far(near, np.full(2, 0.1), 1).all()
     assert not images.less_far(far, np.full(2, 0.1), 1).any()
