@@ -56,11 +56,11 @@ class _Sweep(NamedTuple):
         small = beams[:count].copy(), points[:count].copy(), begun[: things + 1].copy()
         return cls(scan, laser, reach_m, *small, moves)
 
-    def free_in(self, other: _Sweep, free: BoolArray) -> None:
-        """Take out of ``free`` (M,) what another scan did not see through."""
+    def free_in(self, other: _Sweep, free: BoolArray) -> bool:
+        """Take out of ``free`` (M,) what another scan did not see through; whether any is left."""
         scan = other.scan
         seen = scan.ranges_m, scan.start_angle_rad, scan.step_rad, other.reach_m
-        _seen_free(self.points, other.laser, *seen, GAP_M / 2, free)
+        return bool(_seen_free(self.points, other.laser, *seen, GAP_M / 2, free))
 
     def follow(self, other: _Sweep, side: int, free: BoolArray | None = None) -> bool:
         """Tell what moves, by what does in a scan beside, and was ``free`` (M,); whether any is new."""
@@ -148,11 +148,12 @@ class MovingThings:
         before = [bisect_right(sweeps, now_s - ago_s, key=_stamp_s) - 1 for ago_s in away_s]
         after = [bisect_left(sweeps, now_s + in_s, key=_stamp_s) for in_s in away_s]
         for side, others in enumerate((before, after)):
-            known = min(others) >= 0 and max(others) < len(sweeps)
-            free = np.full(len(sweep.beams), known)
-            for other in others if known else ():
-                sweep.free_in(sweeps[other], free)
-            sweep.follow(beside, side, free)
+            some = min(others) >= 0 and max(others) < len(sweeps)
+            free = (np.ones if some else np.zeros)(len(sweep.beams), np.bool_)
+            for other in others:
+                some = some and sweep.free_in(sweeps[other], free)
+            if some or np.count_nonzero(beside.moves[side]):
+                sweep.follow(beside, side, free)
         follower = sweep
         for keyframe in reversed(self._keyframes):
             if keyframe is None:
@@ -207,7 +208,11 @@ def _small_things(  # type: ignore[no-untyped-def]
 def _seen_free(  # type: ignore[no-untyped-def]
     points, laser, ranges_m, start_rad, step_rad, reach_m, margin_m, free
 ):
-    """Take out of ``free`` which of points (M, 2) a scan did not see through, nor with the beams beside."""
+    """Take out of ``free`` which of points (M, 2) a scan did not see through, nor with the beams beside.
+
+    Returns whether any is left.
+    """
+    some = False
     cos, sin = math.cos(laser[2]), math.sin(laser[2])
     turn = abs(2.0 * math.pi / step_rad)
     for i in range(free.size):
@@ -220,6 +225,8 @@ def _seen_free(  # type: ignore[no-untyped-def]
             aside = math.ceil(margin_m / abs(far_m * step_rad))
             for near in range(beam - aside, beam + aside + 1):
                 free[i] = free[i] and 0 <= near < ranges_m.size and far_m < ranges_m[near] <= reach_m
+            some = some or free[i]
+    return some
 
 
 @kernel
