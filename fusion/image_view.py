@@ -6,14 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from fusion.curves import (
-    HEIGHT_STEP_M,
-    Curve,
-    DepthImage,
-    Float32Array,
-    FloatArray,
-    IntArray,
-)
+from fusion.curves import HEIGHT_STEP_M, Curve, DepthImage, Float32Array, FloatArray, IntArray
 from fusion.native_slice import native_slice, native_step_rad
 from fusion.panorama import lookup_of
 

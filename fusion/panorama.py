@@ -18,15 +18,7 @@ from typing import TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from fusion.curves import (
-    SAMPLE_STEP_RAD,
-    STEEPEST,
-    Curve,
-    DepthImage,
-    Float32Array,
-    FloatArray,
-    IntArray,
-)
+from fusion.curves import SAMPLE_STEP_RAD, STEEPEST, Curve, DepthImage, Float32Array, FloatArray, IntArray
 from fusion.kernel import kernel
 
 

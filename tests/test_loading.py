@@ -67,3 +67,10 @@ def test_a_robot_with_wheels_and_a_lidar_takes_no_camera_and_no_other_reader(
     assert not house[1] & {"cv2", "open3d", "rosbags", "slam.datasets.published", "slam.edits.edited_file"}
     assert not house[1] & {"numpy.f2py", "numpy.testing"}
     assert {"numba", "gtsam", "slam.mapper.pipeline"} <= house[1]
+
+
+def test_an_interpreter_that_ends_looks_through_nothing() -> None:
+    code = RUN.partition("print(")[0] + "import gc\nprint(gc.get_freeze_count() > 0)"
+    command = [sys.executable, "-P", "-c", code, "--help"]
+    done = subprocess.run(command, capture_output=True, text=True, env=os.environ, check=True)
+    assert done.stdout.splitlines()[-1] == "True"

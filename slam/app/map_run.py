@@ -115,7 +115,6 @@ def run_into(
             on_progress(Progress(stage, count, dataset.report.share if stage == "mapping" else None))
 
         result = build_map(dataset, config, on_step, Checkpoint(file))
-        end_stage()
         readings = result.scans.stamps_s.size
         on_progress(Progress("writing", readings))
         before = time.perf_counter()

@@ -12,7 +12,7 @@ from slam.errors import ScanweaveError
 
 __all__ = ["app", "compare", "demo", "edit", "localize", "main", "map_log", "queries", "saved", "simulate"]
 
-_OBJECTS_A_COLLECTION = 50_000
+_OBJECTS_A_COLLECTION = 500_000
 # Conventional exit code of a program that the user interrupted.
 _INTERRUPTED = 130
 
@@ -40,3 +40,5 @@ def main() -> None:
             raise
         print("scanweave: interrupted; nothing half-written was left behind", file=sys.stderr)
         sys.exit(_INTERRUPTED)
+    finally:
+        gc.freeze()  # the interpreter would look through them all once more before it ends

@@ -9,7 +9,7 @@ import numpy as np
 from fusion.estimation import gate
 from slam.config import Config
 from slam.graph.influence import all_edges, elimination_order, influences
-from slam.heap import end_stage, give_back
+from slam.heap import give_back
 from slam.storage.map_contents import MapContents
 
 
@@ -23,7 +23,6 @@ def what_if_data(found: MapContents, config: Config) -> dict[str, Any]:
     edges = all_edges(factors, found.loops)
     kept = [factor.kept for factor in found.factors] + [False] * (len(edges) - len(factors))
     size = 3 if found.planar else 6
-    end_stage()
     told = influences(found.node_poses, edges, kept)
     give_back()
     return {

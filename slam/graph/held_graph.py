@@ -62,9 +62,11 @@ def marginals(poses: Sequence[Pose], edges: Iterable[Edge]) -> FloatArray:
         # R x + S y = noise, with y the nodes that the clique shares with the one above.
         first = np.array([above[key] for key in keys[own // size :]], np.int64)
         rows = (first[:, None] + range(size)).ravel()
-        shared, gain = known[np.ix_(rows, rows)], inverse @ shares
+        shared, gain = known[rows[:, None], rows], inverse @ shares
         across = gain @ shared
-        joint = np.block([[inverse @ inverse.T + across @ gain.T, -across], [-across.T, shared]])
+        joint = np.empty((own + len(shared), own + len(shared)))
+        joint[:own, :own], joint[own:, own:] = inverse @ inverse.T + across @ gain.T, shared
+        joint[:own, own:], joint[own:, :own] = -across, -across.T
         places = {key: size * place for place, key in enumerate(keys)}
         for key in keys[: own // size]:
             found[key] = joint[places[key] : places[key] + size, places[key] : places[key] + size]

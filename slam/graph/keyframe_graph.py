@@ -84,7 +84,8 @@ class KeyframeGraph:
                 self.graph.add_edge(edge)
             else:
                 self.add_edge(edge)
-        covariance = together(edge for edge in edges if edge.source == key - 1)[key - 1, key].covariance
+        each = [_in_plane(edge) for edge in edges if edge.source == key - 1]
+        covariance = each[0] if len(each) == 1 else np.linalg.inv(np.linalg.inv(each).sum(axis=0))
         self.uncertainty.add_edge(key - 1, key, np.array(row_of(step)), covariance)
         return key
 

@@ -26,7 +26,7 @@ from slam.graph.loop_candidate import LoopCandidate
 from slam.graph.loop_closure import LoopCloser, position_sigmas
 from slam.graph.relative_uncertainty import UncertaintyGraph
 from slam.graph.stretches import Stretches
-from slam.heap import end_stage, give_back
+from slam.heap import give_back
 from slam.matching.motion import Motion
 from slam.measurements import BoolArray, FloatArray
 from slam.result_cache import COMPUTED, ResultCache
@@ -86,7 +86,6 @@ class PlaceSearch:
         if self._stretches is None:
             give_back()
             self._stretches = Stretches(*settings)
-            end_stage()  # they have looked at all scans
         stretches = self._stretches
         if sparse:
             self._followed = self._followed or FollowedClaims(*settings, stretches.window_m)

@@ -29,19 +29,20 @@ class Way:
     ----------
     nodes, bases, stamps_s
         (K,) poses of the graph's nodes and of the base there, and when that was.
-    trajectory
-        A pose for every reading, by these, in the order of time.
+    readings, trajectory
+        A pose for every reading, by these, in the order of the log, and in that of time.
     """
 
     nodes: Sequence[Pose]
     bases: Sequence[Pose]
     stamps_s: FloatArray
+    readings: Trajectory
     trajectory: Trajectory
 
     @classmethod
     def of(cls, nodes: Sequence[Pose], bases: Sequence[Pose], stamps_s: FloatArray, way: Trajectory) -> Way:
         """With a trajectory in any order."""
-        return cls(nodes, bases, stamps_s, way[np.argsort(way.stamps_s, kind="stable")])
+        return cls(nodes, bases, stamps_s, way, way[np.argsort(way.stamps_s, kind="stable")])
 
     def nearest(self, stamps_s: FloatArray) -> NDArray[np.int64]:
         """(k,) the keyframe nearest in time to each of (k,) stamps."""

@@ -127,7 +127,7 @@ class Mapper:
                 node_poses=list(way.nodes),
                 stamps_s=way.stamps_s,
                 readings=readings.keyframe_scans(),
-                trajectory=readings.trajectory(way.bases),
+                trajectory=way.readings,
                 factors=[SavedFactor(edge, kept) for edge, kept in factors],
                 loops=graph.loops,
                 georeference=self._gnss.georeference,

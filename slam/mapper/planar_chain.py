@@ -194,7 +194,8 @@ class PlanarChain:
     def _doubtful(self, tracked: TrackedScan) -> bool:
         """Whether a match was contradicted, or too few points agree with it."""
         least = self._config.graph.confident_inlier_share
-        return bool(tracked.motion is None or tracked.dispute.any() or tracked.motion.inlier_share < least)
+        motion, disputed = tracked.motion, np.count_nonzero(tracked.dispute) > 0
+        return bool(motion is None or disputed or motion.inlier_share < least)
 
 
 def edges_of(

@@ -16,13 +16,7 @@ from numpy.typing import NDArray
 from fusion.bayes import evidence_steps
 from fusion.curves import HEIGHT_STEP_M, Intrinsics
 from fusion.depth_model import RangeNoise, hit_evidence
-from fusion.height_band import (
-    HeightBand,
-    back_project,
-    obstacle_points,
-    pixel_rays,
-    to_frame,
-)
+from fusion.height_band import HeightBand, back_project, obstacle_points, pixel_rays, to_frame
 from slam.errors import ConfigError
 from slam.mapping.evidence_tiles import Board
 from slam.mapping.occupancy_grid import Steps
@@ -79,10 +73,7 @@ class DepthModel:
 
 
 def depth_board(
-    frame: RgbdFrame,
-    T_grid_camera: FloatArray,
-    model: DepthModel,
-    cell_m: float,
+    frame: RgbdFrame, T_grid_camera: FloatArray, model: DepthModel, cell_m: float
 ) -> Board | None:
     """The evidence of one depth image, height by height; None where it has no reading within reach.
 

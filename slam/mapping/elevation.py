@@ -12,8 +12,8 @@ from dataclasses import dataclass
 
 import gtsam
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy import ndimage, sparse
 
 from fusion.kernel import kernel
 from slam.mapping.band_scan import LEVEL_SHARE
@@ -113,7 +113,7 @@ def elevation(
     ground = _hanging_together(low, feet, first * _CELL_M)
     if not ground.any():
         return None
-    nearest = ndimage.distance_transform_edt(~ground, return_distances=False, return_indices=True)
+    nearest = scipy.ndimage.distance_transform_edt(~ground, return_distances=False, return_indices=True)
     return Elevation(low[tuple(nearest)], ground, _CELL_M, first[::-1] * _CELL_M)
 
 
@@ -169,8 +169,10 @@ def _hanging_together(low: FloatArray, feet: FloatArray, origin_yx: FloatArray) 
             flat = np.abs(low[here] - low[there]) <= step_m
         pairs.append(np.column_stack([number[here][flat], number[there][flat]]))
     ends, count = np.vstack(pairs), int(known.sum())
-    graph = sparse.csr_array((np.ones(len(ends), np.int32), (ends[:, 0], ends[:, 1])), shape=(count, count))
-    _, parts = sparse.csgraph.connected_components(graph, directed=False)
+    graph = scipy.sparse.csr_array(
+        (np.ones(len(ends), np.int32), (ends[:, 0], ends[:, 1])), shape=(count, count)
+    )
+    _, parts = scipy.sparse.csgraph.connected_components(graph, directed=False)
     at = np.argwhere(known)
     away, foot = cKDTree((feet[:, 1::-1] - origin_yx) / _CELL_M - 0.5).query(at)
     stands = (away <= _BESIDE_CELLS) & (np.abs(low[known] - feet[foot, 2]) <= step_m)

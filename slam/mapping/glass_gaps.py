@@ -14,8 +14,8 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy import ndimage
 
 from fusion.bayes import evidence_steps
 from fusion.estimation import CONFIDENCE, FEWEST
@@ -185,7 +185,7 @@ def _beams(grid: OccupancyGrid, scans: Sequence[LaserScan | None], poses: FloatA
     end_m = np.where(met, ranges_m, 0.0).astype(np.float64)
     end_m[lost] = _first_met(grid, from_m[lost], along[lost], reach_m)
     cells = grid.cells_of(from_m + end_m[:, None] * along)
-    near = ndimage.binary_dilation(grid.steps > 0, iterations=2)
+    near = scipy.ndimage.binary_dilation(grid.steps > 0, iterations=2)
     known = (end_m > 0.0) & (looked_up(near, cells) > 0)
     squares = cells // round(SHORTEST_M / grid.resolution_m) @ np.array([grid.shape[1], 1])
     _, thing = np.unique(squares, return_inverse=True)

@@ -116,7 +116,7 @@ def _weigh(  # type: ignore[no-untyped-def]
     """Write the steps of `weigh_beams`, row after row; ``short`` is room for where beams clear no more."""
     for beam in range(kinds.size):
         away_x, away_y = ends[beam, 0] - laser[0], ends[beam, 1] - laser[1]
-        range_m = math.hypot(away_x, away_y) * cell_m
+        range_m = math.sqrt(away_x * away_x + away_y * away_y) * cell_m
         share = 1.0
         if kinds[beam] == HIT or kinds[beam] == TAKEN:
             margin_m = margin_sigmas * (sigma_m[0] + sigma_m[1] * range_m + sigma_m[2] * range_m * range_m)
@@ -128,7 +128,8 @@ def _weigh(  # type: ignore[no-untyped-def]
         if kinds[beam] == HIT:
             row = min(math.floor(ends[beam, 1]) - box[0], box[2] - 1)
             column = min(math.floor(ends[beam, 0]) - box[1], box[3] - 1)
-            range_cells = math.hypot(ends[beam, 0] - laser[0], ends[beam, 1] - laser[1])
+            away_x, away_y = ends[beam, 0] - laser[0], ends[beam, 1] - laser[1]
+            range_cells = math.sqrt(away_x * away_x + away_y * away_y)
             place = min(np.int64(range_cells), hit_steps.size - 1)
             steps[row * box[3] + column] = max(steps[row * box[3] + column], hit_steps[place])
 

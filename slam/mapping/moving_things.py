@@ -56,11 +56,11 @@ class _Sweep(NamedTuple):
         small = beams[:count].copy(), points[:count].copy(), begun[: things + 1].copy()
         return cls(scan, laser, reach_m, *small, moves)
 
-    def free_in(self, other: _Sweep, free: BoolArray) -> None:
-        """Take out of ``free`` (M,) what another scan did not see through."""
+    def free_in(self, other: _Sweep, free: BoolArray) -> bool:
+        """Take out of ``free`` (M,) what another scan did not see through; whether any is left."""
         scan = other.scan
         seen = scan.ranges_m, scan.start_angle_rad, scan.step_rad, other.reach_m
-        _seen_free(self.points, other.laser, *seen, GAP_M / 2, free)
+        return bool(_seen_free(self.points, other.laser, *seen, GAP_M / 2, free))
 
     def follow(self, other: _Sweep, side: int, free: BoolArray | None = None) -> bool:
         """Tell what moves, by what does in a scan beside, and was ``free`` (M,); whether any is new."""
@@ -148,11 +148,12 @@ class MovingThings:
         before = [bisect_right(sweeps, now_s - ago_s, key=_stamp_s) - 1 for ago_s in away_s]
         after = [bisect_left(sweeps, now_s + in_s, key=_stamp_s) for in_s in away_s]
         for side, others in enumerate((before, after)):
-            known = min(others) >= 0 and max(others) < len(sweeps)
-            free = np.full(len(sweep.beams), known)
-            for other in others if known else ():
-                sweep.free_in(sweeps[other], free)
-            sweep.follow(beside, side, free)
+            some = min(others) >= 0 and max(others) < len(sweeps)
+            free = (np.ones if some else np.zeros)(len(sweep.beams), np.bool_)
+            for other in others:
+                some = some and sweep.free_in(sweeps[other], free)
+            if some or np.count_nonzero(beside.moves[side]):
+                sweep.follow(beside, side, free)
         follower = sweep
         for keyframe in reversed(self._keyframes):
             if keyframe is None:
@@ -174,19 +175,21 @@ def _small_things(  # type: ignore[no-untyped-def]
 ):
     """Write the beams and points of the small things of `_Sweep`, where each begins; how many there are."""
     things, count, small = ZERO, ZERO, True
+    cos, sin = math.cos(laser[2] + start_rad), math.sin(laser[2] + start_rad)
+    turn_cos, turn_sin = math.cos(step_rad), math.sin(step_rad)
     for beam in range(ranges_m.size + 1):
         range_m = 0.0
         x = math.inf
         y = math.inf
         if beam < ranges_m.size:
             range_m = np.float64(ranges_m[beam])
+            x = laser[0] + range_m * cos
+            y = laser[1] + range_m * sin
+            cos, sin = cos * turn_cos - sin * turn_sin, sin * turn_cos + cos * turn_sin
             if not 0.0 < range_m <= reach_m:
                 continue
-            angle_rad = laser[2] + start_rad + beam * step_rad
-            x = laser[0] + range_m * math.cos(angle_rad)
-            y = laser[1] + range_m * math.sin(angle_rad)
         first = np.int64(begun[things])
-        if count > first and math.hypot(x - points[count - 1, 0], y - points[count - 1, 1]) > apart_m:
+        if count > first and (x - points[count - 1, 0]) ** 2 + (y - points[count - 1, 1]) ** 2 > apart_m**2:
             if small and count - first > 2:
                 things += 1
                 begun[things] = count
@@ -196,7 +199,7 @@ def _small_things(  # type: ignore[no-untyped-def]
             beams[count] = beam
             points[count, 0] = x
             points[count, 1] = y
-            small = small and math.hypot(x - points[first, 0], y - points[first, 1]) <= widest_m
+            small = small and (x - points[first, 0]) ** 2 + (y - points[first, 1]) ** 2 <= widest_m**2
             count += 1
     return things
 
@@ -205,7 +208,11 @@ def _small_things(  # type: ignore[no-untyped-def]
 def _seen_free(  # type: ignore[no-untyped-def]
     points, laser, ranges_m, start_rad, step_rad, reach_m, margin_m, free
 ):
-    """Take out of ``free`` which of points (M, 2) a scan did not see through, nor with the beams beside."""
+    """Take out of ``free`` which of points (M, 2) a scan did not see through, nor with the beams beside.
+
+    Returns whether any is left.
+    """
+    some = False
     cos, sin = math.cos(laser[2]), math.sin(laser[2])
     turn = abs(2.0 * math.pi / step_rad)
     for i in range(free.size):
@@ -218,6 +225,8 @@ def _seen_free(  # type: ignore[no-untyped-def]
             aside = math.ceil(margin_m / abs(far_m * step_rad))
             for near in range(beam - aside, beam + aside + 1):
                 free[i] = free[i] and 0 <= near < ranges_m.size and far_m < ranges_m[near] <= reach_m
+            some = some or free[i]
+    return some
 
 
 @kernel

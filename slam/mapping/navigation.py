@@ -10,8 +10,8 @@ from typing import TypeAlias
 
 import gtsam
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy import ndimage
 
 from fusion.kernel import kernel
 from slam.errors import ScanweaveError
@@ -95,7 +95,7 @@ def clearance_m(states: StateArray, resolution_m: float, state: int = OCCUPIED) 
     such = states == state
     if not such.any():
         return np.full(states.shape, np.inf)
-    distance = np.asarray(ndimage.distance_transform_edt(~such), dtype=np.float64)
+    distance = np.asarray(scipy.ndimage.distance_transform_edt(~such), dtype=np.float64)
     return np.maximum(distance - 0.5, 0.0) * resolution_m
 
 
@@ -113,7 +113,7 @@ def free_space(
         raise ScanweaveError(f"robot radius is {radius_m:g} m; it must be 0 or more")
     clearance = clearance_m(states, resolution_m)
     allowed = np.asarray((states == FREE) & (clearance >= radius_m))
-    region = np.asarray(ndimage.label(allowed)[0], dtype=np.int32)
+    region = np.asarray(scipy.ndimage.label(allowed)[0], dtype=np.int32)
     known_m = clearance_m(np.pad(states, 1, constant_values=UNKNOWN), resolution_m, UNKNOWN)[1:-1, 1:-1]
     price = 2.0 - np.minimum(known_m / max(radius_m, resolution_m), 1.0)
     return FreeSpace(allowed, region, clearance, price, resolution_m, T_map_grid)

@@ -22,7 +22,7 @@ from slam.mapping.evidence_tiles import Board
 from slam.mapping.glass_panes import SHORTEST_M
 from slam.mapping.lidar_layer import LidarModel, lidar_board
 from slam.mapping.occupancy_grid import THRESHOLDS, OccupancyGrid
-from slam.measurements import BoolArray, FloatArray, LaserScan
+from slam.measurements import FloatArray, LaserScan
 
 
 class StaticGrid(NamedTuple):
@@ -56,12 +56,10 @@ def without_passers_by(
     """
     cell_m, miss = grid.resolution_m, evidence_steps(model.p_miss)
     enough = math.ceil(math.log(2.0) * STEPS_A_UNIT / -miss)
-    occupied = THRESHOLDS.occupied(grid.steps)
-    cells = np.flatnonzero(occupied)
+    cells = np.flatnonzero(THRESHOLDS.occupied(grid.steps))
     if not cells.size:
         return StaticGrid(grid, None)
-    before, since, missed = _passes(grid, occupied, scans, model)
-    del occupied
+    before, since, missed = _passes(grid, cells, scans, model)
     of_cell = things_of(cells, grid.shape[1])
     rows_cols = np.column_stack(np.unravel_index(cells, grid.shape))
     moved = _not_there(of_cell, before + since, missed, enough)
@@ -111,18 +109,18 @@ def _not_there(
 
 def _passes(
     grid: OccupancyGrid,
-    occupied: BoolArray,
+    cells: NDArray[np.intp],
     scans: Iterable[tuple[LaserScan, gtsam.Pose2]],
     model: LidarModel,
 ) -> tuple[NDArray[np.int32], NDArray[np.int32], FloatArray]:
-    """Of each occupied cell, in their order, how often it was passed while nothing was in it or beside it.
+    """Of occupied cells (C,), rising, how often each was passed while nothing was in it or beside it.
 
     Returns
     -------
     (C,) scans that passed it before the first hit, and since the last one, and the logarithm of the chance
     that one scan passes what is there.
     """
-    cell_m, cells = grid.resolution_m, np.flatnonzero(occupied)
+    cell_m, cols = grid.resolution_m, grid.shape[1]
     corner = round(grid.T_map_grid.y() / cell_m), round(grid.T_map_grid.x() / cell_m)
     # What gives no return may be dark, and passes nothing.
     model = replace(model, max_clear_range_m=0.0)
@@ -130,30 +128,29 @@ def _passes(
     for scan, T_map_base in scans:
         board = lidar_board(scan, T_map_base, model, cell_m)
         dense = _where_dense(board, scan, T_map_base, cell_m)
-        row, col = board.row - corner[0], board.col - corner[1]
-        _pass(board.steps, row, col, dense, occupied, cells, hits, between, since, before)
+        begun = (board.row - corner[0]) * cols + board.col - corner[1]
+        _pass(board.steps, begun, cols, dense, cells, hits, between, since, before)
     return before, since, np.log1p(-(hits + 1.0) / (hits + between + 2.0))
 
 
 @kernel
-def _pass(steps, row, col, dense, occupied, cells, hits, between, since, before):  # type: ignore[no-untyped-def]
-    """Count what a board (rows, cols), whose corner is at a row and column, says of the occupied cells.
+def _pass(steps, begun, cols, dense, cells, hits, between, since, before):  # type: ignore[no-untyped-def]
+    """Count what a board, whose corner is ``begun`` of a grid of so many columns, says of occupied cells.
 
     ``dense`` are the first and last row and column of the part of the board that counts.
     """
     for i in range(dense[0], dense[1]):
-        for j in range(dense[2], dense[3]):
-            if not occupied[row + i, col + j]:
-                continue
-            # The number of the cell, by halves.
-            cell = (row + i) * occupied.shape[1] + col + j
-            k, last = ZERO, np.int64(cells.size)
-            while last - k > 1:
-                middle = (k + last) >> 1
-                if cells[middle] <= cell:
-                    k = middle
-                else:
-                    last = middle
+        first = begun + i * cols
+        # The first occupied cell of the row, by halves.
+        k, last = ZERO, np.int64(cells.size)
+        while k < last:
+            middle = (k + last) >> 1
+            if cells[middle] < first + dense[2]:
+                k = middle + 1
+            else:
+                last = middle
+        while k < cells.size and cells[k] < first + dense[3]:
+            j = cells[k] - first
             met = False
             for near_i in range(max(i - 1, dense[0]), min(i + 2, dense[1])):
                 for near_j in range(max(j - 1, dense[2]), min(j + 2, dense[3])):
@@ -166,6 +163,7 @@ def _pass(steps, row, col, dense, occupied, cells, hits, between, since, before)
                 since[k] += 1
             elif steps[i, j] < 0:
                 before[k] += 1
+            k += 1
 
 
 def _where_dense(board: Board, scan: LaserScan, T_map_base: gtsam.Pose2, cell_m: float) -> tuple[int, ...]:

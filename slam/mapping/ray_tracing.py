@@ -75,16 +75,7 @@ def beam_ends(
 
 @kernel
 def _shoot(  # type: ignore[no-untyped-def]
-    ranges_m,
-    x_cells,
-    y_cells,
-    start_rad,
-    step_rad,
-    cells_per_m,
-    hit_limit_m,
-    clear_limit_m,
-    ends,
-    kinds,
+    ranges_m, x_cells, y_cells, start_rad, step_rad, cells_per_m, hit_limit_m, clear_limit_m, ends, kinds
 ):
     """Write the ends and kinds of `beam_ends`; the box."""
     low_x = high_x = x_cells

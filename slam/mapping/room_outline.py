@@ -11,8 +11,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy import ndimage
 
 from fusion.estimation import FEWEST
 from slam.mapping.polygons import inside
@@ -203,7 +203,7 @@ def _inside(labels: NDArray[np.int32], label: int, before: BoolArray, cell_m: fl
         if np.count_nonzero(within & ~side) < FEWEST:
             hull &= side
     within &= hull
-    pockets, count = ndimage.label(hull & ~within)
+    pockets, count = scipy.ndimage.label(hull & ~within)
     for pocket in range(1, count + 1):
         where = pockets == pocket
         size = np.count_nonzero(where)
@@ -215,10 +215,10 @@ def _inside(labels: NDArray[np.int32], label: int, before: BoolArray, cell_m: fl
 
 def _largest(mask: BoolArray, free: BoolArray) -> BoolArray:
     """(rows, cols) the part that has most of what is free, without holes."""
-    parts, _ = ndimage.label(mask)
+    parts, _ = scipy.ndimage.label(mask)
     most = np.bincount(parts[free], minlength=parts.max() + 1)
     most[0] = 0
-    return np.asarray(ndimage.binary_fill_holes((parts == np.argmax(most)) & bool(most.any())))
+    return np.asarray(scipy.ndimage.binary_fill_holes((parts == np.argmax(most)) & bool(most.any())))
 
 
 def _traced(mask: BoolArray, faces: list[Face], middles_m: FloatArray, cell_m: float) -> Outline | None:

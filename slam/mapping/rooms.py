@@ -12,8 +12,8 @@ from dataclasses import dataclass
 
 import gtsam
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy import ndimage
 
 from slam.mapping.occupancy_grid import FREE, OCCUPIED, OccupancyGrid
 from slam.mapping.wall_gaps import THICKEST_WALL_M, WIDEST_DOOR_M, Line, looked_up, wall_gaps
@@ -94,14 +94,14 @@ def _wide_parts(free: BoolArray, radius: int) -> Labels:
     A slit is up to twice the radius wide, in cells; it goes to one of the parts that it joins.
     """
     block = np.ones((3, 3), np.bool_)
-    core = ndimage.binary_erosion(free, block, iterations=radius) if radius else free
-    labels = np.asarray(ndimage.label(core)[0], dtype=np.int32)
-    cross = ndimage.generate_binary_structure(2, 1)
+    core = scipy.ndimage.binary_erosion(free, block, iterations=radius) if radius else free
+    labels = np.asarray(scipy.ndimage.label(core)[0], dtype=np.int32)
+    cross = scipy.ndimage.generate_binary_structure(2, 1)
     for _ in range(4 * radius):
-        grown = ndimage.maximum_filter(labels, footprint=cross)
+        grown = scipy.ndimage.maximum_filter(labels, footprint=cross)
         labels = np.where(free & (labels == 0), grown, labels)
     # What lies between two lines that are close together is a part, too.
-    parts, count = ndimage.label(free)
+    parts, count = scipy.ndimage.label(free)
     strips = np.bincount(parts.ravel(), core.ravel(), count + 1) == 0.0
     return np.where(strips[parts] & free, parts + labels.max(initial=0), labels).astype(np.int32)
 
@@ -113,7 +113,7 @@ def _drawn(lines: Sequence[Line], grid: OccupancyGrid) -> BoolArray:
         cells = grid.cells_of(line.points(grid.resolution_m / 4))
         inside = ((cells >= 0) & (cells < grid.shape)).all(axis=1)
         drawn[tuple(cells[inside].T)] = True
-    return np.asarray(ndimage.binary_dilation(drawn, np.ones((2, 2), np.bool_)))
+    return np.asarray(scipy.ndimage.binary_dilation(drawn, np.ones((2, 2), np.bool_)))
 
 
 def _closed(labels: Labels, states: NDArray[np.int8]) -> BoolArray:

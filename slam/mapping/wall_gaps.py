@@ -6,8 +6,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy import ndimage
 
 from slam.mapping.occupancy_grid import OCCUPIED, OccupancyGrid
 from slam.mapping.wall_segments import SAME_DIRECTION_RAD, Segment
@@ -56,7 +56,7 @@ def looked_up(values: NDArray[np.int32] | BoolArray, cells: NDArray[np.int64]) -
 def wall_gaps(segments: Sequence[Segment], grid: OccupancyGrid) -> tuple[list[Line], list[Segment]]:
     """All gaps, and the segments that are walls: what the grid knows, and what goes on in line."""
     met = grid.states() == OCCUPIED
-    near = ndimage.binary_dilation(met)
+    near = scipy.ndimage.binary_dilation(met)
     sturdy = np.array([_share(near, s, grid) > 0.5 for s in segments], dtype=np.bool_)
     following = _following(segments, sturdy)
     lengths = _in_line(following, [s.length_m for s in segments])

@@ -20,7 +20,7 @@ from slam.matching.point_to_line import Alignment, align, terms_at
 from slam.matching.scan_points import ScanPoints
 from slam.matching.score_spread import score_spread
 from slam.matching.surfel_map import SurfelMap, build_surfel_maps
-from slam.matching.visibility import RangeImage, RangeImages, seen_through, standing_before
+from slam.matching.visibility import RangeImage, RangeImages, standing_before
 from slam.measurements import BoolArray, Float32Array, FloatArray
 
 # Enough to hold a direction that the points determine badly against their noise.
@@ -162,7 +162,7 @@ class LocalMap:
         (xx, _, xt), (_, yy, yt), (_, _, tt) = at.covariance.tolist()
         variance = xx + yy + 2.0 * (yt * x - xt * y) + tt * (x * x + y * y)
         margins_m = 0.5 * self.config.coarse_cell_m + np.sqrt(variance)
-        passed = seen_through(transform_points(scan.points, at.pose), self._images, margins_m)
+        passed = self._images.less_far(transform_points(scan.points, at.pose), margins_m, 1)
         # All but what scans have looked through since: who walks leaves a trail in the map.
         reach_m = 0.5 * self.config.coarse_cell_m
         map_points = self.points.points

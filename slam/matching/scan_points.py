@@ -60,7 +60,7 @@ class ScanPoints:
     def _oriented(self) -> tuple[Float32Array, Float32Array]:
         """Found once: a scan is asked several times."""
         # By numbers: a mask of rows takes numpy twice as long.
-        known = np.flatnonzero((self.normals_base[:, 0] != 0.0) | (self.normals_base[:, 1] != 0.0))
+        known = ((self.normals_base[:, 0] != 0.0) | (self.normals_base[:, 1] != 0.0)).nonzero()[0]
         return self.points_base.take(known, axis=0), self.normals_base.take(known, axis=0)
 
 
@@ -158,9 +158,9 @@ def _walls_between(points, usable, cos, sin, at_x, at_y, walls, normals):  # typ
             continue
         dx = points[i + 1, 0] - points[i, 0]
         dy = points[i + 1, 1] - points[i, 1]
-        length = math.hypot(dx, dy)
-        if length <= _WALL_SPACING_M:
+        if dx * dx + dy * dy <= _WALL_SPACING_M * _WALL_SPACING_M:
             continue
+        length = math.hypot(dx, dy)
         dx /= length
         dy /= length
         straight = True

@@ -54,7 +54,7 @@ def build_surfel_maps(
     corners, found = np.zeros(4), list[SurfelMap]()
     _bound(points, corners)
     low_x, low_y, high_x, high_y = corners.tolist()
-    weights = np.broadcast_to(1.0, len(points))
+    weights = np.ones(len(points))
     for cell_m in cells_m:
         origin_x, origin_y = low_x - 2.0 * cell_m, low_y - 2.0 * cell_m
         spans = (origin_y, high_y), (origin_x, high_x)

@@ -198,7 +198,7 @@ class MotionTracker:
         begun_s, begun = self._recent[0]
         moved = self.wheel_motion(begun.wheels, wheels, stamp_s - begun_s, begun.dispute)
         # Wheels that report no motion at all stand still or are dead.
-        if moved is None or not moved.pose.any():
+        if moved is None or not np.count_nonzero(moved.pose):
             return []
         return [self._turned(Motion(compose(begun.pose, moved.pose), moved.covariance), begun, gyro)]
 

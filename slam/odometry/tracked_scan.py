@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import numpy as np
+
 from slam.estimates import MotionEstimate
 from slam.measurements import FloatArray
 from slam.odometry.gyro_yaw import GyroMoment
@@ -48,4 +50,4 @@ class TrackedScan:
     @property
     def confident(self) -> bool:
         """Whether the lidar matched and nothing contradicts it; the first scan is the origin, and sure."""
-        return not self.dispute.any() and (self.motion is not None or not self.pose.any())
+        return not np.count_nonzero(self.dispute) and (self.motion is not None or not self.pose.any())

@@ -64,7 +64,7 @@ class WheelGaps:
         guess, (x, y, turn) = self.guess_at(stamp_s), step.tolist()
         lone = not usual and self._left_out is None
         # A reading that repeats the last one, as scan lines do, tells nothing of how fast the robot is.
-        left_out = (None if usual else np.zeros(3)) if step.any() else self._left_out
+        left_out = (None if usual else np.zeros(3)) if np.count_nonzero(step) else self._left_out
         # Whoever cannot have stopped has not turned on the spot either: then the heading has jumped.
         still = not lone and max(abs(x), abs(y)) < SETTLED and (abs(turn) < SETTLED or bool(guess.any()))
         if lone:
@@ -82,7 +82,7 @@ class WheelGaps:
             self._counted, self._pose = compose(begun, between(self._pose, self._counted)), begun
         self._left_out = left_out
         self._pose = compose(self._pose, step)
-        if not still or step.any():
+        if not still or np.count_nonzero(step):
             self._placed_s = stamp_s
         if not still:
             self._silent_s = 0.0

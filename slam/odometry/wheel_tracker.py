@@ -104,7 +104,7 @@ class WheelTracker:
         alone = self._gaps.add(reading, step, step_s, usual=self._usual(step, step_s))
         self.turns.add(reading.stamp_s, float(alone[2]))
         pose = self._joined(alone, reading.stamp_s)
-        if self._recent and (pose != self._recent[0][1]).any():
+        if self._recent and np.count_nonzero(pose != self._recent[0][1]):
             self.moved, self.dead = True, False
         self._rising = not self._recent or reading.stamp_s > self._recent[0][0]
         while self._recent and reading.stamp_s <= self._recent[0][0]:
@@ -121,7 +121,7 @@ class WheelTracker:
         if begun is None or not self._recent:
             return alone
         step = between(begun[0], alone)
-        turn = self._gyro.turn(begun[1], gyro) if self._gyro is not None and step.any() else None
+        turn = self._gyro.turn(begun[1], gyro) if self._gyro is not None and np.count_nonzero(step) else None
         if turn is None and not self._aside_rad_m and self._recent[0][1] is begun[0]:
             return alone  # to the bit: nothing was ever joined
         step[2] += self._aside_rad_m * step[0]

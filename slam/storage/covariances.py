@@ -41,7 +41,7 @@ def _write_covariances(path: Path, stamps_s: FloatArray, covariances: FloatArray
     axes = _AXES[covariances.shape[1]]
     pairs = [f"{axes[i]}_{axes[j]}" for i, j in zip(*np.triu_indices(len(axes)), strict=True)]
     rows = zip(stamps_s.tolist(), upper_triangles(covariances).tolist(), strict=True)
-    lines = (f"{stamp_text(stamp)},{','.join(repr(value) for value in row)}" for stamp, row in rows)
+    lines = (f"{stamp_text(stamp)},{','.join(map(repr, row))}" for stamp, row in rows)
     write_lines(path, (line for part in ([",".join(["stamp", *pairs])], lines) for line in part))
 
 

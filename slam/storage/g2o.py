@@ -62,7 +62,7 @@ def _text(path: Path, numbers: list[float]) -> str:
     """The shortest texts (at most 17 digits) that read back as the same numbers."""
     if not all(map(math.isfinite, numbers)):
         raise MapFileError(f"cannot write {path}: a pose or an information matrix is not finite")
-    return " ".join(repr(number) for number in numbers)
+    return " ".join(map(repr, numbers))
 
 
 def _numbers(pose: Pose) -> list[float]:

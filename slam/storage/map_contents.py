@@ -34,23 +34,8 @@ from slam.storage.map_frames import MapFrames
 from slam.storage.map_parts import Unpack, read_grids, read_trajectory
 from slam.storage.map_places import MapPlaces, places_of_file
 from slam.storage.map_sessions import MapSession
-from slam.storage.map_soundness import (
-    of,
-    require,
-    sound_name,
-    sound_stamp,
-    unsound_covariance,
-)
-from slam.storage.map_tables import (
-    CAMERAS,
-    COVARIANCES,
-    FACTORS,
-    FRAMES,
-    GRIDS,
-    KEYFRAMES,
-    LOOPS,
-    TRAJECTORY,
-)
+from slam.storage.map_soundness import of, require, sound_name, sound_stamp, unsound_covariance
+from slam.storage.map_tables import CAMERAS, COVARIANCES, FACTORS, FRAMES, GRIDS, KEYFRAMES, LOOPS, TRAJECTORY
 from slam.storage.packing import Unpacker, pack, pack_small, unpack
 from slam.vision.color_registration import ColorRegistration
 from slam.vision.learned_camera import LearnedCamera

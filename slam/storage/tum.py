@@ -43,7 +43,7 @@ def write_tum(path: Path, trajectory: Trajectory) -> None:
     write_lines(
         path,
         (
-            f"{stamp_text(stamp)} {' '.join(repr(value) for value in pose)}"
+            f"{stamp_text(stamp)} {' '.join(map(repr, pose))}"
             for stamp, pose in zip(stamps, poses, strict=True)
         ),
     )
@@ -92,7 +92,10 @@ def stamp_text(stamp_s: float) -> str:
     >>> stamp_text(1305031102.175304)
     '1305031102.175304000'
     """
-    whole, _, decimals = np.format_float_positional(stamp_s, unique=True).partition(".")
+    text = repr(float(stamp_s))  # a tenth of what numpy takes
+    if "e" in text:
+        text = np.format_float_positional(stamp_s, unique=True)
+    whole, _, decimals = text.partition(".")
     return f"{whole}.{decimals.ljust(_STAMP_DECIMALS, '0')}"
 
 

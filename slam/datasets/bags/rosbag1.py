@@ -11,15 +11,7 @@ from typing import BinaryIO
 
 from slam.datasets.account import Account
 from slam.datasets.bags.compression import unpacked_chunk
-from slam.datasets.bags.records import (
-    CUT,
-    DAMAGED,
-    UNKNOWN,
-    Channel,
-    CutError,
-    exactly,
-    ros2_name,
-)
+from slam.datasets.bags.records import CUT, DAMAGED, UNKNOWN, Channel, CutError, exactly, ros2_name
 from slam.datasets.budget import Budget
 from slam.datasets.dataset import RecordFault
 from slam.datasets.log_file import OnShare
