@@ -18,7 +18,7 @@ from slam.measurements import FloatArray
 
 _LEAST_KERNEL_M, _LEAST_ARM_M = 0.02, 1e-3
 # A point this share of the widest kernel from its plane lies on it.
-ON_PLANE = 0.2
+_ON_PLANE = 0.2
 # A share of the reach: what is nearer need not be drawn nearer.
 _ARRIVED = 0.004
 
@@ -230,7 +230,7 @@ class _Linear:
 
 def _share_on_planes(residuals: FloatArray, kernel_m: float, point_count: int) -> float:
     """Share of all points near their planes."""
-    return np.count_nonzero(np.abs(residuals) <= ON_PLANE * kernel_m) / point_count
+    return np.count_nonzero(np.abs(residuals) <= _ON_PLANE * kernel_m) / point_count
 
 
 def _step(hessian: FloatArray, gradient: FloatArray) -> FloatArray:

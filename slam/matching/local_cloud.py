@@ -17,7 +17,6 @@ from fusion.height_band import to_frame
 from slam.config import Config
 from slam.estimates import MotionEstimate
 from slam.matching.cloud_alignment import (
-    ON_PLANE,
     CloudAlignment,
     agreement,
     align_cloud,
@@ -126,7 +125,7 @@ class LocalCloud:
         for step in (aside, -aside):
             other = self._by_planes(scan, pose.compose(gtsam.Pose3.Expmap(step)))
             off = np.inf if other is None else lever @ gtsam.Pose3.Logmap(pose.between(other.pose))
-            if np.linalg.norm(off) > ON_PLANE * self._voxel_m:
+            if np.linalg.norm(off) > 0.5 * self._voxel_m:
                 return one
         return replace(one, motion=replace(one.motion, T_reference_base=pose))
 
