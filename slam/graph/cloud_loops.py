@@ -11,12 +11,12 @@ from dataclasses import dataclass, replace
 import gtsam
 import numpy as np
 
+from fusion.height_band import thin_to_voxels
 from slam.config import Config
 from slam.graph.loop_candidate import LoopCandidate
 from slam.graph.relative_uncertainty import UncertaintyGraph
 from slam.graph.unseen_gaps import UnseenGaps
 from slam.heap import give_back
-from slam.matching.cloud_points import thinned
 from slam.matching.local_cloud import REACH, Aligned, LocalCloud, moved
 from slam.matching.scan_context import RINGS, dissimilarity, ring_key, scan_context
 from slam.measurements import FloatArray, Pose, spatial
@@ -243,7 +243,7 @@ class CloudLoopCloser:
         """Register and judge."""
         width_m = self._loops.sigmas * guess.sigma_m + 2.0 * self._voxel_m
         candidate = LoopCandidate(guess.place, key, width_m, 0.0, guess.score, None, False, "")
-        scan = thinned(self._clouds(key), self._voxel_m)
+        scan = thin_to_voxels(self._clouds(key), self._voxel_m)
         near = not guess.by_appearance and width_m <= REACH * self._voxel_m
         reach_m = None if near else max(width_m, REACH * self._voxel_m)
         aligned = local.align(scan, guess.T_place_base, reach_m)
@@ -280,8 +280,9 @@ class CloudLoopCloser:
             return self._cache[key]
         half = self._loops.half_keyframes
         members = range(max(0, key - half), min(len(self._poses), key + half + 1))
+        thin_m = 0.5 * self._voxel_m
         parts = [
-            moved(thinned(self._clouds(k), 0.5 * self._voxel_m), self._poses[key].between(self._poses[k]))
+            moved(thin_to_voxels(self._clouds(k), thin_m), self._poses[key].between(self._poses[k]))
             for k in members
         ]
         local = LocalCloud.of(np.vstack(parts), self._voxel_m, self._config)

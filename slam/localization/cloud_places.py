@@ -12,14 +12,13 @@ from collections.abc import Sequence
 import gtsam
 import numpy as np
 
-from fusion.height_band import HeightBand
+from fusion.height_band import HeightBand, thin_to_voxels
 from slam.config import Config
 from slam.localization.global_search import at_once, search_map
 from slam.localization.known_clouds import TILE
 from slam.localization.scan_view import first_in_cells
 from slam.localization.whole_map_field import WholeMapField
 from slam.mapping.band_scan import band_scan, ground_of
-from slam.matching.cloud_points import thinned
 from slam.matching.scan_context import SECTORS, ContextBank, scan_context
 from slam.matching.scan_points import extract_points
 from slam.measurements import Float32Array, FloatArray, spatial
@@ -51,7 +50,7 @@ class CloudPlaces:
         self._poses = [spatial(pose) for pose in known.node_poses]
         self._apart_m = 0.5 * TILE * voxel_m
         self._voxel_m = voxel_m
-        self._bank = ContextBank([self._context(thinned(points, voxel_m)) for points in known.clouds])
+        self._bank = ContextBank([self._context(thin_to_voxels(points, voxel_m)) for points in known.clouds])
         self._positions = np.array([pose.translation() for pose in self._poses])
         thickness_m = config.cloud_odometry.thickness_m
         ground = None if field is None else ground_of(known.clouds, known.T_base_lidar, voxel_m, thickness_m)

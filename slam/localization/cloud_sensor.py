@@ -10,6 +10,7 @@ from typing import Any
 import gtsam
 import numpy as np
 
+from fusion.height_band import thin_to_voxels
 from slam.config import Config
 from slam.estimates import MotionEstimate
 from slam.localization.cloud_places import CloudPlaces
@@ -20,7 +21,7 @@ from slam.localization.poses import Measured
 from slam.localization.scan_view import cell_keys
 from slam.localization.sensor import Keyframe, Observation, moved_on
 from slam.localization.whole_map_field import WholeMapField
-from slam.matching.cloud_points import at_middle_of_turn, thinned
+from slam.matching.cloud_points import at_middle_of_turn
 from slam.matching.local_cloud import Aligned, moved
 from slam.measurements import FloatArray, PointCloud, Pose, WheelOdometry
 from slam.storage.map_contents import MapContents
@@ -57,7 +58,7 @@ class CloudView:
     @classmethod
     def of(cls, points: FloatArray, T_base_lidar: gtsam.Pose3, voxel_m: float) -> CloudView:
         """Of a whole cloud (N, 3), base frame."""
-        return cls(thinned(points, voxel_m), np.asarray(T_base_lidar.translation()))
+        return cls(thin_to_voxels(points, voxel_m), np.asarray(T_base_lidar.translation()))
 
 
 class CloudSensor:
@@ -136,7 +137,7 @@ class CloudSensor:
         self, view: CloudView, keyframes: Sequence[Keyframe[CloudView]], within: Measured | None
     ) -> list[gtsam.Pose3]:
         """See `Sensor`: places that look alike, by scan context or by plan, and fit best."""
-        scan = thinned(view.points, COARSENESS * self.voxel_m)
+        scan = thin_to_voxels(view.points, COARSENESS * self.voxel_m)
         arrived: list[tuple[float, gtsam.Pose3]] = []
         for guess in self._places.propose(view.points):
             tile = self._tiles.around(guess)

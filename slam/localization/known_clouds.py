@@ -9,11 +9,12 @@ from typing import NamedTuple
 import gtsam
 import numpy as np
 
+from fusion.height_band import thin_to_voxels
 from slam.config import Config
 from slam.errors import MapFileError
 from slam.localization.cloud_space import CloudSpace, cloud_space
 from slam.localization.plane_sides import SidedPlanes
-from slam.matching.cloud_points import thinned, voxel_of
+from slam.matching.cloud_points import voxel_of
 from slam.matching.local_cloud import LocalCloud, moved
 from slam.matching.plane_voxels import PlaneVoxels
 from slam.measurements import FloatArray, spatial
@@ -91,7 +92,7 @@ class CloudTiles:
 
     def _read(self, key: int) -> _Keyframe:
         """A keyframe."""
-        points = thinned(self._clouds.points(key), 0.5 * self.voxel_m)
+        points = thin_to_voxels(self._clouds.points(key), 0.5 * self.voxel_m)
         return _Keyframe(points, moved(points, self._poses[key]))
 
     def _made(self, x: int, y: int, z: int) -> CloudTile | None:
@@ -110,12 +111,12 @@ class CloudTiles:
             merged.add(frame.placed)
         local = LocalCloud(merged, voxel_m, self._config)
         own = [
-            local.agreement(thinned(frame.points, voxel_m), pose)
+            local.agreement(thin_to_voxels(frame.points, voxel_m), pose)
             for frame, pose in zip(frames, poses, strict=True)
         ]
         clouds = [frame.placed for frame in frames]
         wide_m = COARSENESS * voxel_m
-        coarse = LocalCloud.of(thinned(np.vstack(clouds), 0.5 * wide_m), wide_m, self._config)
+        coarse = LocalCloud.of(thin_to_voxels(np.vstack(clouds), 0.5 * wide_m), wide_m, self._config)
         lidars = np.array([pose.compose(self._T_base_lidar).translation() for pose in poses])
         planes = SidedPlanes(merged, lidars, clouds)
         space = cloud_space(lidars, clouds, planes, voxel_m, SIGHT * reach_m)

@@ -14,7 +14,7 @@ import gtsam
 import numpy as np
 
 from fusion.estimation import FEWEST
-from fusion.height_band import HeightBand
+from fusion.height_band import HeightBand, thin_to_voxels
 from slam.config import Config
 from slam.errors import DatasetError, ScanweaveError
 from slam.graph.cloud_loops import CloudLoopCloser
@@ -30,7 +30,7 @@ from slam.mapper.mount_learner import LearnedMounting
 from slam.mapper.protocol import Tracked
 from slam.mapping.band_scan import band_scan, ground_of
 from slam.mapping.elevation import Elevation, elevation
-from slam.matching.cloud_points import at_middle_of_turn, thinned
+from slam.matching.cloud_points import at_middle_of_turn
 from slam.matching.local_cloud import moved
 from slam.matching.upright import Gravity
 from slam.measurements import (
@@ -158,7 +158,7 @@ class CloudLidar:
         rows, intensities = tracked.points, self._tracker.intensities()
         if intensities is not None:
             rows = np.column_stack([rows, intensities])
-        rows = thinned(rows, kept_m)
+        rows = thin_to_voxels(rows, kept_m)
         self._clouds.add(self._stamp_s, rows, self._T_base_lidar)
         self._cameras.add_keyframe(key, self._stamp_s, tracked.points, self._T_base_lidar)
         residual_m = np.nan if tracked.motion is None else tracked.motion.residual_m
@@ -238,9 +238,8 @@ class CloudLidar:
     def _passed(self, tracked: TrackedCloud) -> bool:
         """Take every second cloud into the local map alone: one that is surely placed, without pictures."""
         motion = tracked.motion
-        if motion is None or not motion.converged or motion.degenerate or self._between is not None:
-            return False
-        if self._cameras.frames:
+        sure = motion is not None and motion.converged and not motion.degenerate
+        if motion is None or not sure or self._between is not None or self._cameras.frames:
             return False
         self._between = tracked.pose, motion.covariance
         self._tracker.add_keyframe(tracked)

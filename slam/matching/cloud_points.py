@@ -8,7 +8,6 @@ import gtsam
 import numpy as np
 from numpy.typing import NDArray
 
-from fusion.height_band import thin_to_voxels
 from fusion.kernel import ZERO, kernel
 from slam.config.clouds import CloudOdometryConfig
 from slam.measurements import Float32Array, FloatArray, PointCloud
@@ -70,11 +69,6 @@ def voxel_of(points: FloatArray, config: CloudOdometryConfig) -> float:
         return config.voxel_m
     median_m = float(np.median(np.linalg.norm(points, axis=1)))
     return float(np.clip(config.scale_share * median_m, config.least_voxel_m, config.greatest_voxel_m))
-
-
-def thinned(points: FloatArray, voxel_m: float) -> FloatArray:
-    """One point a voxel, the first; rows (N, 3 or more) keep what stands beside it."""
-    return thin_to_voxels(points, voxel_m)
 
 
 def _usable(cloud: PointCloud, config: CloudOdometryConfig) -> tuple[FloatArray, NDArray[np.int64]]:

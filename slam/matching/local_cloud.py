@@ -7,7 +7,7 @@ planes they tell only height and tilt. So a point-to-plane alignment has the las
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import gtsam
 import numpy as np
@@ -101,9 +101,7 @@ class LocalCloud:
 
     def refine(self, scan: FloatArray, guess: gtsam.Pose3) -> Aligned | None:
         """The same from a guess that is right within a voxel, by the planes alone."""
-        if len(scan) < FEWEST or not len(self.planes):
-            return None
-        found = self._by_planes(scan, guess)
+        found = self._by_planes(scan, guess) if len(scan) >= FEWEST and len(self.planes) else None
         return self._aligned(found, guess, near=found is not None and self._is_near(found, guess))
 
     def _aligned(self, found: CloudAlignment | None, guess: gtsam.Pose3, *, near: bool) -> Aligned | None:
@@ -113,6 +111,23 @@ class LocalCloud:
         if not found.residual_m < _CHANCE * self._voxel_m:
             return None
         return Aligned(found, motion_of(found, self._config, guess), near)
+
+    def settled(self, scan: FloatArray, one: Aligned) -> Aligned:
+        """A match of a scan (N, 3) that leaves a direction open, at where it settles along it, if it does.
+
+        Along a street with few walls it comes there from a voxel to either side; in a tunnel it stays where
+        it is begun. It claims no more for that.
+        """
+        if not one.motion.degenerate:
+            return one
+        pose, lever, way = one.found.pose, levers(one.found.arms_m), one.motion.weak_direction
+        aside = self._voxel_m * way / np.linalg.norm(lever @ way)
+        for step in (aside, -aside):
+            other = self._by_planes(scan, pose.compose(gtsam.Pose3.Expmap(step)))
+            off = np.inf if other is None else lever @ gtsam.Pose3.Logmap(pose.between(other.pose))
+            if np.linalg.norm(off) > 0.5 * self._voxel_m:
+                return one
+        return replace(one, motion=replace(one.motion, T_reference_base=pose))
 
     def best_of(self, scan: FloatArray, starts: Sequence[gtsam.Pose3]) -> gtsam.Pose3:
         """The start ``T_map_base`` that leads a part of the scan to most points on planes, moved there."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 import gtsam
 import numpy as np
 
+from fusion.estimation import FEWEST
 from slam.estimates import MotionEstimate
 from slam.matching.cloud_alignment import levers
 from slam.measurements import FloatArray
@@ -27,7 +28,6 @@ class CloudVelocity:
     def __init__(self, twist: FloatArray | None = None) -> None:
         self.twist: FloatArray = np.zeros(6) if twist is None else twist
         self.known = twist is not None
-        self._determined: FloatArray = np.zeros(6)
         self._pose, self._stamp_s, self._step_s = gtsam.Pose3(), -np.inf, np.inf
 
     @property
@@ -65,8 +65,7 @@ class CloudVelocity:
     def learn(self, pose: gtsam.Pose3, stamp_s: float, arms_m: FloatArray, motion: MotionEstimate) -> None:
         """Take a certain match.
 
-        In a direction that nothing determined the twist stays as it was when something last did: its noise
-        would else lead on.
+        Along a direction that it leaves open the twist changes slowly: noise would else lead on.
 
         Parameters
         ----------
@@ -81,9 +80,8 @@ class CloudVelocity:
             lever = levers(arms_m)
             weak = lever @ motion.weak_direction
             weak /= np.linalg.norm(weak)
-            twist = twist - np.linalg.solve(lever, weak) * (weak @ lever @ (twist - self._determined))
-        else:
-            self._determined = twist
+            kept = (1.0 - 1.0 / FEWEST) * (weak @ lever @ (twist - self.twist))
+            twist = twist - np.linalg.solve(lever, weak) * kept
         self.known = self.known or step_s < LONGEST_STEP_S
         self._step_s = step_s if step_s < LONGEST_STEP_S else np.inf
         self._pose, self._stamp_s, self.twist = pose, stamp_s, twist

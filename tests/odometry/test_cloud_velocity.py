@@ -61,7 +61,8 @@ def test_an_open_direction_does_not_gather_speed(roll_rad: float) -> None:
     for n in range(4, 8):
         pose = pose.compose(gtsam.Pose3.Expmap(0.1 * AHEAD + roll_rad * ROLL))
         velocity.learn(pose, 5.0 + 0.1 * n, ARMS_M, match(pose, ROLL))
-        assert abs(velocity.twist[0]) < 1e-6
+        # By a twentieth of what this match tells and of what is left of those before.
+        assert abs(velocity.twist[0]) <= 0.05 * abs(roll_rad / 0.1) * (n - 3) + 1e-6
         np.testing.assert_allclose(velocity.twist[2:4], AHEAD[2:4], atol=0.05)
     velocity.learn(pose.compose(gtsam.Pose3.Expmap(0.1 * AHEAD + 0.01 * ROLL)), 5.8, ARMS_M, match(pose))
     assert abs(velocity.twist[0]) > 0.05
