@@ -142,7 +142,8 @@ class Bench:
 
     def _map(self, name: str, out: Path, arguments: list[str]) -> list[str]:
         """The command line of a run."""
-        return [*scanweave(), "map", str(self._log(name)), "-o", str(out), *self._settings, *arguments]
+        where = [str(self._log(name)), "-o", str(out), "--force"]
+        return [*scanweave(), "map", *where, *self._settings, *arguments]
 
     def _log(self, name: str) -> Path:
         """Path of a log."""

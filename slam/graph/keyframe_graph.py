@@ -116,8 +116,8 @@ class KeyframeGraph:
         """(n,) piece of each keyframe by the edges (E,) that are kept; between two nothing beats a guess."""
         edges, count, lost_m = self.graph.edges, len(self), self._config.lost_sigma_m
         parts = np.append(0, np.cumsum(lone_steps(edges, kept, count, lost_m).unseen[:-1]))
-        tied_m = _tied_along(edges, kept, parts, self.rows())
-        return lone_steps(edges, kept & (tied_m >= 2.0 * reach_m), count, lost_m).pieces
+        tied = _tied(edges, kept, parts, self.rows(), 2.0 * reach_m)
+        return lone_steps(edges, kept & tied, count, lost_m).pieces
 
     def optimize(self, inlier_probability: float) -> BatchResult:
         """Solve everything anew; a loop that disagrees with the others is marked as refused."""
@@ -203,26 +203,37 @@ def lone_steps(edges: Sequence[Edge], kept: BoolArray, nodes: int, lost_sigma_m:
     return LoneSteps(np.isin(np.arange(nodes), lone), pieces, share)
 
 
-def _tied_along(
-    edges: Sequence[Edge], kept: BoolArray, parts: NDArray[np.int64], rows: FloatArray
-) -> FloatArray:
-    """(E,) along how much of a part of the way loops tie it to others, in metres; infinite within a part.
+def _tied(
+    edges: Sequence[Edge], kept: BoolArray, parts: NDArray[np.int64], rows: FloatArray, least_m: float
+) -> BoolArray:
+    """(E,) whether an edge joins what may be thought one: parts of the way only where loops tell enough.
 
-    What fits once may be a place that looks the same, and so may a few loops: of a part with more than a pose
-    has numbers that is no more thought. Wheels over many steps tell what they tell of each. ``parts`` (n,)
-    number what was seen in one go.
+    What fits once may be a place that looks the same, and so may a few loops: those between the same two must
+    be more than a pose has numbers, or lie along so much of both ways; then the two are one for all others.
+    Wheels over many steps tell what they tell of each. ``parts`` (n,) number what was seen in one go.
     """
     ways_m = np.append(0.0, np.cumsum(np.hypot(*np.diff(rows[:, :2], axis=0).T)))
     ends = np.array([(edge.source, edge.target) for edge in edges], np.int64).reshape(-1, 2)
-    across = (parts[ends[:, 0]] != parts[ends[:, 1]]) & (np.diff(ends)[:, 0] != 1)
     kinds = np.array([edge.kind for edge in edges], np.str_)
-    loops, wheels = (across & (kinds == kind.value) for kind in (EdgeKind.LOOP, EdgeKind.WHEEL))
-    tying, first, last = ends[loops & kept], np.full(len(parts), np.inf), np.zeros(len(parts))
-    np.minimum.at(first, parts[tying], ways_m[tying])
-    np.maximum.at(last, parts[tying], ways_m[tying])
-    numbers = max(len(edge.covariance) for edge in edges) if edges else 0
-    last[np.bincount(parts[tying].ravel(), minlength=len(parts)) > numbers] = np.inf
-    return np.where(loops, (last - first)[parts[ends]].min(axis=1), np.where(wheels, 0.0, np.inf))
+    loops, wheels = (kinds == kind.value for kind in (EdgeKind.LOOP, EdgeKind.WHEEL))
+    across = parts[ends[:, 0]] != parts[ends[:, 1]]
+    tied: BoolArray = ~across | ~(loops | wheels) | (np.diff(ends)[:, 0] == 1)
+    numbers = max((len(edge.covariance) for edge in edges), default=0)
+    one = joined(parts[-1] + 1, parts[ends[kept & across & tied & (np.diff(ends)[:, 0] != 1)]])
+    while (waiting := np.flatnonzero(kept & loops & (np.diff(one[parts[ends]])[:, 0] != 0))).size:
+        pairs = np.sort(one[parts[ends[waiting]]], axis=1)
+        ways = np.take_along_axis(
+            ways_m[ends[waiting]], np.argsort(one[parts[ends[waiting]]], axis=1), axis=1
+        )
+        both, which, counts = np.unique(pairs, axis=0, return_inverse=True, return_counts=True)
+        first, last = np.full((2, len(both), 2), [[[np.inf]], [[-np.inf]]])
+        np.minimum.at(first, which, ways)
+        np.maximum.at(last, which, ways)
+        enough = (counts > numbers) | ((last - first).min(axis=1) >= least_m)
+        if not enough.any():
+            break
+        one = joined(len(one), both[enough])[one]
+    return tied | (loops & (np.diff(one[parts[ends]])[:, 0] == 0))
 
 
 def joined(nodes: int, ends: ArrayLike) -> NDArray[np.int64]:

@@ -110,12 +110,15 @@ class PlaceSearch:
         believed = self._believed(poses, known)
         if believed:
             return believed
-        for number in stretches.untied(loops):
-            for place in stretches.candidates(number, *self._possible(stretches, number, poses, known)):
-                if (place, number) not in self._tried:
-                    self._tried.add((place, number))
-                    self._verify(stretches, place, number)
-        return self._believed(poses, known)
+        for chain in (known, faulty.loose):
+            for number in stretches.untied(loops):
+                for place in stretches.candidates(number, *self._possible(stretches, number, poses, chain)):
+                    if (place, number) not in self._tried:
+                        self._tried.add((place, number))
+                        self._verify(stretches, place, number)
+            if believed := self._believed(poses, known):
+                return believed
+        return []
 
     def _follow(
         self,
@@ -191,49 +194,76 @@ class PlaceSearch:
         ways_m = self._submaps.travelled_m  # from the start to the keyframes of a set
         found = [one for one in sets.largest() if np.ptp([ways_m(m.keyframe) for m in one]) >= reach_m]
         judged = [self._cost(one, seen) for one in found]
-        costs = np.array([cost for cost, _ in judged])
+        costs = np.array([cost for cost, _, _ in judged])
         gains = self._gate * np.array([len(one) for one in found]) - costs
         # Plausible sets first, of them the nearest: there chance has the least room.
-        order = [(cost > self._gate, sigma_m if cost <= self._gate else cost) for cost, sigma_m in judged]
+        order = [(cost > self._gate, sigma_m if cost <= self._gate else cost) for cost, sigma_m, _ in judged]
         for n in sorted(range(len(found)), key=order.__getitem__):
-            # What contradicts more than one fault explains is not believed, however many say so.
-            if costs[n] > 2.0 * self._gate:
+            # What contradicts more than one fault explains must be so many times as long.
+            longer = max(1.0, costs[n] / self._gate - 1.0)
+            if longer > 1.0 and gains[n] <= 0.0:
                 continue
             rivals = (m for m in np.flatnonzero(2.0 * gains > gains[n]).tolist() if m != n)
             if any(self._contradiction(sets.entailed(found[n], found[m]), seen) > gains[m] for m in rivals):
                 continue
             fits, refused = trial.hold(found[n])
             # One that fits where it cannot be shows that these places look alike.
-            bends = [self._bend(one, seen(one.place, one.keyframe)) for one in fits]
-            most = costs[n] + self._gate
-            more = [one for one, bend in zip(fits, bends, strict=True) if min(bend[0], bend[2]) <= most]
+            more = [one for one in fits if self._follows(one, known, judged[n][2], costs[n] + self._gate)]
             refused += len(fits) - len(more)
+            if longer > 1.0:
+                refused += self._contradicting(found[n], found, seen)
             held = len(found[n]) + len(more) - refused
             net_m = held * stretches.spacing_m
             # As long as it is seen from either end; where all of the map would pass, as a loop must be.
             map_m = float(np.ptp(poses[:, :2], axis=0).max())
             anywhere = math.sqrt(self._gate) * judged[n][1] > map_m
-            if net_m >= (self._config.least_path_m if anywhere else 2.0 * reach_m):
+            if net_m >= longer * (self._config.least_path_m if anywhere else 2.0 * reach_m):
                 believed = [*found[n], *more]
                 sets.remove(believed)
                 self._corrected = True
                 return believed
         return []
 
-    def _cost(self, members: Sequence[LoopCandidate], known: Known) -> tuple[float, float]:
+    def _contradicting(
+        self, members: Sequence[LoopCandidate], found: Sequence[list[LoopCandidate]], known: Known
+    ) -> int:
+        """How many claims of other sets tell otherwise of the same keyframes, however likely they are."""
+        assert self._sets is not None
+        entailed = ((other, self._sets.entailed(members, other)) for other in found if other is not members)
+        return sum(
+            len(other) for other, way in entailed if self._contradiction(way, known) > 2.0 * self._gate
+        )
+
+    def _cost(self, members: Sequence[LoopCandidate], known: Known) -> tuple[float, float, FloatArray]:
         """Squared sigmas of the bend that a set asks of what is known, and how uncertain that is in metres.
 
-        Where one fault explains it better, that costs a gate. Infinite where nothing can be learned: what is
-        known is as certain as a search would be.
+        Where faults explain it better, each costs a gate. Infinite where nothing can be learned: what is
+        known is as certain as a search would be. And the poses (n, 3), of several faults as they have them.
         """
+        assert self._faulty is not None
         expected = [known(one.place, one.keyframe) for one in members]
         sigma_m = float(np.median(position_sigmas(np.array([way.covariance for way in expected]))))
         if self._config.sigmas * sigma_m < self._match.coarse_cell_m:
-            return math.inf, sigma_m
+            return math.inf, sigma_m, self._faulty.poses
         if not math.isfinite(sigma_m):
-            return 0.0, sigma_m
+            return 0.0, sigma_m, self._faulty.poses
         asked = [self._bend(one, way) for one, way in zip(members, expected, strict=True)]
-        return self._explained(*np.median(asked, axis=0).tolist()), sigma_m
+        cost = self._explained(*np.median(asked, axis=0).tolist())
+        if cost > 2.0 * self._gate:
+            n = int(np.argsort([possible for _, _, possible in asked])[len(asked) // 2])
+            ends = members[n].place, members[n].keyframe
+            together, led = self._faulty.shared(*ends, expected[n], claimed(members[n]))
+            if together < cost:
+                return together, sigma_m, led
+        return cost, sigma_m, self._faulty.poses
+
+    def _follows(self, one: LoopCandidate, known: UncertaintyGraph, poses: FloatArray, most: float) -> bool:
+        """Whether a claim asks no more than a set; of several faults, where they have moved the poses to."""
+        assert self._faulty is not None
+        if poses is not self._faulty.poses:
+            return known.motion(one.place, one.keyframe, poses).agrees(claimed(one))
+        bend = self._bend(one, known.motion(one.place, one.keyframe, poses))
+        return min(bend[0], bend[2]) <= most
 
     def _contradiction(self, entailed: tuple[int, int, Motion] | None, known: Known) -> float:
         """Squared sigmas by which what is known must be wrong for both of two sets to be true, as `_cost`."""

@@ -248,6 +248,13 @@ def inverse(a: FloatArray) -> FloatArray:
     return np.stack([-cos * a[:, 0] - sin * a[:, 1], sin * a[:, 0] - cos * a[:, 1], -a[:, 2]], axis=1)
 
 
+def seen_from(told: FloatArray, found: FloatArray) -> FloatArray:
+    """(K, 3) what was found, seen from what was told."""
+    off = composed(inverse(told), found)
+    off[:, 2] = np.remainder(off[:, 2] + np.pi, 2.0 * np.pi) - np.pi
+    return off
+
+
 def moved(covariance: FloatArray, T_a_b: FloatArray) -> FloatArray:
     """(N, 3, 3) covariances in the tangent space of b, seen in that of a: Ad C Ad^T, GTSAM's order."""
     adjoint = np.zeros((len(T_a_b), 3, 3))

@@ -12,8 +12,8 @@ import numpy as np
 from slam.config import Config
 from slam.estimates import MotionEstimate
 from slam.graph.edge import Edge, EdgeKind
-from slam.graph.faulty_steps import settle_wheels
 from slam.graph.keyframe_graph import KeyframeGraph
+from slam.graph.settled_wheels import settle_wheels
 from slam.mapper.map_result import MapResult
 from slam.mapper.mount_learner import LearnedMounting
 from slam.mapper.planar_chain import PlanarChain

@@ -12,10 +12,11 @@ from fusion.estimation import gate
 from slam.config.stages import GraphConfig, LoopConfig, MatchConfig
 from slam.estimates import MotionEstimate
 from slam.graph.edge import Edge, EdgeKind
-from slam.graph.faulty_steps import FaultySteps, believed_edges, settle_wheels
+from slam.graph.faulty_steps import FaultySteps, believed_edges
 from slam.graph.keyframe_graph import KeyframeGraph, together
 from slam.graph.loop_candidate import LoopCandidate
 from slam.graph.place_search import PlaceSearch
+from slam.graph.settled_wheels import settle_wheels
 from slam.mapper.planar_chain import edges_of
 from slam.matching.motion import Motion
 from slam.matching.planar import between, compose
@@ -101,7 +102,7 @@ OPEN = np.diag([900.0, 1e-6, 1e-6])
 def test_a_turn_in_the_gap_explains_a_claim_however_far_that_leads() -> None:
     assert np.hypot(*(bent((GAP, 1.2)) - bent())[:2]) > 15.0
     assert squares((GAP,), bent((GAP, 1.2))) < 4.0
-    assert squares((20,), bent((GAP, 1.2))) > 20.0
+    assert squares((20,), bent((GAP, 1.2))) > gate(3)
     assert squares((), bent()) == np.inf
 
 
@@ -192,6 +193,67 @@ def test_a_fault_is_not_believed_where_places_look_like_their_neighbours(repeats
     search._faulty = judge(edges, stamps_s)
     believed = search._believed(POSES, search._faulty.known)
     assert believed == ([] if repeats else [*members, *entailed])
+
+
+def told_by(turned: Sequence[FloatArray], keys: range) -> list[LoopCandidate]:
+    """Claims at 32 keyframes before, true where the way went so."""
+
+    def claim(key: int) -> LoopCandidate:
+        pose = pose2_from_row(between(turned[key - 32], turned[key]))
+        motion = MotionEstimate(pose, SURE, 0.9, 0.9, 0.01, True, False, np.zeros(3))
+        return LoopCandidate(key - 32, key, 0.0, 0.0, 1.0, motion, True, "")
+
+    return [claim(key) for key in keys]
+
+
+TURNS = {30: 0.9, 50: -0.9}
+
+
+@pytest.mark.parametrize(("gaps", "long"), [((30, 50), True), ((30, 50), False), ((50,), True)])
+def test_faults_that_add_up_are_believed_of_a_set_that_is_so_much_longer(
+    gaps: tuple[int, ...], long: bool
+) -> None:
+    """One gap turned left and one right; were one of them matched, the other would not explain it."""
+    turned = walked([STEP + np.array([0.0, 0.0, TURNS.get(key, 0.0)]) for key in range(COUNT - 1)])
+    members, entailed = told_by(turned, range(52, 56)), told_by(turned, range(56, 56 + 4 * long))
+    search = PlaceSearch(SimpleNamespace(submaps=None), LoopConfig(), MatchConfig(), GraphConfig())  # type: ignore[arg-type]
+    search._submaps = SimpleNamespace(travelled_m=lambda key: 2.0 * key)  # type: ignore[assignment]
+    search._stretches = SimpleNamespace(spacing_m=1.5)  # type: ignore[assignment]
+    search._sets = SimpleNamespace(largest=lambda: [members], remove=len)  # type: ignore[assignment]
+    search._trial = SimpleNamespace(hold=lambda _: (entailed, 0))  # type: ignore[assignment]
+    stamps_s, edges = np.arange(float(COUNT)), chain(())
+    for gap in gaps:
+        stamps_s[gap + 1 :] += 30.0
+        edges[gap] = step(gap, BY_WHEELS, EdgeKind.ASSUMED, trusted=True)
+        edges.append(step(gap, SURE, EdgeKind.WHEEL, trusted=False))
+    search._faulty = judge(edges, stamps_s)
+    found = search._believed(POSES, search._faulty.known)
+    assert bool(found) == (long and len(gaps) == 2), search._cost(
+        members, lambda a, b: search._faulty.known.motion(a, b, POSES)
+    )[:2]
+
+
+@pytest.mark.parametrize("slips", [True, False])
+def test_a_heading_that_slips_in_a_gap_bends_the_way_and_does_not_shorten_it(slips: bool) -> None:
+    """Told 20 m straight on, to a few decimetres and degrees: it turned halfway, or it stood."""
+    steps = [STEP * (20.0 if key == GAP else 1.0) for key in range(COUNT - 1)]
+    went = [one.copy() for one in steps]
+    halfway = STEP * [10.0, 0.0, 10.0]
+    went[GAP] = (
+        compose(compose(halfway, np.array([0.0, 0.0, 1.2])), halfway) if slips else STEP * [0.0, 0.0, 20.0]
+    )
+    told, turned = walked(steps), walked(went)
+    edges = chain(())
+    edges[GAP] = Edge(
+        GAP, GAP + 1, pose2_from_row(steps[GAP]), BY_WHEELS / 10.0, EdgeKind.WHEEL, trusted=True
+    )
+    stamps_s = np.arange(float(COUNT)) + 30.0 * (np.arange(COUNT) > GAP)
+    kept = np.ones(len(edges), np.bool_)
+    faulty = FaultySteps(edges, kept, told, stamps_s, GraphConfig(), LoopConfig(), MatchConfig())
+    known = faulty.known.motion(5, 70, told)
+    asked = faulty.explain(5, 70, known, Motion(between(turned[5], turned[70]), SURE))[1]
+    assert (asked < 40.0) is slips
+    assert slips or asked > 1000.0
 
 
 def test_a_gap_of_several_steps_is_one_fault() -> None:

@@ -252,6 +252,20 @@ class TestPieces:
             graph.add_loop(true_loop(keyframe - 55, keyframe))
         assert len(set(graph.pieces(graph.optimize(PROBABILITY).kept, REACH_M))) == pieces
 
+    @pytest.mark.parametrize(
+        ("loops", "pieces"), [([(20, 110)], 2), ([(20, 110), (30, 120)], 2), ([(20, 110), (60, 150)], 1)]
+    )
+    def test_a_loop_ties_no_parts_by_what_ties_each_to_others(
+        self, loops: list[tuple[int, int]], pieces: int
+    ) -> None:
+        """Four parts, of which the first two are one, and the last two; 20 cm a step."""
+        graph, ahead = empty(), Motion(AHEAD, ROUGH)
+        for n in range(160):
+            follow(graph, AHEAD, None if n in (40, 80, 120) else step(), ahead)
+        for place, keyframe in [(4, 44), (38, 78), (84, 124), (118, 158), *loops]:
+            graph.add_loop(true_loop(place, keyframe))
+        assert len(set(graph.pieces(graph.optimize(PROBABILITY).kept, REACH_M))) == pieces
+
 
 class TestBridge:
     """Keyframes 3 and 4 were guessed by wheels that drifted; a match joins 5 to 2."""

@@ -1,0 +1,88 @@
+"""Several steps of a way that are wrong together: how they share what is missed at its end."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fusion.estimation import ROUNDS, SETTLED
+from slam.graph.relative_uncertainty import composed
+from slam.matching.planar import adjoint, between, compose
+from slam.measurements import FloatArray
+
+
+def share_faults(
+    way: FloatArray,
+    parts: NDArray[np.int64],
+    wrong: FloatArray,
+    end: int,
+    claimed: FloatArray,
+    covariance: FloatArray,
+) -> tuple[float, FloatArray]:
+    """Least squares by Gauss and Newton, with whole turns.
+
+    Parameters
+    ----------
+    way
+        (n, 3) x, y, yaw of poses in a row.
+    parts
+        (k, 2) first and last pose of each step that may be wrong, in their order, none within another.
+    wrong
+        (k, 3, 3) how wrong each may be, in the frame of its last pose.
+    end, claimed, covariance
+        A pose behind them; (3,) it seen from the first as somebody claims; (3, 3) how far it may be off apart
+        from these steps, in its own frame.
+
+    Returns
+    -------
+    The squared sigmas that are left, of the steps and of the claim, and the way (n, 3) that they lead.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from slam.graph.fault_sharing import share_faults
+    >>> way = np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [2.0, 0.0, 0.0], [3.0, 0.0, 0.0]])
+    >>> claimed, parts = np.array([5.0, 0.0, 0.0]), np.array([[0, 1], [2, 3]])
+    >>> left, led = share_faults(way, parts, np.stack([np.eye(3)] * 2), 3, claimed, 1e-4 * np.eye(3))
+    >>> round(left, 2), led[:, 0].round(2).tolist()
+    (2.0, [0.0, 2.0, 3.0, 5.0])
+    """
+    stops = [0, *parts.ravel().tolist(), end]
+    sure = [between(way[a], way[b]) for a, b in zip(stops[::2], stops[1::2], strict=True)]
+    told = [between(way[a], way[b]) for a, b in parts.tolist()]
+    off = [np.zeros(3) for _ in told]
+    information, priors = np.linalg.inv(covariance), np.linalg.inv(wrong)
+    for _ in range(ROUNDS):
+        rests = _rests(sure, told, off)
+        missed, turns = between(rests[0], claimed), [_turn(one) for one in off]
+        slopes = np.hstack([adjoint(between(rest, np.zeros(3))) for rest in rests[1:]])
+        hessian, pull = slopes.T @ information @ slopes, slopes.T @ information @ missed
+        for k, (one, turn, prior) in enumerate(zip(off, turns, priors, strict=True)):
+            hessian[3 * k : 3 * k + 3, 3 * k : 3 * k + 3] += turn.T @ prior @ turn
+            pull[3 * k : 3 * k + 3] -= turn.T @ prior @ one
+        change: FloatArray = np.linalg.solve(hessian, pull).reshape(-1, 3).astype(np.float64)
+        off = [compose(one, further) for one, further in zip(off, change, strict=True)]
+        if np.abs(change).max() < SETTLED:
+            break
+    missed = between(_rests(sure, told, off)[0], claimed)
+    left = missed @ information @ missed + sum(
+        one @ prior @ one for one, prior in zip(off, priors, strict=True)
+    )
+    led = way.copy()
+    for (first, last), step, one in zip(parts.tolist(), told, off, strict=True):
+        moved = compose(compose(led[first], compose(step, one)), between(led[last], np.zeros(3)))
+        led[last:] = composed(moved[None], led[last:])
+    return float(left), led
+
+
+def _rests(sure: list[FloatArray], told: list[FloatArray], off: list[FloatArray]) -> list[FloatArray]:
+    """The end seen from the beginning, and from the end of each wrong step."""
+    rests = [sure[-1]]
+    for way, step, one in zip(sure[-2::-1], told[::-1], off[::-1], strict=True):
+        rests.insert(0, compose(way, compose(compose(step, one), rests[0])))
+    return rests
+
+
+def _turn(off: FloatArray) -> FloatArray:
+    """(3, 3) how far a change of a step, seen from where it ends, changes what it is off."""
+    return adjoint(np.array([0.0, 0.0, off[2]]))

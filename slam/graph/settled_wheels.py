@@ -1,0 +1,134 @@
+"""How far wheels can be believed where they alone tell a step of the chain.
+
+Long stretches that both wheels and matches tell show how far wheels are off as a rule; that is less than they
+claim, for a claim must cover jumps. So a step of wheels alone is two edges: one as certain as wheels are as a
+rule, which may be refused, and one that allows what they claim.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+from itertools import accumulate
+
+import numpy as np
+
+from fusion.estimation import FEWEST, ROUNDS, median_to_sigma
+from slam.config.stages import GraphConfig
+from slam.graph.edge import Edge, EdgeKind
+from slam.graph.keyframe_graph import KeyframeGraph, row_of, together, unmeasured
+from slam.graph.relative_uncertainty import composed, inverse, seen_from
+from slam.matching.planar import between, compose
+from slam.measurements import FloatArray, pose2_from_row
+
+
+def settle_wheels(
+    graph: KeyframeGraph, least_m: float, poses: FloatArray, stamps_s: FloatArray, config: GraphConfig
+) -> None:
+    """Let steps that wheels alone tell be as certain as wheels have proved, unless loops refuse that.
+
+    Then as they claim; where loops refuse that, too, as what nothing measured. Proved on long stretches that
+    matches tell throughout. Where scans lie so far apart that there are hardly any, on single steps of
+    ``least_m`` and more, in the directions that a match tells better; and then along corridors, too.
+
+    ``poses`` (n, 3) are where the wheels alone have the keyframes of ``stamps_s`` (n,).
+    """
+    edges = graph.graph.edges
+    alone = [n for n, edge in enumerate(edges) if edge.kind is EdgeKind.WHEEL and edge.trusted]
+    steps = np.zeros(len(graph), np.bool_)
+    steps[[edges[n].source for n in alone]] = True
+    longer = [
+        edge
+        for edge in edges
+        if edge.kind is EdgeKind.WHEEL
+        and edge.target - edge.source > 1
+        and not steps[edge.source : edge.target].any()
+    ]
+    sparse = len(longer) < FEWEST
+    errors = _calibrated_by_steps(edges, poses, least_m) if sparse else _errors_of_stretches(graph, longer)
+    if not alone or len(errors) < FEWEST:
+        return
+    counts = np.isfinite(errors).sum(axis=0)
+    errors[:, counts < FEWEST] = np.inf
+    scale = np.minimum(median_to_sigma() * np.nanmedian(np.abs(errors), axis=0), 1.0)
+    for n, edge in enumerate(edges[:-1] if sparse else []):
+        # Of the two in a corridor the first tells the way, and of the turn nothing; the next the turn.
+        if edge.kind is EdgeKind.WHEEL and edge.covariance[2, 2] > math.pi**2:
+            for k, shares in ((n, [*scale[:2], 1.0]), (n + 1, [1.0, 1.0, scale[2]])):
+                edges[k] = replace(edges[k], covariance=edges[k].covariance * np.outer(shares, shares))
+    for n in alone:
+        edge = edges[n]
+        edges[n] = replace(edge, covariance=edge.covariance * np.outer(scale, scale), trusted=False)
+        free = unmeasured(config, max(abs(stamps_s[edge.target] - stamps_s[edge.source]), 1.0), planar=True)
+        # Both together are what wheels claim; where scans lie far apart too few loops tell of a step.
+        claimed = edge.covariance @ np.linalg.solve(free, edge.covariance + free)
+        both = [(edge.covariance, True)] if sparse else [(edge.covariance + free, True), (claimed, False)]
+        for covariance, trusted in both:
+            graph.add_edge(replace(edge, kind=EdgeKind.ASSUMED, covariance=covariance, trusted=trusted))
+
+
+def _errors_of_stretches(graph: KeyframeGraph, longer: Sequence[Edge]) -> FloatArray:
+    """(K, 3) errors of wheels on long stretches, in the sigmas that they claim."""
+    rows = graph.rows()
+    ends = np.array([(edge.source, edge.target) for edge in longer])
+    claimed = np.array([row_of(edge.T_source_target) for edge in longer])
+    off = seen_from(claimed, composed(inverse(rows[ends[:, 0]]), rows[ends[:, 1]]))
+    return off / np.sqrt([np.diag(edge.covariance) for edge in longer])
+
+
+def _calibrated_by_steps(edges: list[Edge], poses: FloatArray, least_m: float) -> FloatArray:
+    """Let wheels tell what single matched steps have shown: how long a metre is, how much it and a turn turn.
+
+    Radii that differ turn a robot at each metre, a wrong base at each turn: where scans lie far apart that
+    bends a map more than all noise. (K, 3) errors are left on steps of ``least_m`` and more, in the sigmas
+    that wheels claim; not a number where a match is less sure.
+    """
+    single = [edge for edge in edges if edge.target == edge.source + 1]
+    wheels = together(edge for edge in single if edge.kind is EdgeKind.WHEEL)
+    matches = together(edge for edge in single if edge.kind is EdgeKind.LIDAR)
+    both = [(wheels[ends], match) for ends, match in matches.items() if ends in wheels]
+    if sum(math.hypot(*match.pose[:2]) >= least_m for _, match in both) < FEWEST:
+        return np.zeros((0, 3))
+    # What was learned on the way changed with it.
+    alone = seen_from(poses[:-1], poses[1:])
+    told = alone[[source for source, target in matches if (source, target) in wheels]]
+    found = np.array([match.pose for _, match in both])
+    variances, known = (
+        np.array([np.diag(motion.covariance) for motion in motions]) for motions in zip(*both, strict=True)
+    )
+    ways_m = np.hypot(told[:, 0], told[:, 1])
+    longer_m = np.hypot(found[:, 0], found[:, 1]) - ways_m
+    (stretch,) = _fitted(ways_m[:, None], longer_m, known[:, :2].sum(axis=1))
+    # By what was found, which is all but certain: noise in what explains would make it explain less.
+    bend, swell = _fitted(np.column_stack([ways_m, found[:, 2]]), seen_from(found, told)[:, 2], known[:, 2])
+
+    def calibrated(steps: FloatArray) -> FloatArray:
+        turned = (steps[:, 2] - bend * np.hypot(steps[:, 0], steps[:, 1])) / (1.0 + swell)
+        half = np.pad(0.5 * (turned - steps[:, 2])[:, None], ((0, 0), (2, 0)))
+        return composed(composed(half, steps * [1.0 + stretch, 1.0 + stretch, 1.0]), half)
+
+    steps = np.zeros_like(alone)
+    sources = [source for source, _ in wheels]
+    steps[sources] = alone[sources]
+    way = list(accumulate(calibrated(steps), compose, initial=np.zeros(3)))
+    for n, edge in enumerate(edges):
+        if edge.kind is EdgeKind.WHEEL:
+            step = pose2_from_row(between(way[edge.source], way[edge.target]))
+            edges[n] = replace(edge, T_source_target=step)
+    errors = np.where(known < variances, seen_from(calibrated(told), found) / np.sqrt(variances), np.nan)
+    return errors[np.hypot(found[:, 0], found[:, 1]) >= least_m]
+
+
+def _fitted(design: FloatArray, measured: FloatArray, variances: FloatArray) -> FloatArray:
+    """Small shares by least squares, with Cauchy's weights about the scale of the surest residuals."""
+    values: FloatArray = np.zeros(design.shape[1])
+    sure = variances <= np.median(variances)
+    for _ in range(ROUNDS):
+        off = measured - design @ values
+        scale = median_to_sigma() * float(np.median(np.abs(off[sure])))
+        weighted = design / (scale**2 + off**2 + variances)[:, None]
+        # What the steps leave open is no larger than one in so many.
+        information = weighted.T @ design + FEWEST**2 * np.eye(len(values))
+        values = np.asarray(np.linalg.solve(information, weighted.T @ measured), np.float64)
+    return values
