@@ -129,7 +129,7 @@ VALUES: dict[str, Any] = {
     "cloud_odometry.least_pairs": 3000,
     "cloud_odometry.greatest_voxel_m": 0.15,
     "cloud_loops.reach_voxels": 12.0,
-    "cloud_loops.greatest_dissimilarity": 0.001,
+    "cloud_loops.greatest_dissimilarity": 1.0,
     "cloud_loops.greatest_residual_ratio": 40.0,
     "cloud_map.plan_range_m": 3.0,
     "localization.search_least_score": 0.9,
