@@ -54,7 +54,9 @@ def share_faults(
     information, priors = np.linalg.inv(covariance), np.linalg.inv(wrong)
     for _ in range(ROUNDS):
         rests = _rests(sure, told, off)
-        missed, turns = between(rests[0], claimed), [_turn(one) for one in off]
+        missed = between(rests[0], claimed)
+        # How far a change of a step, seen from where it ends, changes what it is off.
+        turns = [adjoint(one * [0.0, 0.0, 1.0]) for one in off]
         slopes = np.hstack([adjoint(between(rest, np.zeros(3))) for rest in rests[1:]])
         hessian, pull = slopes.T @ information @ slopes, slopes.T @ information @ missed
         for k, (one, turn, prior) in enumerate(zip(off, turns, priors, strict=True)):
@@ -81,8 +83,3 @@ def _rests(sure: list[FloatArray], told: list[FloatArray], off: list[FloatArray]
     for way, step, one in zip(sure[-2::-1], told[::-1], off[::-1], strict=True):
         rests.insert(0, compose(way, compose(compose(step, one), rests[0])))
     return rests
-
-
-def _turn(off: FloatArray) -> FloatArray:
-    """(3, 3) how far a change of a step, seen from where it ends, changes what it is off."""
-    return adjoint(np.array([0.0, 0.0, off[2]]))

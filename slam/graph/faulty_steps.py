@@ -45,7 +45,7 @@ def believed_edges(edges: Sequence[Edge], kept: BoolArray, poses: FloatArray) ->
 
 
 class FaultySteps:
-    """What a claim asks of a chain a part of which is wrong: one step, or all steps of a gap.
+    """What a claim asks of a chain parts of which are wrong: single steps, or all steps of a gap.
 
     Parameters
     ----------
@@ -176,6 +176,8 @@ class FaultySteps:
         One of them may be on the way round another. What is known and the claim are the end seen from the
         start; infinite where no part can be wrong so. And the poses (n, 3) where they are.
         """
+        if not np.isfinite(known.covariance).all():
+            return math.inf, self.poses
         found = [
             (self._gate * loosely + cost, poses)
             for loosely, bounded in enumerate((self._bounded, self._bounded_loosely))

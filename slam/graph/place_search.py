@@ -3,7 +3,7 @@
 What `slam.graph.loop_closure` closes while mapping lies within the uncertainty of the estimate. Where the
 chain is bent, places are found by their appearance instead, and believed only in sets: claims that agree with
 each other along the way (`slam.graph.consistent_sets`), that what lies around them confirms
-(`slam.graph.claim_trial`), and that contradict no more than one fault of the chain explains.
+(`slam.graph.claim_trial`), and that a fault of the chain explains, or several where a set is so much longer.
 """
 
 from __future__ import annotations

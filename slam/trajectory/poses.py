@@ -90,7 +90,7 @@ class Poses:
 def product(
     first: scipy.spatial.transform.Rotation, second: scipy.spatial.transform.Rotation
 ) -> scipy.spatial.transform.Rotation:
-    """``first * second``, N each, to the bit; SciPy's own takes fifteen times as long."""
+    """``first * second``, N each, to the bit; SciPy's own takes five times as long."""
     (ax, ay, az, aw), (bx, by, bz, bw) = first.as_quat().T, second.as_quat().T
     x = aw * bx + bw * ax + (ay * bz - az * by)
     y = aw * by + bw * ay + (az * bx - ax * bz)

@@ -99,6 +99,11 @@ def bent(*turns: tuple[int, float]) -> FloatArray:
 OPEN = np.diag([900.0, 1e-6, 1e-6])
 
 
+def test_of_ends_that_nothing_joins_no_fault_tells_anything() -> None:
+    faulty, nowhere = judge(chain(), np.arange(float(COUNT))), Motion(np.zeros(3), np.full((3, 3), np.inf))
+    assert faulty.shared(5, 70, nowhere, Motion(bent(), SURE))[0] == np.inf
+
+
 def test_a_turn_in_the_gap_explains_a_claim_however_far_that_leads() -> None:
     assert np.hypot(*(bent((GAP, 1.2)) - bent())[:2]) > 15.0
     assert squares((GAP,), bent((GAP, 1.2))) < 4.0

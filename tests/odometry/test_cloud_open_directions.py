@@ -1,0 +1,63 @@
+"""Scans of a 3D lidar where little tells one direction: it stays or settles, and is claimed neither way."""
+
+import gtsam
+import numpy as np
+from cloud_world import T_BASE_LIDAR, base
+
+from slam.config import Config
+from slam.config.clouds import CloudOdometryConfig
+from slam.measurements import FloatArray
+from slam.odometry.cloud_odometry import CloudOdometry
+
+CONFIG = Config(cloud_odometry=CloudOdometryConfig(voxel_m=0.2))
+
+
+def corridor(rng: np.random.Generator, count: int) -> FloatArray:
+    """Two walls and a floor, without an end."""
+    along, side = rng.uniform(-8.0, 8.0, count), rng.integers(0, 3, count)
+    y = np.where(side == 0, -1.0, np.where(side == 1, 1.0, rng.uniform(-1.0, 1.0, count)))
+    z = np.where(side == 2, 0.0, rng.uniform(0.0, 2.0, count))
+    return np.column_stack([along, y, z])
+
+
+def odometry(points: FloatArray) -> CloudOdometry:
+    made = CloudOdometry(CONFIG, 0.2)
+    made.add_keyframe(points, gtsam.Pose3(), T_BASE_LIDAR.translation())
+    return made
+
+
+def test_a_direction_of_few_points_is_followed_where_it_settles_but_claims_no_more() -> None:
+    """A board hangs in the corridor: matches come to it from either side."""
+    rng = np.random.default_rng(0)
+
+    def seen() -> FloatArray:
+        board = [np.full(200, 2.0), rng.uniform(-0.7, -0.1, 200), rng.uniform(0.9, 1.5, 200)]
+        points = np.vstack([corridor(rng, 20000), np.column_stack(board)])
+        return points + 0.04 * rng.standard_normal(points.shape)
+
+    motion = odometry(seen()).match(seen(), [base(0.08, 0.0, 0.0)])
+    assert motion is not None
+    assert motion.degenerate
+    assert motion.covariance[3, 3] > 0.1
+    assert isinstance(motion.T_reference_base, gtsam.Pose3)
+    assert abs(motion.T_reference_base.x()) < 0.02
+
+
+def test_between_two_walls_the_way_along_them_is_open() -> None:
+    """x keeps the guess, its variance is inflated, the rest is exact."""
+    rng = np.random.default_rng(0)
+
+    def seen() -> FloatArray:
+        return corridor(rng, 9000) + 0.005 * rng.standard_normal((9000, 3))
+
+    guess = base(0.11, 0.05, 0.01)
+    motion = odometry(seen()).match(seen(), [guess])
+    assert motion is not None
+    assert motion.degenerate
+    assert abs(abs(motion.weak_direction[3]) - 1.0) < 0.05
+    assert motion.covariance[3, 3] > 0.1
+    assert motion.covariance[4, 4] < 0.001
+    found = motion.T_reference_base
+    assert isinstance(found, gtsam.Pose3)
+    assert abs(found.x() - guess.x()) < 0.02
+    assert abs(found.y()) < 0.01
