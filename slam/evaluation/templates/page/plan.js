@@ -186,7 +186,11 @@
     });
     plan.map.on("singleclick", clicked);
     plan.map.on("pointermove", hovered);
-    plan.fit();
+    // Once all panels have taken their room.
+    S.on("ready", () => {
+      plan.map.updateSize();
+      plan.fit();
+    });
     S.on("theme", plan.render);
     S.select.on(plan.render);
   }, 10);
