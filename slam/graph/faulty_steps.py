@@ -90,21 +90,23 @@ class FaultySteps:
         single = [edge for edge in edges if edge.target == edge.source + 1]
         sources = np.array([edge.source for edge in single], np.int64)
         claimed = np.array([edge.covariance for edge in single]).reshape(-1, 3, 3)
-        sure = [edge.trusted or edge.kind is EdgeKind.ASSUMED for edge in single]  # also what wheels claim
-        trusted = np.array(sure, np.bool_)[:, None, None]
+        # What wheels claim of a lone step may be refused as well: then it costs one edge more.
+        claims = np.array([not edge.trusted and edge.kind is EdgeKind.ASSUMED for edge in single], np.bool_)
+        trusted = np.array([edge.trusted for edge in single], np.bool_)
+        trusted = np.stack([trusted | claims, trusted], axis=1)[..., None, None]
         measured = np.array([edge.kind not in GUESSES for edge in single], np.bool_)
         guessed = np.ones(len(poses), np.bool_)
         guessed[sources[measured]] = False
         # Of a second, and of its own time: what is disputed is no less open than that.
         longer = np.maximum(np.abs(took_s := np.diff(stamps_s)), 1.0)[sources]
         limits = limit * np.stack([np.ones_like(longer), longer])[..., None, None] ** 2
-        most = np.where(trusted, limit, limits + claimed)
-        information = np.where(measured[:, None, None], np.linalg.inv(most), 0.0)
-        information += np.where(trusted, np.linalg.inv(claimed), 0.0)
+        most = np.where(trusted, limit, limits.swapaxes(0, 1) + claimed[:, None])
+        information = np.where(measured[:, None, None, None], np.linalg.inv(most), 0.0)
+        information += np.where(trusted, np.linalg.inv(claimed)[:, None], 0.0)
         held = np.zeros((len(poses), 2, 3, 3))
-        np.add.at(held, sources, information.swapaxes(0, 1))
+        np.add.at(held, sources, information)
         open_: FloatArray = np.linalg.inv(held[steps := np.unique(sources)]).astype(np.float64)
-        moves_m = np.sqrt(np.diagonal(open_[:, 0], axis1=1, axis2=2)) * [1.0, 1.0, loops.reach_m]
+        moves_m = np.sqrt(np.diagonal(open_[:, 1], axis1=1, axis2=2)) * [1.0, 1.0, loops.reach_m]
         wrong = moves_m.max(axis=1) > match.coarse_cell_m
         parts: list[tuple[int, int, FloatArray]] = []
         for step, free in zip(steps[wrong].tolist(), open_[wrong], strict=True):
@@ -118,6 +120,10 @@ class FaultySteps:
         self._ends = np.array([part[:2] for part in parts], np.int64).reshape(-1, 2)
         self._free = np.array([part[2] for part in parts]).reshape(-1, 2, 3, 3)
         self._alone = np.array([guessed[first:last].all() for first, last in self._ends], np.bool_)
+        refusable = np.zeros(len(poses) + 1)
+        refusable[sources[claims] + 1] = 1.0
+        first, last = np.cumsum(refusable)[self._ends.T]
+        self._prices = np.where(first < last, self._gate, 0.0)
         self._numbers = np.full(len(poses), -1)
         for n, (first, last) in enumerate(self._ends):
             self._numbers[first:last] = n
@@ -246,18 +252,18 @@ class FaultySteps:
         farthest, alone = self._farthest[numbers], self._alone[numbers]
         bent_m = 2.0 * np.abs(np.sin(0.5 * off[:, 2])) * farthest[:, 0]
         bent = own + np.square([bent_m, bent_m, np.zeros_like(bent_m)]).T[..., None] * np.eye(3)
-        wider = np.where(alone[:, None, None], bent, wider)
-        volumes = np.where(alone, np.linalg.slogdet(bent)[1] - np.linalg.slogdet(own)[1], longer - free)
+        bend = np.where(alone, np.linalg.slogdet(bent)[1] - np.linalg.slogdet(own)[1], np.inf)
         # What is farther than it can have gone the ways to the part and on from it must explain.
         shares = np.minimum(1.0, farthest / np.maximum(_moves(needed), TINY))
         beyond = seen_from(needed * shares[:, [0, 0, 1]], needed)
         ways = moved(self.known.relative_covariances(start, first, poses), inverse(composed(to_part, needed)))
         ways += moved(self.known.relative_covariances(end, last, poses) + claim.covariance, rest)
-        both = np.stack([_squares(off, own + around), _squares(off, wider + around) + volumes])
-        as_told = both[0] <= both[1]
-        wrong = np.where(as_told[:, None, None], own, wider), np.where(as_told, 0.0, volumes)
         possible = _squares(beyond, ways) <= self._gate
-        return _Asked(numbers, both.min(axis=0), possible, own + around, *wrong)
+        price = np.where(alone & ~possible, np.inf, longer - free + self._prices[numbers])
+        options, larger = np.stack([own, bent, wider]), np.stack([np.zeros_like(free), bend, price])
+        squares = np.stack([_squares(off, one + around) for one in options]) + larger
+        best = squares.argmin(axis=0), np.arange(len(off))
+        return _Asked(numbers, squares[best], possible, own + around, options[best], larger[best])
 
 
 class _Asked(NamedTuple):

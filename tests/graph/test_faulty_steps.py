@@ -129,6 +129,23 @@ def test_two_sets_do_not_contradict_where_a_gap_between_their_places_may_be_wron
     assert search._contradiction(None, known) == 0.0
 
 
+@pytest.mark.parametrize("lone", [True, False])
+def test_what_wheels_claim_of_a_lone_step_may_be_wrong_at_a_gate(lone: bool) -> None:
+    """It is off by twelve of the sigmas that they claim, where a match says so by as many of its own."""
+    claim, free = np.diag([0.1, 0.1, 0.1]) ** 2, np.diag([1.0, 1.0, 0.5]) ** 2
+    edges = [edge for edge in chain() if edge.source != GAP]
+    if lone:
+        edges.append(step(GAP, 0.01 * claim, EdgeKind.WHEEL, trusted=False))
+        edges.append(step(GAP, claim, EdgeKind.ASSUMED, trusted=False))
+        edges.append(step(GAP, claim + free, EdgeKind.ASSUMED, trusted=True))
+    else:
+        edges.append(step(GAP, claim, EdgeKind.LIDAR, trusted=True))
+    known = Motion(between(POSES[5], POSES[70]), np.diag([0.3, 0.3, 0.03]) ** 2)
+    faulty = judge(edges, np.arange(float(COUNT)) + 30.0 * (np.arange(COUNT) > GAP))
+    left = faulty.explain(5, 70, known, Motion(bent((GAP, 1.2)), SURE))[2]
+    assert (gate(3) < left < 3.0 * gate(3)) if lone else left > 10.0 * gate(3)
+
+
 def test_a_step_is_not_wrong_where_loops_on_both_sides_tell_it() -> None:
     """Were it wrong, so were the second gap."""
     gaps, claimed = (GAP, 60), bent((GAP, 1.2))
