@@ -20,7 +20,8 @@ class WheelGaps:
 
     A jump that the robot does not make is left out: it went on as before for this one reading. If the next
     is as fast, the robot is, or has jumped back: then it is put back. Where readings stay away or repeat each
-    other for a while after a speed from which no robot stops at once it went on, and that way is a guess.
+    other for a while after a speed from which no robot stops at once it went on, and that way is a guess. If
+    they go on repeating each other it stands, as uncertain as if it had gone on.
 
     Attributes
     ----------
@@ -53,6 +54,7 @@ class WheelGaps:
         usual
             Whether the robot makes such motions.
         """
+        guess, guess_m = self.guess_at(reading.stamp_s)
         stamp_s, self._stamp_s = reading.stamp_s, reading.stamp_s
         told, self._told = self._told, row_from_pose2(reading.T_odom_base)
         if told is None:
@@ -61,18 +63,18 @@ class WheelGaps:
             return self._pose
         if step_s > 0.0:
             self.period_s += (min(step_s, GAP_S) - self.period_s) / (FEWEST if self.period_s else 1.0)
-        guess, (x, y, turn) = self.guess_at(stamp_s), step.tolist()
+        x, y, turn = step.tolist()
         lone = not usual and self._left_out is None
         # A reading that repeats the last one, as scan lines do, tells nothing of how fast the robot is.
         left_out = (None if usual else np.zeros(3)) if np.count_nonzero(step) else self._left_out
         # Whoever cannot have stopped has not turned on the spot either: then the heading has jumped.
-        still = not lone and max(abs(x), abs(y)) < SETTLED and (abs(turn) < SETTLED or bool(guess.any()))
+        still = not lone and max(abs(x), abs(y)) < SETTLED and (abs(turn) < SETTLED or guess_m > 0.0)
         if lone:
             onward = self._twist * max(step_s, 0.0)
             step, left_out = onward, between(onward, step)
         elif still:
             step = guess
-            self.guessed_m += math.hypot(step[0], step[1])
+            self.guessed_m += guess_m
             # It can have stopped in a silence: readings that repeat as often as ever after one are true.
             if step_s <= self.period_s and self._silent_s > self._stop_s:
                 self._stop_s = 0.0
@@ -82,7 +84,7 @@ class WheelGaps:
             self._counted, self._pose = compose(begun, between(self._pose, self._counted)), begun
         self._left_out = left_out
         self._pose = compose(self._pose, step)
-        if not still or np.count_nonzero(step):
+        if not still or guess_m > 0.0:
             self._placed_s = stamp_s
         if not still:
             self._silent_s = 0.0
@@ -95,11 +97,17 @@ class WheelGaps:
             return np.zeros(3), math.nan
         return between(self._told, row_from_pose2(reading.T_odom_base)), reading.stamp_s - self._stamp_s
 
-    def guess_at(self, stamp_s: float) -> FloatArray:
-        """(3,) motion since the last reading that the wheels have not counted; zero where there is none."""
-        if not self._stop_s > self._lasted_s < 0.5 * (stamp_s - self._counted_s):
-            return np.zeros(3)
-        return self._twist * max(stamp_s - self._placed_s, 0.0)
+    def guess_at(self, stamp_s: float) -> tuple[FloatArray, float]:
+        """(3,) motion since the last reading that the wheels have not counted, and how far that may be off.
+
+        Zero where there is none.
+        """
+        since_s, uncounted_s = stamp_s - self._placed_s, stamp_s - self._counted_s
+        if not self._stop_s > self._lasted_s < 0.5 * uncounted_s or since_s <= 0.0:
+            return np.zeros(3), 0.0
+        stands = uncounted_s > 0.5 * FEWEST * GAP_S and stamp_s - self._stamp_s < GAP_S
+        guess = np.zeros(3) if stands else self._twist * since_s
+        return guess, math.hypot(self._twist[0], self._twist[1]) * since_s
 
     def _count(self, stamp_s: float) -> None:
         """Take the speed since the last reading that moved; of two close together, the stamps tell none."""

@@ -36,10 +36,13 @@ class WheelMoment:
         (3,) in the odom frame.
     guessed_m
         Way until there that no reading tells.
+    unusual_m
+        Way until there by which readings went farther than the robot does as a rule in their time.
     """
 
     pose: FloatArray
     guessed_m: float
+    unusual_m: float = 0.0
 
 
 class WheelTracker:
@@ -63,6 +66,7 @@ class WheelTracker:
         self._fastest_m_s = config.greatest_speed_m_s
         self._speed = UsualSpeed(config.greatest_speed_m_s, config.floor_m)
         self._turning = UsualSpeed(config.greatest_turn_rad_s, config.floor_rad)
+        self._unusual_m = 0.0
         self._asked_s = math.nan
         self._ahead_s = 0.0
         self._T_odom_read = np.zeros(3)
@@ -134,8 +138,9 @@ class WheelTracker:
         pose = self.pose_at(stamp_s, in_order=in_order)
         if pose is None:
             return None
-        guess = self._gaps.guess_at(stamp_s + self._ahead_s)
-        return WheelMoment(compose(pose, guess), self._gaps.guessed_m + math.hypot(guess[0], guess[1]))
+        guess, guess_m = self._gaps.guess_at(stamp_s + self._ahead_s)
+        guessed_m = self._gaps.guessed_m + guess_m
+        return WheelMoment(compose(pose, guess), guessed_m, self._unusual_m)
 
     def motion(
         self, begun: WheelMoment | None, ended: WheelMoment | None, elapsed_s: float
@@ -153,10 +158,12 @@ class WheelTracker:
         """Covariance (3, 3) of a motion (3,) that no experience with the wheels makes smaller.
 
         The base may sit beside the axle by more than the log tells, so a turn swings it aside. What was
-        guessed may be wrong by all of it, and the robot may have turned there.
+        guessed may be wrong by all of it, and the robot may have turned there. Wheels that run faster than
+        as a rule may have spun by as much.
         """
         guessed_m = abs(ended.guessed_m - begun.guessed_m)
-        metres2 = (self._config.swing_m_per_rad * step[2]) ** 2 + guessed_m**2
+        unusual_m = ended.unusual_m - begun.unusual_m
+        metres2 = (self._config.swing_m_per_rad * step[2]) ** 2 + guessed_m**2 + unusual_m**2
         return diagonal(metres2, metres2, (_TURN_PER_M * guessed_m) ** 2)
 
     def see(self, speed_m_s: float) -> None:
@@ -229,6 +236,9 @@ class WheelTracker:
             or self._turning.exceeded_by((turn_rad - self._config.floor_rad) / time_s)
             or not self.plausible(step, step_s)
         )
+        if not unusual:
+            # What is faster still is left out.
+            self._unusual_m += max(way_m - self._speed.most * time_s, 0.0)
         self._speed.add(way_m / time_s)
         self._turning.add(turn_rad / time_s)
         return not unusual

@@ -53,6 +53,35 @@ def test_what_a_robot_does_for_one_reading_only_is_no_motion(
     np.testing.assert_allclose(between(true, pose), np.zeros(3), atol=0.05)
 
 
+@pytest.mark.parametrize(("repeated_s", "guessed_m"), [(4.0, 2.0), (40.0, 2.5)])
+def test_readings_that_go_on_repeating_tell_that_it_stands(repeated_s: float, guessed_m: float) -> None:
+    """Carried for a while, and then left standing: it is as uncertain as if it had gone on."""
+    tracker = WheelTracker(WheelConfig())
+    begun_s, x_m = driven(tracker)
+    begun = tracker.moment(begun_s)
+    for n in range(1, round(repeated_s / PERIOD_S) + 1):
+        tracker.add(reading(begun_s + n * PERIOD_S, x_m))
+    ended = tracker.moment(begun_s + repeated_s)
+    assert begun is not None and ended is not None
+    assert ended.pose[0] - x_m == pytest.approx(guessed_m, abs=0.1)
+    assert ended.guessed_m == pytest.approx(repeated_s * SPEED_M_S, abs=0.1)
+
+
+@pytest.mark.parametrize(("times", "sigma_m"), [(1.0, 0.0), (2.5, 0.7)])
+def test_wheels_that_run_faster_than_usual_may_have_spun(times: float, sigma_m: float) -> None:
+    """For one second: it is believed, and as uncertain as what is too much."""
+    tracker = WheelTracker(WheelConfig())
+    stamp_s, x_m = driven(tracker, 300)
+    begun = tracker.moment(stamp_s)
+    for _ in range(10):
+        stamp_s, x_m = stamp_s + PERIOD_S, x_m + times * PERIOD_S * SPEED_M_S
+        pose = tracker.add(reading(stamp_s, x_m))
+    ended = tracker.moment(stamp_s)
+    assert begun is not None and ended is not None and pose[0] == pytest.approx(x_m)
+    on_top = tracker.on_top(between(begun.pose, ended.pose), begun, ended)
+    assert math.sqrt(on_top[0, 0]) == pytest.approx(sigma_m, abs=0.05)
+
+
 @pytest.mark.parametrize(("counted_m", "guessed_m"), [(0.0, 2.0), (2.0, 0.0)])
 def test_a_way_that_was_not_counted_is_a_guess(counted_m: float, guessed_m: float) -> None:
     """Four seconds without a reading; what they count of it is believed."""
