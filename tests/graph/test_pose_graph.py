@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from slam.errors import GraphError
+from slam.graph import pose_graph
 from slam.graph.edge import Edge, EdgeKind
 from slam.graph.pose_graph import PoseGraph
 from slam.measurements import FloatArray, Pose
@@ -325,6 +326,25 @@ def test_no_false_loop_bends_the_running_estimate_far() -> None:
     ]
     blind.optimize()
     assert bent < 0.5 * error_m(blind, truth)
+
+
+@pytest.mark.parametrize(("off_m", "weighed"), [(0.5, False), (1.7, True)])
+def test_new_loops_are_weighed_where_refusing_one_may_cost_less(
+    off_m: float, weighed: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Both are beyond the gate at first, and neither once the chain has bent."""
+    graph, told, solved = graph_of(gtsam.Pose2(), [straight_2d(1.0)] * 20), list[int](), pose_graph.solved
+    graph.optimize()
+
+    def counting(*asked: object, most_steps: int = 100) -> gtsam.Values:
+        told.append(most_steps)
+        return solved(*asked, most_steps)  # type: ignore[arg-type]
+
+    monkeypatch.setattr(pose_graph, "solved", counting)
+    graph.add_edge(edge(0, 20, straight_2d(20.0 + off_m), kind=EdgeKind.LOOP, trusted=False))
+    assert graph.optimize().kept.all()
+    # A round is one step from where the last one ended.
+    assert (1 in told) == weighed
 
 
 def test_a_graph_of_one_node() -> None:
