@@ -10,6 +10,7 @@ import pytest
 from slam.errors import GraphError
 from slam.graph import pose_graph
 from slam.graph.edge import Edge, EdgeKind
+from slam.graph.factors import gauge, weighted
 from slam.graph.pose_graph import PoseGraph
 from slam.measurements import FloatArray, Pose
 
@@ -354,3 +355,17 @@ def test_a_graph_of_one_node() -> None:
     assert result.error == pytest.approx(0.0, abs=1e-12)
     assert result.kept.shape == (0,)
     np.testing.assert_allclose(graph.planar_poses(), [[100.0, -40.0, 2.0]])
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_one_step_never_makes_it_worse(seed: int) -> None:
+    """From a start bent so far that undamped steps may."""
+    rng = np.random.default_rng(seed)
+    graph, truth, _ = ring(rng, 60, loops=10)
+    factors, start = gtsam.NonlinearFactorGraph(), gtsam.Values()
+    factors.add(gauge(truth[0]))
+    for one in graph.edges:
+        factors.add(weighted(one, 1.0))
+    for n, pose in enumerate(truth):
+        start.insert(n, pose.compose(gtsam.Pose2(0.0, 0.0, 2.0 * rng.standard_normal() * (n > 0))))
+    assert factors.error(pose_graph.solved(factors, start, most_steps=1)) <= factors.error(start)
