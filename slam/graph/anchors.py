@@ -135,11 +135,7 @@ def anchored(
         for source in (0, len(poses))
     )
     return Anchored(
-        T_enu_map,
-        told,
-        [_upright(nodes).turned(), *from_earth],
-        math.sqrt(scale2),
-        1.0 - float(fits.mean()),
+        T_enu_map, told, [_upright(nodes).turned(), *from_earth], math.sqrt(scale2), 1.0 - float(fits.mean())
     )
 
 

@@ -30,12 +30,7 @@ class ClaimTrial:
     """
 
     def __init__(
-        self,
-        closer: LoopCloser,
-        stretches: Stretches,
-        sets: ClaimSets,
-        config: LoopConfig,
-        reach_m: float,
+        self, closer: LoopCloser, stretches: Stretches, sets: ClaimSets, config: LoopConfig, reach_m: float
     ) -> None:
         self._closer, self._stretches, self._sets = closer, stretches, sets
         self._submaps: SubmapStore = closer.submaps

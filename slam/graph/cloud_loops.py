@@ -72,12 +72,7 @@ class CloudLoopCloser:
         self._cache: OrderedDict[int, LocalCloud] = OrderedDict()
 
     def add_keyframe(
-        self,
-        points: FloatArray,
-        pose: gtsam.Pose3,
-        residual_m: float = math.nan,
-        *,
-        unseen: bool = False,
+        self, points: FloatArray, pose: gtsam.Pose3, residual_m: float = math.nan, *, unseen: bool = False
     ) -> None:
         """Remember the next keyframe.
 

@@ -13,7 +13,7 @@ from typing import TypeAlias
 
 import numpy as np
 
-from slam.graph.keyframe_graph import together
+from slam.graph.keyframe_graph import from_above
 from slam.graph.loop_candidate import LoopCandidate
 from slam.graph.relative_uncertainty import UncertaintyGraph
 from slam.matching.motion import Motion
@@ -82,7 +82,7 @@ class ClaimSets:
         n, m = np.unravel_index(apart_m.argmin(), apart_m.shape)
         a, b = sorted((one[int(n)], other[int(m)]), key=lambda claim: claim.place)
         onward = after(claimed(a), self.way(a.keyframe, b.keyframe))
-        back = together([b.edge(0).turned()])[b.keyframe, b.place]
+        back = from_above(b.edge(0).turned())
         return a.place, b.place, after(onward, back)
 
     def near(self, one: LoopCandidate, other: LoopCandidate) -> bool:
@@ -131,7 +131,7 @@ def _ends(claim: LoopCandidate) -> tuple[int, int]:
 
 def claimed(claim: LoopCandidate) -> Motion:
     """Pose of the keyframe seen from the place, from above."""
-    return together([claim.edge(0)])[_ends(claim)]
+    return from_above(claim.edge(0))
 
 
 def after(one: Motion, other: Motion) -> Motion:

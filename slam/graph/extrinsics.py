@@ -140,10 +140,7 @@ def estimate_extrinsics(pairs: Sequence[MotionPair], start: gtsam.Pose3 | None =
 
 
 def camera_step_factor(
-    keys: tuple[int, int, int],
-    camera_step: gtsam.Pose3,
-    noise: gtsam.noiseModel.Base,
-    planar: bool,
+    keys: tuple[int, int, int], camera_step: gtsam.Pose3, noise: gtsam.noiseModel.Base, planar: bool
 ) -> gtsam.CustomFactor:
     """A camera step as a factor of two base poses and of the mount.
 

@@ -6,6 +6,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import cached_property
+from itertools import product
 from typing import NamedTuple
 
 import numpy as np
@@ -15,7 +16,7 @@ from fusion.estimation import TINY, gate
 from slam.config.stages import GraphConfig, LoopConfig, MatchConfig
 from slam.graph.edge import GUESSES, Edge, EdgeKind
 from slam.graph.fault_sharing import share_faults
-from slam.graph.keyframe_graph import graph_of, lone_steps, unmeasured
+from slam.graph.keyframe_graph import LoneSteps, graph_of, lone_steps, unmeasured
 from slam.graph.relative_uncertainty import UncertaintyGraph, composed, inverse, moved, seen_from
 from slam.matching.motion import Motion
 from slam.matching.planar import adjoint, between, rotate_covariance
@@ -69,10 +70,6 @@ class FaultySteps:
         The edges that are believed, loops among them.
     known
         How uncertain keyframes are of each other by these.
-    unseen
-        (n,) whether wheels alone tell the step from a keyframe to the next.
-    share
-        Of these steps, that is grossly wrong.
     """
 
     def __init__(
@@ -128,18 +125,23 @@ class FaultySteps:
         for n, (first, last) in enumerate(self._ends):
             self._numbers[first:last] = n
         self.held = believed_edges(edges, kept, poses)
+        self._judged = edges, kept, len(poses), config.lost_sigma_m
         self.known = graph_of(len(poses), self.held, self._numbers)
         speeds = _moves(seen_from(poses[:-1], poses[1:])) / np.where(took_s > 0.0, took_s, np.inf)[:, None]
         begun, ended = self._ends.T
         time_s = np.abs(stamps_s[ended] - stamps_s[begun])[:, None]
         told = _moves(seen_from(poses[begun], poses[ended]))
-        self.unseen, _, self.share = lone_steps(edges, kept, len(poses), config.lost_sigma_m)
         self._farthest = told + time_s * np.quantile(speeds, loops.inlier_probability, axis=0)
+
+    @cached_property
+    def lone(self) -> LoneSteps:
+        """Of steps that wheels alone tell."""
+        return lone_steps(*self._judged)
 
     @cached_property
     def loose(self) -> UncertaintyGraph:
         """How uncertain keyframes are of each other where all steps that wheels alone tell may be wrong."""
-        alone = (e.kind is EdgeKind.WHEEL and self.unseen[e.source : e.target].any() for e in self.held)
+        alone = (e.kind is EdgeKind.WHEEL and self.lone.unseen[e.source : e.target].any() for e in self.held)
         held = (edge for edge, one in zip(self.held, alone, strict=True) if not one)
         return graph_of(len(self.poses), held, self._numbers)
 
@@ -176,24 +178,34 @@ class FaultySteps:
         any_part, able = (float(some.min(initial=np.inf)) for some in (squares, squares[asked.possible]))
         return expected.squared_mahalanobis(claim.pose), any_part, able
 
-    def shared(self, start: int, end: int, known: Motion, claim: Motion) -> tuple[float, FloatArray]:
+    def shared(
+        self, start: int, end: int, known: Motion, claim: Motion, most: float = math.inf
+    ) -> tuple[float, FloatArray]:
         """Squared sigmas that a claim asks of parts that are wrong together, and a gate for each of them.
 
         One of them may be on the way round another. What is known and the claim are the end seen from the
-        start; infinite where no part can be wrong so. And the poses (n, 3) where they are.
+        start; infinite where no part can be wrong so for less than ``most``. And the poses (n, 3) then.
         """
+        found = math.inf, self.poses
         if not np.isfinite(known.covariance).all():
-            return math.inf, self.poses
-        found = [
-            (self._gate * loosely + cost, poses)
-            for loosely, bounded in enumerate((self._bounded, self._bounded_loosely))
-            for alone in (True, False)
-            for cost, poses in [self._chosen(start, end, known, claim, bounded, alone)]
-        ]
-        return min(found, key=lambda one: one[0])
+            return found
+        for loosely, alone in product((False, True), (True, False)):
+            paid = self._gate * loosely
+            if self._gate < (left := min(most, found[0]) - paid):
+                bounded = self._bounded_loosely if loosely else self._bounded
+                cost, poses = self._chosen(start, end, known, claim, bounded, alone, left)
+                found = min(found, (paid + cost, poses), key=lambda one: one[0])
+        return found
 
     def _chosen(
-        self, start: int, end: int, known: Motion, claim: Motion, bounded: FloatArray, alone: bool
+        self,
+        start: int,
+        end: int,
+        known: Motion,
+        claim: Motion,
+        bounded: FloatArray,
+        alone: bool,
+        most: float,
     ) -> tuple[float, FloatArray]:
         """The part that explains most of what the others leave comes next, as long as that pays.
 
@@ -201,24 +213,27 @@ class FaultySteps:
         """
         expected, poses = known.widened(claim.covariance), self.poses
         least, able = math.inf, (math.inf, poses)
-        chosen: dict[int, tuple[FloatArray, float]] = {}
-        while True:
+        chosen: dict[int, FloatArray] = {}
+        paid = 0.0
+        while paid + self._gate < min(most, least):
             asked = self._asked(start, end, expected, claim, poses, bounded)
             left_out = ~np.isin(asked.numbers, [*chosen]) & (asked.possible | (not alone))
             if not left_out.any():
-                return able
+                break
             n = int(np.where(left_out, asked.squares, np.inf).argmin())
-            chosen[int(asked.numbers[n])] = asked.wrong[n], float(asked.volumes[n])
+            chosen[int(asked.numbers[n])] = asked.wrong[n]
             parts = sorted(chosen)
-            wrong = np.array([chosen[one][0] for one in parts])
+            wrong = np.array([chosen[one] for one in parts])
             behind = self.poses[start:], self._ends[parts] - start, wrong, end - start
             left, led = share_faults(*behind, claim.pose, expected.covariance)
-            if (cost := left + sum(self._gate + volume for _, volume in chosen.values())) >= least:
-                return able
+            paid += self._gate + asked.volumes[n]
+            if (cost := left + paid) >= least:
+                break
             least, poses = cost, np.concatenate([self.poses[:start], led])
             first, last = self._ends[parts].T
             if alone or (_moves(seen_from(poses[first], poses[last])) <= self._farthest[parts]).all():
                 able = cost, poses
+        return able
 
     def likelihood(self, start: int, end: int, expected: Motion, claim: Motion) -> float:
         """Log of the density of a claim where a step was wrong that nothing saw.
@@ -227,11 +242,11 @@ class FaultySteps:
         as what is known and the claim are.
         """
         asked = self._asked(start, end, expected, claim, self.poses, self._bounded)
-        able = asked.possible & self.unseen[self._ends[asked.numbers, 0]]
+        able = asked.possible & self.lone.unseen[self._ends[asked.numbers, 0]]
         if not able.any() or not np.isfinite(expected.covariance).all():
             return -math.inf
         densities = -0.5 * (asked.squares + np.linalg.slogdet(2.0 * math.pi * asked.covariances)[1])
-        return math.log(self.share) + float(densities[able].max())
+        return math.log(self.lone.share) + float(densities[able].max())
 
     def _asked(
         self, start: int, end: int, expected: Motion, claim: Motion, poses: FloatArray, bounded: FloatArray

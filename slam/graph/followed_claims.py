@@ -88,7 +88,7 @@ class FollowedClaims:
         # However uncertain the way, it ends on the map.
         on_map = 2.0 * math.pi * float(np.ptp(poses[:, :2], axis=0).max()) ** 2
         self._least_nats = -math.log(max(on_map / self._window, 1.0))
-        looks = [self._looks(one.told, one.keyframe, faulty.share) for one in claims]
+        looks = [self._looks(one.told, one.keyframe, faulty.lone.share) for one in claims]
         odds = [
             min(look, self._most) + self._expected(known(one.place, one.keyframe), one)
             for look, one in zip(looks, claims, strict=True)
@@ -126,7 +126,7 @@ class FollowedClaims:
                 told[key] = max(nats, told.get(key, nats))
             # A whole wing may be a copy; where two have no scan in common less so.
             most = self._most + self._least * any(self._apart(one, claims[m]) for m in same)
-            sets[n] = min(self._looks(told, one.keyframe, faulty.share), most) + ways[n], same
+            sets[n] = min(self._looks(told, one.keyframe, faulty.lone.share), most) + ways[n], same
         for n, (odd, same) in sorted(sets.items(), key=lambda item: -item[1][0]):
             rivals = [
                 max(odds[m], sets.get(m, (-math.inf,))[0])
@@ -145,7 +145,7 @@ class FollowedClaims:
         way = known(*ends)
         return max(
             self._expected(way, one),
-            math.log(faulty.share) + self._expected(loose(*ends), one),
+            math.log(faulty.lone.share) + self._expected(loose(*ends), one),
             math.log(self._window) + faulty.likelihood(*ends, way.widened(one.said.covariance), one.said),
         )
 

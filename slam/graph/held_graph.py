@@ -9,7 +9,7 @@ import gtsam
 import numpy as np
 
 from slam.graph.edge import Edge
-from slam.graph.factors import between_factor, gauge
+from slam.graph.factors import gauge, weighted
 from slam.heap import give_back
 from slam.measurements import FloatArray, Pose
 
@@ -75,13 +75,13 @@ def marginals(poses: Sequence[Pose], edges: Iterable[Edge]) -> FloatArray:
 
 
 def held_graph(
-    poses: Sequence[Pose], edges: Iterable[Edge]
+    poses: Sequence[Pose], edges: Iterable[Edge | gtsam.NonlinearFactor]
 ) -> tuple[gtsam.NonlinearFactorGraph, gtsam.Values]:
-    """GTSAM's graph of some edges, factor 0 holding node 0, and its values at the poses."""
+    """GTSAM's graph of some edges, or their factors, factor 0 holding node 0, and its values at the poses."""
     graph, values = gtsam.NonlinearFactorGraph(), gtsam.Values()
     graph.add(gauge(poses[0]))
     for edge in edges:
-        graph.add(between_factor(edge, gtsam.noiseModel.Gaussian.Covariance(edge.covariance)))
+        graph.add(weighted(edge, 1.0) if isinstance(edge, Edge) else edge)
     for node, pose in enumerate(poses):
         values.insert(node, pose)
     return graph, values

@@ -19,7 +19,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 import gtsam
 import numpy as np
@@ -35,6 +35,9 @@ from slam.measurements import BoolArray, FloatArray, Pose
 
 if TYPE_CHECKING:
     from scipy.sparse import csr_array
+
+# Factors that are there already are not made again.
+_Edges: TypeAlias = Sequence[Edge] | Sequence[gtsam.NonlinearFactor]
 
 
 @dataclass(frozen=True, slots=True)
@@ -78,9 +81,7 @@ class LinearMap:
         Where these do not join all nodes.
     """
 
-    def __init__(
-        self, poses: Sequence[Pose], edges: Sequence[Edge], kept: Sequence[bool] | BoolArray
-    ) -> None:
+    def __init__(self, poses: Sequence[Pose], edges: _Edges, kept: Sequence[bool] | BoolArray) -> None:
         self._planar = isinstance(poses[0], gtsam.Pose2)
         self._size = 3 if self._planar else 6
         self._kept = np.array(kept, np.bool_)
@@ -225,7 +226,7 @@ def influences(poses: Sequence[Pose], edges: Sequence[Edge], kept: Sequence[bool
     return Influences(none, nothing, none, nothing, nothing)
 
 
-def misfits(poses: Sequence[Pose], edges: Sequence[Edge], kept: BoolArray, asked: list[int]) -> FloatArray:
+def misfits(poses: Sequence[Pose], edges: _Edges, kept: BoolArray, asked: list[int]) -> FloatArray:
     """See `LinearMap.left_out`; nothing where the edges that are kept do not join all nodes."""
     with suppress(GraphError):
         return LinearMap(poses, edges, kept).left_out(asked) if asked else np.zeros(0)
@@ -254,12 +255,12 @@ def elimination_order(nodes: int, edges: Sequence[Edge]) -> NDArray[np.int64]:
     return np.array([order.at(place) for place in range(nodes)], np.int64)
 
 
-def linearized(poses: Sequence[Pose], edges: Sequence[Edge]) -> tuple[csr_array, FloatArray]:
+def linearized(poses: Sequence[Pose], edges: _Edges) -> tuple[csr_array, FloatArray]:
     """Whitened Jacobian (E d, (n - 1) d) and residuals (E d,) of the edges; node 0 does not move."""
     from scipy.sparse import csr_array
 
     graph, values = held_graph(poses, edges)
-    size = len(edges[0].covariance)
+    size = 3 if isinstance(poses[0], gtsam.Pose2) else 6
     # Counted from 1; node 0 comes first, and minus the residual last.
     rows, columns, entries = graph.linearize(values).sparseJacobian_()
     told = (rows > size) & (columns > size)

@@ -274,6 +274,11 @@ def unmeasured(config: GraphConfig, share: float = 1.0, *, planar: bool) -> Floa
     return np.diag(np.square(sigmas))
 
 
+def from_above(edge: Edge) -> Motion:
+    """What an edge says of x, y and yaw."""
+    return Motion(np.array(row_of(edge.T_source_target)), _in_plane(edge))
+
+
 def _in_plane(edge: Edge) -> FloatArray:
     """Covariance (3, 3) of x, y, yaw of an edge, in the target's frame."""
     if isinstance(edge.T_source_target, gtsam.Pose3):

@@ -51,6 +51,9 @@ class PlaceSearch:
         self._sets: ClaimSets | None = None
         self._trial: ClaimTrial | None = None
         self._tried: set[tuple[int, int]] = set()
+        # What sets cost by this estimate; infinite by an earlier one, if nothing was refused since.
+        self._judged: dict[tuple[tuple[int, int], ...], tuple[float, float, FloatArray]] = {}
+        self._kept = np.zeros(0, np.bool_)
         # Whether the estimate is another than the one that places nearby were tried from.
         self._corrected = False
         self._faulty: FaultySteps | None = None
@@ -82,7 +85,7 @@ class PlaceSearch:
         faulty = FaultySteps(edges, kept, poses, stamps_s, self._graph, self._config, self._match)
         settings, sparse = (self._submaps, self._config, self._match), self._submaps.sparse
         if self._stretches is None and sparse:
-            self._submaps.lay(poses, [key + 1 for key in np.flatnonzero(faulty.unseen).tolist()])
+            self._submaps.lay(poses, [key + 1 for key in np.flatnonzero(faulty.lone.unseen).tolist()])
         if self._stretches is None:
             give_back()
             self._stretches = Stretches(*settings)
@@ -102,6 +105,9 @@ class PlaceSearch:
             self._sets = ClaimSets(odometry, ways_m, chain, self._reach_m)
             self._trial = ClaimTrial(self._closer, stretches, self._sets, self._config, self._reach_m)
         self._faulty, known = faulty, faulty.known
+        # More loops make no way less certain.
+        more, self._kept = bool((kept[: len(self._kept)] >= self._kept).all()), kept
+        self._judged = {one: told for one, told in self._judged.items() if more and math.isinf(told[0])}
         if self._corrected:
             near = self._closer.close_again(poses, known, loops)
             if near:
@@ -193,7 +199,11 @@ class PlaceSearch:
         seen, reach_m = partial(known.motion, poses=poses), self._config.reach_m
         ways_m = self._submaps.travelled_m  # from the start to the keyframes of a set
         found = [one for one in sets.largest() if np.ptp([ways_m(m.keyframe) for m in one]) >= reach_m]
-        judged = [self._cost(one, seen) for one in found]
+        names = [tuple((claim.place, claim.keyframe) for claim in one) for one in found]
+        for name, one in zip(names, found, strict=True):
+            if name not in self._judged:
+                self._judged[name] = self._cost(one, seen)
+        judged = [self._judged[name] for name in names]
         costs = np.array([cost for cost, _, _ in judged])
         gains = self._gate * np.array([len(one) for one in found]) - costs
         # Plausible sets first, of them the nearest: there chance has the least room.
@@ -247,12 +257,18 @@ class PlaceSearch:
             return math.inf, sigma_m, self._faulty.poses
         if not math.isfinite(sigma_m):
             return 0.0, sigma_m, self._faulty.poses
+        both = zip(expected, map(claimed, members), strict=True)
+        plain = [way.widened(said.covariance).squared_mahalanobis(said.pose) for way, said in both]
+        if (cost := float(np.median(plain))) <= self._gate:
+            return cost, sigma_m, self._faulty.poses
         asked = [self._bend(one, way) for one, way in zip(members, expected, strict=True)]
         cost = self._explained(*np.median(asked, axis=0).tolist())
         if cost > 2.0 * self._gate:
             n = int(np.argsort([possible for _, _, possible in asked])[len(asked) // 2])
             ends = members[n].place, members[n].keyframe
-            together, led = self._faulty.shared(*ends, expected[n], claimed(members[n]))
+            # What a gate for each claim does not pay is never believed.
+            most = min(cost, self._gate * len(members))
+            together, led = self._faulty.shared(*ends, expected[n], claimed(members[n]), most)
             if together < cost:
                 return together, sigma_m, led
         return cost, sigma_m, self._faulty.poses

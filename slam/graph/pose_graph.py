@@ -93,8 +93,8 @@ class PoseGraph:
         # Nodes that updates leave where they are, and where the last one has put the others.
         self._held, self._moved = 0, gtsam.Values()
         self._count = 0
-        # What the last optimisation has kept of the edges of then.
-        self._kept = np.zeros(0, np.bool_)
+        # What the last optimisation has kept of the edges of then, and what error that left.
+        self._kept, self._error = np.zeros(0, np.bool_), -math.inf
         self.add_node(origin)
         self._pending.add(self._prior())
 
@@ -209,7 +209,7 @@ class PoseGraph:
             self._estimate, self._kept = begun, ~loops
             other = self._decided(inlier_probability, anew=True)
             found, self._estimate = (other, self._estimate) if other.cost < found.cost else (found, ended)
-        self._kept = found.kept.copy()
+        self._kept, self._error = found.kept.copy(), found.error
         # As large as the map, and rarely asked again.
         self._isam, self._moved = None, gtsam.Values()
         give_back()
@@ -228,7 +228,7 @@ class PoseGraph:
         while True:
             ended, kept, poses = self._estimate, found.kept.copy(), map(self.pose, range(self._count))
             asked = [k for k in loops if kept[k]]
-            left_out = misfits(list(poses), self.edges, kept, asked)
+            left_out = misfits(list(poses), factors, kept, asked)
             if left_out.max(initial=0.0) ** 2 <= most:
                 return found
             kept[asked[left_out.argmax()]] = False
@@ -240,8 +240,7 @@ class PoseGraph:
 
     def _solution(self, factors: list[gtsam.NonlinearFactor], kept: BoolArray, most: float) -> BatchResult:
         """The poses by the edges that are kept, and what that costs where a gate is ``most``."""
-        graph = self._graph(compress(factors, kept))
-        self._estimate = solved(graph, self._estimate)
+        self._estimate = solved(graph := self._graph(compress(factors, kept)), self._estimate)
         error = float(graph.error(self._estimate))
         kinds = Counter(edge.kind for edge in self.edges if not edge.trusted)
         refused = Counter(edge.kind for edge, keep in zip(self.edges, kept, strict=True) if not keep)
@@ -326,6 +325,7 @@ class PoseGraph:
         As Yang 2020, Sec. IV-B, but a round makes one step from where the last one ended; GTSAM goes back
         to the first estimate, and solves to the end, each time. What was refused before begins refused.
         Unless it begins ``anew``: then as it fits where all else leads, and half of it may be wrong.
+        Where new edges leave all as it was, for less error than it costs to refuse one, no round is made.
         """
         weights = np.ones(len(self.edges))
         weights[: len(self._kept)] = self._kept
@@ -334,19 +334,19 @@ class PoseGraph:
         def errors() -> FloatArray:
             return np.array([factors[k].error(self._estimate) for k in asked])
 
-        limit, own = 0.5 * most, weights[asked]  # an error is half a squared residual
-        if ((errors() <= limit) == own).all():
+        limit, own, at_first = 0.5 * most, weights[asked], errors()  # an error is half a squared residual
+        if ((at_first <= limit) == own).all():
             return weights
         for k in np.array(asked)[own <= 0.0].tolist():
             graph.replace(k + 1, weighted(self.edges[k], 0.0))  # factor 0 is the prior
-        # Remark 5: where the surrogate cost begins to be convex.
-        worst = float(errors()[own > 0.0].max(initial=0.0))
         self._estimate = solved(graph, self._estimate)
-        if anew:
-            worst = float(np.median(errors()[own <= 0.0]))
+        ended, grown = errors(), float(graph.error(self._estimate)) - self._error
+        if not anew and grown <= limit and ((ended <= limit) == own).all():
+            return weights
+        # Remark 5: where the surrogate cost begins to be convex.
+        worst = float(np.median(ended[own <= 0.0]) if anew else at_first[own > 0.0].max(initial=0.0))
         control = limit / (2.0 * worst - limit) if 2.0 * worst > limit else math.inf
-        # Once in any case: what begins refused is asked, too.
-        control = min(control, _GREATEST_CONTROL / _GNC_STEP)
+        control = min(control, _GREATEST_CONTROL / _GNC_STEP)  # once at least: refused ones are asked, too
         while control < _GREATEST_CONTROL:
             # Eq. (14).
             shares = limit * control * (control + 1.0) / np.maximum(errors(), TINY)

@@ -118,9 +118,8 @@ class UncertaintyGraph:
         # An edge is put into the queue once at most, from its source.
         queue = np.empty(self._edges + 1), np.empty(self._edges + 1, np.int64)
         first = start // self._stride
-        edges = self._heads, self._next, self._ends, self._steps
-        barred = (self._parts[:, 0] <= without) & (without <= self._parts[:, 1])
-        _follow(first, wanted, anchors, *edges, distance, seen, *queue, barred)
+        edges = self._heads, self._next, self._ends, self._steps, self._parts
+        _follow(first, wanted, anchors, *edges, without, distance, seen, *queue)
         # Where the nine elements of a symmetric matrix are in its upper triangle.
         anchor = targets // self._stride
         found, far = seen[anchor][:, [0, 1, 2, 1, 3, 4, 2, 4, 5]].reshape(-1, 3, 3), distance[anchor]
@@ -268,7 +267,7 @@ def moved(covariance: FloatArray, T_a_b: FloatArray) -> FloatArray:
 
 @kernel
 def _follow(  # type: ignore[no-untyped-def]
-    start, wanted, poses, heads, following, ends, steps, distance, seen, queued, queued_nodes, barred
+    start, wanted, poses, heads, following, ends, steps, parts, without, distance, seen, queued, queued_nodes
 ):
     """Dijkstra until all wanted nodes are reached; what is reached is seen by the sum of its path's edges.
 
@@ -315,7 +314,7 @@ def _follow(  # type: ignore[no-untyped-def]
         while k >= 0:
             end = ends[k, 1]
             cost = reached + steps[k, 12]
-            if cost < distance[end] and not barred[k]:
+            if cost < distance[end] and not parts[k, 0] <= without <= parts[k, 1]:
                 distance[end] = cost
                 at = length
                 length += 1

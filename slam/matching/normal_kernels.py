@@ -66,12 +66,7 @@ def smooth_normals(keys, sums, size_m, begun, around, normals):  # type: ignore[
             y /= n
             z /= n
             _, _, nx, ny, nz = across(
-                xx / n - x * x,
-                xy / n - x * y,
-                xz / n - x * z,
-                yy / n - y * y,
-                yz / n - y * z,
-                zz / n - z * z,
+                xx / n - x * x, xy / n - x * y, xz / n - x * z, yy / n - y * y, yz / n - y * z, zz / n - z * z
             )
         normals[i, 0] = nx
         normals[i, 1] = ny

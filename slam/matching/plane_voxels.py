@@ -13,13 +13,7 @@ from numpy.typing import NDArray
 
 from fusion.voxel_hash import AXIS_BITS, entries_at, index_keys, table_for
 from slam.matching.normal_kernels import smooth_normals
-from slam.matching.plane_kernels import (
-    count_points,
-    fit_planes,
-    normal_equations,
-    pair_up,
-    pull,
-)
+from slam.matching.plane_kernels import count_points, fit_planes, normal_equations, pair_up, pull
 from slam.measurements import BoolArray, FloatArray
 
 SIZES = np.array([4.0, 2.0, 1.0])

@@ -48,11 +48,7 @@ class JoinedMap:
 
 
 def join(
-    known_map: Map,
-    session_map: Map,
-    placing: Placing,
-    between_them: Sequence[LoopCandidate],
-    config: Config,
+    known_map: Map, session_map: Map, placing: Placing, between_them: Sequence[LoopCandidate], config: Config
 ) -> JoinedMap:
     """Join two maps of a kind by loops between them.
 
@@ -120,11 +116,7 @@ def join(
 
 
 def _optimised(
-    known: MapContents,
-    session: MapContents,
-    placing: Placing,
-    factors: Sequence[SavedFactor],
-    config: Config,
+    known: MapContents, session: MapContents, placing: Placing, factors: Sequence[SavedFactor], config: Config
 ) -> tuple[list[bool], list[Pose]]:
     """Which factors hold, and the poses of all nodes."""
     own = bases_of(session, session.node_poses)

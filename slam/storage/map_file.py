@@ -16,15 +16,7 @@ from typing import Any, TypeVar
 from slam.datasets.sqlite_reading import bound_steps, free_steps
 from slam.errors import MapFileError, UnfinishedMapError
 from slam.foreign import from_json, plain
-from slam.storage.map_connection import (
-    begin,
-    beside,
-    check_kind,
-    reader,
-    refuse_in_use,
-    reported,
-    writer,
-)
+from slam.storage.map_connection import begin, beside, check_kind, reader, refuse_in_use, reported, writer
 from slam.storage.map_tables import CHECKPOINT, META, TABLES, Table, Value
 from slam.temporary import TemporaryFolder
 

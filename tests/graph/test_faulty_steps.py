@@ -104,6 +104,18 @@ def test_of_ends_that_nothing_joins_no_fault_tells_anything() -> None:
     assert faulty.shared(5, 70, nowhere, Motion(bent(), SURE))[0] == np.inf
 
 
+def test_faults_that_cost_more_than_is_asked_for_are_not_sought() -> None:
+    gaps, claimed = (GAP, 60), Motion(bent((GAP, 1.2), (60, -0.9)), SURE)
+    faulty = judge(chain(gaps), np.arange(float(COUNT)) + 30.0 * (np.arange(COUNT) > GAP))
+    known = Motion(between(POSES[5], POSES[70]), np.diag([0.3, 0.3, 0.03]) ** 2)
+    cost, led = faulty.shared(5, 70, known, claimed)
+    assert gate(3) < cost < 2.0 * gate(3)
+    again = faulty.shared(5, 70, known, claimed, cost + 1e-6)
+    assert again[0] == cost and np.array_equal(again[1], led)
+    assert faulty.shared(5, 70, known, claimed, cost - 1e-6)[0] >= cost - 1e-6
+    assert faulty.shared(5, 70, known, claimed, 0.5 * gate(3))[0] == np.inf
+
+
 def test_a_turn_in_the_gap_explains_a_claim_however_far_that_leads() -> None:
     assert np.hypot(*(bent((GAP, 1.2)) - bent())[:2]) > 15.0
     assert squares((GAP,), bent((GAP, 1.2))) < 4.0
@@ -182,8 +194,8 @@ def test_that_a_step_was_wrong_costs_what_such_steps_have_shown() -> None:
     edges.append(tight)
     stamps_s = np.arange(float(COUNT)) + 30.0 * (np.arange(COUNT) > GAP)
     faulty = judge(edges, stamps_s)
-    assert np.flatnonzero(faulty.unseen).tolist() == [GAP]
-    assert faulty.share == pytest.approx(0.5), "no wheel step has shown anything"
+    assert np.flatnonzero(faulty.lone.unseen).tolist() == [GAP]
+    assert faulty.lone.share == pytest.approx(0.5), "no wheel step has shown anything"
     known, claimed = Motion(bent(), np.diag([0.1, 0.1, 0.02]) ** 2), bent((GAP, 1.2))
     assert -8.0 < faulty.likelihood(5, 70, known, Motion(claimed, SURE)) < 0.0
     assert known.squared_mahalanobis(claimed) > 1000.0

@@ -74,7 +74,7 @@ def followed(submaps: SubmapStore) -> FollowedClaims:
 
 
 # No step between keyframes can have been wrong.
-SURE_STEPS: Any = SimpleNamespace(likelihood=lambda *_: -np.inf, share=0.5)
+SURE_STEPS: Any = SimpleNamespace(likelihood=lambda *_: -np.inf, lone=SimpleNamespace(share=0.5))
 
 
 def known(sigma_m: float) -> Callable[[int, int], Motion]:

@@ -8,7 +8,9 @@ import numpy as np
 import pytest
 
 from slam.errors import GraphError
+from slam.graph import pose_graph
 from slam.graph.edge import Edge, EdgeKind
+from slam.graph.factors import gauge, weighted
 from slam.graph.pose_graph import PoseGraph
 from slam.measurements import FloatArray, Pose
 
@@ -327,6 +329,25 @@ def test_no_false_loop_bends_the_running_estimate_far() -> None:
     assert bent < 0.5 * error_m(blind, truth)
 
 
+@pytest.mark.parametrize(("off_m", "weighed"), [(0.5, False), (1.7, True)])
+def test_new_loops_are_weighed_where_refusing_one_may_cost_less(
+    off_m: float, weighed: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Both are beyond the gate at first, and neither once the chain has bent."""
+    graph, told, solved = graph_of(gtsam.Pose2(), [straight_2d(1.0)] * 20), list[int](), pose_graph.solved
+    graph.optimize()
+
+    def counting(*asked: object, most_steps: int = 100) -> gtsam.Values:
+        told.append(most_steps)
+        return solved(*asked, most_steps)  # type: ignore[arg-type]
+
+    monkeypatch.setattr(pose_graph, "solved", counting)
+    graph.add_edge(edge(0, 20, straight_2d(20.0 + off_m), kind=EdgeKind.LOOP, trusted=False))
+    assert graph.optimize().kept.all()
+    # A round is one step from where the last one ended.
+    assert (1 in told) == weighed
+
+
 def test_a_graph_of_one_node() -> None:
     graph = PoseGraph(ORIGINS[1])
     graph.update()
@@ -334,3 +355,17 @@ def test_a_graph_of_one_node() -> None:
     assert result.error == pytest.approx(0.0, abs=1e-12)
     assert result.kept.shape == (0,)
     np.testing.assert_allclose(graph.planar_poses(), [[100.0, -40.0, 2.0]])
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_one_step_never_makes_it_worse(seed: int) -> None:
+    """From a start bent so far that undamped steps may."""
+    rng = np.random.default_rng(seed)
+    graph, truth, _ = ring(rng, 60, loops=10)
+    factors, start = gtsam.NonlinearFactorGraph(), gtsam.Values()
+    factors.add(gauge(truth[0]))
+    for one in graph.edges:
+        factors.add(weighted(one, 1.0))
+    for n, pose in enumerate(truth):
+        start.insert(n, pose.compose(gtsam.Pose2(0.0, 0.0, 2.0 * rng.standard_normal() * (n > 0))))
+    assert factors.error(pose_graph.solved(factors, start, most_steps=1)) <= factors.error(start)

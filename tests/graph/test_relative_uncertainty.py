@@ -181,7 +181,7 @@ def test_a_search_visits_no_more_in_a_log_of_many_laps(monkeypatch: pytest.Monke
 
     def counting(*arrays: object) -> None:
         follow(*arrays)
-        visited.append(int(np.isfinite(arrays[7]).sum()))
+        visited.append(int(np.isfinite(arrays[9]).sum()))
 
     follow = relative_uncertainty._follow
     monkeypatch.setattr(relative_uncertainty, "_follow", counting)

@@ -1,0 +1,42 @@
+"""What the search over the map asks again."""
+
+from types import SimpleNamespace
+
+import numpy as np
+
+from slam.config.stages import GraphConfig, LoopConfig, MatchConfig
+from slam.estimates import MotionEstimate
+from slam.graph.edge import Edge, EdgeKind
+from slam.graph.loop_candidate import LoopCandidate
+from slam.graph.place_search import PlaceSearch
+from slam.measurements import pose2_from_row
+
+SURE, BY_WHEELS = np.diag([0.01, 0.01, 0.003]) ** 2, np.diag([0.5, 0.5, 0.8]) ** 2
+COUNT, GAP = 80, 40
+
+
+def test_what_is_certain_is_judged_once_until_something_is_refused() -> None:
+    """Of two sets: one where the way was matched throughout, and one across a gap."""
+    step, edges = pose2_from_row(np.array([1.0, 0.0, 0.0])), list[Edge]()
+    for key in range(COUNT - 1):
+        told = (BY_WHEELS, EdgeKind.WHEEL) if key == GAP else (SURE, EdgeKind.LIDAR)
+        edges.append(Edge(key, key + 1, step, *told, trusted=True))
+    edges.append(Edge(0, 2, step.compose(step), SURE, EdgeKind.LOOP, trusted=False, loop=0))
+    motion = MotionEstimate(pose2_from_row(np.zeros(3)), SURE, 0.9, 0.9, 0.01, True, False, np.zeros(3))
+    sets = [
+        [LoopCandidate(key - 6, key, 0.0, 0.0, 1.0, motion, True, "") for key in keys]
+        for keys in (range(10, 20), range(42, 46))
+    ]
+    submaps = SimpleNamespace(travelled_m=float, sparse=False)
+    search = PlaceSearch(SimpleNamespace(submaps=submaps), LoopConfig(), MatchConfig(), GraphConfig())  # type: ignore[arg-type]
+    search._stretches = SimpleNamespace(spacing_m=1.5, untied=lambda _: [])  # type: ignore[assignment]
+    search._sets = SimpleNamespace(largest=lambda: sets, entailed=lambda *_: None)  # type: ignore[assignment]
+    search._trial = SimpleNamespace(hold=lambda _: ([], 9))  # type: ignore[assignment]
+    judged, cost = list[int](), search._cost
+    search._cost = lambda one, known: (judged.append(one[0].keyframe), cost(one, known))[1]  # type: ignore[method-assign]
+    poses = np.outer(np.arange(float(COUNT)), [1.0, 0.0, 0.0])
+    stamps_s = np.arange(float(COUNT)) + 30.0 * (np.arange(COUNT) > GAP)
+    for keep, expected in ((True, [10, 42]), (True, [42]), (False, [10, 42]), (False, [42])):
+        judged.clear()
+        assert search.search(poses, stamps_s, edges, np.arange(len(edges)) < COUNT - 1 + keep, []) == []
+        assert judged == expected
