@@ -18,11 +18,11 @@ from slam.config import Config
 from slam.estimates import MotionEstimate
 from slam.matching.cloud_alignment import (
     CloudAlignment,
-    agreement,
     align_cloud,
     drawn_near,
     levers,
     motion_of,
+    share_on_planes,
 )
 from slam.matching.plane_voxels import PlaneVoxels
 from slam.measurements import FloatArray
@@ -138,7 +138,8 @@ class LocalCloud:
 
     def agreement(self, scan: FloatArray, pose: gtsam.Pose3) -> float:
         """Share of a thinned scan (N, 3), base frame, that lies on planes from ``T_map_base``."""
-        return agreement(scan, self.planes, pose, self._voxel_m)
+        residuals = self.planes.residuals(scan, pose.matrix()).distances_m
+        return share_on_planes(residuals, self._voxel_m, len(scan))
 
     def _by_planes(self, scan: FloatArray, start: gtsam.Pose3) -> CloudAlignment | None:
         """The point-to-plane alignment."""
