@@ -67,8 +67,8 @@ class LocalCloud:
 
     @classmethod
     def of(cls, points: FloatArray, voxel_m: float, config: Config) -> LocalCloud:
-        """The map of a cloud (N, 3)."""
-        return cls(PlaneVoxels.build(points, voxel_m, config.cloud_odometry.thickness_m), voxel_m, config)
+        """The map of a cloud (N, 3), with rough planes."""
+        return cls(PlaneVoxels.build(points, voxel_m, config.cloud_odometry.thickness_m, 1), voxel_m, config)
 
     def align(
         self,

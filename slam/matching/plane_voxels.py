@@ -85,9 +85,9 @@ class PlaneVoxels:
         self._planes = np.empty((1, 6))
 
     @classmethod
-    def build(cls, points: FloatArray, voxel_m: float, thickness_m: float) -> PlaneVoxels:
+    def build(cls, points: FloatArray, voxel_m: float, thickness_m: float, rough: int = 0) -> PlaneVoxels:
         """The planes of a cloud (N, 3); the rest as above."""
-        made = cls(voxel_m, thickness_m)
+        made = cls(voxel_m, thickness_m, rough=rough)
         made.add(points)
         return made
 
