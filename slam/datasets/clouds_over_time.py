@@ -85,7 +85,8 @@ def times_of(folder: Path) -> Path | None:
 def cloud_files(folder: Path) -> list[Path]:
     """Clouds directly in a folder, numbers in their names in the order of numbers."""
     found = files_inside(folder, CLOUD_SUFFIXES)
-    return sorted(found, key=lambda path: (len(path.stem) if path.stem.isdecimal() else 0, path.name))
+    # What follows a point is a fraction, whose digits are in order as they are.
+    return sorted(found, key=lambda path: re.sub(r"(?<![.\d])\d+", lambda one: one[0].zfill(20), path.stem))
 
 
 def stamped_clouds(times: Path, folder: Path, account: Account) -> list[StampedFile]:

@@ -93,7 +93,7 @@ def unit_finding(
     if median_m is None:
         return []
     what, seen_by = ("depth", "camera") if group == "cameras" else ("range", "lidar")
-    middle_m = math.sqrt(_DEPTHS_M[0] * _DEPTHS_M[1])  # of what depth cameras see, by ratio
+    middle_m = math.sqrt(max(_DEPTHS_M[0], limits_m[0]) * _DEPTHS_M[1])  # of what they see, by ratio
     unit = min(_UNITS, key=lambda one: abs(math.log(median_m / one / middle_m)))
     sure = not limits_m[0] <= median_m <= limits_m[1]
     # As far from it as TUM's unit is from millimetres: some cameras do see that.

@@ -179,7 +179,7 @@ def lone_steps(edges: Sequence[Edge], kept: BoolArray, nodes: int, lost_sigma_m:
     """How often wheels are wrong where nothing else tells a step, asked of those that loops have tried.
 
     As many as were refused. Before any were tried, as many as of those that matches tell, too, which are
-    wrong less often: that counts as two steps, as in the rule of succession. Edges less certain than
+    wrong less often: that counts as two steps, as in the rule of succession. Edges no surer than
     ``lost_sigma_m`` join nothing.
     """
     judged_edges = list(zip(edges, kept.tolist(), strict=True))
@@ -190,7 +190,7 @@ def lone_steps(edges: Sequence[Edge], kept: BoolArray, nodes: int, lost_sigma_m:
     right |= {edge.source: False for edge, keep in single if edge.kind is EdgeKind.WHEEL and not keep}
     lone, motions = sorted(right.keys() - seen), together(held)
     spreads = np.array([motion.covariance[:2, :2] for motion in motions.values()]).reshape(-1, 2, 2)
-    sure = np.linalg.eigvalsh(spreads)[:, -1] <= lost_sigma_m**2
+    sure = np.linalg.eigvalsh(spreads)[:, -1] < lost_sigma_m**2
     known = {ends for ends, enough in zip(motions, sure, strict=True) if enough}
     # A fix may be off by metres, and yet is no guess.
     fixes = [(edge.source, edge.target) for edge in held if edge.kind in _PLACES]

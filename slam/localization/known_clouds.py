@@ -116,7 +116,8 @@ class CloudTiles:
         ]
         clouds = [frame.placed for frame in frames]
         wide_m = COARSENESS * voxel_m
-        coarse = LocalCloud.of(thin_to_voxels(np.vstack(clouds), 0.5 * wide_m), wide_m, self._config)
+        wide = PlaneVoxels.build(thin_to_voxels(np.vstack(clouds), 0.5 * wide_m), wide_m, self._thickness_m)
+        coarse = LocalCloud(wide, wide_m, self._config)
         lidars = np.array([pose.compose(self._T_base_lidar).translation() for pose in poses])
         planes = SidedPlanes(merged, lidars, clouds)
         space = cloud_space(lidars, clouds, planes, voxel_m, SIGHT * reach_m)

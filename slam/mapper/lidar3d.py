@@ -127,8 +127,9 @@ class CloudLidar:
                 edges.append(Edge(key - 1, key, step, covariance, EdgeKind.RGBD, trusted=True))
             elif self._imu is not None and (spread := self._imu.spread()) is not None:
                 edges.append(Edge(key - 1, key, step, spread, EdgeKind.IMU, trusted=True))
-            elif tracked.unseen_m:
+            else:
                 self._unseen_key = key
+            if tracked.unseen_m and not edges:
                 self._unseen.append(
                     f"{tracked.unseen_m:.0f} m before {self._stamp_s - self._stamps_s[0]:.0f} s"
                 )
@@ -260,7 +261,6 @@ class CloudLidar:
     def _draw_plan(self, result: MapResult) -> None:
         """The flat scan of each keyframe, and the grids."""
         layers = self._config.layers
-        lidar_m = float(self._T_base_lidar.z())
         thickness_m = self._config.cloud_odometry.thickness_m
         ground = ground_of(self._clouds, self._T_base_lidar, self._tracker.voxel_m, thickness_m)
         if ground is None:
@@ -273,7 +273,7 @@ class CloudLidar:
             reach_m = self._config.cloud_map.plan_range_m
             result.ground = elevation(self._clouds, poses, ground.height_m, reach_m)
             measured = band_scans(self._clouds, poses, ground.height_m, result.ground, self._config)
-            in_band = layers.climb_m < lidar_m - ground.height_m < layers.robot_height_m
+            in_band = layers.climb_m < self._T_base_lidar.z() - ground.height_m < layers.robot_height_m
             scans, result.fused = self._cameras.repaired(measured, in_band=in_band)
         except ScanweaveError as error:
             result.warnings.append(f"No grid was built: {error}")

@@ -53,6 +53,8 @@ class CloudAlignment:
         Whether the iteration settled.
     agreement
         Share of all points that lie on a plane, by a measure that is the same for every pose of a scan.
+    roughness
+        Mean square thickness of their planes over that of the thickest plain one, at least 1.
     """
 
     pose: gtsam.Pose3
@@ -67,6 +69,7 @@ class CloudAlignment:
     residual_m: float
     converged: bool
     agreement: float
+    roughness: float
 
 
 def align_cloud(
@@ -96,7 +99,8 @@ def align_cloud(
             return None
         step = _step(found.hessian, found.gradient)
         pose = pose.compose(gtsam.Pose3.Expmap(step))
-        if np.abs(step).max() < SETTLED:
+        # What is left to gain is less than a hundredth of a point's worth: no more than noise.
+        if -(found.gradient @ step) < LEAST_EIGENVALUE * found.kernel_m**2 or np.abs(step).max() < SETTLED:
             converged = True
             break
     found = _linearise(points, planes, pose, kernel_m)
@@ -116,7 +120,8 @@ def align_cloud(
         float(found.weights.mean()),
         float(np.sqrt(np.mean(inliers**2))) if len(inliers) else np.inf,
         converged,
-        _share_on_planes(found.residuals, kernel_m, len(points)),
+        share_on_planes(found.residuals, kernel_m, len(points)),
+        planes.roughness(found.planes),
     )
 
 
@@ -139,10 +144,10 @@ def drawn_near(
     return pose if found is None else found.pose
 
 
-def agreement(points: FloatArray, planes: PlaneVoxels, pose: gtsam.Pose3, kernel_m: float) -> float:
-    """Share of points (N, 3), base frame, that lie on planes from ``T_map_base``; see `CloudAlignment`."""
-    residuals = planes.residuals(points, pose.matrix()).distances_m
-    return _share_on_planes(residuals, kernel_m, len(points)) if len(residuals) >= 6 else 0.0
+def share_on_planes(residuals: FloatArray, kernel_m: float, point_count: int) -> float:
+    """Share of all points near their planes; 0 where fewer than six have one. See `CloudAlignment`."""
+    near = np.count_nonzero(np.abs(residuals) <= _ON_PLANE * kernel_m)
+    return near / point_count if len(residuals) >= 6 else 0.0
 
 
 def arms_of(points: FloatArray) -> FloatArray:
@@ -179,8 +184,8 @@ def motion_of(alignment: CloudAlignment, config: Config, guess: gtsam.Pose3) -> 
     weak = vectors[:, values < 0.5 * config.match.degenerate_share * max(alignment.weight, 1.0) * ways]
     least_m = config.match.minimal_residual_m
     scale = max(alignment.residual_m, least_m) if np.isfinite(alignment.residual_m) else 1.0
-    # Points that fit nothing are a doubt about all the others.
-    doubt = 1.0 / max(alignment.inlier_share, 0.1) ** 2
+    # Points that fit nothing are a doubt about all the others, and noise along rays leans all rough planes.
+    doubt = alignment.roughness / max(alignment.inlier_share, 0.1) ** 2
     root = turns @ vectors / np.sqrt(np.maximum(values, LEAST_EIGENVALUE))
     # How many times the spread is that of independent residuals, by direction.
     shared, directions = np.linalg.eigh(root.T @ alignment.spread @ root / scale**2)
@@ -226,11 +231,6 @@ class _Linear:
         starts = np.flatnonzero(np.concatenate([[True], planes[1:] != planes[:-1]]))
         sums = np.add.reduceat(self.gradients[order], starts)
         return np.asarray(sums.T @ sums)
-
-
-def _share_on_planes(residuals: FloatArray, kernel_m: float, point_count: int) -> float:
-    """Share of all points near their planes."""
-    return np.count_nonzero(np.abs(residuals) <= _ON_PLANE * kernel_m) / point_count
 
 
 def _step(hessian: FloatArray, gradient: FloatArray) -> FloatArray:

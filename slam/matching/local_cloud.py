@@ -18,11 +18,11 @@ from slam.config import Config
 from slam.estimates import MotionEstimate
 from slam.matching.cloud_alignment import (
     CloudAlignment,
-    agreement,
     align_cloud,
     drawn_near,
     levers,
     motion_of,
+    share_on_planes,
 )
 from slam.matching.plane_voxels import PlaneVoxels
 from slam.measurements import FloatArray
@@ -67,8 +67,8 @@ class LocalCloud:
 
     @classmethod
     def of(cls, points: FloatArray, voxel_m: float, config: Config) -> LocalCloud:
-        """The map of a cloud (N, 3)."""
-        return cls(PlaneVoxels.build(points, voxel_m, config.cloud_odometry.thickness_m), voxel_m, config)
+        """The map of a cloud (N, 3), with rough planes."""
+        return cls(PlaneVoxels.build(points, voxel_m, config.cloud_odometry.thickness_m, 1), voxel_m, config)
 
     def align(
         self,
@@ -138,7 +138,8 @@ class LocalCloud:
 
     def agreement(self, scan: FloatArray, pose: gtsam.Pose3) -> float:
         """Share of a thinned scan (N, 3), base frame, that lies on planes from ``T_map_base``."""
-        return agreement(scan, self.planes, pose, self._voxel_m)
+        residuals = self.planes.residuals(scan, pose.matrix()).distances_m
+        return share_on_planes(residuals, self._voxel_m, len(scan))
 
     def _by_planes(self, scan: FloatArray, start: gtsam.Pose3) -> CloudAlignment | None:
         """The point-to-plane alignment."""

@@ -136,15 +136,17 @@ def across(xx, xy, xz, yy, yz, zz):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def fit_planes(keys, sums, sizes, thickness_m, lidar, least_sine, marks, touched, flat, planes):  # type: ignore[no-untyped-def]
-    """Whether each touched voxel holds a plane, its center and normal (V, 6); their marks are taken off.
+def fit_planes(keys, sums, sizes, thickness_m, rough, lidar, least_sine, marks, touched, flat, planes):  # type: ignore[no-untyped-def]
+    """What each touched voxel holds: a plane (2), a rough one (1) or none; their marks are taken off.
 
-    A ring that meets several walls is flat, but goes where the lidar goes: planes along its rays are none.
+    Into ``planes`` (V, 6) go center and normal; of rough ones, which count where ``rough`` is 1 and not 0,
+    it is shorter by as much as they are thicker than ``thickness_m``. A ring that meets several walls is
+    flat, but goes where the lidar goes: planes along its rays are none.
     """
     for n in range(touched.shape[0]):
         i = touched[n]
         marks[i] = False
-        flat[i] = False
+        flat[i] = 0
         count = sums[i, 0]
         if count < _LEAST_POINTS:
             continue
@@ -160,28 +162,29 @@ def fit_planes(keys, sums, sizes, thickness_m, lidar, least_sine, marks, touched
             sums[i, 8] / count - y * z,
             sums[i, 9] / count - z * z,
         )
-        extent_m = _LEAST_EXTENT * size_m
         planes[i, 0] = x + (((keys[i] >> 2 * AXIS_BITS) & AXIS) - HALF) * size_m
         planes[i, 1] = y + (((keys[i] >> AXIS_BITS) & AXIS) - HALF) * size_m
         planes[i, 2] = z + ((keys[i] & AXIS) - HALF) * size_m
-        planes[i, 3] = nx
-        planes[i, 4] = ny
-        planes[i, 5] = nz
+        thin = least < thickness_m * thickness_m
+        length = 1.0 if thin else thickness_m / math.sqrt(least)
+        planes[i, 3] = nx * length
+        planes[i, 4] = ny * length
+        planes[i, 5] = nz * length
         x = planes[i, 0] - lidar[0]
         y = planes[i, 1] - lidar[1]
         z = planes[i, 2] - lidar[2]
         least_m = least_sine * math.sqrt(x * x + y * y + z * z)
-        flat[i] = (
-            least < thickness_m * thickness_m
-            and middle > extent_m * extent_m
+        if (
+            middle > (_LEAST_EXTENT * size_m) ** 2
             and middle > _LEAST_FLATNESS * least
-            and abs(x * nx + y * ny + z * nz) >= least_m
-        )
+            and abs(x * nx + y * ny + z * nz) * length >= least_m
+        ):
+            flat[i] = 2 if thin else rough
 
 
 @kernel
 def pair_up(points, pose, sizes, table, keys, flat, planes, which, plane, residuals):  # type: ignore[no-untyped-def]
-    """The plane of the largest voxel around each point (N, 3) that has one; how many points have.
+    """The plane of the largest voxel around each point (N, 3) that has one, else a rough one; of how many.
 
     Parameters
     ----------
@@ -190,7 +193,7 @@ def pair_up(points, pose, sizes, table, keys, flat, planes, which, plane, residu
     sizes
         Sides of the voxels, each half of the one before.
     table, keys, flat, planes
-        Of the voxels: slots, keys (V,), whether they hold a plane (V,), its center and normal (V, 6).
+        Of the voxels: slots, keys (V,), and what `fit_planes` makes of them.
     which, plane, residuals
         (N,) each: room for numbers of points, of their voxels, and distances.
     """
@@ -210,11 +213,11 @@ def pair_up(points, pose, sizes, table, keys, flat, planes, which, plane, residu
         for level in range(last + 1):
             key = key_of_cell(column >> (last - level), row >> (last - level), layer >> (last - level))
             key |= level << 3 * AXIS_BITS
-            k = entry_of(key, table, keys)
-            if k >= 0:
-                if flat[k]:
+            here = entry_of(key, table, keys)
+            if here >= 0 and flat[here] > (flat[k] if k >= 0 else 0):
+                k = here
+                if flat[k] == 2:
                     break
-                k = NONE
         if k < 0:
             continue
         which[count] = i

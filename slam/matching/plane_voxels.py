@@ -65,21 +65,23 @@ class PlaneVoxels:
         Side of the smallest voxels.
     thickness_m
         Standard deviation across a plane, at most.
+    rough
+        1 where thicker ones count, too, by their thickness.
     least_sine
         Of the angle between a plane and the ray that tells it, by where a cloud was seen from.
     """
 
-    def __init__(self, voxel_m: float, thickness_m: float, least_sine: float = 0.0) -> None:
+    def __init__(self, voxel_m: float, thickness_m: float, least_sine: float = 0.0, rough: int = 0) -> None:
         self._sizes_m, self._thickness_m, self._least_sine = SIZES * voxel_m, thickness_m, least_sine
-        self._count, self._table = 0, table_for(1)
+        self._count, self._table, self._rough = 0, table_for(1), rough
         self._keys, self._sums = np.empty(1, np.int64), np.empty((1, 10))
-        self._flat, self._marks = np.zeros(1, np.bool_), np.zeros(1, np.bool_)
+        self._flat, self._marks = np.zeros(1, np.int8), np.zeros(1, np.bool_)
         self._planes = np.empty((1, 6))
 
     @classmethod
-    def build(cls, points: FloatArray, voxel_m: float, thickness_m: float) -> PlaneVoxels:
+    def build(cls, points: FloatArray, voxel_m: float, thickness_m: float, rough: int = 0) -> PlaneVoxels:
         """The planes of a cloud (N, 3); the rest as above."""
-        made = cls(voxel_m, thickness_m)
+        made = cls(voxel_m, thickness_m, rough=rough)
         made.add(points)
         return made
 
@@ -106,6 +108,7 @@ class PlaneVoxels:
             self._sums,
             self._sizes_m,
             self._thickness_m,
+            self._rough,
             np.zeros(3) if lidar is None else lidar,
             self._least_sine,
             self._marks,
@@ -121,7 +124,7 @@ class PlaneVoxels:
     def settle(self) -> None:
         """Keep what points are matched and drawn to, in as little room: no cloud is counted any more."""
         largest = self._keys[: self._count] >> 3 * AXIS_BITS == 0
-        kept = np.flatnonzero(self._flat[: self._count] | largest)
+        kept = np.flatnonzero((self._flat[: self._count] > 0) | largest)
         self._store(len(kept), kept)
 
     def residuals(self, points: FloatArray, T_map_base: FloatArray) -> Residuals:
@@ -145,6 +148,10 @@ class PlaneVoxels:
         normal_equations(points, T_map_base, self._planes, *pairs, kernel_m, weights, gradients, sums)
         return weights, gradients, sums
 
+    def roughness(self, voxels: NDArray[np.int64]) -> float:
+        """Mean square thickness of the planes in voxels (M,) over the greatest that is none, at least 1."""
+        return float(np.mean(1.0 / np.square(self._planes[voxels, 3:]).sum(axis=1)))
+
     def pulls(
         self, points: FloatArray, T_map_base: FloatArray, reach_m: float
     ) -> tuple[FloatArray, FloatArray]:
@@ -161,11 +168,10 @@ class PlaneVoxels:
 
     def pairs(self, points: FloatArray) -> PlanePairs:
         """The plane of the largest voxel around each point (N, 3), map frame, that has one."""
-        residuals = self.residuals(points, np.eye(4))
-        found = np.zeros(len(points), dtype=np.bool_)
-        found[residuals.which] = True
-        planes = self._planes[residuals.voxels]
-        numbers = np.cumsum(self._flat[: self._count])[residuals.voxels] - 1
+        residuals, flat = self.residuals(points, np.eye(4)), self._flat[: self._count] == 2
+        voxels, found = residuals.voxels[flat[residuals.voxels]], np.zeros(len(points), dtype=np.bool_)
+        found[residuals.which[flat[residuals.voxels]]] = True
+        planes, numbers = self._planes[voxels], np.cumsum(flat)[voxels] - 1
         return PlanePairs(found, planes[:, :3], planes[:, 3:], numbers)
 
     def _store(self, room: int, kept: NDArray[np.int64]) -> None:
@@ -173,7 +179,7 @@ class PlaneVoxels:
         count = self._count = len(kept)
         room = max(room, 1)
         keys, sums, planes = np.empty(room, np.int64), np.empty((room, 10)), np.empty((room, 6))
-        flat, self._marks = np.zeros(room, np.bool_), np.zeros(room, np.bool_)
+        flat, self._marks = np.zeros(room, np.int8), np.zeros(room, np.bool_)
         keys[:count], sums[:count] = self._keys[kept], self._sums[kept]
         planes[:count], flat[:count] = self._planes[kept], self._flat[kept]
         self._keys, self._sums, self._planes, self._flat = keys, sums, planes, flat

@@ -46,7 +46,7 @@ class CloudOdometry:
         turns = self._config.cloud_odometry
         # A ray that stays within a plane's thickness right across the largest voxel is along it.
         least_sine = turns.thickness_m / (SIZES[0] * turns.greatest_voxel_m)
-        planes = PlaneVoxels(self._voxel_m, turns.thickness_m, least_sine)
+        planes = PlaneVoxels(self._voxel_m, turns.thickness_m, least_sine, rough=1)
         self._map = LocalCloud(planes, self._voxel_m, self._config)
 
     def add_keyframe(self, points: FloatArray, pose: gtsam.Pose3, lidar_base: FloatArray) -> None:

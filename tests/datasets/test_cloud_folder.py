@@ -96,6 +96,20 @@ def test_names_in_the_list_win_over_the_order_of_the_folder(tmp_path: Path) -> N
     assert dropped(dataset) == {MISSING: 1, "index line with too few fields": 1}
 
 
+@pytest.mark.parametrize(
+    "names",
+    [("scan_2", "scan_10"), ("2", "10"), ("9_left", "10_left"), ("7.25", "7.5"), ("9.5", "10.25")],
+)
+def test_clouds_come_in_the_order_of_the_numbers_in_their_names(
+    tmp_path: Path, names: tuple[str, str]
+) -> None:
+    bins(tmp_path / "points", 2)
+    for k, name in enumerate(names):
+        (tmp_path / "points" / f"{k:06d}.bin").rename(tmp_path / "points" / f"{name}.bin")
+    (tmp_path / "times.txt").write_text("1.0\n2.0\n")
+    assert [float(cloud.points_lidar[0, 0]) for cloud in clouds(tmp_path)] == [1.0, 2.0]
+
+
 @pytest.mark.parametrize(("stamps", "reason"), [(2, UNPAIRED), (4, WITHOUT_CLOUD)])
 def test_a_list_of_another_length_is_counted(tmp_path: Path, stamps: int, reason: str) -> None:
     bins(tmp_path, 3)

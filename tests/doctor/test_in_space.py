@@ -215,7 +215,8 @@ def test_depth_that_no_camera_sees_is_in_another_unit(median_m: float, scale: fl
 
 
 @pytest.mark.parametrize(
-    ("median_m", "unit"), [(1800.0, 1000.0), (11_000.0, 1000.0), (180.0, 100.0), (60.0, None)]
+    ("median_m", "unit"),
+    [(1800.0, 1000.0), (11_000.0, 1000.0), (180.0, 100.0), (1060.0, 100.0), (60.0, None)],
 )
 def test_clouds_beyond_all_ranges_are_in_another_unit(median_m: float, unit: float | None) -> None:
     samples = CloudSamples(count=5, points=[median_m * np.array([[1.0, 0.0, 0.0], [0.0, 0.6, 0.8]])])

@@ -116,7 +116,7 @@ def test_none_are_tried_where_none_are_wanted() -> None:
 
 def test_a_room_of_another_size_is_refused_with_a_reason() -> None:
     drive = driven(sigma_m=0.1)
-    drive.add(HOME, scale=1.4)
+    drive.add(HOME, scale=1.5)
     tried = drive.close()
     assert tried
     assert not any(loop.accepted for loop in tried)

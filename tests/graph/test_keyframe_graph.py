@@ -236,6 +236,13 @@ class TestPieces:
         assert len(set(found)) == pieces
         assert len(set(found[:5])) == len(set(found[5:])) == 1
 
+    def test_a_step_in_space_that_nothing_measured_parts_the_map(self) -> None:
+        graph, ahead = KeyframeGraph(gtsam.Pose3(), GraphConfig()), gtsam.Pose3(gtsam.Rot3(), [0.2, 0.0, 0.0])
+        for n in range(1, 6):
+            seen = Edge(n - 1, n, ahead, np.eye(6) * 1e-4, EdgeKind.LIDAR, trusted=True)
+            graph.add_keyframe(ahead, [] if n == 3 else [seen])
+        assert graph.pieces(graph.optimize(PROBABILITY).kept, REACH_M).tolist() == [0, 0, 0, 1, 1, 1]
+
     @pytest.mark.parametrize(
         ("loops", "pieces"), [([], 2), ([60], 2), ([60, 70], 2), ([60, 95], 1), ([60, 62, 64, 66], 1)]
     )

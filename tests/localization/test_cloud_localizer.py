@@ -102,10 +102,10 @@ def test_another_building_leads_to_no_pose(known_map: MapContents) -> None:
 def test_carried_off_and_found_again(known_map: MapContents) -> None:
     """From the left room into the right one, in the midst of the log, without a gap in the stamps."""
     whole = drive(OTHER)
-    poses = [*whole[:9], *whole[27:]]
+    poses = [*whole[:11], *whole[27:]]
     outputs = follow(known_map, seen(poses, 300))
-    assert outputs[8].state is State.TRACKING
-    assert any(output.state is State.LOST for output in outputs[9:])
+    assert outputs[10].state is State.TRACKING
+    assert any(output.state is State.LOST for output in outputs[11:])
     assert outputs[-1].state is State.TRACKING and outputs[-1].pose is not None
     assert offset(outputs[-1].pose, poses[-1])[0] < 0.05
     for output, pose in zip(outputs, poses, strict=True):
@@ -129,7 +129,7 @@ def test_the_command(scanweave: Scanweave, log: Path, tmp_path: Path) -> None:
     folder, out = tmp_path / "map", tmp_path / "out"
     assert scanweave("map", log, "-o", folder, *options).code == 0
     before = (folder / "map.db").read_bytes()
-    poses = drive(OTHER)[3:12]
+    poses = drive(OTHER)[3:14]
     driven = write_log(tmp_path / "driven", seen(poses, 400), poses)
     outcome = scanweave("localize", folder, driven, "-o", out, *options)
     assert outcome.code == 0 and "tracking" in outcome.out, outcome

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import gtsam
@@ -116,6 +117,20 @@ def test_the_files(mapped: MapResult, log: Path, tmp_path: Path) -> None:
 def test_no_loops_where_none_are_wanted(log: Path) -> None:
     result = build_map(open_dataset(log), load_config(None, [*SMALL, "loops.enabled=false"]))
     assert not result.map.loops
+
+
+def test_one_loop_joins_no_map_across_clouds_that_matched_nothing(tmp_path: Path) -> None:
+    """A street that looks the same fits once, too."""
+    rng, fog, config = (
+        np.random.default_rng(1),
+        slice(14, 22),
+        load_config(None, [*SMALL, "match.lost_after=4"]),
+    )
+    clouds = [look(pose, 0.1 * number, seed=number) for number, pose in enumerate(way_round(COUNT))]
+    clouds[fog] = [replace(one, points_lidar=3.0 * rng.normal(size=(4000, 3))) for one in clouds[fog]]
+    result = build_map(open_dataset(write_log(tmp_path / "log", clouds)), config)
+    assert {loop.reason for loop in result.map.loops} == {"alone across ground that nothing saw"}
+    assert any("The map is in 2 pieces" in warning for warning in result.warnings)
 
 
 def test_a_place_too_far_to_be_the_same_is_not_tried() -> None:

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from cloud_world import ELEVATIONS, T_BASE_LIDAR, base, look, look_on_the_way, way_round
 
+from fusion.height_band import thin_to_voxels
 from slam.config import Config
 from slam.config.clouds import CloudOdometryConfig
 from slam.estimates import MotionEstimate
@@ -222,6 +223,7 @@ def test_few_points_tell_a_turn_but_no_way(direction: int, degenerate: bool) -> 
         0.02,
         True,
         1.0,
+        1.0,
     )
     assert motion_of(sure, CONFIG, gtsam.Pose3()).degenerate == degenerate
 
@@ -337,6 +339,47 @@ def test_errors_that_planes_share_widen_the_covariance() -> None:
         spreads.append(np.trace(root.T @ found.spread @ root) / found.residual_m**2)
     assert spreads[0] < 12.0  # of independent readings it is six
     assert spreads[1] > 5.0 * spreads[0]
+
+
+def test_a_plane_thicker_than_planes_are_counts_by_its_thickness() -> None:
+    rng = np.random.default_rng(0)
+    wall = np.column_stack([rng.uniform(0.1, 3.9, (2000, 2)), 1.5 + 0.2 * rng.standard_normal(2000)])
+    planes = PlaneVoxels(1.0, 0.06, rough=1)
+    planes.add(wall)
+    residuals = planes.residuals(wall, np.eye(4))
+    assert len(residuals.which) > 1900 and not planes.pairs(wall).found.any()
+    assert np.std(residuals.distances_m) == pytest.approx(0.06, rel=0.05)
+    assert planes.roughness(residuals.voxels) == pytest.approx((0.2 / 0.06) ** 2, rel=0.1)
+
+
+def test_an_alignment_settles_where_its_steps_are_noise() -> None:
+    """Points change their voxels, and steps stay longer than a tenth of a millimetre."""
+    planes = PlaneVoxels(0.5, 0.06, rough=1)
+    for seed, x in enumerate((-1.0, 0.0, 1.0)):
+        at = base(x, 0.2 * x, 0.3 * x)
+        planes.add(local_cloud.moved(points_at(at, 100 + seed, sigma_m=0.15), at))
+    settled = 0
+    for seed in range(20):
+        truth = base(0.05 * seed - 0.4, -0.2, 0.2)
+        scan = thin_to_voxels(points_at(truth, seed, sigma_m=0.15), 0.5)
+        found = align_cloud(scan, planes, truth.compose(base(0.03, -0.02, 0.01)), 10, 0.5)
+        settled += found is not None and found.converged
+    assert settled > 14
+
+
+def test_clouds_with_noise_thicker_than_planes_are_matched() -> None:
+    made = CloudOdometry(CONFIG, 0.5)
+    for seed, x in enumerate((-1.0, -0.5, 0.0, 0.5, 1.0)):
+        at = base(x, 0.2 * x, 0.3 * x)
+        made.add_keyframe(points_at(at, 100 + seed, sigma_m=0.15), at, LIDAR)
+    squares = []
+    for seed in range(8):
+        truth = base(0.1 * seed - 0.4, -0.2, 0.2)
+        motion = made.match(points_at(truth, seed, sigma_m=0.15), [truth.compose(base(0.1, -0.08, 0.02))])
+        error = error_of(motion, truth)
+        assert motion is not None and motion.converged and np.linalg.norm(error[3:]) < 0.05
+        squares.append(error @ np.linalg.solve(motion.covariance, error) / 6.0)
+    assert np.mean(squares) < 2.0
 
 
 def test_planes_that_are_settled_match_as_before_in_less_room() -> None:
