@@ -219,10 +219,9 @@ class PlaceSearch:
             fits, refused = trial.hold(found[n])
             # One that fits where it cannot be shows that these places look alike.
             more = [one for one in fits if self._follows(one, known, judged[n][2], costs[n] + self._gate)]
-            refused += len(fits) - len(more)
+            held = len(found[n]) + 2 * len(more) - len(fits) - refused
             if longer > 1.0:
-                refused += self._contradicting(found[n], found, seen)
-            held = len(found[n]) + len(more) - refused
+                held += self._borne_out(found[n], found, seen)
             net_m = held * stretches.spacing_m
             # As long as it is seen from either end; where all of the map would pass, as a loop must be.
             map_m = float(np.ptp(poses[:, :2], axis=0).max())
@@ -234,15 +233,28 @@ class PlaceSearch:
                 return believed
         return []
 
-    def _contradicting(
+    def _borne_out(
         self, members: Sequence[LoopCandidate], found: Sequence[list[LoopCandidate]], known: Known
     ) -> int:
-        """How many claims of other sets tell otherwise of the same keyframes, however likely they are."""
+        """How many claims of other sets tell the same of other keyframes nearby, less those that do not.
+
+        These however likely they are; those only where the way between their places is known.
+        """
         assert self._sets is not None
-        entailed = ((other, self._sets.entailed(members, other)) for other in found if other is not members)
-        return sum(
-            len(other) for other, way in entailed if self._contradiction(way, known) > 2.0 * self._gate
-        )
+        same, otherwise = set[int](), 0
+        for other in found:
+            way = None if other is members else self._sets.entailed(members, other)
+            if way is None:
+                continue
+            off, between_m = (
+                self._contradiction(way, known),
+                position_sigmas(known(*way[:2]).covariance[None]),
+            )
+            if off > 2.0 * self._gate:
+                otherwise += len(other)
+            elif off <= self._gate and between_m[0] <= self._config.reach_m:
+                same |= {claim.keyframe for claim in other}
+        return len(same - {claim.keyframe for claim in members}) - otherwise
 
     def _cost(self, members: Sequence[LoopCandidate], known: Known) -> tuple[float, float, FloatArray]:
         """Squared sigmas of the bend that a set asks of what is known, and how uncertain that is in metres.
