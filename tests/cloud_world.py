@@ -9,6 +9,10 @@ import gtsam
 import numpy as np
 import yaml
 
+from slam.config import Config
+from slam.config.clouds import CloudOdometryConfig
+from slam.estimates import MotionEstimate
+from slam.matching.cloud_points import base_points
 from slam.measurements import FloatArray, PointCloud
 
 T_BASE_LIDAR = gtsam.Pose3(gtsam.Rot3(), np.array([0.1, 0.0, 0.7]))
@@ -136,3 +140,19 @@ def write_log(folder: Path, clouds: Sequence[PointCloud], poses: Sequence[gtsam.
         lines.append(" ".join(map(str, [cloud.stamp_s, *pose.translation(), q.x(), q.y(), q.z(), q.w()])))
     (folder / "groundtruth.txt").write_text("\n".join(lines) + "\n")
     return folder
+
+
+# Voxels as small as the room asks.
+CONFIG = Config(cloud_odometry=CloudOdometryConfig(voxel_m=0.2))
+
+
+def points_at(pose: gtsam.Pose3, seed: int = 0, **kwargs: object) -> FloatArray:
+    """What a lidar that stands still sees there, base frame."""
+    return base_points(look(pose, seed=seed, **kwargs), np.zeros(6), CONFIG.cloud_odometry)  # type: ignore[arg-type]
+
+
+def error_of(motion: MotionEstimate | None, truth: gtsam.Pose3) -> FloatArray:
+    """(6,) of a motion in space."""
+    assert motion is not None
+    assert isinstance(motion.T_reference_base, gtsam.Pose3)
+    return np.asarray(gtsam.Pose3.Logmap(truth.between(motion.T_reference_base)))

@@ -117,9 +117,7 @@ class FaultySteps:
         self._ends = np.array([part[:2] for part in parts], np.int64).reshape(-1, 2)
         self._free = np.array([part[2] for part in parts]).reshape(-1, 2, 3, 3)
         self._alone = np.array([guessed[first:last].all() for first, last in self._ends], np.bool_)
-        refusable = np.zeros(len(poses) + 1)
-        refusable[sources[claims] + 1] = 1.0
-        first, last = np.cumsum(refusable)[self._ends.T]
+        first, last = np.bincount(sources[claims] + 1, minlength=len(poses) + 1).cumsum()[self._ends.T]
         self._prices = np.where(first < last, self._gate, 0.0)
         self._numbers = np.full(len(poses), -1)
         for n, (first, last) in enumerate(self._ends):

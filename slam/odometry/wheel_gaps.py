@@ -42,6 +42,8 @@ class WheelGaps:
         self.period_s = self._lasted_s = 0.0
         # The time in which a robot stops, and the longest between two readings since the last that moved.
         self._stop_s = self._silent_s = 0.0
+        # Whether readings have repeated each other for so long that the robot stands.
+        self._stands = False
         self.guessed_m = 0.0
 
     def add(self, reading: WheelOdometry, step: FloatArray, step_s: float, *, usual: bool) -> FloatArray:
@@ -55,6 +57,7 @@ class WheelGaps:
             Whether the robot makes such motions.
         """
         guess, guess_m = self.guess_at(reading.stamp_s)
+        self._stands = guess_m > 0.0 and not guess.any()
         stamp_s, self._stamp_s = reading.stamp_s, reading.stamp_s
         told, self._told = self._told, row_from_pose2(reading.T_odom_base)
         if told is None:
@@ -105,8 +108,8 @@ class WheelGaps:
         since_s, uncounted_s = stamp_s - self._placed_s, stamp_s - self._counted_s
         if not self._stop_s > self._lasted_s < 0.5 * uncounted_s or since_s <= 0.0:
             return np.zeros(3), 0.0
-        stands = uncounted_s > 0.5 * FEWEST * GAP_S and stamp_s - self._stamp_s < GAP_S
-        guess = np.zeros(3) if stands else self._twist * since_s
+        repeated = uncounted_s > 0.5 * FEWEST * GAP_S and stamp_s - self._stamp_s < GAP_S
+        guess = np.zeros(3) if repeated or self._stands else self._twist * since_s
         return guess, math.hypot(self._twist[0], self._twist[1]) * since_s
 
     def _count(self, stamp_s: float) -> None:

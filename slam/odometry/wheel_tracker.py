@@ -139,8 +139,7 @@ class WheelTracker:
         if pose is None:
             return None
         guess, guess_m = self._gaps.guess_at(stamp_s + self._ahead_s)
-        guessed_m = self._gaps.guessed_m + guess_m
-        return WheelMoment(compose(pose, guess), guessed_m, self._unusual_m)
+        return WheelMoment(compose(pose, guess), self._gaps.guessed_m + guess_m, self._unusual_m)
 
     def motion(
         self, begun: WheelMoment | None, ended: WheelMoment | None, elapsed_s: float

@@ -61,9 +61,11 @@ def test_readings_that_go_on_repeating_tell_that_it_stands(repeated_s: float, gu
     begun = tracker.moment(begun_s)
     for n in range(1, round(repeated_s / PERIOD_S) + 1):
         tracker.add(reading(begun_s + n * PERIOD_S, x_m))
-    ended = tracker.moment(begun_s + repeated_s)
-    assert begun is not None and ended is not None
+    ended, silent = (tracker.moment(begun_s + repeated_s + later_s) for later_s in (0.0, 2.0))
+    assert begun is not None and ended is not None and silent is not None
     assert ended.pose[0] - x_m == pytest.approx(guessed_m, abs=0.1)
+    if repeated_s > 5.0:
+        assert silent.pose[0] == pytest.approx(ended.pose[0]), "a silence does not set it going again"
     assert ended.guessed_m == pytest.approx(repeated_s * SPEED_M_S, abs=0.1)
 
 
