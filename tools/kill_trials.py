@@ -36,14 +36,14 @@ class Trials:
 
 
 def run_trials(
-    log: Path, out: Path, kills: int, seed: int, settings: Sequence[str] = (), begins_s: float = 0.0
+    log: Path, out: Path, kills: int, seed: int, settings: Sequence[str] = (), begins: float = 0.0
 ) -> Trials:
     """Map once uninterrupted, then kill and resume until there were so many kills.
 
     Parameters
     ----------
-    begins_s
-        No kill comes earlier than this after the start.
+    begins
+        No kill comes before this share of the time that the uninterrupted run took.
     """
     out.mkdir(parents=True, exist_ok=True)
     whole, folder = out / "whole", out / "killed"
@@ -56,7 +56,7 @@ def run_trials(
     shutil.rmtree(folder, ignore_errors=True)
     begun = True
     while not trials.faults and (trials.kills < kills or begun):
-        patience_s = rng.uniform(begins_s, 1.05 * whole_s) if trials.kills < kills else 100.0 * whole_s + 60.0
+        patience_s = whole_s * rng.uniform(begins, 1.05) if trials.kills < kills else 100.0 * whole_s + 60.0
         _attempt(_arguments(log, folder, settings), patience_s, trials)
         begun = not _finished(folder)
         if not begun:

@@ -176,7 +176,7 @@ class TestTheSameMap:
     def test_killed(self, tmp_path: Path) -> None:
         """SIGKILL, by the tool that does it fifty times."""
         log = write_synthetic_log(tmp_path / "log", duration_s=15.0).log_path
-        found = run_trials(log, tmp_path / "out", kills=1, seed=3, begins_s=1.0)
+        found = run_trials(log, tmp_path / "out", kills=1, seed=3, begins=0.3)
         assert (found.kills, found.faults) == (1, [])
         assert found.finished >= 1
 
