@@ -23,6 +23,7 @@ from slam.estimates import Trajectory
 from slam.evaluation.localization_report import write_localization_report
 from slam.localization.drive_log import DriveLog
 from slam.localization.localizer import Localizer
+from slam.localization.output import State
 from slam.localization.poses import Measured, diagonal
 from slam.mapper.pipeline import findings_of, settled
 from slam.outputs.finished_map import Map
@@ -47,10 +48,13 @@ class Localization:
         State, pose, covariance and confidence after every scan or frame.
     written
         The files.
+    warnings
+        What makes the poses doubtful, in words.
     """
 
     drive: DriveLog
     written: tuple[Path, ...]
+    warnings: tuple[str, ...] = ()
 
     __repr__ = one_line
 
@@ -133,7 +137,10 @@ def localize_log(
             f"{log.name} holds nothing that can be localised in {saved.path}, which takes {wanted}; see "
             "'scanweave inspect' for what the log holds"
         )
-    return Localization(drive, _written(Path(out), drive, saved, log, findings) if out is not None else ())
+    warning = localizer.warning() if drive.share_of(State.TRACKING) else None
+    warnings = () if warning is None else (warning,)
+    written = () if out is None else _written(Path(out), drive, saved, log, findings, warnings)
+    return Localization(drive, written, warnings)
 
 
 def _known(start: tuple[float, float, float], sigma: tuple[float, float]) -> Measured:
@@ -173,13 +180,19 @@ def _driven(
 
 
 def _written(
-    out: Path, drive: DriveLog, saved: Map | GridMap, log: Dataset, findings: Sequence[Finding]
+    out: Path,
+    drive: DriveLog,
+    saved: Map | GridMap,
+    log: Dataset,
+    findings: Sequence[Finding],
+    warnings: Sequence[str],
 ) -> tuple[Path, ...]:
     """Trajectory, covariances and report in a folder."""
     make_folder(out)
     files = drive.write(out)
     notes = [(reason, f"{tally.count:,}") for reason, tally in log.report.dropped.items()]
     notes += [(finding.kind, finding.line) for finding in findings]
+    notes += [("warning", warning) for warning in warnings]
     write_localization_report(
         out / "report.html", f"{log.path.name} in {saved.path}", drive, saved.layers, notes
     )

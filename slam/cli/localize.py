@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import sys
 import time
 from typing import Annotated
 
@@ -20,6 +21,7 @@ from slam.cli.app import (
     TopicsOption,
     command,
     say,
+    tell,
     topics_override,
 )
 from slam.cli.progress import interruptible, progress_bar
@@ -85,6 +87,8 @@ def localize(
         f"{len(found.drive)} scans and frames: {shares}; {len(found.trajectory)} poses; "
         f"{time.perf_counter() - started:.1f} s"
     )
+    for warning in found.warnings:
+        tell(f"warning: {warning}", sys.stderr)
     say("wrote " + ", ".join(str(path) for path in found.written))
     if update:
         from slam.cli.map_log import map_into

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from functools import cached_property, lru_cache
 
 import numpy as np
@@ -17,7 +18,7 @@ from slam.localization.whole_map_field import WholeMapField, build_whole_map_fie
 from slam.mapping.occupancy_grid import FREE, OccupancyGrid
 from slam.matching.local_map import LocalMap, OrientedPoints
 from slam.matching.planar import transform_points
-from slam.measurements import BoolArray, FloatArray
+from slam.measurements import BoolArray, FloatArray, Pose, pose2_from_row
 from slam.storage.map_contents import MapContents
 
 # Side of a tile of the map, and how far from its middle the keyframes are that make it.
@@ -100,6 +101,11 @@ class Walls:
         """What stood of what a keyframe of the map saw, without people; None where it has no scan."""
         view = self._views.get(key)
         return None if view is None else view.only(self._standing(view, self._poses[key])[1])
+
+    def sampled(self, count: int) -> Iterator[tuple[Pose, ScanView]]:
+        """So many keyframes from all of its way, ``T_map_base`` and what each saw; all where it has fewer."""
+        for key in list(self._views)[:: max(len(self._views) // count, 1)][:count]:
+            yield pose2_from_row(self._poses[key]), self._views[key]
 
     @cached_property
     def _free(self) -> BoolArray:

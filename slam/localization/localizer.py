@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -11,6 +11,7 @@ from slam.errors import MapFileError
 from slam.localization.camera_sensor import CameraSensor
 from slam.localization.cloud_sensor import CloudSensor
 from slam.localization.known_map import Walls, has_walls
+from slam.localization.look_alikes import look_alikes
 from slam.localization.machine import StateMachine
 from slam.localization.output import LocalizerOutput
 from slam.localization.planar_sensor import PlanarSensor
@@ -75,6 +76,7 @@ class Localizer:
         if start is not None and not known_map.planar:
             raise MapFileError("the map is not of a floor: leave out the start, the robot is found without")
         config = config_of(config)
+        self._warned: Callable[[], str | None] = lambda: None
         self._lidar = self._lidar_of(known_map, config, start)
         self._locator: VisualLocator | None = None
         if config.sensors.rgbd and known_map.frames is not None and known_map.clouds is None:
@@ -115,9 +117,21 @@ class Localizer:
                 self._help(self._lidar, self._locator, frame)
         return self._lidar.add(measurement)
 
-    @staticmethod
+    def warning(self) -> str | None:
+        """What makes its poses doubtful, whatever they say: that places of the map look alike; None of most.
+
+        Examples
+        --------
+        >>> import slam
+        >>> from slam.simulation.synthetic_log import write_synthetic_log
+        >>> log = write_synthetic_log("monday", duration_s=10.0).log_path
+        >>> slam.Localizer(slam.map_log(log)).warning() is None
+        True
+        """
+        return self._warned()
+
     def _lidar_of(
-        known_map: MapContents, config: Config, start: Measured | None
+        self, known_map: MapContents, config: Config, start: Measured | None
     ) -> StateMachine[Any, Any] | None:
         """What localises by the lidar; None where the map or the configuration has none."""
         sensor: PlanarSensor | CloudSensor
@@ -129,7 +143,10 @@ class Localizer:
             field = Walls(known_map, config).field if has_walls(known_map) else None
             sensor = CloudSensor(known_map, field, config)
         elif has_walls(known_map) and config.sensors.lidar:
-            sensor = PlanarSensor(Walls(known_map, config), config)
+            walls = Walls(known_map, config)
+            sensor = planar = PlanarSensor(walls, config)
+            if start is None:
+                self._warned = lambda: look_alikes(walls, planar, config.localization)
             if not known_map.node_poses and known_map.grid is not None:
                 # Where in its cells a drawn wall is, the drawing does not tell.
                 half_m = 0.5 * known_map.grid.resolution_m

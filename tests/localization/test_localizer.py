@@ -14,12 +14,15 @@ from slam.errors import MapFileError
 from slam.localization.drive_log import DriveLog
 from slam.localization.localizer import Localizer
 from slam.localization.output import LocalizerOutput, State
+from slam.localization.poses import Measured
 from slam.mapper.lidar2d import PlanarRobot
 from slam.mapper.map_result import MapResult
 from slam.mapper.mapper import Mapper
 from slam.mapper.pipeline import build_map
+from slam.mapping.keyframe_grid import grid_of_keyframes
+from slam.mapping.layered_map import OCCUPANCY
 from slam.matching.planar import between, compose
-from slam.measurements import FloatArray, LaserScan, Measurement, row_from_pose2
+from slam.measurements import FloatArray, LaserScan, Measurement, pose2_from_row, row_from_pose2
 from slam.simulation.synthetic_log import write_synthetic_log
 from slam.storage.map_contents import MapContents
 
@@ -188,3 +191,23 @@ def mapped_room(stamps: FloatArray) -> MapResult:
     for scan in room_drive(stamps, seed=0):
         mapper.add(scan)
     return mapper.finish()
+
+
+def test_places_that_look_alike_are_told(mapped: tuple[MapContents, FloatArray]) -> None:
+    """The building once more, 60 m beside itself; who is told the start asks for no such warning."""
+    once = mapped[0]
+    assert Localizer(once, CONFIG).warning() is None
+    poses = np.vstack([once.keyframe_poses, once.keyframe_poses + np.array([60.0, 0.0, 0.0])])
+    scans = [*once.keyframe_scans, *once.keyframe_scans]
+    grid = grid_of_keyframes(scans, poses, CONFIG)
+    assert grid is not None
+    twice = replace(
+        once,
+        node_poses=[pose2_from_row(pose) for pose in poses],
+        keyframe_scans=scans,
+        grids={OCCUPANCY: grid},
+    )
+    warning = Localizer(twice, CONFIG).warning()
+    assert warning is not None and "of 20 of its own scans fit elsewhere" in warning
+    known = Measured(pose2_from_row(poses[0]), np.diag([0.01, 0.01, 0.01]))
+    assert Localizer(twice, CONFIG, start=known).warning() is None

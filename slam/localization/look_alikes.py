@@ -1,0 +1,39 @@
+"""Whether places of a map look alike, so that one may be taken for another where nobody told the start."""
+
+from __future__ import annotations
+
+from fusion.estimation import FEWEST
+from slam.config.localization import LocalizationConfig
+from slam.localization.global_search import at_once, search_map
+from slam.localization.known_map import Walls
+from slam.localization.planar_sensor import PlanarSensor
+from slam.localization.poses import same_place
+from slam.localization.scan_view import first_in_cells
+from slam.measurements import pose2_from_row
+
+
+def look_alikes(walls: Walls, sensor: PlanarSensor, settings: LocalizationConfig) -> str | None:
+    """What there is to say of a map of which more than one scan in ten fits somewhere else in it, too.
+
+    Such a scan has more evidence there than a place needs to be likelier than being nowhere. None where few
+    have, and for a map without scans.
+    """
+    asked = list(walls.sampled(FEWEST))
+    elsewhere = 0
+    for own, view in asked:
+        seen = sensor.novel(view, own, None)
+        points = view.points.points_base
+        points = points[first_in_cells(points, settings.novel_cell_m)[0]]
+        for place in at_once(search_map(walls.field, points, settings, settings.hypotheses)):
+            guess = pose2_from_row(place.pose)
+            motion = sensor.align(view, guess)
+            pose = guess if motion is None else motion.T_reference_base
+            if not same_place(own, pose) and sensor.weigh(pose, seen) > settings.nowhere_nats:
+                elsewhere += 1
+                break
+    if 10 * elsewhere <= len(asked):
+        return None
+    return (
+        f"nobody told the start, and places of this map look alike ({elsewhere} of {len(asked)} of its own "
+        "scans fit elsewhere in it, too): the poses may be those of another place; --start tells it"
+    )
