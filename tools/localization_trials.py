@@ -9,8 +9,8 @@ With ``--drawn`` the robot is localised in the map's picture alone, or a worse o
 Truth, starts and the mapped part stay those of the map itself. With ``--told`` every start is told as well
 as a person points at it (``right``), or is told to be where another one is (``wrong``).
 
-A folder of ``scanweave simulate --campus`` is tracked only: its map is drawn from the true poses, so that no
-error of the map is the localiser's, and the drive that is localised has all its faults.
+Of a folder of ``scanweave simulate --campus`` the map is drawn from the true poses, so that no error of the
+map is the localiser's, and the drive, tracked and found from random starts, has all its faults.
 """
 
 from __future__ import annotations
@@ -96,7 +96,9 @@ def main() -> None:
     for path, share in named:
         if Path(path).is_dir():
             print(f"\n## {path}\n")
-            tracking_trial(campus_case(Path(path), float(share), config))
+            case = campus_case(Path(path), float(share), config)
+            tracking_trial(case)
+            starts_trial(case, arguments.starts, np.random.default_rng(arguments.seed))
     cases = [build_case(path, share, config) for path, share in named if not Path(path).is_dir()]
     if arguments.drawn:
         cases = [replace(case, known_map=drawn(case.known_map, arguments.drawn)) for case in cases]
