@@ -15,7 +15,8 @@ from fusion.curves import Intrinsics
 from fusion.height_band import pixel_rays
 from slam.config import Config
 from slam.mapping.polygons import inside
-from slam.measurements import BoolArray, FloatArray, LaserScan, Pose, spatial
+from slam.matching.planar import compose, transform_points
+from slam.measurements import BoolArray, FloatArray, LaserScan, Pose, row_from_pose2, spatial
 from slam.storage.map_contents import MapContents
 from slam.storage.map_edits import CLOUD, FRAME, MEASURED, REPAIRED, Evidence, mask_of
 
@@ -77,11 +78,9 @@ def _beams(scan: LaserScan, pose: FloatArray, cuts: Sequence[Cut], config: Confi
     ranges = scan.ranges_m.astype(np.float64)
     limit_m = min(config.scan.range_max_m, scan.range_max_m)
     met = np.flatnonzero((ranges > 0.0) & (ranges <= limit_m) & np.isfinite(ranges))
-    mount, yaw = scan.T_base_laser, pose[2]
-    bearings = scan.bearings_rad()[met] + mount.theta() + yaw
-    x = pose[0] + np.cos(yaw) * mount.x() - np.sin(yaw) * mount.y()
-    y = pose[1] + np.sin(yaw) * mount.x() + np.cos(yaw) * mount.y()
-    ends = np.column_stack([x + ranges[met] * np.cos(bearings), y + ranges[met] * np.sin(bearings)])
+    bearings = scan.bearings_rad()[met]
+    ends = ranges[met, None] * np.column_stack([np.cos(bearings), np.sin(bearings)])
+    ends = transform_points(ends, compose(pose, row_from_pose2(scan.T_base_laser)))
     gone = np.zeros(len(ranges), np.bool_)
     for cut in cuts:
         gone[met] |= cut.takes(ends)
