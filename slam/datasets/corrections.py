@@ -7,7 +7,6 @@ import math
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import gtsam
@@ -20,10 +19,8 @@ from slam.datasets.corrections_in_space import (
     GnssCorrector,
     ImuCorrector,
 )
-from slam.datasets.dataset import Dataset, ReadReport
 from slam.datasets.spinning_scans import straightened
 from slam.errors import DatasetError
-from slam.estimates import Trajectory
 from slam.matching.planar import wrap
 from slam.measurements import (
     FloatArray,
@@ -37,27 +34,6 @@ from slam.measurements import (
 )
 
 _RECENT = 4  # readings from which a rate is told
-
-
-class Corrected:
-    """A dataset with its measurements corrected; see `slam.datasets.dataset.Dataset`."""
-
-    def __init__(self, dataset: Dataset, calibration: Calibration) -> None:
-        self.log, self._calibration = dataset, calibration
-        self.name, self.path = dataset.name, Path(dataset.path)
-
-    @property
-    def report(self) -> ReadReport:
-        """Of the latest pass over the log."""
-        return self.log.report
-
-    def __iter__(self) -> Iterator[Measurement]:
-        """The log from its beginning; see `corrected`."""
-        return iter(corrected(self.log, self._calibration))
-
-    def groundtruth(self) -> Trajectory | None:
-        """That of the log."""
-        return self.log.groundtruth()
 
 
 def corrected(log: Iterable[Measurement], calibration: Calibration) -> Iterable[Measurement]:

@@ -44,9 +44,6 @@ class Motions:
     t_camera: FloatArray
     covariance_camera: FloatArray
 
-    def __len__(self) -> int:
-        return len(self.t_base)
-
     def significant(self) -> tuple[BoolArray, BoolArray]:
         """Which base steps turn, and which move, by more than their noise; (N,) each."""
         variances = np.diagonal(self.covariance_base, axis1=1, axis2=2)
