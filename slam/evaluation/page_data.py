@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any
 
 import gtsam
@@ -260,12 +261,9 @@ def _repairs(found: MapContents) -> dict[str, Any]:
 
 def _points_base(scan: LaserScan, which: NDArray[np.bool_] | None = None) -> FloatArray:
     """(N, 2) points of a scan, or of some of its beams, base frame."""
-    mount = row_from_pose2(scan.T_base_laser)
-    if which is None:
-        return transform_points(scan.points_laser(), mount)
-    bearings, ranges_m = scan.bearings_rad()[which], scan.ranges_m[which].astype(np.float64)
-    points = np.column_stack([ranges_m * np.cos(bearings), ranges_m * np.sin(bearings)])
-    return transform_points(points, mount)
+    if which is not None:
+        scan = replace(scan, ranges_m=np.where(which, scan.ranges_m, np.float32(np.nan)))
+    return transform_points(scan.points_laser(), row_from_pose2(scan.T_base_laser))
 
 
 def _centimetres(points: FloatArray) -> NDArray[np.int16]:

@@ -15,12 +15,11 @@ from slam.estimates import Trajectory
 from slam.evaluation.coverage import coverage
 from slam.evaluation.relations import Relations, read_relations, score_relations
 from slam.evaluation.trajectory_error import absolute_error, relative_error
+from slam.evaluation.truth_comparison import MAX_DIFFERENCE_S
 from slam.measurements import FloatArray
 from slam.outputs.finished_map import Map
 from slam.storage.covariances import covariance_path, read_covariances
 from slam.storage.tum import read_tum
-
-_TOLERANCE_S = 0.05
 
 
 def evaluate(
@@ -85,7 +84,7 @@ def evaluate(
         return {"relations": score_relations(poses, checked).to_dict()}
     assert groundtruth is not None
     truth = _truth(groundtruth)
-    limit_s = _TOLERANCE_S if tolerance_s is None else tolerance_s
+    limit_s = MAX_DIFFERENCE_S if tolerance_s is None else tolerance_s
     relative = relative_error(poses, truth, delta_m=delta_m, max_difference_s=limit_s)
     scores = {
         "ate": absolute_error(poses, truth, max_difference_s=limit_s).to_dict(),
