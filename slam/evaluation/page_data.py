@@ -22,7 +22,7 @@ from slam.matching.planar import transform_points
 from slam.measurements import FloatArray, LaserScan, Pose, row_from_pose, row_from_pose2
 from slam.storage.covariances import upper_triangles
 from slam.storage.map_contents import MapContents, SavedFactor
-from slam.storage.map_sessions import MapSession
+from slam.storage.map_sessions import MapSession, session_numbers
 
 # A page holds no more: points of scans, poses of the way. What is left out is evenly so, and told.
 _SCAN_POINTS, _POSES = 1_000_000, 20_000
@@ -42,13 +42,13 @@ def map_data(
     digest
         Of the map, so that edits can tell what they were made for.
     """
-    session = np.repeat(np.arange(len(sessions)), [one.keyframes for one in sessions]) if sessions else None
     rows = _rows_of_nodes(found, sessions)
     sigmas = _sigmas(found)
     scans, told = _scans(found.keyframe_scans, len(found.node_poses))
     way, way_told = _way(found, rows, sigmas)
     names = [one.log_name for one in sessions] or [title]
-    node_session = np.zeros(len(found.node_poses), np.int32) if session is None else session.astype(np.int32)
+    of_nodes = session_numbers(sessions) if sessions else np.zeros(len(found.node_poses))
+    node_session = of_nodes.astype(np.int32)
     way |= {"session": node_session[way["node"]].astype(np.uint8), "sessions": names}
     return {
         "kind": "map",
