@@ -247,7 +247,7 @@ class PlanarWay:
         cameras = [Motion(step.motion, step.covariance) for step in steps]
         tracked = self._tracker.track(points, stamp_s, cameras)
         if scan is not None and tracked.confident:
-            self.cameras.note_scan_turn(stamp_s, float(tracked.pose[2]))
+            self.cameras.scan_turns.add(stamp_s, float(tracked.pose[2]))
             if self._wheels is not None:
                 self._wheels.learn_clock(self.cameras.scan_turns)
             if self._gyro is not None:
