@@ -340,6 +340,16 @@ def row_from_pose(pose: Pose) -> list[float]:
     return [*spatial(pose).translation().tolist(), turn.x(), turn.y(), turn.z(), turn.w()]
 
 
+def composed(one: Pose, other: Pose) -> Pose:
+    """One, then the other; GTSAM has no type for a pose of the plane or of space."""
+    return one.compose(other)  # type: ignore[arg-type]
+
+
 def motion_between(one: Pose, other: Pose) -> Pose:
-    """The other seen from one; GTSAM has no type for a pose of the plane or of space."""
+    """The other seen from one."""
     return one.between(other)  # type: ignore[arg-type]
+
+
+def logarithm(step: Pose) -> FloatArray:
+    """(d,) tangent of a motion."""
+    return gtsam.Pose2.Logmap(step) if isinstance(step, gtsam.Pose2) else gtsam.Pose3.Logmap(step)

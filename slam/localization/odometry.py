@@ -11,10 +11,18 @@ import numpy as np
 from fusion.estimation import TINY
 from fusion.time_alignment import GAP_S
 from slam.config import Config
-from slam.localization.poses import Measured, composed, diagonal, position_sigma_m, squared_mahalanobis
+from slam.localization.poses import Measured, diagonal, position_sigma_m, squared_mahalanobis
 from slam.localization.scan_view import ScanView
 from slam.matching.planar import between
-from slam.measurements import FloatArray, PointCloud, Pose, WheelOdometry, pose2_from_row, row_from_pose2
+from slam.measurements import (
+    FloatArray,
+    PointCloud,
+    Pose,
+    WheelOdometry,
+    composed,
+    pose2_from_row,
+    row_from_pose2,
+)
 from slam.odometry.clock_learner import Turns
 from slam.odometry.cloud_tracker import CloudTracker, TrackedCloud
 from slam.odometry.constant_velocity import repeated, stretch

@@ -13,10 +13,9 @@ from slam.graph.cloud_loops import CloudLoopCloser
 from slam.graph.loop_candidate import LoopCandidate
 from slam.graph.loop_closure import closer_of
 from slam.graph.visual_loops import VisualLoopCloser
-from slam.localization.poses import between, composed
 from slam.mapper.keyframe_store import KeyframeStore
 from slam.matching.cloud_points import voxel_of
-from slam.measurements import FloatArray, Pose, row_from_pose2, spatial
+from slam.measurements import FloatArray, Pose, composed, motion_between, row_from_pose2, spatial
 from slam.outputs.finished_map import Map
 from slam.storage.map_contents import MapContents
 from slam.storage.map_sessions import session_numbers
@@ -65,7 +64,10 @@ class ScanMatcher:
         covariance = np.diag([sigma_m**2, sigma_m**2, sigma_rad**2])
         return [
             self._closer.verify(
-                place, nodes + key, row_from_pose2(between(known.node_poses[place], expected)), covariance
+                place,
+                nodes + key,
+                row_from_pose2(motion_between(known.node_poses[place], expected)),
+                covariance,
             )
             for place in self._places(row_from_pose2(expected))
         ]

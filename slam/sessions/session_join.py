@@ -14,9 +14,9 @@ from slam.estimates import one_after_another
 from slam.graph.keyframe_graph import row_of
 from slam.graph.loop_candidate import LoopCandidate, judged
 from slam.graph.pose_covariances import pose_covariances
-from slam.localization.poses import apart, composed
+from slam.localization.poses import apart
 from slam.mapping.keyframe_grid import lidar_grids
-from slam.measurements import Pose
+from slam.measurements import Pose, composed
 from slam.outputs.finished_map import Map
 from slam.sessions.placing import Placing
 from slam.storage.map_contents import MapContents, SavedFactor, parts_of
