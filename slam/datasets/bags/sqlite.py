@@ -45,7 +45,7 @@ class SqliteContainer:
                 channels = _channels(database)
             except sqlite3.Error as error:
                 raise DatasetError(f"{path} is no rosbag2 database: {error}; copy it again") from error
-            try:
+            with account.refusing(path.name, None, CUT, sqlite3.Error):
                 count = max(_last_number(database), 1)
                 for row, (number, stamp_ns, content) in enumerate(database.execute(_MESSAGES)):
                     on_share(min(row / count, 1.0))
@@ -55,9 +55,6 @@ class SqliteContainer:
                     else:
                         fault = RecordFault(DAMAGED, f"row of topic {number}")
                         account.refuse(fault, path.name, account.report.line_count)
-            except (sqlite3.Error, RecordFault) as error:
-                fault = error if isinstance(error, RecordFault) else RecordFault(CUT, str(error))
-                account.refuse(fault, path.name, account.report.line_count)
 
 
 def _last_number(database: sqlite3.Connection) -> int:
