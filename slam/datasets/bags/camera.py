@@ -14,7 +14,7 @@ from slam.datasets.bags.pairing import ImagePair
 from slam.datasets.bags.registered import ColorView
 from slam.datasets.budget import Budget
 from slam.datasets.calibration import Calibration, same_aspect
-from slam.datasets.camera_frames import SIZES_DIFFER
+from slam.datasets.camera_frames import SIZES_DIFFER, resized
 from slam.datasets.dataset import RecordFault
 from slam.measurements import CameraIntrinsics, ColorImage, Float32Array, RgbdFrame
 
@@ -113,8 +113,7 @@ class BagCamera:
             return beside.of(color, depth_m)
         if color.shape[:2] == depth_m.shape:
             return color
-        how = cv2.INTER_AREA if wanted.width < size[0] else cv2.INTER_LINEAR
-        return np.asarray(cv2.resize(color, (wanted.width, wanted.height), interpolation=how))
+        return resized(color, (wanted.width, wanted.height))
 
     def _view_of_color(self, size: tuple[int, int], wanted: CameraIntrinsics) -> _View:
         """Where pixels are looked up; neither where the views differ in size alone.
