@@ -7,6 +7,7 @@ import math
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import gtsam
@@ -14,10 +15,10 @@ import numpy as np
 
 from slam.config.calibration import Calibration, LidarCorrection, SensorCorrection, WheelCorrection
 from slam.datasets.corrections_in_space import (
-    CloudCorrector,
-    FrameCorrector,
-    GnssCorrector,
-    ImuCorrector,
+    corrected_cloud,
+    corrected_fix,
+    corrected_frame,
+    corrected_imu,
 )
 from slam.datasets.spinning_scans import straightened
 from slam.errors import DatasetError
@@ -79,15 +80,17 @@ def _by_name(calibration: Calibration) -> dict[tuple[type, str], SensorCorrectio
 def _corrected_one_by_one(log: Iterable[Measurement], calibration: Calibration) -> Iterator[Measurement]:
     """Each measurement by itself, in the order of the log."""
     by_name, seen = _by_name(calibration), dict[tuple[type, str], None]()
-    makers: dict[type, Callable[[Any], Callable[[Any], Any]]] = {
-        WheelOdometry: _Wheels,
-        LaserScan: _Lidar,
-        RgbdFrame: FrameCorrector,
-        PointCloud: CloudCorrector,
-        ImuReading: ImuCorrector,
-        GnssFix: GnssCorrector,
+    correct: dict[type, Callable[[Any, Any], Any]] = {
+        LaserScan: _corrected_scan,
+        RgbdFrame: corrected_frame,
+        PointCloud: corrected_cloud,
+        ImuReading: corrected_imu,
+        GnssFix: corrected_fix,
     }
-    correctors = {key: makers[key[0]](correction) for key, correction in by_name.items()}
+    correctors: dict[tuple[type, str], Callable[[Any], Any]] = {
+        key: _Wheels(one) if isinstance(one, WheelCorrection) else partial(correct[key[0]], one)
+        for key, one in by_name.items()
+    }
     newest: dict[tuple[type, str], Measurement] = {}
     for measurement in log:
         key = type(measurement), measurement.sensor
@@ -158,43 +161,35 @@ class Unwound:
         return heading_rad
 
 
-class _Lidar:
-    """Scans of one lidar."""
-
-    def __init__(self, correction: LidarCorrection) -> None:
-        self._correction = correction
-
-    def __call__(self, scan: LaserScan) -> LaserScan:
-        given = self._correction
-        ranges = scan.ranges_m * np.float32(given.range_scale)
-        for first, last in given.blocked_beams:
-            if last >= ranges.size:
-                raise DatasetError(
-                    f"the calibration leaves out beams {first} to {last} of '{scan.sensor}', "
-                    f"which has {ranges.size}"
-                )
-            ranges[first : last + 1] = np.nan
-        if given.floor is not None:
-            ahead = np.cos(scan.bearings_rad() - math.radians(given.floor.bearing_deg))
-            ranges[scan.ranges_m * ahead > given.floor.from_m] = np.nan
-        start_rad = (
-            scan.start_angle_rad if given.start_angle_deg is None else math.radians(given.start_angle_deg)
-        )
-        step_rad = scan.step_rad if given.step_deg is None else math.radians(given.step_deg)
-        if given.upside_down:
-            start_rad, ranges = -(start_rad + step_rad * (ranges.size - 1)), ranges[::-1].copy()
-            scan = replace(scan, beam_s=-scan.beam_s)
-        mounting = given.T_base_laser
-        return replace(
-            scan,
-            ranges_m=ranges,
-            start_angle_rad=start_rad,
-            step_rad=step_rad,
-            range_max_m=scan.range_max_m * given.range_scale,
-            T_base_laser=scan.T_base_laser
-            if mounting is None
-            else gtsam.Pose2(mounting.x_m, mounting.y_m, math.radians(mounting.yaw_deg)),
-        )
+def _corrected_scan(given: LidarCorrection, scan: LaserScan) -> LaserScan:
+    """A scan of a lidar."""
+    ranges = scan.ranges_m * np.float32(given.range_scale)
+    for first, last in given.blocked_beams:
+        if last >= ranges.size:
+            raise DatasetError(
+                f"the calibration leaves out beams {first} to {last} of '{scan.sensor}', "
+                f"which has {ranges.size}"
+            )
+        ranges[first : last + 1] = np.nan
+    if given.floor is not None:
+        ahead = np.cos(scan.bearings_rad() - math.radians(given.floor.bearing_deg))
+        ranges[scan.ranges_m * ahead > given.floor.from_m] = np.nan
+    start_rad = scan.start_angle_rad if given.start_angle_deg is None else math.radians(given.start_angle_deg)
+    step_rad = scan.step_rad if given.step_deg is None else math.radians(given.step_deg)
+    if given.upside_down:
+        start_rad, ranges = -(start_rad + step_rad * (ranges.size - 1)), ranges[::-1].copy()
+        scan = replace(scan, beam_s=-scan.beam_s)
+    mounting = given.T_base_laser
+    return replace(
+        scan,
+        ranges_m=ranges,
+        start_angle_rad=start_rad,
+        step_rad=step_rad,
+        range_max_m=scan.range_max_m * given.range_scale,
+        T_base_laser=scan.T_base_laser
+        if mounting is None
+        else gtsam.Pose2(mounting.x_m, mounting.y_m, math.radians(mounting.yaw_deg)),
+    )
 
 
 class _Wheels:
