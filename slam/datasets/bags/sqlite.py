@@ -16,8 +16,6 @@ from slam.datasets.sqlite_reading import foreign_database, tables_of
 from slam.errors import DatasetError
 from slam.foreign import plain
 
-MAGIC = b"SQLite format 3\x00"
-
 # Messages larger than that are passed over without being loaded: a size that no message has is damage.
 _MESSAGES = f"""
 SELECT topic_id, timestamp, CASE WHEN length(data) <= {LARGEST_BYTES} THEN data END FROM messages ORDER BY id
