@@ -116,7 +116,7 @@ def evaluate(
 ) -> None:
     """Score a trajectory by relations, or by ATE and RPE against the truth."""
     from slam.evaluation.score import evaluate as score
-    from slam.evaluation.score_text import score_text
+    from slam.evaluation.score import score_text
 
     if (relations is None) == (groundtruth is None):
         raise typer.BadParameter("give --relations or --groundtruth, one of them")

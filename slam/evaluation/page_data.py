@@ -10,13 +10,15 @@ import gtsam
 import numpy as np
 from numpy.typing import NDArray
 
+from fusion.estimation import gate
 from slam.config import Config
 from slam.estimates import Trajectory
 from slam.evaluation.association import nearest_indices
 from slam.evaluation.page_charts import sigmas_of
 from slam.evaluation.page_layers import layer_pictures
-from slam.evaluation.page_what_if import what_if_data
+from slam.graph.influence import all_edges, elimination_order, influences
 from slam.graph.loop_candidate import LoopCandidate
+from slam.heap import give_back
 from slam.mapping.layered_map import PASSED_BY
 from slam.matching.planar import transform_points
 from slam.measurements import FloatArray, LaserScan, Pose, row_from_pose, row_from_pose2
@@ -73,7 +75,35 @@ def map_data(
         "layers": layer_pictures(found.layers(config), found.grids.get(PASSED_BY)),
         "trajectory": way,
         "limits": [*told, *way_told],
-        **what_if_data(found, config),
+        **_what_if(found, config),
+    }
+
+
+def _what_if(found: MapContents, config: Config) -> dict[str, Any]:
+    """Influence and order of elimination, see `slam.graph.influence`.
+
+    Edges are those of the graph, and after them the matched loop candidates that never came into it, in
+    order: so they are numbered in the page, too.
+    """
+    factors = [factor.edge for factor in found.factors]
+    edges = all_edges(factors, found.loops)
+    kept = [factor.kept for factor in found.factors] + [False] * (len(edges) - len(factors))
+    size = 3 if found.planar else 6
+    told = influences(found.node_poses, edges, kept)
+    give_back()
+    return {
+        "influence": {
+            "edge": told.edges.astype(np.int32),
+            "shift_m": told.shifts_m.astype(np.float32),
+            "node": told.nodes.astype(np.int32),
+            "residual": told.residuals.astype(np.float32),
+            "left_out": told.left_out.astype(np.float32),
+            # Squared sigmas that one in a thousand true loops is beyond: of one loop, of two and so on.
+            "gates": np.array([gate(size * n) for n in range(1, max(len(told.edges), 1) + 1)], np.float32),
+            # Loops that lie within a local map of each other at both ends are one claim.
+            "reach": config.match.local_map_keyframes,
+        },
+        "order": elimination_order(len(found.node_poses), edges).astype(np.int32),
     }
 
 
