@@ -13,6 +13,7 @@ import gtsam
 import numpy as np
 from numpy.typing import NDArray
 
+from fusion.curves import Intrinsics
 from fusion.showing import drawn, shaded, with_pictures
 from fusion.showing import one_line as one_line
 from slam.later import load_later
@@ -132,7 +133,7 @@ class WheelOdometry:
 
 
 @dataclass(frozen=True, slots=True)
-class CameraIntrinsics:
+class CameraIntrinsics(Intrinsics):
     """A pin-hole camera without lens distortion, in pixels; pixel (0, 0) has its centre at (0, 0).
 
     Examples
@@ -144,10 +145,6 @@ class CameraIntrinsics:
     424.5
     """
 
-    fx: float
-    fy: float
-    cx: float
-    cy: float
     width: int
     height: int
 

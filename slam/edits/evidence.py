@@ -11,7 +11,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from fusion.curves import Intrinsics
 from fusion.height_band import pixel_rays
 from slam.config import Config
 from slam.mapping.polygons import inside
@@ -98,8 +97,7 @@ def _in_space(contents: MapContents, first: int) -> Iterator[tuple[Evidence, Flo
             if head.node < first:
                 continue
             depth_m = contents.frames.frame(index).depth_m.astype(np.float64)
-            camera = head.intrinsics
-            rays = pixel_rays(depth_m.shape, Intrinsics(camera.fx, camera.fy, camera.cx, camera.cy))
+            rays = pixel_rays(depth_m.shape, head.intrinsics)
             depth_m[~(np.isfinite(depth_m) & (depth_m > 0.0))] = np.nan
             points = np.dstack([rays * depth_m[..., None], depth_m]).reshape(-1, 3)
             base = None
