@@ -19,8 +19,8 @@ from numpy.typing import NDArray
 
 from fusion.curves import BESIDE, HEIGHT_STEP_M, Curve, DepthImage, Float32Array, FloatArray, LidarCurve
 from fusion.estimation import gate, median_to_sigma
-from fusion.image_view import ImageView, view_at_height
-from fusion.panorama import Depths, as_images
+from fusion.native_slice import ImageView, native_slice, native_step_rad
+from fusion.panorama import Depths, as_images, lookup_of
 from fusion.registration import Registration
 from fusion.repair import Provenance, ProvenanceArray, replace_readings, smooth_outliers
 from fusion.repair_odds import BEAM_ODDS, PIXEL_ODDS, beam_candidates, probabilities
@@ -151,9 +151,8 @@ def repair_by(
 def _view(image: DepthImage, registration: Registration | RigEstimate) -> ImageView:
     """The curve of an image that the registration chose."""
     height = registration.height_m
-    if isinstance(registration, RigEstimate):
-        return view_at_height(image, height, *registration.height_range_m)
-    return view_at_height(image, height, height, height)
+    low, high = registration.height_range_m if isinstance(registration, RigEstimate) else (height, height)
+    return ImageView(native_slice(image, height), lookup_of(image, native_step_rad(image)), low, high)
 
 
 def matched_curves(registration: Registration) -> list[tuple[FloatArray, FloatArray]]:
@@ -331,7 +330,7 @@ def _pixel_candidates(
     aside = max(1, round(0.5 * beams[1] / step))
     return pixel_candidates(
         np.ascontiguousarray(image.depth_m, dtype=np.float32),
-        (view.pixel, view.range_of_depth, view.slopes),
+        (view.lookup.pixel, view.lookup.range_of_depth, view.lookup.slopes),
         np.stack([predicted, _shifted(predicted, -aside), _shifted(predicted, aside)]),
         np.nan_to_num(lost[beam]),
         view.heights(float(np.nanmin(predicted))),

@@ -1,16 +1,62 @@
 # mypy: allow-untyped-decorators
-"""The slice of a depth image at one known height, at the image's own resolution."""
+"""The slice of a depth image at one known height, and the pixels about it, at the image's own resolution."""
 
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from fusion.curves import EDGE_M, HEIGHT_STEP_M, NEAREST_M, Curve, DepthImage, Float32Array, IntArray
+from fusion.curves import (
+    EDGE_M,
+    HEIGHT_STEP_M,
+    NEAREST_M,
+    Curve,
+    DepthImage,
+    Float32Array,
+    FloatArray,
+    IntArray,
+)
 from fusion.kernel import kernel
-from fusion.panorama import lookup_of, yaw_of
+from fusion.panorama import Lookup, lookup_of, yaw_of
+
+_MOST_ROWS = 121
+
+
+@dataclass(frozen=True)
+class ImageView:
+    """One camera's part in a repair, at the image's own resolution.
+
+    Attributes
+    ----------
+    curve
+        Ranges at the columns' bearings.
+    lookup
+        Which pixels show them.
+    low_m, high_m
+        Between them lie all heights that are as good as the curve's.
+    """
+
+    curve: Curve
+    lookup: Lookup
+    low_m: float
+    high_m: float
+
+    def heights(self, nearest_m: float) -> FloatArray:
+        """Heights to look at, so that no row of pixels is left out.
+
+        Parameters
+        ----------
+        nearest_m
+            Least range of the lidar's surfaces: there the rows are the closest.
+        """
+        # A step beyond the heights that are as good: walls are upright.
+        low, high = self.low_m - HEIGHT_STEP_M, self.high_m + HEIGHT_STEP_M
+        fall = float(self.lookup.slopes[0] - self.lookup.slopes[1])
+        rows = min(_MOST_ROWS, 2 + int(np.ceil((high - low) / (nearest_m * fall))))
+        return np.linspace(low, high, rows)
 
 
 def native_step_rad(image: DepthImage) -> float:

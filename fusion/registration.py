@@ -17,7 +17,6 @@ from fusion.alignment import align
 from fusion.curves import (
     HEIGHT_STEP_M,
     NEAR_SAMPLES,
-    SAMPLE_STEP_RAD,
     Curve,
     Float32Array,
     FloatArray,
@@ -94,7 +93,6 @@ def register(
     depth: Depths,
     *,
     heights_m: FloatArray = HEIGHTS_M,
-    step_rad: float = SAMPLE_STEP_RAD,
 ) -> Registration:
     """Find (u, v) of one pair, with neither extrinsics nor a first guess.
 
@@ -106,8 +104,6 @@ def register(
         One image, or those of several cameras, which make a panorama.
     heights_m
         (V,) above the camera that are tried.
-    step_rad
-        Common angular step.
 
     Raises
     ------
@@ -134,8 +130,8 @@ def register(
     if not isinstance(scan, LidarCurve):
         given = type(scan).__name__
         raise ValueError(f"scan is {given}; give fusion.LidarCurve(ranges_m, start_angle_rad, step_rad)")
-    stacks = tuple(height_slices(image, heights_m, step_rad) for image in as_images(depth))
-    curve, stack = resample(scan, step_rad), join(stacks)
+    stacks = tuple(height_slices(image, heights_m) for image in as_images(depth))
+    curve, stack = resample(scan), join(stacks)
     scores = log_ratio_map(stack.ranges_m, curve.ranges_m)
     # A wall is upright: all heights speak for the offset, and then one of them for itself.
     profile = scores.mean(axis=0)

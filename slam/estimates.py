@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -146,3 +147,9 @@ class Trajectory:
         x, y, z, w = self.quaternions_xyzw.T
         yaw = np.arctan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
         return np.column_stack([self.positions_m[:, :2], yaw])
+
+
+def one_after_another(parts: Sequence[Trajectory]) -> Trajectory:
+    """The poses of several trajectories, one at least, in their order."""
+    columns = zip(*((one.stamps_s, one.positions_m, one.quaternions_xyzw) for one in parts), strict=True)
+    return Trajectory(*map(np.concatenate, columns))

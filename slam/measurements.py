@@ -13,6 +13,7 @@ import gtsam
 import numpy as np
 from numpy.typing import NDArray
 
+from fusion.curves import Intrinsics
 from fusion.showing import drawn, shaded, with_pictures
 from fusion.showing import one_line as one_line
 from slam.later import load_later
@@ -132,7 +133,7 @@ class WheelOdometry:
 
 
 @dataclass(frozen=True, slots=True)
-class CameraIntrinsics:
+class CameraIntrinsics(Intrinsics):
     """A pin-hole camera without lens distortion, in pixels; pixel (0, 0) has its centre at (0, 0).
 
     Examples
@@ -144,10 +145,6 @@ class CameraIntrinsics:
     424.5
     """
 
-    fx: float
-    fy: float
-    cx: float
-    cy: float
     width: int
     height: int
 
@@ -340,6 +337,16 @@ def row_from_pose(pose: Pose) -> list[float]:
     return [*spatial(pose).translation().tolist(), turn.x(), turn.y(), turn.z(), turn.w()]
 
 
+def composed(one: Pose, other: Pose) -> Pose:
+    """One, then the other; GTSAM has no type for a pose of the plane or of space."""
+    return one.compose(other)  # type: ignore[arg-type]
+
+
 def motion_between(one: Pose, other: Pose) -> Pose:
-    """The other seen from one; GTSAM has no type for a pose of the plane or of space."""
+    """The other seen from one."""
     return one.between(other)  # type: ignore[arg-type]
+
+
+def logarithm(step: Pose) -> FloatArray:
+    """(d,) tangent of a motion."""
+    return gtsam.Pose2.Logmap(step) if isinstance(step, gtsam.Pose2) else gtsam.Pose3.Logmap(step)

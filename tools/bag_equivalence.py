@@ -12,16 +12,15 @@ from __future__ import annotations
 import argparse
 import sys
 import tempfile
-from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from itertools import islice
 from pathlib import Path
 
 import numpy as np
 
+from slam.app.measured import Measured
 from slam.config import load_config
 from slam.datasets import open_dataset
-from slam.datasets.dataset import ReadReport
 from slam.mapper.map_result import MapResult
 from slam.mapper.pipeline import build_map
 from slam.mapping.occupancy_grid import OccupancyGrid
@@ -85,7 +84,9 @@ def main() -> None:
 def packed_alike(folder: Path, count: int) -> bool:
     """Whether a folder's frames map alike as the folder and packed in every way."""
     frames = list(islice((one for one in open_dataset(folder) if isinstance(one, RgbdFrame)), count))
-    reference, same = build_map(Frames(folder.name, frames), load_config(None, [])), True
+    # A bag's stamps may not be zero.
+    later = [replace(frame, stamp_s=frame.stamp_s + AFTER_S) for frame in frames]
+    reference, same = build_map(Measured(later), load_config(None, [])), True
     for name in PACKINGS:
         with tempfile.TemporaryDirectory() as place:
             found = difference(reference, mapped(write_rgbd_bag(Path(place), name, frames)))
@@ -95,21 +96,6 @@ def packed_alike(folder: Path, count: int) -> bool:
             flush=True,
         )
     return same
-
-
-class Frames:
-    """Frames that are held, as a dataset; their stamps begin later, since a bag's may not be zero."""
-
-    def __init__(self, name: str, frames: list[RgbdFrame]) -> None:
-        self.name, self.path, self.report = name, Path(name), ReadReport()
-        self._frames = [replace(frame, stamp_s=frame.stamp_s + AFTER_S) for frame in frames]
-
-    def __iter__(self) -> Iterator[RgbdFrame]:
-        """From the beginning."""
-        return iter(self._frames)
-
-    def groundtruth(self) -> None:
-        """Not compared with."""
 
 
 def mapped(log: Path) -> MapResult:

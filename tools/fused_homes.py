@@ -10,15 +10,16 @@ import argparse
 import dataclasses
 import sys
 from collections.abc import Iterator
+from contextlib import closing
 from pathlib import Path
 
 import gtsam
 import numpy as np
 
+import slam
 from slam.config import load_config
 from slam.datasets import Dataset, open_dataset
 from slam.evaluation.trajectory_error import absolute_error
-from slam.mapper.pipeline import build_map
 from slam.measurements import LaserScan, Measurement, RgbdFrame
 
 _DEAD_S = 20.0
@@ -38,43 +39,32 @@ class Altered:
     def __init__(self, dataset: Dataset, variant: str) -> None:
         self._dataset = dataset
         self._variant = variant
-        self.name, self.path = dataset.name, dataset.path
-        self.mountings: dict[str, gtsam.Pose3] = {}
-
-    @property
-    def report(self) -> object:
-        """Of the drive itself."""
-        return self._dataset.report
-
-    def groundtruth(self) -> object:
-        """Of the drive itself."""
-        return self._dataset.groundtruth()
 
     def __iter__(self) -> Iterator[Measurement]:
         first_s: float | None = None
         for measurement in self._dataset:
             first_s = measurement.stamp_s if first_s is None else first_s
             since_s = measurement.stamp_s - first_s
-            if self._variant == "dead" and self._is_dead(measurement, since_s):
+            if self._variant == "dead" and _is_dead(measurement, since_s):
                 continue
             if self._variant == "mounting" and isinstance(measurement, RgbdFrame):
-                measurement = self._misplaced(measurement)
+                measurement = _misplaced(measurement)
             yield measurement
 
-    @staticmethod
-    def _is_dead(measurement: Measurement, since_s: float) -> bool:
-        """The lidar early, the cameras later; a short drive has less of both."""
-        if isinstance(measurement, LaserScan):
-            return 8.0 < since_s < 8.0 + _DEAD_S
-        return isinstance(measurement, RgbdFrame) and 32.0 < since_s < 32.0 + _DEAD_S
 
-    def _misplaced(self, frame: RgbdFrame) -> RgbdFrame:
-        """The frame with a mounting turned and shifted."""
-        if frame.T_base_camera is None:
-            return frame
-        self.mountings[frame.sensor] = frame.T_base_camera
-        wrong = gtsam.Pose3(gtsam.Rot3.Yaw(_WRONG_TURN_RAD), np.array([_WRONG_SHIFT_M, 0.0, 0.0]))
-        return dataclasses.replace(frame, T_base_camera=wrong.compose(frame.T_base_camera))
+def _is_dead(measurement: Measurement, since_s: float) -> bool:
+    """The lidar early, the cameras later; a short drive has less of both."""
+    if isinstance(measurement, LaserScan):
+        return 8.0 < since_s < 8.0 + _DEAD_S
+    return isinstance(measurement, RgbdFrame) and 32.0 < since_s < 32.0 + _DEAD_S
+
+
+def _misplaced(frame: RgbdFrame) -> RgbdFrame:
+    """The frame with a mounting turned and shifted."""
+    if frame.T_base_camera is None:
+        return frame
+    wrong = gtsam.Pose3(gtsam.Rot3.Yaw(_WRONG_TURN_RAD), np.array([_WRONG_SHIFT_M, 0.0, 0.0]))
+    return dataclasses.replace(frame, T_base_camera=wrong.compose(frame.T_base_camera))
 
 
 def main() -> None:
@@ -100,12 +90,14 @@ def main() -> None:
 
 def _error_m(drive: Path, variant: str) -> float:
     """ATE RMSE after rigid alignment, metres; learned mountings go to stderr."""
-    dataset = Altered(open_dataset(drive), variant)
-    result = build_map(dataset, load_config(None, ["dense_map.enabled=false", *_OVERRIDES[variant]]))
-    for note in result.notes if variant == "mounting" else ():
-        print(f"{drive.name}: {note}", file=sys.stderr)
+    dataset = open_dataset(drive)
     truth = dataset.groundtruth()
-    return float(absolute_error(result.map.trajectory, truth).translation_m.rmse)
+    assert truth is not None
+    settings = ["dense_map.enabled=false", *_OVERRIDES[variant]]
+    with closing(slam.build_map(Altered(dataset, variant), load_config(None, settings))) as found:
+        for note in found.notes if variant == "mounting" else ():
+            print(f"{drive.name}: {note}", file=sys.stderr)
+        return absolute_error(found.trajectory, truth).translation_m.rmse
 
 
 if __name__ == "__main__":

@@ -16,8 +16,7 @@ from pathlib import Path
 
 import slam
 from slam.datasets import open_dataset
-from slam.datasets.dataset import Dataset, ReadReport
-from slam.estimates import Trajectory
+from slam.datasets.dataset import Dataset
 from slam.evaluation.coverage import coverage
 from slam.evaluation.trajectory_error import absolute_error
 from slam.measurements import GnssFix, ImuReading, Measurement, PointCloud
@@ -29,12 +28,6 @@ class Cut:
 
     def __init__(self, log: Dataset, gap_s: tuple[float, float], until_s: float, *, fixes: bool) -> None:
         self._log, self._gap_s, self._until_s, self._fixes = log, gap_s, until_s, fixes
-        self.name, self.path = log.name, Path(log.path)
-
-    @property
-    def report(self) -> ReadReport:
-        """Of the latest pass."""
-        return self._log.report
 
     def __iter__(self) -> Iterator[Measurement]:
         """Without the IMU, the clouds of the gap, and perhaps the fixes."""
@@ -48,10 +41,6 @@ class Cut:
             if blind or isinstance(one, ImuReading) or (isinstance(one, GnssFix) and not self._fixes):
                 continue
             yield one
-
-    def groundtruth(self) -> Trajectory | None:
-        """None in the bag."""
-        return None
 
 
 def main() -> None:
@@ -68,7 +57,7 @@ def main() -> None:
         truth = read_tum(street.parent / "groundtruth.txt")
         for fixes in (False, True):
             log = Cut(open_dataset(street), tuple(arguments.gap), arguments.until, fixes=fixes)
-            made = slam.map_log(log)
+            made = slam.build_map(log)
             error = absolute_error(made.trajectory, truth).translation_m
             assert made.covariances is not None
             held = coverage(made.trajectory, made.covariances, truth, 0.02)

@@ -76,7 +76,6 @@ class Cut:
     def __init__(self, log: Dataset, case: Case, truth: Trajectory) -> None:
         self._log, self._case, self._gap_s = log, case, case.gap_s(truth)
         self._wheels = list(wheels(truth)) if case.wheels else []
-        self.name, self.path, self.report = log.name, Path(log.path), log.report
 
     def __iter__(self) -> Iterator[Measurement]:
         """In order."""
@@ -100,10 +99,6 @@ class Cut:
                     )
             if not isinstance(one, GnssFix):
                 yield one
-
-    def groundtruth(self) -> Trajectory | None:
-        """None in the bag."""
-        return None
 
 
 def wheels(truth: Trajectory, every: int = 5) -> Iterator[WheelOdometry]:
@@ -140,7 +135,7 @@ def trial(folder: Path, case: Case) -> FloatArray:
     """ATE and worst in mm, lean in degrees and worst, percent at the end of the gap, share of ellipses."""
     truth = read_tum(folder / "groundtruth.txt")
     config = slam.load_config(None, [f"sensors.imu={case.imu}"])
-    made = slam.map_log(Cut(open_dataset(folder / "log.mcap"), case, truth), config=config)
+    made = slam.build_map(Cut(open_dataset(folder / "log.mcap"), case, truth), config)
     error = absolute_error(made.trajectory, truth).translation_m
     lean = lean_degrees(made.trajectory, truth)
     assert made.covariances is not None

@@ -20,7 +20,7 @@ import numpy as np
 from saved_maps import map_of, scanweave
 
 from slam.datasets import open_dataset
-from slam.estimates import Trajectory
+from slam.estimates import Trajectory, one_after_another
 from slam.evaluation.relations import read_relations, score_relations
 from slam.evaluation.trajectory_error import absolute_error
 from slam.outputs.finished_map import Map
@@ -195,7 +195,8 @@ def _scores(found: Connection, known: Drive, session: Drive) -> tuple[float, flo
     stamps_s = whole.stamps_s.copy()
     one, other = known.opened(), session.opened()
     stamps_s[len(one.trajectory) :] += _APART_S
-    truth = _one_after_the_other(known.truth, session.truth)
+    later = session.truth.stamps_s + _APART_S
+    truth = one_after_another([known.truth, dataclasses.replace(session.truth, stamps_s=later)])
     moved = Trajectory(stamps_s, whole.positions_m, whole.quaternions_xyzw)
     joint = absolute_error(moved, truth).translation_m
     alone = max(
@@ -205,15 +206,6 @@ def _scores(found: Connection, known: Drive, session: Drive) -> tuple[float, flo
     one.close()
     other.close()
     return joint.rmse, joint.max, alone
-
-
-def _one_after_the_other(first: Trajectory, second: Trajectory) -> Trajectory:
-    """Two trajectories as one, the second much later."""
-    return Trajectory(
-        np.concatenate([first.stamps_s, second.stamps_s + _APART_S]),
-        np.concatenate([first.positions_m, second.positions_m]),
-        np.concatenate([first.quaternions_xyzw, second.quaternions_xyzw]),
-    )
 
 
 def _simulated(arguments: argparse.Namespace, home: int, seed: int) -> Drive:

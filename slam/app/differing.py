@@ -13,8 +13,7 @@ from fusion.showing import one_line, with_pictures
 from slam.errors import ScanweaveError
 from slam.localization.known_map import has_walls
 from slam.outputs.finished_map import Map, load_map
-from slam.sessions.between_visits import BetweenVisits
-from slam.sessions.changes import Comparison, Visit, compare
+from slam.sessions.changes import Comparison, Visit, compare, spread_between
 from slam.sessions.connection import connect
 from slam.sessions.difference_files import difference_picture, write_difference
 from slam.sessions.moved_things import ChangedThing, changed_things
@@ -102,7 +101,7 @@ def diff_maps(
     visits = [
         Visit([contents.measured_scans[k] for k in part], contents.keyframe_poses[part]) for part in parts
     ]
-    found = compare(visits[0], visits[1], BetweenVisits(contents, *parts), before.config)
+    found = compare(visits[0], visits[1], spread_between(contents, *parts), before.config)
     believed = [change for change in found.changes if change.probability > 0.5]
     things = changed_things(believed, found.resolution_m)
     passing = sum(change.standing < 0.5 for change in found.changes)

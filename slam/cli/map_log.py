@@ -1,4 +1,4 @@
-"""scanweave map, scanweave demo."""
+"""scanweave map."""
 
 from __future__ import annotations
 

@@ -25,7 +25,7 @@ from slam.cli.app import (
 from slam.errors import ScanweaveError
 
 if TYPE_CHECKING:
-    from slam.config.calibration import Calibration
+    from slam.config.stages import SensorsConfig
     from slam.datasets.dataset import Dataset
 
 
@@ -38,15 +38,15 @@ def inspect(
     calibration: CalibrationOption = None,
 ) -> None:
     """Tell what is in a log: sensors, rates, gaps, clock steps, dropped records."""
-    from slam.datasets.corrections import Corrected
     from slam.datasets.inspection import inspect_dataset, map_commands
+    from slam.datasets.sensor_choice import UsedMeasurements
     from slam.doctor.diagnosis import diagnose
     from slam.evaluation.pages import inspection_text
 
-    dataset, known = _opened(log, topics, calibration, strict=strict)
-    inspection = inspect_dataset(dataset, known)
+    dataset, sensors = _opened(log, topics, calibration, strict=strict)
+    inspection = inspect_dataset(dataset, sensors.calibration)
     inspection["commands"] = map_commands(inspection, log, topics_of(topics), calibration)
-    findings = [] if inspection["refusal"] else diagnose(Corrected(dataset, known))
+    findings = [] if inspection["refusal"] else diagnose(UsedMeasurements(dataset, sensors))
     inspection["findings"] = [{"line": finding.line, **finding.plain()} for finding in findings]
     lines = [inspection_text(inspection), *(f"  finding: {finding.line}" for finding in findings)]
     tell(json.dumps(inspection, indent=2) if as_json else "\n".join(lines))
@@ -65,13 +65,13 @@ def doctor(
     calibration: CalibrationOption = None,
 ) -> None:
     """Tell what the sensors of a log say of each other that cannot be, and what mends it."""
-    from slam.datasets.corrections import Corrected
+    from slam.datasets.sensor_choice import UsedMeasurements
     from slam.doctor.diagnosis import examine
     from slam.doctor.finding import calibration_text, remedied
     from slam.storage.files import write_bytes
 
-    dataset, known = _opened(log, topics, calibration, strict=strict)
-    diagnosis = examine(Corrected(dataset, known))
+    dataset, sensors = _opened(log, topics, calibration, strict=strict)
+    diagnosis = examine(UsedMeasurements(dataset, sensors))
     findings = diagnosis.findings
     if as_json:
         found = [finding.plain() for finding in findings]
@@ -81,22 +81,21 @@ def doctor(
         for line in diagnosis.open:
             tell(f"not judged: {line}")
     if write is not None:
-        mended = remedied(known, findings, only_sure=False)
+        mended = remedied(sensors.calibration, findings, only_sure=False)
         write_bytes(write, calibration_text(mended, findings).encode())
         say(f"wrote {write}")
 
 
 def _opened(
     log: Path, topics: list[str] | None, calibration: Path | None, *, strict: bool
-) -> tuple[Dataset, Calibration]:
+) -> tuple[Dataset, SensorsConfig]:
     """A log to look into, and what is known of its sensors."""
     from slam.config import load_config
     from slam.datasets import open_dataset
 
     sensors = load_config(calibration=calibration).sensors
     files = sensors.calibration_files
-    dataset = open_dataset(log, strict=strict, topics=topics_of(topics), calibration=files)
-    return dataset, sensors.calibration
+    return open_dataset(log, strict=strict, topics=topics_of(topics), calibration=files), sensors
 
 
 @command()
@@ -117,7 +116,7 @@ def evaluate(
 ) -> None:
     """Score a trajectory by relations, or by ATE and RPE against the truth."""
     from slam.evaluation.score import evaluate as score
-    from slam.evaluation.score_text import score_text
+    from slam.evaluation.score import score_text
 
     if (relations is None) == (groundtruth is None):
         raise typer.BadParameter("give --relations or --groundtruth, one of them")

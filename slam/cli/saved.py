@@ -103,7 +103,6 @@ def floorplan(
     as_json: JsonOption = False,
 ) -> None:
     """Draw the rooms of a map with doors, lengths and areas, each with its 95 % interval."""
-    from slam.evaluation.floor_plan_text import floor_plan_text
     from slam.outputs.finished_map import load_map
     from slam.storage.plan_geojson import plan_geojson
 
@@ -113,7 +112,7 @@ def floorplan(
     saved = load_map(map_)
     plan = saved.floor_plan()
     saved.export(formats[out.suffix].value, out)
-    tell(json.dumps(plan_geojson(plan), indent=2) if as_json else floor_plan_text(plan))
+    tell(json.dumps(plan_geojson(plan), indent=2) if as_json else plan.text())
     say(f"wrote {out}")
 
 

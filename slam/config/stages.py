@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Literal
 
 from pydantic import Field, model_validator
@@ -142,6 +143,10 @@ class KeyframeConfig(StrictModel):
     angle_rad: float = Field(
         default=0.2, gt=0, le=3.15, description="turn after which a scan becomes a keyframe"
     )
+
+    def due(self, x_m: float, y_m: float, yaw_rad: float) -> bool:
+        """Whether a motion since the last keyframe asks for another."""
+        return math.hypot(x_m, y_m) > self.distance_m or abs(yaw_rad) > self.angle_rad
 
 
 class LoopConfig(StrictModel):

@@ -59,17 +59,21 @@ class Account:
         log.debug("%s: %s, record %d: %s", self.name, where, number, fault)
 
     @contextmanager
-    def refusing(self, where: str, number: int, reason: str = "", *others: type[Exception]) -> Iterator[None]:
+    def refusing(
+        self, where: str, number: int | None = None, reason: str = "", *others: type[Exception]
+    ) -> Iterator[None]:
         """Do `refuse` for the record whose reading fails inside.
 
         Parameters
         ----------
+        number
+            None for that of the report's newest line by then.
         reason, others
             For failures other than a `RecordFault`.
         """
+        damages: tuple[type[Exception], ...] = (RecordFault, *others)
         try:
             yield
-        except RecordFault as fault:
-            self.refuse(fault, where, number)
-        except others as error:
-            self.refuse(RecordFault(reason, str(error)), where, number)
+        except damages as error:
+            fault = error if isinstance(error, RecordFault) else RecordFault(reason, str(error))
+            self.refuse(fault, where, self.report.line_count if number is None else number)

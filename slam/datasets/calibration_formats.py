@@ -17,6 +17,7 @@ from xml.parsers import expat
 import gtsam
 import numpy as np
 
+from slam.datasets.bags.decoding import frame_name
 from slam.datasets.bags.lens import Lens, lens_of
 from slam.datasets.calibration import pose_from, pose_from_matrix, positive
 from slam.datasets.dataset import RecordFault
@@ -184,7 +185,9 @@ def _printed_tf(tree: Mapping[Any, Any], path: Path) -> FileContent:
         translation = [at["translation"][axis] for axis in "xyz"]
         pose = pose_from(translation, [at["rotation"][axis] for axis in "xyzw"])
         parent = row["header"]["frame_id"] if "header" in row else row["frame_id"]
-        found.transforms.append(FileTransform(_frame(parent), _frame(row["child_frame_id"]), pose, path.name))
+        found.transforms.append(
+            FileTransform(frame_name(parent), frame_name(row["child_frame_id"]), pose, path.name)
+        )
     return found
 
 
@@ -199,7 +202,7 @@ def _matrices(tree: Mapping[Any, Any], path: Path) -> FileContent:
                 pose = pose_from_matrix(numbers_in(row["matrix"]).reshape(4, 4))
             else:
                 pose = pose_from(numbers_in(row["translation"]), numbers_in(row["rotation"]))
-            frames = _frame(row["parent_frame"]), _frame(row["child_frame"])
+            frames = frame_name(row["parent_frame"]), frame_name(row["child_frame"])
             found.transforms.append(FileTransform(*frames, pose, path.name))
     return found
 
@@ -249,7 +252,7 @@ def _camera_info(tree: Mapping[Any, Any], path: Path) -> FileContent:
     model = str(tree.get("distortion_model", ""))
     lens = _lens([k[0], k[4], k[2], k[5]], (size[0], size[1]), distortion, _MODELS.get(model, model))
     header = tree.get("header")
-    frame = _frame(header["frame_id"]) if isinstance(header, Mapping) else ""
+    frame = frame_name(header["frame_id"]) if isinstance(header, Mapping) else ""
     name = f"{path.stem} {tree.get('camera_name', '')}".strip()
     return FileContent([FileCamera(name, lens, path.name, frame=frame)])
 
@@ -308,7 +311,7 @@ def _joint(joint: Mapping[str, str], source: str) -> FileTransform:
     if translation.size != 3:
         raise ValueError(f"origin {given}")
     links = [joint[end].partition("=")[2].strip() for end in ("parent", "child")]
-    return FileTransform(_frame(links[0]), _frame(links[1]), gtsam.Pose3(turn, translation), source)
+    return FileTransform(frame_name(links[0]), frame_name(links[1]), gtsam.Pose3(turn, translation), source)
 
 
 def _elements(text: str, *, attributes: bool = False) -> Iterator[tuple[str, str, str]]:
@@ -363,8 +366,3 @@ def numbers_in(given: Any) -> FloatArray:
 def _steps(given: Any) -> float | None:
     """A positive number, None for none."""
     return None if given is None else positive(given)
-
-
-def _frame(name: Any) -> str:
-    """A frame's name without the slash that ROS 1 allowed before it."""
-    return str(name).lstrip("/")

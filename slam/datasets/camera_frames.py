@@ -129,7 +129,7 @@ def _fitted(color: ColorImage, depth_m: Float32Array, calibration: Calibration) 
         return color
     if not same_aspect(size, wanted):
         raise RecordFault(SIZES_DIFFER, f"{size[0]} x {size[1]} and {wanted[0]} x {wanted[1]}")
-    return _resized(color, wanted)
+    return resized(color, wanted)
 
 
 def _drawn_by(lens: Lens, color: ColorImage, seen_by: CameraIntrinsics) -> ColorImage:
@@ -141,7 +141,7 @@ def _drawn_by(lens: Lens, color: ColorImage, seen_by: CameraIntrinsics) -> Color
     if calibrated not in (known, (0, 0)):
         raise RecordFault(SIZES_DIFFER, f"colour {known}, its lens {calibrated}")
     size, maps = _lookup(lens, known, seen_by)
-    shrunk = color if size == known else _resized(color, size)
+    shrunk = color if size == known else resized(color, size)
     if maps is None:
         return shrunk
     columns, rows = maps
@@ -171,7 +171,7 @@ def _lookup(lens: Lens, stored: tuple[int, int], seen_by: CameraIntrinsics) -> t
     return (width, height), replace(lens, intrinsics=shrunk).maps(seen_by)
 
 
-def _resized(color: ColorImage, wanted: tuple[int, int]) -> ColorImage:
+def resized(color: ColorImage, wanted: tuple[int, int]) -> ColorImage:
     """The image at another width and height."""
     import cv2
 

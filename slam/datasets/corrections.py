@@ -7,7 +7,7 @@ import math
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import replace
-from pathlib import Path
+from functools import partial
 from typing import Any
 
 import gtsam
@@ -15,15 +15,13 @@ import numpy as np
 
 from slam.config.calibration import Calibration, LidarCorrection, SensorCorrection, WheelCorrection
 from slam.datasets.corrections_in_space import (
-    CloudCorrector,
-    FrameCorrector,
-    GnssCorrector,
-    ImuCorrector,
+    corrected_cloud,
+    corrected_fix,
+    corrected_frame,
+    corrected_imu,
 )
-from slam.datasets.dataset import Dataset, ReadReport
 from slam.datasets.spinning_scans import straightened
 from slam.errors import DatasetError
-from slam.estimates import Trajectory
 from slam.matching.planar import wrap
 from slam.measurements import (
     FloatArray,
@@ -37,27 +35,6 @@ from slam.measurements import (
 )
 
 _RECENT = 4  # readings from which a rate is told
-
-
-class Corrected:
-    """A dataset with its measurements corrected; see `slam.datasets.dataset.Dataset`."""
-
-    def __init__(self, dataset: Dataset, calibration: Calibration) -> None:
-        self.log, self._calibration = dataset, calibration
-        self.name, self.path = dataset.name, Path(dataset.path)
-
-    @property
-    def report(self) -> ReadReport:
-        """Of the latest pass over the log."""
-        return self.log.report
-
-    def __iter__(self) -> Iterator[Measurement]:
-        """The log from its beginning; see `corrected`."""
-        return iter(corrected(self.log, self._calibration))
-
-    def groundtruth(self) -> Trajectory | None:
-        """That of the log."""
-        return self.log.groundtruth()
 
 
 def corrected(log: Iterable[Measurement], calibration: Calibration) -> Iterable[Measurement]:
@@ -103,15 +80,17 @@ def _by_name(calibration: Calibration) -> dict[tuple[type, str], SensorCorrectio
 def _corrected_one_by_one(log: Iterable[Measurement], calibration: Calibration) -> Iterator[Measurement]:
     """Each measurement by itself, in the order of the log."""
     by_name, seen = _by_name(calibration), dict[tuple[type, str], None]()
-    makers: dict[type, Callable[[Any], Callable[[Any], Any]]] = {
-        WheelOdometry: _Wheels,
-        LaserScan: _Lidar,
-        RgbdFrame: FrameCorrector,
-        PointCloud: CloudCorrector,
-        ImuReading: ImuCorrector,
-        GnssFix: GnssCorrector,
+    correct: dict[type, Callable[[Any, Any], Any]] = {
+        LaserScan: _corrected_scan,
+        RgbdFrame: corrected_frame,
+        PointCloud: corrected_cloud,
+        ImuReading: corrected_imu,
+        GnssFix: corrected_fix,
     }
-    correctors = {key: makers[key[0]](correction) for key, correction in by_name.items()}
+    correctors: dict[tuple[type, str], Callable[[Any], Any]] = {
+        key: _Wheels(one) if isinstance(one, WheelCorrection) else partial(correct[key[0]], one)
+        for key, one in by_name.items()
+    }
     newest: dict[tuple[type, str], Measurement] = {}
     for measurement in log:
         key = type(measurement), measurement.sensor
@@ -182,43 +161,35 @@ class Unwound:
         return heading_rad
 
 
-class _Lidar:
-    """Scans of one lidar."""
-
-    def __init__(self, correction: LidarCorrection) -> None:
-        self._correction = correction
-
-    def __call__(self, scan: LaserScan) -> LaserScan:
-        given = self._correction
-        ranges = scan.ranges_m * np.float32(given.range_scale)
-        for first, last in given.blocked_beams:
-            if last >= ranges.size:
-                raise DatasetError(
-                    f"the calibration leaves out beams {first} to {last} of '{scan.sensor}', "
-                    f"which has {ranges.size}"
-                )
-            ranges[first : last + 1] = np.nan
-        if given.floor is not None:
-            ahead = np.cos(scan.bearings_rad() - math.radians(given.floor.bearing_deg))
-            ranges[scan.ranges_m * ahead > given.floor.from_m] = np.nan
-        start_rad = (
-            scan.start_angle_rad if given.start_angle_deg is None else math.radians(given.start_angle_deg)
-        )
-        step_rad = scan.step_rad if given.step_deg is None else math.radians(given.step_deg)
-        if given.upside_down:
-            start_rad, ranges = -(start_rad + step_rad * (ranges.size - 1)), ranges[::-1].copy()
-            scan = replace(scan, beam_s=-scan.beam_s)
-        mounting = given.T_base_laser
-        return replace(
-            scan,
-            ranges_m=ranges,
-            start_angle_rad=start_rad,
-            step_rad=step_rad,
-            range_max_m=scan.range_max_m * given.range_scale,
-            T_base_laser=scan.T_base_laser
-            if mounting is None
-            else gtsam.Pose2(mounting.x_m, mounting.y_m, math.radians(mounting.yaw_deg)),
-        )
+def _corrected_scan(given: LidarCorrection, scan: LaserScan) -> LaserScan:
+    """A scan of a lidar."""
+    ranges = scan.ranges_m * np.float32(given.range_scale)
+    for first, last in given.blocked_beams:
+        if last >= ranges.size:
+            raise DatasetError(
+                f"the calibration leaves out beams {first} to {last} of '{scan.sensor}', "
+                f"which has {ranges.size}"
+            )
+        ranges[first : last + 1] = np.nan
+    if given.floor is not None:
+        ahead = np.cos(scan.bearings_rad() - math.radians(given.floor.bearing_deg))
+        ranges[scan.ranges_m * ahead > given.floor.from_m] = np.nan
+    start_rad = scan.start_angle_rad if given.start_angle_deg is None else math.radians(given.start_angle_deg)
+    step_rad = scan.step_rad if given.step_deg is None else math.radians(given.step_deg)
+    if given.upside_down:
+        start_rad, ranges = -(start_rad + step_rad * (ranges.size - 1)), ranges[::-1].copy()
+        scan = replace(scan, beam_s=-scan.beam_s)
+    mounting = given.T_base_laser
+    return replace(
+        scan,
+        ranges_m=ranges,
+        start_angle_rad=start_rad,
+        step_rad=step_rad,
+        range_max_m=scan.range_max_m * given.range_scale,
+        T_base_laser=scan.T_base_laser
+        if mounting is None
+        else gtsam.Pose2(mounting.x_m, mounting.y_m, math.radians(mounting.yaw_deg)),
+    )
 
 
 class _Wheels:

@@ -21,50 +21,34 @@ from slam.measurements import (
 from slam.vision.camera_frame import T_BODY_CAMERA
 
 
-class FrameCorrector:
-    """Frames of one camera."""
-
-    def __init__(self, correction: CameraCorrection) -> None:
-        self._correction = correction
-        told = correction.T_base_camera
-        self._mounting = None if told is None else mounted(told).compose(T_BODY_CAMERA)
-
-    def __call__(self, frame: RgbdFrame) -> RgbdFrame:
-        """A frame; its images are copies only where they change."""
-        given, color, depth_m, lens = self._correction, frame.color, frame.depth_m, frame.intrinsics
-        if given.depth_scale != 1.0:
-            depth_m = depth_m * np.float32(given.depth_scale)
-        if given.mirrored:
-            color, depth_m = color[:, ::-1].copy(), depth_m[:, ::-1].copy()
-            lens = replace(lens, cx=lens.width - 1.0 - lens.cx)
-        if given.intrinsics is not None:
-            lens = replace(lens, **given.intrinsics.model_dump())
-        mounting = frame.T_base_camera if self._mounting is None else self._mounting
-        return replace(frame, color=color, depth_m=depth_m, intrinsics=lens, T_base_camera=mounting)
+def corrected_frame(given: CameraCorrection, frame: RgbdFrame) -> RgbdFrame:
+    """A frame; its images are copies only where they change."""
+    color, depth_m, lens, mounting = frame.color, frame.depth_m, frame.intrinsics, frame.T_base_camera
+    if given.depth_scale != 1.0:
+        depth_m = depth_m * np.float32(given.depth_scale)
+    if given.mirrored:
+        color, depth_m = color[:, ::-1].copy(), depth_m[:, ::-1].copy()
+        lens = replace(lens, cx=lens.width - 1.0 - lens.cx)
+    if given.intrinsics is not None:
+        lens = replace(lens, **given.intrinsics.model_dump())
+    if given.T_base_camera is not None:
+        mounting = mounted(given.T_base_camera).compose(T_BODY_CAMERA)
+    return replace(frame, color=color, depth_m=depth_m, intrinsics=lens, T_base_camera=mounting)
 
 
-class CloudCorrector:
-    """Clouds of one 3D lidar."""
-
-    def __init__(self, correction: CloudCorrection) -> None:
-        self._correction = correction
-        told = correction.T_base_lidar
-        self._mounting = None if told is None else mounted(told)
-
-    def __call__(self, cloud: PointCloud) -> PointCloud:
-        """A cloud."""
-        given = self._correction
-        times_s = (turned_round(cloud) if given.times_scale < 0.0 else cloud).times_s
-        if times_s is not None:
-            times_s = times_s * abs(given.times_scale)
-        elif given.turn_s != 0.0:
-            times_s = turn_times(cloud.points_lidar, given.turn_s, math.radians(given.cut_deg))
-        return replace(
-            cloud,
-            points_lidar=raised(cloud.points_lidar, given.elevation_deg) * np.float32(given.range_scale),
-            times_s=times_s,
-            T_base_lidar=cloud.T_base_lidar if self._mounting is None else self._mounting,
-        )
+def corrected_cloud(given: CloudCorrection, cloud: PointCloud) -> PointCloud:
+    """A cloud of a 3D lidar."""
+    times_s = (turned_round(cloud) if given.times_scale < 0.0 else cloud).times_s
+    if times_s is not None:
+        times_s = times_s * abs(given.times_scale)
+    elif given.turn_s != 0.0:
+        times_s = turn_times(cloud.points_lidar, given.turn_s, math.radians(given.cut_deg))
+    return replace(
+        cloud,
+        points_lidar=raised(cloud.points_lidar, given.elevation_deg) * np.float32(given.range_scale),
+        times_s=times_s,
+        T_base_lidar=cloud.T_base_lidar if given.T_base_lidar is None else mounted(given.T_base_lidar),
+    )
 
 
 def turned_round(cloud: PointCloud) -> PointCloud:
@@ -103,29 +87,15 @@ def raised(points_lidar: Float32Array, elevation_deg: float) -> Float32Array:
     return np.column_stack([points_lidar[:, :2] * (outward / across)[:, None], up]).astype(np.float32)
 
 
-class ImuCorrector:
-    """Readings of one IMU."""
-
-    def __init__(self, correction: ImuCorrection) -> None:
-        told = correction.T_base_imu
-        self._mounting = None if told is None else mounted(told)
-        self._scale = correction.gyro_scale
-
-    def __call__(self, reading: ImuReading) -> ImuReading:
-        """A reading."""
-        mounting = reading.T_base_imu if self._mounting is None else self._mounting
-        return replace(reading, gyro_rad_s=self._scale * reading.gyro_rad_s, T_base_imu=mounting)
+def corrected_imu(given: ImuCorrection, reading: ImuReading) -> ImuReading:
+    """A reading of an IMU."""
+    mounting = reading.T_base_imu if given.T_base_imu is None else mounted(given.T_base_imu)
+    return replace(reading, gyro_rad_s=given.gyro_scale * reading.gyro_rad_s, T_base_imu=mounting)
 
 
-class GnssCorrector:
-    """Fixes of one receiver."""
-
-    def __init__(self, correction: GnssCorrection) -> None:
-        self._antenna_m = correction.antenna_m
-
-    def __call__(self, fix: GnssFix) -> GnssFix:
-        """A fix."""
-        return fix if self._antenna_m is None else replace(fix, antenna_m=np.array(self._antenna_m))
+def corrected_fix(given: GnssCorrection, fix: GnssFix) -> GnssFix:
+    """A fix of a satellite receiver."""
+    return fix if given.antenna_m is None else replace(fix, antenna_m=np.array(given.antenna_m))
 
 
 def mounted(mounting: Mounting) -> gtsam.Pose3:

@@ -7,34 +7,20 @@ from __future__ import annotations
 
 import math
 import shlex
-from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
-
-import numpy as np
 
 from slam.config.calibration import Calibration
 from slam.config.stages import SensorsConfig
 from slam.datasets.corrections import corrected
 from slam.datasets.dataset import Dataset, Tally, Thinned
 from slam.datasets.inspection_bag import bag_facts
-from slam.datasets.inspection_camera import CameraFigures
-from slam.datasets.inspection_cloud import CloudFigures
-from slam.datasets.inspection_gnss import GnssFigures
-from slam.datasets.inspection_imu import ImuFigures
+from slam.datasets.inspection_figures import KINDS, Figures
 from slam.datasets.sensor_choice import SensorTally
 from slam.errors import BadRecordError, DatasetError
-from slam.measurements import (
-    GnssFix,
-    ImuReading,
-    LaserScan,
-    Measurement,
-    PointCloud,
-    RgbdFrame,
-    WheelOdometry,
-)
+from slam.measurements import Measurement
 
 _SEEING = {"2D lidar", "3D lidar", "RGB-D camera"}
 _BLIND = "nothing that sees is used: neither a scan, nor a cloud, nor colour with depth"
@@ -67,19 +53,7 @@ def inspect_dataset(dataset: Dataset, calibration: Calibration | None = None) ->
     earliest_s, latest_s, refusals = math.inf, -math.inf, list[str]()
     for measurement in _as_far_as_it_goes(corrected(tally.counted(dataset), calibration), dataset, refusals):
         stream = streams.setdefault(measurement.sensor, _Stream())
-        stream.add_stamp(measurement.stamp_s)
-        if isinstance(measurement, LaserScan):
-            stream.add_scan(measurement)
-        elif isinstance(measurement, RgbdFrame):
-            stream.camera.add(measurement)
-        elif isinstance(measurement, PointCloud):
-            stream.cloud.add(measurement)
-        elif isinstance(measurement, ImuReading):
-            stream.imu.add(measurement)
-        elif isinstance(measurement, GnssFix):
-            stream.gnss.add(measurement)
-        else:
-            stream.add_odometry(measurement)
+        stream.add(measurement)
         earliest_s = min(earliest_s, measurement.stamp_s)
         latest_s = max(latest_s, measurement.stamp_s)
     report, uses = dataset.report, tally.uses(dataset.report)
@@ -149,55 +123,24 @@ class _Stream:
     last_stamp_s: float | None = None
     gap_s: float = 0.0
     gap_from_s: float | None = None
-    beams: Counter[str] = field(default_factory=Counter)
-    beams_min: int = 0
-    beams_max: int = 0
-    longest_return_m: float | None = None
-    last_scan: LaserScan | None = None
-    last_odometry: WheelOdometry | None = None
-    path_m: float = 0.0
-    rotation_rad: float = 0.0
-    camera: CameraFigures = field(default_factory=CameraFigures)
-    cloud: CloudFigures = field(default_factory=CloudFigures)
-    imu: ImuFigures = field(default_factory=ImuFigures)
-    gnss: GnssFigures = field(default_factory=GnssFigures)
+    figures: dict[str, Figures] = field(default_factory=dict)
 
-    def add_stamp(self, stamp_s: float) -> None:
-        """Rate and gaps; a backward step is no interval."""
+    def add(self, measurement: Measurement) -> None:
+        """Rate and gaps, where a backward step is no interval, and what the reading itself holds."""
+        stamp_s = measurement.stamp_s
         self.count += 1
         if self.last_stamp_s is not None and (interval_s := stamp_s - self.last_stamp_s) > 0.0:
             self.intervals.add(interval_s)
             if interval_s > self.gap_s:
                 self.gap_s, self.gap_from_s = interval_s, self.last_stamp_s
         self.last_stamp_s = stamp_s
-
-    def add_scan(self, scan: LaserScan) -> None:
-        """Beams, returns, and what the rest of them say."""
-        ranges = scan.ranges_m
-        returns = ranges[np.isfinite(ranges)]
-        self.beams.update(
-            all=ranges.size,
-            invalid=int(np.count_nonzero(np.isnan(ranges))),
-            no_return=int(np.count_nonzero(np.isinf(ranges))),
-        )
-        if returns.size:
-            self.longest_return_m = max(self.longest_return_m or 0.0, float(returns.max()))
-        self.beams_min = ranges.size if self.last_scan is None else min(self.beams_min, ranges.size)
-        self.beams_max = max(self.beams_max, ranges.size)
-        self.last_scan = scan
-
-    def add_odometry(self, reading: WheelOdometry) -> None:
-        """Path and turning, either way."""
-        if self.last_odometry is not None:
-            step = self.last_odometry.T_odom_base.between(reading.T_odom_base)
-            self.path_m += math.hypot(step.x(), step.y())
-            self.rotation_rad += abs(step.theta())
-        self.last_odometry = reading
+        if known := KINDS.get(type(measurement)):
+            name, begun = known
+            self.figures.setdefault(name, begun(measurement)).add(measurement)
 
     def facts(self, sensor: str, origin_s: float, backward: Tally) -> dict[str, Any]:
         """One stream; its rate is one over the median interval, the longest gap begins after the origin."""
         median_s = self.intervals.median()
-        wheels = {"path_m": self.path_m, "rotation_rad": self.rotation_rad}
         return {
             "sensor": sensor,
             "count": self.count,
@@ -206,27 +149,6 @@ class _Stream:
             "longest_gap_at_s": 0.0 if self.gap_from_s is None else self.gap_from_s - origin_s,
             "clock_steps_backward": backward.count,
             "largest_clock_step_s": backward.largest,
-            "laser": None if self.last_scan is None else self._laser(self.last_scan),
-            "odometry": wheels if self.last_odometry else None,
-            "camera": self.camera.facts(),
-            "cloud": self.cloud.facts(),
-            "imu": self.imu.facts(),
-            "gnss": self.gnss.facts(),
-        }
-
-    def _laser(self, scan: LaserScan) -> dict[str, Any]:
-        """Its beams: bearings of the latest scan in the laser frame, shares of all beams, the mounting."""
-        return {
-            "beams_min": self.beams_min,
-            "beams_max": self.beams_max,
-            "first_angle_rad": scan.start_angle_rad,
-            "last_angle_rad": scan.start_angle_rad + scan.step_rad * (scan.ranges_m.size - 1),
-            "step_rad": scan.step_rad,
-            "range_max_m": scan.range_max_m,
-            "longest_return_m": self.longest_return_m,
-            "no_return_share": self.beams["no_return"] / self.beams["all"],
-            "invalid_share": self.beams["invalid"] / self.beams["all"],
-            "mount_x_m": scan.T_base_laser.x(),
-            "mount_y_m": scan.T_base_laser.y(),
-            "mount_yaw_rad": scan.T_base_laser.theta(),
+            **dict.fromkeys(name for name, _ in KINDS.values()),
+            **{name: figures.facts() for name, figures in self.figures.items()},
         }

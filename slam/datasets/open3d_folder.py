@@ -14,7 +14,7 @@ import numpy as np
 
 from slam.datasets.account import Account
 from slam.datasets.budget import Budget
-from slam.datasets.calibration import FILE_NAME, Calibration, read_calibration
+from slam.datasets.calibration import FILE_NAME, KINECT, Calibration, read_calibration
 from slam.datasets.camera_frames import Camera
 from slam.datasets.dataset import RecordFault
 from slam.datasets.dataset_format import recorded
@@ -47,7 +47,6 @@ _LENSES = (
     *("camera_primesense.json", "intrinsics.txt", "intrinsic.txt", "camera.txt", "camera-intrinsics.txt"),
 )
 _POSES = ("trajectory.log", "*-traj.txt", "*.log", "scene/trajectory.log")
-_PRIMESENSE = CameraIntrinsics(525.0, 525.0, 319.5, 239.5, 640, 480)
 ASSUMED = (
     "intrinsics and millimetres assumed (525 525 319.5 239.5 at 640 x 480, as Redwood's); "
     "give a camera_intrinsic.json, a calibration.yaml or --calibration FILE"
@@ -141,7 +140,7 @@ def _calibration(path: Path) -> Calibration:
     )
     if depth is None:
         assumed = "" if (path / FILE_NAME).is_file() else ASSUMED
-        return read_calibration(path, Calibration(_PRIMESENSE, 1000.0, assumed=assumed))
+        return read_calibration(path, Calibration(KINECT, 1000.0, assumed=assumed))
     color_lens = plain_lens(_lens(color)) if color else None
     return with_own_calibration(path, Calibration(_lens(depth), 1000.0, color_lens=color_lens))
 

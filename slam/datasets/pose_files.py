@@ -6,7 +6,6 @@ import re
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import gtsam
 import numpy as np
@@ -17,7 +16,7 @@ from slam.datasets.dataset import RecordFault
 from slam.datasets.log_file import MAX_LINE_BYTES, numbered_lines
 from slam.datasets.stamped_files import BAD_POSE, BAD_STAMP
 from slam.estimates import Trajectory
-from slam.measurements import FloatArray
+from slam.measurements import FloatArray, row_from_pose
 
 BAD_MATRIX = "pose without a 4 x 4 rigid transform"
 
@@ -114,9 +113,8 @@ def trajectory_of(stamped: Iterable[tuple[float, gtsam.Pose3]]) -> Trajectory | 
     """Poses as a trajectory; None where there is none."""
     stamps, rows = [], []
     for stamp_s, pose in stamped:
-        q: Any = pose.rotation().toQuaternion()
         stamps.append(stamp_s)
-        rows.append([*pose.translation(), q.x(), q.y(), q.z(), q.w()])
+        rows.append(row_from_pose(pose))
     if not rows:
         return None
     table = np.array(rows)

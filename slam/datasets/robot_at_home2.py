@@ -22,14 +22,13 @@ from slam.datasets.frame_pairs import FramePair
 from slam.datasets.log_file import read_head
 from slam.datasets.recording import Contents, Numbered, Recording
 from slam.datasets.robot_at_home_rig import BAD_TIME, LASER, camera, laser_scan, unix_stamp_s
-from slam.datasets.sqlite_reading import foreign_database
+from slam.datasets.sqlite_reading import SQLITE_MAGIC, foreign_database
 from slam.datasets.stamped_files import StampedFile
 from slam.errors import DatasetError
 from slam.foreign import plain
 
 NO_FILES = "observation without image files in the database"
 
-_MAGIC = b"SQLite format 3\0"
 _IMAGES = Path("files") / "rgbd"
 # The view leaves out what is twice in the tables; a database without it has only the raw ones.
 _OBSERVATIONS = ("rh2_sensor_observations", "rh_raw")
@@ -82,7 +81,11 @@ def _selection(path: Path) -> _Selection | None:
         path = path.parent
     candidates = sorted(path.glob("*.db")) if path.is_dir() else [path]
     for database in candidates:
-        if database.is_file() and read_head(database, len(_MAGIC)) == _MAGIC and _is_robot_at_home(database):
+        if (
+            database.is_file()
+            and read_head(database, len(SQLITE_MAGIC)) == SQLITE_MAGIC
+            and _is_robot_at_home(database)
+        ):
             return _Selection(database, *names)
     return None
 

@@ -30,13 +30,12 @@ from slam.datasets.lens_files import median_lens
 from slam.datasets.pose_files import trajectory_of
 from slam.datasets.recording import Contents, Numbered, Recording
 from slam.datasets.rtabmap_models import ScanInfo, camera_models, floats_of, pose_of, scan_info, scan_points
-from slam.datasets.sqlite_reading import foreign_database, tables_of
+from slam.datasets.sqlite_reading import SQLITE_MAGIC, foreign_database, tables_of
 from slam.datasets.stamped_files import StampedFile
 from slam.errors import DatasetError
 from slam.estimates import Trajectory
 from slam.measurements import ColorImage, Float32Array, LaserScan, PointCloud, WheelOdometry, planar
 
-_MAGIC = b"SQLite format 3\0"
 _RUNS = b"DEPTHRVL"
 _LEVEL_RAD, _LEVEL_M = 1e-3, 1e-3  # poses held in the plane are so to the last digit of their floats
 OWN_ODOMETRY = "RTAB-Map's own odometry in space is not used: the cameras are tracked anew"
@@ -124,7 +123,7 @@ class _Database:
 
 def looks_like_rtabmap_database(path: Path, head: bytes) -> bool:
     """Whether a path is a database with its tables."""
-    if not head.startswith(_MAGIC):
+    if not head.startswith(SQLITE_MAGIC):
         return False
     try:
         with closing(foreign_database(path, immutable=True, views=False)) as database:

@@ -7,6 +7,7 @@ from pathlib import Path
 
 from slam.datasets.budget import LARGEST_BYTES
 
+SQLITE_MAGIC = b"SQLite format 3\0"
 _STEPS_AT_ONCE = 1 << 12
 # Of SQLite's machine; it does some ten million a second. A row of a bag takes twenty, of a join some hundred.
 _FREE_STEPS, _STEPS_A_BYTE = 1 << 24, 16

@@ -10,7 +10,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from slam.datasets.account import Account
-from slam.datasets.calibration import Calibration, read_calibration
+from slam.datasets.calibration import KINECT, Calibration, read_calibration
 from slam.datasets.camera_frames import Camera
 from slam.datasets.dataset_format import recorded
 from slam.datasets.frame_pairs import pair_images
@@ -33,8 +33,6 @@ _PUBLISHED = {
     "freiburg3": CameraIntrinsics(535.4, 539.2, 320.1, 247.6, 640, 480),
     "rgbd_bonn": CameraIntrinsics(542.822841, 542.576870, 315.593520, 237.756098, 640, 480),
 }
-# What the benchmark calls the ROS default, for any Kinect.
-_DEFAULT = CameraIntrinsics(525.0, 525.0, 319.5, 239.5, 640, 480)
 ASSUMED = (
     "intrinsics assumed (525 525 319.5 239.5 at 640 x 480); give a calibration.yaml, or --calibration FILE"
 )
@@ -56,9 +54,7 @@ def tum_camera(folder: Path, sensor: str, account: Account) -> Camera:
     known = [lens for name, lens in _PUBLISHED.items() if name in folder.resolve().name.lower()]
     if (folder / _LENS_FILE).is_file():
         known = [four_numbers(folder / _LENS_FILE)]
-    default = Calibration(
-        known[0] if known else _DEFAULT, DEPTH_STEPS_PER_M, assumed="" if known else ASSUMED
-    )
+    default = Calibration(known[0] if known else KINECT, DEPTH_STEPS_PER_M, assumed="" if known else ASSUMED)
     return listed_camera(folder, sensor, default, account)
 
 

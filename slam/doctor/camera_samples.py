@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 import gtsam
 import numpy as np
 
+from fusion.height_band import back_project, pixel_rays
 from fusion.time_alignment import GAP_S
 from slam.config.stages import RgbdConfig, RgbdOdometryConfig
 from slam.datasets.corrections import repeats
@@ -95,14 +96,12 @@ class CameraSamples:
 
     def _look(self, frame: RgbdFrame) -> None:
         """Which depths there are, and where."""
-        depth_m = frame.depth_m[::_EVERY_PIXEL, ::_EVERY_PIXEL].astype(np.float64)
-        row, column = np.nonzero(depth_m > 0.0)
-        z, k = depth_m[row, column], frame.intrinsics
-        x = (_EVERY_PIXEL * column - k.cx) / k.fx * z
-        y = (_EVERY_PIXEL * row - k.cy) / k.fy * z
-        self.points.append(np.column_stack([x, y, z]))
-        if z.size:
-            self.median_depth.add(float(np.median(z)))
+        depth_m, rays = frame.depth_m, pixel_rays(frame.depth_m.shape, frame.intrinsics)
+        every = slice(None, None, _EVERY_PIXEL)
+        points = back_project(depth_m[every, every], rays[every, every])
+        self.points.append(points)
+        if len(points):
+            self.median_depth.add(float(np.median(points[:, 2])))
 
     def _match(
         self, begun_s: float, known: Features, features: Features, frame: RgbdFrame, back: int

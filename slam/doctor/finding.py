@@ -7,6 +7,9 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
 
+import gtsam
+import numpy as np
+
 from slam.config import dump_calibration
 from slam.config.calibration import Calibration
 
@@ -92,6 +95,13 @@ def calibration_text(calibration: Calibration, findings: Sequence[Finding]) -> s
             lines.append(f"# not sure: {finding.text}\n")
             lines += [f"# instead of {remedy_text(finding.remedies[0])} perhaps {others}\n"] if others else []
     return "".join(lines)
+
+
+def mounting_entry(rotation: gtsam.Rot3, place_m: Sequence[float]) -> dict[str, float]:
+    """Where a sensor sits in space, as a calibration file has it."""
+    names = ("x_m", "y_m", "z_m", "roll_deg", "pitch_deg", "yaw_deg")
+    values = [*(round(float(one), 3) for one in place_m), *np.degrees(rotation.rpy()).round(2).tolist()]
+    return dict(zip(names, values, strict=True))
 
 
 def _shown(value: Any) -> str:

@@ -14,8 +14,9 @@ from scipy import special
 from fusion.estimation import FEWEST, SETTLED, gate, half_interval, median_to_sigma
 from fusion.time_alignment import GAP_S, STEP_S
 from slam.doctor.camera_samples import SPREAD, SensorStep
-from slam.doctor.finding import Finding, Remedy
+from slam.doctor.finding import Finding, Remedy, mounting_entry
 from slam.doctor.pair import IN_ORDER, interval
+from slam.doctor.paired_motions import turns_of
 from slam.doctor.relation import fit_linear
 from slam.measurements import BoolArray, FloatArray, ImuReading
 
@@ -173,7 +174,7 @@ def _turns(
     within &= np.diff(np.searchsorted(rows[:, 0], spans))[:, 0] > 0  # not in a gap
     if within.sum() < FEWEST:
         return None
-    seen = np.array([gtsam.Rot3.Logmap(step.motion.rotation()) for step in steps])[within]
+    seen = turns_of(steps)[within]
     spans = spans[within]
     turned = np.zeros((len(rows), 3))
     turned[1:] = np.cumsum(0.5 * (rows[1:, 1:4] + rows[:-1, 1:4]) * np.diff(rows[:, 0])[:, None], axis=0)
@@ -282,16 +283,11 @@ def _sits(name: str, samples: ImuSamples, fit: TurnFit, T_base_lidar: gtsam.Pose
     rotation = T_base_lidar.rotation().compose(gtsam.Rot3(fit.R_lidar_imu))
     told, half_rad = samples.T_base_imu, half_interval(fit.sigma_rad)
     place = (T_base_lidar if told is None else told).translation()
-    roll, pitch, yaw = np.degrees(rotation.rpy()).round(2).tolist()
-    mounting = {
-        **dict(zip(("x_m", "y_m", "z_m"), (round(float(one), 3) for one in place), strict=True)),
-        "roll_deg": roll,
-        "pitch_deg": pitch,
-        "yaw_deg": yaw,
-    }
+    mounting = mounting_entry(rotation, place.tolist())
     remedy: Remedy = {"imus": {name: {"T_base_imu": mounting}}}
     interval = f"+- {math.degrees(half_rad):.2f} degrees"
-    angles = f"roll {roll:.1f}, pitch {pitch:.1f}, yaw {yaw:.1f} {interval}"
+    turns = ", ".join(f"{axis} {mounting[f'{axis}_deg']:.1f}" for axis in ("roll", "pitch", "yaw"))
+    angles = f"{turns} {interval}"
     if told is None:
         text, value = f"the log does not tell how it sits; it turns as if at {angles}, at the lidar", half_rad
     else:
@@ -312,8 +308,7 @@ def _frozen(rows: FloatArray, steps: Sequence[SensorStep]) -> BoolArray:
     new_s = np.maximum.accumulate(np.where(same, -np.inf, rows[:, 0]))
     hung_s = rows[rows[:, 0] - new_s > GAP_S, 0]
     within = [step for step in steps if np.ptp(np.searchsorted(hung_s, (step.begun_s, step.ended_s)))]
-    turns = [gtsam.Rot3.Logmap(step.motion.rotation()) for step in within]
-    return same & bool(np.linalg.norm(np.sum(turns, axis=0)) > _ANGLE_RAD)
+    return same & bool(np.linalg.norm(turns_of(within).sum(axis=0)) > _ANGLE_RAD)
 
 
 def _saturated(name: str, rows: FloatArray) -> list[Finding]:

@@ -15,9 +15,10 @@ from slam.config.clouds import CloudOdometryConfig
 from slam.datasets.laser_geometry import DEFAULT_NO_RETURN_M
 from slam.doctor.camera_samples import SPREAD, CameraSamples
 from slam.doctor.cloud_samples import CloudSamples
-from slam.doctor.finding import Finding, Remedy
+from slam.doctor.finding import Finding, Remedy, mounting_entry
 from slam.doctor.floor import floor_below_m
 from slam.doctor.lens_fit import lens_fit
+from slam.doctor.pair import interval
 from slam.doctor.paired_motions import BaseTrack, clock_of, joined, runs_of, turns_of
 from slam.doctor.planar_hand_eye import PlanarHandEye, planar_hand_eye
 from slam.measurements import FloatArray
@@ -124,7 +125,6 @@ def lens_findings(name: str, samples: CameraSamples) -> list[Finding]:
     cx, cy = np.where(center, fit.center_px, (told.cx, told.cy)).tolist()
     lens = {"fx": told.fx * gain, "fy": told.fy * gain, "cx": cx, "cy": cy}
     lens = {key: round(value, 2) for key, value in lens.items()}
-    half = gate(1, 0.95) ** 0.5 * float(fit.sigmas[0])
     return [
         Finding(
             name,
@@ -135,7 +135,7 @@ def lens_findings(name: str, samples: CameraSamples) -> list[Finding]:
             "turns and walls come out bent",
             ({"cameras": {name: {"intrinsics": lens}}},),
             value=fit.focal_gain,
-            interval=(fit.focal_gain - half, fit.focal_gain + half),
+            interval=interval(fit.focal_gain, float(fit.sigmas[0])),
         )
     ]
 
@@ -207,7 +207,6 @@ def _clock(base: Base, seen: Seen, others: Sequence[Seen]) -> list[Finding]:
     wheels: Remedy = {"wheels": {base.wheels: {"clock_offset_s": -ahead_s}}}
     blame = bool(as_much) and not base.certain
     sure = base.certain or blame or any(_within(one.clock_s, one.clock_sigma_s, _LEARNED_S) for one in others)
-    half_s = gate(1, 0.95) ** 0.5 * seen.clock_sigma_s
     return [
         Finding(
             base.wheels if blame else seen.name,
@@ -218,7 +217,7 @@ def _clock(base: Base, seen: Seen, others: Sequence[Seen]) -> list[Finding]:
             (wheels,) if blame else (own,) if sure else (own, wheels),
             sure=sure,
             value=ahead_s,
-            interval=(ahead_s - half_s, ahead_s + half_s),
+            interval=interval(ahead_s, seen.clock_sigma_s),
         )
     ]
 
@@ -244,7 +243,6 @@ def _scale(base: Base, seen: Seen, others: Sequence[Seen]) -> list[Finding]:
     mine = base.certain or mine or any(one.off == 1.0 for one in others)
     blame = yours and not mine
     what = "depth" if seen.kind == "cameras" else "range"
-    half = gate(1, 0.95) ** 0.5 * float(fit.sigmas[1])
     text = f"its {what}s are {scale:.3g} times what the way of {base.wheels} asks for"
     if blame:
         text = f"its way is {1.0 / scale:.3g} times what {seen.name} sees"
@@ -257,7 +255,7 @@ def _scale(base: Base, seen: Seen, others: Sequence[Seen]) -> list[Finding]:
             (wheels,) if blame else (own,) if mine else (own, wheels),
             sure=blame or mine,
             value=scale,
-            interval=(scale - half, scale + half),
+            interval=interval(scale, float(fit.sigmas[1])),
         )
     ]
 
@@ -324,11 +322,8 @@ def _entry(kind: str, R_base_sensor: FloatArray, place_m: Sequence[float]) -> di
     rotation = gtsam.Rot3(R_base_sensor)
     if kind == "cameras":
         rotation = rotation.compose(T_BODY_CAMERA.rotation().inverse())
-    angles = np.degrees(rotation.rpy()).round(2)
-    names = ("x_m", "y_m", "z_m", "roll_deg", "pitch_deg", "yaw_deg")
-    values = [*(round(float(one), 3) for one in place_m), *angles.tolist()]
     key = "T_base_camera" if kind == "cameras" else "T_base_lidar"
-    return {key: dict(zip(names, values, strict=True))}
+    return {key: mounting_entry(rotation, place_m)}
 
 
 def cloud_findings(name: str, samples: CloudSamples) -> list[Finding]:

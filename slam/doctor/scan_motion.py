@@ -52,7 +52,7 @@ class Steps:
             first = 0
             for i in range(1, len(one.stamps_s)):
                 step = between(one.poses[first], one.poses[i])
-                if _moved_on(step, config):
+                if config.keyframes.due(*step.tolist()):
                     rows.append((number, one.stamps_s[first], one.stamps_s[i], *step))
                     first = i
         table = np.array(rows).reshape(-1, 6)
@@ -67,12 +67,6 @@ class Steps:
             SensorStep(begun_s, ended_s, gtsam.Pose3(pose2_from_row(motion)))
             for (begun_s, ended_s), motion in zip(self.spans_s.tolist(), self.motions, strict=True)
         ]
-
-
-def _moved_on(step: FloatArray, config: Config) -> bool:
-    """Whether a motion (3,) is worth a new keyframe."""
-    limits = config.keyframes
-    return bool(np.hypot(step[0], step[1]) > limits.distance_m or abs(step[2]) > limits.angle_rad)
 
 
 def track_stretches(
@@ -112,7 +106,7 @@ def _track(scans: Sequence[LaserScan], config: Config) -> Iterator[ScanMotion]:
         poses, reference, fits, step = [np.zeros(3)], np.zeros(3), list[float](), np.zeros(3)
         local_map = LocalMap.build([points[begun]], limits)
         for now in range(begun + 1, len(scans)):
-            if _moved_on(between(reference, poses[-1]), config):
+            if config.keyframes.due(*between(reference, poses[-1]).tolist()):
                 reference, local_map = poses[-1], LocalMap.build([points[now - 1]], limits)
             found = local_map.align(points[now], compose(between(reference, poses[-1]), step))
             fits_well = found.inlier_share >= limits.confident_inlier_share and found.converged

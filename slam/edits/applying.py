@@ -13,7 +13,7 @@ from slam.config.edits import Edits, Pair, dump_edits
 from slam.edits.evidence import Cut, taken
 from slam.edits.keyframes import held, row_of
 from slam.edits.loops import edited_loops, matched_loops, refuse_unknown
-from slam.edits.remaking import config_of, settled
+from slam.edits.remaking import remade_config, settled
 from slam.edits.turning import to_walls_rad, turned_about
 from slam.errors import ConfigError
 from slam.measurements import FloatArray
@@ -58,7 +58,7 @@ def understood(known: Known, edits: Edits) -> AppliedEdits:
     entries = known.contents.edits
     settings = tuple(_override(name, value) for name, value in edits.settings.items())
     entry = AppliedEdits(dump_edits(edits), settings=settings)
-    config = config_of(known.before, [*entries, entry])
+    config = remade_config(known.before, [*entries, entry])
     entry = _with_loops(entry, known, edits, config)
     erased, regions = _with_regions(known, edits, config)
     entry = replace(entry, erased=erased, regions=tuple(regions))

@@ -9,7 +9,7 @@ from pathlib import Path
 from slam.config import Config
 from slam.config.edits import Edits
 from slam.edits.applying import Known, understood
-from slam.edits.remaking import config_of, remade
+from slam.edits.remaking import remade, remade_config
 from slam.mapping.band_scan import ground_of
 from slam.matching.cloud_points import voxel_of
 from slam.storage.map_contents import MapContents, read_contents, write_contents
@@ -56,7 +56,7 @@ def write_with(known: Known, edits: Edits, path: Path) -> list[str]:
 def write_entries(known: Known, entries: Sequence[AppliedEdits], path: Path) -> list[str]:
     """Write a map with some of its edits, or others; what cannot be drawn, a line each; errors as above."""
     found, warnings = remade(known.base, entries, known.before, known.sessions)
-    config = config_of(known.before, entries)
+    config = remade_config(known.before, entries)
     _write(path, UneditedFile(known.file), found, None if config == known.before else config)
     return warnings
 

@@ -11,11 +11,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from fusion.curves import Intrinsics
 from fusion.height_band import pixel_rays
 from slam.config import Config
 from slam.mapping.polygons import inside
-from slam.measurements import BoolArray, FloatArray, LaserScan, Pose, spatial
+from slam.matching.planar import compose, transform_points
+from slam.measurements import BoolArray, FloatArray, LaserScan, Pose, row_from_pose2, spatial
 from slam.storage.map_contents import MapContents
 from slam.storage.map_edits import CLOUD, FRAME, MEASURED, REPAIRED, Evidence, mask_of
 
@@ -77,11 +77,9 @@ def _beams(scan: LaserScan, pose: FloatArray, cuts: Sequence[Cut], config: Confi
     ranges = scan.ranges_m.astype(np.float64)
     limit_m = min(config.scan.range_max_m, scan.range_max_m)
     met = np.flatnonzero((ranges > 0.0) & (ranges <= limit_m) & np.isfinite(ranges))
-    mount, yaw = scan.T_base_laser, pose[2]
-    bearings = scan.bearings_rad()[met] + mount.theta() + yaw
-    x = pose[0] + np.cos(yaw) * mount.x() - np.sin(yaw) * mount.y()
-    y = pose[1] + np.sin(yaw) * mount.x() + np.cos(yaw) * mount.y()
-    ends = np.column_stack([x + ranges[met] * np.cos(bearings), y + ranges[met] * np.sin(bearings)])
+    bearings = scan.bearings_rad()[met]
+    ends = ranges[met, None] * np.column_stack([np.cos(bearings), np.sin(bearings)])
+    ends = transform_points(ends, compose(pose, row_from_pose2(scan.T_base_laser)))
     gone = np.zeros(len(ranges), np.bool_)
     for cut in cuts:
         gone[met] |= cut.takes(ends)
@@ -99,8 +97,7 @@ def _in_space(contents: MapContents, first: int) -> Iterator[tuple[Evidence, Flo
             if head.node < first:
                 continue
             depth_m = contents.frames.frame(index).depth_m.astype(np.float64)
-            camera = head.intrinsics
-            rays = pixel_rays(depth_m.shape, Intrinsics(camera.fx, camera.fy, camera.cx, camera.cy))
+            rays = pixel_rays(depth_m.shape, head.intrinsics)
             depth_m[~(np.isfinite(depth_m) & (depth_m > 0.0))] = np.nan
             points = np.dstack([rays * depth_m[..., None], depth_m]).reshape(-1, 3)
             base = None

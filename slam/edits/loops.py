@@ -20,7 +20,7 @@ from slam.matching.planar import between
 from slam.measurements import FloatArray, pose2_from_row, spatial
 from slam.storage.map_contents import MapContents, SavedFactor
 from slam.storage.map_edits import AppliedEdits, Pair
-from slam.storage.map_sessions import MapSession
+from slam.storage.map_sessions import MapSession, session_numbers
 from slam.vision.camera_frame import T_BODY_CAMERA
 from slam.vision.frame_matcher import FrameMatcher
 
@@ -161,8 +161,7 @@ def matched_loops(
     if not contents.planar:
         return [_checked(*_match_in_space(contents, one, config)) for one in wanted]
     poses, path_m = contents.keyframe_poses, contents.path_m
-    numbers = np.repeat(np.arange(len(sessions)), [session.keyframes for session in sessions])
-    closer = closer_of(contents.keyframe_scans, poses, path_m, numbers, config)
+    closer = closer_of(contents.keyframe_scans, poses, path_m, session_numbers(sessions), config)
     found, loops = [], config.loops
     for first, second, guess, told in wanted:
         if guess is None:

@@ -9,11 +9,10 @@ import gtsam
 import numpy as np
 
 from fusion.estimation import gate
-from slam.config import Config
+from slam.config import Config, leaves, with_settings
 from slam.edits.evidence import scans_without
 from slam.edits.keyframes import bases_of
 from slam.edits.loops import edited_loops
-from slam.edits.settings import remade_config
 from slam.errors import ConfigError
 from slam.graph.edge import Edge
 from slam.graph.held_graph import held_graph
@@ -32,10 +31,38 @@ from slam.storage.map_sessions import MapSession
 from slam.trajectory.poses import Poses
 from slam.trajectory.resettled import resettled
 
+# What is drawn and written of keyframes, and what only later commands ask for.
+_FREE = ("grid.", "layers.", "dense_map.", "cloud_map.", "localization.", "cloud_localization.")
+# Of the graph: which loops count.
+_LOOPS = frozenset({"loops.enabled", "loops.inlier_probability", "loops.least_inlier_share"})
+_FUSION = "fusion.enabled"
 
-def config_of(before: Config, entries: Sequence[AppliedEdits]) -> Config:
-    """The settings of a map with edits."""
-    return remade_config(before, [setting for entry in entries for setting in entry.settings])
+
+def remade_config(before: Config, entries: Sequence[AppliedEdits]) -> Config:
+    """The settings of a map with edits.
+
+    Raises
+    ------
+    ConfigError
+        For an unknown key, a bad value, or a setting that only the log could follow.
+    """
+    changed = with_settings(before, [setting for entry in entries for setting in entry.settings])
+    told, asked = (dict(leaves(one.model_dump(mode="json"))) for one in (before, changed))
+    for name in sorted({*told, *asked}):
+        if told.get(name) == asked.get(name) or name.startswith(_FREE) or name in _LOOPS:
+            continue
+        if name == _FUSION and not asked[name]:
+            continue
+        why = (
+            "the map holds what each keyframe saw, not the images that repaired it"
+            if name.startswith("fusion.")
+            else "it was decided when the log was read"
+        )
+        raise ConfigError(
+            f"{name} = {asked.get(name)} takes the log: {why}; "
+            f"'scanweave map LOG -s {name}={asked.get(name)}'"
+        )
+    return changed
 
 
 def turned_by(entries: Sequence[AppliedEdits]) -> gtsam.Pose2:
@@ -67,7 +94,7 @@ def remade(
     ScanweaveError
         Where an edit does not fit, or a setting takes the log.
     """
-    config = config_of(before, entries)
+    config = remade_config(before, entries)
     found = replace(settled(base, entries, before, config, sessions), edits=list(entries))
     found = _seen(found, base, entries, before, config)
     found, warnings = drawn(found, config)

@@ -7,7 +7,6 @@ import sys
 from collections import Counter
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Literal
 
@@ -23,15 +22,13 @@ from slam.graph.edge import EdgeKind
 from slam.mapper.map_result import MapResult
 from slam.mapper.scan_record import CameraRecord
 from slam.mapping.dense_map import ColoredCloud
-from slam.mapping.layered_map import LayeredMap
 from slam.measurements import BoolArray
 from slam.storage.map_contents import SavedFactor
+from slam.storage.map_identity import current_versions
 from slam.storage.map_sessions import MapSession
 from slam.storage.ply import read_cloud_ply
-from slam.version import __version__
 
 CLOUD_FILE = "cloud.ply"
-_LIBRARIES = ("gtsam", "numpy", "numba", "opencv-python-headless")
 # More unmatched scans than this share deserve a line at the top of the page.
 _UNMATCHED_SHARE = 0.01
 # And fewer places of a camera that fit; of sound recordings 0.3 to 0.8 do: docs/figures/input.md.
@@ -122,11 +119,6 @@ class ReportData:
         return "scan" if any(scan is not None for scan in self.result.map.keyframe_scans) else "frame"
 
     @property
-    def spatial(self) -> bool:
-        """Whether the trajectory leaves the floor."""
-        return not self.result.map.planar
-
-    @property
     def path_length_m(self) -> float:
         """Travel."""
         return float(np.linalg.norm(np.diff(self.result.map.trajectory.positions_m, axis=0), axis=1).sum())
@@ -157,11 +149,6 @@ class ReportData:
             for use in self.result.uses
         ]
 
-    @property
-    def layers(self) -> LayeredMap | None:
-        """The map to drive by and what it was made of."""
-        return self.result.map.layers(self.config)
-
     def registrations(self) -> list[tuple[str, str]]:
         """Of every camera: whether its colour is registered to its depth, in a line with the reason."""
         cameras = self.result.cameras
@@ -169,9 +156,8 @@ class ReportData:
 
     @staticmethod
     def versions() -> list[tuple[str, str]]:
-        """Version by library."""
-        found = [(name, _version(name)) for name in _LIBRARIES]
-        return [("scanweave", __version__), *(row for row in found if row[1])]
+        """Version by library, and the digest of Scanweave's own source."""
+        return list(current_versions().items())
 
 
 def _reader_notes(reading: ReadReport) -> list[tuple[str, str]]:
@@ -249,11 +235,3 @@ def _carried_by_cameras(result: MapResult) -> BoolArray:
             reported[edge.target] = True
     # After the last keyframe the robot has hardly moved: what held before it holds on.
     return reported[np.minimum(np.searchsorted(keyframes, np.arange(count)), len(keyframes) - 1)]
-
-
-def _version(package: str) -> str:
-    """Installed version, empty where the package is not installed."""
-    try:
-        return version(package)
-    except PackageNotFoundError:
-        return ""

@@ -3,25 +3,28 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any
 
 import gtsam
 import numpy as np
 from numpy.typing import NDArray
 
+from fusion.estimation import gate
 from slam.config import Config
 from slam.estimates import Trajectory
 from slam.evaluation.association import nearest_indices
 from slam.evaluation.page_charts import sigmas_of
 from slam.evaluation.page_layers import layer_pictures
-from slam.evaluation.page_what_if import what_if_data
+from slam.graph.influence import all_edges, elimination_order, influences
 from slam.graph.loop_candidate import LoopCandidate
+from slam.heap import give_back
 from slam.mapping.layered_map import PASSED_BY
 from slam.matching.planar import transform_points
 from slam.measurements import FloatArray, LaserScan, Pose, row_from_pose, row_from_pose2
 from slam.storage.covariances import upper_triangles
 from slam.storage.map_contents import MapContents, SavedFactor
-from slam.storage.map_sessions import MapSession
+from slam.storage.map_sessions import MapSession, session_numbers
 
 # A page holds no more: points of scans, poses of the way. What is left out is evenly so, and told.
 _SCAN_POINTS, _POSES = 1_000_000, 20_000
@@ -41,13 +44,13 @@ def map_data(
     digest
         Of the map, so that edits can tell what they were made for.
     """
-    session = np.repeat(np.arange(len(sessions)), [one.keyframes for one in sessions]) if sessions else None
     rows = _rows_of_nodes(found, sessions)
     sigmas = _sigmas(found)
     scans, told = _scans(found.keyframe_scans, len(found.node_poses))
     way, way_told = _way(found, rows, sigmas)
     names = [one.log_name for one in sessions] or [title]
-    node_session = np.zeros(len(found.node_poses), np.int32) if session is None else session.astype(np.int32)
+    of_nodes = session_numbers(sessions) if sessions else np.zeros(len(found.node_poses))
+    node_session = of_nodes.astype(np.int32)
     way |= {"session": node_session[way["node"]].astype(np.uint8), "sessions": names}
     return {
         "kind": "map",
@@ -72,7 +75,35 @@ def map_data(
         "layers": layer_pictures(found.layers(config), found.grids.get(PASSED_BY)),
         "trajectory": way,
         "limits": [*told, *way_told],
-        **what_if_data(found, config),
+        **_what_if(found, config),
+    }
+
+
+def _what_if(found: MapContents, config: Config) -> dict[str, Any]:
+    """Influence and order of elimination, see `slam.graph.influence`.
+
+    Edges are those of the graph, and after them the matched loop candidates that never came into it, in
+    order: so they are numbered in the page, too.
+    """
+    factors = [factor.edge for factor in found.factors]
+    edges = all_edges(factors, found.loops)
+    kept = [factor.kept for factor in found.factors] + [False] * (len(edges) - len(factors))
+    size = 3 if found.planar else 6
+    told = influences(found.node_poses, edges, kept)
+    give_back()
+    return {
+        "influence": {
+            "edge": told.edges.astype(np.int32),
+            "shift_m": told.shifts_m.astype(np.float32),
+            "node": told.nodes.astype(np.int32),
+            "residual": told.residuals.astype(np.float32),
+            "left_out": told.left_out.astype(np.float32),
+            # Squared sigmas that one in a thousand true loops is beyond: of one loop, of two and so on.
+            "gates": np.array([gate(size * n) for n in range(1, max(len(told.edges), 1) + 1)], np.float32),
+            # Loops that lie within a local map of each other at both ends are one claim.
+            "reach": config.match.local_map_keyframes,
+        },
+        "order": elimination_order(len(found.node_poses), edges).astype(np.int32),
     }
 
 
@@ -260,12 +291,9 @@ def _repairs(found: MapContents) -> dict[str, Any]:
 
 def _points_base(scan: LaserScan, which: NDArray[np.bool_] | None = None) -> FloatArray:
     """(N, 2) points of a scan, or of some of its beams, base frame."""
-    mount = row_from_pose2(scan.T_base_laser)
-    if which is None:
-        return transform_points(scan.points_laser(), mount)
-    bearings, ranges_m = scan.bearings_rad()[which], scan.ranges_m[which].astype(np.float64)
-    points = np.column_stack([ranges_m * np.cos(bearings), ranges_m * np.sin(bearings)])
-    return transform_points(points, mount)
+    if which is not None:
+        scan = replace(scan, ranges_m=np.where(which, scan.ranges_m, np.float32(np.nan)))
+    return transform_points(scan.points_laser(), row_from_pose2(scan.T_base_laser))
 
 
 def _centimetres(points: FloatArray) -> NDArray[np.int16]:

@@ -17,6 +17,7 @@ from slam.errors import EvaluationError
 from slam.estimates import Trajectory
 from slam.evaluation.association import nearest_indices
 from slam.evaluation.error_statistics import ErrorStatistics
+from slam.matching.planar import between, wrap
 from slam.measurements import BoolArray, FloatArray
 from slam.storage.files import numbered_fields, parse_floats
 
@@ -149,10 +150,11 @@ def score_relations(trajectory: Trajectory, relations: Relations) -> RelationSco
             " is it the same log and the same clock?"
         )
     poses = trajectory.to_planar()
-    moved = _relative_planar(poses[first[used]], poses[second[used]])
+    ends = zip(poses[first[used]], poses[second[used]], strict=True)
+    moved = np.array([between(one, other) for one, other in ends])
     reference = relations.xyz_rpy[used]
     translation_m = np.hypot(moved[:, 0] - reference[:, 0], moved[:, 1] - reference[:, 1])
-    rotation_rad = np.abs(_wrap(moved[:, 2] - reference[:, 5]))
+    rotation_rad = np.abs([wrap(angle) for angle in moved[:, 2] - reference[:, 5]])
     is_short = np.abs(relations.second_stamps_s - relations.first_stamps_s)[used] < SHORT_RELATION_S
     return RelationScore(
         skipped=int(np.count_nonzero(~used)),
@@ -166,20 +168,6 @@ def _look_up(trajectory: Trajectory, stamps_s: FloatArray) -> tuple[NDArray[np.i
     """Index of the nearest pose to every stamp, and whether it is near enough."""
     nearest = nearest_indices(trajectory.stamps_s, stamps_s)
     return nearest, np.abs(trajectory.stamps_s[nearest] - stamps_s) <= MAX_STAMP_DIFFERENCE_S
-
-
-def _relative_planar(first: FloatArray, second: FloatArray) -> FloatArray:
-    """inverse(first) * second of (N, 3) planar poses."""
-    dx, dy = (second[:, :2] - first[:, :2]).T
-    cosine, sine = np.cos(first[:, 2]), np.sin(first[:, 2])
-    return np.column_stack(
-        [cosine * dx + sine * dy, cosine * dy - sine * dx, _wrap(second[:, 2] - first[:, 2])]
-    )
-
-
-def _wrap(angles_rad: FloatArray) -> FloatArray:
-    """Angles brought to [-pi, pi)."""
-    return np.mod(angles_rad + np.pi, 2.0 * np.pi) - np.pi
 
 
 def _group(translation_m: FloatArray, rotation_rad: FloatArray) -> RelationGroupScore:

@@ -8,16 +8,18 @@ from typing import Any
 
 import numpy as np
 
+from fusion import Grade
 from slam.config import dump_config
 from slam.evaluation.map_report import ReportData
 from slam.evaluation.page_charts import map_charts
 from slam.evaluation.page_data import map_data
-from slam.evaluation.pages import write_page
-from slam.evaluation.report_cameras import camera_cells
-from slam.evaluation.report_fusion import fusion_section
+from slam.evaluation.pages import render, write_page
 from slam.evaluation.report_loops import loop_section
 from slam.evaluation.saved_page import map_work_page
 from slam.evaluation.work_page import WorkPage
+from slam.mapper.keyframe_fusion import FusionSummary
+from slam.mapper.scan_record import CameraRecord
+from slam.measurements import FloatArray
 
 
 def write_report(path: Path, data: ReportData, head: dict[str, Any] | None = None) -> None:
@@ -47,7 +49,7 @@ def write_report(path: Path, data: ReportData, head: dict[str, Any] | None = Non
         data=data,
         headline=_headline(data),
         fusion=fusion_section(result.fused) if result.fused is not None else "",
-        camera_rows=[camera_cells(name, record) for name, record in result.cameras.items()],
+        camera_rows=[_camera_cells(name, record) for name, record in result.cameras.items()],
         truth=truth,
         truth_deg=0.0 if truth is None else math.degrees(truth.error.rotation_rad.rmse),
         loops=loop_section(result.map, data.config, int(np.count_nonzero(degenerate))),
@@ -104,3 +106,52 @@ def _page(data: ReportData, head: dict[str, Any] | None) -> WorkPage:
     if truth is not None:
         head["truth"] = {"xy": truth.true_positions_m[:, :2].astype(np.float32)}
     return map_work_page(head, found, data.config, data.beside.cloud)
+
+
+def fusion_section(fused: FusionSummary) -> str:
+    """What the pairs told of the rig, and what was repaired, as HTML."""
+    return render(
+        "fusion.html",
+        fused=fused,
+        grades=_grade_rows(fused) if fused.pairs else [],
+        repaired=sum(pair.repaired is not None for pair in fused.pairs),
+    )
+
+
+def _grade_rows(fused: FusionSummary) -> list[tuple[str, ...]]:
+    """Pairs by grade, and how far they are from what all of them tell together."""
+    rows: list[tuple[str, ...]] = []
+    for grade in sorted(Grade, reverse=True):
+        offsets = np.array([pair.u for pair in fused.pairs if pair.grade == grade])
+        apart = "–"
+        if fused.estimate is not None and offsets.size:
+            apart = f"{np.median(np.abs(offsets - fused.estimate.u)):.1f}"
+        share = f"{offsets.size / len(fused.pairs):.0%}"
+        rows.append((grade.name.lower(), f"{offsets.size:,}", share, apart))
+    return rows
+
+
+def _camera_cells(name: str, record: CameraRecord) -> tuple[str, ...]:
+    """The numbers of a camera as text; what was never measured is a dash."""
+    frames = record.frames
+    medians = [
+        (frames.overlaps, "{:.2f}"),
+        (frames.feature_counts, "{:.0f}"),
+        (frames.residuals_px, "{:.2f}"),
+        (1000.0 * frames.residuals_m, "{:.1f}"),
+    ]
+    return (
+        name,
+        f"{frames.stamps_s.size:,}",
+        f"{np.count_nonzero(frames.unmatched):,}",
+        f"{np.count_nonzero(frames.degenerate):,}",
+        f"{record.motions:,}" if record.motions else "–",
+        f"{record.refused_motions:,}" if record.motions else "–",
+        *(_median(values, style) for values, style in medians),
+    )
+
+
+def _median(values: FloatArray, style: str) -> str:
+    """Median of what was measured."""
+    known = values[np.isfinite(values)]
+    return style.format(float(np.median(known))) if known.size else "–"

@@ -12,7 +12,6 @@ from slam.evaluation.map_report import CLOUD_FILE
 from slam.evaluation.page_charts import sigma_charts
 from slam.evaluation.page_cloud import cloud_data, image_data
 from slam.evaluation.page_data import map_data
-from slam.evaluation.page_edits import applied_data
 from slam.evaluation.page_layers import LEGENDS, areas_m2
 from slam.evaluation.pages import page_parts
 from slam.evaluation.report_loops import loop_section
@@ -22,8 +21,12 @@ from slam.mapping.layered_map import LayeredMap
 from slam.outputs.finished_map import Map
 from slam.storage.files import replacing
 from slam.storage.map_contents import MapContents
+from slam.storage.map_edits import regions_of
 from slam.storage.ply import read_cloud_ply
 from slam.storage.whole_folder import REPORT
+
+# Of regions that a person has drawn, as the page shows them.
+_KINDS = ("erase", "keep_out", "slow", "crop", "place")
 
 
 def saved_page(saved: Map, connect: str = "'none'") -> Iterator[str]:
@@ -37,7 +40,7 @@ def saved_page(saved: Map, connect: str = "'none'") -> Iterator[str]:
     found, config = saved.contents, saved.config
     title = saved.path.parent.name if len(saved.sessions) > 1 else saved.sessions[0].log_name
     head = map_data(found, config, title=title, sessions=saved.sessions, digest=saved.digest)
-    head["applied"] = applied_data(found)
+    head["applied"] = _applied(found)
     if found.covariances is not None:
         head["charts"] = sigma_charts(found.trajectory.stamps_s, found.covariances)
     cloud, path = None, saved.path.parent / CLOUD_FILE
@@ -111,3 +114,17 @@ def _legend(layers: LayeredMap | None) -> str:
         f"the robot there; layers.rule tells whether it may drive there. Free: {free_m2:.1f} m²; at the "
         f"height of the lidar only: {lidar_m2:.1f} m²."
     )
+
+
+def _applied(found: MapContents) -> dict[str, Any]:
+    """The texts of the edits, and their zones and places where they are now: points in the map."""
+    regions = [
+        {
+            "kind": kind,
+            "name": region.name,
+            "points": region.points(found.keyframe_poses).round(3).tolist(),
+        }
+        for kind in _KINDS
+        for region in regions_of(found.edits, kind)
+    ]
+    return {"texts": [entry.text for entry in found.edits], "regions": regions}

@@ -1,7 +1,8 @@
-"""Score a trajectory against relations or the truth."""
+"""Score a trajectory against relations or the truth, and say so to people."""
 
 from __future__ import annotations
 
+import math
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -15,12 +16,11 @@ from slam.estimates import Trajectory
 from slam.evaluation.coverage import coverage
 from slam.evaluation.relations import Relations, read_relations, score_relations
 from slam.evaluation.trajectory_error import absolute_error, relative_error
+from slam.evaluation.truth_comparison import MAX_DIFFERENCE_S
 from slam.measurements import FloatArray
 from slam.outputs.finished_map import Map
 from slam.storage.covariances import covariance_path, read_covariances
 from slam.storage.tum import read_tum
-
-_TOLERANCE_S = 0.05
 
 
 def evaluate(
@@ -85,7 +85,7 @@ def evaluate(
         return {"relations": score_relations(poses, checked).to_dict()}
     assert groundtruth is not None
     truth = _truth(groundtruth)
-    limit_s = _TOLERANCE_S if tolerance_s is None else tolerance_s
+    limit_s = MAX_DIFFERENCE_S if tolerance_s is None else tolerance_s
     relative = relative_error(poses, truth, delta_m=delta_m, max_difference_s=limit_s)
     scores = {
         "ate": absolute_error(poses, truth, max_difference_s=limit_s).to_dict(),
@@ -98,6 +98,36 @@ def evaluate(
     if covariances is not None:
         scores["coverage"] = coverage(poses, covariances, truth, limit_s).to_dict()
     return scores
+
+
+def score_text(scores: dict[str, Any]) -> str:
+    """A few lines for people; angles in degrees."""
+    lines = []
+    for name, values in scores.items():
+        if values is None:
+            lines.append(f"{name}: none: the drive is shorter than delta")
+            continue
+        lines.append(f"{name}:")
+        lines += _lines(values, "  ")
+    return "\n".join(lines)
+
+
+def _lines(values: dict[str, Any], indent: str) -> list[str]:
+    """Nested figures, one line a group of statistics."""
+    lines = []
+    for name, value in values.items():
+        if isinstance(value, dict) and "mean" in value:
+            scale, unit = (math.degrees(1.0), "deg") if name.endswith("_rad") else (1.0, "m")
+            shown = ", ".join(
+                f"{key} {scale * value[key]:.4f}" for key in ("mean", "std", "median", "rmse", "max")
+            )
+            lines.append(f"{indent}{name.rsplit('_', 1)[0]} [{unit}]: {shown}")
+        elif isinstance(value, dict):
+            lines.append(f"{indent}{name}:")
+            lines += _lines(value, indent + "  ")
+        elif value is not None and not isinstance(value, list):
+            lines.append(f"{indent}{name}: {value}")
+    return lines
 
 
 def _beside(path: Path, poses: Trajectory) -> FloatArray | None:

@@ -1,1 +1,1 @@
-"""The factor graph, loop closure and refinement."""
+"""The pose graph: its edges, loop closure, and how sure its poses are."""

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from slam.graph.edge import Edge
 from slam.graph.keyframe_graph import graph_of, joined, row_of, together
 from slam.graph.loop_closure import position_sigmas
-from slam.measurements import FloatArray, Pose
+from slam.measurements import FloatArray, Pose, composed, motion_between
 
 
 @dataclass(frozen=True, slots=True)
@@ -97,8 +97,7 @@ def _tracked(edges: Sequence[Edge], poses: Sequence[Pose]) -> tuple[list[Pose], 
     for key in range(1, len(poses)):
         step = steps.get(key)
         broken[key] = step is None
-        # GTSAM has no type for a pose of the plane or of space.
-        tracked.append(poses[key] if step is None else tracked[-1].compose(step.T_source_target))  # type: ignore[arg-type]
+        tracked.append(poses[key] if step is None else composed(tracked[-1], step.T_source_target))
     return tracked, np.cumsum(broken)
 
 
@@ -113,8 +112,8 @@ def loop_groups(ends: FloatArray, reach: float) -> list[NDArray[np.int64]]:
 
 def _missed(loop: Edge, poses: Sequence[Pose]) -> tuple[float, float]:
     """How far poses are from what a loop has measured: metres, and Mahalanobis distance."""
-    found = poses[loop.source].between(poses[loop.target])  # type: ignore[arg-type]
-    off = loop.T_source_target.between(found)  # type: ignore[arg-type]
+    found = motion_between(poses[loop.source], poses[loop.target])
+    off = motion_between(loop.T_source_target, found)
     innovation = loop.T_source_target.localCoordinates(found)  # type: ignore[arg-type]
     squares = float(innovation @ np.linalg.solve(loop.covariance, innovation))
     return float(np.linalg.norm(off.translation())), math.sqrt(squares)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import logging
 import math
 from collections import OrderedDict
 from collections.abc import Callable, Sequence
@@ -13,7 +12,7 @@ import numpy as np
 
 from fusion.height_band import thin_to_voxels
 from slam.config import Config
-from slam.graph.loop_candidate import LoopCandidate
+from slam.graph.loop_candidate import LoopCandidate, report
 from slam.graph.relative_uncertainty import UncertaintyGraph
 from slam.graph.unseen_gaps import UnseenGaps
 from slam.heap import give_back
@@ -22,8 +21,6 @@ from slam.matching.scan_context import RINGS, dissimilarity, ring_key, scan_cont
 from slam.measurements import FloatArray, Pose, spatial
 from slam.result_cache import COMPUTED, ResultCache
 from slam.spool import Spool
-
-log = logging.getLogger(__name__)
 
 # How many places of similar rings are compared whole.
 _SIMILAR_RINGS = 10
@@ -224,14 +221,7 @@ class CloudLoopCloser:
         candidate = self._result_cache.cached(
             "cloud loop", float(guess.T_place_base.x()), lambda: self._match(key, guess, local)
         )
-        log.info(
-            "cloud loop %d -> %d: %s (place score %.2f, sigma %.2f m)",
-            key,
-            guess.place,
-            "accepted" if candidate.accepted else f"refused, {candidate.reason}",
-            guess.score,
-            guess.sigma_m,
-        )
+        report("cloud loop", candidate)
         return candidate
 
     def _match(self, key: int, guess: _Guess, local: LocalCloud) -> LoopCandidate:

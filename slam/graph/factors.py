@@ -1,4 +1,4 @@
-"""The GTSAM factors of edges and priors, and the solver; nothing but mountings builds others."""
+"""The GTSAM factors of edges and priors of the pose graph, and its solver."""
 
 from __future__ import annotations
 

@@ -44,9 +44,6 @@ class Motions:
     t_camera: FloatArray
     covariance_camera: FloatArray
 
-    def __len__(self) -> int:
-        return len(self.t_base)
-
     def significant(self) -> tuple[BoolArray, BoolArray]:
         """Which base steps turn, and which move, by more than their noise; (N,) each."""
         variances = np.diagonal(self.covariance_base, axis1=1, axis2=2)
@@ -240,9 +237,4 @@ def _rotation_vectors(matrices: FloatArray) -> FloatArray:
 
 def _cross(vectors: FloatArray) -> FloatArray:
     """(..., 3, 3) the matrix of the cross product with each vector."""
-    matrix = np.zeros((*vectors.shape, 3))
-    x, y, z = np.moveaxis(vectors, -1, 0)
-    matrix[..., 0, 1], matrix[..., 0, 2] = -z, y
-    matrix[..., 1, 0], matrix[..., 1, 2] = z, -x
-    matrix[..., 2, 0], matrix[..., 2, 1] = -y, x
-    return matrix
+    return np.cross(np.eye(3), vectors[..., None, :])

@@ -15,7 +15,7 @@ from slam.graph.loop_candidate import LoopCandidate, judged
 from slam.graph.pose_graph import BatchResult, PoseGraph
 from slam.graph.relative_uncertainty import UncertaintyGraph
 from slam.matching.motion import Motion
-from slam.measurements import IN_PLANE, BoolArray, FloatArray, Pose
+from slam.measurements import IN_PLANE, BoolArray, FloatArray, Pose, composed
 
 _PLACES = (EdgeKind.GNSS, EdgeKind.SURVEY, EdgeKind.TAG)
 
@@ -71,8 +71,7 @@ class KeyframeGraph:
             What was measured of it. Where no trusted edge joins it to the last keyframe, the step holds it,
             as uncertain as what nothing measured.
         """
-        # GTSAM has no type for a pose of the plane or of space.
-        pose = self.graph.pose(len(self) - 1).compose(step)  # type: ignore[arg-type]
+        pose = composed(self.graph.pose(len(self) - 1), step)
         key = self.graph.add_node(pose)
         self._append(pose)
         edges = list(edges)

@@ -22,7 +22,7 @@ from slam.graph.factors import solved
 from slam.graph.held_graph import held_graph
 from slam.graph.influence import LinearMap
 from slam.graph.pose_graph import PoseGraph
-from slam.measurements import BoolArray, FloatArray, Pose, motion_between
+from slam.measurements import BoolArray, FloatArray, Pose, composed, motion_between
 
 
 @dataclass(frozen=True, slots=True)
@@ -117,7 +117,7 @@ def _visited(
     nodes, told = [*poses], [*edges]
     for visit in visits:
         best = min(visit, key=_size)
-        nodes.append(_compose(poses[best.node], best.T_node_landmark))
+        nodes.append(composed(poses[best.node], best.T_node_landmark))
         told += [
             Edge(one.node, len(nodes) - 1, one.T_node_landmark, one.covariance, EdgeKind.TAG, trusted=False)
             for one in visit
@@ -197,7 +197,7 @@ def _told(
         adjoint = one.T_node_landmark.AdjointMap()
         # All share the error of where it is: as if each had its own, so many times as large.
         covariance = adjoint @ (one.covariance + len(held) * together) @ adjoint.T
-        pose = _compose(T_node_landmark, back)
+        pose = composed(T_node_landmark, back)
         edges.append(Edge(best.node, one.node, pose, covariance, EdgeKind.TAG, trusted=False))
     return Landmark(best.node, T_node_landmark, together, holds, away, edges)
 
@@ -225,8 +225,3 @@ def in_plane(sightings: Sequence[Sighting]) -> tuple[list[Sighting], gtsam.Rot3]
 def _size(one: Sighting) -> float:
     """How uncertain a sighting is."""
     return float(np.trace(one.covariance))
-
-
-def _compose(one: Pose, other: Pose) -> Pose:
-    """One, then the other."""
-    return one.compose(other)  # type: ignore[arg-type]

@@ -34,7 +34,7 @@ from slam.graph.anchors import with_alignment
 from slam.graph.edge import Edge, EdgeKind
 from slam.graph.held_graph import marginals
 from slam.graph.keyframe_graph import unmeasured
-from slam.measurements import BoolArray, FloatArray, Pose, motion_between
+from slam.measurements import BoolArray, FloatArray, Pose, logarithm, motion_between
 
 _MATCHES = (EdgeKind.LIDAR, EdgeKind.RGBD, EdgeKind.LOOP)
 
@@ -135,9 +135,10 @@ def _unit_variance(poses: Sequence[Pose], held: Sequence[Edge], config: Config) 
     if not matches:
         return 1.0
     found = [motion_between(poses[edge.source], poses[edge.target]) for edge in matches]
-    offs = np.array([_logmap(edge.T_source_target, off) for edge, off in zip(matches, found, strict=True)])
+    offs = [motion_between(edge.T_source_target, off) for edge, off in zip(matches, found, strict=True)]
     covariances = np.array([edge.covariance for edge in matches])
-    squares = np.einsum("ki,ki->k", offs, np.linalg.solve(covariances, offs[..., None])[..., 0])
+    missed = np.array([logarithm(off) for off in offs])
+    squares = np.einsum("ki,ki->k", missed, np.linalg.solve(covariances, missed[..., None])[..., 0])
     determined = np.sum(np.linalg.eigvalsh(covariances) < config.graph.lost_sigma_m**2, axis=1)
     steps: dict[int, list[tuple[float, int]]] = defaultdict(list)
     loops: dict[tuple[int, int], list[tuple[float, int]]] = defaultdict(list)
@@ -163,9 +164,3 @@ def _unit_variance(poses: Sequence[Pose], held: Sequence[Edge], config: Config) 
 def _unknown(poses: Sequence[Pose], config: Config) -> FloatArray:
     """Covariance (d, d) of a step that nothing measured."""
     return unmeasured(config.graph, planar=isinstance(poses[0], gtsam.Pose2))
-
-
-def _logmap(told: Pose, found: Pose) -> FloatArray:
-    """(d,) from a motion that is told to the one that was found."""
-    off = motion_between(told, found)
-    return np.asarray(gtsam.Pose2.Logmap(off) if isinstance(off, gtsam.Pose2) else gtsam.Pose3.Logmap(off))

@@ -24,7 +24,7 @@ from slam.graph.gravity import gravity_factors, heading_alone, upright_poses
 from slam.graph.influence import misfits
 from slam.heap import give_back
 from slam.matching.upright import Gravity
-from slam.measurements import BoolArray, FloatArray, Pose
+from slam.measurements import BoolArray, FloatArray, Pose, composed
 
 # Of GNC: growth of its control parameter a round, twice the library's pace, and its end: only edges within a
 # hundredth of the gate are undecided then. Real logs refuse the same edges.
@@ -174,7 +174,7 @@ class PoseGraph:
             self._pending.add(between_factor(edge, mapping_noise(edge)))
         elif max(edge.source, edge.target) >= self._held:
             edge = edge if edge.target >= self._held else edge.turned()
-            place = self.pose(edge.source).compose(edge.T_source_target)  # type: ignore[arg-type]
+            place = composed(self.pose(edge.source), edge.T_source_target)
             self._pending.add(prior(edge.target, place, mapping_noise(edge)))
 
     def _start_anew(self, held: int) -> None:

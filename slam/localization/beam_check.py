@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fusion.kernel import kernel
-from slam.localization.beams import FREE, NEAR, UNKNOWN, WALL, follow, looked_up
-from slam.mapping.occupancy_grid import OCCUPIED, OccupancyGrid
+from slam.localization.beams import FREE, NEAR, UNKNOWN, WALL, follow
+from slam.mapping.occupancy_grid import OCCUPIED, OccupancyGrid, looked_up
 from slam.matching.local_map import OrientedPoints
 from slam.matching.planar import between, transform_points
 from slam.matching.surfel_map import SurfelMap, nearest_surfel
@@ -104,7 +104,7 @@ def in_clear_space(space: KnownSpace, pose: FloatArray, points: AnyFloatArray) -
         (3,) x, y, yaw of the base in the map, good to some decimetres.
     """
     cells = np.floor(transform_points(points, between(space.frame, pose)) / space.cell_m).astype(np.int64)
-    return looked_up(space.clear, cells, outside=False)
+    return looked_up(space.clear, cells)
 
 
 def check_beams(

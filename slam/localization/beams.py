@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fusion.kernel import kernel
-from slam.measurements import BoolArray, FloatArray
+from slam.measurements import FloatArray
 
 # What a cell is: of NEAR, within reach of a surface, it is not known whether something small moved it there.
 UNKNOWN, FREE, NEAR, WALL = 0, 1, 2, 3
@@ -34,14 +34,6 @@ def follow(
 def count_passes(passes: NDArray[np.uint16], origin: FloatArray, ends: FloatArray, end_cells: float) -> None:
     """Add the beams through each cell, all but their last stretch; see `follow`."""
     _count_passes(passes.ravel(), passes.shape, origin, ends, end_cells)
-
-
-def looked_up(picture: BoolArray, cells: NDArray[np.int64], *, outside: bool) -> BoolArray:
-    """What a picture tells of (N, 2) rows and columns, which may lie outside of it."""
-    inside = ((cells >= 0) & (cells < picture.shape)).all(axis=1)
-    found = np.full(len(cells), outside)
-    found[inside] = picture[cells[inside, 0], cells[inside, 1]]
-    return found
 
 
 @kernel

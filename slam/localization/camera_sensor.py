@@ -9,10 +9,10 @@ import numpy as np
 
 from slam.config import Config
 from slam.estimates import MotionEstimate
-from slam.localization.poses import Measured, apart, composed, diagonal
+from slam.localization.poses import Measured, apart, diagonal
 from slam.localization.sensor import Keyframe, Observation
 from slam.localization.visual_locator import VisualLocator
-from slam.measurements import Pose
+from slam.measurements import Pose, composed
 from slam.odometry.camera_odometry import camera_step, pose_in_segment
 from slam.odometry.camera_track import CameraPose
 from slam.odometry.rgbd_tracker import RgbdTracker

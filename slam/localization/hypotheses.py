@@ -11,18 +11,9 @@ import numpy as np
 
 from slam.config.localization import LocalizationConfig
 from slam.estimates import MotionEstimate
-from slam.localization.poses import (
-    Measured,
-    apart,
-    as_place,
-    between,
-    composed,
-    mixed,
-    same_place,
-    squared_mahalanobis,
-)
+from slam.localization.poses import Measured, apart, as_place, mixed, same_place, squared_mahalanobis
 from slam.localization.sensor import Keyframe, N, Sensor, V
-from slam.measurements import FloatArray, Pose
+from slam.measurements import FloatArray, Pose, composed, motion_between
 
 
 @dataclass(slots=True)
@@ -144,7 +135,7 @@ class HypothesisSet(Generic[V, N]):
         if dead_reckoned is not None:
             self._led_nats = self._weighed(dead_reckoned.pose, newest.novel, None)
         if last is not None:
-            step = between(last, pose)
+            step = motion_between(last, pose)
             for member in self.members:
                 del member.evidence[:dropped]
                 self._settle(member, composed(member.pose, step))
@@ -169,7 +160,7 @@ class HypothesisSet(Generic[V, N]):
         for found in search:
             if found is None:
                 break
-            self._take_in(composed(found, between(searched_at, self._log.keyframes[-1].pose)), 0.0)
+            self._take_in(composed(found, motion_between(searched_at, self._log.keyframes[-1].pose)), 0.0)
         else:
             self._search = None
             self._prune()
@@ -177,7 +168,7 @@ class HypothesisSet(Generic[V, N]):
     def propose(self, pose: Pose, odometry_pose: Pose) -> None:
         """Take in ``T_map_base`` that another sensor has found, and ``T_odom_base`` at that moment."""
         if self._log.keyframes:
-            step = between(odometry_pose, self._log.keyframes[-1].pose)
+            step = motion_between(odometry_pose, self._log.keyframes[-1].pose)
             self._take_in(composed(pose, step), self._config.nowhere_nats)
             self._prune()
 
@@ -262,7 +253,7 @@ class HypothesisSet(Generic[V, N]):
                 return
         path = [0.0] * len(before)
         for n in range(max(len(before) - self._sensor.weighs_back, 0), len(before)):
-            at = composed(member.pose, between(newest.pose, before[n].pose))
+            at = composed(member.pose, motion_between(newest.pose, before[n].pose))
             path[n] = self._weighed(at, before[n].novel, None)
         member.evidence = path + member.evidence
         self.members.append(member)

@@ -11,11 +11,10 @@ import numpy as np
 from slam.config import Config
 from slam.errors import MapFileError
 from slam.localization.beam_check import KnownSpace, known_space
-from slam.localization.beams import looked_up
 from slam.localization.drawn_walls import drawn_walls
 from slam.localization.scan_view import ScanView
 from slam.localization.whole_map_field import WholeMapField, build_whole_map_field
-from slam.mapping.occupancy_grid import FREE, OccupancyGrid
+from slam.mapping.occupancy_grid import FREE, OccupancyGrid, looked_up
 from slam.matching.local_map import LocalMap, OrientedPoints
 from slam.matching.planar import transform_points
 from slam.measurements import BoolArray, FloatArray, Pose, pose2_from_row

@@ -15,19 +15,10 @@ from slam.localization.hypotheses import HypothesisSet
 from slam.localization.loss_test import LossTest
 from slam.localization.output import LocalizerOutput, PoseHypothesis, RecoveredPose, State
 from slam.localization.pose_smoother import PoseSmoother
-from slam.localization.poses import (
-    SAME_M,
-    Measured,
-    after,
-    between,
-    composed,
-    diagonal,
-    position_sigma_m,
-    squared_mahalanobis,
-)
+from slam.localization.poses import SAME_M, Measured, after, diagonal, position_sigma_m, squared_mahalanobis
 from slam.localization.sensor import N, Observation, Sensor, V, anew, moved_on
 from slam.matching.match_covariance import OPEN_M
-from slam.measurements import Pose
+from slam.measurements import Pose, composed, motion_between
 
 
 class StateMachine(Generic[V, N]):
@@ -113,7 +104,7 @@ class StateMachine(Generic[V, N]):
         self._smoother.add(observed.moved, [] if believed is None else [_measured(believed)])
         self._known = self._smoother.newest
         pose = self._known.pose
-        novel = self._sensor.novel(observed.view, between(pose, pose), None)
+        novel = self._sensor.novel(observed.view, motion_between(pose, pose), None)
         evidence = self._sensor.weigh(pose, novel, believed)
         moved = 1.0 if observed.restarted else anew(observed.moved.pose, self._config)
         self._loss.add(observed.stamp_s, evidence, moved)
@@ -173,7 +164,7 @@ class StateMachine(Generic[V, N]):
         self._known = self._smoother.newest
         self._loss.reset(self._config.lost_nats)
         recovered = [
-            RecoveredPose(stamp_s, composed(found.pose, between(odometry_pose, pose)))
+            RecoveredPose(stamp_s, composed(found.pose, motion_between(odometry_pose, pose)))
             for stamp_s, pose in self._unknown[:-1]
         ]
         self._forget()

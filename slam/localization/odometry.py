@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from typing import NamedTuple
 
 import gtsam
@@ -11,10 +10,18 @@ import numpy as np
 from fusion.estimation import TINY
 from fusion.time_alignment import GAP_S
 from slam.config import Config
-from slam.localization.poses import Measured, composed, diagonal, position_sigma_m, squared_mahalanobis
+from slam.localization.poses import Measured, diagonal, position_sigma_m, squared_mahalanobis
 from slam.localization.scan_view import ScanView
 from slam.matching.planar import between
-from slam.measurements import FloatArray, PointCloud, Pose, WheelOdometry, pose2_from_row, row_from_pose2
+from slam.measurements import (
+    FloatArray,
+    PointCloud,
+    Pose,
+    WheelOdometry,
+    composed,
+    pose2_from_row,
+    row_from_pose2,
+)
 from slam.odometry.clock_learner import Turns
 from slam.odometry.cloud_tracker import CloudTracker, TrackedCloud
 from slam.odometry.constant_velocity import repeated, stretch
@@ -116,7 +123,8 @@ class ScanOdometry:
         self._silent_s = 0.0
         self._step = moved or Measured(gtsam.Pose2(), np.zeros((3, 3)))
         self._step_s = elapsed_s
-        if self._moved_on(tracked):
+        before, limits = self._keyframe, self._config.keyframes
+        if before is None or limits.due(*between(before.pose, tracked.pose).tolist()):
             self._tracker.add_keyframe(view.points, tracked)
             self._keyframe = tracked
         return OdometryStep(pose2_from_row(tracked.pose), moved)
@@ -164,14 +172,6 @@ class ScanOdometry:
         gain = matched.covariance @ np.linalg.inv(matched.covariance + expected.covariance)
         correction = pose2_from_row(gain @ between(row, row_from_pose2(expected.pose)))
         return Measured(composed(matched.pose, correction), matched.covariance - gain @ matched.covariance)
-
-    def _moved_on(self, tracked: TrackedScan) -> bool:
-        """Whether a scan is far enough from the last keyframe to join the local map."""
-        if self._keyframe is None:
-            return True
-        step = between(self._keyframe.pose, tracked.pose)
-        limits = self._config.keyframes
-        return bool(math.hypot(step[0], step[1]) > limits.distance_m or abs(step[2]) > limits.angle_rad)
 
 
 class CloudOdometry:

@@ -15,13 +15,21 @@ from slam.localization.beam_check import BeamCounts, check_beams, in_clear_space
 from slam.localization.global_search import Window, search_map
 from slam.localization.known_map import Walls
 from slam.localization.odometry import ScanOdometry
-from slam.localization.poses import Measured, between
+from slam.localization.poses import Measured
 from slam.localization.scan_view import ScanView, cell_keys, first_in_cells
 from slam.localization.sensor import Keyframe, Observation, moved_on
 from slam.matching.local_map import OrientedPoints
 from slam.matching.match_covariance import motion_from_alignment
 from slam.matching.planar import compose, transform_points
-from slam.measurements import FloatArray, LaserScan, Pose, WheelOdometry, pose2_from_row, row_from_pose2
+from slam.measurements import (
+    FloatArray,
+    LaserScan,
+    Pose,
+    WheelOdometry,
+    motion_between,
+    pose2_from_row,
+    row_from_pose2,
+)
 from slam.odometry.surfel_odometry import LEAST_POINTS
 
 # Shares of explained, crossing and in-free beams at the true pose, and at the best of all wrong poses. A
@@ -126,7 +134,9 @@ class PlanarSensor:
         points = [view.points.points_base.astype(np.float64)]
         if self._searches % 2:
             points += [
-                transform_points(one.novel.points.points, row_from_pose2(between(newest.pose, one.pose)))
+                transform_points(
+                    one.novel.points.points, row_from_pose2(motion_between(newest.pose, one.pose))
+                )
                 for one in keyframes[:-1]
                 if newest.travelled_m - one.travelled_m < settings.window_m / 3.0
             ]

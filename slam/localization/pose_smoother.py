@@ -9,8 +9,8 @@ from typing import SupportsFloat, SupportsIndex, SupportsInt
 import gtsam
 import numpy as np
 
-from slam.localization.poses import SAME_M, Measured, composed, position_sigma_m
-from slam.measurements import Pose
+from slam.localization.poses import SAME_M, Measured, position_sigma_m
+from slam.measurements import Pose, composed
 
 # Only the newest pose is reported, and a longer lag tells it with the same bits.
 _LAG_NODES = 2.0

@@ -9,7 +9,7 @@ from typing import NamedTuple
 import gtsam
 import numpy as np
 
-from slam.measurements import FloatArray, Pose
+from slam.measurements import FloatArray, Pose, composed, logarithm, motion_between
 
 # Poses nearer than this are one place, metres and radians: an alignment from either finds the same.
 SAME_M, SAME_RAD = 0.3, 0.15
@@ -22,19 +22,6 @@ class Measured(NamedTuple):
     covariance: FloatArray
 
 
-def composed(T_a_b: Pose, T_b_c: Pose) -> Pose:
-    """``T_a_c``; both in the plane, or both in space."""
-    if isinstance(T_a_b, gtsam.Pose2) and isinstance(T_b_c, gtsam.Pose2):
-        return T_a_b.compose(T_b_c)
-    assert isinstance(T_a_b, gtsam.Pose3) and isinstance(T_b_c, gtsam.Pose3)
-    return T_a_b.compose(T_b_c)
-
-
-def between(T_a_b: Pose, T_a_c: Pose) -> Pose:
-    """``T_b_c``; both in the plane, or both in space."""
-    return composed(T_a_b.inverse(), T_a_c)
-
-
 def after(known: Measured, step: Measured) -> Measured:
     """A pose after a motion."""
     adjoint = step.pose.inverse().AdjointMap()
@@ -44,7 +31,7 @@ def after(known: Measured, step: Measured) -> Measured:
 
 def apart(one: Pose, other: Pose) -> tuple[float, float]:
     """Metres and radians between two poses."""
-    step = between(one, other)
+    step = motion_between(one, other)
     if isinstance(step, gtsam.Pose2):
         return float(np.hypot(step.x(), step.y())), abs(step.theta())
     turned_rad = float(np.linalg.norm(gtsam.Rot3.Logmap(step.rotation())))
@@ -60,18 +47,13 @@ def position_sigma_m(known: Measured) -> float:
 
 def mixed(near: Pose, poses: Sequence[Measured], weights: FloatArray) -> Measured:
     """Mean and covariance of poses near another of which one is true, with probabilities (n,)."""
-    apart_ = np.array([logarithm(between(near, one.pose)) for one in poses])
+    apart_ = np.array([logarithm(motion_between(near, one.pose)) for one in poses])
     mean = weights @ apart_
     scatter = (weights[:, None] * (apart_ - mean)).T @ (apart_ - mean)
     covariance = scatter + np.tensordot(weights, [one.covariance for one in poses], 1)
     planar = isinstance(near, gtsam.Pose2)
     step = gtsam.Pose2.Expmap(mean) if planar else gtsam.Pose3.Expmap(mean)
     return Measured(composed(near, step), covariance)
-
-
-def logarithm(step: Pose) -> FloatArray:
-    """(d,) tangent of a motion."""
-    return gtsam.Pose2.Logmap(step) if isinstance(step, gtsam.Pose2) else gtsam.Pose3.Logmap(step)
 
 
 def same_place(one: Pose, other: Pose) -> bool:
@@ -87,7 +69,7 @@ def as_place(pose: Pose) -> Measured:
 
 def squared_mahalanobis(expected: Measured, found: Measured) -> float:
     """Squared Mahalanobis distance of a measured pose from an expected one, by the covariances of both."""
-    offset = logarithm(between(expected.pose, found.pose))
+    offset = logarithm(motion_between(expected.pose, found.pose))
     return float(offset @ np.linalg.solve(expected.covariance + found.covariance, offset))
 
 

@@ -44,10 +44,6 @@ class ScanView:
         laser = np.array([scan.T_base_laser.x(), scan.T_base_laser.y()])
         return cls(scan.stamp_s, points, OrientedPoints.from_scan(points), laser)
 
-    def thinned(self, cell_m: float) -> OrientedPoints:
-        """One of the oriented points a cell of that side: near walls do not outvote far ones."""
-        return self.oriented.only(first_in_cells(self.oriented.points, cell_m)[0])
-
     def only(self, keep: BoolArray) -> ScanView:
         """The scan with only some of its returns, (M,)."""
         points = ScanPoints(self.points.points_base[keep], self.points.normals_base[keep])

@@ -8,8 +8,8 @@ from typing import Any, Generic, Protocol, TypeVar
 
 from slam.config.localization import LocalizationConfig
 from slam.estimates import MotionEstimate
-from slam.localization.poses import Measured, apart, between, composed
-from slam.measurements import Pose
+from slam.localization.poses import Measured, apart
+from slam.measurements import Pose, composed, motion_between
 
 V = TypeVar("V")
 N = TypeVar("N")
@@ -61,7 +61,7 @@ class Keyframe(Generic[N]):
 
 def moved_on(before: Pose | None, pose: Pose, config: LocalizationConfig) -> bool:
     """Whether ``T_odom_base`` is far enough from an earlier one to see anew."""
-    return before is None or anew(between(before, pose), config) >= 1.0
+    return before is None or anew(motion_between(before, pose), config) >= 1.0
 
 
 def anew(step: Pose, config: LocalizationConfig) -> float:

@@ -14,8 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from slam.localization.beams import looked_up
-from slam.mapping.occupancy_grid import FREE, OccupancyGrid
+from slam.mapping.occupancy_grid import FREE, OccupancyGrid, looked_up
 from slam.matching.correlative import blurred
 from slam.measurements import AnyFloatArray, BoolArray
 
@@ -78,7 +77,7 @@ def build_whole_map_field(
         middles = [origin_x, origin_y] + cell_m * (np.arange(columns)[:, None] * [1, 0] + 0.5)
         for row in range(rows):  # one at a time stays in the processor's own memory
             above = np.array([0.0, cell_m * row])
-            free[row] = looked_up(known, grid.cells_of(middles + above), outside=False)
+            free[row] = looked_up(known, grid.cells_of(middles + above))
         room, stands = 2 * math.ceil(_STANDING_ROOM_M / cell_m) + 1, free
         for shape in ((room, 1), (1, room)):
             stands = ndimage.binary_dilation(stands, np.ones(shape, np.bool_))

@@ -9,7 +9,6 @@ import gtsam
 import numpy as np
 
 from slam.config import Config
-from slam.estimates import MotionEstimate
 from slam.graph.keyframe_graph import KeyframeGraph
 from slam.graph.loop_candidate import LoopCandidate
 from slam.graph.visual_loops import VisualLoopCloser
@@ -165,13 +164,10 @@ class CameraKeyframes:
             moved = planar_motion(motion.T_reference_base, motion.covariance, late[1], late[0])
             by_clock = between(planar.motion, moved.motion)
             covariance = covariance + np.outer(by_clock, by_clock)
-        measured = MotionEstimate(
+        measured = replace(
+            motion,
             T_reference_base=pose2_from_row(planar.motion),
             covariance=covariance,
-            inlier_share=motion.inlier_share,
-            fit=motion.fit,
-            residual_m=motion.residual_m,
-            converged=motion.converged,
             degenerate=False,
             weak_direction=planar.motion * 0.0,
         )

@@ -52,7 +52,7 @@ class CloudCameras:
     def note_cloud(self, stamp_s: float, tracked: TrackedCloud) -> None:
         """Take the heading of a cloud that matched, by which the cameras' clocks are compared."""
         if tracked.motion is not None:
-            self._cameras.note_scan_turn(stamp_s, tracked.pose.rotation().yaw())
+            self._cameras.scan_turns.add(stamp_s, tracked.pose.rotation().yaw())
 
     def add(self, frame: PreparedFrame) -> None:
         """Track a frame of any camera."""

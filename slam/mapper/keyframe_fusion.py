@@ -78,7 +78,7 @@ class _DepthSpool:
         """An image as fusion takes it."""
         steps_per_m, camera = self._told[index]
         depth_m = unpacked_depth(self._packed[index], steps_per_m, camera)
-        return fusion.DepthImage(depth_m, _intrinsics(camera), T_level_camera)
+        return fusion.DepthImage(depth_m, camera, T_level_camera)
 
 
 class KeyframeFusion:
@@ -183,13 +183,9 @@ def _curve(scan: LaserScan) -> fusion.LidarCurve:
 def _depths(frames: Sequence[RgbdFrame], turns: Sequence[FloatArray]) -> list[fusion.DepthImage]:
     """Depth images as fusion takes them: no position, only which way is up."""
     return [
-        fusion.DepthImage(frame.depth_m, _intrinsics(frame.intrinsics), turn)
+        fusion.DepthImage(frame.depth_m, frame.intrinsics, turn)
         for frame, turn in zip(frames, turns, strict=True)
     ]
-
-
-def _intrinsics(k: CameraIntrinsics) -> fusion.Intrinsics:
-    return fusion.Intrinsics(k.fx, k.fy, k.cx, k.cy)
 
 
 def _note(pairs: Sequence[FusionPair], estimate: fusion.RigEstimate) -> str:

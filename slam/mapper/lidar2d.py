@@ -25,7 +25,7 @@ from slam.mapper.keyframe_store import registration_notes
 from slam.mapper.map_result import MapResult
 from slam.mapper.mount_learner import LearnedMounting
 from slam.mapper.planar_way import Moment, PlanarWay, Step, Steps
-from slam.mapper.protocol import Tracked
+from slam.mapper.protocol import FrontEnd, Tracked
 from slam.mapping.moving_things import MovingThings
 from slam.matching.local_map import OrientedPoints
 from slam.measurements import BoolArray, LaserScan, Pose, pose2_from_row
@@ -34,7 +34,7 @@ from slam.spool import ArraySpool
 from slam.vision.color_registration import ColorRegistration
 
 
-class PlanarRobot:
+class PlanarRobot(FrontEnd):
     """Scans, wheels and cameras of a robot on a floor; see `slam.mapper.protocol.FrontEnd`.
 
     Parameters
@@ -127,10 +127,6 @@ class PlanarRobot:
             del self._places, self._closer, self._kept  # it was the last search: what they know is large
             end_stage()
         return found
-
-    def bases(self, poses: Sequence[Pose]) -> Sequence[Pose]:
-        """The nodes are the bases."""
-        return poses
 
     def complete(self, result: MapResult) -> None:
         """The repaired scans, and the grids that scans and images draw."""

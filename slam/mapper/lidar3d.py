@@ -26,15 +26,13 @@ from slam.heap import end_stage
 from slam.mapper.checkpoint import Checkpoint
 from slam.mapper.cloud_cameras import CloudCameras
 from slam.mapper.map_result import MapResult
-from slam.mapper.mount_learner import LearnedMounting
-from slam.mapper.protocol import Tracked
+from slam.mapper.protocol import FrontEnd, Tracked
 from slam.mapping.band_scan import band_scan, ground_of
 from slam.mapping.elevation import Elevation, elevation
 from slam.matching.cloud_points import at_middle_of_turn
 from slam.matching.local_cloud import moved
 from slam.matching.upright import Gravity
 from slam.measurements import (
-    BoolArray,
     FloatArray,
     ImuReading,
     LaserScan,
@@ -61,7 +59,7 @@ _KEPT_SHARE = 0.25
 _MOST_DOUBTFUL = 0.02
 
 
-class CloudLidar:
+class CloudLidar(FrontEnd):
     """Clouds, wheels and cameras of a robot in space; see `slam.mapper.protocol.FrontEnd`."""
 
     def __init__(
@@ -191,14 +189,6 @@ class CloudLidar:
         if self._down:
             graph.graph.level(apart_in_time(self._down))
 
-    def search_again(self, graph: KeyframeGraph, kept: BoolArray) -> list[LoopCandidate]:
-        """All places were tried while mapping."""
-        return []
-
-    def bases(self, poses: Sequence[Pose]) -> Sequence[Pose]:
-        """The nodes are the bases."""
-        return poses
-
     def complete(self, result: MapResult) -> None:
         """The clouds, and the plan of what stands in the robot's way."""
         # The looks of all places, and what the final optimisation has left.
@@ -213,10 +203,6 @@ class CloudLidar:
         if self._imu is not None:
             result.add_told(*self._imu.told())
         result.unused |= self._cameras.unused()
-
-    def learned_mountings(self) -> dict[str, LearnedMounting]:
-        """None: the log must tell where a camera sits."""
-        return {}
 
     def _track(self, cloud: PointCloud) -> Tracked:
         """Pose of a cloud."""

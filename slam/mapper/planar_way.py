@@ -247,7 +247,7 @@ class PlanarWay:
         cameras = [Motion(step.motion, step.covariance) for step in steps]
         tracked = self._tracker.track(points, stamp_s, cameras)
         if scan is not None and tracked.confident:
-            self.cameras.note_scan_turn(stamp_s, float(tracked.pose[2]))
+            self.cameras.scan_turns.add(stamp_s, float(tracked.pose[2]))
             if self._wheels is not None:
                 self._wheels.learn_clock(self.cameras.scan_turns)
             if self._gyro is not None:
@@ -261,13 +261,6 @@ class PlanarWay:
             covariance=None if tracked.motion is None else tracked.motion.covariance,
             trusted=tracked.confident if scan is not None else bool(cameras),
         )
-        moved_on = self._moved_on(tracked)
-        return Moment(stamp_s, scan, tracked.pose, tracked.motion, moved_on)
-
-    def _moved_on(self, tracked: TrackedScan) -> bool:
-        """Whether a scan is far enough from the last keyframe to be the next."""
         last, limits = self._chain.last, self._config.keyframes
-        if last is None:
-            return True
-        step = between(last.pose, tracked.pose)
-        return math.hypot(step[0], step[1]) > limits.distance_m or abs(float(step[2])) > limits.angle_rad
+        due = last is None or limits.due(*between(last.pose, tracked.pose).tolist())
+        return Moment(stamp_s, scan, tracked.pose, tracked.motion, due)

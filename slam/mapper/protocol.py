@@ -80,20 +80,23 @@ class FrontEnd(Protocol):
         ...
 
     def search_again(self, graph: KeyframeGraph, kept: BoolArray) -> list[LoopCandidate]:
-        """Places recognised from the estimate of the final optimisation, which has ``kept`` these edges."""
-        ...
+        """Places recognised from the estimate of the final optimisation, which has ``kept`` these edges.
+
+        None as a rule: all places were tried while mapping.
+        """
+        return []
 
     def bases(self, poses: Sequence[Pose]) -> Sequence[Pose]:
-        """``T_map_base`` of every node, by the nodes' poses."""
-        ...
+        """``T_map_base`` of every node, by the nodes' poses, which are those of the bases as a rule."""
+        return poses
 
     def complete(self, result: MapResult) -> None:
         """Make of the final poses what else the map has, and tell what people should know of it."""
         ...
 
     def learned_mountings(self) -> dict[str, LearnedMounting]:
-        """Where cameras sit that the log does not tell, as far as this run has shown."""
-        ...
+        """Where cameras sit that the log does not tell, as far as this run has shown; none as a rule."""
+        return {}
 
 
 class Sensor(Protocol):

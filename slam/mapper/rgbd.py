@@ -18,12 +18,11 @@ from slam.graph.visual_loops import VisualLoopCloser
 from slam.mapper.checkpoint import Checkpoint
 from slam.mapper.keyframe_store import KeyframeStore, registration_notes
 from slam.mapper.map_result import MapResult
-from slam.mapper.mount_learner import LearnedMounting
-from slam.mapper.protocol import Tracked
+from slam.mapper.protocol import FrontEnd, Tracked
 from slam.mapper.scan_record import CameraRecord
 from slam.mapper.tags import TagFinder
 from slam.matching.upright import Gravity
-from slam.measurements import BoolArray, ImuReading, Pose, spatial
+from slam.measurements import ImuReading, Pose, spatial
 from slam.odometry import STANDARD, Odometries
 from slam.odometry.imu_gravity import apart_in_time
 from slam.odometry.imu_tracker import ImuTracker, UnfitImuError, alike
@@ -36,7 +35,7 @@ from slam.vision.learned_camera import LearnedCamera
 from slam.vision.prepared_frame import PreparedFrame
 
 
-class FreeCamera:
+class FreeCamera(FrontEnd):
     """Frames of one camera; see `slam.mapper.protocol.FrontEnd`.
 
     The nodes are camera poses. The map frame is that of the first base pose; without a known mounting the
@@ -129,10 +128,6 @@ class FreeCamera:
         if self._down:
             graph.graph.level(apart_in_time(self._down))
 
-    def search_again(self, graph: KeyframeGraph, kept: BoolArray) -> list[LoopCandidate]:
-        """All places were tried while mapping."""
-        return []
-
     def bases(self, poses: Sequence[Pose]) -> Sequence[Pose]:
         """The bases that carry the camera."""
         return [spatial(pose).compose(self._T_camera_base) for pose in poses]
@@ -171,7 +166,3 @@ class FreeCamera:
         if reading.T_base_imu is None:
             raise UnfitImuError(reading.sensor, "nothing tells how it sits beside the camera")
         self._imu.add(replace(reading, T_base_imu=self._T_camera_base.compose(reading.T_base_imu)))
-
-    def learned_mountings(self) -> dict[str, LearnedMounting]:
-        """None: a camera alone is its own base."""
-        return {}

@@ -118,10 +118,6 @@ class RobotCameras:
         motion = None if tracked.match is None else tracked.match.motion
         camera.record.add(frame.stamp_s, motion, time.perf_counter() - started, tracked.match)
 
-    def note_scan_turn(self, stamp_s: float, yaw_rad: float) -> None:
-        """Take a heading that a scan reported."""
-        self.scan_turns.add(stamp_s, yaw_rad)
-
     def _turns(self) -> Turns:
         """The turns by the robot's own clock: the lidar's where there is one, else the wheels'."""
         return self.scan_turns if len(self.scan_turns) else self.wheel_turns

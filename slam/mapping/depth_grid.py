@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fusion.bayes import evidence_steps
-from fusion.curves import HEIGHT_STEP_M, Intrinsics
+from fusion.curves import HEIGHT_STEP_M
 from fusion.depth_model import RangeNoise, hit_evidence
 from fusion.height_band import HeightBand, back_project, obstacle_points, pixel_rays, to_frame
 from slam.errors import ConfigError
@@ -186,5 +186,5 @@ def _hits_by_range(model: DepthModel, cell_m: float) -> Steps:
 @lru_cache(maxsize=8)
 def _rays_of(shape: tuple[int, int], camera: CameraIntrinsics) -> tuple[Rays, Float32Array]:
     """Where the pixels look, in both precisions."""
-    rays = pixel_rays(shape, Intrinsics(camera.fx, camera.fy, camera.cx, camera.cy))
+    rays = pixel_rays(shape, camera)
     return rays, rays.astype(np.float32)

@@ -7,8 +7,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from slam.mapping.floor_plan import Door, Room
-from slam.mapping.occupancy_grid import FREE, OccupancyGrid
-from slam.mapping.wall_gaps import THICKEST_WALL_M, looked_up
+from slam.mapping.occupancy_grid import FREE, OccupancyGrid, looked_up
+from slam.mapping.wall_gaps import THICKEST_WALL_M
 from slam.mapping.wall_segments import SAME_DIRECTION_RAD, WallPoints
 from slam.measurements import BoolArray, FloatArray
 

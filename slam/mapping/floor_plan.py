@@ -77,6 +77,11 @@ class Length:
         """Half of the 95 % interval."""
         return half_interval(self.sigma_m)
 
+    @property
+    def text(self) -> str:
+        """With its interval, for people."""
+        return f"{self.length_m:.3f} +- {self.half_interval_m:.3f} m"
+
 
 @dataclass(frozen=True, slots=True)
 class Room:
@@ -124,6 +129,12 @@ class Room:
     def area_half_interval_m2(self) -> float | None:
         """Half of the 95 % interval; None where a wall was not seen."""
         return None if self.area_sigma_m2 is None else half_interval(self.area_sigma_m2)
+
+    @property
+    def area_text(self) -> str:
+        """For people: with its interval, or `about` where it has none."""
+        half = self.area_half_interval_m2
+        return f"about {self.area_m2:.1f} m2" if half is None else f"{self.area_m2:.2f} +- {half:.2f} m2"
 
 
 @dataclass(frozen=True, slots=True)
@@ -176,3 +187,16 @@ class FloorPlan:
         # Four times the angle is the same for all four directions.
         turned = [complex(x, y) ** 4 / max(abs(complex(x, y)), TINY) ** 3 for x, y in walls]
         return float(np.angle(sum(turned)) / 4) if turned else 0.0
+
+    def text(self) -> str:
+        """A line a room and a line a door; what has no 95 % interval was not seen whole."""
+        doors = sum(door.driven for door in self.doors)
+        lines = [f"{len(self.rooms)} rooms, {len(self.doors)} doors, {doors} of them driven through"]
+        for room in self.rooms:
+            parts = [f"  room {room.number}: {room.area_text}", " x ".join(one.text for one in room.lengths)]
+            parts += [] if room.entered else ["never entered"]
+            lines.append(", ".join(filter(None, parts)))
+        for door in self.doors:
+            how = "" if door.driven else ", not driven through"
+            lines.append(f"  door {door.rooms[0]}-{door.rooms[1]}: {door.width_m:.2f} m{how}")
+        return "\n".join(lines)

@@ -23,8 +23,8 @@ from slam.config import Config
 from slam.mapping.doors import crossed
 from slam.mapping.glass_panes import SHORTEST_M
 from slam.mapping.keyframe_grid import layer_settings
-from slam.mapping.occupancy_grid import OccupancyGrid
-from slam.mapping.wall_gaps import THICKEST_WALL_M, Line, looked_up, wall_gaps
+from slam.mapping.occupancy_grid import OccupancyGrid, looked_up
+from slam.mapping.wall_gaps import THICKEST_WALL_M, Line, wall_gaps
 from slam.mapping.wall_segments import wall_points, wall_segments
 from slam.measurements import BoolArray, FloatArray, LaserScan, pose2_from_row
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
-from typing import TypeAlias
+from typing import Any, TypeAlias, TypeVar
 
 import gtsam
 import numpy as np
@@ -19,6 +19,7 @@ __all__ = ["FREE", "OCCUPIED", "UNKNOWN"]
 
 StateArray: TypeAlias = NDArray[np.int8]
 Steps: TypeAlias = NDArray[np.int16]
+_Cell = TypeVar("_Cell", bound=np.generic)
 
 
 @dataclass(frozen=True, slots=True)
@@ -156,3 +157,11 @@ def _to_frame(points: FloatArray, T_a_b: gtsam.Pose2) -> FloatArray:
     moved = np.asarray(points, dtype=np.float64) - [T_a_b.x(), T_a_b.y()]
     turned: FloatArray = moved @ np.array([[cosine, -sine], [sine, cosine]])
     return turned
+
+
+def looked_up(picture: NDArray[_Cell], cells: NDArray[np.int64], outside: Any = 0) -> NDArray[_Cell]:
+    """(N,) what a picture tells of (N, 2) rows and columns, which may lie outside of it."""
+    inside = ((cells >= 0) & (cells < picture.shape)).all(axis=1)
+    found = np.full(len(cells), outside, picture.dtype)
+    found[inside] = picture[cells[inside, 0], cells[inside, 1]]
+    return found

@@ -15,8 +15,8 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-from slam.mapping.occupancy_grid import FREE, OCCUPIED, OccupancyGrid
-from slam.mapping.wall_gaps import THICKEST_WALL_M, WIDEST_DOOR_M, Line, looked_up, wall_gaps
+from slam.mapping.occupancy_grid import FREE, OCCUPIED, OccupancyGrid, looked_up
+from slam.mapping.wall_gaps import THICKEST_WALL_M, WIDEST_DOOR_M, Line, wall_gaps
 from slam.mapping.wall_segments import Segment
 from slam.measurements import BoolArray, FloatArray
 

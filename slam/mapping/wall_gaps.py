@@ -7,9 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 import scipy
-from numpy.typing import NDArray
 
-from slam.mapping.occupancy_grid import OCCUPIED, OccupancyGrid
+from slam.mapping.occupancy_grid import OCCUPIED, OccupancyGrid, looked_up
 from slam.mapping.wall_segments import SAME_DIRECTION_RAD, Segment
 from slam.measurements import BoolArray, FloatArray
 
@@ -43,14 +42,6 @@ class Line:
         count = max(2, 1 + int(np.ceil((self.length_m + 2.0 * beyond_m) / step_m)))
         at = np.linspace(-beyond_m, self.length_m + beyond_m, count)[:, None]
         return np.asarray(self.begin_m + at * along + aside_m * np.array([-along[1], along[0]]))
-
-
-def looked_up(values: NDArray[np.int32] | BoolArray, cells: NDArray[np.int64]) -> NDArray[np.int32]:
-    """(N,) values of (N, 2) cells; 0 outside."""
-    inside = ((cells >= 0) & (cells < values.shape)).all(axis=1)
-    found = np.zeros(len(cells), np.int32)
-    found[inside] = values[tuple(cells[inside].T)]
-    return found
 
 
 def wall_gaps(segments: Sequence[Segment], grid: OccupancyGrid) -> tuple[list[Line], list[Segment]]:

@@ -1,1 +1,1 @@
-"""Scan matching kernels: points, surfels, Gauss-Newton and correlative search."""
+"""Matching of scans and clouds: points, surfels, planes, Gauss-Newton and correlative search."""

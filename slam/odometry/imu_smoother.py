@@ -12,6 +12,7 @@ from typing import SupportsFloat, SupportsIndex, SupportsInt
 
 import gtsam
 import numpy as np
+from gtsam.symbol_shorthand import B, G, V, X
 
 from slam.matching.upright import upright_of
 from slam.measurements import GRAVITY_M_S2, FloatArray
@@ -25,6 +26,7 @@ _GYRO_BIAS_RAD_S, FORCE_BIAS_M_S2 = 0.017, 0.2
 _DRIFT_RAD = 1e-3
 # Of a pose that is the frame of all others: radians and metres.
 _HELD = 1e-3
+# GTSAM's keys: X of a pose, V of a velocity, B of the biases, G of a direction of gravity.
 
 
 @dataclass(frozen=True, slots=True)
@@ -107,13 +109,13 @@ class ImuSmoother:
         self._first_s = self._down_s = start.stamp_s
         graph, values = gtsam.NonlinearFactorGraph(), gtsam.Values()
         noise = gtsam.noiseModel.Gaussian.Covariance
-        graph.add(gtsam.PriorFactorPose3(_X(0), start.pose, noise(np.diag([_HELD**2] * 6))))
-        graph.add(gtsam.PriorFactorVector(_V(0), start.velocity_m_s, noise(spread.velocity)))
-        graph.add(gtsam.PriorFactorConstantBias(_B(0), start.bias, noise(spread.bias)))
+        graph.add(gtsam.PriorFactorPose3(X(0), start.pose, noise(np.diag([_HELD**2] * 6))))
+        graph.add(gtsam.PriorFactorVector(V(0), start.velocity_m_s, noise(spread.velocity)))
+        graph.add(gtsam.PriorFactorConstantBias(B(0), start.bias, noise(spread.bias)))
         down, along = gtsam.Unit3(start.down), gtsam.noiseModel.Isotropic.Sigma(2, spread.down_rad)
-        graph.add(gtsam.PriorFactorUnit3(_G(0), down, along))
+        graph.add(gtsam.PriorFactorUnit3(G(0), down, along))
         self._insert(values, start)
-        values.insert(_G(0), down)
+        values.insert(G(0), down)
         self._state = start
         self._update(graph, values, start.stamp_s)
 
@@ -152,14 +154,14 @@ class ImuSmoother:
         key = self._count
         graph.add(
             gtsam.CombinedImuFactorWithGravityDirection(
-                _X(before), _V(before), _X(key), _V(key), _B(before), _B(key), _G(self._downs), whole,
+                X(before), V(before), X(key), V(key), B(before), B(key), G(self._downs), whole,
                 GRAVITY_M_S2,
             )
         )  # fmt: skip
         if pose is not None and covariance is not None:
-            graph.add(gtsam.PriorFactorPose3(_X(key), pose, noise_of(covariance)))
+            graph.add(gtsam.PriorFactorPose3(X(key), pose, noise_of(covariance)))
         if step is not None:
-            graph.add(gtsam.BetweenFactorPose3(_X(before), _X(key), step[0], noise_of(step[1])))
+            graph.add(gtsam.BetweenFactorPose3(X(before), X(key), step[0], noise_of(step[1])))
         state = ImuState(stamp_s, guess, velocity, self._state.bias, self._state.down)
         self._insert(values, state)
         self._update(graph, values, stamp_s)
@@ -168,11 +170,11 @@ class ImuSmoother:
 
     def spread(self) -> FloatArray:
         """(6, 6) covariance of the newest pose, in its tangent."""
-        return np.asarray(self._marginal(_X(self._count)))
+        return np.asarray(self._marginal(X(self._count)))
 
     def down_sigma_rad(self) -> float:
         """How uncertain the direction of gravity is in the frame of the base: its worse axis."""
-        return float(np.sqrt(np.linalg.eigvalsh(self._marginal(_G(self._downs)))[-1]))
+        return float(np.sqrt(np.linalg.eigvalsh(self._marginal(G(self._downs)))[-1]))
 
     def first(self) -> ImuState:
         """The first state, as all since then have it; while it is not older than the lag."""
@@ -181,28 +183,28 @@ class ImuSmoother:
     def restarted(self) -> ImuSmoother:
         """A smoother that begins at the newest state: the odometry's frame has begun anew there."""
         number = self._count
-        spread = ImuSpread(self._marginal(_V(number)), self._marginal(_B(number)), self.down_sigma_rad())
+        spread = ImuSpread(self._marginal(V(number)), self._marginal(B(number)), self.down_sigma_rad())
         return ImuSmoother(self._state, spread)
 
     def _insert(self, values: gtsam.Values, state: ImuState) -> None:
         """First values of the newest state."""
-        values.insert(_X(self._count), state.pose)
-        values.insert(_V(self._count), state.velocity_m_s)
-        values.insert(_B(self._count), state.bias)
+        values.insert(X(self._count), state.pose)
+        values.insert(V(self._count), state.velocity_m_s)
+        values.insert(B(self._count), state.bias)
 
     def _renew_down(self, stamp_s: float) -> None:
         """Let gravity turn a little: the odometry does."""
         self._downs, self._down_s = self._downs + 1, stamp_s
         graph, values = gtsam.NonlinearFactorGraph(), gtsam.Values()
         noise = gtsam.noiseModel.Isotropic.Sigma(3, _DRIFT_RAD)
-        graph.add(gtsam.CustomFactor(noise, [_G(self._downs - 1), _G(self._downs)], _turned))
-        values.insert(_G(self._downs), gtsam.Unit3(self._state.down))
+        graph.add(gtsam.CustomFactor(noise, [G(self._downs - 1), G(self._downs)], _turned))
+        values.insert(G(self._downs), gtsam.Unit3(self._state.down))
         self._update(graph, values, stamp_s)
 
     def _update(self, graph: gtsam.NonlinearFactorGraph, values: gtsam.Values, stamp_s: float) -> None:
         """Solve, and let go of what is older than the lag."""
         stamps: dict[SupportsInt | SupportsIndex, SupportsFloat | SupportsIndex] = dict.fromkeys(
-            [*values.keys(), _G(self._downs)], stamp_s
+            [*values.keys(), G(self._downs)], stamp_s
         )
         self._smoother.update(graph, values, stamps)
         self._marginals = None
@@ -211,9 +213,9 @@ class ImuSmoother:
     def _found(self, number: int, stamp_s: float) -> ImuState:
         """A state within the lag, as all since then have it."""
         found = self._smoother.calculateEstimate()
-        velocity = np.asarray(found.atVector(_V(number)))
-        down = np.asarray(found.atUnit3(_G(self._downs)).unitVector())
-        return ImuState(stamp_s, found.atPose3(_X(number)), velocity, found.atConstantBias(_B(number)), down)
+        velocity = np.asarray(found.atVector(V(number)))
+        down = np.asarray(found.atUnit3(G(self._downs)).unitVector())
+        return ImuState(stamp_s, found.atPose3(X(number)), velocity, found.atConstantBias(B(number)), down)
 
     def _marginal(self, key: int) -> FloatArray:
         """Covariance of one variable."""
@@ -257,23 +259,3 @@ def _turned(
     if jacobians is not None:
         jacobians[0], jacobians[1] = -before.basis(), now.basis()
     return np.asarray(now.unitVector() - before.unitVector())
-
-
-def _X(number: int) -> int:
-    """Key of a pose."""
-    return gtsam.symbol("x", number)
-
-
-def _V(number: int) -> int:
-    """Key of a velocity."""
-    return gtsam.symbol("v", number)
-
-
-def _B(number: int) -> int:
-    """Key of the biases."""
-    return gtsam.symbol("b", number)
-
-
-def _G(number: int) -> int:
-    """Key of a direction of gravity."""
-    return gtsam.symbol("g", number)

@@ -21,10 +21,12 @@ from fusion.bayes import STEPS_A_UNIT
 from fusion.estimation import FEWEST, gate
 from slam.config import Config
 from slam.errors import ScanweaveError
+from slam.graph.relative_uncertainty import UncertaintyGraph
 from slam.mapping.keyframe_grid import grid_of_keyframes, layer_settings
 from slam.mapping.lidar_layer import LidarModel, lidar_board
 from slam.mapping.occupancy_grid import FREE, OCCUPIED, THRESHOLDS, OccupancyGrid
-from slam.measurements import BoolArray, FloatArray, LaserScan, one_line, pose2_from_row
+from slam.measurements import BoolArray, FloatArray, LaserScan, one_line, pose2_from_row, row_from_pose2
+from slam.storage.map_contents import MapContents
 
 # Legs of one thing stand so far apart, and nobody is wider.
 _APART_M = 0.5
@@ -141,6 +143,46 @@ def compare(before: Visit, after: Visit, spread: Spread, config: Config) -> Comp
             changes.append(Change(appeared, middles_m, standing * there * gone, standing))
     changes.sort(key=lambda one: -one.probability)
     return Comparison(changes, steps, resolution_m, corner_m)
+
+
+def spread_between(contents: MapContents, before: NDArray[np.int64], after: NDArray[np.int64]) -> Spread:
+    """How certain it is where one visit lies against another, by the edges that hold between their keyframes.
+
+    Parameters
+    ----------
+    contents
+        A planar map that holds both.
+    before, after
+        The keyframes of each.
+
+    Returns
+    -------
+    What tells it of a point: of the keyframes of both that saw it, by the most certain way from one of the
+    first to the one of the second that was nearest; infinite where none leads there.
+    """
+    poses, graph = contents.keyframe_poses, UncertaintyGraph()
+    for _ in poses:
+        graph.add_node()
+    for factor in contents.factors:
+        if factor.kept:
+            edge = factor.edge
+            motion = row_from_pose2(edge.T_source_target)
+            graph.add_edge(edge.source, edge.target, motion, edge.covariance)
+
+    def spread(first: NDArray[np.int64], second: NDArray[np.int64], point_m: FloatArray) -> FloatArray:
+        if not len(first) or not len(second):
+            return np.full((2, 2), np.inf)
+        seen_from = after[second]
+        start = int(seen_from[np.hypot(*(poses[seen_from, :2] - point_m).T).argmin()])
+        found = graph.relative_covariances(start, before[first], poses)
+        x, y, yaw = poses[start]
+        c, s = math.cos(yaw), math.sin(yaw)
+        # In GTSAM's tangent of the start a turn moves the point about it.
+        lever = np.array([[c, -s, -(point_m[1] - y)], [s, c, point_m[0] - x]])
+        at_point = lever @ found @ lever.T
+        return np.asarray(at_point[np.argmin(np.trace(at_point, axis1=1, axis2=2))])
+
+    return spread
 
 
 def _on_one_lattice(

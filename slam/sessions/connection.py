@@ -12,12 +12,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from fusion.showing import one_line
+from slam.config import Config
 from slam.graph.loop_candidate import LoopCandidate
 from slam.outputs.finished_map import Map
-from slam.sessions.placing import Placing, place
+from slam.sessions.loop_matching import matcher_of
+from slam.sessions.placing import BEND_RAD, SIGHT_SIGMA_M, SIGHT_SIGMA_RAD, Placing, place
 from slam.sessions.session_join import JoinedMap, join
-from slam.sessions.session_loops import find_loops
-from slam.sessions.sides import sides_of
+from slam.sessions.sides import Side, sides_of
 from slam.storage.map_contents import MapContents
 
 # Loops between two sessions at least.
@@ -67,7 +68,7 @@ def connect(known: Map, session: Map) -> Connection:
     placing = place(*sides, config)
     if not placing.confident:
         return Connection(placing, (), None, _unplaced(placing))
-    loops = find_loops(known, session, placing, sides[1], config)
+    loops = _find_loops(known, session, placing, sides[1], config)
     accepted = sum(loop.accepted for loop in loops)
     if accepted < _LEAST_LOOPS:
         reason = (
@@ -82,6 +83,29 @@ def connect(known: Map, session: Map) -> Connection:
         )
         return Connection(placing, loops, None, reason)
     return Connection(placing, loops, joined, "")
+
+
+def _find_loops(known: Map, session: Map, placing: Placing, way: Side, config: Config) -> list[LoopCandidate]:
+    """Try to match keyframes along a session to places of the map near where they are expected.
+
+    Parameters
+    ----------
+    way
+        The session's.
+
+    Returns
+    -------
+    Every candidate, its ``place`` a keyframe of the map, its ``keyframe`` numbered after those of the map.
+    """
+    matcher, tried, next_m = matcher_of(known, session, config), list[LoopCandidate](), -np.inf
+    for key, pose in enumerate(way.bases):
+        if way.path_m[key] < next_m:
+            continue
+        T_map_session, distance_m = placing.nearest(pose, way.bases)
+        found = matcher.tried(key, T_map_session, SIGHT_SIGMA_M + BEND_RAD * distance_m, SIGHT_SIGMA_RAD)
+        tried += found
+        next_m = way.path_m[key] + matcher.every_m
+    return tried
 
 
 def _readings(contents: MapContents) -> Iterator[Hashable]:

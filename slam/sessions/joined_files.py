@@ -15,10 +15,11 @@ from slam.edits.applying import later_evidence
 from slam.edits.edited_file import write_entries
 from slam.edits.keyframes import bases_of
 from slam.edits.remaking import remade
-from slam.localization.poses import apart, composed
+from slam.localization.poses import apart
 from slam.mapper.map_result import depth_grid
 from slam.mapping.layered_map import DEPTH
 from slam.mapping.occupancy_grid import OccupancyGrid
+from slam.measurements import composed
 from slam.outputs.finished_map import Map, load_map
 from slam.sessions.connection import Connection
 from slam.sessions.session_join import JoinedMap, join

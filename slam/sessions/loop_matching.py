@@ -13,12 +13,12 @@ from slam.graph.cloud_loops import CloudLoopCloser
 from slam.graph.loop_candidate import LoopCandidate
 from slam.graph.loop_closure import closer_of
 from slam.graph.visual_loops import VisualLoopCloser
-from slam.localization.poses import between, composed
 from slam.mapper.keyframe_store import KeyframeStore
 from slam.matching.cloud_points import voxel_of
-from slam.measurements import FloatArray, Pose, row_from_pose2, spatial
+from slam.measurements import FloatArray, Pose, composed, motion_between, row_from_pose2, spatial
 from slam.outputs.finished_map import Map
 from slam.storage.map_contents import MapContents
+from slam.storage.map_sessions import session_numbers
 from slam.vision.frame_matcher import FrameMatcher
 from slam.vision.prepared_frame import PreparedFrame
 
@@ -48,11 +48,11 @@ class ScanMatcher:
             [scan for part, _ in both for scan in part.keyframe_scans],
             np.concatenate([part.keyframe_poses for part, _ in both]),
             np.concatenate([part.contents.path_m for part, _ in both]),
-            np.concatenate([first + _session_numbers(part) for part, first in both]),
+            np.concatenate([first + session_numbers(part.sessions) for part, first in both]),
             config,
         )
         self._known, self._session, self._loops = known, session, config.loops
-        self._sessions = _session_numbers(known)
+        self._sessions = session_numbers(known.sessions)
         self.every_m = config.loops.every_m
 
     def tried(self, key: int, T_map_session: Pose, sigma_m: float, sigma_rad: float) -> list[LoopCandidate]:
@@ -64,7 +64,10 @@ class ScanMatcher:
         covariance = np.diag([sigma_m**2, sigma_m**2, sigma_rad**2])
         return [
             self._closer.verify(
-                place, nodes + key, row_from_pose2(between(known.node_poses[place], expected)), covariance
+                place,
+                nodes + key,
+                row_from_pose2(motion_between(known.node_poses[place], expected)),
+                covariance,
             )
             for place in self._places(row_from_pose2(expected))
         ]
@@ -98,7 +101,7 @@ class CloudMatcher:
         for pose, points in zip(one.node_poses, first, strict=True):
             self._closer.add_keyframe(points, spatial(pose))
         self._known, self._session, self._loops = one, other, config.loops
-        self._sessions = _session_numbers(known)
+        self._sessions = session_numbers(known.sessions)
         self._positions = np.array([pose.translation() for pose in one.node_poses])
         self._reach_m = config.cloud_loops.reach_voxels * voxel_m
         self.every_m = min(config.loops.every_m, self._reach_m)
@@ -144,11 +147,6 @@ def matcher_of(known: Map, session: Map, config: Config) -> LoopMatcher:
     if known.contents.clouds is not None:
         return CloudMatcher(known, session, config)
     return ScanMatcher(known, session, config) if known.planar else FrameMatching(known, session, config)
-
-
-def _session_numbers(saved: Map) -> NDArray[np.int64]:
-    """(K,) the number of the session of each keyframe."""
-    return np.repeat(np.arange(len(saved.sessions)), [session.keyframes for session in saved.sessions])
 
 
 def _of_passes(

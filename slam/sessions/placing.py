@@ -16,9 +16,9 @@ from typing import Any
 from fusion.estimation import gate
 from slam.config import Config
 from slam.localization.hypotheses import HypothesisSet
-from slam.localization.poses import apart, composed
+from slam.localization.poses import apart
 from slam.localization.sensor import Sensor
-from slam.measurements import Pose
+from slam.measurements import Pose, composed
 from slam.sessions.sides import Side
 from slam.sessions.whole_path import Followed, Sighting, follow
 

@@ -10,13 +10,13 @@ import numpy as np
 from slam.config import Config
 from slam.edits.keyframes import bases_of
 from slam.edits.remaking import graph_of, poses_of
-from slam.estimates import Trajectory
+from slam.estimates import one_after_another
 from slam.graph.keyframe_graph import row_of
 from slam.graph.loop_candidate import LoopCandidate, judged
 from slam.graph.pose_covariances import pose_covariances
-from slam.localization.poses import apart, composed
+from slam.localization.poses import apart
 from slam.mapping.keyframe_grid import lidar_grids
-from slam.measurements import Pose
+from slam.measurements import Pose, composed
 from slam.outputs.finished_map import Map
 from slam.sessions.placing import Placing
 from slam.storage.map_contents import MapContents, SavedFactor, parts_of
@@ -87,7 +87,7 @@ def join(
     told = pose_covariances(after, bases, [factor.edge for factor in factors], kept, config)
     both = (known_map, session_map)
     trajectory, covariances = resettled(
-        _together([one.trajectory for one in both]),
+        one_after_another([one.trajectory for one in both]),
         np.concatenate([one.contents.stamps_s for one in both]),
         Poses.of(before),
         Poses.of(bases),
@@ -141,11 +141,3 @@ def _renumbered(session: MapContents, nodes: int, loops: int) -> list[SavedFacto
         )
         for factor in session.factors
     ]
-
-
-def _together(parts: Sequence[Trajectory]) -> Trajectory:
-    """Trajectories one after the other."""
-    columns = (
-        [getattr(part, name) for part in parts] for name in ("stamps_s", "positions_m", "quaternions_xyzw")
-    )
-    return Trajectory(*(np.concatenate(column) for column in columns))

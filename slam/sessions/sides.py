@@ -83,12 +83,8 @@ class Side:
 
     def nearest(self, pose: Pose) -> int:
         """The keyframe nearest to a pose in the map."""
-        return int(self.distances_m(pose).argmin())
-
-    def distances_m(self, pose: Pose) -> FloatArray:
-        """(K,) from every keyframe."""
         away = np.array([base.translation() for base in self.bases]) - pose.translation()
-        return np.asarray(np.linalg.norm(away, axis=1))
+        return int(np.linalg.norm(away, axis=1).argmin())
 
 
 def sides_of(known: MapContents, session: MapContents, config: Config) -> tuple[Side, Side]:

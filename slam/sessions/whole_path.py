@@ -9,9 +9,8 @@ from typing import Any
 
 from slam.config import Config
 from slam.localization.hypotheses import KeyframeLog, correction
-from slam.localization.poses import between, composed
 from slam.localization.sensor import Sensor
-from slam.measurements import Pose
+from slam.measurements import Pose, composed, motion_between
 from slam.sessions.sides import Side
 
 
@@ -65,7 +64,7 @@ def follow(sensor: Sensor[Any, Any], session: Side, start: Sighting, config: Con
             view = session.view(key)
             if view is None or not log.due(view, poses[key]):
                 continue
-            at, last = composed(at, between(poses[last], poses[key])), key
+            at, last = composed(at, motion_between(poses[last], poses[key])), key
             motion = correction(sensor, view, at, config.localization)
             if motion is not None:
                 at = motion.T_reference_base

@@ -1,1 +1,1 @@
-"""File formats that leave or enter the project: nav2, TUM, g2o."""
+"""Files that the product writes and reads: ``map.db``, and the formats of other programs."""

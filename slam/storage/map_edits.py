@@ -272,10 +272,7 @@ def copy_unedited(source: MapFile, path: Path) -> None:
     before = UneditedFile(source)
     file = MapFile.create(path)
     try:
-        for key, value in before.rows(META):
-            if key != SEAL:
-                file.append(META, key, value)
-        for table in (*_KEPT[1:], *_COPIED):
+        for table in (*_KEPT, *_COPIED):
             copy_rows(before, file, table)
         file.seal()
     finally:
@@ -283,9 +280,10 @@ def copy_unedited(source: MapFile, path: Path) -> None:
 
 
 def copy_rows(source: MapFile, file: MapFile, table: Table) -> None:
-    """Write all rows of a table as they are."""
+    """Write all rows of a table as they are, but the seal."""
     for values in source.rows(table):
-        file.append(table, *values)
+        if table is not META or values[0] != SEAL:
+            file.append(table, *values)
 
 
 def append_edits(file: MapFile, source: MapFile, entries: Sequence[AppliedEdits]) -> None:

@@ -9,7 +9,7 @@ import gtsam
 import numpy as np
 
 from slam.errors import MapFileError
-from slam.estimates import Trajectory
+from slam.estimates import Trajectory, one_after_another
 from slam.mapping.occupancy_grid import OccupancyGrid
 from slam.storage.map_file import MapFile
 from slam.storage.map_soundness import of, require, sound_grid, sound_trajectory
@@ -28,11 +28,7 @@ def read_trajectory(file: MapFile, small: Unpack) -> Trajectory:
     )
     if not stretches:
         raise MapFileError(f"{file.path} holds no trajectory; make the map anew")
-    return Trajectory(
-        np.concatenate([part.stamps_s for part in stretches]),
-        np.concatenate([part.positions_m for part in stretches]),
-        np.concatenate([part.quaternions_xyzw for part in stretches]),
-    )
+    return one_after_another(stretches)
 
 
 def read_grids(file: MapFile, small: Unpack, *, placed: bool = True) -> dict[str, OccupancyGrid]:

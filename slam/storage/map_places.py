@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
@@ -82,18 +82,7 @@ def write_places(file: MapFile, places: MapPlaces | None, first: Pose) -> None:
     """
     if places is None:
         return
-    tags = [
-        {
-            "number": tag.number,
-            "side_m": tag.side_m,
-            "node": tag.node,
-            "T_node_tag": _rows(tag.T_node_tag),
-            "sigma_m": tag.sigma_m,
-            "views": tag.views,
-            "fit": tag.fit,
-        }
-        for tag in places.tags
-    ]
+    tags = [{**asdict(tag), "T_node_tag": _rows(tag.T_node_tag)} for tag in places.tags]
     file.add_meta(_TAGS, json.dumps({"family": places.family, "tags": tags}))
     if places.T_survey_map is not None:
         file.add_meta(_SURVEY, json.dumps(_rows(places.T_survey_map.compose(spatial(first)))))

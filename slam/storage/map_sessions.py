@@ -7,6 +7,9 @@ from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from typing import Final
 
+import numpy as np
+from numpy.typing import NDArray
+
 from slam.errors import MapFileError
 from slam.foreign import from_json
 
@@ -29,6 +32,11 @@ class MapSession:
     log_fingerprint: str
     keyframes: int
     poses: int
+
+
+def session_numbers(sessions: Sequence[MapSession]) -> NDArray[np.int64]:
+    """(K,) the number of the session, from 0, of each keyframe of a map."""
+    return np.repeat(np.arange(len(sessions)), [session.keyframes for session in sessions])
 
 
 def sessions_to_meta(sessions: Sequence[MapSession]) -> str:

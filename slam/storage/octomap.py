@@ -13,6 +13,7 @@ from pathlib import Path
 import gtsam
 import numpy as np
 
+from fusion.height_band import back_project, pixel_rays
 from slam.errors import ConfigError, ScanweaveError
 from slam.mapping.posed_frames import posed_frames
 from slam.measurements import FloatArray, RgbdFrame
@@ -87,9 +88,5 @@ def _points_camera(frame: RgbdFrame, resolution_m: float, range_max_m: float) ->
     """(N, 3) readings in the camera frame, thinned to `RAYS_A_VOXEL` at the maximal range."""
     camera = frame.intrinsics
     stride = max(1, math.floor(resolution_m * min(camera.fx, camera.fy) / (range_max_m * RAYS_A_VOXEL)))
-    depth_m = frame.depth_m[::stride, ::stride].astype(np.float64)
-    rows, cols = np.nonzero(depth_m > 0.0)
-    z = depth_m[rows, cols]
-    x = (stride * cols - camera.cx) / camera.fx
-    y = (stride * rows - camera.cy) / camera.fy
-    return np.column_stack([x * z, y * z, z])
+    rays = pixel_rays(frame.depth_m.shape, camera)
+    return back_project(frame.depth_m[::stride, ::stride], rays[::stride, ::stride])

@@ -48,15 +48,12 @@ def write_plan_dxf(path: Path, plan: FloorPlan) -> None:
             for begin, end, seen in wall.pieces():
                 layer = "WALLS" if seen else "UNOBSERVED"
                 space.add_line(begin.tolist(), end.tolist(), dxfattribs={"layer": layer})
-        half = room.area_half_interval_m2
-        area = f"about {room.area_m2:.1f} m2" if half is None else f"{room.area_m2:.2f} +- {half:.2f} m2"
-        _text(space, f"Room {room.number}: {area}", room.middle_m.tolist(), 0.0)
+        _text(space, f"Room {room.number}: {room.area_text}", room.middle_m.tolist(), 0.0)
         for length in room.lengths:
             x, y = length.end_m - length.begin_m
             turn = (np.degrees(np.arctan2(y, x)) + 90.0) % 180.0 - 90.0
             middle = 0.5 * (length.begin_m + length.end_m)
-            text = f"{length.length_m:.3f} +- {length.half_interval_m:.3f} m"
-            _text(space, text, middle.tolist(), float(turn))
+            _text(space, length.text, middle.tolist(), float(turn))
     for door in plan.doors:
         space.add_line(door.begin_m.tolist(), door.end_m.tolist(), dxfattribs={"layer": "DOORS"})
     with replacing(path) as temporary, temporary.open("w", encoding="utf-8", newline="\n") as file:

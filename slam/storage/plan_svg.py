@@ -96,15 +96,14 @@ class _Drawing:
         x, y = 0.5 * (begin + end)
         yield (
             f'<text class="small" transform="translate({x:.1f} {y:.1f}) rotate({turn:.1f})" dy="-4">'
-            f"{length.length_m:.3f} ± {length.half_interval_m:.3f} m</text>"
+            f"{length.text.replace('+-', '±')}</text>"
         )
 
     def _label(self, room: Room) -> Iterator[str]:
         """Number and area."""
         x, y = self.at(room.middle_m)
-        half = room.area_half_interval_m2
-        area = f"about {room.area_m2:.1f} m²" if half is None else f"{room.area_m2:.2f} ± {half:.2f} m²"
         yield f'<text x="{x:.1f}" y="{y - 4:.1f}">Room {room.number}</text>'
+        area = room.area_text.replace("+-", "±").replace("m2", "m²")
         yield f'<text x="{x:.1f}" y="{y + 16:.1f}">{area}</text>'
 
     def _scale_bar(self, height: float) -> Iterator[str]:

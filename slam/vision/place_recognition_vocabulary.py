@@ -85,7 +85,7 @@ def nearest_rows(rows: BitRows, centres: BitRows) -> tuple[Words, Words]:
     """(N,) index and Hamming distance of the nearest centre of each row."""
     index, distance = np.zeros(len(rows), np.int32), np.zeros(len(rows), np.int32)
     for i in range(len(rows)):
-        index[i], distance[i] = _nearest(rows[i], centres, 0, len(centres))
+        index[i], distance[i] = _nearest(rows[i], centres, 0, len(centres), -1)
     return index, distance
 
 
@@ -96,8 +96,8 @@ def _words(rows: BitRows, branches: BitRows, leaves: BitRows, starts: Words) -> 
     for i in range(len(rows)):
         best, skipped = 64 * rows.shape[1] + 1, -1
         for _ in range(_PROBES):
-            branch = _nearest_but(rows[i], branches, skipped)
-            word, distance = _nearest(rows[i], leaves, starts[branch], starts[branch + 1])
+            branch, _ = _nearest(rows[i], branches, 0, len(branches), skipped)
+            word, distance = _nearest(rows[i], leaves, starts[branch], starts[branch + 1], -1)
             if distance < best:
                 words[i], best = word, distance
             skipped = branch
@@ -105,25 +105,14 @@ def _words(rows: BitRows, branches: BitRows, leaves: BitRows, starts: Words) -> 
 
 
 @kernel
-def _nearest(row: BitRows, centres: BitRows, start: int, stop: int) -> tuple[int, int]:
-    """Index and distance of the nearest centre from start to stop; the first of equals."""
+def _nearest(row: BitRows, centres: BitRows, start: int, stop: int, skipped: int) -> tuple[int, int]:
+    """Index and distance of the nearest centre from start to stop but one; the first of equals."""
     best, index = 64 * row.size + 1, start
     for j in range(start, stop):
         distance = _hamming(row, centres[j])
-        if distance < best:
-            best, index = distance, j
-    return index, best
-
-
-@kernel
-def _nearest_but(row: BitRows, centres: BitRows, skipped: int) -> int:
-    """Index of the nearest centre that is not the skipped one; the skipped one where it is alone."""
-    best, index = 64 * row.size + 1, 0
-    for j in range(len(centres)):
-        distance = _hamming(row, centres[j])
         if distance < best and j != skipped:
             best, index = distance, j
-    return index
+    return index, best
 
 
 @kernel

@@ -16,7 +16,7 @@ from slam.app.mapping import map_log
 from slam.config import Config, load_config
 from slam.config.calibration import Calibration, CloudCorrection
 from slam.datasets.corrections import corrected
-from slam.datasets.corrections_in_space import CloudCorrector, turn_times, turned_round
+from slam.datasets.corrections_in_space import corrected_cloud, turn_times, turned_round
 from slam.doctor.cloud_samples import CloudSamples
 from slam.doctor.diagnosis import diagnose
 from slam.doctor.finding import remedied
@@ -137,7 +137,7 @@ def test_the_doctor_tells_the_turn_and_its_remedy_times_the_points() -> None:
     told = CloudCorrection.model_validate(finding.remedies[0]["lidars_3d"]["lidar"])
     ahead, left, behind, odd = np.array([[5, 0, 0], [0, 5, 0], [-5, -0.1, 0], [np.nan, 1, 1]], np.float32)
     cloud = PointCloud(1.0, np.stack([ahead, left, behind, odd]), None)
-    times_s = CloudCorrector(told)(cloud).times_s
+    times_s = corrected_cloud(told, cloud).times_s
     assert times_s == pytest.approx([0.0, -0.025, -0.05 + 0.1, 0.0], abs=0.006)
 
 
@@ -155,5 +155,5 @@ def test_localisation_straightens_clouds_as_mapping_does(tmp_path: Path) -> None
 def test_a_lidar_that_tells_times_is_left_alone() -> None:
     times_s = np.array([0.0, 0.1])
     cloud = PointCloud(1.0, np.array([[1, 0, 0], [0, 1, 0]], np.float32), times_s)
-    found = CloudCorrector(CloudCorrection(turn_s=-0.1))(cloud)
+    found = corrected_cloud(CloudCorrection(turn_s=-0.1), cloud)
     assert found.times_s is not None and found.times_s.tolist() == times_s.tolist()

@@ -16,8 +16,7 @@ from slam.config import Config
 from slam.datasets.dataset import ReadReport
 from slam.estimates import Trajectory
 from slam.evaluation.map_report import ReportData, RunCost
-from slam.evaluation.report import write_report
-from slam.evaluation.report_fusion import fusion_section
+from slam.evaluation.report import fusion_section, write_report
 from slam.mapper.keyframe_fusion import FusionPair, FusionSummary
 from slam.mapper.lidar2d import PlanarRobot
 from slam.mapper.map_result import MapResult

@@ -11,9 +11,8 @@ from slam.config import Config, load_config
 from slam.estimates import MotionEstimate
 from slam.localization.localizer import Localizer
 from slam.localization.output import LocalizerOutput, State
-from slam.localization.poses import composed
 from slam.localization.visual_locator import VisualLocator
-from slam.measurements import RgbdFrame
+from slam.measurements import RgbdFrame, composed
 from slam.storage.map_contents import MapContents
 from slam.storage.map_file import MapFile
 from slam.storage.map_frames import MapFrames

@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 
 from slam.localization.pose_smoother import PoseSmoother
-from slam.localization.poses import Measured, after, apart, between, composed, same_place, squared_mahalanobis
+from slam.localization.poses import Measured, after, apart, same_place, squared_mahalanobis
+from slam.measurements import composed, motion_between
 
 
 def test_straight_steps_are_a_kalman_filter() -> None:
@@ -62,7 +63,7 @@ def test_trust_is_the_share_of_a_round_gaussian_within_the_same_place() -> None:
 
 @pytest.mark.parametrize("turned", [gtsam.Pose2(1.0, -2.0, 3.0), gtsam.Pose3(gtsam.Pose2(1.0, -2.0, 3.0))])
 def test_steps_lead_back_and_tell_metres_and_radians(turned: gtsam.Pose2 | gtsam.Pose3) -> None:
-    origin = between(turned, turned)
-    assert between(origin, composed(turned, between(turned, origin))).equals(origin, 1e-9)  # type: ignore[arg-type]
+    origin = motion_between(turned, turned)
+    assert motion_between(origin, composed(turned, motion_between(turned, origin))).equals(origin, 1e-9)  # type: ignore[arg-type]
     assert apart(origin, turned) == pytest.approx((math.sqrt(5.0), 3.0))
     assert same_place(turned, turned) and not same_place(origin, turned)

@@ -17,7 +17,6 @@ from slam.app.parts import grid_of_scans
 from slam.config import Config
 from slam.errors import ScanweaveError
 from slam.estimates import Trajectory
-from slam.evaluation.floor_plan_text import floor_plan_text
 from slam.graph.edge import Edge, EdgeKind
 from slam.graph.held_graph import marginals
 from slam.graph.joint_covariance import joint_covariance
@@ -275,6 +274,6 @@ def test_zones_are_read_as_nav2_does(two_rooms: MapContents, tmp_path: Path) -> 
 
 
 def test_a_person_reads_it(plan: FloorPlan) -> None:
-    text = floor_plan_text(plan)
+    text = plan.text()
     assert text.startswith("2 rooms, 1 doors, 1 of them driven through")
     assert "door 1-2" in text

@@ -13,17 +13,15 @@ from slam.datasets.bags.lens import Lens
 from slam.datasets.bags.pairing import ImagePair
 from slam.datasets.bags.registered import ColorView
 from slam.datasets.budget import Budget
-from slam.datasets.calibration import Calibration, same_aspect
-from slam.datasets.camera_frames import SIZES_DIFFER
+from slam.datasets.calibration import KINECT, Calibration, same_aspect
+from slam.datasets.camera_frames import SIZES_DIFFER, resized
 from slam.datasets.dataset import RecordFault
 from slam.measurements import CameraIntrinsics, ColorImage, Float32Array, RgbdFrame
 
 _Maps = tuple[NDArray[np.float32], NDArray[np.float32]]
 _View = tuple[_Maps | None, ColorView | None]
-_APART_M = 0.001  # colour and depth that are nearer than that are one camera
+APART_M = 0.001  # colour and depth that are nearer than that are one camera
 
-# What drivers give for a Kinect without calibration; scaled to the width of the images.
-_ASSUMED = CameraIntrinsics(525.0, 525.0, 319.5, 239.5, 640, 480)
 ASSUMED = "no CameraInfo: intrinsics assumed (525 525 319.5 239.5 at 640 x 480)"
 
 
@@ -81,7 +79,7 @@ class BagCamera:
     def _intrinsics(self, width: int, height: int) -> CameraIntrinsics:
         """Of depth images of a size; by the colour camera's lens where only that is known."""
         lens = self.depth_lens or self.color_lens
-        known = Calibration(lens.intrinsics if lens else _ASSUMED, 1.0, assumed=self.assumed)
+        known = Calibration(lens.intrinsics if lens else KINECT, 1.0, assumed=self.assumed)
         return known.intrinsics_for(width, height)
 
     def flat_depth(self, depth_m: Float32Array) -> Float32Array:
@@ -113,8 +111,7 @@ class BagCamera:
             return beside.of(color, depth_m)
         if color.shape[:2] == depth_m.shape:
             return color
-        how = cv2.INTER_AREA if wanted.width < size[0] else cv2.INTER_LINEAR
-        return np.asarray(cv2.resize(color, (wanted.width, wanted.height), interpolation=how))
+        return resized(color, (wanted.width, wanted.height))
 
     def _view_of_color(self, size: tuple[int, int], wanted: CameraIntrinsics) -> _View:
         """Where pixels are looked up; neither where the views differ in size alone.
@@ -129,7 +126,7 @@ class BagCamera:
                 text = f"{size[0]} x {size[1]} and {wanted.width} x {wanted.height}"
                 raise RecordFault(SIZES_DIFFER, f"{text}; a lens of each by --calibration tells how they see")
             return None, None
-        if float(np.linalg.norm(self.T_depth_color.translation())) > _APART_M:
+        if float(np.linalg.norm(self.T_depth_color.translation())) > APART_M:
             return lens.maps(), ColorView(wanted, lens.intrinsics, self.T_depth_color)
         return lens.maps(wanted, np.asarray(self.T_depth_color.rotation().matrix())), None
 

@@ -15,6 +15,7 @@ from slam.datasets.bags.records import BagRecord, Channel, Container
 from slam.datasets.bags.topics import IMU, OUSTER
 from slam.datasets.budget import Budget
 from slam.datasets.log_file import files_inside
+from slam.datasets.sqlite_reading import SQLITE_MAGIC
 from slam.errors import DatasetError
 from slam.foreign import from_yaml
 
@@ -124,7 +125,7 @@ def _container_of(path: Path) -> Container | None:
         return mcap.McapContainer()
     if head.startswith(rosbag1.MAGIC):
         return rosbag1.Rosbag1Container()
-    if head.startswith(sqlite.MAGIC) and sqlite.is_rosbag2(path):
+    if head.startswith(SQLITE_MAGIC) and sqlite.is_rosbag2(path):
         return sqlite.SqliteContainer()
     return None
 

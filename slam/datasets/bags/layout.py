@@ -11,7 +11,7 @@ import gtsam
 import numpy as np
 
 from slam.datasets.bags.by_files import FileFacts
-from slam.datasets.bags.camera import BagCamera
+from slam.datasets.bags.camera import APART_M, BagCamera
 from slam.datasets.bags.clouds import CloudReader, TurnReader
 from slam.datasets.bags.evidence import evidence_of, never_read
 from slam.datasets.bags.files import Bag
@@ -40,8 +40,6 @@ from slam.datasets.frame_pairs import tolerance_of
 from slam.datasets.laser_geometry import ToldAlike
 from slam.errors import DatasetError
 from slam.measurements import Measurement, WheelOdometry
-
-_APART_M = 0.001  # colour and depth that are nearer than that are one camera
 
 
 @dataclass(slots=True)
@@ -332,12 +330,12 @@ def _color_in_depth(survey: Survey, layout: Layout, topics: CameraTopics) -> gts
         return gtsam.Pose3()
     pose, source = known[0]
     values = [np.asarray(one.translation()) for one, _ in known]
-    if float(np.abs(values[0] - values[-1]).max()) > _APART_M:
+    if float(np.abs(values[0] - values[-1]).max()) > APART_M:
         layout.notes.append(
             f"{WARNING}{topics.name}: colour beside depth at {_xyz(values[0])} m by {source}, at "
             f"{_xyz(values[-1])} m by {known[-1][1]}; that of {source} is used"
         )
-    if (apart_m := float(np.linalg.norm(values[0]))) > _APART_M:
+    if (apart_m := float(np.linalg.norm(values[0]))) > APART_M:
         layout.notes.append(
             f"{topics.name}: colour sits {apart_m:.3f} m beside depth by {source}; drawn as depth sees it"
         )

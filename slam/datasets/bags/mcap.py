@@ -63,7 +63,7 @@ class McapContainer:
         with path.open("rb") as file:
             if file.read(len(MAGIC)) != MAGIC:
                 raise DatasetError(f"{path} does not begin as an MCAP file; record or copy it again")
-            try:
+            with account.refusing(path.name, None, CUT, CutError):
                 size = path.stat().st_size
                 for kind, content, whole in _raw_records(file, budget):
                     on_share(file.tell() / size)
@@ -79,9 +79,6 @@ class McapContainer:
                         yield from _learned(tables, kind, content, account, path.name)
                 # The data are followed by a mark; without it the writer did not finish.
                 raise CutError("no end mark")
-            except (CutError, RecordFault) as error:
-                fault = error if isinstance(error, RecordFault) else RecordFault(CUT, str(error))
-                account.refuse(fault, path.name, account.report.line_count)
 
 
 class _Tables:
@@ -164,7 +161,7 @@ def _learned(
     tables: _Tables, kind: int, content: bytes, account: Account, where: str
 ) -> Iterator[tuple[Channel, int, bytes]]:
     """The message of a record, if it is one; a damaged record is counted."""
-    with account.refusing(where, account.report.line_count):
+    with account.refusing(where):
         message = tables.learn(kind, content)
         if message is not None:
             yield message

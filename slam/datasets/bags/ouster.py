@@ -21,6 +21,7 @@ from slam.datasets.bags.ouster_model import FRAMES, OusterModel, metadata_beside
 from slam.datasets.bags.records import BagRecord
 from slam.datasets.dataset import WARNING, RecordFault
 from slam.datasets.point_times import LONGEST_TURN_S
+from slam.measurements import GRAVITY_M_S2
 
 NO_METADATA = (
     "packets of an Ouster without its metadata: put its .json, named as the recording, beside it "
@@ -29,7 +30,7 @@ NO_METADATA = (
 DAMAGED = "damaged packet of an Ouster"
 LATE = "packet of an Ouster's turn that is over"
 NO_RETURN = "turn of an Ouster without a return"
-IMU_BYTES, _G_M_S2 = 48, 9.80665
+IMU_BYTES = 48
 # No packet waits so long for its recorder; a sensor without a clock counts from its start.
 _OTHER_CLOCK_S = 60.0
 
@@ -138,7 +139,7 @@ class Ouster:
         _, _, at_ns, *told = struct.unpack("<3Q6f", packet)
         if self.behind_s is None:
             self._set_clock(recorded_s, at_ns)
-        forces, rates = _G_M_S2 * np.array(told[:3]), np.radians(told[3:])
+        forces, rates = GRAVITY_M_S2 * np.array(told[:3]), np.radians(told[3:])
         halves = [
             SimpleNamespace(**dict(zip("xyz", map(float, one), strict=True))) for one in (forces, rates)
         ]

@@ -61,7 +61,7 @@ class Rosbag1Container:
         with path.open("rb") as file:
             if file.read(len(MAGIC)) != MAGIC:
                 raise DatasetError(f"{path} does not begin as a ROS 1 bag 2.0; convert or copy it again")
-            try:
+            with account.refusing(path.name, None, CUT, CutError):
                 size = path.stat().st_size
                 for fields, content, whole in _raw_records(file, budget):
                     on_share(file.tell() / size)
@@ -80,9 +80,6 @@ class Rosbag1Container:
                         yield from _learned(channels, fields, content, account, path.name)
                 if not indexed:
                     raise CutError("no index: the recorder was not stopped properly")
-            except (CutError, RecordFault) as error:
-                fault = error if isinstance(error, RecordFault) else RecordFault(CUT, str(error))
-                account.refuse(fault, path.name, account.report.line_count)
 
 
 def _raw_records(stream: BinaryIO, budget: Budget) -> Iterator[tuple[_Fields, bytes, bool]]:
@@ -149,7 +146,7 @@ def _learned(
     channels: dict[int, Channel], fields: _Fields, content: bytes, account: Account, where: str
 ) -> Iterator[tuple[Channel, int, bytes]]:
     """The message of a record, if it is one; a damaged record is counted."""
-    with account.refusing(where, account.report.line_count, DAMAGED, struct.error):
+    with account.refusing(where, None, DAMAGED, struct.error):
         if fields.get("op") == bytes([_CONNECTION]):
             number, channel = _connection(fields, content)
             channels[number] = channel

@@ -16,8 +16,6 @@ from slam.datasets.sqlite_reading import foreign_database, tables_of
 from slam.errors import DatasetError
 from slam.foreign import plain
 
-MAGIC = b"SQLite format 3\x00"
-
 # Messages larger than that are passed over without being loaded: a size that no message has is damage.
 _MESSAGES = f"""
 SELECT topic_id, timestamp, CASE WHEN length(data) <= {LARGEST_BYTES} THEN data END FROM messages ORDER BY id
@@ -45,7 +43,7 @@ class SqliteContainer:
                 channels = _channels(database)
             except sqlite3.Error as error:
                 raise DatasetError(f"{path} is no rosbag2 database: {error}; copy it again") from error
-            try:
+            with account.refusing(path.name, None, CUT, sqlite3.Error):
                 count = max(_last_number(database), 1)
                 for row, (number, stamp_ns, content) in enumerate(database.execute(_MESSAGES)):
                     on_share(min(row / count, 1.0))
@@ -55,9 +53,6 @@ class SqliteContainer:
                     else:
                         fault = RecordFault(DAMAGED, f"row of topic {number}")
                         account.refuse(fault, path.name, account.report.line_count)
-            except (sqlite3.Error, RecordFault) as error:
-                fault = error if isinstance(error, RecordFault) else RecordFault(CUT, str(error))
-                account.refuse(fault, path.name, account.report.line_count)
 
 
 def _last_number(database: sqlite3.Connection) -> int:

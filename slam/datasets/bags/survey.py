@@ -9,6 +9,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from slam.datasets.account import Account
+from slam.datasets.bags.cloud_messages import header_at
 from slam.datasets.bags.clouds import CloudView, cloud_view
 from slam.datasets.bags.decoding import Decoder, frame_name, stamp_of
 from slam.datasets.bags.files import Bag
@@ -214,9 +215,7 @@ def clock_shifts(survey: Survey) -> dict[str, float]:
 
 def restamp(message: Any, stamp_s: float) -> None:
     """Give a message another stamp."""
-    seconds = math.floor(stamp_s)
-    message.header.stamp.sec = seconds
-    message.header.stamp.nanosec = min(round((stamp_s - seconds) * 1e9), 999_999_999)
+    message.header.stamp = header_at(stamp_s, "").stamp
 
 
 def count_messages(bag: Bag) -> Counter[str]:

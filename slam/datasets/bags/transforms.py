@@ -33,9 +33,6 @@ class FrameTree:
     def __contains__(self, frame: str) -> bool:
         return any(frame in (parent, child) for parent, child, _ in self._steps())
 
-    def __bool__(self) -> bool:
-        return bool(self._parents or self._told)
-
     def set(self, parent: str, child: str, pose: gtsam.Pose3) -> None:
         """Put ``T_parent_child`` in place of what the tree says, where it says anything."""
         if (self._parents.get(child) or ("",))[0] == parent:

@@ -6,15 +6,15 @@ import re
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-import numpy as np
+import gtsam
 
 from slam.datasets.account import Account
 from slam.datasets.bags.decoding import Decoder, stamp_of
 from slam.datasets.bags.files import Bag
 from slam.datasets.bags.topics import ODOMETRY
 from slam.datasets.bags.transforms import pose_of
+from slam.datasets.pose_files import trajectory_of
 from slam.estimates import Trajectory
-from slam.measurements import row_from_pose
 
 PATH = "nav_msgs/msg/Path"
 _POSE, _POSE_COVARIANCE = "geometry_msgs/msg/PoseStamped", "geometry_msgs/msg/PoseWithCovarianceStamped"
@@ -43,7 +43,7 @@ def read_truth(bag: Bag, topic: str, account: Account) -> Trajectory | None:
     """The poses of a topic in the order of the bag; of a Path those of its longest message."""
     budget = bag.budget()
     decoder = Decoder(budget)
-    rows: list[list[float]] = []
+    found: list[tuple[float, gtsam.Pose3]] = []
     for record in bag.records(account, budget):
         if record.channel.topic != topic:
             continue
@@ -51,20 +51,17 @@ def read_truth(bag: Bag, topic: str, account: Account) -> Trajectory | None:
         with account.refusing(topic, record.number, "pose that is none", *damages):
             message = decoder.decode(record)
             if record.channel.kind == PATH:
-                rows = max(rows, [_row(pose) for pose in message.poses], key=len)
+                found = max(found, [_stamped(pose) for pose in message.poses], key=len)
             else:
-                rows.append(_row(message))
-    if not rows:
-        return None
-    table = np.array(rows)
-    return Trajectory(table[:, 0].copy(), table[:, 1:4].copy(), table[:, 4:8].copy())
+                found.append(_stamped(message))
+    return trajectory_of(found)
 
 
-def _row(message: Any) -> list[float]:
-    """Stamp, position and quaternion of a message of any of the types."""
+def _stamped(message: Any) -> tuple[float, gtsam.Pose3]:
+    """Stamp and pose of a message of any of the types."""
     if hasattr(message, "transform"):
         pose = pose_of(message.transform.translation, message.transform.rotation)
     else:
         inner = message.pose.pose if hasattr(message.pose, "pose") else message.pose
         pose = pose_of(inner.position, inner.orientation)
-    return [stamp_of(message.header), *row_from_pose(pose)]
+    return stamp_of(message.header), pose

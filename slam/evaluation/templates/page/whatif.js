@@ -6,7 +6,7 @@
   const LISTED = 12, AFTER_MS = 50;
 
   // The graph's edges, and after them the matched loop candidates that never came into it, in order; see
-  // slam/evaluation/page_what_if.py. loop: number of the candidate, -1 for steps.
+  // slam/evaluation/page_data.py. loop: number of the candidate, -1 for steps.
   function allEdges({edges, loops}) {
     const rows = [...loops.matched.keys()].filter(at => loops.edge[loops.matched[at]] < 0);
     const wide = edges.covariance.shape[1], columns = edges.measured.shape[1];
