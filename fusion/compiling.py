@@ -5,52 +5,45 @@ Apart from the decorator, for numba takes long to load: this file is imported wh
 
 from __future__ import annotations
 
+import fcntl
 import logging
 import os
+import sys
+import time
+from contextlib import suppress
 from functools import cache
 from hashlib import sha256
 from inspect import getfile
 from pathlib import Path
 from types import FunctionType
-from typing import Any
+from typing import Any, ClassVar
 
 import numba
 import numpy as np
 from llvmlite import binding
 from numba.core import caching
+from numba.core.caching import InTreeCacheLocator, UserProvidedCacheLocator, UserWideCacheLocator
 from numba.core.dispatcher import Dispatcher
 from numba.core.runtime import _nrt_python
 from numba.extending import typeof_impl
 
 log = logging.getLogger(__name__)
 
-_CONSTANT = (int, float, str, np.generic)
-
 
 def dispatcher_of(kernel: Any) -> Dispatcher:
     """Numba's own object of a `fusion.kernel.Kernel`, which keeps what it compiles where that is possible."""
-    _make_known(type(kernel))
+    # What numba takes a kernel for that another one calls.
+    typeof_impl.register(type(kernel), lambda called, _: numba.types.Dispatcher(called.dispatcher))
     _loaded_ns.update(kernel.loaded_ns)
     # Nobody calls kernels by their C address.
-    options = {"no_cfunc_wrapper": True, **kernel.options}
-    chosen = numba.config.CACHE_LOCATOR_CLASSES
+    found = numba.njit(**{"no_cfunc_wrapper": True, **kernel.options})(kernel.py_func)
     try:
-        numba.config.CACHE_LOCATOR_CLASSES = chosen or _FOLDERS
-        found = numba.njit(**options)(kernel.py_func)
         found._cache = _Cache(kernel.py_func)
-        return found
     except RuntimeError as error:
         if "cannot cache" not in str(error):
             raise
         _warn()
-        return numba.njit(**options)(kernel.py_func)
-    finally:
-        numba.config.CACHE_LOCATOR_CLASSES = chosen
-
-
-def _make_known(kind: type) -> None:
-    """Tell numba what a kernel is that another one calls: its dispatcher."""
-    typeof_impl.register(kind, lambda kernel, _: numba.types.Dispatcher(kernel.dispatcher))
+    return found
 
 
 @cache
@@ -62,18 +55,54 @@ def _warn() -> None:
     )
 
 
+class _Folders(caching.CompileResultCacheImpl):  # type: ignore[misc]
+    """The folder of ``NUMBA_CACHE_DIR``, ``__pycache__`` beside the source, or the user's cache folder."""
+
+    _locator_classes: ClassVar = [UserProvidedCacheLocator, InTreeCacheLocator, UserWideCacheLocator]
+
+
 class _Cache(caching.FunctionCache):  # type: ignore[misc]
     """Loads compiled code without what only compiling takes: a quarter of a second, and fifty megabytes.
 
     Numba's own loads all that it can compile before it looks whether there is anything to compile; the
-    compiler loads it in any case.
+    compiler loads it in any case. What another process is just compiling is waited for, and then loaded.
     """
+
+    _impl_class = _Folders
+
+    def __init__(self, function: FunctionType) -> None:
+        super().__init__(function)
+        self._cache_file._source_stamp, self._file = _stamp(function), getfile(function)
 
     def load_overload(self, sig: Any, target_context: Any) -> Any:
         """The compiled code of a signature, with what it came with; None where there is none."""
         _tell_linker()
         with self._guard_against_spurious_io_errors():
-            return self._load_overload(sig, target_context)
+            found = self._load_overload(sig, target_context)
+            if found is None and self._file not in _locks:
+                self._wait()
+                if found := self._load_overload(sig, target_context):
+                    os.close(_locks.pop(self._file))
+            return found
+
+    def save_overload(self, sig: Any, data: Any) -> None:
+        """Keep what was compiled, and let others look for it."""
+        super().save_overload(sig, data)
+        if self._file in _locks:
+            os.close(_locks.pop(self._file))
+
+    def _wait(self) -> None:
+        """Let another process end what it compiles of the same file; then none begins before this one ends.
+
+        For ten seconds at most: whoever was stopped meanwhile holds nobody up.
+        """
+        lock = _locks[self._file] = os.open(self._file, os.O_RDONLY)
+        with suppress(OSError):  # of a file system without locks
+            for _ in range(2000):
+                with suppress(BlockingIOError):
+                    fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                    break
+                time.sleep(sys.getswitchinterval())
 
 
 @cache
@@ -81,33 +110,6 @@ def _tell_linker() -> None:
     """Where the functions of numba's runtime are that compiled code calls."""
     for name, address in _nrt_python.c_helpers.items():
         binding.add_symbol(name if name.startswith("_") else f"NRT_{name}", address)
-
-
-class _Stamped(caching._CacheLocator):  # type: ignore[misc]
-    """Tells numba by what a kernel's compiled code is still the right one."""
-
-    def __init__(self, py_func: FunctionType, py_file: str) -> None:
-        super().__init__(py_func, py_file)
-        self._function = py_func
-
-    def get_source_stamp(self) -> str:
-        """What the code was compiled from."""
-        return _stamp(self._function)
-
-
-class GivenFolder(_Stamped, caching.UserProvidedCacheLocator):  # type: ignore[misc]
-    """The folder of ``NUMBA_CACHE_DIR``."""
-
-
-class SourceFolder(_Stamped, caching.InTreeCacheLocator):  # type: ignore[misc]
-    """``__pycache__`` beside the source."""
-
-
-class UserFolder(_Stamped, caching.UserWideCacheLocator):  # type: ignore[misc]
-    """The user's cache folder."""
-
-
-_FOLDERS = ",".join(f"{__name__}.{folder.__name__}" for folder in (GivenFolder, SourceFolder, UserFolder))
 
 
 def _stamp(function: FunctionType) -> str:
@@ -122,7 +124,7 @@ def _stamp(function: FunctionType) -> str:
         if changed_ns != _loaded_ns.get(file, changed_ns):
             digest.update(os.urandom(16))  # edited since: what is compiled is not what is there now
         for name, value in sorted(function.__globals__.items()):
-            if isinstance(value, _CONSTANT) and not name.startswith("__"):
+            if isinstance(value, (int, float, str, np.generic)) and not name.startswith("__"):
                 digest.update(f"{name}={value!r}".encode())
             elif isinstance(value, type):
                 digest.update(f"{name}={getattr(value, '_fields', ())}".encode())
@@ -141,4 +143,5 @@ def _used(value: Any, function: FunctionType) -> FunctionType | None:
 
 
 _stamps: dict[str, str] = {}
+_locks: dict[str, int] = {}
 _loaded_ns: dict[str, int] = {}

@@ -109,19 +109,22 @@ class PlaceSearch:
         more, self._kept = bool((kept[: len(self._kept)] >= self._kept).all()), kept
         self._judged = {one: told for one, told in self._judged.items() if more and math.isinf(told[0])}
         if self._corrected:
-            near = self._closer.close_again(poses, known, loops)
-            if near:
+            if near := self._closer.close_again(poses, known, loops):
                 return near
             self._corrected = False
-        believed = self._believed(poses, known)
-        if believed:
+        if believed := self._believed(poses, known):
             return believed
         for chain in (known, faulty.loose):
-            for number in stretches.untied(loops):
-                for place in stretches.candidates(number, *self._possible(stretches, number, poses, chain)):
-                    if (place, number) not in self._tried:
-                        self._tried.add((place, number))
-                        self._verify(stretches, place, number)
+            asked = [
+                (place, number)
+                for number in stretches.untied(loops)
+                for place in stretches.candidates(number, *self._possible(stretches, number, poses, chain))
+                if (place, number) not in self._tried
+            ]
+            self._tried.update(asked)
+            told = {one: self._verify(stretches, *one) for one in sorted(asked)}  # each place drawn once
+            for claim in filter(None, map(told.__getitem__, asked)):
+                self._sets.add(claim)
             if believed := self._believed(poses, known):
                 return believed
         return []
@@ -179,18 +182,16 @@ class PlaceSearch:
 
         return self._result_cache.cached("place", float(number), pose)
 
-    def _verify(self, stretches: Stretches, place: int, number: int) -> None:
-        """Search the pose of a stretch at another, and take down what is found as a claim."""
-        found = self._searched(stretches, place, number)
-        if not found:
-            return
+    def _verify(self, stretches: Stretches, place: int, number: int) -> LoopCandidate | None:
+        """Search the pose of a stretch at another; what is found as a claim."""
+        if not (found := self._searched(stretches, place, number)):
+            return None
         sigma = self._match.coarse_cell_m / self._config.sigmas
         covariance = np.diag(np.square([sigma, sigma, sigma / self._config.reach_m]))
-        ends = int(stretches.keys[place]), int(stretches.keys[number])
-        candidate = self._closer.verify(*ends, np.array(found), covariance)
-        if candidate.accepted and candidate.motion is not None and not candidate.motion.degenerate:
-            assert self._sets is not None
-            self._sets.add(candidate)
+        there, key = stretches.keys[[place, number]].tolist()
+        candidate = self._closer.verify(there, key, np.array(found), covariance)
+        motion = candidate.motion if candidate.accepted else None
+        return None if motion is None or motion.degenerate else candidate
 
     def _believed(self, poses: FloatArray, known: UncertaintyGraph) -> list[LoopCandidate]:
         """The most plausible set; the estimate that it leads to judges the next."""

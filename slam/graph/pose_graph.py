@@ -86,8 +86,7 @@ class PoseGraph:
         self._dimension = 3 if isinstance(origin, gtsam.Pose2) else 6
         self._origin = origin
         self._down: dict[int, Gravity] = {}
-        self._pending = gtsam.NonlinearFactorGraph()
-        self._pending_values = gtsam.Values()
+        self._pending, self._pending_values = gtsam.NonlinearFactorGraph(), gtsam.Values()
         self._estimate = gtsam.Values()
         self._isam: gtsam.ISAM2 | None = None
         # Nodes that updates leave where they are, and where the last one has put the others.
@@ -95,6 +94,7 @@ class PoseGraph:
         self._count = 0
         # What the last optimisation has kept of the edges of then, and what error that left.
         self._kept, self._error = np.zeros(0, np.bool_), -math.inf
+        self._made: dict[int, tuple[Edge, gtsam.NonlinearFactor]] = {}  # those edges, and their factors
         self.add_node(origin)
         self._pending.add(self._prior())
 
@@ -164,8 +164,7 @@ class PoseGraph:
         except RuntimeError:  # nodes that it has let go, or in space edges that nothing measured
             self._start_anew(held=0)
             return 0
-        self._pending = gtsam.NonlinearFactorGraph()
-        self._pending_values = gtsam.Values()
+        self._pending, self._pending_values = gtsam.NonlinearFactorGraph(), gtsam.Values()
         return self._held
 
     def _pend(self, edge: Edge) -> None:
@@ -179,10 +178,7 @@ class PoseGraph:
 
     def _start_anew(self, held: int) -> None:
         """Solve everything with damping, and begin a new iSAM2 with the nodes that are not held."""
-        graph = gtsam.NonlinearFactorGraph()
-        graph.add(self._prior())
-        for edge in self.edges:
-            graph.add(between_factor(edge, mapping_noise(edge)))
+        graph = self._graph(between_factor(edge, mapping_noise(edge)) for edge in self.edges)
         # A few steps bring a map that was solved before up to date.
         self._estimate = solved(graph, self._estimate, most_steps=3 if held else 100)
         self._isam, self._held = None, held
@@ -222,7 +218,8 @@ class PoseGraph:
         all others contradict: such are refused, the worst first, as long as the solution costs less.
         """
         most = gate(self._dimension, inlier_probability)
-        factors = [weighted(edge, 1.0) for edge in self.edges]
+        self._made = {id(e): self._made.get(id(e)) or (e, weighted(e, 1.0)) for e in self.edges}
+        factors = [self._made[id(edge)][1] for edge in self.edges]
         loops = [k for k, edge in enumerate(self.edges) if edge.loop is not None and not edge.trusted]
         found = self._solution(factors, self._gnc_weights(factors, most, anew) > 0.5, most)
         while True:
@@ -241,12 +238,15 @@ class PoseGraph:
     def _solution(self, factors: list[gtsam.NonlinearFactor], kept: BoolArray, most: float) -> BatchResult:
         """The poses by the edges that are kept, and what that costs where a gate is ``most``."""
         self._estimate = solved(graph := self._graph(compress(factors, kept)), self._estimate)
-        error = float(graph.error(self._estimate))
-        kinds = Counter(edge.kind for edge in self.edges if not edge.trusted)
-        refused = Counter(edge.kind for edge, keep in zip(self.edges, kept, strict=True) if not keep)
-        cost = error + 0.5 * most * refused.total()
-        cost += sum(math.log(math.comb(kinds[kind], count)) for kind, count in refused.items())
+        cost = (error := float(graph.error(self._estimate))) + 0.5 * most * (~kept).sum()
+        cost += sum(math.log(math.comb(count, out)) for count, out in self._refused(kept))
         return BatchResult(error, kept, cost)
+
+    def _refused(self, kept: BoolArray) -> list[tuple[int, int]]:
+        """Of each kind, how many edges may be refused, and how many are."""
+        kinds = Counter(edge.kind for edge in self.edges if not edge.trusted)
+        refused = Counter(edge.kind for edge in compress(self.edges, ~kept))
+        return [(count, refused[kind]) for kind, count in kinds.items()]
 
     def level(self, down: dict[int, Gravity]) -> None:
         """Let the next optimisation put a graph in space upright.
@@ -325,10 +325,10 @@ class PoseGraph:
         As Yang 2020, Sec. IV-B, but a round makes one step from where the last one ended; GTSAM goes back
         to the first estimate, and solves to the end, each time. What was refused before begins refused.
         Unless it begins ``anew``: then as it fits where all else leads, and half of it may be wrong.
-        Where new edges leave all as it was, for less error than it costs to refuse one, no round is made.
+        Where new edges leave all as it was, for less error than it costs to refuse one more, as `_solution`
+        has it, no round is made.
         """
-        weights = np.ones(len(self.edges))
-        weights[: len(self._kept)] = self._kept
+        weights: FloatArray = np.append(self._kept, np.ones(len(self.edges) - len(self._kept)))
         graph, asked = self._graph(factors), [k for k, edge in enumerate(self.edges) if not edge.trusted]
 
         def errors() -> FloatArray:
@@ -341,15 +341,16 @@ class PoseGraph:
             graph.replace(k + 1, weighted(self.edges[k], 0.0))  # factor 0 is the prior
         self._estimate = solved(graph, self._estimate)
         ended, grown = errors(), float(graph.error(self._estimate)) - self._error
-        if not anew and grown <= limit and ((ended <= limit) == own).all():
+        ways = [(count - out) / (out + 1) for count, out in self._refused(weights > 0.5) if out < count]
+        pays = limit + math.log(min(ways, default=1.0))
+        if not anew and grown <= pays and ((ended <= limit) == own).all():
             return weights
         # Remark 5: where the surrogate cost begins to be convex.
         worst = float(np.median(ended[own <= 0.0]) if anew else at_first[own > 0.0].max(initial=0.0))
         control = limit / (2.0 * worst - limit) if 2.0 * worst > limit else math.inf
         control = min(control, _GREATEST_CONTROL / _GNC_STEP)  # once at least: refused ones are asked, too
         while control < _GREATEST_CONTROL:
-            # Eq. (14).
-            shares = limit * control * (control + 1.0) / np.maximum(errors(), TINY)
+            shares = limit * control * (control + 1.0) / np.maximum(errors(), TINY)  # Eq. (14)
             before, own = own, np.clip(np.sqrt(shares) - control, 0.0, 1.0)
             for n in np.flatnonzero(own != before).tolist():
                 graph.replace(asked[n] + 1, weighted(self.edges[asked[n]], float(own[n])))
@@ -363,9 +364,8 @@ class PoseGraph:
     def _graph(self, factors: Iterable[gtsam.NonlinearFactor]) -> gtsam.NonlinearFactorGraph:
         """Prior and edges."""
         graph = gtsam.NonlinearFactorGraph()
-        graph.add(self._prior())
         # Gravity behind the edges, which are found by their place.
-        for factor in [*factors, *gravity_factors(self._down)]:
+        for factor in [self._prior(), *factors, *gravity_factors(self._down)]:
             graph.add(factor)
         return graph
 

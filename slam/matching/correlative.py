@@ -124,58 +124,53 @@ def search_window(
     step_rad = field.cell_m / reach_m
     yaw_steps = math.ceil(half_yaw_rad / step_rad)
     width_steps = math.ceil(half_width_m / field.cell_m)
-    columns, rows = _rotated_pixels(field, points, guess, yaw_steps, step_rad)
-    best, dx, dy, turn = _branch_and_bound(
-        field.levels, columns, rows, width_steps, int(least_score * 255.0 * len(points))
-    )
+    turns, least = (yaw_steps, step_rad), int(least_score * 255.0 * len(points))
+    best, dx, dy, turn = _branch_and_bound(field, points, guess, turns, width_steps, least)
     if turn < 0:
         return SearchResult(guess.copy(), least_score, False)
     offset = np.array([dx * field.cell_m, dy * field.cell_m, (turn - yaw_steps) * step_rad])
     return SearchResult(guess + offset, best / (255.0 * len(points)), True)
 
 
-def _rotated_pixels(
-    field: LikelihoodField, points: AnyFloatArray, guess: FloatArray, yaw_steps: int, step_rad: float
-) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
-    """Pixel of every point for every yaw of the window, (turns, M) columns and rows."""
-    yaws = [float(guess[2]) + turn * step_rad for turn in range(-yaw_steps, yaw_steps + 1)]
-    cos = np.array([[math.cos(yaw)] for yaw in yaws])
-    sin = np.array([[math.sin(yaw)] for yaw in yaws])
-    x = cos * points[:, 0] - sin * points[:, 1] + guess[0] - field.origin_x
-    y = sin * points[:, 0] + cos * points[:, 1] + guess[1] - field.origin_y
-    return (
-        np.floor(x / field.cell_m).astype(np.int32),
-        np.floor(y / field.cell_m).astype(np.int32),
-    )
-
-
 def _branch_and_bound(
-    levels: NDArray[np.uint8],
-    columns: NDArray[np.int32],
-    rows: NDArray[np.int32],
+    field: LikelihoodField,
+    points: AnyFloatArray,
+    guess: FloatArray,
+    turns: tuple[int, float],
     width_steps: int,
     least: int,
 ) -> tuple[int, int, int, int]:
     """Best score sum, its x and y offset in pixels and its turn (-1 when none is above ``least``)."""
-    top = len(levels) - 1
+    levels, top = field.levels, len(field.levels) - 1
     while top > 0 and (1 << top) > 2 * width_steps + 1:
         top -= 1
     side = (2 * width_steps + (1 << top)) // (1 << top)
+    columns, rows = np.empty((2, 2 * turns[0] + 1, len(points)), np.int32)
     bounds = np.empty(len(columns) * side * side, np.int64)
-    _bound_all(levels, columns, rows, width_steps, top, side, bounds)
+    _bound_all(*field, points, guess, turns[1], columns, rows, width_steps, top, side, bounds)
     (above,) = np.nonzero(bounds > least)
     order = above[np.argsort(-bounds[above], kind="stable")]
     stack = np.empty((4 * (top + 1), 4), np.int64)
     return _descend(levels, columns, rows, width_steps, least, top, side, bounds, order, stack)
 
 
-@kernel
-def _bound_all(levels, columns, rows, width_steps, top, side, bounds):  # type: ignore[no-untyped-def]
-    """Write the bound of every block of the window, (turns * side * side,), x fastest."""
+@kernel(error_model="numpy")
+def _bound_all(  # type: ignore[no-untyped-def]
+    levels, origin_x, origin_y, cell_m, points, guess, step_rad, columns, rows, width, top, side, bounds
+):
+    """Write each point's pixel (turns, M), and each block's bound, (turns * side * side,), x fastest."""
+    half = columns.shape[0] // 2
+    for turn in range(columns.shape[0]):
+        yaw = guess[2] + (turn - half) * step_rad
+        cos, sin = math.cos(yaw), math.sin(yaw)
+        for i in range(columns.shape[1]):
+            x, y = points[i, 0], points[i, 1]
+            columns[turn, i] = math.floor((cos * x - sin * y + guess[0] - origin_x) / cell_m)
+            rows[turn, i] = math.floor((sin * x + cos * y + guess[1] - origin_y) / cell_m)
     block = 1 << top
     for node in range(bounds.size):
-        dx = node % side * block - width_steps
-        dy = node // side % side * block - width_steps
+        dx = node % side * block - width
+        dy = node // side % side * block - width
         bounds[node] = _score(levels, top, columns, rows, node // (side * side), dx, dy)
 
 

@@ -51,28 +51,26 @@ def build_surfel_maps(
     Coarser cells gather the finest one's surfels: where an edge is a whole multiple of the finest, the finest
     cells lie within those, and each point counts in the cell that it is in.
     """
-    corners, found = np.zeros(4), list[SurfelMap]()
-    _bound(points, corners)
+    corners, found, oriented = np.zeros(4), list[SurfelMap](), np.empty((len(points), 5))
+    _bound(points, normals, oriented, corners)
     low_x, low_y, high_x, high_y = corners.tolist()
-    weights = np.ones(len(points))
     for cell_m in cells_m:
         origin_x, origin_y = low_x - 2.0 * cell_m, low_y - 2.0 * cell_m
         spans = (origin_y, high_y), (origin_x, high_x)
         rows, columns = (int((high - low) / cell_m) + 3 for low, high in spans)
-        cells, after = np.full((rows, columns), -1, np.int32), np.empty(len(points), np.int32)
-        sums = np.empty((len(points), 6))
-        count = _build(points, normals, weights, origin_x, origin_y, cell_m, cells, after, sums)
-        surfels = sums[:count].copy()
-        found.append(SurfelMap(cells, after[:count].copy(), surfels, origin_x, origin_y, cell_m))
-        points, normals, weights = surfels[:, :2], surfels[:, 2:4], surfels[:, 4]
+        cells, after = np.full((rows, columns), -1, np.int32), np.empty(len(oriented), np.int32)
+        sums = np.empty((len(oriented), 6))
+        count = _build(oriented, origin_x, origin_y, cell_m, cells, after, sums)
+        oriented = sums[:count].copy()
+        found.append(SurfelMap(cells, after[:count].copy(), oriented, origin_x, origin_y, cell_m))
     for one in found:
         _point(one.surfels)
     return found
 
 
 @kernel
-def _bound(points, corners):  # type: ignore[no-untyped-def]
-    """Write the least x and y of points (M, 2), and the greatest; numpy takes four times as long."""
+def _bound(points, normals, oriented, corners):  # type: ignore[no-untyped-def]
+    """Write points (M, 2) as surfels of one (M, 5), and their least x and y and the greatest."""
     if points.shape[0] == 0:
         return
     low_x = high_x = points[0, 0]
@@ -80,6 +78,11 @@ def _bound(points, corners):  # type: ignore[no-untyped-def]
     for i in range(points.shape[0]):
         x = points[i, 0]
         y = points[i, 1]
+        oriented[i, 0] = x
+        oriented[i, 1] = y
+        oriented[i, 2] = normals[i, 0]
+        oriented[i, 3] = normals[i, 1]
+        oriented[i, 4] = 1.0
         low_x = x if x < low_x else low_x
         low_y = y if y < low_y else low_y
         high_x = x if x > high_x else high_x
@@ -88,16 +91,14 @@ def _bound(points, corners):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _build(  # type: ignore[no-untyped-def]
-    points, normals, weights, origin_x, origin_y, cell_m, cells, after, sums
-):
+def _build(oriented, origin_x, origin_y, cell_m, cells, after, sums):  # type: ignore[no-untyped-def]
     """Number the cells' sides that have points, and average those points; how many there are."""
     count = ZERO
-    for i in range(points.shape[0]):
-        x = points[i, 0]
-        y = points[i, 1]
-        nx = normals[i, 0]
-        ny = normals[i, 1]
+    for i in range(oriented.shape[0]):
+        x = oriented[i, 0]
+        y = oriented[i, 1]
+        nx = oriented[i, 2]
+        ny = oriented[i, 3]
         row = math.floor((y - origin_y) / cell_m)
         column = math.floor((x - origin_x) / cell_m)
         # The quarter of the compass that the normal faces.
@@ -116,7 +117,7 @@ def _build(  # type: ignore[no-untyped-def]
             sums[k, 0] = sums[k, 1] = sums[k, 2] = sums[k, 3] = sums[k, 4] = 0.0
             sums[k, 5] = side
             count += 1
-        weight = weights[i]
+        weight = oriented[i, 4]
         sums[k, 0] += weight * x
         sums[k, 1] += weight * y
         sums[k, 2] += weight * nx

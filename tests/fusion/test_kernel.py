@@ -2,6 +2,8 @@
 
 import importlib
 import logging
+import os
+import subprocess
 import sys
 from pathlib import Path
 from types import ModuleType
@@ -107,3 +109,16 @@ def test_where_nothing_can_be_written_it_is_said_once_and_kernels_run(
 
 def test_other_programs_kernels_are_kept_as_ever() -> None:
     assert not numba.config.CACHE_LOCATOR_CLASSES
+
+
+def test_what_another_process_compiles_is_waited_for(folder: Path) -> None:
+    """Two begin at once, and one of them compiles."""
+    loaded(folder, 10, "+")
+    told = "import sys, caller_of_kernel as c; print(c.grown(1), sum(c.grown.stats.cache_misses.values()))"
+    code = f"import sys; sys.path[:0] = {[str(folder), str(Path.cwd())]!r}; {told}"
+    where = {**os.environ, "NUMBA_CACHE_DIR": str(folder / "cache")}
+    both = [
+        subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, text=True, env=where)
+        for _ in range(2)
+    ]
+    assert sorted(one.communicate()[0].split() for one in both) == [["12", "0"], ["12", "1"]]

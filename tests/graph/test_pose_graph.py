@@ -329,12 +329,15 @@ def test_no_false_loop_bends_the_running_estimate_far() -> None:
     assert bent < 0.5 * error_m(blind, truth)
 
 
-@pytest.mark.parametrize(("off_m", "weighed"), [(0.5, False), (1.7, True)])
+@pytest.mark.parametrize(("off_m", "others", "weighed"), [(0.5, 0, False), (1.7, 0, True), (1.7, 40, False)])
 def test_new_loops_are_weighed_where_refusing_one_may_cost_less(
-    off_m: float, weighed: bool, monkeypatch: pytest.MonkeyPatch
+    off_m: float, others: int, weighed: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Both are beyond the gate at first, and neither once the chain has bent."""
-    graph, told, solved = graph_of(gtsam.Pose2(), [straight_2d(1.0)] * 20), list[int](), pose_graph.solved
+    """All are beyond the gate at first, and none once the chain has bent; to refuse one of many says more."""
+    steps, told, solved = [straight_2d(1.0)] * (20 + others), list[int](), pose_graph.solved
+    graph = graph_of(gtsam.Pose2(), steps)
+    for n in range(20, 20 + others):
+        graph.add_edge(edge(n, n + 1, straight_2d(1.0), kind=EdgeKind.LOOP, trusted=False))
     graph.optimize()
 
     def counting(*asked: object, most_steps: int = 100) -> gtsam.Values:
@@ -346,6 +349,14 @@ def test_new_loops_are_weighed_where_refusing_one_may_cost_less(
     assert graph.optimize().kept.all()
     # A round is one step from where the last one ended.
     assert (1 in told) == weighed
+
+
+def test_an_edge_that_is_told_anew_is_solved_anew() -> None:
+    graph = graph_of(gtsam.Pose2(), [straight_2d(1.0)])
+    graph.optimize()
+    graph.edges[0] = edge(0, 1, straight_2d(3.0))
+    graph.optimize()
+    assert_same(graph.pose(1), straight_2d(3.0))
 
 
 def test_a_graph_of_one_node() -> None:
