@@ -23,6 +23,8 @@ CLOUD_SUFFIXES = frozenset({".bin", ".pcd", ".ply", ".las", ".laz"})
 CLOUD_NAMES = "(?:bin|pcd|ply|la[sz])"  # as a pattern
 # Of so many points; ranges that differ by less than single precision leaves of them are one.
 _LOOKED_AT, _ALIKE_SHARE = 2000, 1e-6
+# What lidars tell lies between these; bytes that are taken for what they are not mostly do not.
+_LEAST, _GREATEST = 1e-10, 1e9
 
 MISSING = "cloud file missing"
 UNREADABLE = "cloud file cannot be read"
@@ -89,8 +91,10 @@ def read_cloud(path: Path, parse: Callable[[Path], Parsed] | None = None) -> Clo
 def is_return(points: Float32Array) -> NDArray[np.bool_]:
     """Which of (N, 3) points are finite, and not where drivers put what has no return.
 
-    That is the lidar itself, or a sphere about it.
+    That is the lidar itself, or a sphere about it. Of what is no cloud at all none is.
     """
+    if are_no_readings(points[:: len(points) // _LOOKED_AT + 1]):
+        return np.zeros(len(points), np.bool_)
     x, y, z = points.T
     # Axis by axis: a reduction over rows of three takes ten times as long.
     valid = np.isfinite(x) & np.isfinite(y) & np.isfinite(z) & ((x != 0.0) | (y != 0.0) | (z != 0.0))
@@ -98,6 +102,12 @@ def is_return(points: Float32Array) -> NDArray[np.bool_]:
         with np.errstate(over="ignore"):
             valid &= np.abs(np.sqrt(x**2 + y**2 + z**2) - code_m) > _ALIKE_SHARE * code_m
     return valid
+
+
+def are_no_readings(values: NDArray[Any]) -> bool:
+    """Whether more than some numbers are of sizes that no lidar tells; zeros and no numbers are not asked."""
+    sizes = np.abs(values[np.isfinite(values) & (values != 0.0)])
+    return bool(np.count_nonzero((sizes < _LEAST) | (sizes > _GREATEST)) * FEWEST > len(sizes))
 
 
 def _told_alike_m(points: Float32Array, valid: NDArray[np.bool_]) -> float:
@@ -122,6 +132,9 @@ class Rows:
         rows = self.rows(path)
         others = {name: rows[name] for name in rows.dtype.names or () if name not in "xyz"}
         return np.column_stack([rows[axis] for axis in "xyz"]), others
+
+    def __str__(self) -> str:
+        return f"{len(self.row.names or ())} numbers of {self.row[0].itemsize} bytes"
 
     def rows(self, path: Path) -> NDArray[np.void]:
         """The rows; RecordFault where the file is not made of whole ones."""

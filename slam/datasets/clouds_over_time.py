@@ -11,7 +11,8 @@ from pathlib import Path
 import gtsam
 
 from slam.datasets.account import Account
-from slam.datasets.cloud_files import CLOUD_SUFFIXES, CloudFile, Parsed, read_cloud
+from slam.datasets.bin_rows import is_bin, rows_of
+from slam.datasets.cloud_files import CLOUD_SUFFIXES, KITTI_ROWS, CloudFile, Parsed, read_cloud
 from slam.datasets.dataset import RecordFault
 from slam.datasets.log_file import files_inside
 from slam.datasets.point_intensity import intensities_of
@@ -40,7 +41,7 @@ class CloudFolder:
     T_base_lidar
         Mounting of the lidar.
     parse
-        What reads a file, see `read_cloud`.
+        What reads a file, see `read_cloud`; None for what its suffix tells, and ``.bin`` files themselves.
     stamped
         Whether the stamps were told, and not counted.
     """
@@ -53,7 +54,18 @@ class CloudFolder:
     def numbered(self, account: Account) -> Iterator[tuple[int, PointCloud]]:
         """The clouds with their lines in the list; what cannot be read is counted."""
         times = PointTimes(self.stamped)
-        for index, (file, cloud) in enumerate(prefetched(self.files, self._read, 1)):
+        rows = KITTI_ROWS if self.parse else rows_of([file.path for file in self.files])
+        if rows != KITTI_ROWS:
+            account.report.note(f"the .bin files hold {rows} a point", 1)
+
+        def read(file: StampedFile) -> tuple[StampedFile, CloudFile | RecordFault]:
+            """A cloud, or why there is none; runs on the thread that prefetches."""
+            try:
+                return file, read_cloud(file.path, self.parse or (rows if is_bin(file.path) else None))
+            except RecordFault as fault:
+                return file, fault
+
+        for index, (file, cloud) in enumerate(prefetched(self.files, read, 1)):
             account.report.line_count += 1
             account.report.note_share(index / len(self.files))
             if isinstance(cloud, RecordFault):
@@ -68,13 +80,6 @@ class CloudFolder:
             yield file.number, seen
         for note in times.told("lidar"):
             account.report.note(note, 1)
-
-    def _read(self, file: StampedFile) -> tuple[StampedFile, CloudFile | RecordFault]:
-        """A cloud, or why there is none; runs on the thread that prefetches."""
-        try:
-            return file, read_cloud(file.path, self.parse)
-        except RecordFault as fault:
-            return file, fault
 
 
 def times_of(folder: Path) -> Path | None:

@@ -115,14 +115,15 @@ def _corrected_one_by_one(log: Iterable[Measurement], calibration: Calibration) 
 def repeats(before: Measurement | None, now: Measurement) -> bool:
     """Whether a reading tells the same to the bit as the one before: what a sensor with noise never does.
 
-    Or it is a cloud of the turn of the one before, by another lidar.
+    Or it is a cloud of the turn of the one before, by another lidar, or has its stamp.
     """
     if isinstance(before, LaserScan) and isinstance(now, LaserScan):
         return before.ranges_m.tobytes() == now.ranges_m.tobytes()
     if isinstance(before, RgbdFrame) and isinstance(now, RgbdFrame):
         return np.array_equal(before.depth_m, now.depth_m) and np.array_equal(before.color, now.color)
     if isinstance(before, PointCloud) and isinstance(now, PointCloud):
-        return begins_early(before, now) or np.array_equal(before.points_lidar, now.points_lidar)
+        again = before.stamp_s == now.stamp_s or np.array_equal(before.points_lidar, now.points_lidar)
+        return again or begins_early(before, now)
     if isinstance(before, ImuReading) and isinstance(now, ImuReading):
         same = np.array_equal(before.gyro_rad_s, now.gyro_rad_s)
         return same and np.array_equal(before.specific_force_m_s2, now.specific_force_m_s2)

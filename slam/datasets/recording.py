@@ -126,7 +126,7 @@ class Recording:
         truth: Callable[[Account], Trajectory | None],
         *,
         strict: bool = False,
-        remedy: str = "give a folder with its images in place",
+        remedy: str = "give a folder with its images or clouds in place",
     ) -> None:
         self.path = path
         self.name = plain(path.resolve().name)

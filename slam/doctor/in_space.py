@@ -328,7 +328,8 @@ def _entry(kind: str, R_base_sensor: FloatArray, place_m: Sequence[float]) -> di
 
 def cloud_findings(name: str, samples: CloudSamples) -> list[Finding]:
     """What a 3D lidar says of itself."""
-    found = repeated("lidars_3d", name, samples.repeated, samples.count, "clouds")
+    # A lidar has noise even at rest: one such cloud is one too many.
+    found = repeated("lidars_3d", name, samples.repeated, samples.count, "clouds", least=1)
     if samples.points:
         median_m = float(np.median(np.linalg.norm(np.concatenate(samples.points), axis=1)))
         ways = CloudOdometryConfig()  # beyond its limits nothing can be mapped
@@ -360,18 +361,21 @@ def cloud_findings(name: str, samples: CloudSamples) -> list[Finding]:
     return [*found, Finding(name, "times of points", text, effect, (remedy,), sure=True, value=off)]
 
 
-def repeated(kind: str, name: str, repeated: int, count: int, what: str) -> list[Finding]:
-    """Readings that are told again and again."""
-    if repeated < FEWEST or 2 * repeated <= count:
+def repeated(
+    kind: str, name: str, repeated: int, count: int, what: str, least: int | None = None
+) -> list[Finding]:
+    """Readings that are told again and again: most of them, if not ``least`` are enough."""
+    if repeated < (max(FEWEST, count // 2 + 1) if least is None else least):
         return []
+    same = "the one before, to the bit" + ("" if least is None else ", or have its stamp")
     return [
         Finding(
             name,
             f"repeated {what}",
-            f"{repeated} of {count} {what} are the one before, to the bit",
+            f"{repeated} of {count} {what} are {same}",
             "the map takes it that the robot stands",
             ({kind: {name: {"drop_repeated": True}}},),
-            sure=True,
+            sure=repeated + 1 < count,  # else nothing would be left
             value=repeated / count,
         )
     ]

@@ -10,6 +10,7 @@ from itertools import product
 import gtsam
 import numpy as np
 
+from fusion.estimation import FEWEST
 from fusion.height_band import thin_to_voxels
 from slam.config import Config
 from slam.estimates import MotionEstimate
@@ -32,11 +33,18 @@ class CloudOdometry:
     ----------
     voxel_m
         Side of a voxel.
+
+    Attributes
+    ----------
+    settles
+        Whether the newest match left a way open and settled along it.
     """
 
     def __init__(self, config: Config, voxel_m: float) -> None:
         self._config, self._voxel_m = config, voxel_m
-        self._expected = 0.0
+        self._expected, self.settles = 0.0, False
+        # Along a street with few walls nearly all that leave it open do, in a tunnel some by chance.
+        self._settled = deque([True] * (FEWEST // 2), maxlen=FEWEST // 2)
         self.restart()
 
     def restart(self) -> None:
@@ -106,7 +114,14 @@ class CloudOdometry:
             return None
         rivals = [one.found for one in found if one and one.found.agreement >= _NEARLY * best.found.agreement]
         poses = [*(one.pose for one in rivals), self._by_last(scan, best)]
-        return self._motion(self._map.settled(scan, best), poses, guesses, turned_rad)
+        settled = self._map.settled(scan, best)
+        self.settles = settled is not best
+        by_most = 2 * (sum(self._settled) + self.settles) > 1 + len(self._settled)
+        return self._motion(settled if by_most else best, poses, guesses, turned_rad)
+
+    def note_open(self, *, settles: bool) -> None:
+        """Take down of a match that left a way open whether it settled; it is followed where most do."""
+        self._settled.append(settles)
 
     def nearby(self, points: FloatArray, start: gtsam.Pose3) -> gtsam.Pose3:
         """Roughly where a scan (N, 3) fits near ``T_odom_base``."""

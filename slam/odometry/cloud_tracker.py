@@ -121,12 +121,19 @@ class CloudTracker:
             ahead = gtsam.Pose3(gtsam.Rot3(), step_s * self._velocity.twist[3:])
             guessed = self._guessed(seen.points, before.compose(ahead), new_keyframe=True)
             return replace(guessed, unseen_m=unseen_m)
-        matcher = self._matcher
-        motion = self._result_cache.cached(
+        matcher, odometry = self._matcher, self._odometry
+        assert odometry is not None
+        motion, settles = self._result_cache.cached(
             "cloud",
             float(expected.x()),
-            lambda: matcher.match(cloud, seen, guesses, before, step_s, told=told is not None),
+            lambda: (
+                matcher.match(cloud, seen, guesses, before, step_s, told=told is not None),
+                odometry.settles,
+            ),
         )
+        # An IMU's guess comes from no such match.
+        if told is None and motion is not None and motion.degenerate:
+            odometry.note_open(settles=settles)
         if motion is None or not self._believed(motion, told):
             self._lost += 1
             return self._guessed(

@@ -74,7 +74,9 @@ class CloudVelocity:
         """
         step_s = stamp_s - self._stamp_s
         if -LONGEST_STEP_S < step_s <= 0.0:
-            return  # one that comes twice, or late: what is known is newer
+            # One that comes twice, late, or by a clock set back tells no speed; the next step begins there.
+            self._pose, self._stamp_s = pose, stamp_s
+            return
         twist = self.to(pose, stamp_s)
         if motion.degenerate:
             lever = levers(arms_m)

@@ -272,7 +272,7 @@ def test_a_folder_without_what_it_needs_is_refused_in_one_line(tmp_path: Path) -
             open_dataset(path)
         assert "\n" not in str(caught.value)
     shutil.rmtree(write_tum(tmp_path / "bare") / "rgb")
-    with pytest.raises(DatasetError, match=f"no usable frame.*4 x {MISSING}.*images in place"):
+    with pytest.raises(DatasetError, match=f"no usable frame.*4 x {MISSING}.*images or clouds in place"):
         read(tmp_path / "bare")
     write_tum(tmp_path / "full")
     with pytest.raises(DatasetError, match="holds some; give one of bare, full"):

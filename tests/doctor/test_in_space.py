@@ -233,6 +233,30 @@ def test_what_repeats_itself_is_named() -> None:
     assert [one.kind for one in camera_findings("camera", samples)] == ["repeated frames"]
 
 
+@pytest.mark.parametrize(
+    ("stamps_s", "seeds", "left", "sure"),
+    [
+        ([0.0, 0.1, 0.2, 0.3], [0, 1, 1, 2], [0.0, 0.1, 0.3], True),
+        ([0.0, 0.1, 0.1, 0.2], [0, 1, 2, 3], [0.0, 0.1, 0.2], True),
+        ([5.0] * 4, [0, 1, 2, 3], [5.0], False),  # all of one stamp: the order of the log is left
+    ],
+)
+def test_one_cloud_that_repeats_the_points_or_the_stamp_before_is_left_out(
+    stamps_s: list[float], seeds: list[int], left: list[float], sure: bool
+) -> None:
+    log = [
+        PointCloud(stamp_s, np.random.default_rng(seed).normal(size=(90, 3)).astype(np.float32))
+        for stamp_s, seed in zip(stamps_s, seeds, strict=True)
+    ]
+    samples = CloudSamples()
+    for cloud in log:
+        samples.add(cloud)
+    (found,) = (one for one in cloud_findings("lidar", samples) if one.kind == "repeated clouds")
+    assert found.sure == sure
+    mended = remedied(Calibration(), [found], only_sure=False)
+    assert [one.stamp_s for one in corrected(log, mended)] == left
+
+
 @pytest.mark.parametrize(("turn_s", "scale"), [(100.0, 0.001), (0.2, 0.5)])
 def test_times_of_points_that_cannot_be_are_named(turn_s: float, scale: float) -> None:
     samples = CloudSamples(count=50)

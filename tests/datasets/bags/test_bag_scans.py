@@ -145,6 +145,7 @@ def test_clouds_of_several_rows_with_padding_and_of_doubles_are_read(tmp_path: P
         ({"width": 10**6}, BAD_LAYOUT),
         ({"fields": []}, BAD_LAYOUT),
         ({"data": np.zeros(500), "width": 1}, NO_POINTS),
+        ({"is_bigendian": True}, NO_POINTS),  # which it is not
     ],
 )
 def test_a_cloud_that_cannot_be_is_counted(tmp_path: Path, change: dict[str, object], reason: str) -> None:

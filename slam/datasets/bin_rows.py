@@ -1,0 +1,65 @@
+"""What rows ``.bin`` clouds hold, which they do not say: floats or doubles, three to six a point."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from fusion.estimation import FEWEST
+from slam.datasets.cloud_files import KITTI_ROWS, Rows, are_no_readings, row_of
+from slam.errors import DatasetError
+from slam.measurements import FloatArray
+
+_FIELDS = ("x", "y", "z", "intensity", "fifth", "sixth")
+_FEWEST_FIELDS = 3
+_FILES, _VALUES = 5, 60_000  # that are looked at, and of each file
+
+
+def rows_of(files: Sequence[Path]) -> Rows:
+    """The rows of clouds, by several of their files; KITTI's where there is too little to tell.
+
+    Raises
+    ------
+    DatasetError
+        They are no rows of coordinates.
+    """
+    files = [path for path in files if is_bin(path) and path.is_file()]
+    looked_at = files[:: max(1, len(files) // _FILES)][:_FILES]
+    for kind in ("f4", "f8"):
+        read = [_values(path, kind) for path in looked_at]
+        values = [one for one in read if len(one) >= FEWEST * len(_FIELDS)]
+        if not values:
+            return KITTI_ROWS
+        if 2 * sum(map(are_no_readings, values)) < len(values):
+            fields = ", ".join(f"{name} {kind}" for name in _FIELDS[: _period(values)])
+            return Rows(row_of(fields))
+    raise DatasetError(
+        f"{looked_at[0].name} and others hold no rows of {_FEWEST_FIELDS} to {len(_FIELDS)} floats or "
+        "doubles, x, y and z first; convert them to .pcd or .ply, which name their fields"
+    )
+
+
+def is_bin(path: Path) -> bool:
+    """Whether a name is that of rows without a header."""
+    return path.suffix.lower() == ".bin"
+
+
+def _values(path: Path, kind: str) -> FloatArray:
+    """The first numbers of a file."""
+    with np.errstate(invalid="ignore"):  # a signalling NaN of a damaged file
+        return np.fromfile(path, f"<{kind}", _VALUES).astype(np.float64)
+
+
+def _period(values: Sequence[FloatArray]) -> int:
+    """After how many numbers come such as before: those of one field differ least from each other.
+
+    That holds for points in any order: the distance between two drawn of one distribution each is never
+    less than the mean of those between two of the same (the energy distance, Szekely 2013).
+    """
+    scaled = [np.arcsinh(np.nan_to_num(one, posinf=0.0, neginf=0.0)) for one in values]
+    counts = range(_FEWEST_FIELDS, len(_FIELDS) + 1)
+    apart = [np.mean([np.abs(one[count:] - one[:-count]).mean() for one in scaled]) for count in counts]
+    near = [count for count, one in zip(counts, apart, strict=True) if one <= min(apart) * (1 + 1 / FEWEST)]
+    return near[0]
