@@ -258,3 +258,10 @@ def test_points_that_tell_no_time_have_that_of_their_neighbours() -> None:
     sound = PointTimes()
     sound.of(["t"], lambda _: right, 5.0)
     assert len(sound.told("/points")) == 1
+
+
+def test_a_plane_with_rounded_heights_is_a_cloud_and_swapped_bytes_are_none() -> None:
+    angles = np.linspace(0.0, 6.0, 400)
+    plane = np.column_stack([5.0 * np.cos(angles), 4.0 * np.sin(angles), 3e-17 * np.cos(angles)])
+    assert is_return(plane.astype(np.float32)).all()
+    assert not is_return(plane.astype(">f4").view("<f4").astype(np.float32)).any()
