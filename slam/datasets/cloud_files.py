@@ -23,7 +23,7 @@ CLOUD_SUFFIXES = frozenset({".bin", ".pcd", ".ply", ".las", ".laz"})
 CLOUD_NAMES = "(?:bin|pcd|ply|la[sz])"  # as a pattern
 # Of so many points; ranges that differ by less than single precision leaves of them are one.
 _LOOKED_AT, _ALIKE_SHARE = 2000, 1e-6
-# What lidars tell lies between these, rounded heights of a plane too; bytes taken for what they are not do not.
+# What lidars tell lies between these, rounded heights of a plane too; what is no cloud mostly does not.
 _LEAST, _GREATEST = 1e-30, 1e9
 
 MISSING = "cloud file missing"
