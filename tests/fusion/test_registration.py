@@ -117,7 +117,9 @@ def test_rows_are_registered_as_published():
     pose = (0.0, 0.0, 0.5)
     image = world.camera(pose)
     pair = register_rows(world.lidar(pose), [image])
-    assert pair.pcc == pair.score == pair.score_map.max() == pair.score_map[pair.v, pair.u]
+    assert pair.score == pair.score_map.max() == pair.score_map[pair.v, pair.u]
+    # The same sums of one row alone, which BLAS may add in another order.
+    assert pair.pcc == pytest.approx(pair.score, abs=1e-6)
     assert pair.grade == fusion.Grade.HIGH
 
 
