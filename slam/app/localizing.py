@@ -192,8 +192,7 @@ def _written(
     files = drive.write(out)
     notes = [(reason, f"{tally.count:,}") for reason, tally in log.report.dropped.items()]
     notes += [(finding.kind, finding.line) for finding in findings]
-    notes += [("warning", warning) for warning in warnings]
     write_localization_report(
-        out / "report.html", f"{log.path.name} in {saved.path}", drive, saved.layers, notes
+        out / "report.html", f"{log.path.name} in {saved.path}", drive, saved.layers, notes, warnings
     )
     return (*files, out / "report.html")

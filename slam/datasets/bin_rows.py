@@ -47,9 +47,12 @@ def is_bin(path: Path) -> bool:
 
 
 def _values(path: Path, kind: str) -> FloatArray:
-    """The first numbers of a file."""
-    with np.errstate(invalid="ignore"):  # a signalling NaN of a damaged file
-        return np.fromfile(path, f"<{kind}", _VALUES).astype(np.float64)
+    """The first numbers of a file; none of one that cannot be read, which is counted when it is its turn."""
+    try:
+        with np.errstate(invalid="ignore"):  # a signalling NaN of a damaged file
+            return np.fromfile(path, f"<{kind}", _VALUES).astype(np.float64)
+    except OSError:
+        return np.zeros(0)
 
 
 def _period(values: Sequence[FloatArray]) -> int:

@@ -23,7 +23,12 @@ _COLORS = ("soft", "blue", "red")
 
 
 def write_localization_report(
-    path: Path, title: str, drive: DriveLog, layers: LayeredMap | None, notes: Sequence[tuple[str, str]]
+    path: Path,
+    title: str,
+    drive: DriveLog,
+    layers: LayeredMap | None,
+    notes: Sequence[tuple[str, str]],
+    warnings: Sequence[str] = (),
 ) -> None:
     """Write the report as one HTML file that asks nothing of the network.
 
@@ -35,6 +40,8 @@ def write_localization_report(
         Of the map; None of a map without a lidar.
     notes
         (what, how much) rows of the reader's report.
+    warnings
+        What makes the poses doubtful, in words.
 
     Raises
     ------
@@ -53,6 +60,7 @@ def write_localization_report(
         shares=_shares(drive),
         cost=_cost(drive),
         notes=notes,
+        told=warnings,
     )
 
 

@@ -103,7 +103,8 @@ class Walls:
 
     def sampled(self, count: int) -> Iterator[tuple[Pose, ScanView]]:
         """So many keyframes from all of its way, ``T_map_base`` and what each saw; all where it has fewer."""
-        for key in list(self._views)[:: max(len(self._views) // count, 1)][:count]:
+        keys = list(self._views)
+        for key in keys if len(keys) <= count else [keys[n * len(keys) // count] for n in range(count)]:
             yield pose2_from_row(self._poses[key]), self._views[key]
 
     @cached_property

@@ -8,6 +8,8 @@ import numpy as np
 import pytest
 
 from slam.datasets import open_dataset
+from slam.datasets.bin_rows import rows_of
+from slam.datasets.cloud_files import KITTI_ROWS
 from slam.errors import DatasetError
 from slam.measurements import FloatArray, PointCloud
 
@@ -63,3 +65,11 @@ def test_no_numbers_among_the_points_do_not_hide_what_the_rows_are(tmp_path: Pat
         points[1::3] = 0.0
         points.tofile(file)
     assert [len(one.points_lidar) for one in open_dataset(path) if isinstance(one, PointCloud)] == [300] * 3
+
+
+def test_a_file_that_cannot_be_read_is_left_for_its_turn(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path, _ = folder(tmp_path, "<f4", 5)
+    monkeypatch.setattr(np, "fromfile", lambda *_: (_ for _ in ()).throw(PermissionError("not yours")))
+    assert rows_of(sorted((path / "velodyne").iterdir())) == KITTI_ROWS

@@ -217,8 +217,9 @@ def test_a_localised_drive_is_coloured_by_sigma_and_confidence(tmp_path: Path) -
     np.testing.assert_allclose(way["more"][0]["values"], [np.nan, *0.05 * np.arange(5, 20)])
     assert way["more"][2]["values"].tolist() == [1] + [0] * 15
     assert data["layers"][0]["name"] == "map" and "<img" not in html.replace("&lt;", "")
-    write_localization_report(tmp_path / "none.html", "log", DriveLog(), None, [])
-    assert page_data((tmp_path / "none.html").read_text())["trajectory"]["stamps_s"].size == 0
+    write_localization_report(tmp_path / "none.html", "log", DriveLog(), None, [], ["doubtful"])
+    html = (tmp_path / "none.html").read_text()
+    assert page_data(html)["trajectory"]["stamps_s"].size == 0 and "<li>doubtful</li>" in html
 
 
 def test_the_stages_add_up_to_the_run(tmp_path: Path) -> None:

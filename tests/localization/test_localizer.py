@@ -12,6 +12,7 @@ from slam.config import Config, load_config
 from slam.datasets import open_dataset
 from slam.errors import MapFileError
 from slam.localization.drive_log import DriveLog
+from slam.localization.known_map import Walls
 from slam.localization.localizer import Localizer
 from slam.localization.output import LocalizerOutput, State
 from slam.localization.poses import Measured
@@ -209,5 +210,9 @@ def test_places_that_look_alike_are_told(mapped: tuple[MapContents, FloatArray])
     )
     warning = Localizer(twice, CONFIG).warning()
     assert warning is not None and "of 20 of its own scans fit elsewhere" in warning
+    # From all of the way, of 30 keyframes, too.
+    few = replace(once, node_poses=once.node_poses[:30], keyframe_scans=once.keyframe_scans[:30])
+    asked = [row_from_pose2(pose) for pose, _ in Walls(few, CONFIG).sampled(20)]
+    assert len(asked) == 20 and np.allclose(asked[-1], once.keyframe_poses[28])
     known = Measured(pose2_from_row(poses[0]), np.diag([0.01, 0.01, 0.01]))
     assert Localizer(twice, CONFIG, start=known).warning() is None
