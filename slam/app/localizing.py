@@ -23,7 +23,6 @@ from slam.estimates import Trajectory
 from slam.evaluation.localization_report import write_localization_report
 from slam.localization.drive_log import DriveLog
 from slam.localization.localizer import Localizer
-from slam.localization.output import State
 from slam.localization.poses import Measured, diagonal
 from slam.mapper.pipeline import findings_of, settled
 from slam.outputs.finished_map import Map
@@ -137,7 +136,7 @@ def localize_log(
             f"{log.name} holds nothing that can be localised in {saved.path}, which takes {wanted}; see "
             "'scanweave inspect' for what the log holds"
         )
-    warning = localizer.warning() if drive.share_of(State.TRACKING) else None
+    warning = localizer.warning()
     warnings = () if warning is None else (warning,)
     written = () if out is None else _written(Path(out), drive, saved, log, findings, warnings)
     return Localization(drive, written, warnings)

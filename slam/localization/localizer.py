@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -76,7 +77,6 @@ class Localizer:
         if start is not None and not known_map.planar:
             raise MapFileError("the map is not of a floor: leave out the start, the robot is found without")
         config = config_of(config)
-        self._warned: Callable[[], str | None] = lambda: None
         self._lidar = self._lidar_of(known_map, config, start)
         self._locator: VisualLocator | None = None
         if config.sensors.rgbd and known_map.frames is not None and known_map.clouds is None:
@@ -128,13 +128,20 @@ class Localizer:
         >>> slam.Localizer(slam.map_log(log)).warning() is None
         True
         """
-        return self._warned()
+        if self._lidar is None or not self._lidar.copied:
+            return None
+        return (
+            f"looks alone told where the robot is, and {self._lidar.copied:.0%} of the map's own scans fit "
+            "elsewhere in it, too: the poses may be those of another place; --start tells it"
+        )
 
     def _lidar_of(
         self, known_map: MapContents, config: Config, start: Measured | None
     ) -> StateMachine[Any, Any] | None:
         """What localises by the lidar; None where the map or the configuration has none."""
         sensor: PlanarSensor | CloudSensor
+        settings = config.localization
+        alike: Callable[[], float] = float
         if known_map.clouds is not None:
             if not config.sensors.lidar:
                 raise MapFileError(
@@ -145,17 +152,15 @@ class Localizer:
         elif has_walls(known_map) and config.sensors.lidar:
             walls = Walls(known_map, config)
             sensor = planar = PlanarSensor(walls, config)
-            if start is None:
-                self._warned = lambda: look_alikes(walls, planar, config.localization)
+            alike = partial(look_alikes, walls, planar, settings)
             if not known_map.node_poses and known_map.grid is not None:
                 # Where in its cells a drawn wall is, the drawing does not tell.
                 half_m = 0.5 * known_map.grid.resolution_m
-                sigma_m = max(config.localization.map_sigma_m, half_m)
-                settings = config.localization.model_copy(update={"map_sigma_m": sigma_m})
-                return StateMachine(sensor, settings, start)
+                sigma_m = max(settings.map_sigma_m, half_m)
+                settings = settings.model_copy(update={"map_sigma_m": sigma_m})
         else:
             return None
-        return StateMachine(sensor, config.localization, start)
+        return StateMachine(sensor, settings, start, alike)
 
     @staticmethod
     def _help(lidar: StateMachine[Any, Any], locator: VisualLocator, frame: PreparedFrame) -> None:

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from functools import cache
 from typing import Any, Generic
 
 import numpy as np
@@ -28,11 +29,23 @@ class StateMachine(Generic[V, N]):
     ----------
     start
         ``T_map_base`` at the first reading, where somebody has told it; it is believed as dead reckoning is.
+    alike
+        How likely a place that looks alone have told is another's copy; asked once, when one is found so.
+
+    Attributes
+    ----------
+    copied
+        That of the pose that is tracked; 0 where it was told, or was led to by dead reckoning from there.
     """
 
     def __init__(
-        self, sensor: Sensor[V, N], config: LocalizationConfig, start: Measured | None = None
+        self,
+        sensor: Sensor[V, N],
+        config: LocalizationConfig,
+        start: Measured | None = None,
+        alike: Callable[[], float] = float,
     ) -> None:
+        self._alike, self.copied = cache(alike), 0.0
         self._sensor, self._config, self._start = sensor, config, start
         self._hypotheses = HypothesisSet(sensor, config)
         self._loss = LossTest(config)
@@ -151,6 +164,7 @@ class StateMachine(Generic[V, N]):
                 self._forget()
         winner = self._hypotheses.winner()
         if winner is not None and winner.motion is not None and winner.determined:
+            self.copied = self.copied if bound else self._alike()
             return winner.motion.inlier_share, self._found(_measured(winner.motion), observed.pose)
         together = self._hypotheses.together()
         if together is not None and position_sigma_m(together) <= SAME_M:
@@ -185,7 +199,7 @@ class StateMachine(Generic[V, N]):
         probabilities = self._hypotheses.probabilities()
         state, confidence = self._state, float(probabilities.max(initial=0.0))
         if self._smoother is not None and state is State.TRACKING:
-            confidence = self._loss.confidence * self._smoother.trust
+            confidence = self._loss.confidence * self._smoother.trust * (1.0 - self.copied)
             state = State.LOST if self._loss.doubted else state
         known = None if self._known is None else self._in_map(self._known)
         if known is not None and state is State.LOST and (self._contradicted or self._loss.doubted):
