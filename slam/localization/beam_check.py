@@ -24,7 +24,7 @@ _WALL_REACH_M = 0.1
 # Of a point so far from every wall no small error of the pose makes a wall's.
 _CLEAR_M = 0.2
 # The last stretch of a beam may lie in the wall it ends in, at a small angle and with a little error.
-_END_M = 0.4
+END_M = 0.4
 
 
 class KnownSpace(NamedTuple):
@@ -130,7 +130,7 @@ def check_beams(
     rest = np.vstack([laser, points.points[~explained]])
     in_picture = transform_points(rest, between(space.frame, pose)) / space.cell_m
     lifted = np.column_stack([in_picture, np.full(len(rest), 0.5)])
-    met = follow(space.cells, lifted[0], lifted[1:], _END_M / space.cell_m)
+    met = follow(space.cells, lifted[0], lifted[1:], END_M / space.cell_m)
     against = np.bincount(met, minlength=WALL + 1)
     return BeamCounts(int(explained.sum()), int(against[WALL]), int(against[FREE]), int(against[UNKNOWN]))
 
