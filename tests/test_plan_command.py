@@ -28,7 +28,7 @@ def test_plan_says_where_there_is_no_way_and_what_a_point_is(tmp_path):
     ends = ("--from", "-0.5,-1.5", "--to", "4,-1.5")
     narrow = run(tmp_path, str(tmp_path), *ends, "--radius", "0.4")
     assert isinstance(narrow.exception, ScanweaveError)
-    assert "no way" in str(narrow.exception)
+    assert "no path" in str(narrow.exception)
     assert run(tmp_path, str(tmp_path), "--from", "here", "--to", "4,0").exit_code == 2
 
 

@@ -90,7 +90,7 @@ def diff_maps(
         if one is not None:
             _refuse_unfit(one)
     if (after is None) == (sessions is None):
-        raise ScanweaveError("two maps, or two sessions of one map, can be compared; give one of both")
+        raise ScanweaveError("give two maps, or two sessions of one map")
     if after is None:
         assert sessions is not None
         contents, parts = before.contents, _keyframes_of(before, sessions)

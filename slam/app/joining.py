@@ -100,11 +100,11 @@ def join(
     kind_of(known, str(known.path))
     if out is None and (known.in_memory or known.path.name != MAP_NAME):
         why = "lies in a temporary folder" if known.in_memory else f"is not named {MAP_NAME}"
-        raise MapFileError(f"{known.path} {why}; say with --out (out=) where the joined map goes")
+        raise MapFileError(f"{known.path} {why}; give --out (out=) for the joined map")
     log = opened_by((config or Config()).sensors, log, strict=strict)
     identity = identity_of(log, config or known.config)
     if any(session.log_fingerprint == identity.log_fingerprint for session in known.sessions):
-        raise ScanweaveError(f"{log.path} is in {known.path} already; the map is as it was")
+        raise ScanweaveError(f"{log.path} is already in {known.path}; the map was not changed")
     folder = known.path.parent if out is None else Path(out)
     was_there = folder.exists()
     work = folder / WORK / "session"
@@ -138,7 +138,7 @@ def _connected(log: Dataset, known: Map, session: MapRun, folder: Path) -> tuple
         connection = connect(known, session.map)
         if connection.joined is None:
             raise ScanweaveError(
-                f"{log.path} does not connect to {known.path}: {connection.reason}; the map is as it was"
+                f"{log.path} does not connect to {known.path}: {connection.reason}; the map was not changed"
             )
     except ScanweaveError:
         session.map.close()

@@ -133,8 +133,8 @@ def localize_log(
         wanted = "clouds of a 3D lidar" if saved.contents.clouds else "planar scans"
         wanted += "" if saved.contents.frames is None else ", or frames of its camera"
         raise DatasetError(
-            f"{log.name} holds nothing that can be localised in {saved.path}, which takes {wanted}; see "
-            "'scanweave inspect' for what the log holds"
+            f"{log.name} contains nothing that can be localised in {saved.path}, which needs {wanted}; "
+            "'scanweave inspect' shows what the log contains"
         )
     warning = localizer.warning()
     warnings = () if warning is None else (warning,)

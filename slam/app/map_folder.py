@@ -54,7 +54,7 @@ class Left(Enum):
     NOTHING = "nothing"
     UNFINISHED = "a map that was interrupted"
     FINISHED = "a finished map"
-    DAMAGED = "something that is no whole map"
+    DAMAGED = "not a complete map"
 
 
 def left_in(folder: Path) -> Left:

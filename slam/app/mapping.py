@@ -104,7 +104,7 @@ def run_log(
     if left in (Left.FINISHED, Left.DAMAGED) and not (resume or overwrite):
         raise MapFileError(
             f"{folder / MAP_NAME} is {left.value}; --force (overwrite=True) replaces it, another --out "
-            "(out=) leaves it as it is"
+            "(out=) keeps it"
         )
     return run_into(
         folder, dataset, identity, on_progress=on_progress or silent, resume=resume, record=record

@@ -70,7 +70,7 @@ def merge(
     (2, {})
     """
     if len(maps) < 2:
-        raise ScanweaveError("a merge takes two maps or more")
+        raise ScanweaveError("merge needs at least two maps")
     folder = Path(out)
     if (folder / MAP_NAME).exists() and not overwrite:
         raise MapFileError(f"{folder / MAP_NAME} is a map; --force (overwrite=True) replaces it")
@@ -107,9 +107,9 @@ def _joined(whole: Map, other: Map, folder: Path) -> str:
         if kinds[0] != kinds[1]:
             return f"it is of {kinds[1]}, the first of {kinds[0]}"
         if shared:
-            return f"its log {shared[0]} is in the others already"
+            return f"its log {shared[0]} is already in the others"
         if other.edits:
-            return "it has edits, which the first map alone may have; give it first, or undo them"
+            return "it has edits, which only the first map may have; give it first, or undo them"
         connection = connect(whole, other)
     except ScanweaveError as error:
         return str(error)

@@ -144,7 +144,7 @@ def check_loop(
     (True, [1.0, 0.5, 0.3])
     >>> other = slam.check_loop(seen_from(0, 0, 0), seen_from(1.0, 0.5, 0.3, width_m=9.0))
     >>> other.accepted, other.reason
-    (False, 'no pose in the window scores enough')
+    (False, 'no pose in the window scores high enough')
     """
     config = config or Config()
     loops = config.loops

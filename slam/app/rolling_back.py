@@ -41,7 +41,7 @@ def roll_back(saved: Map | Path | str, sessions: int, *, out: Path | str | None 
     before = len(saved.sessions)
     if not 1 <= sessions < before:
         if before < 2:
-            raise MapFileError(f"{saved.path} has one session: there is none to take back")
+            raise MapFileError(f"{saved.path} has only one session: there is none to remove")
         raise MapFileError(
             f"{saved.path} has {before} sessions; of these 1 to {before - 1} can stay, not {sessions}"
         )

@@ -36,22 +36,22 @@ def map_command(
     log: LogArgument,
     out: Annotated[
         Path | None,
-        typer.Option("--out", "-o", parser=folder_of, help="folder for the results; made where missing"),
+        typer.Option("--out", "-o", parser=folder_of, help="output folder; created if missing"),
     ] = None,
     into: Annotated[
         Path | None,
         typer.Option(
             "--into",
             metavar="MAP",
-            help="add the log to this saved map; with --out the joined map goes there, and MAP stays",
+            help="add the log to this saved map; with --out, write the joined map there and keep MAP",
         ),
     ] = None,
     config: ConfigOption = None,
     set_: SetOption = None,
-    no_odometry: Annotated[bool, typer.Option("--no-odometry", help="ignore the wheels")] = False,
-    no_loops: Annotated[bool, typer.Option("--no-loops", help="close no loops")] = False,
+    no_odometry: Annotated[bool, typer.Option("--no-odometry", help="ignore wheel odometry")] = False,
+    no_loops: Annotated[bool, typer.Option("--no-loops", help="disable loop closure")] = False,
     no_fusion: Annotated[
-        bool, typer.Option("--no-fusion", help="do not let lidar and cameras repair each other")
+        bool, typer.Option("--no-fusion", help="disable the mutual repair of lidar and cameras")
     ] = False,
     strict: StrictOption = False,
     topics: TopicsOption = None,
@@ -59,17 +59,17 @@ def map_command(
     tags: Annotated[
         Path | None,
         typer.Option(
-            help="tags that hang and surveyed places (yaml); without it tags.yaml beside the log, if there"
+            help="tags and surveyed points (yaml); default: tags.yaml next to the log, if there is one"
         ),
     ] = None,
     resume: Annotated[
         bool,
-        typer.Option("--resume", help="go on with the map that an interrupted run has left in the folder"),
+        typer.Option("--resume", help="continue the interrupted run whose map is in the folder"),
     ] = False,
     force: Annotated[bool, typer.Option("--force", help="replace a finished map in the folder")] = False,
     record: RecordOption = None,
 ) -> None:
-    """Map a log: trajectory, graph, grid, report, and all of it in map.db."""
+    """Map a log: write trajectory, pose graph, grid and report, and map.db with everything."""
     overrides = [*(set_ or []), *topics_override(topics)]
     if no_odometry:
         overrides.append("sensors.wheels=false")
@@ -78,11 +78,11 @@ def map_command(
     if no_fusion:
         overrides.append("fusion.enabled=false")
     if into is not None and record is not None:
-        raise typer.BadParameter("--record is for a map of its own, not for one that joins another (--into)")
+        raise typer.BadParameter("--record cannot be combined with --into")
     if into is None and out is None:
-        raise typer.BadParameter("say where the map goes (--out), or which map the log joins (--into)")
+        raise typer.BadParameter("give --out for a new map, or --into to add the log to a saved map")
     if resume and force:
-        raise typer.BadParameter("--resume goes on with what is there, --force replaces it: give one of them")
+        raise typer.BadParameter("--resume continues a map, --force replaces it: give only one of them")
     from slam.config import load_config, with_places
 
     settings = load_config(config, overrides, calibration=calibration)
@@ -127,11 +127,11 @@ def map_log(
         _tell_unfinished(out)
         raise
     if run.report is None:
-        say(f"{run.map.path} is finished already; there is nothing to resume")
+        say(f"{run.map.path} is already finished; there is nothing to resume")
         return run
     _tell(run, f", {time.perf_counter() - started:.1f} s")
     if config.sensors.tags is None and run.report.config.sensors.tags is not None:
-        say(f"used {TAGS_FILE}, which lies beside the log; --tags gives another")
+        say(f"used {TAGS_FILE}, found next to the log; --tags gives another file")
     if run.report.beside.truth is not None:
         rmse = run.report.beside.truth.error.translation_m.rmse
         say(f"{rmse:.4f} m RMSE against the ground truth, rigidly aligned")
@@ -186,7 +186,7 @@ def _beginning(folder: Path, resume: bool) -> str:
 
     left, path = left_in(folder), folder / MAP_NAME
     if left is Left.UNFINISHED:
-        return f"going on with {path}" if resume else f"replacing {path}, which an interrupted run has left"
+        return f"going on with {path}" if resume else f"replacing {path}, left by an interrupted run"
     nothing = resume and left is Left.NOTHING
     return f"nothing to resume in {folder}; mapping from the beginning" if nothing else ""
 
@@ -198,7 +198,7 @@ def _tell_unfinished(folder: Path) -> None:
 
     if left_in(folder) is Left.UNFINISHED:
         path = folder / MAP_NAME
-        tell(f"{path} is not finished; the same command with --resume goes on with it", sys.stderr)
+        tell(f"{path} is not finished; the same command with --resume continues it", sys.stderr)
 
 
 def _tell(run: MapRun, took: str, of: str = "") -> None:

@@ -75,7 +75,7 @@ def align(estimate: Trajectory, truth: Trajectory) -> Alignment:
     T[:3, 3] = truth.positions_m.mean(axis=0) - rotation.apply(points.mean(axis=0))
     if not 2 * mirrored_m < rmse_m:
         return Alignment(T, "se2")
-    why = "a lidar upside down, or an axis or a sign turned round"
+    why = "a lidar mounted upside down, or an inverted axis or sign"
     return Alignment(T, "se2", f"its mirror image fits, to {mirrored_m:.4f} m (RMSE): {why}")
 
 

@@ -136,7 +136,7 @@ def way_data(
         "yaw_sigma": sigmas[1][chosen],
         "speed": speed,
     }
-    told = [] if chosen.step == 1 else [f"The way: {len(part):,} of {count:,} poses, evenly taken."]
+    told = [] if chosen.step == 1 else [f"Trajectory: {len(part):,} of {count:,} poses, evenly sampled."]
     return data, told, chosen
 
 

@@ -70,7 +70,10 @@ def _headline(data: ReportData) -> list[tuple[str, str]]:
         ("log lasts", _duration(data.duration_s)),
         ("wall time", f"{cost.wall_s:,.1f} s"),
         ("CPU time", f"{cost.cpu_s:,.1f} s"),
-        (f"median time a {data.unit}", f"{1e3 * float(np.median(seconds)):.2f} ms" if seconds.size else "–"),
+        (
+            f"median time per {data.unit}",
+            f"{1e3 * float(np.median(seconds)):.2f} ms" if seconds.size else "–",
+        ),
         ("real-time factor", f"{data.duration_s / cost.wall_s:,.1f} ×" if cost.wall_s > 0 else "–"),
         ("peak memory", f"{cost.peak_memory_mb():,.0f} MB"),
     ]

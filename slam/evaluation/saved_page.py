@@ -110,8 +110,8 @@ def _legend(layers: LayeredMap | None) -> str:
     if not lidar_m2:
         return f"{LEGENDS['map']} Free: {free_m2:.1f} m²."
     return (
-        f"{LEGENDS['map']} Light grey is free at the height of the lidar only, no camera saw all heights of "
-        f"the robot there; layers.rule tells whether it may drive there. Free: {free_m2:.1f} m²; at the "
+        f"{LEGENDS['map']} Light grey is free at the height of the lidar only: no camera saw all heights of "
+        f"the robot there. layers.rule decides whether it may drive there. Free: {free_m2:.1f} m²; at the "
         f"height of the lidar only: {lidar_m2:.1f} m²."
     )
 

@@ -239,7 +239,7 @@ def search_place(
         )
         candidate = replace(candidate, score=found.score)
         if not found.found:
-            return candidate.refused("no pose in the window scores enough")
+            return candidate.refused("no pose in the window scores high enough")
         guess = found.pose
     motion = motion_from_alignment(submap.local_map.align(scan, guess), match)
     motion = replace(motion, covariance=motion.covariance * config.caution)
@@ -258,7 +258,7 @@ def _judge(
         return candidate.refused("refinement left the window")
     if motion.degenerate and candidate.half_width_m >= 0.5 * config.reach_m:
         # One corridor looks like another: it confirms a place that is nearly known, and finds none.
-        return candidate.refused("an open direction, and too uncertain a place")
+        return candidate.refused("one direction undetermined, and the place too uncertain")
     return replace(candidate, accepted=True)
 
 

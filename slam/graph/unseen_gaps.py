@@ -16,7 +16,7 @@ from slam.graph.loop_candidate import LoopCandidate
 from slam.graph.relative_uncertainty import UncertaintyGraph
 from slam.measurements import FloatArray
 
-_ALONE = "alone across ground that nothing saw"
+_ALONE = "no other loop across the unobserved gap agrees"
 
 
 class UnseenGaps:

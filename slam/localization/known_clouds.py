@@ -76,7 +76,7 @@ class CloudTiles:
         self._reach_voxels = config.cloud_localization.reach_voxels
         first = next((points for points in known.clouds if len(points)), None)
         if first is None:
-            raise MapFileError("the map's clouds hold no point: nothing can be localised in it")
+            raise MapFileError("the map's clouds contain no point: nothing can be localised in it")
         self.voxel_m = voxel_of(first, config.cloud_odometry)
         self._thickness_m = 0.5 * config.cloud_odometry.thickness_m
         # The two faces of a thin wall are no plane together.

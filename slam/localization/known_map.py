@@ -43,7 +43,7 @@ class Walls:
 
     def __init__(self, known_map: MapContents, config: Config) -> None:
         if not has_walls(known_map):
-            raise MapFileError("the map holds no lidar scan: a scan cannot be localised in it")
+            raise MapFileError("the map contains no lidar scan: a scan cannot be localised in it")
         self.map = known_map
         self._config = config
         self._tile = lru_cache(config.localization.tiles_cached)(self._made)

@@ -75,7 +75,7 @@ class Localizer:
         if not isinstance(known_map, MapContents):
             known_map = opened(known_map).contents
         if start is not None and not known_map.planar:
-            raise MapFileError("the map is not of a floor: leave out the start, the robot is found without")
+            raise MapFileError("a start is for planar maps only: leave it out, the robot is found without it")
         config = config_of(config)
         self._lidar = self._lidar_of(known_map, config, start)
         self._locator: VisualLocator | None = None
@@ -86,8 +86,8 @@ class Localizer:
             self._camera = StateMachine(CameraSensor(self._locator, config), config.localization, start)
         if self._lidar is None and self._camera is None:
             raise MapFileError(
-                "the map holds neither scans nor camera keyframes for the sensors that are switched on; "
-                "see 'scanweave info' for what it holds"
+                "the map contains no scans or camera keyframes for the enabled sensors; "
+                "'scanweave info' shows what it contains"
             )
 
     def add(self, measurement: Measurement | PreparedFrame) -> LocalizerOutput | None:
@@ -131,8 +131,8 @@ class Localizer:
         if self._lidar is None or not self._lidar.copied:
             return None
         return (
-            f"looks alone told where the robot is, and {self._lidar.copied:.0%} of the map's own scans fit "
-            "elsewhere in it, too: the poses may be those of another place; --start tells it"
+            f"the robot was found by appearance alone, and {self._lidar.copied:.0%} of the map's own scans "
+            "match other places of the map, too: the poses may be of another place; give --start"
         )
 
     def _lidar_of(

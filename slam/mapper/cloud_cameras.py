@@ -129,5 +129,5 @@ class CloudCameras:
 
     def unused(self) -> dict[str, str]:
         """Why a camera could not be used, by its name."""
-        why = "beside a 3D lidar the log must tell where a camera sits on the robot"
+        why = "with a 3D lidar, the log must contain the mounting of a camera"
         return dict.fromkeys(self._cameras.unplaced(), why)

@@ -123,7 +123,7 @@ class KeyframeFusion:
             return list(scans), None
         estimate = self._rig.estimate() if len(self._pairs) >= self._config.least_pairs else None
         if estimate is None:
-            note = f"{len(self._pairs)} pairs of scan and image do not tell the rig: nothing was repaired"
+            note = f"{len(self._pairs)} pairs of scan and image do not fix the rig: nothing was repaired"
             return list(scans), FusionSummary(self._pairs, None, note)
         views = list(self._views.items())
         half = len(views) // 2
@@ -195,7 +195,7 @@ def _note(pairs: Sequence[FusionPair], estimate: fusion.RigEstimate) -> str:
     height = f", lidar {-estimate.height_m:.2f} m below the camera"
     filled = counts[fusion.Provenance.FILLED] if np.ndim(counts) else 0
     interpolated = counts[fusion.Provenance.INTERPOLATED] if np.ndim(counts) else 0
-    drift = f"; the last pairs alone differ by {estimate.drift} samples" if estimate.drift else ""
+    drift = f"; the last pairs differ by {estimate.drift} samples" if estimate.drift else ""
     return (
         f"fusion of {len(pairs)} keyframes ({high} of high grade): u = {estimate.u}{height}; "
         f"{filled:,} beams filled, {interpolated:,} interpolated{drift}"

@@ -145,7 +145,7 @@ class PlanarRobot(FrontEnd):
         result.warnings += self._cameras.warnings()
         result.unused |= dict.fromkeys(
             self._cameras.unplaced(),
-            "it is not known where it sits on the robot; it repaired scans only",
+            "its mounting on the robot is unknown; it only repaired scans",
         )
 
     def learned_mountings(self) -> dict[str, LearnedMounting]:

@@ -237,11 +237,11 @@ class CloudLidar(FrontEnd):
         doubts, count = list[str](), f"{self._doubtful:,} of {self._matched:,} clouds"
         if self._unseen:
             doubts.append(
-                f"nothing saw the way of about {', '.join(self._unseen)}: how what follows lies to what was "
-                "before rests on loops or GNSS, and is wrong where those are"
+                f"no sensor observed the motion over about {', '.join(self._unseen)}: only loops "
+                "or GNSS connect the parts before and after, and an error in them misplaces the later part"
             )
         if self._doubtful > _MOST_DOUBTFUL * self._matched:
-            doubts.append(f"{count} fit only in part; their motions count as uncertain")
+            doubts.append(f"{count} match the map only in part; their motions are treated as uncertain")
         return doubts
 
     def _draw_plan(self, result: MapResult) -> None:
@@ -250,10 +250,12 @@ class CloudLidar(FrontEnd):
         thickness_m = self._config.cloud_odometry.thickness_m
         ground = ground_of(self._clouds, self._T_base_lidar, self._tracker.voxel_m, thickness_m)
         if ground is None:
-            result.warnings.append("No grid was built: no ground was seen, and no mounting tells its height")
+            result.warnings.append(
+                "No grid was built: no ground was seen, and its height does not follow from the mounting"
+            )
             return
-        source = "the mounting" if ground.by_mounting else "sight"
-        result.notes.append(f"ground: {ground.height_m:+.2f} m in the base frame, by {source}")
+        source = "the mounting" if ground.by_mounting else "the clouds"
+        result.notes.append(f"ground: {ground.height_m:+.2f} m in the base frame, from {source}")
         try:
             poses = [spatial(pose) for pose in result.map.node_poses]
             reach_m = self._config.cloud_map.plan_range_m

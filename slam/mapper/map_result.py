@@ -111,7 +111,7 @@ def drawn(found: MapContents, config: Config) -> tuple[MapContents, list[str]]:
                 # A camera calls free what it sees through glass.
                 grids[OCCUPANCY] = with_glass(lidar, found.keyframe_scans, found.keyframe_poses, settled)
         except ScanweaveError as error:
-            warnings.append(f"No depth layer was drawn, the map is the lidar's alone: {error}")
+            warnings.append(f"No depth layer was drawn; the map is from the lidar only: {error}")
     return replace(found, grids=grids), warnings
 
 

@@ -203,7 +203,7 @@ class Mapper:
     def _keyframes(self) -> KeyframeGraph:
         """The graph, once there is a keyframe."""
         if self._graph is None:
-            raise DatasetError("nothing in the log can be mapped; see 'scanweave inspect' for what it holds")
+            raise DatasetError("nothing in the log can be mapped; 'scanweave inspect' shows what it contains")
         return self._graph
 
     def _add_keyframe(self, tracked: Tracked) -> None:

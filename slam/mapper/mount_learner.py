@@ -80,11 +80,11 @@ class MountLearner:
     def note(self, camera: str) -> str:
         """What was found, in one line for people."""
         if self.result is None:
-            return f"{camera}: mounting unknown, {len(self._pairs)} motions are too few to learn it"
+            return f"{camera}: mounting unknown; {len(self._pairs)} motions are too few to estimate it"
         body = self.result.T_base_camera.compose(T_BODY_CAMERA.inverse())
         turn = np.degrees(body.rotation().rpy())
         text = (
-            f"{camera}: mounting learned from {len(self._pairs)} motions: "
+            f"{camera}: mounting estimated from {len(self._pairs)} motions: "
             f"x {body.x():.3f} m, y {body.y():.3f} m, "
             f"yaw {turn[2]:.2f}, pitch {turn[1]:.2f}, roll {turn[0]:.2f} degrees"
         )

@@ -201,8 +201,8 @@ class _Run:
                 self._on_step("mapping", mapper.scan_count)
         if mapper.scan_count == 0:
             raise DatasetError(
-                f"{self._dataset.name} holds no scan or frame that can be mapped; "
-                "see 'scanweave inspect' for what it holds"
+                f"{self._dataset.name} contains no scan or frame that can be mapped; "
+                "'scanweave inspect' shows what it contains"
             )
         if ahead is not None:
             ahead.end()

@@ -196,20 +196,20 @@ class PlanarWay:
             result.notes.append(self._wheels.clock.note("wheels", "lidar"))
         if self._wheels is not None and self._wheels.dead and self._wheels_name:
             result.warnings.append(
-                "The wheels report no motion where the robot has moved; they were left out"
+                "The wheel odometry reports no motion while the robot moves; it is not used"
             )
-            result.unused[self._wheels_name] = "they report no motion where the robot has moved"
+            result.unused[self._wheels_name] = "it reports no motion while the robot moves"
         if self._unexplained_s:
             at_s, count = self._unexplained_s[0] - self.readings.scan_stamps_s()[0], len(self._unexplained_s)
             result.warnings.append(
-                f"At {at_s:.1f} s a scan fits nothing that was seen there (such scans: {count}), and the "
-                "wheels say that the robot hardly moved: it was carried, or something stood around it; if it "
-                "was carried, what follows lies wrong until a loop joins it"
+                f"At {at_s:.1f} s a scan does not match what was seen there before ({count} such scans), "
+                "although the wheels report hardly any motion: it was carried, or its view was blocked. "
+                "If it was carried, the map after this moment is misplaced until a loop corrects it"
             )
         if self._gyro is not None:
             result.notes += self._gyro.notes()
             if self._gyro.unfit:
-                why = "its turns are not those of the lidar: a wrong axis, sign, unit or clock"
+                why = "its rotation does not agree with the lidar's: a wrong axis, sign, unit or clock"
                 result.unused[self._gyro.sensor] = why
                 result.warnings.append(f"{self._gyro.sensor} is not used: {why}")
 

@@ -164,5 +164,5 @@ class FreeCamera(FrontEnd):
         if self._imu is None or self._camera is None:
             return
         if reading.T_base_imu is None:
-            raise UnfitImuError(reading.sensor, "nothing tells how it sits beside the camera")
+            raise UnfitImuError(reading.sensor, "its pose relative to the camera is unknown")
         self._imu.add(replace(reading, T_base_imu=self._T_camera_base.compose(reading.T_base_imu)))

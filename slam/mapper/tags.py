@@ -138,7 +138,7 @@ class PlaceAnchors:
             f"tags: {len(tags)} in {finder.images} images, {fit} of {views} views fit, {len(edges)} edges "
             f"between keyframes that saw the same; corners are {sigma_px:.2f} px off"
         )
-        self.warnings += [f"Tag {number} hangs at several places at once; it is not used" for number in twice]
+        self.warnings += [f"Tag {number} was seen at several places; it is not used" for number in twice]
         graph.graph.begin_with([*outcome.kept, *[True] * len(edges)])
         return graph.optimize(inlier_probability)
 

@@ -150,7 +150,7 @@ class YawGyro:
         wanders = math.degrees(half_interval(bias[1]))
         known = (
             f"{self.sensor}: its gyroscope is {math.degrees(bias[0]):+.3f} +- {wanders:.3f} degrees/s off, "
-            f"its turns {share[0]:+.1%} +- {half_interval(share[1]):.1%} too large (95 %)"
+            f"its rotation {share[0]:+.1%} +- {half_interval(share[1]):.1%} too large (95 %)"
         )
         clock = self._clocks.clock
         return [known, *([clock.note(self.sensor, "lidar")] if clock.known else [])]

@@ -203,7 +203,7 @@ class ImuTracker:
             return
         off_m_s2 = float(np.linalg.norm(smoother.state.bias.accelerometer()))
         if off_m_s2**2 > gate(3) * FORCE_BIAS_M_S2**2:
-            why = f"its forces are {off_m_s2:.1f} m/s^2 off those of the way that was seen"
+            why = f"its forces are {off_m_s2:.1f} m/s^2 off what the trajectory implies"
             raise UnfitImuError(self._sensor, f"{why}: a wrong mounting, clock or unit")
 
     def restart(self) -> None:
@@ -242,7 +242,7 @@ class ImuTracker:
             return [], {}
         state, gravity = self.state, self.gravity()
         if state is None or gravity is None:
-            why = "velocity and gravity were not found; it needs a second of matches"
+            why = "velocity and gravity could not be initialised; that needs a second of matches"
             return [], {self._sensor: why} if self._states < FEWEST else {}
         gyro, force = np.abs(state.bias.gyroscope()).max(), np.abs(state.bias.accelerometer()).max()
         notes = [
@@ -297,7 +297,7 @@ class ImuTracker:
         """Whether the lidar and the gyroscope tell the same turns; where mostly not, the IMU is left out."""
         self._agree.append(alike(seen, state.pose.between(state.carried(whole)[0])))
         if len(self._agree) == 2 * FEWEST and sum(self._agree) < FEWEST:
-            why = "its turns are not those that were seen: a wrong mounting, clock or unit"
+            why = "its rotation does not agree with the lidar's: a wrong mounting, clock or unit"
             raise UnfitImuError(self._sensor, why)
 
     def _lose(self) -> None:

@@ -71,9 +71,7 @@ def connect(known: Map, session: Map) -> Connection:
     loops = _find_loops(known, session, placing, sides[1], config)
     accepted = sum(loop.accepted for loop in loops)
     if accepted < _LEAST_LOOPS:
-        reason = (
-            f"only {accepted} of {len(loops)} readings match the map where they should, {_LEAST_LOOPS} must"
-        )
+        reason = f"only {accepted} of {len(loops)} readings match the map there; {_LEAST_LOOPS} are needed"
         return Connection(placing, loops, None, reason)
     joined = join(known, session, placing, loops, config)
     if joined.loops_kept < max(_LEAST_LOOPS, 0.5 * joined.loops_between):
@@ -124,13 +122,13 @@ def _readings(contents: MapContents) -> Iterator[Hashable]:
 def _unplaced(placing: Placing) -> str:
     """Why a placing is not certain."""
     if not placing.anchors:
-        return "no place of it was recognised in the map"
+        return "none of its places was recognised in the map"
     if placing.nats < placing.least_nats:
         return (
             f"the evidence for its likeliest place in the map is {placing.nats:.1f} nats, "
             f"{placing.least_nats:.1f} are needed"
         )
     return (
-        f"two places in the map are alike, with evidence of {placing.nats:.1f} and "
+        f"two places in the map look alike, with evidence of {placing.nats:.1f} and "
         f"{placing.rival_nats:.1f} nats"
     )

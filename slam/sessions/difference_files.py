@@ -24,14 +24,14 @@ _COLORS = {"went": RED, "appeared": BLUE, "moved": ORANGE}
 def difference_text(things: Sequence[ChangedThing], passing: int, found: Comparison) -> str:
     """A line a thing, and what could be compared at all."""
     both, first, second = found.seen_m2()
-    lines = [_line(thing) for thing in things] or ["nothing has changed where both have looked"]
+    lines = [_line(thing) for thing in things] or ["nothing changed in the area that both visits saw"]
     if passing:
         lines.append(
-            f"not counted: {passing} that were met at times only or briefly, as people and glass are"
+            f"not counted: {passing} that were seen only briefly or intermittently, such as people and glass"
         )
     lines.append(
-        f"compared {both:.1f} m2 that both have seen; {first:.1f} m2 only the first has, {second:.1f} m2 "
-        "only the second"
+        f"compared {both:.1f} m2 that both visits saw; {first:.1f} m2 only the first saw, {second:.1f} m2 "
+        "only the second saw"
     )
     return "\n".join(lines)
 
@@ -107,7 +107,7 @@ def difference_picture(things: Sequence[ChangedThing], found: Comparison) -> byt
 def _line(thing: ChangedThing) -> str:
     """A thing in words."""
     length_m, width_m = thing.size_m
-    size = f"a thing of {length_m:.1f} x {width_m:.1f} m"
+    size = f"an object of {length_m:.1f} x {width_m:.1f} m"
     places = [f"({x:.1f}, {y:.1f})" for x, y in thing.places_m]
     if thing.what == "moved":
         told = f"moved {thing.moved_m:.1f} m: {size} from {places[0]} to {places[1]}"

@@ -146,7 +146,7 @@ def test_another_building_leads_to_no_pose(mapped: tuple[MapContents, FloatArray
 
 
 def test_a_map_without_what_the_sensors_need_is_refused(mapped: tuple[MapContents, FloatArray]) -> None:
-    with pytest.raises(MapFileError, match="neither scans nor camera keyframes"):
+    with pytest.raises(MapFileError, match="no scans or camera keyframes"):
         Localizer(mapped[0], load_config(None, ["sensors.lidar=false"]))
 
 
@@ -237,7 +237,7 @@ def test_looks_alone_are_not_believed_where_places_look_alike(
         said = [output for output in map(localizer.add, other.log[:200]) if output is not None]
         surest = max(output.confidence for output in said if output.state is State.TRACKING)
         assert (0.15 < surest <= 0.2) if told else surest > 0.9
-        assert told == ("80% of the map's own scans fit elsewhere" in (localizer.warning() or ""))
+        assert told == ("80% of the map's own scans match other places" in (localizer.warning() or ""))
 
 
 def test_own_scans_are_asked_from_all_of_the_way(mapped: tuple[MapContents, FloatArray]) -> None:

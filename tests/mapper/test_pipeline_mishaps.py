@@ -108,7 +108,7 @@ class TestMishaps:
         log = edited(
             short_log, tmp_path / "wheels.log", lambda number, fields: [fields] * (fields[0] == "ODOM")
         )
-        with pytest.raises(DatasetError, match="wheels holds no scan or frame"):
+        with pytest.raises(DatasetError, match="wheels contains no scan or frame"):
             run(log)
 
     def test_in_the_open_the_wheels_carry_on(self, short_log: SyntheticLog, tmp_path: Path) -> None:
@@ -180,8 +180,8 @@ class TestMishaps:
     @pytest.mark.parametrize(
         ("took_s", "told"),
         [
-            (10.0, "No scan or image was placed"),
-            (0.0, "At 4.4 s a scan fits nothing that was seen there (such scans: 1)"),
+            (10.0, "No scan or image was matched"),
+            (0.0, "At 4.4 s a scan does not match what was seen there before (1 such scans)"),
         ],
     )
     def test_a_robot_carried_away_unseen(
