@@ -139,6 +139,8 @@ class FaultySteps:
     @cached_property
     def loose(self) -> UncertaintyGraph:
         """How uncertain keyframes are of each other where all steps that wheels alone tell may be wrong."""
+        if not self.lone.unseen.any():
+            return self.known
         alone = (e.kind is EdgeKind.WHEEL and self.lone.unseen[e.source : e.target].any() for e in self.held)
         held = (edge for edge, one in zip(self.held, alone, strict=True) if not one)
         return graph_of(len(self.poses), held, self._numbers)
@@ -187,7 +189,7 @@ class FaultySteps:
         found = math.inf, self.poses
         if not np.isfinite(known.covariance).all():
             return found
-        for loosely, alone in product((False, True), (True, False)):
+        for loosely, alone in product({False, self.loose is not self.known}, (True, False)):
             paid = self._gate * loosely
             if self._gate < (left := min(most, found[0]) - paid):
                 bounded = self._bounded_loosely if loosely else self._bounded
