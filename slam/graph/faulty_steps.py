@@ -189,9 +189,10 @@ class FaultySteps:
         found = math.inf, self.poses
         if not np.isfinite(known.covariance).all():
             return found
-        for loosely, alone in product({False, self.loose is not self.known}, (True, False)):
+        for loosely, alone in product((False, True), (True, False)):
             paid = self._gate * loosely
-            if self._gate < (left := min(most, found[0]) - paid):
+            left = min(most, found[0]) - paid
+            if self._gate < left and not (loosely and self.loose is self.known):
                 bounded = self._bounded_loosely if loosely else self._bounded
                 cost, poses = self._chosen(start, end, known, claim, bounded, alone, left)
                 found = min(found, (paid + cost, poses), key=lambda one: one[0])
