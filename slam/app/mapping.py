@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from slam.app.map_folder import Left, left_in
 from slam.app.map_run import MapRun, run_into
@@ -16,10 +17,12 @@ from slam.datasets.dataset import Dataset
 from slam.datasets.opening import opened_by
 from slam.errors import MapFileError
 from slam.measurements import Measurement
-from slam.outputs.finished_map import Map
 from slam.storage.map_file import MAP_NAME
 from slam.storage.map_identity import MapIdentity, identity_of
 from slam.temporary import TemporaryFolder
+
+if TYPE_CHECKING:
+    from slam.outputs.finished_map import Map
 
 
 def map_log(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -22,13 +23,13 @@ from slam.mapper.scan_record import CameraRecord
 from slam.measurements import FloatArray
 
 
-def write_report(path: Path, data: ReportData, head: dict[str, Any] | None = None) -> None:
+def write_report(path: Path, data: ReportData, head: Callable[[], Any] = lambda: None) -> None:
     """Write the report as one HTML file that asks nothing of the network.
 
     Parameters
     ----------
     head
-        `map_data` of the map without its digest, where it is there already.
+        Tells `map_data` of the map without its digest, or None; asked when all else is there.
 
     Raises
     ------
@@ -36,8 +37,9 @@ def write_report(path: Path, data: ReportData, head: dict[str, Any] | None = Non
         Where the folder is missing, not writable or full; an older report then stays as it was.
     """
     result = data.result
-    truth, page = data.beside.truth, _page(data, head)
-    degenerate = result.scans.degenerate[result.map.readings] > 0.0
+    truth, degenerate = data.beside.truth, result.scans.degenerate[result.map.readings] > 0.0
+    loops = loop_section(result.map, data.config, int(np.count_nonzero(degenerate)))
+    page = _page(data, head())
     write_page(
         path,
         "map.html",
@@ -52,7 +54,7 @@ def write_report(path: Path, data: ReportData, head: dict[str, Any] | None = Non
         camera_rows=[_camera_cells(name, record) for name, record in result.cameras.items()],
         truth=truth,
         truth_deg=0.0 if truth is None else math.degrees(truth.error.rotation_rad.rmse),
-        loops=loop_section(result.map, data.config, int(np.count_nonzero(degenerate))),
+        loops=loops,
         stages=_stages(data),
         effective_config=dump_config(data.config),
     )

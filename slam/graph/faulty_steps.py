@@ -139,6 +139,8 @@ class FaultySteps:
     @cached_property
     def loose(self) -> UncertaintyGraph:
         """How uncertain keyframes are of each other where all steps that wheels alone tell may be wrong."""
+        if not self.lone.unseen.any():
+            return self.known
         alone = (e.kind is EdgeKind.WHEEL and self.lone.unseen[e.source : e.target].any() for e in self.held)
         held = (edge for edge, one in zip(self.held, alone, strict=True) if not one)
         return graph_of(len(self.poses), held, self._numbers)
@@ -189,7 +191,8 @@ class FaultySteps:
             return found
         for loosely, alone in product((False, True), (True, False)):
             paid = self._gate * loosely
-            if self._gate < (left := min(most, found[0]) - paid):
+            left = min(most, found[0]) - paid
+            if self._gate < left and not (loosely and self.loose is self.known):
                 bounded = self._bounded_loosely if loosely else self._bounded
                 cost, poses = self._chosen(start, end, known, claim, bounded, alone, left)
                 found = min(found, (paid + cost, poses), key=lambda one: one[0])

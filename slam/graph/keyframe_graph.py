@@ -114,9 +114,10 @@ class KeyframeGraph:
     def pieces(self, kept: BoolArray, reach_m: float) -> NDArray[np.int64]:
         """(n,) piece of each keyframe by the edges (E,) that are kept; between two nothing beats a guess."""
         edges, count, lost_m = self.graph.edges, len(self), self._config.lost_sigma_m
-        parts = np.append(0, np.cumsum(lone_steps(edges, kept, count, lost_m).unseen[:-1]))
+        found = lone_steps(edges, kept, count, lost_m)
+        parts = np.append(0, np.cumsum(found.unseen[:-1]))
         tied = _tied(edges, kept, parts, self.rows(), 2.0 * reach_m)
-        return lone_steps(edges, kept & tied, count, lost_m).pieces
+        return (found if tied[kept].all() else lone_steps(edges, kept & tied, count, lost_m)).pieces
 
     def optimize(self, inlier_probability: float) -> BatchResult:
         """Solve everything anew; a loop that disagrees with the others is marked as refused."""

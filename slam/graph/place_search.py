@@ -114,7 +114,7 @@ class PlaceSearch:
             self._corrected = False
         if believed := self._believed(poses, known):
             return believed
-        for chain in (known, faulty.loose):
+        for chain in dict.fromkeys((known, faulty.loose)):
             asked = [
                 (place, number)
                 for number in stretches.untied(loops)

@@ -62,7 +62,9 @@ class Ahead:
         if stamp_s != measurement.stamp_s:
             raise LostError
         for answer in answers:
-            self._checkpoint.keep(answer)
+            self._checkpoint.keep(pack(answer))
+        if isinstance(motion, int):
+            motion = answers[motion][2]
         if step is not None:
             moved, edges, points, normals, seen = step
             # Of `_plain` values.
@@ -174,7 +176,10 @@ class Forerunner:
                 edges = [_plain(edge) for edge in found.edges]
                 step = found.step, edges, found.surface.points, found.surface.normals, found.seen
                 key += 1
-            tell(pack((moment.stamp_s, moment.pose, moment.motion, answers.found, step)))
+            # A match is told once: as the number of the answer that it is.
+            which = (n for n, (_, _, answer) in enumerate(answers.found) if answer is moment.motion)
+            motion = None if moment.motion is None else next(which, moment.motion)
+            tell(pack((moment.stamp_s, moment.pose, motion, answers.found, step)))
             answers.found = []
         tell(pickle.dumps(way.learned(), pickle.HIGHEST_PROTOCOL))
 
@@ -208,12 +213,12 @@ class _Answers:
     """What took time, as a checkpoint keeps it; see `slam.result_cache.ResultCache`."""
 
     def __init__(self) -> None:
-        self.found: list[bytes] = []
+        self.found: list[tuple[str, float, Any]] = []
 
     def cached(self, question: str, key: float, compute: Callable[[], T]) -> T:
         """Compute it, and note it."""
         answer = compute()
-        self.found.append(pack((question, float(key), answer)))
+        self.found.append((question, float(key), answer))
         return answer
 
 

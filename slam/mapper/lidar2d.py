@@ -5,14 +5,16 @@ from __future__ import annotations
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from functools import cached_property
 from typing import Any
 
 import gtsam
 import numpy as np
 
 from slam.config import Config
+from slam.forked import Begun
 from slam.graph.edge import Edge
-from slam.graph.keyframe_graph import KeyframeGraph
+from slam.graph.keyframe_graph import KeyframeGraph, row_of
 from slam.graph.loop_candidate import LoopCandidate
 from slam.graph.loop_closure import LoopCloser
 from slam.graph.place_search import PlaceSearch
@@ -20,15 +22,16 @@ from slam.heap import end_stage
 from slam.mapper.camera_keyframes import CameraKeyframes
 from slam.mapper.checkpoint import Checkpoint
 from slam.mapper.forerunner import Ahead
-from slam.mapper.keyframe_fusion import KeyframeFusion
+from slam.mapper.keyframe_fusion import FusionSummary, KeyframeFusion
 from slam.mapper.keyframe_store import registration_notes
 from slam.mapper.map_result import MapResult
 from slam.mapper.mount_learner import LearnedMounting
 from slam.mapper.planar_way import Moment, PlanarWay, Step, Steps
 from slam.mapper.protocol import FrontEnd, Tracked
+from slam.mapping.keyframe_grid import lidar_grids
 from slam.mapping.moving_things import MovingThings
 from slam.matching.local_map import OrientedPoints
-from slam.measurements import BoolArray, LaserScan, Pose, pose2_from_row
+from slam.measurements import BoolArray, FloatArray, LaserScan, Pose, pose2_from_row
 from slam.odometry import STANDARD, Odometries
 from slam.spool import ArraySpool
 from slam.vision.color_registration import ColorRegistration
@@ -68,6 +71,9 @@ class PlanarRobot(FrontEnd):
         self._keyframe_scans: list[LaserScan | None] = []
         self._kept = ArraySpool()
         self._travelled_m = 0.0
+        self._fused: FusionSummary | None = None
+        # Poses (K, 3) of keyframes that may be the last, and who draws the grids by them.
+        self._drawn: tuple[FloatArray, Begun | None] = np.zeros((0, 3)), None
 
     def observe(self, measurement: Any) -> Tracked | None:
         """Take the next measurement; where the robot is then, if it tells that."""
@@ -120,28 +126,32 @@ class PlanarRobot(FrontEnd):
         self._pictures.settle(graph, self.readings.scan_stamps_s()[self.readings.keyframe_scans()])
 
     def search_again(self, graph: KeyframeGraph, kept: BoolArray) -> list[LoopCandidate]:
-        """Places all over the map."""
+        """Places all over the map; mostly there are none, so that the grids may be drawn meanwhile."""
+        if not len(self._drawn[0]) and not self._cameras.cameras:
+            poses, scans = np.array([row_of(pose) for pose in graph.poses()]), self._keyframe_scans
+            self._drawn = poses, Begun(lambda: lidar_grids(self._still, poses, self._config, scans))
         stamps_s = self.readings.scan_stamps_s()[self.readings.keyframe_scans()]
         found = self._places.search(graph.rows(), stamps_s, graph.graph.edges, kept, graph.loops)
-        if not found:
+        if found:
+            self._drawn = self._drawn[0], None
+        else:
             del self._places, self._closer, self._kept  # it was the last search: what they know is large
             end_stage()
         return found
 
     def complete(self, result: MapResult) -> None:
         """The repaired scans, and the grids that scans and images draw."""
-        started, scans = time.perf_counter(), self._keyframe_scans
+        started = time.perf_counter()
         result.notes += [*registration_notes(self._registrations), *self._cameras.notes()]
         self._way.tell(result)
-        if self._fusion is not None:
-            scans, result.fused = self._fusion.repair(scans)
-            result.notes += [] if result.fused is None else [result.fused.note]
-        scans = self._moving.taken_from(scans)
-        del self._moving  # it knows much of a long log, and nobody asks it any more
+        scans, result.fused = self._still, self._fused
+        result.notes += [] if result.fused is None else [result.fused.note]
         result.stage_seconds["fusion"] = time.perf_counter() - started
         result.add_cameras(self._cameras.records(self._registrations), self._pictures.frames)
         result.map = replace(result.map, measured_scans=self._keyframe_scans, keyframe_scans=scans)
-        result.draw(self._config)
+        poses, grids = self._drawn
+        result.draw(self._config, grids if np.array_equal(poses, result.map.keyframe_poses) else None)
+        del self._drawn
         result.warnings += self._cameras.warnings()
         result.unused |= dict.fromkeys(
             self._cameras.unplaced(),
@@ -151,3 +161,13 @@ class PlanarRobot(FrontEnd):
     def learned_mountings(self) -> dict[str, LearnedMounting]:
         """Where cameras sit that the log does not tell, as far as this run has shown."""
         return self._cameras.learned_mountings()
+
+    @cached_property
+    def _still(self) -> list[LaserScan | None]:
+        """The scans of the keyframes, repaired, without what moves."""
+        scans: Sequence[LaserScan | None] = self._keyframe_scans
+        if self._fusion is not None:
+            scans, self._fused = self._fusion.repair(scans)
+        still = self._moving.taken_from(scans)
+        del self._moving  # it knows much of a long log, and nobody asks it any more
+        return still

@@ -139,6 +139,7 @@ class Mapper:
         result.stage_seconds["final optimisation"] = clock[1] - clock[0]
         front_end.complete(result)
         clock.append(time.perf_counter())
+        pieces = graph.pieces(outcome.kept, self._config.loops.reach_m)
         end_stage()
         of_keyframes = told()
         give_back()
@@ -147,7 +148,6 @@ class Mapper:
         result.stage_seconds["map"] = clock[2] - clock[1] - result.stage_seconds.get("fusion", 0.0)
         result.stage_seconds["full trajectory"] = time.perf_counter() - clock[2]
         self._tell(result)
-        pieces = graph.pieces(outcome.kept, self._config.loops.reach_m)
         result.warnings += apart(pieces, way.stamps_s - result.scans.stamps_s[0])
         result.warnings += unseen(result.map.trajectory, readings.placed(), covariances, self._config)
         return result

@@ -54,7 +54,7 @@ def build_map(
     config
         The effective configuration.
     on_step
-        Called with the stage, ``mapping`` or ``optimising``, and the number of scans and frames so far.
+        Called with the stage, ``begun``, ``mapping`` or ``optimising``, and how many scans and frames so far.
     checkpoint
         Keeps what a run finds out, so that it can go on where it was interrupted; None keeps nothing.
     odometries
@@ -116,6 +116,8 @@ class _Run:
         """Hand the whole log to a mapper; how much of it there was."""
         self._clock += [time.perf_counter()] * 2
         self._run_ahead(self._registrations)
+        if self._on_step:
+            self._on_step("begun", 0)
         mapper, tally = self._whole_way()
         if not self._mountings and (mountings := mapper.learned_mountings()):
             # The way up to there was mapped without these cameras; now they are known from its beginning.

@@ -86,12 +86,13 @@ class WheelTracker:
     @property
     def clock_was_used(self) -> bool:
         """Whether a pose was ever read at another time than the stamps tell."""
-        return bool(self._ahead_s or self._T_odom_read.any())
+        return bool(self._ahead_s or np.count_nonzero(self._T_odom_read))
 
     def learn_clock(self, lidar: Turns, *, final: bool = False) -> None:
         """Estimate the clock anew where that is due; the poses go on from the one last asked for."""
+        known = self.clock
         self._clocks.learn(lidar, final=final)
-        if self.clock.significant_s == self._ahead_s:
+        if self.clock is known or self.clock.significant_s == self._ahead_s:
             return
         before = self.pose_at(self._asked_s)
         self._ahead_s = self.clock.significant_s

@@ -270,3 +270,9 @@ def test_where_measurements_contradict_each_other_both_are_in_doubt() -> None:
     assert len(held) == 2
     assert all(np.sqrt(edge.covariance[2, 2]) > 0.9 for edge in held)
     assert believed_edges([match], np.array([True]), poses) == [match]
+
+
+def test_where_wheels_alone_tell_no_step_none_is_looser_than_known() -> None:
+    matched, by_wheels = (judge(edges, np.arange(float(COUNT))) for edges in (chain(()), chain()))
+    assert matched.loose is matched.known
+    assert by_wheels.loose is not by_wheels.known
