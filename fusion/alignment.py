@@ -1,8 +1,8 @@
-"""The rigid motion of the plane between a lidar curve and an image's curve, over any number of pairs.
+"""Planar rigid transform between a lidar curve and an image's curve, estimated over any number of pairs.
 
-Index against index, as Xu2024 Eq. (5) pairs them, a camera before or behind the lidar meets another point of
-the same wall. Here each camera point is moved into the lidar's frame and compared with the lidar curve at
-its own bearing, along the wall's normal (point to line), until nothing changes.
+If samples are paired by index, as in Xu2024 Eq. (5), a camera in front of or behind the lidar is paired with
+another point of the same wall. Here each camera point is moved into the lidar's frame and compared with the
+lidar curve at its own bearing, along the normal of the wall (point to line), until convergence.
 """
 
 # mypy: allow-untyped-decorators

@@ -1,7 +1,7 @@
-"""Bayes fusion of two occupancy grids: Li2020 Eq. (7)-(10), Table 3, and a rule of greater care.
+"""Bayesian fusion of two occupancy grids: Li2020 Eq. (7)-(10), Table 3, and a more cautious rule.
 
-Evidence is kept as log-odds, log(p / (1 - p)): there Eq. (8) and Eq. (10) are sums, so that their order
-means nothing. 0 is unknown.
+Evidence is stored as log-odds, log(p / (1 - p)). In this form Eq. (8) and Eq. (10) are sums, so their order
+does not matter. 0 is unknown.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
-"""Numba behind `fusion.kernel`: where compiled code is kept, and by what it is still the right one.
+"""Numba behind `fusion.kernel`: where compiled code is stored, and how to check that it is up to date.
 
-Apart from the decorator, for numba takes long to load: this file is imported when a kernel is first called.
+It is separate from the decorator because numba loads slowly: it is imported when a kernel is first called.
 """
 
 from __future__ import annotations

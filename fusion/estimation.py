@@ -1,4 +1,4 @@
-"""What all estimates share: one gate, one robust scale, and when a sum is too small or a step too short."""
+"""Constants that all estimates share: gate, robust scale, and limits for small sums and short steps."""
 
 from __future__ import annotations
 

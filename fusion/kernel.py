@@ -1,10 +1,10 @@
-"""The decorator of the compiled kernels: numba compiles one when it is first called, and keeps the code.
+"""Decorator of the compiled kernels: numba compiles a kernel at its first call and stores the code.
 
-The code is kept where numba keeps it: in the folder that ``NUMBA_CACHE_DIR`` names, else beside the source,
-else in the user's cache folder. Three things are done better here. Numba itself is loaded when the first
-kernel is called. It compiles a kernel anew where its own file has changed; here also where a kernel or a
-constant has that it takes from another file. And where no folder can be written to, numba gives up; here it
-is said once, and every run compiles anew.
+Numba stores the code in the folder that ``NUMBA_CACHE_DIR`` names, else next to the source, else in the
+user's cache folder. This decorator improves three things. It loads numba at the first call of a kernel. Numba
+recompiles a kernel if its own file changed; here also if a kernel or constant that it imports from another
+file changed. And if no folder is writable, numba stops with an error; here the user is told once, and every
+run compiles again.
 """
 
 from __future__ import annotations

@@ -1,10 +1,10 @@
-"""How well two metric curves explain each other: a robust likelihood ratio, ours.
+"""Robust likelihood ratio of two metric curves: how well they explain each other. It is our own measure.
 
-PCC lets any two curves that rise and fall together match, at any scale; Eq. (4) lets a few samples that see
-different things decide. Where both curves are metric one can ask more: what speaks for "the same surface"
-against "any two surfaces of a home", sample by sample, with a floor so that no sample decides? The sum over
-samples also weighs how many there are. The sensors need not be in one place: the camera may stand before or
-behind the lidar by any of a few offsets.
+PCC matches any two curves that rise and fall together, at any scale; in Eq. (4) a few samples that see
+different things decide. If both curves are metric, a stricter test is possible: the evidence for "the same
+surface" against "any two surfaces of a home", sample by sample, with a floor so that no single sample
+decides. The sum over samples also takes their number into account. The sensors may be in different places:
+the camera may be in front of or behind the lidar by one of a few offsets.
 """
 
 # mypy: allow-untyped-decorators

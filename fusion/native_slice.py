@@ -1,5 +1,5 @@
 # mypy: allow-untyped-decorators
-"""The slice of a depth image at one known height, and the pixels about it, at the image's own resolution."""
+"""Slice of a depth image at one known height, and the pixels around it, at the resolution of the image."""
 
 from __future__ import annotations
 

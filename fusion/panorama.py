@@ -1,7 +1,7 @@
-"""Depth images as panoramas: ranges over equal bearings and slopes, and the curves cut from them.
+"""Depth images as panoramas: ranges at equal bearings and slopes, and the curves cut from them.
 
-A pin-hole camera's columns are not equally spaced in angle, its pixels are depths and not ranges, and a
-tilted or turned one has no level rows. A panorama has all three put right: column k looks along one bearing,
+The columns of a pinhole camera are not equally spaced in angle, its pixels are depths and not ranges, and a
+tilted or rotated camera has no level rows. A panorama corrects all three: column k looks along one bearing,
 row v along one slope (the tangent of the elevation), so a point of range r in row v is ``slope * r`` above
 the camera.
 """

@@ -1,7 +1,7 @@
 # mypy: allow-untyped-decorators
-"""How likely what a repair puts in is right: logistic regression on what can be measured around it.
+"""Probability that a repaired value is right: logistic regression on features measured around it.
 
-``python tools/learn_repair_odds.py`` learns the weights, from simulated homes that no figure is told of.
+``python tools/learn_repair_odds.py`` learns the weights from simulated homes that no figure is measured on.
 """
 
 from __future__ import annotations

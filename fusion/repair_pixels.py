@@ -1,5 +1,5 @@
 # mypy: allow-untyped-decorators
-"""The decisions on single pixels of a depth image, by what the lidar sees."""
+"""Repair decisions for single pixels of a depth image, from what the lidar sees."""
 
 from __future__ import annotations
 

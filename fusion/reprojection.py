@@ -1,4 +1,4 @@
-"""A curve of one sensor as the other would see it, and which readings a curve's own neighbours support."""
+"""Reproject a curve of one sensor into the other, and find readings that their own neighbours support."""
 
 # mypy: allow-untyped-decorators
 from __future__ import annotations

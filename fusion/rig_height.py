@@ -1,8 +1,8 @@
-"""At which height above the camera the lidar's plane lies, over many pairs.
+"""Height of the lidar's plane above the camera, estimated over many pairs.
 
-The mean likelihood of a height will not do: the heights are seen in different places (what is low, from afar
-only), and some places are easier. So heights are compared two by two over the samples that both have, and one
-value a height is fitted to all these differences.
+The mean likelihood of a height is not usable: different heights are seen in different places (low ones only
+from afar), and some places are easier. So heights are compared in pairs over the samples that both have, and
+one value per height is fitted to all these differences.
 """
 
 # mypy: allow-untyped-decorators

@@ -1,4 +1,4 @@
-"""The turn and shift between matched points of two curves, some of which are noise; for Xu2024 Eq. (5).
+"""Rotation and translation between matched points of two curves, some of which are noise; Xu2024 Eq. (5).
 
 Points are rows (x, y) here and matrices act on columns; the paper's ``L A = D`` is this with A transposed.
 """

@@ -1,4 +1,4 @@
-"""How records show themselves: in a shell by one line, in a notebook by that line and a small picture."""
+"""Display of records: one line in a shell; that line and a small picture in a notebook."""
 
 from __future__ import annotations
 

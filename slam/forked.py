@@ -1,4 +1,4 @@
-"""Work done in a copy of this process, on another core: Python's lock lets threads do one thing at a time."""
+"""Run work in a copy of this process on another core; Python's lock lets only one thread run at a time."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Bytes and arrays that are asked for seldom, in temporary files."""
+"""Bytes and arrays that are seldom needed, stored in temporary files."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Temporary files and folders, locked while they are used: what a killed run leaves, the next removes."""
+"""Temporary files and folders, locked while in use: the next run removes those that a killed run left."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The folder of a map that is being made: what lies there, how a run begins, goes on and leaves it."""
+"""Folder of a map during a run: its contents, and how a run starts, resumes and leaves it."""
 
 from __future__ import annotations
 

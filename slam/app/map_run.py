@@ -1,4 +1,4 @@
-"""One log through the mapper into one folder: map.db, the files of other programs, the report."""
+"""Run one log through the mapper into one folder: map.db, the exported files and the report."""
 
 from __future__ import annotations
 

@@ -1,8 +1,8 @@
-"""The page of a map on this machine alone, and the edits that are made there.
+"""Serve the page of a map on this machine only, and apply the edits made there.
 
-The server listens on the loopback interface. Whoever has its address, with a random token in it, may look at
-the map and edit it; other pages of the same browser do not know it, and a name that leads here from elsewhere
-(DNS rebinding) is refused by the Host header.
+The server listens on the loopback interface. Anyone with its address, which contains a random token, can view
+and edit the map. Other pages of the same browser do not know the address, and a host name that is redirected
+here (DNS rebinding) is rejected by the Host header.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""What a file of edits means in a map: names become keyframes, polygons the evidence in them."""
+"""Apply a file of edits to a map: names become keyframes, polygons become the evidence in them."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""``map.db`` of an edited map: read apart into what it was and what was decided, and written."""
+"""``map.db`` of an edited map: separate the original map from the edits, and write it."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
-"""What scans, images and clouds saw within polygons of the map, and the scans without it.
+"""Find what scans, images and clouds saw inside polygons of the map, and remove it from the scans.
 
-Taken away is what a beam, pixel or point met; what the ray to it has passed stays known. So the rest of the
-map stays as it is, to the cell.
+Only the end points of beams, pixels or points are removed; what their rays passed through stays known. So the
+rest of the map does not change in a single cell.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Keyframes by the names that people know, and the points of the map that they hold."""
+"""Keyframes by their names for users, and the points that they contribute to the map."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Loops that a person forbids, forces or adds, and loops judged anew by other settings."""
+"""Loops that the user forbids, forces or adds, and loops verified again with other settings."""
 
 from __future__ import annotations
 

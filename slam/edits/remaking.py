@@ -1,4 +1,4 @@
-"""A finished map anew: its graph solved, its evidence drawn, with edits and other settings."""
+"""Rebuild a finished map: solve its graph and draw its evidence again, with edits and other settings."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""How a map is turned: along its walls, by an angle, or along two points."""
+"""Rotate a map: to align with its walls, by an angle, or along two points."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""How a trajectory is laid over its reference: rigidly in space, or in the plane for a robot on a floor."""
+"""Align a trajectory with its reference: rigidly in 3D, or in the plane for a robot on a floor."""
 
 from __future__ import annotations
 

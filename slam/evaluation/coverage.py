@@ -1,4 +1,4 @@
-"""Whether covariances are as large as errors: normalised estimation error squared, and coverage.
+"""Consistency of covariances with the errors: normalised estimation error squared (NEES), and coverage.
 
 Y. Bar-Shalom, X. R. Li, T. Kirubarajan, "Estimation with Applications to Tracking and Navigation", Sec. 5.4.
 """

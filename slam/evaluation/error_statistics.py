@@ -1,4 +1,4 @@
-"""The figures by which every error list is reported."""
+"""Statistics that are reported for every list of errors."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""report.html of a localised drive: the way over the map, states and confidence over time, what it cost."""
+"""report.html of a localised log: the path on the map, states and confidence over time, and the cost."""
 
 from __future__ import annotations
 

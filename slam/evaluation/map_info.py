@@ -1,4 +1,4 @@
-"""What is in a saved map, for ``scanweave info``."""
+"""Contents of a saved map, for ``scanweave info``."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The layers of a map as pictures that lie under the page's plan."""
+"""Layers of a map as images under the plan of its page."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
-"""Pages of one file that ask nothing of the network, and texts, from the templates beside this file.
+"""Create single-file HTML pages without network access, and texts, from the templates in this folder.
 
-`parts` are the pieces of ``templates/parts.html`` as functions that give HTML.
+`parts` are the pieces of ``templates/parts.html`` as functions that return HTML.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
-"""Kuemmerle 2009: score a trajectory by relative poses that people have checked by hand.
+"""Kuemmerle 2009: score a trajectory by relative poses that were checked by hand.
 
 R. Kuemmerle et al., "On measuring the accuracy of SLAM algorithms", Autonomous Robots 27(4), 2009.
-The score needs no global reference frame, so that one early error does not spoil all that follows.
+The score needs no global reference frame, so one early error does not affect all later poses.
 """
 
 from __future__ import annotations

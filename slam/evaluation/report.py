@@ -1,4 +1,4 @@
-"""One self-contained report.html a run: what came in, what was decided, how certain, at what cost."""
+"""Write one self-contained report.html per run: input, decisions, uncertainty and cost."""
 
 from __future__ import annotations
 

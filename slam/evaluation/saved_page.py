@@ -1,4 +1,4 @@
-"""The page of a saved map, without the run that made it; and the plan of any map with cloud and images."""
+"""Page of a saved map without its run, and the plan of any map with cloud and images."""
 
 from __future__ import annotations
 

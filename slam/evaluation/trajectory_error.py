@@ -1,4 +1,4 @@
-"""Absolute and relative error of a trajectory against a reference: ATE and RPE, equal to evo's figures.
+"""Absolute and relative trajectory error against a reference: ATE and RPE, equal to the results of evo.
 
 J. Sturm et al., "A benchmark for the evaluation of RGB-D SLAM systems", IROS 2012.
 """

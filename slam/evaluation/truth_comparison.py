@@ -1,4 +1,4 @@
-"""A trajectory laid over the true one: what the report draws of it."""
+"""Comparison of a trajectory with ground truth, as drawn in the report."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The GTSAM factors of edges and priors of the pose graph, and its solver."""
+"""GTSAM factors of the edges and priors of the pose graph, and its solver."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The graph of keyframes: what holds neighbours together, which loops join, and where they all lie."""
+"""The graph of keyframes: edges between neighbours, loops, and the estimated poses."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Loop closure: where the uncertainty allows a known place, search it, and say why a loop is refused."""
+"""Loop closure: search known places within the uncertainty of the pose, and say why a loop is rejected."""
 
 from __future__ import annotations
 

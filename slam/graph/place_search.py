@@ -1,9 +1,9 @@
-"""Loops over the whole map: a stretch of the way is recognised wherever the estimate takes it to be.
+"""Loop search over the whole map: recognise a stretch of the path wherever the estimate puts it.
 
-What `slam.graph.loop_closure` closes while mapping lies within the uncertainty of the estimate. Where the
-chain is bent, places are found by their appearance instead, and believed only in sets: claims that agree with
-each other along the way (`slam.graph.consistent_sets`), that what lies around them confirms
-(`slam.graph.claim_trial`), and that a fault of the chain explains, or several where a set is so much longer.
+During mapping, `slam.graph.loop_closure` closes loops within the uncertainty of the estimate. If the chain is
+bent, places are found by their appearance instead, and accepted only in sets: claims that agree with each
+other along the path (`slam.graph.consistent_sets`), that the surroundings confirm (`slam.graph.claim_trial`),
+and that one fault of the chain explains, or several faults if the set is much longer.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""What the beams of a scan say about a pose in a known map: explained, contradicted, or silent."""
+"""Check the beams of a scan against a pose in a known map: explained, contradicted or neutral."""
 
 from __future__ import annotations
 

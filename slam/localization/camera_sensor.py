@@ -1,4 +1,4 @@
-"""A camera alone in a known map: its keyframes in sight, its own odometry in between."""
+"""Localise with a camera alone in a known map: by keyframes in view, with its own odometry in between."""
 
 from __future__ import annotations
 

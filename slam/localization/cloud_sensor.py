@@ -1,4 +1,4 @@
-"""A 3D lidar in a known map of clouds: aligned to their planes, and its beams weighed."""
+"""Localise with a 3D lidar in a known map of clouds: align clouds to its planes, and weight their beams."""
 
 from __future__ import annotations
 

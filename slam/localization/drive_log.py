@@ -1,4 +1,4 @@
-"""What a localiser said over a whole drive, and its files: trajectory.tum and trajectory.csv."""
+"""Outputs of a localiser over a whole log, and its files: trajectory.tum and trajectory.csv."""
 
 from __future__ import annotations
 

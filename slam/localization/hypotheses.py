@@ -1,4 +1,4 @@
-"""Where the robot may be: poses that move with the odometry, each weighed by all that was seen."""
+"""Pose hypotheses of the robot: they move with the odometry, and all readings weight them."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The clouds of a known map, in the forms in which they are asked for."""
+"""Clouds of a known map, in the forms that localisation needs."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The state machine of localisation, whatever the sensor: search, track, lose, find again."""
+"""State machine of localisation for any sensor: search, track, lose, recover."""
 
 from __future__ import annotations
 

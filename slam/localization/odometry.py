@@ -1,4 +1,4 @@
-"""The robot's motion while it is localised, by its lidar and wheels alone, and when that thread is cut."""
+"""Motion of the robot during localisation, from its lidar and wheels only, and when this odometry breaks."""
 
 from __future__ import annotations
 

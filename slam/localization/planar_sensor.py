@@ -1,4 +1,4 @@
-"""A planar lidar in the walls of a known map: aligned to them, and its beams weighed."""
+"""Localise with a 2D lidar in a known map: align scans to its walls, and weight their beams."""
 
 from __future__ import annotations
 

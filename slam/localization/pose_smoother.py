@@ -1,4 +1,4 @@
-"""The newest poses as a fixed-lag factor graph: odometry between them, the map's word on each."""
+"""Fixed-lag factor graph of the newest poses: odometry between them, and matches to the map."""
 
 from __future__ import annotations
 

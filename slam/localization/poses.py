@@ -1,4 +1,4 @@
-"""Poses with their uncertainty, in the plane and in space alike."""
+"""Poses with their covariance, in the plane and in 3D."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A scan as localisation looks at it."""
+"""A scan in the form that localisation uses."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a sensor must answer to be localised by: the one protocol between it and the state machine."""
+"""Protocol between a localisation sensor and the state machine."""
 
 from __future__ import annotations
 

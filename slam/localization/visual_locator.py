@@ -1,4 +1,4 @@
-"""Where in a known map a body with a camera is, by keyframes that look the same or should be in sight."""
+"""Locate a camera in a known map by keyframes that look similar or should be in view."""
 
 from __future__ import annotations
 

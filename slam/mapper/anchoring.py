@@ -1,4 +1,4 @@
-"""Places that were measured along a way, and what they do to the graph of its keyframes."""
+"""Positions measured along a path, and how they enter the graph of its keyframes."""
 
 from __future__ import annotations
 

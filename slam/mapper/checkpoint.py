@@ -1,7 +1,7 @@
-"""The checkpoint of a run: every answer that took time, so that an interrupted run goes on where it was.
+"""Checkpoint of a run: stores every result that took time, so that an interrupted run can resume.
 
-A mapper is deterministic. Fed the same log again and given the answers that it got before, it comes to the
-same state, without the time that the answers took.
+A mapper is deterministic. If it gets the same log and the stored results again, it reaches the same state,
+without the time for computing the results.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Fixes of a satellite receiver, gathered along the way and laid on the map when it is done."""
+"""Collect the fixes of a GNSS receiver along the path, and align the finished map with them."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Each keyframe's scan and depth images repair each other, with no calibration between them (Xu2024)."""
+"""Mutual repair of scan and depth images of each keyframe, without calibration between them (Xu2024)."""
 
 from __future__ import annotations
 

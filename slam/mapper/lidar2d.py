@@ -1,4 +1,4 @@
-"""A robot on a floor: a 2D lidar leads, wheels predict, cameras see what it misses; SE(2)."""
+"""Front end for a robot on a floor: matches a 2D lidar, with wheel odometry and cameras as support; SE(2)."""
 
 from __future__ import annotations
 

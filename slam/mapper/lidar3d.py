@@ -1,6 +1,6 @@
-"""A 3D lidar: clouds give pose and map in SE(3), wheels predict; the plan is cut by height.
+"""Front end for a 3D lidar: clouds give pose and map in SE(3), wheel odometry predicts, the plan is cut out.
 
-Cameras beside it see what it passes: the map's colours and depth layer, see `slam.mapper.cloud_cameras`.
+Cameras add the colours and the depth layer of the map, see `slam.mapper.cloud_cameras`.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""What a run hands on when it is done."""
+"""Result of a finished run."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The main loop's state: measurements -> front end -> factors -> keyframe graph -> loops -> map."""
+"""State of the main loop: measurements -> front end -> factors -> keyframe graph -> loops -> map."""
 
 from __future__ import annotations
 

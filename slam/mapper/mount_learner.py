@@ -1,4 +1,4 @@
-"""Where a camera sits on its robot, learned while mapping from the motions of both."""
+"""Estimate the pose of a camera on its robot during mapping, from the motions of both."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What holds a keyframe of a planar robot to the one before: whom of lidar, wheels and cameras to believe."""
+"""Edges between consecutive keyframes of a planar robot: which of lidar, wheels and cameras to trust."""
 
 from __future__ import annotations
 

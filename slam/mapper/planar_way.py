@@ -1,4 +1,4 @@
-"""Where a robot on a floor goes: its scans matched, wheels, gyroscope and cameras asked; no map yet."""
+"""Path of a robot on a floor: match scans, use wheel odometry, gyroscope and cameras; no map yet."""
 
 from __future__ import annotations
 

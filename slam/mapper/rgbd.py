@@ -1,4 +1,4 @@
-"""An RGB-D camera alone that moves freely: frames give pose, loops and map; SE(3)."""
+"""Front end for a freely moving RGB-D camera alone: frames give pose, loops and map; SE(3)."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Tags and surveyed places: gathered along the way, and what they do to the graph when it is done."""
+"""Collect tags and surveyed points along the path, and add them to the graph at the end."""
 
 from __future__ import annotations
 

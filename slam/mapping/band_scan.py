@@ -1,6 +1,6 @@
-"""The plan that a robot drives by, from clouds: the nearest obstacle of each bearing, by the height band.
+"""2D scan for navigation, cut from clouds: the nearest obstacle at each bearing within the height band.
 
-Yang2021 Eq. (16)-(18): what lies between the step that the robot drives over and the robot's own height.
+Yang2021 Eq. (16)-(18): from the step that the robot can drive over to the height of the robot.
 """
 
 from __future__ import annotations

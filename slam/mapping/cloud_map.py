@@ -1,4 +1,4 @@
-"""The cloud of the whole map from the clouds of its keyframes, tile by tile, coloured by height."""
+"""Point cloud of the whole map from the clouds of its keyframes, tile by tile, coloured by height."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
-"""Clouds as bytes and back: points in whole steps, each as the way from the one before, packed by Zstandard.
+"""Convert clouds to bytes and back: points in integer steps, stored as differences, compressed by Zstandard.
 
-Intensities, where there are any, follow as they are (float32), their upper bytes first apart from the lower.
-Maps of schema 5 and before packed them by zlib, at seven times the cost and the same size.
+Intensities, if there are any, follow unchanged (float32), with the upper bytes separate from the lower.
+Maps of schema 5 and older used zlib, at seven times the cost and the same size.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""A coloured mesh and point cloud of what RGB-D cameras saw from known poses, by a signed distance field."""
+"""Coloured mesh and point cloud from RGB-D images at known poses, by a signed distance field."""
 
 from __future__ import annotations
 

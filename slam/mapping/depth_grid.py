@@ -1,6 +1,6 @@
-"""What one depth image says about the cells of a map: obstacles in the height band, and what is clear.
+"""Evidence of one depth image for the cells of a map: obstacles in the height band, and free cells.
 
-Yang2021 Eq. (13)-(20) make the obstacles, Li2020's inverse sensor model weighs them by range.
+The obstacles are from Yang2021 Eq. (13)-(20); the inverse sensor model of Li2020 weights them by range.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""A plan of a floor: rooms, walls as lines, doors, lengths and areas with how sure they are."""
+"""Floor plan: rooms, walls as lines, doors, lengths and areas with their uncertainty."""
 
 from __future__ import annotations
 

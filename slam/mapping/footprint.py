@@ -1,4 +1,4 @@
-"""Where the robot stands nothing else does: what it says of the cells under it."""
+"""Footprint of the robot: the cells under it are free of obstacles."""
 
 from __future__ import annotations
 

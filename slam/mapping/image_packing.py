@@ -1,4 +1,4 @@
-"""RGB-D images as bytes and back: colour as JPEG, depth as a 16-bit PNG."""
+"""Convert RGB-D images to bytes and back: colour as JPEG, depth as a 16-bit PNG."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The settings of a run as the builder of grids takes them, and the lidar's grid of a map's keyframes."""
+"""Settings of a run for the grid builder, and the lidar grid of a map's keyframes."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
-"""From keyframes at known poses to the grids of lidar and depth: the one way in which evidence is drawn.
+"""Build the lidar and depth grids from keyframes at known poses: the only place where evidence is drawn.
 
-Rebuilt from keyframes at their optimised poses, in any order, each counted once. Evidence is summed without
-bounds and clamped only when the map is taken: clamping on the way would make the map depend on the order.
+Grids are rebuilt from keyframes at their optimised poses, in any order, each counted once. Evidence is summed
+without limits and clamped only in the final map; earlier clamping would make the map depend on the order.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""The finished map of a floor: what lidar and depth say each, their Bayes fusion, the decision (Li2020)."""
+"""Finished map of a floor: lidar and depth layers, their Bayesian fusion, and the decision (Li2020)."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Ways over a finished map: room for the robot, connected free space, the shortest path by what is known."""
+"""Path planning on a finished map: clearance for the robot, connected free space, the shortest path."""
 
 # mypy: allow-untyped-decorators
 from __future__ import annotations

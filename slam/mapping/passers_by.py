@@ -1,7 +1,7 @@
-"""What stood only for a while: things that beams have passed before or since, taken out of the lidar's grid.
+"""Remove temporary objects from the lidar grid: things that beams passed through before or after.
 
-Bayes' rule counts all hits of a cell, whenever they were, so that a person who stands still for some scans
-outweighs the few beams that pass. But what is fixed is hit from the first to the last time somebody looks.
+Bayes' rule counts all hits of a cell at any time, so a person who stands still for some scans outweighs the
+few beams that pass. But a fixed object is hit from the first to the last time that the lidar looks at it.
 """
 
 from __future__ import annotations

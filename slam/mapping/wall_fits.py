@@ -1,4 +1,4 @@
-"""Lines through the points on a room's walls, and how they depend on the poses of the scans."""
+"""Fit lines to the points on the walls of a room, and find how they depend on the poses of the scans."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Straight pieces of wall in the points of many scans, and the gaps between two that go on in one line."""
+"""Straight pieces of wall in the points of many scans, and the gaps between two pieces in one line."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Point-to-plane alignment of a cloud in space, and how far it can be trusted."""
+"""Point-to-plane alignment of a cloud in 3D, with its covariance."""
 
 from __future__ import annotations
 

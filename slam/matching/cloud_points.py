@@ -1,4 +1,4 @@
-"""From a turn of a 3D lidar to the points that are matched: checked, deskewed, in the base frame."""
+"""Convert a revolution of a 3D lidar to points for matching: checked, deskewed, in the base frame."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""How far a scan match can be trusted: covariance and degeneracy from its own Hessian."""
+"""Covariance and degeneracy of a scan match, from its own Hessian."""
 
 from __future__ import annotations
 

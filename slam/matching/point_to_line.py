@@ -1,7 +1,7 @@
 """Gauss-Newton alignment of a scan to a surfel map with the point-to-line distance.
 
-The metric is Censi 2008 (PL-ICP); the surfels play the part of the reference lines, and a Geman-McClure
-kernel takes the part of his trimming.
+The metric is that of Censi 2008 (PL-ICP); surfels replace the reference lines, and a Geman-McClure kernel
+replaces his trimming.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""A lidar odometry whose results an interrupted run may have left."""
+"""Lidar odometry whose results may come from an interrupted run."""
 
 from __future__ import annotations
 

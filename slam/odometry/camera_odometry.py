@@ -1,4 +1,4 @@
-"""One camera of a robot: its own odometry, asked for the motion between two moments."""
+"""Odometry of one camera of a robot, which gives the motion between two times."""
 
 from __future__ import annotations
 

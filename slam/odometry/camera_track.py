@@ -1,4 +1,4 @@
-"""Where a camera was at every frame that matched, to be asked for any moment of the run."""
+"""Poses of a camera at all matched frames, interpolated for any time of the run."""
 
 from __future__ import annotations
 

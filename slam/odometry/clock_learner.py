@@ -1,4 +1,4 @@
-"""By how much a sensor's clock is ahead of the robot's, learned from how both say that the robot turns."""
+"""Estimate the clock offset of a sensor from the rotation that it and the robot measure."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Odometry of a 3D lidar: each scan against the clouds of the newest keyframes."""
+"""Odometry of a 3D lidar: each cloud is matched to the clouds of the newest keyframes."""
 
 from __future__ import annotations
 

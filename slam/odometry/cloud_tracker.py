@@ -1,4 +1,4 @@
-"""Where a 3D lidar is after every turn, and which turns are keyframes."""
+"""Track a 3D lidar revolution by revolution, and select keyframes."""
 
 from __future__ import annotations
 

@@ -1,8 +1,8 @@
-"""A gyroscope beside a 2D lidar: by how much a robot on a floor turned, by its rates about the vertical.
+"""Gyroscope beside a 2D lidar: rotation of a robot on a floor from its rates about the vertical axis.
 
-Of a turn it says ``w - b t - s w``: w is its rates integrated over the time t, b its bias, and s the share by
-which its turns are too large. Both are learned by a Kalman filter from what matched scans say of the same
-turns. The accelerometer tells the vertical, so the mounting need not be known.
+The rotation is ``w - b t - s w``: w is the rates integrated over the time t, b the bias, and s the scale
+error. A Kalman filter estimates b and s from the rotations of matched scans. The accelerometer gives the
+vertical axis, so the mounting need not be known.
 """
 
 from __future__ import annotations

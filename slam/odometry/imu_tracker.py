@@ -1,4 +1,4 @@
-"""An IMU as the helper of a 3D lidar: it straightens turns, foretells poses, and bridges what is not seen."""
+"""IMU as support for a 3D lidar: it deskews clouds, predicts poses, and bridges gaps in the matching."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What every lidar odometry offers."""
+"""Interface of every lidar odometry."""
 
 from __future__ import annotations
 

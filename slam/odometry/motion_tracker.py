@@ -1,10 +1,10 @@
-"""Scan by scan motion: predictors that must prove themselves, and the lidar match that judges them.
+"""Scan by scan motion: predictions with learned uncertainty, and the lidar match that checks them.
 
-Cameras, wheels and constant velocity predict where a scan was taken, the lidar's match says where. Each
-prediction has the covariance that it claims, times what the matches of late have shown. A match that a
-camera or the wheels contradict must be likelier than the pose that they predict: by what the objects of the
-scan say, and by all predictions, whose tails are heavy (Student's t with three degrees of freedom). A match
-must be likelier by far; where neither is, what is taken is disputed.
+Cameras, wheel odometry and constant velocity predict where a scan was taken; the lidar match measures it.
+Each prediction has its claimed covariance, scaled by what recent matches have shown. If a camera or the
+wheels contradict a match, it must be more likely than the predicted pose, according to the objects of the
+scan and to all predictions, which have heavy tails (Student's t with three degrees of freedom). It must be
+far more likely; if neither pose is, the result is marked as disputed.
 """
 
 from __future__ import annotations

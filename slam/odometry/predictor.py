@@ -1,4 +1,4 @@
-"""How far a kind of prediction can be trusted, learned from the matches."""
+"""Uncertainty of a kind of prediction, learned from the matches."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What every RGB-D odometry offers."""
+"""Interface of every RGB-D odometry."""
 
 from __future__ import annotations
 

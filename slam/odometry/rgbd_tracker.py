@@ -1,4 +1,4 @@
-"""Frame by frame motion of an RGB-D camera against a local map of keyframes."""
+"""Track an RGB-D camera frame by frame against a local map of keyframes."""
 
 from __future__ import annotations
 

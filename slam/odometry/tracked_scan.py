@@ -1,4 +1,4 @@
-"""Where a scan was taken, and what told it."""
+"""Pose of a scan, and what measured it."""
 
 from __future__ import annotations
 

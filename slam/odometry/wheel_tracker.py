@@ -1,4 +1,4 @@
-"""Wheel odometry as a guess and as a measurement, never as the truth."""
+"""Wheel odometry as a prediction and as a measurement, never as ground truth."""
 
 from __future__ import annotations
 

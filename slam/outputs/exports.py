@@ -1,4 +1,4 @@
-"""A finished map in the formats of other programs."""
+"""Export a finished map in the formats of other programs."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""From a finished map to a plan of its floor."""
+"""Compute the floor plan of a finished map."""
 
 from __future__ import annotations
 

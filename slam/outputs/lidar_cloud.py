@@ -1,4 +1,4 @@
-"""The cloud of a 3D lidar's map without what only passed by, with its ground."""
+"""Cloud of a 3D lidar's map without moving objects, with its ground."""
 
 from __future__ import annotations
 

@@ -1,10 +1,10 @@
-"""What stands elsewhere than on an earlier visit: what has gone, what has come, and how likely that is.
+"""Changes since an earlier visit: what disappeared, what appeared, and how likely each change is.
 
-Where scans of one visit met something that those of the other looked through, something has changed, unless
-the two are not where they are thought to be: what has gone must be missed wherever it may stand. Hidden or
-never looked at is no change. What was met at times only, while other scans of the same visit looked through,
-did not stand there: somebody walked by, or it is glass. Evidence is that of the occupancy grid (Li2020
-Eq. (8)), drawn of each visit alone; a thing is one witness, however many cells it has.
+If scans of one visit hit something that scans of the other passed through, something has changed, unless the
+two poses are wrong: an object that disappeared must be absent wherever it may have been. Hidden or unseen
+space is no change. Something hit only at times, while other scans of the same visit passed through, was not
+an object there: it was a person, or glass. Evidence is that of the occupancy grid (Li2020 Eq. (8)), drawn for
+each visit separately; an object counts once, however many cells it has.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
-"""Whether a session belongs into a map, and the two joined where it does: found out in three steps.
+"""Decide whether a session belongs to a map, and join the two if so, in three steps.
 
-All that was seen on the way must tell where the session lies; scans along it must match the map there;
-and the optimisation of both together must keep most of those loops. Each may say no.
+All readings along the path must determine the session's pose; scans along it must match the map there; and
+the optimisation of both together must keep most of those loops. Each step may reject the session.
 """
 
 from __future__ import annotations

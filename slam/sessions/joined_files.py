@@ -1,4 +1,4 @@
-"""The files of a map with one more session: all are written beside, then take the place of the old ones."""
+"""Files of a map with one more session: all are written next to the old ones, then replace them."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Things that changed as people tell of them: what went here and came there in the same shape has moved."""
+"""Combine changes into moved objects: one that disappeared here and appeared there in the same shape."""
 
 from __future__ import annotations
 

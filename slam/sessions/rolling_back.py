@@ -1,4 +1,4 @@
-"""A map of several sessions as its first ones make it alone."""
+"""Restore a map of several sessions to its first sessions only."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The graphs of a map and of a session as one, optimised together."""
+"""Join the graphs of a map and of a session, and optimise them together."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Clouds as E57, which survey programs open: each where it was taken, with the pose of its scanner."""
+"""Clouds as E57 for survey programs: each with the pose of its scanner."""
 
 from __future__ import annotations
 

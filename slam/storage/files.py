@@ -1,4 +1,4 @@
-"""How every text and image file of the product is read and written: whole, or not at all."""
+"""Read and write all text and image files of Scanweave: completely, or not at all."""
 
 from __future__ import annotations
 

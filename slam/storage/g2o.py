@@ -1,4 +1,4 @@
-"""Pose graphs as g2o text, 2D and 3D, with full precision and gtsam's order of the tangent space."""
+"""Pose graphs as g2o text, 2D and 3D, with full precision and GTSAM's order of the tangent space."""
 
 from __future__ import annotations
 

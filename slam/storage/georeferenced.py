@@ -1,4 +1,4 @@
-"""Where a map lies on the earth, and the way of the robot there, for programs of the earth."""
+"""Georeference of a map, and the path of the robot on the earth, as files for GIS programs."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The ground of a 3D lidar's map as layers: its height, and how steep it is."""
+"""Ground of a 3D lidar's map as layers: its height and its slope."""
 
 from __future__ import annotations
 

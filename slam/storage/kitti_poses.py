@@ -1,4 +1,4 @@
-"""Trajectories as the KITTI odometry benchmark has them: a 3 x 4 matrix a line, and times beside it."""
+"""Trajectories in the format of the KITTI odometry benchmark: a 3 x 4 matrix per line, times in a file."""
 
 from __future__ import annotations
 

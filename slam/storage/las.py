@@ -1,4 +1,4 @@
-"""Clouds as LAS 1.4, which survey programs open: points in millimetres, colours, intensities, the ground."""
+"""Clouds as LAS 1.4 for survey programs: points in millimetres, colours, intensities, the ground."""
 
 from __future__ import annotations
 

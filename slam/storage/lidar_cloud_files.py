@@ -1,4 +1,4 @@
-"""The cloud of a 3D lidar's map as other programs open it, whole or in tiles; what has gone beside it."""
+"""Cloud of a 3D lidar's map for other programs, whole or in tiles; removed points in a file beside it."""
 
 from __future__ import annotations
 

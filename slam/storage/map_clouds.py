@@ -1,4 +1,4 @@
-"""Keyframe clouds of a 3D lidar in ``map.db``; each is read when it is asked for."""
+"""Keyframe clouds of a 3D lidar in ``map.db``; each is read when it is needed."""
 
 from __future__ import annotations
 

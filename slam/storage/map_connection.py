@@ -1,4 +1,4 @@
-"""Connections to ``map.db``: one that writes, one that trusts nothing, and what SQLite says in one line."""
+"""Connections to ``map.db``: one for writing, one that trusts nothing, and SQLite errors in one line."""
 
 from __future__ import annotations
 

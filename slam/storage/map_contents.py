@@ -1,4 +1,4 @@
-"""A finished map, in memory and loaded, and its rows in ``map.db``."""
+"""Data of a finished map, in memory and loaded, and its rows in ``map.db``."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
-"""What a person has decided of a map, in ``map.db``: the edits in their order, and how the map was before.
+"""Edits of a map in ``map.db``: in their order, and how the map was before.
 
-The other tables hold the map as it is with its edits. The rows of them that the edits have changed lie here
-as they were: the unedited map is those, and all rows that nobody has touched.
+The other tables contain the map with its edits. Rows that the edits changed are also stored here in their old
+form: these, and all unchanged rows, are the unedited map.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Facts of a map beside its tables: the height of the floor, and where it lies on the earth."""
+"""Facts of a map beside its tables: the height of the floor, and the georeference."""
 
 from __future__ import annotations
 

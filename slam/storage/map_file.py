@@ -1,4 +1,4 @@
-"""``map.db`` itself: one SQLite file of numbered, checksummed rows, written while mapping, then sealed."""
+"""``map.db``: one SQLite file of numbered rows with checksums, written during mapping, then sealed."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Camera keyframes in ``map.db``: images and features are read when they are asked for."""
+"""Camera keyframes in ``map.db``: images and features are read when they are needed."""
 
 from __future__ import annotations
 

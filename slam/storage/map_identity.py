@@ -1,4 +1,4 @@
-"""What decides a map: log, configuration, versions. A run is resumed by its like alone."""
+"""What determines a map: log, configuration, versions. A run is only resumed if they are the same."""
 
 from __future__ import annotations
 

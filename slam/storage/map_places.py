@@ -1,4 +1,4 @@
-"""Tags of a map, and where it lies in a surveyor's frame: facts of the map's file, and yaml for people."""
+"""Tags of a map, and its pose in the survey frame: stored in the map file, and as YAML for users."""
 
 from __future__ import annotations
 

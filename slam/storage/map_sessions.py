@@ -1,4 +1,4 @@
-"""The logs that a map was made of, in the order in which they were joined."""
+"""The logs of a map, in the order in which they were joined."""
 
 from __future__ import annotations
 

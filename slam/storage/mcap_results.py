@@ -1,4 +1,4 @@
-"""What a map has found as a ROS 2 bag in MCAP, which Foxglove and RViz show: plan, way, frames and clouds."""
+"""Results of a map as a ROS 2 bag in MCAP for Foxglove and RViz: plan, path, frames and clouds."""
 
 from __future__ import annotations
 

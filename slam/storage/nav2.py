@@ -1,4 +1,4 @@
-"""Maps as nav2's map server writes and reads them: ``map.yaml`` beside ``map.pgm``."""
+"""Maps in the format of nav2's map server: ``map.yaml`` and ``map.pgm``."""
 
 from __future__ import annotations
 

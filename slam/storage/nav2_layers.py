@@ -1,4 +1,4 @@
-"""A finished map for nav2: the one to drive by, and beside it the layers that it was made of."""
+"""Finished map for nav2: the navigation map, and beside it the layers from which it was made."""
 
 from __future__ import annotations
 

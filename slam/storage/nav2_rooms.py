@@ -1,7 +1,7 @@
-"""A floor plan for nav2: where to keep out, where to drive slowly, and the route graph.
+"""Floor plan for nav2: keep-out zones, speed zones and the route graph.
 
-The masks are read by nav2's map server and costmap filters (KeepoutFilter, SpeedFilter), whose parameters are
-in ``zones.yaml``; the graph by the GeoJsonGraphFileLoader of nav2_route (format of release 1.3).
+nav2's map server and costmap filters (KeepoutFilter, SpeedFilter) read the masks; their parameters are in
+``zones.yaml``. The GeoJsonGraphFileLoader of nav2_route reads the graph (format of release 1.3).
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Zones that a person has drawn, as masks of nav2's costmap filters beside the map to drive by.
+"""Zones that the user drew, as masks of nav2's costmap filters beside the navigation map.
 
 The keep-out mask is 100 where the robot must not go (KeepoutFilter). The speed mask holds percent of the
 usual speed, and 0, which is no limit, elsewhere (SpeedFilter of type 1, base 0, multiplier 1).

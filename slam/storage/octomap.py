@@ -1,7 +1,7 @@
-"""OctoMap's binary tree (``.bt``): which space is occupied, free or unknown, for 3D planners.
+"""OctoMap's binary tree (``.bt``): occupied, free and unknown space, for 3D planners.
 
 Hornung et al., "OctoMap: an efficient probabilistic 3D mapping framework based on octrees", Autonomous Robots
-2013; its own library does the work, with its own sensor model.
+2013; its own library builds the tree, with its own sensor model.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Clouds as binary PCD of the Point Cloud Library: place, normal, colour, ground, intensity."""
+"""Clouds as binary PCD of the Point Cloud Library: position, normal, colour, ground, intensity."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Grey images in the PGM format: nav2's own of eight bits and of sixteen, without an image library."""
+"""Grey images in the PGM format, with eight bits (as nav2) and with sixteen, without an image library."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A floor plan for CAD: DXF R2010, metres, the map's frame."""
+"""Floor plan for CAD: DXF R2010, in metres, in the map frame."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A floor plan as GeoJSON in the map's own metres."""
+"""Floor plan as GeoJSON, in metres in the map frame."""
 
 from __future__ import annotations
 

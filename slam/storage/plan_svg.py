@@ -1,4 +1,4 @@
-"""A floor plan as a drawing: SVG, 1:50, turned to its walls."""
+"""Floor plan as a drawing: SVG, 1:50, rotated to align with its walls."""
 
 from __future__ import annotations
 

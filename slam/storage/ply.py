@@ -1,4 +1,4 @@
-"""Meshes and point clouds as binary PLY, as MeshLab, CloudCompare, Blender and Open3D read it."""
+"""Meshes and point clouds as binary PLY, for MeshLab, CloudCompare, Blender and Open3D."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The camera keyframes of a map as image files, with where they were taken and their lenses."""
+"""Camera keyframes of a map as image files, with their poses and camera intrinsics."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The files of a map changed together: all are written beside, then take the place of the old ones."""
+"""Change all files of a map together: all are written next to the old ones, then replace them."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The log's readings, in log order, and the pose of each once the keyframes are known."""
+"""Readings of the log, in log order, and the pose of each once the keyframes are known."""
 
 from __future__ import annotations
 

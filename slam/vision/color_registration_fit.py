@@ -1,7 +1,7 @@
-"""Estimating from the log itself how the colour camera sits beside the depth camera.
+"""Estimate the pose of the colour camera relative to the depth camera from the log itself.
 
-Matched features of frame pairs must fit one rigid motion a pair, once their 3D points are read from the depth
-image at the right place. `color_registration_search.py` finds that place; here it is believed, or not.
+Matched features of a frame pair must fit one rigid motion if their 3D points are read at the right place in
+the depth image. `color_registration_search.py` finds that place; this file accepts or rejects it.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Pose from matched features without a guess: PnP-RANSAC by three points (Ke2017), then least squares.
+"""Pose from matched features without initial guess: PnP-RANSAC by three points (Ke2017), then least squares.
 
 The squares are those of Yang2021 Eq. (3)-(6).
 """

@@ -1,4 +1,4 @@
-"""Frame against keyframes by surfaces and features; PnP-RANSAC where the guess does not lead there."""
+"""Match a frame to keyframes by surfaces and features; use PnP-RANSAC if the initial guess is too far off."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a run learned of a camera, which whoever uses the same camera again need not learn anew."""
+"""What a run learned about a camera, so that a later run with the same camera need not learn it again."""
 
 from __future__ import annotations
 

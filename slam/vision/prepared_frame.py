@@ -1,4 +1,4 @@
-"""What odometry needs of an RGB-D frame, made once; safe to do ahead in another thread."""
+"""Data that odometry needs of an RGB-D frame, computed once; can be done ahead in another thread."""
 
 from __future__ import annotations
 

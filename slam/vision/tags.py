@@ -1,8 +1,8 @@
-"""AprilTags and ArUco markers in an image: which, where each is, and how sure that is.
+"""Detect AprilTags and ArUco markers in an image, with their poses and covariances.
 
-OpenCV finds them (Garrido-Jurado 2014; the families of Olson 2011). Four corners tell two poses of a square,
-one the other tilted the other way (Collins and Bartoli 2014): where the corners do not tell them apart, the
-depth image may; where it does not either, the tag tells its place alone.
+OpenCV finds them (Garrido-Jurado 2014; the families of Olson 2011). Four corners allow two poses of a square,
+tilted in opposite directions (Collins and Bartoli 2014). If the corners do not decide, the depth image may;
+if that does not either, the tag gives only its position.
 """
 
 from __future__ import annotations
