@@ -18,7 +18,7 @@ class SurveyedPlace(StrictModel):
 
     tag: int | None = Field(default=None, ge=0, description="number of the tag at this point")
     stamp_s: float | None = Field(default=None, description="when the base stood there, by the log's clock")
-    at_m: Place = Field(description="x, y and optionally z in the survey frame, whose z is up")
+    at_m: Place = Field(description="x, y and optionally z in the surveyor's frame, whose z is up")
     sigma_m: float = Field(default=0.005, gt=0, description="standard deviation of each coordinate")
     check: bool = Field(default=False, description="not used for mapping, but compared with the finished map")
 
@@ -33,7 +33,7 @@ class SurveyedPlace(StrictModel):
 class KnownStart(StrictModel):
     """Position and heading of the base at the beginning of the log."""
 
-    at_m: Place = Field(description="x, y and optionally z in the survey frame")
+    at_m: Place = Field(description="x, y and optionally z in the surveyor's frame")
     yaw_deg: float = Field(description="heading from the x axis, counter-clockwise")
     sigma_m: float = Field(default=0.05, gt=0, description="standard deviation of each coordinate")
     sigma_deg: float = Field(default=2.0, gt=0, description="standard deviation of the heading")

@@ -86,7 +86,7 @@ class MapContents:
     georeference
         Position of the map on the earth; None without a GNSS receiver.
     places
-        Tags of the map, and its pose in the survey frame; None if none were requested.
+        Tags of the map, and its pose in the surveyor's frame; None if none were requested.
     """
 
     node_poses: Sequence[Pose]

@@ -1,4 +1,4 @@
-"""Tags of a map, and its pose in the survey frame: stored in the map file, and as YAML for users."""
+"""Tags of a map, and its pose in the surveyor's frame: stored in the map file, and as YAML for users."""
 
 from __future__ import annotations
 
