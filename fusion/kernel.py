@@ -29,11 +29,11 @@ class Kernel:
     Attributes
     ----------
     py_func, options
-        What is compiled, and how: see `numba.njit`.
+        Function to compile, and options: see `numba.njit`.
     run
-        What a call calls: numba's own object, from the first call on.
+        Target of a call: numba's own object after the first call.
     loaded_ns
-        When each file with kernels had been changed last, at the moment when it was loaded.
+        Modification time of each file with kernels when it was loaded.
     """
 
     loaded_ns: ClassVar[dict[str, int]] = {}
@@ -47,7 +47,7 @@ class Kernel:
             self.loaded_ns[file] = Path(file).stat().st_mtime_ns
 
     def __call__(self, *arguments: Any) -> Any:
-        """What it returns for these arguments."""
+        """Return the result for these arguments."""
         return self.run(*arguments)
 
     def __getattr__(self, name: str) -> Any:
@@ -57,23 +57,23 @@ class Kernel:
 
     @cached_property
     def dispatcher(self) -> Any:
-        """Numba's own object."""
+        """Return numba's dispatcher."""
         from fusion.compiling import dispatcher_of
 
         return dispatcher_of(self)
 
     def _first_run(self, *arguments: Any) -> Any:
-        """Call it, and from now on numba's object itself."""
+        """Call it, and use numba's object directly from now on."""
         self.run = self.dispatcher
         return self.run(*arguments)
 
 
 def kernel(function: Callable[..., Any] | None = None, **options: Any) -> Any:
-    """`numba.njit` with its options; the compiled code is kept.
+    """`numba.njit` with its options; the compiled code is stored.
 
-    Write kernels that compile fast, for the first run waits for all of them: a millisecond goes into each
-    operation, two to four into each element read or written, five into each loop, fifty into each function
-    and a hundred into the first array that is made. So arrays are made by who calls, loops are plain, and a
-    helper of one kernel is ``inline="always"``.
+    Write kernels that compile fast, because the first run waits for all of them: each operation takes a
+    millisecond, each element read or written two to four, each loop five, each function fifty, and the first
+    array that is created a hundred. So the caller creates arrays, loops are plain, and a helper of one kernel
+    is ``inline="always"``.
     """
     return partial(kernel, **options) if function is None else Kernel(function, options)
