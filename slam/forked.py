@@ -60,7 +60,7 @@ class Forked:
         self.close = weakref.finalize(self, _end, self._source, self.number)
 
     def receive(self) -> bytes | None:
-        """The next that it has sent, waited for; None where nothing comes any more."""
+        """The next that it has sent, waited for; None if nothing comes any more."""
         content = self._read(_LENGTH.size)
         return None if content is None else self._read(*_LENGTH.unpack(content))
 

@@ -61,7 +61,7 @@ def remove_left(candidates: Iterable[Path]) -> None:
 
 
 def _locked(path: Path) -> int | None:
-    """A lock on a file or folder, as a descriptor; None where another process has it, or none can be had."""
+    """A lock on a file or folder, as a descriptor; None if another process has it, or none can be had."""
     lock = os.open(path, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK)
     try:
         fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)

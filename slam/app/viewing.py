@@ -49,7 +49,7 @@ class MapView:
     Raises
     ------
     MapFileError
-        Where there is none, or its file has another name than ``map.db``.
+        If there is none, or its file has another name than ``map.db``.
     """
 
     def __init__(self, path: Path | str) -> None:
@@ -81,7 +81,7 @@ class MapView:
         Raises
         ------
         ScanweaveError
-            Where they do not fit; the map is as it was.
+            If they do not fit; the map is as it was.
         """
         edits = edits_of(tree, "the edits")
         folder = self._map.path.parent

@@ -53,7 +53,7 @@ def understood(known: Known, edits: Edits) -> AppliedEdits:
     Raises
     ------
     ScanweaveError
-        Where a keyframe or a loop is none, two keyframes do not match, or a setting takes the log.
+        If a keyframe or a loop is none, two keyframes do not match, or a setting takes the log.
     """
     entries = known.contents.edits
     settings = tuple(_override(name, value) for name, value in edits.settings.items())

@@ -45,7 +45,7 @@ def write_with(known: Known, edits: Edits, path: Path) -> list[str]:
     Raises
     ------
     ScanweaveError
-        Where they do not fit the map, or the file cannot be written.
+        If they do not fit the map, or the file cannot be written.
     """
     entries = [*known.contents.edits]
     if not edits.empty:

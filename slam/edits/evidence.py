@@ -118,7 +118,7 @@ def _placed(points: FloatArray, pose: Pose) -> FloatArray:
 
 
 def _floor_m(contents: MapContents, T_map_base: Pose | None) -> float | None:
-    """Height of the floor around the robot; None where nobody knows it."""
+    """Height of the floor around the robot; None if nobody knows it."""
     if contents.planar:
         return 0.0
     if contents.ground_m is None or T_map_base is None:

@@ -33,7 +33,7 @@ def to_walls_rad(contents: MapContents, config: Config) -> float:
     Raises
     ------
     MapFileError
-        Where the map has no scans, and so no walls to be seen.
+        If the map has no scans, and so no walls to be seen.
     """
     angles = []
     for scan, pose in zip(contents.keyframe_scans, contents.keyframe_poses, strict=False):

@@ -46,7 +46,7 @@ def write_localization_report(
     Raises
     ------
     MapFileError
-        Where the folder is missing, not writable or full; an older report then stays as it was.
+        If the folder is missing, not writable or full; an older report then stays as it was.
     """
     page = _page(title, drive, layers)
     write_page(

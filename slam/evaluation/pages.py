@@ -30,7 +30,7 @@ def write_page(path: Path, template: str, **values: Any) -> None:
     Raises
     ------
     MapFileError
-        Where the folder is missing, not writable or full; an older page then stays as it was.
+        If the folder is missing, not writable or full; an older page then stays as it was.
     """
     with replacing(path) as temporary, temporary.open("w", encoding="utf-8") as file:
         file.writelines(page_parts(template, **values))

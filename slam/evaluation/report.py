@@ -33,7 +33,7 @@ def write_report(path: Path, data: ReportData, head: dict[str, Any] | None = Non
     Raises
     ------
     MapFileError
-        Where the folder is missing, not writable or full; an older report then stays as it was.
+        If the folder is missing, not writable or full; an older report then stays as it was.
     """
     result = data.result
     truth, page = data.beside.truth, _page(data, head)

@@ -80,7 +80,7 @@ def write_saved_page(saved: Map) -> Path:
     Raises
     ------
     MapFileError
-        Where it cannot be written.
+        If it cannot be written.
     """
     path = saved.path.parent / REPORT
     with replacing(path) as temporary, temporary.open("w", encoding="utf-8") as file:

@@ -94,7 +94,7 @@ def anchored(
 
     Returns
     -------
-    None where the way is no longer than the anchors are uncertain: they do not tell how the map is turned.
+    None if the way is no longer than the anchors are uncertain: they do not tell how the map is turned.
     """
     axes = 3 if isinstance(poses[0], gtsam.Pose3) else 2
     places = np.array([one.place_m for one in anchors])

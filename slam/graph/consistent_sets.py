@@ -73,7 +73,7 @@ class ClaimSets:
     ) -> tuple[int, int, Motion] | None:
         """A place of one set, an equal or later one of the other, and what both sets say of the way there.
 
-        None where their keyframes are too far apart to tell.
+        None if their keyframes are too far apart to tell.
         """
         ways = [self._travelled_m[[claim.keyframe for claim in claims]] for claims in (one, other)]
         apart_m = np.abs(np.subtract.outer(*ways))

@@ -115,7 +115,7 @@ def estimate_extrinsics(pairs: Sequence[MotionPair], start: gtsam.Pose3 | None =
     Raises
     ------
     GraphError
-        Where a pair is not finite, its covariance is not positive definite, or planar and spatial are mixed.
+        If a pair is not finite, its covariance is not positive definite, or planar and spatial are mixed.
     """
     settings = ExtrinsicsSettings()
     _check(pairs, start)

@@ -17,7 +17,7 @@ _CAUCHY_SIGMAS = 1.0
 
 
 def mapping_noise(edge: Edge) -> gtsam.noiseModel.Base:
-    """Noise of an edge while mapping: robust where it may be refused."""
+    """Noise of an edge during mapping: robust where it may be refused."""
     noise = gtsam.noiseModel.Gaussian.Covariance(edge.covariance)
     if edge.trusted:
         return noise

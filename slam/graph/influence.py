@@ -78,7 +78,7 @@ class LinearMap:
     Raises
     ------
     GraphError
-        Where these do not join all nodes.
+        If these do not join all nodes.
     """
 
     def __init__(self, poses: Sequence[Pose], edges: _Edges, kept: Sequence[bool] | BoolArray) -> None:
@@ -227,7 +227,7 @@ def influences(poses: Sequence[Pose], edges: Sequence[Edge], kept: Sequence[bool
 
 
 def misfits(poses: Sequence[Pose], edges: _Edges, kept: BoolArray, asked: list[int]) -> FloatArray:
-    """See `LinearMap.left_out`; nothing where the edges that are kept do not join all nodes."""
+    """See `LinearMap.left_out`; nothing if the edges that are kept do not join all nodes."""
     with suppress(GraphError):
         return LinearMap(poses, edges, kept).left_out(asked) if asked else np.zeros(0)
     return np.zeros(0)

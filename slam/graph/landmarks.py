@@ -93,7 +93,7 @@ def landmarks_of(
 
     Returns
     -------
-    Of each landmark what was found; None where nothing holds.
+    Of each landmark what was found; None if nothing holds.
     """
     visits = [visit for sightings in seen for visit in _visits(sightings)]
     of = np.repeat(np.arange(len(seen)), [len(_visits(sightings)) for sightings in seen])

@@ -163,7 +163,7 @@ class PlaceSearch:
     ) -> tuple[BoolArray, FloatArray]:
         """(K,) the stretches to which a set, as long as can be, could move one; and how far from it they are.
 
-        What is as certain as places are wide is tried while mapping.
+        What is as certain as places are wide is tried during mapping.
         """
         key = int(stretches.keys[number])
         sigmas_m = position_sigmas(known.relative_covariances(key, stretches.keys, poses))
@@ -174,7 +174,7 @@ class PlaceSearch:
         return (sparse | (most_m > self._config.reach_m)) & (apart_m <= window_m + most_m), apart_m
 
     def _searched(self, stretches: Stretches, place: int, number: int) -> list[float]:
-        """The pose of a stretch at another; nothing where none is found."""
+        """The pose of a stretch at another; nothing if none is found."""
 
         def pose() -> list[float]:
             found = stretches.search(place, number)

@@ -42,7 +42,7 @@ class UnseenGaps:
         self._joined.append(len(self._joined))
 
     def crossed(self, loop: LoopCandidate) -> tuple[int, int] | None:
-        """The two stretches that nothing but a loop joins; None where they are one."""
+        """The two stretches that nothing but a loop joins; None if they are one."""
         ends = self._stretch(loop.place), self._stretch(loop.keyframe)
         return None if ends[0] == ends[1] else ends
 

@@ -85,7 +85,7 @@ class CameraSensor:
         return [motion.T_reference_base for motion in self._locator.anywhere(view)]
 
     def _tracked(self, frame: PreparedFrame) -> CameraPose | None:
-        """Where the odometry saw the camera; None where it is lost."""
+        """Where the odometry saw the camera; None if it is lost."""
         tracked = self._odometry.track(frame)
         self._segment += tracked.restarted
         if tracked.new_keyframe:

@@ -34,7 +34,7 @@ class CloudPlaces:
     Parameters
     ----------
     field
-        Of the plan; None where the map has none.
+        Of the plan; None if the map has none.
     known
         A map of a 3D lidar.
     voxel_m

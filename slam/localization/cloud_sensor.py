@@ -69,7 +69,7 @@ class CloudSensor:
     known
         A map of a 3D lidar.
     field
-        Of its plan; None where it has none.
+        Of its plan; None if it has none.
     """
 
     # Those before cost time, and drift bends the path.

@@ -27,7 +27,7 @@ class Hypothesis:
     evidence
         Nats by keyframe, oldest first, as many as there are keyframes.
     motion
-        The alignment of the newest keyframe; None where there was nothing to align to.
+        The alignment of the newest keyframe; None if there was nothing to align to.
     prior
         Nats in favour before anything was seen.
     """
@@ -61,7 +61,7 @@ class Hypothesis:
 def correction(
     sensor: Sensor[V, N], view: V, expected: Pose, config: LocalizationConfig
 ) -> MotionEstimate | None:
-    """An alignment near an expected pose; None where too little agrees, or that has found another place."""
+    """An alignment near an expected pose; None if too little agrees, or that has found another place."""
     motion = sensor.align(view, expected)
     if motion is None or motion.inlier_share < config.least_inlier_share:
         return None
@@ -124,7 +124,7 @@ class HypothesisSet(Generic[V, N]):
         pose
             ``T_odom_base``.
         dead_reckoned
-            ``T_map_base`` by odometry from the last pose that was tracked; None where there is none.
+            ``T_map_base`` by odometry from the last pose that was tracked; None if there is none.
         bound
             Whether that is where it must be, within its covariance; otherwise it is as good as any place.
         """

@@ -66,7 +66,7 @@ class CloudTiles:
     Raises
     ------
     MapFileError
-        Where no keyframe has points enough.
+        If no keyframe has points enough.
     """
 
     def __init__(self, known: MapContents, config: Config) -> None:

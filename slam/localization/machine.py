@@ -63,7 +63,7 @@ class StateMachine(Generic[V, N]):
         return self._known if self._state is State.TRACKING else None
 
     def add(self, measurement: Any) -> LocalizerOutput | None:
-        """Take a reading; what is known after it, None where the sensor only keeps it or does not use it."""
+        """Take a reading; what is known after it, None if the sensor only keeps it or does not use it."""
         known = self.tracked
         observed = self._sensor.observe(measurement, None if known is None else known.pose)
         if observed is None:

@@ -44,7 +44,7 @@ class OdometryStep(NamedTuple):
     pose
         ``T_odom_base``; the odometry frame begins anew where nobody knows the motion.
     moved
-        Motion since the last reading; None where nobody knows it.
+        Motion since the last reading; None if nobody knows it.
     """
 
     pose: Pose

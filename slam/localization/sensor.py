@@ -26,9 +26,9 @@ class Observation(Generic[V]):
     view
         The reading, prepared once.
     pose
-        ``T_odom_base``; None where the odometry does not tell.
+        ``T_odom_base``; None if the odometry does not tell.
     moved
-        Motion since the last reading; None where not even dead reckoning leads on from there.
+        Motion since the last reading; None if not even dead reckoning leads on from there.
     restarted
         Whether the odometry frame has begun anew.
     """
@@ -106,7 +106,7 @@ class Sensor(Protocol[V, N]):
         ...
 
     def align(self, view: V, guess: Pose) -> MotionEstimate | None:
-        """``T_map_base`` from a guess nearby; None where nothing can be aligned."""
+        """``T_map_base`` from a guess nearby; None if nothing can be aligned."""
         ...
 
     def weigh(self, pose: Pose, novel: N, motion: MotionEstimate | None) -> float:
@@ -122,11 +122,11 @@ class Sensor(Protocol[V, N]):
     def propose(
         self, view: V, keyframes: Sequence[Keyframe[N]], within: Measured | None
     ) -> Iterable[Pose | None]:
-        """``T_map_base`` of every place of the newest keyframe; None where a reading has waited enough.
+        """``T_map_base`` of every place of the newest keyframe; None if a reading has waited enough.
 
         Parameters
         ----------
         within
-            Where dead reckoning leaves it, places elsewhere being of no use; None where it may be anywhere.
+            Where dead reckoning leaves it, places elsewhere being of no use; None if it may be anywhere.
         """
         ...

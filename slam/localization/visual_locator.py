@@ -85,7 +85,7 @@ class VisualLocator:
         return [motion for motion in found if motion is not None]
 
     def near(self, frame: PreparedFrame, guess: Pose) -> MotionEstimate | None:
-        """``T_map_base`` from a guess; None where no keyframe sees the same, or it does not fit."""
+        """``T_map_base`` from a guess; None if no keyframe sees the same, or it does not fit."""
         camera = self._camera_of(guess)
         local = [self._keyframe(key) for key in self._alike(frame.median_depth_m, camera)]
         return self._believed(self._matcher.match(frame, local, camera)) if local else None
@@ -95,7 +95,7 @@ class VisualLocator:
         return bool(self._alike(depth_m, self._camera_of(guess)))
 
     def step(self, motion: gtsam.Pose3, covariance: FloatArray) -> Measured | None:
-        """Motion of the body by its camera's; None where it cannot move so."""
+        """Motion of the body by its camera's; None if it cannot move so."""
         return self._of_body(motion, covariance, self._mounting)
 
     @property
@@ -105,7 +105,7 @@ class VisualLocator:
         return self._T_base_camera
 
     def _of_body(self, motion: gtsam.Pose3, covariance: FloatArray, T_a_b: gtsam.Pose3) -> Measured | None:
-        """``T_a_base`` by ``T_b_camera``; on a floor projected to it, and None where that leaves it."""
+        """``T_a_base`` by ``T_b_camera``; on a floor projected to it, and None if that leaves it."""
         mounting = self._mounting
         if isinstance(self.origin, gtsam.Pose2):
             planar = planar_motion(motion, covariance, mounting, T_a_b)

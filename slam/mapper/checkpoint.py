@@ -75,7 +75,7 @@ class Checkpoint:
         Raises
         ------
         MapFileError
-            Where the interrupted run asked something else at this place.
+            If the interrupted run asked something else at this place.
         """
         if self._next is not None:
             return cast(T, self._replayed(question, key))
@@ -158,7 +158,7 @@ class Checkpoint:
         return answer
 
     def _found_ahead(self, question: str, key: float) -> tuple[bytes | None, Any]:
-        """An answer as it is kept, and itself; None where nothing, or another one, was found ahead."""
+        """An answer as it is kept, and itself; None if nothing, or another one, was found ahead."""
         assert self.ahead is not None
         content = self.ahead()
         asked, about, answer = (None, None, None) if content is None else unpack(content)

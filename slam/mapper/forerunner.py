@@ -54,7 +54,7 @@ class Ahead:
         Raises
         ------
         LostError
-            Where the copy does not tell.
+            If the copy does not tell.
         """
         if not isinstance(measurement, LaserScan):
             return None
@@ -88,7 +88,7 @@ class Ahead:
         Raises
         ------
         LostError
-            Where the copy does not tell.
+            If the copy does not tell.
         """
         self._way.take_over(pickle.loads(self._next()))  # it is our own copy that has sent it
 
@@ -111,7 +111,7 @@ class Forerunner:
     Attributes
     ----------
     ahead
-        What it finds of scans; None where it does not track any.
+        What it finds of scans; None if it does not track any.
     """
 
     def __init__(self, dataset: Dataset, odometries: Odometries, checkpoint: Checkpoint) -> None:

@@ -30,7 +30,7 @@ class GnssAnchors:
     georeference
         Where the map lies on the earth, once it was laid there; else None.
     unused
-        Why the fixes could not be used; empty where they are.
+        Why the fixes could not be used; empty if they are.
     """
 
     def __init__(self) -> None:

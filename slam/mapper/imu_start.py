@@ -38,7 +38,7 @@ def after_readings(log: Iterable[Measurement]) -> Iterator[Measurement]:
 
 
 def start_of(log: Iterable[Measurement], config: Config) -> ImuStart | None:
-    """The state at the first cloud; None where the first seconds do not tell it."""
+    """The state at the first cloud; None if the first seconds do not tell it."""
     imu = ImuTracker()
     tracker, first_s = CloudTracker(config, None, imu=imu), math.inf
     for measurement in log:

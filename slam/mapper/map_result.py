@@ -41,7 +41,7 @@ class MapResult:
     notes
         What was found out on the way, one line each: mountings, registrations, the fusion.
     fused
-        What scans and depth images repaired of each other; None where there were not both.
+        What scans and depth images repaired of each other; None if there were not both.
     cameras
         What became of every camera's frames, by its name.
     unused
@@ -118,7 +118,7 @@ def drawn(found: MapContents, config: Config) -> tuple[MapContents, list[str]]:
 def depth_grid(
     frames: Iterable[RgbdFrame], poses: Sequence[gtsam.Pose3], config: Config, ground_m: float | None = None
 ) -> OccupancyGrid | None:
-    """The depth layer of camera keyframes; None where it is not asked for, or they tell nothing.
+    """The depth layer of camera keyframes; None if it is not asked for, or they tell nothing.
 
     Parameters
     ----------
@@ -131,7 +131,7 @@ def depth_grid(
     Raises
     ------
     ScanweaveError
-        Where the map would not fit.
+        If the map would not fit.
     """
     if not config.layers.enabled:
         return None

@@ -44,7 +44,7 @@ class MountLearner:
     Attributes
     ----------
     start
-        ``T_base_camera`` as the log tells it, right or wrong; None where it does not.
+        ``T_base_camera`` as the log tells it, right or wrong; None if it does not.
     steps
         Every motion of the camera between keyframes, to become edges when the mounting is known.
     result

@@ -114,7 +114,7 @@ def ground_of(
 
     Returns
     -------
-    None where it is not seen, and no mounting tells it.
+    None if it is not seen, and no mounting tells it.
     """
     first = islice(clouds, FEWEST)
     seen_m = ground_height(first, float(T_base_lidar.z()), voxel_m, thickness_m)
@@ -140,7 +140,7 @@ def ground_height(
 
     Returns
     -------
-    None where no level surface is seen.
+    None if no level surface is seen.
     """
     heights = []
     for points in clouds:

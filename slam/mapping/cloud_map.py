@@ -43,7 +43,7 @@ class CloudTiles:
     Raises
     ------
     ScanweaveError
-        Where a pose is not finite.
+        If a pose is not finite.
     """
 
     def __init__(

@@ -29,7 +29,7 @@ def packed_cloud(rows: FloatArray) -> bytes:
     Raises
     ------
     ScanweaveError
-        Where a point is not finite.
+        If a point is not finite.
     """
     reach_m = float(np.abs(rows[:, :3]).max(initial=0.0))
     if not np.isfinite(reach_m):
@@ -46,7 +46,7 @@ def unpacked_cloud(content: bytes, *, intensities: bool = True) -> FloatArray:
     Raises
     ------
     ValueError
-        Where they are not what `packed_cloud` gives; no more is unpacked than they say.
+        If they are not what `packed_cloud` gives; no more is unpacked than they say.
     """
     if len(content) < _HEAD.size:
         raise ValueError("a cloud that ends too soon")

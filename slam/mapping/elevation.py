@@ -91,7 +91,7 @@ def elevation(
 
     Returns
     -------
-    None where no ground hangs together with the robot's way.
+    None if no ground hangs together with the robot's way.
     """
     batches, waiting = list[Keys](), list[Keys]()
     seen = zip(clouds, poses, strict=True)

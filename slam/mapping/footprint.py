@@ -13,7 +13,7 @@ _UNDER_ROBOT = 0.2
 
 
 def footprint_board(pose: gtsam.Pose2, radius_m: float, cell_m: float) -> Board | None:
-    """The evidence of a keyframe's pose, in the lattice's axes; None where no whole cell is under the robot.
+    """The evidence of a keyframe's pose, in the lattice's axes; None if no whole cell is under the robot.
 
     Parameters
     ----------

@@ -32,7 +32,7 @@ def horizon_scan(
 
     Returns
     -------
-    None where no ring is near the horizon.
+    None if no ring is near the horizon.
     """
     rays = points - T_base_lidar.translation()
     level = np.hypot(rays[:, 0], rays[:, 1])

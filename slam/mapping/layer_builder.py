@@ -84,7 +84,7 @@ class LayerBuilder:
         Raises
         ------
         ScanweaveError
-            Where the pose is not finite or too far away, the map would be far too large, or a frame does not
+            If the pose is not finite or too far away, the map would be far too large, or a frame does not
             tell where its camera sits; the map is as it was then.
         """
         if not (np.abs(T_map_base.matrix()) < _MAX_POSITION_M).all():
@@ -106,7 +106,7 @@ class LayerBuilder:
         return True
 
     def grid(self, name: str) -> OccupancyGrid | None:
-        """The grid of ``lidar`` or ``depth`` so far, clamped; None where it told nothing.
+        """The grid of ``lidar`` or ``depth`` so far, clamped; None if it told nothing.
 
         Where it would have too many cells, they are larger, by a whole number.
         """

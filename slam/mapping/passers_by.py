@@ -26,7 +26,7 @@ from slam.measurements import FloatArray, LaserScan
 
 
 class StaticGrid(NamedTuple):
-    """A grid of what stays, and another of what has gone; None where nothing has."""
+    """A grid of what stays, and another of what has gone; None if nothing has."""
 
     static: OccupancyGrid
     passed_by: OccupancyGrid | None

@@ -99,7 +99,7 @@ def seen_from(rooms: RoomMap, points: WallPoints) -> NDArray[np.int32]:
 def room_outline(
     rooms: RoomMap, label: int, points: WallPoints, others: Sequence[Outline] = ()
 ) -> Outline | None:
-    """The outline of a room by the points that were seen from inside it; None where they make none.
+    """The outline of a room by the points that were seen from inside it; None if they make none.
 
     It stays out of others.
     """

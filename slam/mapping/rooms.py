@@ -184,7 +184,7 @@ class _Opening:
     cells
         (n,) where along its line, so that a gap seen from both sides counts once.
     wall
-        What is in line with it; None where no wall can part the two.
+        What is in line with it; None if no wall can part the two.
     """
 
     one: int

@@ -31,7 +31,7 @@ class Side:
     begin_m, end_m
         (2,) map frame.
     fit
-        The line through its points; None where there is none.
+        The line through its points; None if there is none.
     ends_seen
         Whether the sides before and after it were seen; else it may go on there.
     odd

@@ -103,7 +103,7 @@ def along(face: Face, points_m: FloatArray) -> FloatArray:
 def fit_wall(
     face: Face, ends_m: tuple[float, float], points: WallPoints, poses: FloatArray, cell_m: float
 ) -> WallFit | None:
-    """The line through the points near a face; None where there are too few.
+    """The line through the points near a face; None if there are too few.
 
     Parameters
     ----------

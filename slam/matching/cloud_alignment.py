@@ -90,7 +90,7 @@ def align_cloud(
 
     Returns
     -------
-    None where fewer than six points lie on planes.
+    None if fewer than six points lie on planes.
     """
     pose, found, converged = guess, None, False
     for _ in range(iterations):

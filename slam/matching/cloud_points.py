@@ -34,7 +34,7 @@ def base_points(cloud: PointCloud, twist: FloatArray, config: CloudOdometryConfi
 
 
 def usable_intensities(cloud: PointCloud, config: CloudOdometryConfig) -> Float32Array | None:
-    """(M,) of the points of `base_points`; None where the cloud does not tell them."""
+    """(M,) of the points of `base_points`; None if the cloud does not tell them."""
     return None if cloud.intensities is None else cloud.intensities[_usable(cloud, config)[1]]
 
 

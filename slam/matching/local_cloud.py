@@ -77,14 +77,14 @@ class LocalCloud:
         reach_m: float | None = None,
         least_agreement: float = 0.0,
     ) -> Aligned | None:
-        """Align a thinned scan (N, 3), base frame; None where too little is known.
+        """Align a thinned scan (N, 3), base frame; None if too little is known.
 
         Parameters
         ----------
         guess
             ``T_map_base``.
         reach_m
-            How far the guess may be off; None where it is expected to be right within a voxel.
+            How far the guess may be off; None if it is expected to be right within a voxel.
         least_agreement
             Share of points on planes with which planes alone are believed.
         """

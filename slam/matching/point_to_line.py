@@ -37,7 +37,7 @@ class Alignment(NamedTuple):
     converged
         Whether the last step was below a tenth of a millimetre and of a milliradian.
     spread
-        (3, 3) covariance of the gradient at the pose, see `slam.matching.score_spread`; None where nobody
+        (3, 3) covariance of the gradient at the pose, see `slam.matching.score_spread`; None if nobody
         asked for it.
     """
 

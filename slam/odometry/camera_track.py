@@ -71,7 +71,7 @@ class CameraTrack:
         return None if twist is None else (self._stamps[-2], self._stamps[-1], twist)
 
     def at(self, stamp_s: float, clock_sigma_s: float) -> CameraPose | None:
-        """The camera at a stamp between its frames or shortly outside them; None where that is not known.
+        """The camera at a stamp between its frames or shortly outside them; None if that is not known.
 
         Parameters
         ----------

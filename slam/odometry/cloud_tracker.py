@@ -40,7 +40,7 @@ class TrackedCloud:
     pose
         ``T_odom_base``.
     motion
-        The match; None where nothing matched, and the pose is a guess.
+        The match; None if nothing matched, and the pose is a guess.
     new_keyframe
         Whether the robot has moved on enough.
     unseen_m
@@ -149,7 +149,7 @@ class CloudTracker:
         return tracked
 
     def intensities(self) -> Float32Array | None:
-        """(N,) of the points of the newest cloud that was tracked; None where it does not tell them."""
+        """(N,) of the points of the newest cloud that was tracked; None if it does not tell them."""
         return None if self._cloud is None else usable_intensities(self._cloud, self._turns)
 
     def roll(self, stamp_s: float, pose: FloatArray) -> None:
@@ -267,7 +267,7 @@ class CloudTracker:
         return TrackedCloud(points, pose, None, new_keyframe)
 
     def _tell(self, covariance: FloatArray | None) -> None:
-        """Tell the IMU where the robot is, (6, 6); None where that was guessed."""
+        """Tell the IMU where the robot is, (6, 6); None if that was guessed."""
         if self._imu is None or self._stamp_s is None:
             return
         unseen = covariance is None or float(np.trace(covariance)) > _UNSEEN_M**2

@@ -82,7 +82,7 @@ class YawGyro:
         return self._doubt > gate()
 
     def moment(self, stamp_s: float) -> GyroMoment | None:
-        """How far it has turned by a stamp of the lidar's clock; None where it does not tell."""
+        """How far it has turned by a stamp of the lidar's clock; None if it does not tell."""
         at_s = stamp_s + self._ahead_s
         before = next((one for one in reversed(self._recent) if one.stamp_s <= at_s), None)
         if before is None or self._readings.is_gap(at_s - before.stamp_s):
@@ -93,7 +93,7 @@ class YawGyro:
     def turn(
         self, begun: GyroMoment | None, ended: GyroMoment | None, *, chained: bool = False
     ) -> tuple[float, float] | None:
-        """Turn between two moments and its variance; None where it is unfit, or does not tell.
+        """Turn between two moments and its variance; None if it is unfit, or does not tell.
 
         That is where readings are missing, and where a scan comes after what is stamped later.
 

@@ -139,7 +139,7 @@ class ImuSmoother:
         whole
             The readings since the newest state.
         pose, covariance
-            ``T_odom_imu`` as it was measured, (6, 6) in its tangent; None where nothing was.
+            ``T_odom_imu`` as it was measured, (6, 6) in its tangent; None if nothing was.
         step
             Motion since the newest state by other sensors, with its covariance (6, 6).
 

@@ -67,7 +67,7 @@ class TurnMatcher:
         *,
         told: bool,
     ) -> MotionEstimate | None:
-        """Pose of a cloud in the odometry frame; None where nothing fits.
+        """Pose of a cloud in the odometry frame; None if nothing fits.
 
         Parameters
         ----------

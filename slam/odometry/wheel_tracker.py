@@ -144,7 +144,7 @@ class WheelTracker:
     def motion(
         self, begun: WheelMoment | None, ended: WheelMoment | None, elapsed_s: float
     ) -> FloatArray | None:
-        """Motion (3,) between two moments; None where the wheels do not tell, or no robot can move so.
+        """Motion (3,) between two moments; None if the wheels do not tell, or no robot can move so.
 
         Dead ones do not tell that it stands.
         """

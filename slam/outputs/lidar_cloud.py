@@ -32,7 +32,7 @@ def lidar_cloud(found: MapContents, config: Config, ground: Elevation | None) ->
     Raises
     ------
     ScanweaveError
-        Where a pose is not finite.
+        If a pose is not finite.
     """
     poses = [spatial(pose) for pose in found.node_poses]
     clouds = found.clouds

@@ -40,7 +40,7 @@ Spread = Callable[[NDArray[np.int64], NDArray[np.int64], FloatArray], FloatArray
 
 @dataclass(frozen=True, slots=True)
 class Visit:
-    """Keyframes of a visit: K scans, None where missing, and (K, 3) poses in the common frame."""
+    """Keyframes of a visit: K scans, None if missing, and (K, 3) poses in the common frame."""
 
     scans: Sequence[LaserScan | None]
     poses: FloatArray

@@ -58,7 +58,7 @@ def write_difference(
     Raises
     ------
     ScanweaveError
-        Where a file cannot be written.
+        If a file cannot be written.
     """
     make_folder(folder)
     features = [

@@ -41,7 +41,7 @@ def write_joined(folder: Path, known: Map, session: Map, connection: Connection)
     Raises
     ------
     ScanweaveError
-        Where a file cannot be written.
+        If a file cannot be written.
     """
     assert connection.joined is not None
     make_folder(folder)

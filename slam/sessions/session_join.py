@@ -64,7 +64,7 @@ def join(
     Raises
     ------
     ScanweaveError
-        Where the grid would have too many cells.
+        If the grid would have too many cells.
     """
     known, session = known_map.contents, session_map.contents
     nodes = len(known.node_poses)

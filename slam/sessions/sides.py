@@ -36,7 +36,7 @@ class Side:
     path_m
         (K,) way to each.
     view
-        What stood of what a keyframe saw, as the other side's sensor takes it; None where it saw nothing.
+        What stood of what a keyframe saw, as the other side's sensor takes it; None if it saw nothing.
     sensor
         Makes what knows readings of the other side again, and holds much of its own side in memory.
     """

@@ -27,7 +27,7 @@ def write_colmap(folder: Path, images: Sequence[PosedImage], cloud: ColoredCloud
     Raises
     ------
     MapFileError
-        Where a file cannot be written.
+        If a file cannot be written.
     """
     cameras: dict[tuple[str, CameraIntrinsics], int] = {}
     for image in images:

@@ -30,9 +30,9 @@ def write_e57(
     Raises
     ------
     LibraryError
-        Where pye57 is not installed.
+        If pye57 is not installed.
     MapFileError
-        Where the file cannot be written.
+        If the file cannot be written.
     """
     try:
         import pye57

@@ -25,7 +25,7 @@ def write_g2o(path: Path, poses: Sequence[Pose], edges: Iterable[Edge]) -> None:
     Raises
     ------
     MapFileError
-        Where a pose or an information matrix is not finite, or the file cannot be written.
+        If a pose or an information matrix is not finite, or the file cannot be written.
 
     Examples
     --------

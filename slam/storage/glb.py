@@ -30,7 +30,7 @@ def write_mesh_glb(path: Path, mesh: ColoredMesh) -> None:
     Raises
     ------
     MapFileError
-        Where the mesh is empty or the file cannot be written.
+        If the mesh is empty or the file cannot be written.
     """
     if not len(mesh.faces):
         raise MapFileError(f"no triangles for {path}: no surface was seen often enough")

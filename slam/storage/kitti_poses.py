@@ -16,7 +16,7 @@ def write_kitti(path: Path, trajectory: Trajectory) -> list[Path]:
     Raises
     ------
     MapFileError
-        Where a file cannot be written.
+        If a file cannot be written.
     """
     poses = trajectory.poses()
     first = poses[0].inverse()

@@ -29,9 +29,9 @@ def write_las(path: Path, cloud: ColoredCloud, is_ground: BoolArray) -> None:
     Raises
     ------
     LibraryError
-        Where laspy is not installed.
+        If laspy is not installed.
     MapFileError
-        Where the file cannot be written.
+        If the file cannot be written.
     """
     try:
         import laspy

@@ -32,7 +32,7 @@ def reader(path: Path) -> sqlite3.Connection:
     Raises
     ------
     MapFileError
-        Where it is no SQLite file.
+        If it is no SQLite file.
     """
     with path.open("rb") as stream:
         if stream.read(len(_HEADER)) != _HEADER:

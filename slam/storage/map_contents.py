@@ -309,7 +309,7 @@ def refuse_misfits(file: MapFile, contents: MapContents) -> None:
 
 
 def _each(pairs: Sequence[Any], of_pair: Callable[[_Scans], LaserScan | None]) -> Sequence[LaserScan | None]:
-    """A scan of each pair, read when it is asked for as the pairs are."""
+    """A scan of each pair, read when it is needed as the pairs are."""
     if isinstance(pairs, KeptScans):
         return KeptScans(len(pairs), lambda key: of_pair(pairs[key]))
     return [of_pair(pair) for pair in pairs]
@@ -351,7 +351,7 @@ def _kind(name: str) -> str:
 
 
 def _covariances(file: MapFile, poses: int, dimension: int, small: Unpack) -> FloatArray | None:
-    """Those of the trajectory; None where the map tells none."""
+    """Those of the trajectory; None if the map tells none."""
     rows = list(file.parsed(COVARIANCES, lambda row: _triangles(row, dimension, small)))
     if not rows:
         return None

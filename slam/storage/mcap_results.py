@@ -59,7 +59,7 @@ def write_results_bag(
     Raises
     ------
     MapFileError
-        Where the folder is there, or cannot be written.
+        If the folder is there, or cannot be written.
     """
     from rosbags.rosbag2 import StoragePlugin, Writer, WriterError
 
@@ -102,7 +102,7 @@ def write_results_bag(
 
 
 def _grid(plan: Plan, stamp_s: float) -> Any:
-    """The map to drive by."""
+    """The navigation map."""
     header = ros.header(stamp_s, _MAP)
     rows, columns = plan.states.shape
     about = ros.new(

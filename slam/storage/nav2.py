@@ -78,7 +78,7 @@ def write_nav2_map(
     Raises
     ------
     MapFileError
-        Where there are other states, no cells, or the files cannot be written.
+        If there are other states, no cells, or the files cannot be written.
     """
     stem = Path(stem)
     image_path, yaml_path = stem.with_name(f"{stem.name}.pgm"), stem.with_name(f"{stem.name}.yaml")

@@ -42,7 +42,7 @@ def write_room_zones(folder: Path, plan: FloorPlan, layers: LayeredMap, radius_m
     Raises
     ------
     ScanweaveError
-        Where the plan has no room, or a file cannot be written.
+        If the plan has no room, or a file cannot be written.
     """
     if not plan.rooms:
         raise ScanweaveError("the map shows no room, so there are no zones to write")

@@ -38,11 +38,11 @@ def write_octomap(
     Raises
     ------
     ConfigError
-        Where the resolution or the range is not above 0.
+        If the resolution or the range is not above 0.
     ScanweaveError
-        Where the extra is not installed, a pose is not finite or outside the tree, or nothing was seen.
+        If the extra is not installed, a pose is not finite or outside the tree, or nothing was seen.
     MapFileError
-        Where the file cannot be written.
+        If the file cannot be written.
     """
     views = (
         (_points_camera(frame, resolution_m, range_max_m), T_map_camera)

@@ -77,7 +77,7 @@ def unpack(content: bytes) -> Any:
     Raises
     ------
     MapFileError
-        Where they are not what `pack` gives.
+        If they are not what `pack` gives.
     """
     try:
         value, end = _unpack(content, 0, 0)

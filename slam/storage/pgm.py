@@ -33,7 +33,7 @@ def write_pgm(path: Path, image: GreyImage | NDArray[np.uint16], pixel_of: GreyI
     Raises
     ------
     MapFileError
-        Where the file cannot be written.
+        If the file cannot be written.
 
     Examples
     --------
@@ -60,7 +60,7 @@ def read_pgm(path: Path) -> GreyImage:
     Raises
     ------
     MapFileError
-        Where the file cannot be read, is not PGM, or has too few or too bright pixels.
+        If the file cannot be read, is not PGM, or has too few or too bright pixels.
 
     Examples
     --------

@@ -20,7 +20,7 @@ def write_plan_geojson(path: Path, plan: FloorPlan) -> None:
     Raises
     ------
     MapFileError
-        Where the file cannot be written.
+        If the file cannot be written.
     """
     write_lines(path, [json.dumps(plan_geojson(plan), indent=1)])
 

@@ -29,7 +29,7 @@ def write_plan_svg(path: Path, plan: FloorPlan) -> None:
     Raises
     ------
     MapFileError
-        Where the file cannot be written.
+        If the file cannot be written.
     """
     write_lines(path, _Drawing(plan).lines())
 

@@ -59,7 +59,7 @@ def write_posed_images(
     Raises
     ------
     MapFileError
-        Where a frame is damaged, or a file cannot be written.
+        If a frame is damaged, or a file cannot be written.
     """
     import cv2
 

@@ -27,7 +27,7 @@ def write_transforms(path: Path, images: Sequence[PosedImage], cloud_name: str) 
     Raises
     ------
     MapFileError
-        Where it cannot be written.
+        If it cannot be written.
     """
     lenses = {image.intrinsics for image in images}
     head: dict[str, Any] = {"camera_model": "OPENCV", "ply_file_path": cloud_name}

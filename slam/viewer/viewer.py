@@ -105,7 +105,7 @@ def recording(path: Path | None) -> Iterator[Viewer | None]:
     Raises
     ------
     ScanweaveError
-        Where Rerun is not installed, or the file cannot be written.
+        If Rerun is not installed, or the file cannot be written.
     """
     if path is None:
         yield None

@@ -128,7 +128,7 @@ def _cross_validate(problem: Problem, own: BoolArray) -> _Half:
 
 
 def _refusal(halves: Sequence[_Half], gain: float, apart: float, depth: CameraIntrinsics) -> str:
-    """Why the registration must not be used; empty where the evidence is clear."""
+    """Why the registration must not be used; empty if the evidence is clear."""
     clear = _standard_errors(np.concatenate([half.gains for half in halves]))
     over_rescaled = _standard_errors(np.concatenate([half.gains_over_rescaled for half in halves]))
     asked = math.sqrt(gate())

@@ -218,7 +218,7 @@ def _moved(guess: Guess, axis: str, amount: float, depth_m: float) -> Guess:
 
 
 def _first_motion(points: FloatArray, pixels: FloatArray, camera: CameraIntrinsics) -> FloatArray | None:
-    """(3, 4) ``T_b_a`` by PnP-RANSAC; None where few matches agree."""
+    """(3, 4) ``T_b_a`` by PnP-RANSAC; None if few matches agree."""
     import cv2
 
     known = points[:, 2] > 0.0

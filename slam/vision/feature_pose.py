@@ -41,7 +41,7 @@ def pose_from_features(
     tolerance_px: float,
     least_inliers: int,
 ) -> FeaturePose | None:
-    """Pose of a camera from known points and where it sees them; None where too few agree.
+    """Pose of a camera from known points and where it sees them; None if too few agree.
 
     Parameters
     ----------

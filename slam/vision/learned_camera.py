@@ -16,9 +16,9 @@ class LearnedCamera:
     Attributes
     ----------
     registration
-        Where its colour camera sits beside the depth camera; None where that was not asked.
+        Where its colour camera sits beside the depth camera; None if that was not asked.
     T_base_camera
-        Its mounting, as the log reported it or as it was learned; None where it is its own base, or unknown.
+        Its mounting, as the log reported it or as it was learned; None if it is its own base, or unknown.
     mounting_learned
         Whether the mounting was learned from the motions of camera and robot.
     clock_offset_s, clock_sigma_s

@@ -24,7 +24,7 @@ class PreparedFrame:
     config
         How many features and points, and at which resolution.
     registration
-        Where the colour camera sits; None where colour is registered to depth.
+        Where the colour camera sits; None if colour is registered to depth.
     features
         Where they are known.
     """
