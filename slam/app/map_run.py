@@ -1,4 +1,4 @@
-"""One log through the mapper into one folder: map.db, the files of other programs, the report."""
+"""Run one log through the mapper into one folder: map.db, the exported files and the report."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ class MapRun:
     folder
         Where the map is.
     report
-        What its report tells; None where the map was finished before, and nothing was done.
+        What its report tells; None if the map was finished before, and nothing was done.
     written
         The files, ``map.db`` and the report among them.
     dropped
@@ -102,7 +102,7 @@ def run_into(
     Raises
     ------
     ScanweaveError
-        Where the log holds nothing to map, a file is at fault, or what is resumed does not fit.
+        If the log holds nothing to map, a file is at fault, or what is resumed does not fit.
     """
     started = time.perf_counter()
     make_folder(folder)

@@ -1,4 +1,4 @@
-"""Measurements of a program's own as a log: what the mapper reads again and again, from memory."""
+"""Measurements of a program as a log, which the mapper reads several times from memory."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""``map.db`` of an edited map: read apart into what it was and what was decided, and written."""
+"""``map.db`` of an edited map: separate the original map from the edits, and write it."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ def write_with(known: Known, edits: Edits, path: Path) -> list[str]:
     Raises
     ------
     ScanweaveError
-        Where they do not fit the map, or the file cannot be written.
+        If they do not fit the map, or the file cannot be written.
     """
     entries = [*known.contents.edits]
     if not edits.empty:

@@ -1,7 +1,7 @@
-"""What scans, images and clouds saw within polygons of the map, and the scans without it.
+"""Find what scans, images and clouds saw inside polygons of the map, and remove it from the scans.
 
-Taken away is what a beam, pixel or point met; what the ray to it has passed stays known. So the rest of the
-map stays as it is, to the cell.
+Only the end points of beams, pixels or points are removed; what their rays passed through stays known. So the
+rest of the map does not change in a single cell.
 """
 
 from __future__ import annotations
@@ -118,7 +118,7 @@ def _placed(points: FloatArray, pose: Pose) -> FloatArray:
 
 
 def _floor_m(contents: MapContents, T_map_base: Pose | None) -> float | None:
-    """Height of the floor around the robot; None where nobody knows it."""
+    """Height of the floor around the robot; None if nobody knows it."""
     if contents.planar:
         return 0.0
     if contents.ground_m is None or T_map_base is None:

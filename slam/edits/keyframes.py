@@ -1,4 +1,4 @@
-"""Keyframes by the names that people know, and the points of the map that they hold."""
+"""Keyframes by their names for users, and the points that they contribute to the map."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ def row_of(keyframe: Keyframe, contents: MapContents, sessions: Sequence[MapSess
     Raises
     ------
     MapFileError
-        Where the map has none of that session and reading.
+        If the map has none of that session and reading.
     """
     if keyframe.session > len(sessions):
         raise MapFileError(f"there is no {keyframe}: the map has {len(sessions)} session(s)")

@@ -1,4 +1,4 @@
-"""Loops that a person forbids, forces or adds, and loops judged anew by other settings."""
+"""Loops that the user forbids, forces or adds, and loops verified again with other settings."""
 
 from __future__ import annotations
 
@@ -87,7 +87,7 @@ def best_of(loops: Sequence[LoopCandidate], pair: Pair) -> int:
     Raises
     ------
     MapFileError
-        Where none of them has a match.
+        If none of them has a match.
     """
     matched = [number for number in _numbers(loops, pair) if loops[number].motion is not None]
     if not matched:
@@ -154,7 +154,7 @@ def matched_loops(
     Raises
     ------
     MapFileError
-        Where two do not match, with the reason.
+        If two do not match, with the reason.
     """
     if not wanted:
         return []
@@ -211,7 +211,7 @@ def _checked(loop: LoopCandidate, told: str) -> LoopCandidate:
     Raises
     ------
     MapFileError
-        Where it does not, with the reason.
+        If it does not, with the reason.
     """
     if not loop.accepted:
         raise MapFileError(f"no loop between {told}: {loop.reason}")

@@ -1,4 +1,4 @@
-"""A finished map anew: its graph solved, its evidence drawn, with edits and other settings."""
+"""Rebuild a finished map: solve its graph and draw its evidence again, with edits and other settings."""
 
 from __future__ import annotations
 
@@ -92,7 +92,7 @@ def remade(
     Raises
     ------
     ScanweaveError
-        Where an edit does not fit, or a setting takes the log.
+        If an edit does not fit, or a setting takes the log.
     """
     config = remade_config(before, entries)
     found = replace(settled(base, entries, before, config, sessions), edits=list(entries))
@@ -248,7 +248,7 @@ def _seen(
 
 
 def _cropped(grid: OccupancyGrid, polygon: FloatArray) -> OccupancyGrid | None:
-    """The cells of a grid with their middle in a polygon, none unknown around; None where there is none."""
+    """The cells of a grid with their middle in a polygon, none unknown around; None if there is none."""
     within = cells_inside(polygon, grid.steps.shape, grid.resolution_m, grid.T_map_grid)
     (at_rows,), (at_cols,) = np.nonzero(within.any(axis=1)), np.nonzero(within.any(axis=0))
     if not len(at_rows):

@@ -1,4 +1,4 @@
-"""How a map is turned: along its walls, by an angle, or along two points."""
+"""Rotate a map: to align with its walls, by an angle, or along two points."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def to_walls_rad(contents: MapContents, config: Config) -> float:
     Raises
     ------
     MapFileError
-        Where the map has no scans, and so no walls to be seen.
+        If the map has no scans, and so no walls to be seen.
     """
     angles = []
     for scan, pose in zip(contents.keyframe_scans, contents.keyframe_poses, strict=False):

@@ -1,4 +1,4 @@
-"""report.html of a localised drive: the way over the map, states and confidence over time, what it cost."""
+"""report.html of a localised log: the path on the map, states and confidence over time, and the cost."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ def write_localization_report(
     Raises
     ------
     MapFileError
-        Where the folder is missing, not writable or full; an older report then stays as it was.
+        If the folder is missing, not writable or full; an older report then stays as it was.
     """
     page = _page(title, drive, layers)
     write_page(

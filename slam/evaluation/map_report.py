@@ -1,4 +1,4 @@
-"""What a run has come to, as its report tells of it."""
+"""Results of a run, as shown in its report."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What the charts of a page draw: series over time or over the log, thinned to what can be seen."""
+"""Data of the charts on a page: series over time or over the log, thinned to what is visible."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The cloud and the images of a map as a page shows them: thinned to a stated size."""
+"""Cloud and images of a map for its page, thinned to a given size."""
 
 from __future__ import annotations
 

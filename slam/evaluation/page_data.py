@@ -1,4 +1,4 @@
-"""A finished map as the data of its page: nodes, edges, loops, scans and the way, as arrays by name."""
+"""Convert a finished map to the data of its page: nodes, edges, loops, scans and path, as named arrays."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The layers of a map as pictures that lie under the page's plan."""
+"""Layers of a map as images under the plan of its page."""
 
 from __future__ import annotations
 
@@ -109,7 +109,7 @@ def areas_m2(layers: LayeredMap) -> tuple[float, float]:
 
 
 def _map(layers: LayeredMap) -> Picture:
-    """The map to drive by, what only the lidar saw free in a kind of its own."""
+    """The navigation map, what only the lidar saw free in a kind of its own."""
     kinds = _kinds(layers, "decision")
     if layers.names:
         kinds[layers.free_at_lidar_height() & (kinds == _UNSEEN)] = _LIDAR_HEIGHT

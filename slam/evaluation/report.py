@@ -1,4 +1,4 @@
-"""One self-contained report.html a run: what came in, what was decided, how certain, at what cost."""
+"""Write one self-contained report.html per run: input, decisions, uncertainty and cost."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def write_report(path: Path, data: ReportData, head: Callable[[], Any] = lambda:
     Raises
     ------
     MapFileError
-        Where the folder is missing, not writable or full; an older report then stays as it was.
+        If the folder is missing, not writable or full; an older report then stays as it was.
     """
     result = data.result
     truth, degenerate = data.beside.truth, result.scans.degenerate[result.map.readings] > 0.0

@@ -1,4 +1,4 @@
-"""The page of a saved map, without the run that made it; and the plan of any map with cloud and images."""
+"""Page of a saved map without its run, and the plan of any map with cloud and images."""
 
 from __future__ import annotations
 
@@ -80,7 +80,7 @@ def write_saved_page(saved: Map) -> Path:
     Raises
     ------
     MapFileError
-        Where it cannot be written.
+        If it cannot be written.
     """
     path = saved.path.parent / REPORT
     with replacing(path) as temporary, temporary.open("w", encoding="utf-8") as file:

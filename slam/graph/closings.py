@@ -1,4 +1,4 @@
-"""What holds the shape of the whole map: what its loops had to close, what is left, what else holds it."""
+"""What determines the shape of the whole map: the errors that loops closed, the rest, other constraints."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Loop closure by clouds: places near by the estimate or by their appearance, verified by registration."""
+"""Loop closure by clouds: candidate places by distance or appearance, verified by registration."""
 
 from __future__ import annotations
 

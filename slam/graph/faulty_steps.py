@@ -1,4 +1,4 @@
-"""Steps of a chain that may be grossly wrong: a few are, wherever nothing but wheels told them."""
+"""Steps of a chain that may have gross errors: a few do, wherever only wheel odometry measured them."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Stretches of a run's way, each with what is seen along it, and which of them look alike."""
+"""Stretches of a path, each with what the sensors saw along it, and which of them look alike."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Local maps around keyframes, made from the odometry's own short-range accuracy, kept in a small cache."""
+"""Local maps around keyframes, built with the short-range accuracy of the odometry, in a small cache."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Loop closure by the camera: places that should be in sight, and places that look the same."""
+"""Loop closure by camera: places that should be in view, and places that look similar."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The walls of a drawn map: where its free space ends, each side of a wall facing the room that it bounds."""
+"""Walls of a grid map: the boundaries of its free space, each side of a wall facing its own room."""
 
 from __future__ import annotations
 

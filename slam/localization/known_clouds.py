@@ -1,4 +1,4 @@
-"""The clouds of a known map, in the forms in which they are asked for."""
+"""Clouds of a known map, in the forms that localisation needs."""
 
 from __future__ import annotations
 
@@ -66,7 +66,7 @@ class CloudTiles:
     Raises
     ------
     MapFileError
-        Where no keyframe has points enough.
+        If no keyframe has points enough.
     """
 
     def __init__(self, known: MapContents, config: Config) -> None:

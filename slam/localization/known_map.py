@@ -38,7 +38,7 @@ class Walls:
     Raises
     ------
     MapFileError
-        Where the map holds no scan.
+        If the map holds no scan.
     """
 
     def __init__(self, known_map: MapContents, config: Config) -> None:
@@ -97,7 +97,7 @@ class Walls:
         )
 
     def view(self, key: int) -> ScanView | None:
-        """What stood of what a keyframe of the map saw, without people; None where it has no scan."""
+        """What stood of what a keyframe of the map saw, without people; None if it has no scan."""
         view = self._views.get(key)
         return None if view is None else view.only(self._standing(view, self._poses[key])[1])
 

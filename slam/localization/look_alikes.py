@@ -1,4 +1,4 @@
-"""Whether places of a map look alike, so that one may be taken for another where nobody told the start."""
+"""Check if places of a map look alike, so that a search without initial pose may find the wrong one."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Fixes of a satellite receiver, gathered along the way and laid on the map when it is done."""
+"""Collect the fixes of a GNSS receiver along the path, and align the finished map with them."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ class GnssAnchors:
     georeference
         Where the map lies on the earth, once it was laid there; else None.
     unused
-        Why the fixes could not be used; empty where they are.
+        Why the fixes could not be used; empty if they are.
     """
 
     def __init__(self) -> None:

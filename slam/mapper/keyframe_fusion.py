@@ -1,4 +1,4 @@
-"""Each keyframe's scan and depth images repair each other, with no calibration between them (Xu2024)."""
+"""Mutual repair of scan and depth images of each keyframe, without calibration between them (Xu2024)."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ class FusionPair:
     u, grade
         Best offset along the lidar curve, and how far the pair can be trusted.
     repaired
-        (5,) beams by `fusion.Provenance`; None where nothing was repaired.
+        (5,) beams by `fusion.Provenance`; None if nothing was repaired.
     """
 
     stamp_s: float
@@ -49,7 +49,7 @@ class FusionSummary:
     pairs
         One a keyframe with scan and images.
     estimate
-        What the whole drive tells of the rig; None where nothing could be reported.
+        What the whole drive tells of the rig; None if nothing could be reported.
     note
         In one line, for people.
     """
@@ -153,7 +153,7 @@ class KeyframeFusion:
         turns: tuple[FloatArray, ...],
         estimate: fusion.RigEstimate,
     ) -> tuple[NDArray[np.int64] | None, Float32Array | None, str]:
-        """Beams by `fusion.Provenance` and ranges, None where nothing was repaired; why it cannot be."""
+        """Beams by `fusion.Provenance` and ranges, None if nothing was repaired; why it cannot be."""
         if scan is None:
             return None, None, ""
         depths = [self._images.depth(image, turn) for image, turn in zip(numbers, turns, strict=True)]

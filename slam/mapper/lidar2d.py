@@ -1,4 +1,4 @@
-"""A robot on a floor: a 2D lidar leads, wheels predict, cameras see what it misses; SE(2)."""
+"""Front end for a robot on a floor: matches a 2D lidar, with wheel odometry and cameras as support; SE(2)."""
 
 from __future__ import annotations
 
@@ -38,12 +38,12 @@ from slam.vision.color_registration import ColorRegistration
 
 
 class PlanarRobot(FrontEnd):
-    """Scans, wheels and cameras of a robot on a floor; see `slam.mapper.protocol.FrontEnd`.
+    """Front end for scans, wheels and cameras of a robot on a floor; see `slam.mapper.protocol.FrontEnd`.
 
     Parameters
     ----------
     ahead
-        Who tracks the scans of the same log in another process, see `slam.mapper.forerunner`.
+        Process that tracks the scans of the same log ahead, see `slam.mapper.forerunner`.
     """
 
     def __init__(
@@ -76,7 +76,7 @@ class PlanarRobot(FrontEnd):
         self._drawn: tuple[FloatArray, Begun | None] = np.zeros((0, 3)), None
 
     def observe(self, measurement: Any) -> Tracked | None:
-        """Take the next measurement; where the robot is then, if it tells that."""
+        """Process the next measurement; return the tracked pose, if it gives one."""
         moment = self._steps.observe(measurement)
         if moment is None:
             return None
@@ -88,17 +88,17 @@ class PlanarRobot(FrontEnd):
         return Tracked(moment.stamp_s, moment.motion, moment.new_keyframe)
 
     def origin(self) -> Pose:
-        """The map begins where the robot does."""
+        """Return the origin of the map: the first pose of the robot."""
         return gtsam.Pose2()
 
     def step(self, key: int) -> tuple[Pose, Sequence[Edge]]:
-        """Motion from the last keyframe to the newest moment, and its edges."""
+        """Return the motion from the last keyframe to the newest pose, and its edges."""
         found = self._step = self._steps.step(key)
         self._travelled_m += float(np.hypot(found.step[0], found.step[1]))
         return pose2_from_row(found.step), found.edges
 
     def recognise(self, key: int, graph: KeyframeGraph) -> list[LoopCandidate]:
-        """Remember a keyframe, and try the places that it may have come back to."""
+        """Store a keyframe, and try to close loops with places it may have returned to."""
         moment, found = self._newest, self._step
         assert moment is not None and found is not None
         surface = OrientedPoints(*map(self._kept.keep, (found.surface.points, found.surface.normals)))
@@ -118,10 +118,10 @@ class PlanarRobot(FrontEnd):
         return tried
 
     def refuse(self) -> None:
-        """Whatever a scan sees is a map."""
+        """Never raise an error: any scan gives a map."""
 
     def settle(self, graph: KeyframeGraph) -> None:
-        """Say anew how cameras and wheels moved, as the whole run tells their clocks and mountings."""
+        """Recompute the steps of cameras and wheels with the clocks and mountings estimated in the run."""
         self._way.settle(graph)
         self._pictures.settle(graph, self.readings.scan_stamps_s()[self.readings.keyframe_scans()])
 
@@ -159,7 +159,7 @@ class PlanarRobot(FrontEnd):
         )
 
     def learned_mountings(self) -> dict[str, LearnedMounting]:
-        """Where cameras sit that the log does not tell, as far as this run has shown."""
+        """Return camera mountings that the log lacks and this run estimated."""
         return self._cameras.learned_mountings()
 
     @cached_property

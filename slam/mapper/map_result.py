@@ -1,4 +1,4 @@
-"""What a run hands on when it is done."""
+"""Result of a finished run."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ class MapResult:
     notes
         What was found out on the way, one line each: mountings, registrations, the fusion.
     fused
-        What scans and depth images repaired of each other; None where there were not both.
+        What scans and depth images repaired of each other; None if there were not both.
     cameras
         What became of every camera's frames, by its name.
     unused
@@ -119,7 +119,7 @@ def drawn(found: MapContents, config: Config, grids: Begun | None = None) -> tup
 def depth_grid(
     frames: Iterable[RgbdFrame], poses: Sequence[gtsam.Pose3], config: Config, ground_m: float | None = None
 ) -> OccupancyGrid | None:
-    """The depth layer of camera keyframes; None where it is not asked for, or they tell nothing.
+    """The depth layer of camera keyframes; None if it is not asked for, or they tell nothing.
 
     Parameters
     ----------
@@ -132,7 +132,7 @@ def depth_grid(
     Raises
     ------
     ScanweaveError
-        Where the map would not fit.
+        If the map would not fit.
     """
     if not config.layers.enabled:
         return None

@@ -1,4 +1,4 @@
-"""Warnings of what holds a finished map together, and of poses that nothing has told."""
+"""Warnings about the constraints of a finished map, and about poses that nothing measured."""
 
 from __future__ import annotations
 

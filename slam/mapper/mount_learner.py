@@ -1,4 +1,4 @@
-"""Where a camera sits on its robot, learned while mapping from the motions of both."""
+"""Estimate the pose of a camera on its robot during mapping, from the motions of both."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ class MountLearner:
     Attributes
     ----------
     start
-        ``T_base_camera`` as the log tells it, right or wrong; None where it does not.
+        ``T_base_camera`` as the log tells it, right or wrong; None if it does not.
     steps
         Every motion of the camera between keyframes, to become edges when the mounting is known.
     result

@@ -1,4 +1,4 @@
-"""The RGB-D cameras of a robot on a floor: where each was at a moment, and how the robot moved by it."""
+"""RGB-D cameras of a robot on a floor: the pose of each at a given time, and the robot's motion from it."""
 
 from __future__ import annotations
 

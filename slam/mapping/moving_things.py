@@ -1,7 +1,7 @@
-"""What moves, followed from scan to scan of a 2D lidar, and its beams taken out of the keyframes' scans.
+"""Track moving objects from scan to scan of a 2D lidar, and remove their beams from the keyframe scans.
 
-Keyframes alone cannot tell a person who stands still for a while from a chair. But he came and went: then he
-stood in space that was seen free a moment before, or was a moment after.
+Keyframes alone cannot distinguish a person who stands still for a while from a chair. But the person came and
+went: the space was seen free shortly before or shortly after.
 """
 
 from __future__ import annotations

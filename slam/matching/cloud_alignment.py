@@ -1,4 +1,4 @@
-"""Point-to-plane alignment of a cloud in space, and how far it can be trusted."""
+"""Point-to-plane alignment of a cloud in 3D, with its covariance."""
 
 from __future__ import annotations
 
@@ -90,7 +90,7 @@ def align_cloud(
 
     Returns
     -------
-    None where fewer than six points lie on planes.
+    None if fewer than six points lie on planes.
     """
     pose, found, converged = guess, None, False
     for _ in range(iterations):

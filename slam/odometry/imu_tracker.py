@@ -1,4 +1,4 @@
-"""An IMU as the helper of a 3D lidar: it straightens turns, foretells poses, and bridges what is not seen."""
+"""IMU as support for a 3D lidar: it deskews clouds, predicts poses, and bridges gaps in the matching."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ class ImuTracker:
     Parameters
     ----------
     start
-        What is known already; None where the first poses must tell it.
+        What is known already; None if the first poses must tell it.
 
     Attributes
     ----------
@@ -89,12 +89,12 @@ class ImuTracker:
         return ImuStart(state, _GUESS, self._parameters)
 
     def due_s(self) -> float | None:
-        """A stamp up to which readings alone must go on, since no cloud has come; None where that is not."""
+        """A stamp up to which readings alone must go on, since no cloud has come; None if that is not."""
         state, newest_s = self.state, self._readings.newest_s
         return None if state is None or newest_s - state.stamp_s <= _BEGIN_S else newest_s - 0.5 * _BEGIN_S
 
     def predicted(self, stamp_s: float) -> gtsam.Pose3 | None:
-        """``T_odom_base`` at a stamp after the newest state; None where the readings do not tell."""
+        """``T_odom_base`` at a stamp after the newest state; None if the readings do not tell."""
         state = self.state
         if state is None or stamp_s <= state.stamp_s or not self._readings.covers(state.stamp_s, stamp_s):
             return None

@@ -1,4 +1,4 @@
-"""A finished map in the formats of other programs."""
+"""Export a finished map in the formats of other programs."""
 
 from __future__ import annotations
 
@@ -97,7 +97,7 @@ class Exports:
         Raises
         ------
         ScanweaveError
-            Where the map does not hold what the format needs, or a file cannot be written.
+            If the map does not hold what the format needs, or a file cannot be written.
         """
         if format_ not in FORMATS:
             hint = nearest(format_, FORMATS)
@@ -121,7 +121,7 @@ class Exports:
         return self._write_file(format_, out)
 
     def _lacking(self, format_: str) -> str:
-        """What the map does not hold of what a format needs; empty where it holds all."""
+        """What the map does not hold of what a format needs; empty if it holds all."""
         found = self.contents
         if format_ == "nav2" and self.layers is None:
             return "grid"
@@ -161,7 +161,7 @@ class Exports:
         return [out]
 
     def write_files(self, folder: Path) -> list[Path]:
-        """Write trajectory and graph, of a floor the map to drive by, layers, zones; errors as in `write`."""
+        """Write trajectory and graph, of a floor the navigation map, layers, zones; errors as in `write`."""
         formats = ["tum", "g2o"] if self.layers is None else ["tum", "g2o", "nav2"]
         written = [path for name in formats for path in self.write(name, folder)]
         if self.contents.georeference is not None:
@@ -239,7 +239,7 @@ class Exports:
 
     @cached_property
     def _surface(self) -> DenseMap:
-        """Of the images; empty where they show none."""
+        """Of the images; empty if they show none."""
         found, dense = self.contents, self.config.dense_map
         settings = DenseMapSettings(dense.voxel_m, self.config.layers.depth_max_m, dense.nearest_m)
         return fuse_keyframes(found.frames or (), found.frame_poses(), settings)
@@ -330,7 +330,7 @@ class Exports:
 
 
 def _save_surface(path: Path, surface: DenseMap) -> list[Path]:
-    """The coloured mesh of the camera keyframes, and its points beside it; nothing where they show none."""
+    """The coloured mesh of the camera keyframes, and its points beside it; nothing if they show none."""
     written = list[Path]()
     if len(surface.mesh.faces):
         write_mesh_ply(path, surface.mesh)

@@ -1,4 +1,4 @@
-"""What differs between two visits, for people and for programs: lines of text, JSON, GeoJSON, a picture."""
+"""Files of the differences between two visits: text, JSON, GeoJSON and a picture."""
 
 from __future__ import annotations
 
@@ -58,7 +58,7 @@ def write_difference(
     Raises
     ------
     ScanweaveError
-        Where a file cannot be written.
+        If a file cannot be written.
     """
     make_folder(folder)
     features = [

@@ -1,4 +1,4 @@
-"""The files of a map with one more session: all are written beside, then take the place of the old ones."""
+"""Files of a map with one more session: all are written next to the old ones, then replace them."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ def write_joined(folder: Path, known: Map, session: Map, connection: Connection)
     Raises
     ------
     ScanweaveError
-        Where a file cannot be written.
+        If a file cannot be written.
     """
     assert connection.joined is not None
     make_folder(folder)

@@ -1,4 +1,4 @@
-"""What of a map a keyframe of a session is matched to, and how: scans, clouds or frames."""
+"""Match a keyframe of a session to parts of a map: scans, clouds or frames."""
 
 from __future__ import annotations
 

@@ -1,8 +1,8 @@
-"""Where a session lies in a known map: what may be is collected, and weighed by all that was seen on the way.
+"""Find the pose of a session in a known map: collect candidates, and weight them by all readings on the path.
 
-Stretches of either are looked for in the other: a session that leads through a small map and on is found by
-the places of the map, one within a large map by its own. What a stretch says is only a proposal, rooms are
-alike; each is followed along the whole session, on which every surface may speak for or against it once.
+Stretches of each are searched in the other: a session that passes through a small map is found by the places
+of the map, a session within a large map by its own. A stretch only proposes a pose, because rooms look alike;
+each proposal is followed along the whole session, where every surface counts once for or against it.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""A map of several sessions as its first ones make it alone."""
+"""Restore a map of several sessions to its first sessions only."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def write_first_sessions(saved: Map, count: int, path: Path) -> list[str]:
     Raises
     ------
     ScanweaveError
-        Where a row is damaged, or the file cannot be written.
+        If a row is damaged, or the file cannot be written.
     """
     parts, sessions, warnings = saved.parts(), saved.sessions[:count], list[str]()
     nodes = sum(session.keyframes for session in sessions)
@@ -103,7 +103,7 @@ def _alone(base: MapContents, nodes: int, sessions: Sequence[MapSession], config
 
 
 def _of_first(entry: AppliedEdits, nodes: int, base: MapContents) -> AppliedEdits | None:
-    """An edit without what it took away of later keyframes; None where it joins or names such."""
+    """An edit without what it took away of later keyframes; None if it joins or names such."""
     pairs = [*entry.forbidden, *entry.forced, *((loop.place, loop.keyframe) for loop in entry.added)]
     rows = [row for pair in pairs for row in pair]
     rows += [int(row) for region in entry.regions for row in region.keyframes]

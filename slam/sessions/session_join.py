@@ -1,4 +1,4 @@
-"""The graphs of a map and of a session as one, optimised together."""
+"""Join the graphs of a map and of a session, and optimise them together."""
 
 from __future__ import annotations
 
@@ -64,7 +64,7 @@ def join(
     Raises
     ------
     ScanweaveError
-        Where the grid would have too many cells.
+        If the grid would have too many cells.
     """
     known, session = known_map.contents, session_map.contents
     nodes = len(known.node_poses)

@@ -1,6 +1,6 @@
-"""A map as a session meets it: the way along which it was made, and what of another way it knows again.
+"""One side of a join: the path along which a map was made, and the recognition of another path in it.
 
-One joiner serves scans on a floor, clouds, and frames of a camera: each brings its localiser's sensor.
+One joiner serves scans on a floor, clouds, and frames of a camera: each provides its localisation sensor.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ class Side:
     path_m
         (K,) way to each.
     view
-        What stood of what a keyframe saw, as the other side's sensor takes it; None where it saw nothing.
+        What stood of what a keyframe saw, as the other side's sensor takes it; None if it saw nothing.
     sensor
         Makes what knows readings of the other side again, and holds much of its own side in memory.
     """

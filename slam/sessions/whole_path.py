@@ -1,4 +1,4 @@
-"""A whole session followed through a map from one place: what its scans say for or against that place."""
+"""Follow a whole session through a map from one place, and sum the evidence for and against that place."""
 
 from __future__ import annotations
 

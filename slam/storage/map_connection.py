@@ -1,4 +1,4 @@
-"""Connections to ``map.db``: one that writes, one that trusts nothing, and what SQLite says in one line."""
+"""Connections to ``map.db``: one for writing, one that trusts nothing, and SQLite errors in one line."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def reader(path: Path) -> sqlite3.Connection:
     Raises
     ------
     MapFileError
-        Where it is no SQLite file.
+        If it is no SQLite file.
     """
     with path.open("rb") as stream:
         if stream.read(len(_HEADER)) != _HEADER:

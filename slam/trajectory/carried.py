@@ -1,4 +1,4 @@
-"""The covariance of every reading's pose, carried on from the keyframes around it."""
+"""Covariance of the pose of every reading, propagated from the keyframes around it."""
 
 from __future__ import annotations
 

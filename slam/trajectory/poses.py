@@ -1,4 +1,4 @@
-"""Many rigid motions at once, of the plane or of space: what a trajectory is computed with."""
+"""Arithmetic on many rigid motions at once, in 2D or 3D, for trajectories."""
 
 from __future__ import annotations
 

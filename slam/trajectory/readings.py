@@ -1,4 +1,4 @@
-"""The log's readings, in log order, and the pose of each once the keyframes are known."""
+"""Readings of the log, in log order, and the pose of each once the keyframes are known."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ class Readings:
         return len(self._scan_readings)
 
     def add_wheel(self, stamp_s: float, pose: FloatArray | None, told_s: float | None = None) -> None:
-        """A reading with the wheels' pose (3,), odom frame; None where there is none."""
+        """A reading with the wheels' pose (3,), odom frame; None if there is none."""
         self._stamps_s.append(stamp_s)
         self._told_s.append(stamp_s if told_s is None else told_s)
         self._wheel_poses.extend((np.nan,) * 3 if pose is None else pose)
@@ -65,7 +65,7 @@ class Readings:
         Parameters
         ----------
         covariance
-            (d, d) of the pose against the scans around it, GTSAM's order; None where nothing measured it.
+            (d, d) of the pose against the scans around it, GTSAM's order; None if nothing measured it.
         told_s
             The stamp that the log has, where that is another than the pose's own.
         """

@@ -1,4 +1,4 @@
-"""A trajectory carried along when its keyframes have moved: after an optimisation without the log."""
+"""Update a trajectory after its keyframes have moved in an optimisation without the log."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A pose for every reading: motion between anchors by the odometry, the correction spread over the path."""
+"""Pose of every reading: odometry between keyframes, with the correction distributed over the path."""
 
 from __future__ import annotations
 
