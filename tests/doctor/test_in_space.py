@@ -34,6 +34,7 @@ from tests.room_world import furnished, render, turning_walk
 LENS = CameraIntrinsics(500.0, 500.0, 320.0, 240.0, 640, 480)
 STAMPS = np.arange(0.0, 30.0, 0.1)
 PLACE = (0.2, -0.1, 0.7)
+NO_WHEELS = np.empty((0, 4))
 
 
 def base_rows() -> FloatArray:
@@ -208,7 +209,7 @@ def test_a_lens_is_not_shrunk_by_depths_that_are_noisy(focal: float) -> None:
 def test_depth_that_no_camera_sees_is_in_another_unit(median_m: float, scale: float | None) -> None:
     samples = CameraSamples(count=5)
     samples.median_depth.add(median_m)
-    found = camera_findings("camera", samples)
+    found = camera_findings("camera", samples, NO_WHEELS)
     remedies = [one.remedies[0]["cameras"]["camera"]["depth_scale"] for one in found]
     assert remedies == ([] if scale is None else [pytest.approx(scale)])
     assert all(one.sure == (median_m > 30.0 or median_m < 0.1) for one in found)
@@ -229,8 +230,18 @@ def test_what_repeats_itself_is_named() -> None:
     samples = CameraSamples()
     for stamp_s in STAMPS[:60]:
         samples.add(RgbdFrame(float(stamp_s), frame().color, frame().depth_m, LENS), compared=True)
-    assert (samples.count, samples.repeated) == (60, 59)
-    assert [one.kind for one in camera_findings("camera", samples)] == ["repeated frames"]
+    assert (samples.count, samples.repeats.count) == (60, 59)
+    assert [one.kind for one in camera_findings("camera", samples, NO_WHEELS)] == ["repeated frames"]
+
+
+def test_a_few_frames_that_repeat_are_named_where_the_wheels_drive_on() -> None:
+    samples = CameraSamples()
+    for number, stamp_s in enumerate(STAMPS[:60]):
+        color = np.roll(frame().color, min(number, 40), axis=0)
+        samples.add(RgbdFrame(float(stamp_s), color, frame().depth_m, LENS), compared=True)
+    assert samples.repeats.count == 19 and not camera_findings("camera", samples, NO_WHEELS)
+    (found,) = camera_findings("camera", samples, base_rows())
+    assert (found.kind, found.sure) == ("repeated frames", True)
 
 
 @pytest.mark.parametrize(
