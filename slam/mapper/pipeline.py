@@ -153,6 +153,10 @@ class _Run:
                 result.warnings.append(finding.line)
         result.notes += use_lines(result.uses)
         result.warnings += dataset.report.warnings
+        if dataset.report.dropped_count >= mapper.scan_count:
+            result.warnings.append(
+                f"Only {mapper.scan_count} scans or frames are mapped: {dataset.report.refusals}"
+            )
         return result
 
     def _chosen(self) -> SensorChoice:
@@ -200,9 +204,10 @@ class _Run:
             if self._on_step:
                 self._on_step("mapping", mapper.scan_count)
         if mapper.scan_count == 0:
+            refusals = self._dataset.report.refusals
             raise DatasetError(
-                f"{self._dataset.name} holds no scan or frame that can be mapped; "
-                "see 'scanweave inspect' for what it holds"
+                f"{self._dataset.name} holds no scan or frame that can be mapped"
+                f"{f' ({refusals})' if refusals else ''}; see 'scanweave inspect' for what it holds"
             )
         if ahead is not None:
             ahead.end()
