@@ -14,12 +14,11 @@ import gtsam
 import numpy as np
 
 from slam.datasets.account import Account
-from slam.datasets.cloud_files import KITTI_ROWS
+from slam.datasets.cloud_files import KITTI_ROWS, with_column_times
 from slam.datasets.clouds_over_time import CloudFolder, clouds_by_name
 from slam.datasets.dataset_format import recorded
 from slam.datasets.imu_files import ImuFile, beside_imu
 from slam.datasets.log_file import first_file
-from slam.datasets.ouster_order import with_column_times
 from slam.datasets.pose_files import (
     BAD_MATRIX,
     by_its_size,

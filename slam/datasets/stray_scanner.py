@@ -20,8 +20,7 @@ from slam.datasets.dataset_format import recorded
 from slam.datasets.image_files import DAMAGED, ImageFiles, rgb_of
 from slam.datasets.lens_files import camera_matrix, checked, median_lens
 from slam.datasets.numbered_frames import numbered_camera, numbered_files
-from slam.datasets.phone_poses import COMPARED, T_ARKIT_OPTICAL
-from slam.datasets.pose_files import trajectory_of
+from slam.datasets.pose_files import COMPARED, T_ARKIT_OPTICAL, trajectory_of
 from slam.datasets.recording import Contents
 from slam.datasets.stamped_files import BAD_POSE, StampedFile, fields_of, stamp_of
 from slam.errors import DatasetError

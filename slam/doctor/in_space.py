@@ -92,7 +92,7 @@ def unit_finding(
     group: str, name: str, median_m: float | None, limits_m: tuple[float, float] = (0.0, DEFAULT_NO_RETURN_M)
 ) -> list[Finding]:
     """What a sensor says by itself of the unit of its lengths: a median that none sees."""
-    if median_m is None:
+    if not median_m or median_m < 0:
         return []
     what, seen_by = ("depth", "camera") if group == "cameras" else ("range", "lidar")
     middle_m = math.sqrt(max(_DEPTHS_M[0], limits_m[0]) * _DEPTHS_M[1])  # of what they see, by ratio

@@ -204,7 +204,16 @@ def test_a_lens_is_not_shrunk_by_depths_that_are_noisy(focal: float) -> None:
 
 @pytest.mark.parametrize(
     ("median_m", "scale"),
-    [(1700.0, 0.001), (0.0017, 1000.0), (1.7, None), (7.0, None), (9.5, 0.2), (0.3, 5.0)],
+    [
+        (1700.0, 0.001),
+        (0.0017, 1000.0),
+        (1.7, None),
+        (7.0, None),
+        (9.5, 0.2),
+        (0.3, 5.0),
+        (0.0, None),
+        (-1.0, None),
+    ],
 )
 def test_depth_that_no_camera_sees_is_in_another_unit(median_m: float, scale: float | None) -> None:
     samples = CameraSamples(count=5)
