@@ -25,7 +25,7 @@ from slam.doctor.in_space import (
     seen_by,
 )
 from slam.doctor.lens_fit import lens_fit
-from slam.doctor.paired_motions import BaseTrack
+from slam.doctor.paired_motions import BaseTrack, mended_rows
 from slam.doctor.stretches import Stretches
 from slam.measurements import CameraIntrinsics, FloatArray, PointCloud, RgbdFrame
 from slam.vision.camera_frame import T_BODY_CAMERA
@@ -353,3 +353,11 @@ def test_motions_that_nothing_is_compared_with_are_not_sought() -> None:
     assert [len(steps) for steps in alone.steps] == [0]
     assert [len(steps) for steps in beside_wheels.steps] == [9]
     assert 0 < len(alone.pairs) == len(beside_wheels.pairs)
+
+
+def test_wheels_that_may_take_left_for_right_judge_no_camera() -> None:
+    wheels, lidar = {"wheels": {"odometry": {"mirrored": True}}}, {"lidars": {"laser": {"upside_down": True}}}
+    for remedies, known in (((lidar, wheels), False), ((wheels,), True), ((lidar,), True)):
+        found = [Finding("laser", "mirrored", "", "", remedies)]
+        rows = mended_rows("odometry", base_rows(), found)
+        assert (rows is not None) == known
