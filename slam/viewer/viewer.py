@@ -126,8 +126,8 @@ def recording(path: Path | None) -> Iterator[Viewer | None]:
         stream.flush()
         stream.disconnect()
         temporary.replace(path)
-    except OSError as error:
-        raise ScanweaveError(f"cannot write {path}: {error.strerror or error}") from error
+    except (OSError, RuntimeError) as error:  # the latter is rerun's
+        raise ScanweaveError(f"cannot write {path}: {error}; give another --record") from error
     finally:
         stream.disconnect()
         temporary.unlink(missing_ok=True)
