@@ -114,7 +114,7 @@ def examine(log: Iterable[Measurement], registrations: Registrations | None = No
     found_apart = registrations(lenses) if registrations else registrations_of(log, lenses, config)
     apart = [name for name, one in found_apart.items() if one.accepted]
     findings = [one for one in findings if one.kind != "lens" or one.sensor not in apart]
-    unknown += [f"{name}: its lens, for its colours lie beside its depths" for name in apart]
+    unknown += [f"{name}: its lens, because its colour is not registered to its depth" for name in apart]
     return Diagnosis(findings, unknown)
 
 
@@ -265,7 +265,7 @@ def _stamps(samples: Samples) -> list[Finding]:
         count = lidar.count - lidar.repeats.count
         slow_s = [lidar.interval_s.median() or 0.0, *(float(np.median(one)) for one in wheels if one.size)]
         if undated := lidar.undated >= FEWEST and 2 * lidar.undated > count:
-            text = f"{lidar.undated} of {count} scans are stamped no later than the scan before"
+            text = f"{lidar.undated} of {count} scans have a stamp not later than the scan before"
         elif len(slow_s) > 1 and min(slow_s) > FEWEST * GAP_S:
             text = f"its scans come every {slow_s[0]:.4g} s, the wheels' readings every {slow_s[1]:.4g} s"
         else:

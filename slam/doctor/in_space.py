@@ -102,7 +102,9 @@ def unit_finding(
     if not sure and (what == "range" or max(median_m / middle_m, middle_m / median_m) < 5):
         return []
     seldom = "no" if sure else "hardly a"
-    text = f"its median {what} is {median_m:.3g} m, which {seldom} {seen_by} sees: {unit:g} times too large"
+    text = (
+        f"its median {what} is {median_m:.3g} m, which {seldom} {seen_by} measures: {unit:g} times too large"
+    )
     remedy = {group: {name: {f"{what}_scale": 1.0 / unit}}}
     return [
         Finding(name, f"{what} scale", text, "the map is of another size", (remedy,), sure=sure, value=unit)
@@ -130,10 +132,10 @@ def lens_findings(name: str, samples: CameraSamples) -> list[Finding]:
         Finding(
             name,
             "lens",
-            f"the shape of what it sees asks for f = {told.fx * fit.focal_gain:.0f} px and the centre at "
+            f"the geometry of the scene implies f = {told.fx * fit.focal_gain:.0f} px and the centre at "
             f"{fit.center_px[0]:.0f}, {fit.center_px[1]:.0f}, not {told.fx:.0f} at {told.cx:.0f}, "
             f"{told.cy:.0f}",
-            "turns and walls come out bent",
+            "rotations and walls are distorted",
             ({"cameras": {name: {"intrinsics": lens}}},),
             value=fit.focal_gain,
             interval=interval(fit.focal_gain, float(fit.sigmas[0])),
@@ -214,7 +216,7 @@ def _clock(base: Base, seen: Seen, others: Sequence[Seen]) -> list[Finding]:
             "clock",
             f"its stamps are {abs(ahead_s):.2f} s {'ahead of' if (ahead_s > 0) != blame else 'behind'} "
             f"those of {'cameras and lidars' if blame else base.wheels}, by when both turn",
-            "turns are taken at the wrong time, and walls are doubled",
+            "rotations are used at the wrong time, and walls are doubled",
             (wheels,) if blame else (own,) if sure else (own, wheels),
             sure=sure,
             value=ahead_s,
@@ -244,9 +246,9 @@ def _scale(base: Base, seen: Seen, others: Sequence[Seen]) -> list[Finding]:
     mine = base.certain or mine or any(one.off == 1.0 for one in others)
     blame = yours and not mine
     what = "depth" if seen.kind == "cameras" else "range"
-    text = f"its {what}s are {scale:.3g} times what the way of {base.wheels} asks for"
+    text = f"its {what}s are {scale:.3g} times what the path of {base.wheels} implies"
     if blame:
-        text = f"its way is {1.0 / scale:.3g} times what {seen.name} sees"
+        text = f"its path is {1.0 / scale:.3g} times what {seen.name} measures"
     return [
         Finding(
             base.wheels if blame else seen.name,
@@ -292,8 +294,8 @@ def _mounting(base: Base, seen: Seen, others: Sequence[Seen]) -> list[Finding]:
     finding = Finding(
         seen.name,
         "mounting",
-        f"it moves as if it sat otherwise: {text} (x, y +- {float(fit.sigmas[3:].max()):.2f} m)",
-        "what it sees is put in the wrong place",
+        f"its motion implies another mounting: {text} (x, y +- {float(fit.sigmas[3:].max()):.2f} m)",
+        "what it sees is placed wrongly",
         (remedy,),
         sure=sure,
         value=math.degrees(tilt_rad if tilted else yaw_rad),
@@ -304,7 +306,7 @@ def _mounting(base: Base, seen: Seen, others: Sequence[Seen]) -> list[Finding]:
     if seen.kind != "cameras" or seen.upside_down:
         return [finding]
     # A mirror and a camera on its head turn alike; the floor tells them apart.
-    text = "it turns the wrong way round: its images are mirrored, or it sits upside down"
+    text = "it rotates in the opposite direction: its images are mirrored, or it is mounted upside down"
     known = seen.upside_down is False
     remedies = (mirrored,) if known else (mirrored, remedy)
     return [replace(finding, kind="mirrored", text=text, remedies=remedies, sure=sure and known)]
@@ -337,7 +339,7 @@ def cloud_findings(name: str, samples: CloudSamples) -> list[Finding]:
         found += unit_finding("lidars_3d", name, median_m, (ways.range_min_m, ways.range_max_m))
     if samples.turn is not None:
         found.append(samples.turn.finding("lidars_3d", name))
-    effect = "clouds are not set right for the motion within a turn"
+    effect = "clouds are not deskewed correctly"
     if samples.backward:
         text, reverse = "the times of a cloud's points run backward", {"times_scale": -1.0}
         remedy: Remedy = {"lidars_3d": {name: reverse}}
@@ -348,8 +350,10 @@ def cloud_findings(name: str, samples: CloudSamples) -> list[Finding]:
     off = turn_s / interval_s
     # One lidar whose turn is over when its next begins does not overlap itself.
     if 4 * samples.between > samples.count and off < 1.0 + _SHARE:
-        text = f"{samples.between} of {samples.count} clouds begin while the turn of the one before goes on"
-        why = "they are of another lidar under the same name, and fit nowhere"
+        text = (
+            f"{samples.between} of {samples.count} clouds begin before the revolution of the one before ends"
+        )
+        why = "they are from another lidar with the same name, and match nothing"
         remedy = {"lidars_3d": {name: {"drop_repeated": True}}}
         found.append(Finding(name, "several lidars", text, why, (remedy,), sure=True))
     units = [unit for unit in (1e3, 1e-3, 1e6, 1e-6, 1e9, 1e-9) if abs(math.log(off / unit)) < 1.0]

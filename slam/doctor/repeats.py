@@ -43,13 +43,13 @@ class Repeats:
         """What they are of so many readings: most of them, where few are not ``enough``."""
         if self.count < (1 if enough else max(FEWEST, count // 2 + 1)):
             return []
-        same = "the one before, to the bit" + (", or have its stamp" if what == "clouds" else "")
+        same = "identical to the one before" + (", or have its stamp" if what == "clouds" else "")
         return [
             Finding(
                 name,
                 f"repeated {what}",
                 f"{self.count} of {count} {what} are {same}",
-                "the map takes it that the robot stands",
+                "the robot seems to stand still",
                 ({kind: {name: {"drop_repeated": True}}},),
                 sure=self.count + 1 < count,  # else nothing would be left
                 value=self.count / count,

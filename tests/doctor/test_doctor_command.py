@@ -38,7 +38,7 @@ def test_the_doctor_tells_writes_and_the_map_takes_it(
     told = scanweave("doctor", in_mm, "--write", file)
     assert told.code == 0
     assert "its lengths are" in told.out and "upside down" in told.out and f"wrote {file}" in told.out
-    assert "# not sure: turns the other way" in file.read_text()
+    assert "# not sure: rotates opposite" in file.read_text()
     found = json.loads(scanweave("doctor", in_mm, "--json").out)
     assert {one["kind"] for one in found["findings"]} == {"scale", "mirrored"} and found["open"] == []
     assert scanweave("doctor", in_mm, "--calibration", file).out == ("no error found in the log\n")
