@@ -102,9 +102,7 @@ def unit_finding(
     if not sure and (what == "range" or max(median_m / middle_m, middle_m / median_m) < 5):
         return []
     seldom = "no" if sure else "hardly a"
-    text = (
-        f"its median {what} is {median_m:.3g} m, which {seldom} {seen_by} measures: {unit:g} times too large"
-    )
+    text = f"its median {what} is {median_m:.3g} m, which {seldom} {seen_by} sees: {unit:g} times too large"
     remedy = {group: {name: {f"{what}_scale": 1.0 / unit}}}
     return [
         Finding(name, f"{what} scale", text, "the map is of another size", (remedy,), sure=sure, value=unit)
@@ -350,9 +348,7 @@ def cloud_findings(name: str, samples: CloudSamples) -> list[Finding]:
     off = turn_s / interval_s
     # One lidar whose turn is over when its next begins does not overlap itself.
     if 4 * samples.between > samples.count and off < 1.0 + _SHARE:
-        text = (
-            f"{samples.between} of {samples.count} clouds begin before the revolution of the one before ends"
-        )
+        text = f"{samples.between} of {samples.count} clouds begin during the revolution of the one before"
         why = "they are from another lidar with the same name, and match nothing"
         remedy = {"lidars_3d": {name: {"drop_repeated": True}}}
         found.append(Finding(name, "several lidars", text, why, (remedy,), sure=True))

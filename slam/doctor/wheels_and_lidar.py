@@ -173,10 +173,8 @@ def _mirrored(pair: Pair, relation: Relation) -> Finding:
     if not sure and pair.handed:
         sure, by_lidar = True, pair.handed < 0.0
     remedies = (of_lidar, of_wheels) if by_lidar else (of_wheels, of_lidar)
-    told = (
-        "it is mounted upside down" if remedies[0] is of_lidar else "the wheels have left and right swapped"
-    )
-    other = "" if sure else ", or the wheels have left and right swapped: these two cannot tell which"
+    told = "it is mounted upside down" if remedies[0] is of_lidar else "the wheels swap left and right"
+    other = "" if sure else ", or the wheels swap left and right: these two cannot tell which"
     return Finding(
         pair.lidar,
         "mirrored",
@@ -331,9 +329,7 @@ def _unit(scale: float) -> float | None:
 def _turns(pair: Pair, scale: float, sigma: float) -> Finding:
     """Turns of the wheels that are too large or too small."""
     low, high = interval(scale, sigma)
-    text = (
-        f"it rotates {1.0 / scale:.3f} times as far as the lidar (95 % of the scale: {low:.3f} to {high:.3f})"
-    )
+    text = f"it rotates {1.0 / scale:.3f} times as far as the lidar (scale, 95 %: {low:.3f} to {high:.3f})"
     found = _surely(
         pair,
         "turn scale",

@@ -45,7 +45,7 @@ def test_the_doctor_tells_writes_and_the_map_takes_it(
     assert "finding: odometry: its lengths are" in scanweave("inspect", in_mm).out
     # What is sure the mapper uses by itself, and warns of the rest.
     alone = scanweave("map", in_mm, "-o", tmp_path / "alone")
-    assert "warning: FLASER: perhaps turns the other way" in alone.err
+    assert "warning: FLASER: perhaps rotates opposite" in alone.err
     assert "odometry: its lengths are" in alone.out and "(used)" in alone.out
     mended = scanweave("map", in_mm, "-o", tmp_path / "mended", "--calibration", file)
     assert mended.code == 0 and "perhaps" not in mended.err and "(used)" not in mended.out
