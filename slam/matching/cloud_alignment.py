@@ -75,7 +75,9 @@ class CloudAlignment:
 def align_cloud(
     points: FloatArray, planes: PlaneVoxels, guess: gtsam.Pose3, iterations: int, kernel_m: float
 ) -> CloudAlignment | None:
-    """Gauss-Newton on the distances to planes, with Cauchy weights whose scale is that of the residuals.
+    """Gauss-Newton on the distances to planes; None where fewer than six points lie on planes.
+
+    Cauchy weights, whose scale is that of the residuals.
 
     Parameters
     ----------
@@ -87,10 +89,6 @@ def align_cloud(
         ``T_map_base``.
     kernel_m
         The widest kernel; a point farther than that from its plane never agrees.
-
-    Returns
-    -------
-    None where fewer than six points lie on planes.
     """
     pose, found, converged = guess, None, False
     for _ in range(iterations):
