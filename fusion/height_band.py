@@ -159,7 +159,7 @@ def thin_evenly(points: FloatArray, voxel_m: float) -> FloatArray:
     """The same, whichever: the first would turn the cloud about the lidar.
 
     Of what noise makes thick it is that on the side from which the beams came. Asked in steps of the golden
-    section no side is (Knuth 1998, section 6.4).
+    section no side is.
     """
     step = len(points) * 514_229 // 832_040
     while math.gcd(step, len(points)) > 1:
