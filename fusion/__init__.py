@@ -1,6 +1,6 @@
-"""Pure functions on sensor arrays: fusion of lidar and depth. Knows nothing of slam.
+"""Pure functions on sensor arrays that fuse lidar and depth. Independent of the package slam.
 
-A lidar and a depth camera repair each other, with no calibration between them (Xu2024)::
+A lidar and a depth camera repair each other, without calibration between them (Xu2024)::
 
     import fusion
 
@@ -9,8 +9,8 @@ A lidar and a depth camera repair each other, with no calibration between them (
     pair = fusion.register(scan, depth)  # (u, v), height, grade, score map
     repaired = fusion.denoise(scan, depth, pair)  # ranges_m, depth_m, provenance of each sample
 
-One pair can mislead; a drive does not. `Rig` adds up the pairs of one robot, and its estimate takes the
-place of a single registration::
+A single pair can be ambiguous; a whole drive is not. `Rig` accumulates the pairs of one robot, and its
+estimate replaces a single registration::
 
     rig = fusion.Rig()
     for scan, depth in drive:

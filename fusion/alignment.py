@@ -1,8 +1,8 @@
-"""The rigid motion of the plane between a lidar curve and an image's curve, over any number of pairs.
+"""Planar rigid transform between a lidar curve and an image's curve, estimated over any number of pairs.
 
-Index against index, as Xu2024 Eq. (5) pairs them, a camera before or behind the lidar meets another point of
-the same wall. Here each camera point is moved into the lidar's frame and compared with the lidar curve at
-its own bearing, along the wall's normal (point to line), until nothing changes.
+If samples are paired by index, as in Xu2024 Eq. (5), a camera in front of or behind the lidar is paired with
+another point of the same wall. Here each camera point is moved into the lidar's frame and compared with the
+lidar curve at its own bearing, along the normal of the wall (point to line), until convergence.
 """
 
 # mypy: allow-untyped-decorators
@@ -24,14 +24,14 @@ _NARROW_M = 0.06  # a residual beyond counts little in the last round
 
 @dataclass(frozen=True)
 class Alignment:
-    """A rigid motion of the plane.
+    """A planar rigid transform.
 
     Attributes
     ----------
     T_laser_level
-        (3, 3) from the camera's level plane to the lidar's.
+        (3, 3) transform from the camera's level plane to the lidar's.
     covariance
-        (3, 3) of x, y, yaw.
+        (3, 3) covariance of x, y, yaw.
     """
 
     T_laser_level: FloatArray
@@ -44,18 +44,18 @@ def align(
     yaw_rad: float,
     offset_xy: tuple[float, float] = (0.0, 0.0),
 ) -> Alignment | None:
-    """Align the image curves of some pairs to their lidar curves by one motion.
+    """Align the image curves of several pairs to their lidar curves by one transform.
 
     Parameters
     ----------
     curves, slices
-        Of lidar and camera, pair by pair; all lidar curves have the same angles.
+        Curves of lidar and camera, pair by pair; all lidar curves have the same angles.
     yaw_rad, offset_xy
-        Where to begin: a few degrees and 0.3 m near.
+        Initial guess, accurate to a few degrees and 0.3 m.
 
     Returns
     -------
-    None where too few samples match, or they leave the motion open (a single wall).
+    The alignment; None if too few samples match, or they do not determine it (a single wall).
     """
     if len(curves) != len(slices) or not curves:
         raise ValueError(f"{len(curves)} lidar curves and {len(slices)} slices; give pairs")
@@ -84,14 +84,14 @@ def align(
 
 
 def planar(x_m: float, y_m: float, yaw_rad: float) -> FloatArray:
-    """(3, 3) matrix of a motion of the plane, for columns."""
+    """Return the (3, 3) matrix of a planar transform, for column vectors."""
     c, s = math.cos(yaw_rad), math.sin(yaw_rad)
     return np.array([[c, -s, x_m], [s, c, y_m], [0.0, 0.0, 1.0]])
 
 
 @kernel
 def _normals(points: FloatArray) -> FloatArray:
-    """(N, 2) unit normals of the lines through each point's neighbours; ``nan`` where they make no line."""
+    """Return (N, 2) unit normals of the lines through each point's neighbours; ``nan`` without a line."""
     count = points.shape[0]
     normals = np.full((count, 2), np.nan)
     for i in range(count):

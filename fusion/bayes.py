@@ -1,7 +1,7 @@
-"""Bayes fusion of two occupancy grids: Li2020 Eq. (7)-(10), Table 3, and a rule of greater care.
+"""Bayesian fusion of two occupancy grids: Li2020 Eq. (7)-(10), Table 3, and a more cautious rule.
 
-Evidence is kept as log-odds, log(p / (1 - p)): there Eq. (8) and Eq. (10) are sums, so that their order
-means nothing. 0 is unknown.
+Evidence is stored as log-odds, log(p / (1 - p)). In this form Eq. (8) and Eq. (10) are sums, so their order
+does not matter. 0 is unknown.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ RULES: tuple[Rule, ...] = ("cautious", "corrected", "printed")
 
 
 class _State(IntEnum):
-    """The values of nav2's occupancy grid."""
+    """Values of nav2's occupancy grid."""
 
     OCCUPIED = 100
     FREE = 0
@@ -49,12 +49,12 @@ _RULES: dict[Rule, States] = {
 
 
 def log_odds(probability: float) -> float:
-    """log(p / (1 - p)).
+    """Return log(p / (1 - p)).
 
     Raises
     ------
     ValueError
-        Where the probability is not above 0 and below 1.
+        If the probability is not above 0 and below 1.
 
     Examples
     --------
@@ -68,7 +68,7 @@ def log_odds(probability: float) -> float:
 
 
 def evidence_steps(probability: float) -> int:
-    """Log-odds in steps of 1 / `STEPS_A_UNIT`, never zero unless the probability is exactly one half.
+    """Return log-odds in steps of 1 / `STEPS_A_UNIT`; zero only if the probability is exactly one half.
 
     Examples
     --------
@@ -83,24 +83,24 @@ def evidence_steps(probability: float) -> int:
 
 
 def decide(lidar: States, camera: States, rule: Rule = "corrected") -> States:
-    """What the robot must not hit, from each sensor's own decision (Li2020 Table 3).
+    """Decide what the robot must not hit, from the decision of each sensor (Li2020 Table 3).
 
-    Table 3 and Eq. (10) disagree where one sensor sees what the other looks over: 0.9 and 0.1 fuse to 0.5,
-    but a low box stays a box.
+    Table 3 and Eq. (10) differ if one sensor sees an object and the other looks over it: 0.9 and 0.1 fuse to
+    0.5, but a low box remains an obstacle.
 
     Parameters
     ----------
     lidar, camera
-        `OCCUPIED`, `FREE` or `UNKNOWN`, of one shape. A sensor that is missing is unknown everywhere.
+        `OCCUPIED`, `FREE` or `UNKNOWN`, with the same shape. A missing sensor is unknown everywhere.
     rule
-        ``corrected``, or ``printed`` as the paper has it, with the last row the other way round. Li2020 has
-        the lidar free what the camera did not see; ``cautious`` leaves that unknown, since a lidar looks at
-        one height only, and is else as ``corrected``. It is for maps that a camera helped to make.
+        ``corrected``, or ``printed`` as in the paper, with the last row exchanged. In Li2020 the lidar frees
+        cells that the camera did not see. ``cautious`` leaves them unknown, since a lidar sees only one
+        height, and otherwise is as ``corrected``. It is for maps made with a camera.
 
     Raises
     ------
     ValueError
-        Where the rule has another name.
+        If the rule has another name.
 
     Examples
     --------

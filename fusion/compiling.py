@@ -1,6 +1,6 @@
-"""Numba behind `fusion.kernel`: where compiled code is kept, and by what it is still the right one.
+"""Numba behind `fusion.kernel`: where compiled code is stored, and how to check that it is up to date.
 
-Apart from the decorator, for numba takes long to load: this file is imported when a kernel is first called.
+It is separate from the decorator because numba loads slowly: it is imported when a kernel is first called.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ log = logging.getLogger(__name__)
 
 
 def dispatcher_of(kernel: Any) -> Dispatcher:
-    """Numba's own object of a `fusion.kernel.Kernel`, which keeps what it compiles where that is possible."""
+    """Return numba's dispatcher of a `fusion.kernel.Kernel`; it stores compiled code if possible."""
     # What numba takes a kernel for that another one calls.
     typeof_impl.register(type(kernel), lambda called, _: numba.types.Dispatcher(called.dispatcher))
     _loaded_ns.update(kernel.loaded_ns)
@@ -48,7 +48,7 @@ def dispatcher_of(kernel: Any) -> Dispatcher:
 
 @cache
 def _warn() -> None:
-    """Say, once a run, that compiled code is lost."""
+    """Warn, once per run, that compiled code cannot be stored."""
     log.warning(
         "numba cannot keep compiled code, neither beside the source nor in the user's cache folder; "
         "set NUMBA_CACHE_DIR to a writable folder; every run compiles anew"
@@ -62,10 +62,10 @@ class _Folders(caching.CompileResultCacheImpl):  # type: ignore[misc]
 
 
 class _Cache(caching.FunctionCache):  # type: ignore[misc]
-    """Loads compiled code without what only compiling takes: a quarter of a second, and fifty megabytes.
+    """Load compiled code without the compiler, which saves a quarter of a second and fifty megabytes.
 
-    Numba's own loads all that it can compile before it looks whether there is anything to compile; the
-    compiler loads it in any case. What another process is just compiling is waited for, and then loaded.
+    Numba's own cache loads the compiler before it checks whether there is anything to compile; the compiler
+    loads it in any case. If another process is compiling the same code, it waits and then loads the result.
     """
 
     _impl_class = _Folders
@@ -75,7 +75,7 @@ class _Cache(caching.FunctionCache):  # type: ignore[misc]
         self._cache_file._source_stamp, self._file = _stamp(function), getfile(function)
 
     def load_overload(self, sig: Any, target_context: Any) -> Any:
-        """The compiled code of a signature, with what it came with; None where there is none."""
+        """Return the stored code of a signature; None if there is none."""
         _tell_linker()
         with self._guard_against_spurious_io_errors():
             found = self._load_overload(sig, target_context)
@@ -86,15 +86,15 @@ class _Cache(caching.FunctionCache):  # type: ignore[misc]
             return found
 
     def save_overload(self, sig: Any, data: Any) -> None:
-        """Keep what was compiled, and let others look for it."""
+        """Store compiled code, and let other processes look for it."""
         super().save_overload(sig, data)
         if self._file in _locks:
             os.close(_locks.pop(self._file))
 
     def _wait(self) -> None:
-        """Let another process end what it compiles of the same file; then none begins before this one ends.
+        """Wait while another process compiles the same file; then no other starts before this one ends.
 
-        For ten seconds at most: whoever was stopped meanwhile holds nobody up.
+        For at most ten seconds, so that a stopped process does not block others.
         """
         lock = _locks[self._file] = os.open(self._file, os.O_RDONLY)
         with suppress(OSError):  # of a file system without locks
@@ -107,13 +107,13 @@ class _Cache(caching.FunctionCache):  # type: ignore[misc]
 
 @cache
 def _tell_linker() -> None:
-    """Where the functions of numba's runtime are that compiled code calls."""
+    """Give the linker the addresses of the functions in numba's runtime that compiled code calls."""
     for name, address in _nrt_python.c_helpers.items():
         binding.add_symbol(name if name.startswith("_") else f"NRT_{name}", address)
 
 
 def _stamp(function: FunctionType) -> str:
-    """Digest of the file of a kernel, and of the kernels and constants which that file has from elsewhere.
+    """Return the digest of a kernel's file, and of the kernels and constants that it imports.
 
     One stamp serves the whole file: kernels are compiled when their file has been loaded.
     """
@@ -135,7 +135,7 @@ def _stamp(function: FunctionType) -> str:
 
 
 def _used(value: Any, function: FunctionType) -> FunctionType | None:
-    """What a kernel may call in another file: a kernel, or a plain function of a file with kernels."""
+    """Return whether a kernel may call it in another file: a kernel, or a function of a file with kernels."""
     found = getattr(value, "py_func", value) if callable(value) else value
     if not isinstance(found, FunctionType) or found.__globals__ is function.__globals__:
         return None

@@ -1,8 +1,8 @@
-"""Curves of ranges over equal angles: what a lidar measures, and the form into which images are brought.
+"""Curves of ranges at equal angles: lidar sweeps, and depth images converted to the same form.
 
-Bearings grow counter-clockwise, seen from above, in a level frame: x forward, y left, z up. A range here is
-the distance in the plane. An invalid range is ``nan`` inside this package; at its doors everything that is
-not finite, not above zero, or beyond a sensor's reach is invalid (Xu2024 is silent on this).
+Bearings increase counter-clockwise, seen from above, in a level frame: x forward, y left, z up. A range is
+the distance in the plane. Inside this package an invalid range is ``nan``. In the input, each range that is
+not finite, not above zero, or beyond the sensor's maximum is invalid (Xu2024 does not define this).
 """
 
 # mypy: allow-untyped-decorators
@@ -41,11 +41,11 @@ class LidarCurve:
     Attributes
     ----------
     ranges_m
-        (N,) in beam order; ``inf``, ``nan``, zero and less, and what is beyond ``range_max_m`` are invalid.
+        (N,) in beam order; ``inf``, ``nan``, values up to zero and above ``range_max_m`` are invalid.
     start_angle_rad, step_rad
-        Bearing of beam 0, and from beam to beam; a negative step is a clockwise sweep.
+        Bearing of beam 0, and angle between beams; a negative step is a clockwise sweep.
     range_max_m
-        What the lidar can measure.
+        Maximum range of the lidar.
 
     Examples
     --------
@@ -98,7 +98,7 @@ class LidarCurve:
 
 @dataclass(frozen=True)
 class Intrinsics:
-    """A pin-hole camera in pixels; pixel (0, 0) has its centre at (0, 0).
+    """Intrinsics of a pinhole camera in pixels; the centre of pixel (0, 0) is at (0, 0).
 
     Examples
     --------
@@ -120,20 +120,20 @@ FORWARD = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
 
 @dataclass(frozen=True)
 class DepthImage:
-    """One depth image of one camera.
+    """A depth image of one camera.
 
     Attributes
     ----------
     depth_m
-        (H, W) along the optical axis; zero, not finite, or beyond ``range_max_m`` is invalid.
+        (H, W) along the optical axis; values that are zero, not finite or above ``range_max_m`` are invalid.
     intrinsics
-        Of its camera, without distortion.
+        Intrinsics of its camera, without distortion.
     R_level_camera
-        (3, 3) rotation from the optical frame to a level one, for a camera that does not look straight
-        ahead: a tilt, a quarter turn about the axis, or the yaw between several cameras. Its yaw need not
-        be the true one: the yaw to the lidar is what registration finds.
+        (3, 3) rotation from the optical frame to a level frame, for a camera that does not look straight
+        ahead: a tilt, a rotation by 90 degrees about the axis, or the yaw between several cameras. Its yaw
+        need not be exact: registration estimates the yaw to the lidar.
     range_max_m
-        Depths beyond are invalid.
+        Larger depths are invalid.
 
     Examples
     --------
@@ -168,14 +168,14 @@ class DepthImage:
 
 @dataclass(frozen=True)
 class Curve:
-    """Ranges at equal angles.
+    """A curve of ranges at equal angles.
 
     Attributes
     ----------
     ranges_m
-        (N,) ``nan`` where there is none.
+        (N,) ``nan`` if there is no range.
     start_angle_rad, step_rad
-        Bearing of the first sample, and from one to the next, counter-clockwise.
+        Bearing of the first sample, and angle between samples, counter-clockwise.
     """
 
     ranges_m: Float32Array
@@ -187,13 +187,13 @@ class Curve:
         return self.start_angle_rad + self.step_rad * np.arange(self.ranges_m.size, dtype=np.float64)
 
     def points(self) -> FloatArray:
-        """(N, 2) x forward, y left; ``nan`` where there is no range."""
+        """(N, 2) x forward, y left; ``nan`` if there is no range."""
         bearings = self.bearings_rad()
         return self.ranges_m[:, None] * np.column_stack([np.cos(bearings), np.sin(bearings)])
 
 
 def masked(ranges_m: NDArray[np.floating[Any]], range_max_m: float) -> Float32Array:
-    """A copy with ``nan`` for all that is not finite, not above zero, or beyond the reach.
+    """Return a copy with ``nan`` for ranges that are not finite, not above zero, or above the maximum.
 
     Examples
     --------
@@ -209,21 +209,21 @@ def masked(ranges_m: NDArray[np.floating[Any]], range_max_m: float) -> Float32Ar
 
 
 def resample(scan: LidarCurve, step_rad: float = SAMPLE_STEP_RAD) -> Curve:
-    """A lidar's sweep at another angular step: the median of the beams about each sample.
+    """Resample a lidar sweep to another angular step: the median of the beams around each sample.
 
     Parameters
     ----------
     step_rad
-        Of the result, above zero. Where it is finer than the lidar's, samples repeat the nearest beam.
+        Step of the result, above zero. If it is finer than the lidar's, samples repeat the nearest beam.
 
     Returns
     -------
-    Counter-clockwise, from the sweep's lowest bearing up.
+    A curve, counter-clockwise from the lowest bearing of the sweep.
 
     Raises
     ------
     ValueError
-        A step that is not above zero, or a sweep of more than one turn.
+        If the step is not above zero, or the sweep covers more than one revolution.
 
     Examples
     --------
@@ -252,9 +252,9 @@ def resample(scan: LidarCurve, step_rad: float = SAMPLE_STEP_RAD) -> Curve:
 
 @kernel
 def _fill_medians(ranges, samples_a_beam, held, medians):  # type: ignore[no-untyped-def]
-    """Medians of the valid beams within half a sample; without any, of the nearest beam alone.
+    """Compute medians of the valid beams within half a sample; if there are none, use the nearest beam.
 
-    ``held`` is room for the beams of a sample.
+    ``held`` is a buffer for the beams of a sample.
     """
     for sample in range(medians.size):
         low = max(0, math.ceil((sample - 0.5) / samples_a_beam))

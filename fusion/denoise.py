@@ -1,11 +1,11 @@
-"""Each sensor repairs the other: Xu2024 Eq. (6)-(8), 2.3.2, at the sensors' own resolution.
+"""Mutual repair of lidar and depth: Xu2024 Eq. (6)-(8), 2.3.2, at the resolution of each sensor.
 
-Pairs are matched by where they lie and not by their index: each curve is reprojected to the other's frame.
-Where both have a reading and they differ by more than eps, the paper does not say who is wrong. Here it is
-the one whose reading its own neighbours do not support; where both are consistent, the difference is real (a
-low cupboard before a wall) and both readings are kept. The lidar's nearer readings give way only where they
-fly at an edge. What could be put into holes and in the place of such readings is judged by how likely it is
-right (`fusion.repair_odds`): both sensors look through glass, and most wide holes are of glass.
+Readings are paired by position and not by index: each curve is reprojected to the other's frame. If both
+have a reading and they differ by more than eps, the paper does not say which is wrong. Here it is the one
+that its own neighbours do not support. If both are consistent, the difference is real (a low cupboard in
+front of a wall) and both are kept. A nearer reading of the lidar is replaced only if it is a flying point at
+an edge. Candidate values for holes and for such readings are used only if they are likely to be right
+(`fusion.repair_odds`): both sensors see through glass, and most wide holes are glass.
 """
 
 from __future__ import annotations
@@ -39,21 +39,21 @@ _LIDAR_SLACK, _CAMERA_SLACK = 0.04, 0.01  # noise of the difference of two neigh
 
 @dataclass(frozen=True)
 class Denoised:
-    """A scan and its images after the repair.
+    """A scan and its depth images after the repair.
 
     Attributes
     ----------
     ranges_m, lidar_source
-        (N,) as the scan was given, invalid readings unchanged, and the `Provenance` of each beam.
+        (N,) ranges of the repaired scan, invalid readings unchanged, and the `Provenance` of each beam.
     depth_m, depth_source
-        For each camera (H, W) and the `Provenance` of each pixel.
+        For each camera (H, W) repaired depth, and the `Provenance` of each pixel.
     lidar_probability, depth_probability
-        (N,) and for each camera (H, W): of what was put in, that it is right: a range within 0.2 m, a depth
-        within 0.1 m. ``nan`` where nothing was.
+        (N,) and for each camera (H, W): probability that an inserted value is right: a range within 0.2 m, a
+        depth within 0.1 m. ``nan`` where nothing was inserted.
     lidar_sigma_m, depth_sigma_m
-        Standard deviation of what was put in, where it is right.
+        Standard deviation of an inserted value, provided it is right.
     applied
-        False where the pair's grade did not allow any repair: then nothing was changed.
+        False if the grade of the pair did not allow any repair; then nothing was changed.
     """
 
     ranges_m: Float32Array
@@ -85,24 +85,24 @@ def denoise(
     Parameters
     ----------
     scan, depth
-        As they were registered.
+        The scan and the images that were registered.
     registration
-        Of this pair, or better of the rig: what all pairs of a drive say together.
+        Registration of this pair, or better the estimate of the rig from all pairs of a drive.
     least_grade
-        A single pair below it is left alone.
+        A single pair with a lower grade is not repaired.
     least_probability
-        What is less likely to be right is not put in: a hole is better than an invention. A line over a hole
-        must be as likely for each of its ends. The mean of two readings that agree invents nothing, and is
-        taken however likely both look through glass.
+        A value that is less likely to be right is not inserted: a hole is better than a wrong value. A line
+        across a hole must reach this probability at both ends. The mean of two readings that agree is always
+        used, however likely it is that both look through glass.
 
     Raises
     ------
     ValueError
-        Other cameras than were registered.
+        If the cameras are not those that were registered.
 
     Examples
     --------
-    A beam of a lidar comes back from nowhere, and a camera sees what is there.
+    A lidar beam has no return, and a camera sees the surface there.
 
     >>> import fusion, numpy as np
     >>> def ranges_m(bearings):  # of the walls of a room of 6 m by 4 m, from a place in it
@@ -139,7 +139,7 @@ def repair_by(
     matrices: Sequence[FloatArray | None],
     least_probability: float,
 ) -> Denoised:
-    """`denoise` by (3, 3) maps from each camera's level plane to the lidar's; None where there is none."""
+    """As `denoise`, with (3, 3) transforms from each camera's level plane to the lidar's; None if unknown."""
     if not any(matrix is not None for matrix in matrices):
         return _unchanged(scan, images)
     if len(matrices) != len(images):
@@ -149,20 +149,20 @@ def repair_by(
 
 
 def _view(image: DepthImage, registration: Registration | RigEstimate) -> ImageView:
-    """The curve of an image that the registration chose."""
+    """Return the curve of an image that the registration selected."""
     height = registration.height_m
     low, high = registration.height_range_m if isinstance(registration, RigEstimate) else (height, height)
     return ImageView(native_slice(image, height), lookup_of(image, native_step_rad(image)), low, high)
 
 
 def matched_curves(registration: Registration) -> list[tuple[FloatArray, FloatArray]]:
-    """`matched_points` of each camera by one pair alone, the camera's points first."""
+    """Return `matched_points` of each camera from a single pair, the camera's points first."""
     curves = [stack.curve(registration.v) for stack in registration.stacks]
     return [matched_points(registration.curve, curve, registration.yaw_rad) for curve in curves]
 
 
 def matched_points(lidar: Curve, camera: Curve, yaw_rad: float) -> tuple[FloatArray, FloatArray]:
-    """Points of the camera and of the lidar at the same samples, (N, 2) each, where both have one."""
+    """Return points of the camera and of the lidar, (N, 2) each, at samples where both have one."""
     at = np.round((camera.bearings_rad() + yaw_rad - lidar.start_angle_rad) / lidar.step_rad).astype(int)
     inside = (at >= 0) & (at < lidar.ranges_m.size)
     ours, theirs = camera.points()[inside], lidar.points()[at[inside]]
@@ -172,16 +172,16 @@ def matched_points(lidar: Curve, camera: Curve, yaw_rad: float) -> tuple[FloatAr
 
 @dataclass(frozen=True)
 class Candidates:
-    """What could be put into a scan and its images, before it is judged.
+    """Candidate values for a scan and its images, before they are checked.
 
     Attributes
     ----------
     source, kinds, beams
-        `Provenance` of the readings that are replaced, and what `beam_candidates` found, counter-clockwise.
+        `Provenance` of replaced readings, and the results of `beam_candidates`, counter-clockwise.
     pixels
-        By the index of the image, what `pixel_candidates` found.
+        Results of `pixel_candidates`, by the index of the image.
     sigma_shares, pixel_sigma_share
-        (5,) by `Provenance`, and of pixels: standard deviation of what is right, as a share of the range.
+        (5,) by `Provenance`, and of pixels: standard deviation of right values, as a share of the range.
     """
 
     source: ProvenanceArray
@@ -198,7 +198,7 @@ def find_candidates(
     registration: Registration | RigEstimate,
     matrices: Sequence[FloatArray | None],
 ) -> Candidates:
-    """Carry and compare; arguments as for `repair_by`."""
+    """Reproject and compare; arguments as for `repair_by`."""
     seen = {
         camera: (_view(images[camera], registration), matrix)
         for camera, matrix in enumerate(matrices)
@@ -243,7 +243,7 @@ def find_candidates(
 def _put_in(
     scan: LidarCurve, images: tuple[DepthImage, ...], found: Candidates, least_probability: float
 ) -> Denoised:
-    """Take what is likely enough to be right."""
+    """Insert the candidates that are likely enough to be right."""
     result = _unchanged(scan, images)
     judged = probabilities(found.kinds, found.beams[..., 1:], BEAM_ODDS)
     best, beam = judged.argmax(axis=0), np.arange(found.source.size)
@@ -277,11 +277,11 @@ def _put_in(
 
 
 def eps_of(own: Float32Array, other: Float32Array) -> float:
-    """Eps of the paper, by the mean residual E, as a share of the range.
+    """Return eps of the paper, from the mean residual E, as a share of the range.
 
-    By shares, since the noise of both sensors grows with the range; the paper has one eps for all. And no
-    residual counts for more than a twentieth of the range: a real difference (a low cupboard) is metres, and
-    a few of them would hide all burrs.
+    It is a share, since the noise of both sensors grows with the range; the paper has one eps for all ranges.
+    Each residual is limited to a twentieth of the range: real differences (a low cupboard) can be metres, and
+    a few of them would hide all outliers.
     """
     both = np.isfinite(own) & np.isfinite(other)
     if not both.any():
@@ -294,7 +294,7 @@ def eps_of(own: Float32Array, other: Float32Array) -> float:
 def _seen_by_lidar(
     piece: Curve, matrix: FloatArray, beams: tuple[float, float, int]
 ) -> tuple[Float32Array, float]:
-    """A camera's curve, without what it contradicts itself, at the lidar's beams; and its noise."""
+    """Return a camera's curve at the lidar's beams, without its own contradictions, and its noise."""
     lone, bump = round(_LONE_RAD / piece.step_rad), round(_BURR_RAD / piece.step_rad)
     clean = without_bumps(piece.ranges_m, piece.step_rad, max(1, lone), max(2, bump), _CAMERA_SLACK)
     reprojected: Float32Array = reproject(
@@ -304,7 +304,7 @@ def _seen_by_lidar(
 
 
 def roughness(ranges: Float32Array, steady: Float32Array) -> float:
-    """Noise of a curve as a share of the range, by what smoothing takes away; ``nan`` without readings."""
+    """Return the noise of a curve as a share of the range, from the residual of smoothing; else ``nan``."""
     apart = np.abs(ranges - steady) / ranges
     return float(np.nanmedian(apart)) if np.isfinite(apart).any() else math.nan
 
@@ -318,7 +318,7 @@ def _pixel_candidates(
     beams: tuple[float, float],
     shares: tuple[float, float],
 ) -> FloatArray:
-    """What the lidar could put into an image; ``lost`` is how many holes are about each beam."""
+    """Return the lidar's candidates for an image; ``lost`` is the number of holes around each beam."""
     step = view.curve.step_rad
     columns = (view.curve.start_angle_rad, step, view.curve.ranges_m.size)
     predicted = reproject(lidar, beams[0], beams[1], np.linalg.inv(matrix), columns, _LIDAR_SLACK)
@@ -342,14 +342,14 @@ def _pixel_candidates(
 
 
 def _shifted(ranges: Float32Array, columns: int) -> Float32Array:
-    """A curve moved along its columns, ``nan`` where nothing comes from."""
+    """Shift a curve along its columns; ``nan`` at columns without source."""
     moved = np.roll(ranges, columns)
     moved[slice(columns) if columns > 0 else slice(columns, None)] = np.nan
     return moved
 
 
 def _unchanged(scan: LidarCurve, images: tuple[DepthImage, ...]) -> Denoised:
-    """What was given, holes marked."""
+    """Return the input, with holes marked."""
     lidar = np.isnan(scan.valid_ranges_m()) * np.uint8(Provenance.HOLE)
     depths = tuple(np.array(image.depth_m, dtype=np.float32, order="C") for image in images)
     sources = tuple(

@@ -1,4 +1,4 @@
-"""What a range tells about the cell in which it ends: Li2020 Eq. (4)-(6), and noise that grows with range."""
+"""Sensor model of the cell in which a range ends: Li2020 Eq. (4)-(6), with noise that grows with range."""
 
 from __future__ import annotations
 
@@ -21,11 +21,11 @@ class RangeNoise:
     Attributes
     ----------
     floor_m
-        At no range.
+        Constant part.
     share
-        Of the range, as data sheets of lidars have it.
+        Part proportional to the range, as in data sheets of lidars.
     per_m
-        Growth with the square, 1/m: what an error of the disparity makes of a depth (Li2020 Eq. (4)).
+        Quadratic part, 1/m: effect of a disparity error on the depth (Li2020 Eq. (4)).
 
     Examples
     --------
@@ -44,7 +44,7 @@ class RangeNoise:
             raise ValueError(f"{self}: floor_m must be positive, share and per_m not negative")
 
     def sigma_m(self, range_m: Array) -> Array:
-        """Standard deviation at each range, metres.
+        """Return the standard deviation at each range, metres.
 
         Examples
         --------
@@ -57,33 +57,33 @@ class RangeNoise:
 
 
 def share_in_cell(range_m: Array, noise: RangeNoise, cell_m: float) -> Array:
-    """Probability that a range's true end lies in the cell of its measured end, if this is its middle."""
+    """Return the probability that the true end of a range is in the cell whose centre is the measured end."""
     reach = 0.5 * cell_m / (math.sqrt(2.0) * noise.sigma_m(range_m))
     return np.array([math.erf(value) for value in np.ravel(reach)]).reshape(np.shape(range_m))
 
 
 def hit_evidence(noise: RangeNoise, p_hit: float, cell_m: float, range_max_m: float) -> NDArray[np.int16]:
-    """Evidence of a hit by range, Ps of Li2020 Eq. (8) as log-odds.
+    """Return the evidence of a hit by range, Ps of Li2020 Eq. (8) as log-odds.
 
-    ``p_hit`` is for a range without noise; with noise only a share of it is meant for this cell.
+    ``p_hit`` is for a range without noise; with noise, only a share of it applies to this cell.
 
     Parameters
     ----------
     p_hit
-        Above 0.5.
+        Hit probability, above 0.5.
     cell_m
         Side of a cell.
     range_max_m
-        Length of the table.
+        Maximum range of the table.
 
     Returns
     -------
-    (N,) steps of log-odds (`fusion.bayes.STEPS_A_UNIT`) for ranges from i cells on.
+    (N,) log-odds steps (`fusion.bayes.STEPS_A_UNIT`); entry i is for ranges from i cells on.
 
     Raises
     ------
     ValueError
-        Where ``p_hit`` is not between 0.5 and 1.
+        If ``p_hit`` is not between 0.5 and 1.
     """
     if not 0.5 < p_hit < 1.0:
         raise ValueError(f"p_hit is {p_hit}; it must be above 0.5 and below 1")

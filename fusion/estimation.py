@@ -1,4 +1,4 @@
-"""What all estimates share: one gate, one robust scale, and when a sum is too small or a step too short."""
+"""Constants that all estimates share: gate, robust scale, and limits for small sums and short steps."""
 
 from __future__ import annotations
 
@@ -17,14 +17,14 @@ TINY = 1e-9
 
 @cache
 def gate(degrees: int = 1, confidence: float = CONFIDENCE) -> float:
-    """Squared Mahalanobis distance beyond which a difference is no noise: a quantile of chi-square.
+    """Return the squared Mahalanobis distance above which a difference is no noise: a chi-square quantile.
 
     Parameters
     ----------
     degrees
-        Of freedom: how many numbers differ.
+        Degrees of freedom: the number of differences.
     confidence
-        Share of true differences that lie within.
+        Share of true differences within the gate.
 
     Examples
     --------
@@ -38,7 +38,7 @@ def gate(degrees: int = 1, confidence: float = CONFIDENCE) -> float:
 
 
 def half_interval(sigma: float) -> float:
-    """Half the width of the 95 % interval of a normal estimate: what people are told.
+    """Return half the width of the 95 % interval of a normal estimate, as it is reported to users.
 
     Examples
     --------
@@ -51,12 +51,12 @@ def half_interval(sigma: float) -> float:
 
 @cache
 def median_to_sigma(degrees: int = 1) -> float:
-    """Standard deviation over the median of normal residuals: 1.4826 for distances along one axis.
+    """Return the ratio of sigma to median of normal residuals: 1.4826 for distances along one axis.
 
     Parameters
     ----------
     degrees
-        Axes of which a residual is the root mean square.
+        Number of axes of which a residual is the root mean square.
 
     Examples
     --------

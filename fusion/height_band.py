@@ -1,4 +1,4 @@
-"""Obstacles in a depth image by the robot's own geometry, no fit of the ground: Yang2021 Eq. (13)-(20)."""
+"""Obstacles in a depth image from the robot's geometry, without a ground fit: Yang2021 Eq. (13)-(20)."""
 
 from __future__ import annotations
 
@@ -20,21 +20,21 @@ BoolArray = NDArray[np.bool_]
 
 @dataclass(frozen=True)
 class HeightBand:
-    """The heights in which a thing stops the robot, Yang2021 Eq. (17)-(18).
+    """Range of heights in which an object stops the robot, Yang2021 Eq. (17)-(18).
 
     Attributes
     ----------
     base_height_m
-        d, of the base's centre above the ground.
+        d, height of the centre of the base above the ground.
     workspace_m
-        l, of the workspace's top above the base's centre.
+        l, height of the top of the workspace above the centre of the base.
     climb_m
-        sigma, the highest step that the robot drives over. What is lower is no obstacle (Li2020: 1 cm).
+        sigma, highest step that the robot drives over. Lower objects are no obstacles (Li2020: 1 cm).
 
     Raises
     ------
     ValueError
-        Where the band is empty or begins below the ground.
+        If the band is empty or begins below the ground.
 
     Examples
     --------
@@ -56,18 +56,18 @@ class HeightBand:
 
     @property
     def low_m(self) -> float:
-        """Obstacles reach above this."""
+        """Lower limit: obstacles reach above this height."""
         return self.climb_m
 
     @property
     def high_m(self) -> float:
-        """The robot passes under what begins above this: d + l + sigma."""
+        """Upper limit d + l + sigma: the robot passes under objects above it."""
         return self.base_height_m + self.workspace_m + self.climb_m
 
     def holds(self, z_ground: FloatArray, margin_m: FloatArray | float = 0.0) -> BoolArray:
-        """Whether points at these heights are obstacles: sigma < z < d + l + sigma.
+        """Return whether points at these heights are obstacles: sigma < z < d + l + sigma.
 
-        ``margin_m`` raises the lower end, for heights that noise alone could lift so far.
+        ``margin_m`` raises the lower limit, to allow for noise of the heights.
 
         Examples
         --------
@@ -80,7 +80,7 @@ class HeightBand:
 
 
 def pixel_rays(shape: tuple[int, int], intrinsics: Intrinsics) -> FloatArray:
-    """Where each pixel looks: (H, W, 2) x/z, y/z in the optical frame by Yang2021 Eq. (13).
+    """Return the viewing ray of each pixel: (H, W, 2) x/z, y/z in the optical frame, Yang2021 Eq. (13).
 
     Examples
     --------
@@ -96,12 +96,12 @@ def pixel_rays(shape: tuple[int, int], intrinsics: Intrinsics) -> FloatArray:
 
 
 def back_project(depth_m: NDArray[np.floating[Any]], rays: FloatArray) -> FloatArray:
-    """(N, 3) points in the optical frame of the valid pixels, row by row: Yang2021 Eq. (14), zc = d.
+    """Return (N, 3) points of the valid pixels in the optical frame, by row: Yang2021 Eq. (14), zc = d.
 
     Parameters
     ----------
     depth_m
-        (H, W) along the optical axis; zero and what is not finite is no reading.
+        (H, W) along the optical axis; zero and values that are not finite are invalid.
     rays
         (H, W, 2) from `pixel_rays`.
 
@@ -119,7 +119,7 @@ def back_project(depth_m: NDArray[np.floating[Any]], rays: FloatArray) -> FloatA
 
 
 def to_frame(points: FloatArray, T_a_b: FloatArray) -> FloatArray:
-    """(N, 3) points of frame b in frame a, Yang2021 Eq. (16)."""
+    """Transform (N, 3) points from frame b to frame a, Yang2021 Eq. (16)."""
     placed = np.empty((len(points), 3))
     _place(np.ascontiguousarray(points, np.float64), np.ascontiguousarray(T_a_b, np.float64), placed)
     return placed
@@ -127,7 +127,7 @@ def to_frame(points: FloatArray, T_a_b: FloatArray) -> FloatArray:
 
 @kernel(nogil=True)
 def _place(points, T_a_b, placed):  # type: ignore[no-untyped-def]
-    """Points (N, 3) by a matrix into ``placed``; a product of matrices so thin takes ten times as long."""
+    """Transform (N, 3) points into ``placed``; ten times faster than a matrix product of this shape."""
     for i in range(points.shape[0]):
         x = points[i, 0]
         y = points[i, 1]
@@ -137,9 +137,9 @@ def _place(points, T_a_b, placed):  # type: ignore[no-untyped-def]
 
 
 def thin_to_voxels(points: FloatArray, voxel_m: float, step: int = 1) -> FloatArray:
-    """(M, 3) one of the points in each voxel; so near surfaces weigh no more than far ones.
+    """Return the first point (M, 3) in each voxel, so that near surfaces weigh no more than far ones.
 
-    The first, if asked in such steps, which share no divisor with their number; in their order.
+    Points are visited in strides of ``step``, coprime to their number.
 
     Examples
     --------
@@ -156,10 +156,9 @@ def thin_to_voxels(points: FloatArray, voxel_m: float, step: int = 1) -> FloatAr
 
 
 def thin_evenly(points: FloatArray, voxel_m: float) -> FloatArray:
-    """The same, whichever: the first would turn the cloud about the lidar.
+    """Return one point (M, 3) in each voxel without a bias to one side.
 
-    Of what noise makes thick it is that on the side from which the beams came. Asked in steps of the golden
-    section no side is.
+    The first in the order of the beams turns a noisy cloud; strides of the golden section prefer no side.
     """
     step = len(points) * 514_229 // 832_040
     while math.gcd(step, len(points)) > 1:
@@ -168,7 +167,7 @@ def thin_evenly(points: FloatArray, voxel_m: float) -> FloatArray:
 
 
 def dense_enough(points: FloatArray, radius_m: float, least_neighbours: int) -> BoolArray:
-    """Radius outlier removal: (N,) whether at least so many other points lie within the radius.
+    """Radius outlier removal: return (N,) whether enough other points are within the radius.
 
     Examples
     --------
@@ -195,18 +194,18 @@ def obstacle_points(
     least_neighbours: int = 6,
     voxel_m: float = 0.015,
 ) -> FloatArray:
-    """(M, 3) what is left of a cloud after the cut to the band, thinning to voxels and outlier removal.
+    """Return (M, 3) points of a cloud after the cut to the band, voxel filter and outlier removal.
 
     Parameters
     ----------
     points_ground
-        (N, 3) in a frame with the ground at z = 0 and z up.
+        (N, 3) points in a frame with the ground at z = 0 and z up.
     margin_m
-        See `HeightBand.holds`; one for all points or (N,).
+        See `HeightBand.holds`; one value for all points or (N,).
     radius_m, least_neighbours
-        r and n of Yang2021's radius filter; r below the side R of a cell.
+        r and n of the radius filter in Yang2021; r is below the cell size R.
     voxel_m
-        Side of the voxels, 0 keeps all points.
+        Voxel size; 0 keeps all points.
     """
     cut = points_ground[band.holds(points_ground[:, 2], margin_m)]
     if voxel_m > 0.0:

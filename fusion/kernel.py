@@ -1,10 +1,10 @@
-"""The decorator of the compiled kernels: numba compiles one when it is first called, and keeps the code.
+"""Decorator of the compiled kernels: numba compiles a kernel at its first call and stores the code.
 
-The code is kept where numba keeps it: in the folder that ``NUMBA_CACHE_DIR`` names, else beside the source,
-else in the user's cache folder. Three things are done better here. Numba itself is loaded when the first
-kernel is called. It compiles a kernel anew where its own file has changed; here also where a kernel or a
-constant has that it takes from another file. And where no folder can be written to, numba gives up; here it
-is said once, and every run compiles anew.
+Numba stores the code in the folder that ``NUMBA_CACHE_DIR`` names, else next to the source, else in the
+user's cache folder. This decorator improves three things. It loads numba at the first call of a kernel. Numba
+recompiles a kernel if its own file changed; here also if a kernel or constant that it imports from another
+file changed. And if no folder is writable, numba stops with an error; here the user is told once, and every
+run compiles again.
 """
 
 from __future__ import annotations
@@ -29,11 +29,11 @@ class Kernel:
     Attributes
     ----------
     py_func, options
-        What is compiled, and how: see `numba.njit`.
+        Function to compile, and options: see `numba.njit`.
     run
-        What a call calls: numba's own object, from the first call on.
+        Target of a call: numba's own object after the first call.
     loaded_ns
-        When each file with kernels had been changed last, at the moment when it was loaded.
+        Modification time of each file with kernels when it was loaded.
     """
 
     loaded_ns: ClassVar[dict[str, int]] = {}
@@ -47,7 +47,7 @@ class Kernel:
             self.loaded_ns[file] = Path(file).stat().st_mtime_ns
 
     def __call__(self, *arguments: Any) -> Any:
-        """What it returns for these arguments."""
+        """Return the result for these arguments."""
         return self.run(*arguments)
 
     def __getattr__(self, name: str) -> Any:
@@ -57,23 +57,23 @@ class Kernel:
 
     @cached_property
     def dispatcher(self) -> Any:
-        """Numba's own object."""
+        """Return numba's dispatcher."""
         from fusion.compiling import dispatcher_of
 
         return dispatcher_of(self)
 
     def _first_run(self, *arguments: Any) -> Any:
-        """Call it, and from now on numba's object itself."""
+        """Call it, and use numba's object directly from now on."""
         self.run = self.dispatcher
         return self.run(*arguments)
 
 
 def kernel(function: Callable[..., Any] | None = None, **options: Any) -> Any:
-    """`numba.njit` with its options; the compiled code is kept.
+    """`numba.njit` with its options; the compiled code is stored.
 
-    Write kernels that compile fast, for the first run waits for all of them: a millisecond goes into each
-    operation, two to four into each element read or written, five into each loop, fifty into each function
-    and a hundred into the first array that is made. So arrays are made by who calls, loops are plain, and a
-    helper of one kernel is ``inline="always"``.
+    Write kernels that compile fast, because the first run waits for all of them: each operation takes a
+    millisecond, each element read or written two to four, each loop five, each function fifty, and the first
+    array that is created a hundred. So the caller creates arrays, loops are plain, and a helper of one kernel
+    is ``inline="always"``.
     """
     return partial(kernel, **options) if function is None else Kernel(function, options)

@@ -1,10 +1,10 @@
-"""How well two metric curves explain each other: a robust likelihood ratio, ours.
+"""Robust likelihood ratio of two metric curves: how well they explain each other. It is our own measure.
 
-PCC lets any two curves that rise and fall together match, at any scale; Eq. (4) lets a few samples that see
-different things decide. Where both curves are metric one can ask more: what speaks for "the same surface"
-against "any two surfaces of a home", sample by sample, with a floor so that no sample decides? The sum over
-samples also weighs how many there are. The sensors need not be in one place: the camera may stand before or
-behind the lidar by any of a few offsets.
+PCC matches any two curves that rise and fall together, at any scale; in Eq. (4) a few samples that see
+different things decide. If both curves are metric, a stricter test is possible: the evidence for "the same
+surface" against "any two surfaces of a home", sample by sample, with a floor so that no single sample
+decides. The sum over samples also takes their number into account. The sensors may be in different places:
+the camera may be in front of or behind the lidar by one of a few offsets.
 """
 
 # mypy: allow-untyped-decorators
@@ -25,12 +25,12 @@ ELSEWHERE_PER_M = 0.4  # density of the difference of two unrelated ranges, abou
 
 
 def sample_weights(curve_m: Float32Array) -> tuple[Float32Array, Float32Array, np.float32]:
-    """What the kernels need to know of each lidar sample.
+    """Compute the weights of each lidar sample for the kernels.
 
     Returns
     -------
-    (Psi,) the log ratio of an exact match, (Psi,) one over the standard deviation times sqrt(2), both 0 where
-    the lidar has nothing; and the log ratio of a mismatch.
+    (Psi,) the log ratio of an exact match, (Psi,) one over the standard deviation times sqrt(2), both 0 for
+    an invalid sample; and the log ratio of a mismatch.
     """
     valid = np.isfinite(curve_m)
     sigma = SIGMA_SHARE * (2.0 + np.where(valid, curve_m, 1.0))
@@ -41,14 +41,14 @@ def sample_weights(curve_m: Float32Array) -> tuple[Float32Array, Float32Array, n
 
 
 def log_ratio_map(candidates_m: Float32Array, curve_m: Float32Array) -> Float32Array:
-    """Log likelihood ratio of every candidate at every offset along the lidar curve, in nats.
+    """Return the log likelihood ratio of every candidate at every offset along the lidar curve, in nats.
 
     Parameters
     ----------
     candidates_m
         (V, W) ranges, ``nan`` invalid.
     curve_m
-        (Psi,) of the lidar, Psi >= W.
+        (Psi,) ranges of the lidar, Psi >= W.
 
     Returns
     -------
@@ -57,7 +57,7 @@ def log_ratio_map(candidates_m: Float32Array, curve_m: Float32Array) -> Float32A
     Raises
     ------
     ValueError
-        The lidar curve is shorter than the candidates.
+        If the lidar curve is shorter than the candidates.
     """
     if curve_m.size < candidates_m.shape[1]:
         raise ValueError(
@@ -81,7 +81,7 @@ def _log_ratios(
     floor: np.float32,
     offsets: Float32Array,
 ) -> NDArray[np.float32]:
-    """The map; candidate samples outside, windows inside, so that the inner loop is one of neighbours."""
+    """Compute the map; the inner loop is over windows, so that it reads neighbouring samples."""
     rows, width = candidates.shape
     windows = curve.size - width + 1
     best = np.empty((rows, windows), np.float32)
@@ -106,20 +106,20 @@ def _log_ratios(
 def log_ratios_at(
     candidates_m: Float32Array, bearings_rad: FloatArray, curve: Curve, yaw_rad: float, offsets_m: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Log ratios at one yaw, for cameras that stand before (or behind) the lidar by some offsets.
+    """Return log ratios at one yaw, for camera positions in front of or behind the lidar.
 
     Parameters
     ----------
     candidates_m, bearings_rad
         (V, W) ranges and (W,) bearings in the camera's level frame.
     yaw_rad
-        By how much bearings in the lidar's frame are larger.
+        Bearing in the lidar's frame minus bearing in the camera's level frame.
     offsets_m
-        (O,) along the level frame's x axis.
+        (O,) offsets along the x axis of the level frame.
 
     Returns
     -------
-    (O, V) sums over the samples, and (V,) how many samples both have.
+    (O, V) sums over the samples, and (V,) number of samples that both have.
     """
     weight, sharpness, floor = sample_weights(curve.ranges_m)
     at = np.round((bearings_rad + yaw_rad - curve.start_angle_rad) / curve.step_rad).astype(int)

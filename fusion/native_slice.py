@@ -1,5 +1,5 @@
 # mypy: allow-untyped-decorators
-"""The slice of a depth image at one known height, and the pixels about it, at the image's own resolution."""
+"""Slice of a depth image at one known height, and the pixels around it, at the resolution of the image."""
 
 from __future__ import annotations
 
@@ -27,16 +27,16 @@ _MOST_ROWS = 121
 
 @dataclass(frozen=True)
 class ImageView:
-    """One camera's part in a repair, at the image's own resolution.
+    """View of one camera for the repair, at the resolution of its image.
 
     Attributes
     ----------
     curve
-        Ranges at the columns' bearings.
+        Ranges at the bearings of the columns.
     lookup
-        Which pixels show them.
+        Pixels that show these ranges.
     low_m, high_m
-        Between them lie all heights that are as good as the curve's.
+        Limits of the heights that are as good as that of the curve.
     """
 
     curve: Curve
@@ -45,12 +45,12 @@ class ImageView:
     high_m: float
 
     def heights(self, nearest_m: float) -> FloatArray:
-        """Heights to look at, so that no row of pixels is left out.
+        """Return heights to check, so that no row of pixels is missed.
 
         Parameters
         ----------
         nearest_m
-            Least range of the lidar's surfaces: there the rows are the closest.
+            Smallest range of the lidar's surfaces: there the rows are closest to each other.
         """
         # A step beyond the heights that are as good: walls are upright.
         low, high = self.low_m - HEIGHT_STEP_M, self.high_m + HEIGHT_STEP_M
@@ -60,12 +60,12 @@ class ImageView:
 
 
 def native_step_rad(image: DepthImage) -> float:
-    """Angle between two columns in the middle of an image."""
+    """Return the angle between two columns in the middle of an image."""
     return 1.0 / max(image.intrinsics.fx, image.intrinsics.fy)
 
 
 def native_slice(image: DepthImage, height_m: float) -> Curve:
-    """In each column the nearest surface at a height above the camera."""
+    """Find in each column the nearest surface at a height above the camera."""
     step = native_step_rad(image)
     lookup = lookup_of(image, step)
     ranges = _slice(
@@ -88,7 +88,7 @@ def _slice(
     height_m: float,
     range_max_m: float,
 ) -> NDArray[np.float32]:
-    """(W,) ranges; row by row, as the image lies in memory."""
+    """Return (W,) ranges; computed row by row, as the image is in memory."""
     columns = pixel.shape[1]
     best = np.full(columns, np.nan, np.float32)
     error = np.full(columns, np.inf)

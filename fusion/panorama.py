@@ -1,7 +1,7 @@
-"""Depth images as panoramas: ranges over equal bearings and slopes, and the curves cut from them.
+"""Depth images as panoramas: ranges at equal bearings and slopes, and the curves cut from them.
 
-A pin-hole camera's columns are not equally spaced in angle, its pixels are depths and not ranges, and a
-tilted or turned one has no level rows. A panorama has all three put right: column k looks along one bearing,
+The columns of a pinhole camera are not equally spaced in angle, its pixels are depths and not ranges, and a
+tilted or rotated camera has no level rows. A panorama corrects all three: column k looks along one bearing,
 row v along one slope (the tangent of the elevation), so a point of range r in row v is ``slope * r`` above
 the camera.
 """
@@ -24,18 +24,18 @@ from fusion.kernel import kernel
 
 @dataclass(frozen=True)
 class Lookup:
-    """Where in an image each sample of its panorama lies.
+    """Pixel of the image for each sample of its panorama.
 
     Attributes
     ----------
     pixel
         (rows, columns) flat index into the image, -1 outside.
     range_of_depth
-        (rows, columns) by what a depth is multiplied to be a range.
+        (rows, columns) factor from depth to range.
     slopes
-        (rows,) falling: row 0 looks highest, as in an image.
+        (rows,) decreasing: row 0 looks highest, as in an image.
     bearings_rad
-        (columns,) rising, relative to where the camera looks.
+        (columns,) increasing, relative to the viewing direction of the camera.
     """
 
     pixel: IntArray
@@ -46,16 +46,16 @@ class Lookup:
 
 @dataclass(frozen=True)
 class CurveStack:
-    """Candidates for the curve that the lidar sees: one a height.
+    """Candidates for the curve that the lidar sees: one per height.
 
     Attributes
     ----------
     ranges_m
-        (V, W) ``nan`` where there is none.
+        (V, W) ``nan`` if there is no range.
     start_angle_rad, step_rad
         Bearing of the first column in the common level frame, and the step.
     heights_m
-        (V,) of each candidate above the camera.
+        (V,) height of each candidate above the camera.
     """
 
     ranges_m: Float32Array
@@ -64,11 +64,11 @@ class CurveStack:
     heights_m: FloatArray
 
     def bearings_rad(self) -> FloatArray:
-        """(W,) of the columns."""
+        """(W,) bearings of the columns."""
         return self.start_angle_rad + self.step_rad * np.arange(self.ranges_m.shape[1], dtype=np.float64)
 
     def curve(self, v: int) -> Curve:
-        """Candidate v."""
+        """Return candidate v."""
         return Curve(self.ranges_m[v], self.start_angle_rad, self.step_rad)
 
 
@@ -76,12 +76,12 @@ Depths: TypeAlias = DepthImage | Sequence[DepthImage]
 
 
 def as_images(depth: Depths) -> tuple[DepthImage, ...]:
-    """One image or several as a tuple.
+    """Return one or more images as a tuple.
 
     Raises
     ------
     ValueError
-        None at all, or something else.
+        If there is none, or it is no depth image.
     """
     images = (depth,) if isinstance(depth, DepthImage) else tuple(depth)
     if not images or not all(isinstance(image, DepthImage) for image in images):
@@ -91,13 +91,13 @@ def as_images(depth: Depths) -> tuple[DepthImage, ...]:
 
 
 def yaw_of(image: DepthImage) -> float:
-    """Bearing of the optical axis in the level frame."""
+    """Return the bearing of the optical axis in the level frame."""
     axis = image.R_level_camera[:, 2]
     return math.atan2(axis[1], axis[0])
 
 
 def lookup_of(image: DepthImage, step_rad: float) -> Lookup:
-    """The panorama of an image's camera, relative to where it looks."""
+    """Return the panorama lookup of a camera, relative to its viewing direction."""
     yaw = yaw_of(image)
     c, s = math.cos(yaw), math.sin(yaw)
     R = np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]]) @ image.R_level_camera
@@ -112,7 +112,7 @@ def lookup_of(image: DepthImage, step_rad: float) -> Lookup:
 def _lookup(
     shape: tuple[int, int], pinhole: tuple[float, ...], tilt: tuple[float, ...], step_rad: float
 ) -> Lookup:
-    """Rows are as many to a radian as the image has, columns ``step_rad`` apart."""
+    """Rows have the angular resolution of the image; columns are ``step_rad`` apart."""
     fx, fy, cx, cy = pinhole
     R = np.array(tilt).reshape(3, 3)
     edge = _border(shape)
@@ -136,19 +136,19 @@ def _lookup(
 
 
 def _border(shape: tuple[int, int]) -> FloatArray:
-    """(N, 2) row and column of the pixels on an image's border."""
+    """Return (N, 2) row and column of the pixels on the border of an image."""
     rows, cols = np.indices(shape)
     edge = (rows == 0) | (rows == shape[0] - 1) | (cols == 0) | (cols == shape[1] - 1)
     return np.column_stack([rows[edge], cols[edge]]).astype(np.float64)
 
 
 def height_slices(image: DepthImage, heights_m: FloatArray, step_rad: float = SAMPLE_STEP_RAD) -> CurveStack:
-    """For every height the nearest surface seen there, over all bearings of one camera.
+    """Find, for every height, the nearest surface seen there, over all bearings of one camera.
 
     Parameters
     ----------
     heights_m
-        (V,) above the camera, evenly spaced and rising; a pixel counts for the nearest of them.
+        (V,) heights above the camera, evenly spaced and increasing; a pixel counts for the nearest one.
     """
     lookup = lookup_of(image, step_rad)
     spacing = float(heights_m[1] - heights_m[0]) if heights_m.size > 1 else 0.02
@@ -168,9 +168,9 @@ def height_slices(image: DepthImage, heights_m: FloatArray, step_rad: float = SA
 
 
 def join(stacks: Sequence[CurveStack]) -> CurveStack:
-    """The panorama of several cameras, taken to look out of one point; the nearest surface counts.
+    """Join the stacks of several cameras as if they had one centre; the nearest surface counts.
 
-    Every stack is moved by at most half a sample, so that all samples lie at multiples of the step.
+    Every stack is moved by at most half a sample, so that all samples are at multiples of the step.
     """
     step = stacks[0].step_rad
     firsts = [round(stack.start_angle_rad / step) for stack in stacks]
@@ -193,7 +193,7 @@ def _drop_into_heights(
     grid: tuple[float, float],
     stack: NDArray[np.float32],
 ) -> None:
-    """Put every pixel's range into its column at its height, where it is the nearest; in place."""
+    """Write the range of every pixel into its column and height, if it is the nearest; in place."""
     lowest, spacing = grid
     for row in range(pixel.shape[0]):
         slope = slopes[row]

@@ -1,9 +1,9 @@
-"""Where along a lidar curve, and at which height of a depth image, the two see the same: Xu2024 Eq. (1).
+"""Registration of a depth image to a lidar curve, in bearing and height: Xu2024 Eq. (1).
 
-The candidates are slices at constant height, where the paper has the image's rows, and a likelihood ratio
-chooses (see `fusion.likelihood`), where the paper has similarities; ``tools/xu2024_rows.py`` has both to
-compare with. The grade is by PCC, as published, but "high" also asks that no other offset explains the pair
-nearly as well: a wall matches itself anywhere along it.
+The candidates are slices at constant height (in the paper, image rows), and a likelihood ratio selects one
+(see `fusion.likelihood`; in the paper, similarities). ``tools/xu2024_rows.py`` has both for comparison. The
+grade is by PCC, as published, but "high" also requires that no other offset explains the pair nearly as well:
+a wall matches itself anywhere along it.
 """
 
 from __future__ import annotations
@@ -35,30 +35,30 @@ _SOFTNESS = 0.1  # neighbouring samples see one surface: their evidence counts f
 
 @dataclass(frozen=True)
 class Registration:
-    """Where a lidar curve and a depth image meet.
+    """The registration of a depth image to a lidar curve.
 
     Attributes
     ----------
     u
-        Sample of the (resampled) lidar curve at which the image's window begins.
+        Sample of the (resampled) lidar curve at which the window of the image begins.
     v
-        Index of the height.
+        Index of the selected height.
     height_m
-        Of the lidar's plane above the camera.
+        Height of the lidar's plane above the camera.
     yaw_rad
-        By how much a bearing in the lidar's frame is larger than in the image's level frame.
+        Bearing in the lidar's frame minus bearing in the level frame of the image.
     score
-        Of the measure that chose.
+        Score of the measure that selected (u, v).
     pcc
-        Of the pair at (u, v): what the grade is by.
+        PCC of the pair at (u, v), from which the grade follows.
     grade
-        LOW, MIDDLE or HIGH.
+        Grade of the pair: LOW, MIDDLE or HIGH.
     confidence
-        Share of the belief within `NEAR_SAMPLES` of u, in 0..1.
+        Share of the probability within `NEAR_SAMPLES` of u, 0..1.
     score_map
-        (V, U) of the measure; larger is more alike.
+        (V, U) scores of the measure; larger is more similar.
     curve, stacks
-        What was compared: the lidar curve, and the candidates of each camera.
+        The lidar curve and the candidates of each camera that were compared.
     """
 
     u: int
@@ -76,7 +76,7 @@ class Registration:
     __repr__ = one_line
 
     def _repr_html_(self) -> str:
-        """What the lidar sees, and in red what the cameras see where they were found to look."""
+        """Draw the lidar curve, and in red the curves of the cameras as registered."""
         seen = join(self.stacks).curve(self.v)
         turned = Curve(seen.ranges_m, seen.start_angle_rad + self.yaw_rad, seen.step_rad)
         both = drawn(black=self.curve.points(), red=turned.points())
@@ -84,7 +84,7 @@ class Registration:
 
     @property
     def first_yaw_step(self) -> int:
-        """Column 0 of the score map on the lattice of yaws that all pairs of a rig share."""
+        """Index of column 0 of the score map in the grid of yaws that all pairs of a rig share."""
         return -round(join(self.stacks).start_angle_rad / self.curve.step_rad)
 
 
@@ -94,25 +94,25 @@ def register(
     *,
     heights_m: FloatArray = HEIGHTS_M,
 ) -> Registration:
-    """Find (u, v) of one pair, with neither extrinsics nor a first guess.
+    """Find (u, v) of one pair, without extrinsics or an initial guess.
 
     Parameters
     ----------
     scan
-        The lidar's sweep; it must be at least as wide as the image.
+        The lidar sweep; its field of view must be at least that of the image.
     depth
-        One image, or those of several cameras, which make a panorama.
+        One image, or the images of several cameras, which form a panorama.
     heights_m
-        (V,) above the camera that are tried.
+        (V,) heights above the camera to try.
 
     Raises
     ------
     ValueError
-        No image, or a window wider than the lidar's sweep.
+        If there is no image, or the window is wider than the lidar sweep.
 
     Examples
     --------
-    A camera that looks 0.9 rad to the left of the lidar's zero, and neither was reported.
+    A camera looks 0.9 rad to the left of the lidar's zero; this yaw is not given.
 
     >>> import fusion, numpy as np
     >>> def ranges_m(bearings):  # of the walls of a room of 6 m by 4 m, from a place in it
@@ -141,7 +141,7 @@ def register(
 
 
 def _swings(found: Registration) -> bool:
-    """Whether the pair turns away from its own offset once the camera may stand elsewhere than the lidar."""
+    """Return whether the offset changes once the camera may have another position than the lidar."""
     aligned = align([found.curve], [join(found.stacks).curve(found.v)], found.yaw_rad)
     if aligned is None:
         return False  # a single wall: the motion stays open
@@ -153,7 +153,7 @@ def _swings(found: Registration) -> bool:
 def registration_at(
     curve: Curve, stacks: tuple[CurveStack, ...], scores: Float32Array, v: int, u: int, confidence: float
 ) -> Registration:
-    """The choice of candidate v and offset u by a map of scores (V, U), with its grade."""
+    """Select candidate v and offset u from a score map (V, U), with the grade."""
     stack = join(stacks)
     pcc = float(pearson(masked_sums(stack.ranges_m[v : v + 1], curve.ranges_m))[0, u])
     grade = grade_of(pcc)
@@ -175,7 +175,7 @@ def registration_at(
 
 
 def _belief_near(profile: Float32Array, u: int) -> float:
-    """Share of the belief in the offsets about u, when a log ratio counts for `_SOFTNESS` of itself."""
+    """Return the probability share of offsets around u, with log ratios scaled by `_SOFTNESS`."""
     soft = max(2.0, _SOFTNESS * abs(float(profile[u])))
     belief = np.exp((profile - profile[u]) / soft)
     low = max(0, u - NEAR_SAMPLES)

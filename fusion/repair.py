@@ -1,5 +1,5 @@
 # mypy: allow-untyped-decorators
-"""The decisions on single beams: what is a hole, a burr or a real difference, and what takes its place."""
+"""Decide for each beam whether it is a hole, an outlier or a real difference, and what replaces it."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from fusion.kernel import kernel
 
 
 class Provenance(IntEnum):
-    """Where a sample comes from.
+    """Source of a sample.
 
     Examples
     --------
@@ -46,25 +46,25 @@ def replace_readings(
     burr_samples: int,
     trust_other: float,
 ) -> tuple[Float32Array, ProvenanceArray]:
-    """Replace the readings of a lidar curve by what the camera sees there: Xu2024 Eq. (6) and (7).
+    """Replace readings of a lidar curve by those of the camera: Xu2024 Eq. (6) and (7).
 
     Parameters
     ----------
     own
-        (N,) ``nan`` invalid.
+        (N,) the lidar's ranges, ``nan`` for invalid.
     other
-        (N,) the camera's, reprojected to the lidar's bearings, without what the camera itself contradicts.
+        (N,) the camera's, reprojected to the lidar's bearings, without its own contradictions.
     eps_share
-        Residual as a share of the range beyond which a pair is noise.
+        Residual, as a share of the range, above which a pair is noise.
     burr_samples
-        Longest run of disagreeing readings that can be a burr: what is longer is consistent with itself,
-        and the difference is real.
+        Longest run of contradicting readings that can be an outlier (burr): a longer run is consistent with
+        itself, and the difference is real.
     trust_other
         Weight of the camera in the mean of two readings that agree, 0..1.
 
     Returns
     -------
-    (N,) ranges and their `Provenance`; holes stay.
+    (N,) ranges and their `Provenance`; holes remain.
     """
     count = own.size
     result = own.copy()
@@ -84,12 +84,12 @@ def replace_readings(
 def smooth_outliers(
     ranges: Float32Array, steady: Float32Array, source: ProvenanceArray, jut_share: float
 ) -> None:
-    """Put readings behind their own surface back on to it, where the other sensor has no say.
+    """Move readings behind their own surface back onto it, where the other sensor has no reading.
 
-    Readings before it are kept: they may be a thin thing.
+    Readings in front of it are kept: they may be a thin object.
 
-    ``steady`` is the curve on the lines of its neighbours; only what is off by more than ``jut_share``
-    of its range is replaced, so that a mean is never put in the place of a good reading. In place.
+    ``steady`` is the curve interpolated from its neighbours. Only readings off by more than ``jut_share`` of
+    their range are replaced, so that a mean never replaces a good reading. Works in place.
     """
     own = ranges.copy()
     for i in range(1, own.size - 1):
@@ -114,7 +114,7 @@ def _drop_bumps(
     result: Float32Array,
     source: ProvenanceArray,
 ) -> None:
-    """Put short runs behind a surface, which is whole on both sides and for the other sensor, on to it."""
+    """Move short runs behind a surface onto it, if it is whole on both sides and for the other sensor."""
     first = 1
     while first < own.size - 1:
         if not _odd(own, other, first, eps_share):
@@ -143,11 +143,11 @@ def _drop_veil(
     result: Float32Array,
     source: ProvenanceArray,
 ) -> None:
-    """Replace single readings that hang in the air between a nearer surface and a farther one; in place.
+    """Replace flying points, single readings between a nearer and a farther surface; in place.
 
-    A beam on an edge returns a mean of both. A thin thing looks the same where it stands before neither, so
-    what replaces it must be certain: the other sensor sees none of it within two samples, and next to it both
-    see one surface that reaches over this beam. A thing before both of its neighbours is never touched.
+    A beam on an edge returns a mean of both. A thin object can look the same, so a replacement must be
+    certain: the other sensor does not see it within two samples, and next to it both sensors see one surface
+    that extends over this beam. An object in front of both of its neighbours is never changed.
     """
     for i in range(2, own.size - 2):
         if source[i] != MEASURED or not _odd(own, other, i, eps_share):
@@ -168,7 +168,7 @@ def _drop_veil(
 
 @kernel
 def _hangs(own: Float32Array, i: int, slack_m: float) -> bool:
-    """Whether there is a nearer and a farther reading within two beams, and none that is as far."""
+    """Return whether there are a nearer and a farther reading within two beams, and none as far."""
     nearer = farther = False
     for j in range(i - 2, i + 3):
         if j == i:
@@ -184,9 +184,9 @@ def _hangs(own: Float32Array, i: int, slack_m: float) -> bool:
 def _moved(
     own: Float32Array, other: Float32Array, i: int, inward: int, rim_m: float, eps_share: float
 ) -> bool:
-    """Whether the other sensor sees a thin surface aside of where this one does: its rims tell nothing then.
+    """Return whether the other sensor sees a thin surface shifted sideways: then its edges are not used.
 
-    Sample i is its last on one side; ``inward`` is the step to the others.
+    Sample i is its last on one side; ``inward`` is the step towards its other samples.
     """
     j = i
     while 0 < j < own.size - 1 and abs(j - i) <= BESIDE and abs(other[j + inward] - other[j]) <= rim_m:
@@ -199,7 +199,7 @@ def _moved(
 
 @kernel
 def _odd(own: Float32Array, other: Float32Array, i: int, eps_share: float) -> bool:
-    """Both have a reading, and none of the other's nearby is where this one is."""
+    """Return whether both have a reading, and no nearby one of the other agrees with this one."""
     if np.isnan(own[i]) or np.isnan(other[i]):
         return False
     for j in range(max(0, i - NEAR_SAMPLES), min(own.size, i + NEAR_SAMPLES + 1)):
@@ -210,5 +210,5 @@ def _odd(own: Float32Array, other: Float32Array, i: int, eps_share: float) -> bo
 
 @kernel
 def _agrees(own: Float32Array, other: Float32Array, i: int, eps_share: float) -> bool:
-    """Whether both have the same reading there."""
+    """Return whether both have the same reading there."""
     return 0 <= i < own.size and abs(own[i] - other[i]) <= 1.5 * eps_share * own[i]

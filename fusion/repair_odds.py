@@ -1,7 +1,7 @@
 # mypy: allow-untyped-decorators
-"""How likely what a repair puts in is right: logistic regression on what can be measured around it.
+"""Probability that a repaired value is right: logistic regression on features measured around it.
 
-``python tools/learn_repair_odds.py`` learns the weights, from simulated homes that no figure is told of.
+``python tools/learn_repair_odds.py`` learns the weights from simulated homes that no figure is measured on.
 """
 
 from __future__ import annotations
@@ -57,16 +57,16 @@ PIXEL_ODDS = np.array([[-4.18,  9.15, -2.24,  4.68,  5.25,  0.  , -0.87, -5.41, 
 
 
 def probabilities(kinds: NDArray[np.intp], features: FloatArray, odds: FloatArray) -> FloatArray:
-    """(...) that a value is right, -1 where there is none.
+    """Return (...) probabilities that values are right, -1 if there is none.
 
     Parameters
     ----------
     kinds
         (...) row of ``odds`` for each, -1 for none.
     features
-        (..., K) what describes the values.
+        (..., K) features of the values.
     odds
-        (kinds, (K + 1) (K + 2) / 2) weights of one, the features, and their products by twos.
+        (kinds, (K + 1) (K + 2) / 2) weights of one, the features, and their pairwise products.
     """
     chance = np.full(kinds.shape, -1.0)
     for kind, weights in enumerate(odds):
@@ -87,7 +87,7 @@ def beam_candidates(
     eps_share: float,
     crowd: int,
 ) -> tuple[NDArray[np.intp], FloatArray]:
-    """What could be put into a lidar curve.
+    """Find candidate values for a lidar curve.
 
     Parameters
     ----------
@@ -98,8 +98,8 @@ def beam_candidates(
 
     Returns
     -------
-    (2, N) row of `BEAM_ODDS`, -1 for none, and (2, N, 7) the value and its features: of the camera or what
-    replaces a reading, and of the line over a hole.
+    (2, N) row of `BEAM_ODDS`, -1 for none, and (2, N, 7) the value and its features. The first of the two is
+    from the camera or replaces a reading, the second is the line across a hole.
     """
     hole = source == HOLE
     doubted = np.isnan(steady) | (source == FILLED) | (source == INTERPOLATED)
@@ -129,25 +129,25 @@ def describe_beams(
     eps_share: float,
     crowd: int,
 ) -> FloatArray:
-    """What tells whether values are right that are put into a lidar curve.
+    """Compute the features that show whether values inserted into a lidar curve are right.
 
     Parameters
     ----------
     own, steady, other
-        (N,) the curve, ``nan`` invalid; on the lines of its neighbours; what the camera sees there.
+        (N,) the curve, ``nan`` invalid; interpolated from its neighbours; what the camera sees there.
     doubted
-        (N,) holes, and readings that are replaced: they support nothing.
+        (N,) holes, and replaced readings: they are no support for others.
     value
-        (N,) what is put in; ``nan``: the line between the two ends of the gap.
+        (N,) inserted values; ``nan``: the line between the two ends of the gap.
     crowd
-        Beams to either side among which holes are counted: glass loses many, and what returns went through. A
-        gap whose ends are farther away tells nothing.
+        Beams on either side in which holes are counted: glass loses many beams, and those that return passed
+        through it. A gap whose ends are farther away gives no features.
 
     Returns
     -------
-    (N, 7) the value, and its features: the logarithm of the width of the gap; how far its ends are apart;
-    the holes around; how far the camera is off the line between the ends, 0 without one; the logarithm of the
-    range; how far the value is off the reading. Differences are in logarithms of their share of the noise.
+    (N, 7) the value, and its features: the logarithm of the width of the gap; the distance between its ends;
+    the holes around; the distance of the camera's value to the line between the ends, 0 without one; the
+    logarithm of the range; the distance of the value to the reading. Differences are logarithms over noise.
     ``nan`` without two ends.
     """
     count = own.size
@@ -181,5 +181,5 @@ def describe_beams(
 
 @kernel
 def over_noise(apart_m: float, range_m: float, eps_share: float) -> float:
-    """A difference in logarithms of its share of the noise."""
+    """Return the logarithm of a difference divided by the noise."""
     return math.log(1.0 + abs(apart_m) / (SLACK_M + eps_share * range_m))

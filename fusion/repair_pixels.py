@@ -1,5 +1,5 @@
 # mypy: allow-untyped-decorators
-"""The decisions on single pixels of a depth image, by what the lidar sees."""
+"""Repair decisions for single pixels of a depth image, from what the lidar sees."""
 
 from __future__ import annotations
 
@@ -25,12 +25,12 @@ def look_at(
     height_m: float,
     range_max_m: float,
 ) -> tuple[IntArray, Float32Array, Float32Array]:
-    """For every column of a panorama the pixel that looks at a predicted point of a given height.
+    """Find, for every column of a panorama, the pixel that looks at a predicted point of a given height.
 
     Returns
     -------
-    (W,) flat pixel index, -1 where the point is outside the image; (W,) the range measured there, ``nan`` in
-    a hole; (W,) by what a range is divided to be a depth.
+    (W,) flat pixel index, -1 if the point is outside the image; (W,) the range measured there, ``nan`` in
+    a hole; (W,) divisor from range to depth.
     """
     columns = predicted.size
     at = np.full(columns, -1, np.int32)
@@ -51,15 +51,15 @@ def look_at(
 
 @kernel
 def island_size(at: int, islands: Islands, slack_share: float) -> int:
-    """How many pixels hang together with one, by steps to the four neighbours.
+    """Count the pixels connected to one, by steps to the four neighbours.
 
     Parameters
     ----------
     at
         Flat index of a pixel with a reading.
     islands
-        (H, W) the image as it was given; (H * W,) sizes that are known already, else 0: filled in as they are
-        found; (most + 1,) room to work in. What has more than ``most`` pixels counts ``most + 1``.
+        (H, W) the input image; (H * W,) sizes already known, else 0: filled in as they are found;
+        (most + 1,) a work buffer. An island of more than ``most`` pixels counts ``most + 1``.
     slack_share
         Step between neighbours of one surface, as a share of the range.
     """
@@ -93,7 +93,7 @@ def island_size(at: int, islands: Islands, slack_share: float) -> int:
 
 @kernel
 def _hang(near: float, far: float, slack_share: float) -> bool:
-    """Whether two neighbours may be of one surface; false for a hole."""
+    """Return whether two neighbours may be on one surface; false for a hole."""
     return near > 0.0 and far > 0.0 and abs(near - far) <= 0.5 * HEIGHT_STEP_M + slack_share * min(near, far)
 
 
@@ -110,41 +110,41 @@ def pixel_candidates(
     most_pixels: tuple[int, int],
     crowd: int,
 ) -> FloatArray:
-    """What could be put into the pixels that look at the lidar's surfaces, height by height: Xu2024 Eq. (8).
+    """Find candidate depths for pixels that look at the lidar's surfaces, by height: Xu2024 Eq. (8).
 
-    A run of columns that do not agree with the lidar is filled between two that do. A reading that disagrees
-    is the camera's fault only where the image itself does not support it (ours): it hangs together with no
-    more than a few pixels, above and below too. A patch behind the lidar's surface is light by a detour, a
-    tiny one flies at an edge. What belongs to more is seen by the camera alone, and is kept: a table's top,
-    the wall over a box.
+    A run of columns that disagree with the lidar is filled between two that agree. A reading that disagrees
+    is an error of the camera only if the image itself does not support it (our rule): it is connected to at
+    most a few pixels, also above and below. A patch behind the lidar's surface is multipath light, a tiny one
+    is a flying point at an edge. A larger surface is seen only by the camera, and is kept: a table top, the
+    wall above a box.
 
     Parameters
     ----------
     image
-        (H, W) as it was given.
+        (H, W) the input image.
     lookup
         Pixels, factors and slopes of the panorama.
     shifted
-        (3, C) the lidar's ranges, reprojected to the panorama's columns; moved by half a beam to either side.
+        (3, C) the lidar's ranges, reprojected to the panorama's columns; shifted by half a beam to each side.
     lost
-        (C,) holes of the lidar around the beam that looks there, as their logarithm.
+        (C,) logarithm of the number of lidar holes around the beam that looks there.
     heights_m
-        (K,) heights that are looked at.
+        (K,) heights to check.
     noise_share
-        Of the lidar, as a share of the range.
+        Noise of the lidar, as a share of the range.
     most_pixels
-        Of a burr behind the lidar's surface, and of one before it.
+        Largest size of an outlier behind the lidar's surface, and of one in front of it.
     crowd
-        Columns to either side among which holes are counted; a run whose ends are farther away tells nothing.
+        Columns on either side in which holes are counted; a run with farther ends gives no candidate.
 
     Returns
     -------
-    (N, 14) flat pixel; row of `fusion.repair_odds.PIXEL_ODDS`, -1 for a burr that nothing can be put into;
-    the depth; and its features: the logarithm of the width of the run; how far its ends are off the lidar;
-    holes in the row, and in the lidar; by how much the reading is behind; how far the lidar's neighbours are
-    apart; the logarithms of the range, of the range over the farthest that the image has, and of its noise;
-    how far the nearest readings above and below are off, the nearer to it and the other: a wall goes on, a
-    table's top does not. One that is missing counts as the other.
+    (N, 14) flat pixel; row of `fusion.repair_odds.PIXEL_ODDS`, -1 for an outlier without candidate; the
+    depth; and its features: the logarithm of the width of the run; the difference of its ends to the lidar;
+    holes in the row, and in the lidar; how far the reading is behind; the distance between the lidar's
+    neighbours; the logarithms of the range, of the range over the largest in the image, and of its noise; the
+    differences of the nearest readings above and below, the smaller first: a wall continues, the top of a
+    table does not. A missing one counts as the other.
     """
     depth = image.ravel()
     islands = (image, np.zeros(depth.size, np.int32), np.empty(max(most_pixels) + 1, np.int32))
@@ -187,7 +187,7 @@ def _with_run(
     limits: tuple[float, float, float, float],
     lookup: tuple[IntArray, Float32Array, Float32Array],
 ) -> tuple[FloatArray, int]:
-    """The rows of `pixel_candidates`, and how many they are, with those of one more run of columns."""
+    """Add one more run of columns to the rows of `pixel_candidates`; return the rows and their number."""
     (found, count), (first, last, crowd), (pixel, measured, scale) = rows, run, seen
     (shifted, lost, residual, gone), (range_max_m, farthest, eps_share, noise_share) = curves, limits
     predicted, columns = shifted[0], shifted.shape[1]
@@ -234,7 +234,7 @@ def _beside(
     range_max_m: float,
     eps_share: float,
 ) -> tuple[float, float]:
-    """How far the nearest readings above and below are off a range, over the noise: the less and the more."""
+    """Return the differences of the readings above and below to a range, over the noise: smaller, larger."""
     pixels, range_of_depth, _ = lookup
     least, most, middle = np.inf, 0.0, 0
     while pixels[middle, col] != at:

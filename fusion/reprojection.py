@@ -1,4 +1,4 @@
-"""A curve of one sensor as the other would see it, and which readings a curve's own neighbours support."""
+"""Reproject a curve of one sensor into the other, and find readings that their own neighbours support."""
 
 # mypy: allow-untyped-decorators
 from __future__ import annotations
@@ -16,7 +16,7 @@ _STEEP = 6.0  # a surface seen at more than 80 degrees from its normal is an edg
 
 @kernel
 def joined(near: float, far: float, angle: float, slack_m: float) -> bool:
-    """Whether two neighbouring readings can be of one surface; false for ``nan``."""
+    """Return whether two neighbouring readings can be on one surface; false for ``nan``."""
     return abs(near - far) <= slack_m + _STEEP * angle * min(near, far)
 
 
@@ -29,22 +29,22 @@ def reproject(
     other: tuple[float, float, int],
     slack_share: float,
 ) -> NDArray[np.float32]:
-    """What another sensor in the plane would measure of a curve's surfaces.
+    """Compute what another sensor in the plane would measure of the surfaces of a curve.
 
     Parameters
     ----------
     ranges, start, step
         (N,) the curve, ``nan`` invalid, counter-clockwise.
     matrix
-        (3, 3) homography or motion from the curve's plane to the other's, for columns.
+        (3, 3) homography or transform from the curve's plane to the other's, for column vectors.
     other
-        First bearing, step, and number of the other's samples.
+        First bearing, step, and number of samples of the other sensor.
     slack_share
-        Noise of neighbours' difference as a share of the range.
+        Noise of the difference of neighbours, as a share of the range.
 
     Returns
     -------
-    (count,) ranges, the nearest surface first; ``nan`` where the curve has none.
+    (count,) ranges of the nearest surfaces; ``nan`` if the curve has none.
     """
     other_start, other_step, count = other
     seen = np.full(count, np.inf, np.float32)
@@ -82,7 +82,7 @@ def reproject(
 
 @kernel
 def _draw(seen: Float32Array, from_at: float, to_at: float, from_m: float, to_m: float) -> None:
-    """Put a straight piece into the samples that look at it, where it is the nearest; in place."""
+    """Draw a straight piece into the samples that look at it, if it is the nearest; in place."""
     if from_at > to_at:
         from_at, to_at, from_m, to_m = to_at, from_at, to_m, from_m
     wide = max(to_at - from_at, 1e-9)
@@ -96,7 +96,7 @@ def _draw(seen: Float32Array, from_at: float, to_at: float, from_m: float, to_m:
 
 @kernel
 def smooth(ranges: Float32Array, step: float, reach: int, slack_share: float) -> NDArray[np.float32]:
-    """Each reading on the line through its neighbours of the same surface, fitted in one over the range."""
+    """Move each reading to the line through its neighbours on the same surface, fitted in 1 / range."""
     result = ranges.copy()
     for i in range(ranges.size):
         if np.isnan(ranges[i]):
@@ -124,7 +124,7 @@ def smooth(ranges: Float32Array, step: float, reach: int, slack_share: float) ->
 
 @kernel
 def _same(ranges: Float32Array, i: int, j: int, step: float, slack_share: float) -> bool:
-    """Whether two neighbours are of one surface."""
+    """Return whether two neighbours are on one surface."""
     return joined(ranges[i], ranges[j], step, SLACK_M + slack_share * min(ranges[i], ranges[j]))
 
 
@@ -132,11 +132,11 @@ def _same(ranges: Float32Array, i: int, j: int, step: float, slack_share: float)
 def without_bumps(
     ranges: Float32Array, step: float, lone: int, bump: int, slack_share: float
 ) -> NDArray[np.float32]:
-    """A curve without what is not consistent with itself.
+    """Remove readings that are not consistent with the rest of the curve.
 
-    A run of up to ``lone`` samples that leaves its neighbours on both sides is dropped; one of up to ``bump``
-    only where what is left and right of it would join without it: a thin thing stands out of its background
-    too, but it is nearer, and is kept.
+    A run of up to ``lone`` samples that differs from its neighbours on both sides is removed; one of up to
+    ``bump`` only if its left and right sides would join without it. A thin object also differs from its
+    background, but it is nearer, and is kept.
     """
     result = ranges.copy()
     first = 0
@@ -165,7 +165,7 @@ def without_bumps(
 
 @kernel
 def _valid_before(ranges: Float32Array, first: int) -> int:
-    """Index of the last reading before, -1 if none."""
+    """Return the index of the last reading before, -1 if none."""
     at = first - 1
     while at >= 0 and np.isnan(ranges[at]):
         at -= 1
@@ -174,7 +174,7 @@ def _valid_before(ranges: Float32Array, first: int) -> int:
 
 @kernel
 def _valid_after(ranges: Float32Array, last: int) -> int:
-    """Index of the first reading after, -1 if none."""
+    """Return the index of the first reading after, -1 if none."""
     at = last + 1
     while at < ranges.size and np.isnan(ranges[at]):
         at += 1

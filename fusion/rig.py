@@ -1,7 +1,7 @@
-"""What stays the same from pair to pair of one robot: the yaw between its sensors, the height, the offset.
+"""Constants of a rig that all pairs of one robot share: the yaw between its sensors, height and offset.
 
-One weak pair must not decide: the score maps of all pairs are summed, and the motion between the sensors is
-estimated over the last pairs together.
+A single weak pair must not decide: the score maps of all pairs are summed, and the transform between the
+sensors is estimated from the last pairs together.
 """
 
 from __future__ import annotations
@@ -22,26 +22,26 @@ from fusion.showing import one_line
 
 @dataclass(frozen=True)
 class RigEstimate:
-    """The constants of a rig.
+    """The estimated constants of a rig.
 
     Attributes
     ----------
     u
-        As in `Registration`, for a level frame without the robot's motion between scan and image.
+        As in `Registration`, for a level frame, without motion of the robot between scan and image.
     yaw_rad
-        By how much bearings in the lidar's frame are larger.
+        Bearing in the lidar's frame minus bearing in the level frame of the image.
     height_m
-        Of the lidar's plane above the camera.
+        Height of the lidar's plane above the camera.
     height_range_m
-        Lowest and highest that explain the pairs about as well: the surfaces seen are the same there.
+        Lowest and highest height that explain the pairs about as well: they show the same surfaces.
     v
-        Index of the height.
+        Index of the selected height.
     pairs
-        How many were summed.
+        Number of summed pairs.
     alignments
-        For each camera the motion of the plane, None where its samples leave it open.
+        For each camera the planar transform, None if its samples do not determine it.
     drift
-        Samples between u of all pairs and u of the last ones alone: a sign of a sensor that moved.
+        Difference in samples between u of all pairs and u of the last ones: shows if a sensor moved.
     """
 
     u: int
@@ -57,17 +57,17 @@ class RigEstimate:
 
 
 class Rig:
-    """The pairs of one robot so far: the sum of all score maps, and the curves of the last ones.
+    """Accumulate the pairs of one robot: the sum of all score maps, and the curves of the last pairs.
 
     Parameters
     ----------
     kept
-        How many pairs the height and the motion are estimated from; bounds the memory (60 kB
-        for each of 180 degrees).
+        Number of pairs from which height and transform are estimated; limits the memory (60 kB
+        for each pair of 180 degrees).
 
     Examples
     --------
-    A robot that turns on the spot; its camera looks 0.3 rad to the left of the lidar's zero.
+    A robot rotates on the spot; its camera looks 0.3 rad to the left of the lidar's zero.
 
     >>> import fusion, numpy as np
     >>> def ranges_m(bearings):  # of the walls of a room of 6 m by 4 m, from a place in it
@@ -96,12 +96,12 @@ class Rig:
         self._pairs = 0
 
     def add(self, pair: Registration) -> None:
-        """Count one more pair.
+        """Add a pair.
 
         Raises
         ------
         ValueError
-            The pair has other candidates than those before.
+            If the pair has other candidates than the pairs before.
         """
         if self._sum is not None and len(pair.score_map) != len(self._sum):
             raise ValueError(
@@ -113,7 +113,7 @@ class Rig:
         self._last.append(pair)
 
     def estimate(self) -> RigEstimate | None:
-        """The constants by all pairs so far; None before the first."""
+        """Return the constants from all pairs so far; None before the first."""
         if self._sum is None:
             return None
         curve = self._last[-1].curve
@@ -144,7 +144,7 @@ class Rig:
         )
 
     def _first_height(self, yaw_rad: float) -> tuple[int, float]:
-        """Candidate whose samples fit best on average, and the offset of the camera at which they do."""
+        """Return the candidate whose samples fit best on average, and the camera offset where they do."""
         assert self._sum is not None
         offsets_m = np.linspace(2.0 * OFFSETS_M[0], 2.0 * OFFSETS_M[-1], 17)  # of the camera before the lidar
         ratio = np.zeros((offsets_m.size, len(self._sum)))
@@ -161,7 +161,7 @@ class Rig:
         return int(v), float(offsets_m[offset])
 
     def _height(self, alignments: tuple[Alignment | None, ...]) -> tuple[int, int, int]:
-        """The height that wins once the motion between the sensors is known, and its equals around it."""
+        """Return the best height once the transform between the sensors is known, and equally good ones."""
         contest = HeightContest(len(self._last[-1].score_map))
         for pair in self._last:
             for stack, alignment in zip(pair.stacks, alignments, strict=True):
@@ -170,7 +170,7 @@ class Rig:
         return contest.winner()
 
     def _alignments(self, yaw_rad: float, v: int, offset_m: float) -> tuple[Alignment | None, ...]:
-        """One motion for each camera, over the pairs that are kept."""
+        """Return one transform for each camera, from the pairs that are kept."""
         curves = [pair.curve for pair in self._last]
         begin = (offset_m * math.cos(yaw_rad), offset_m * math.sin(yaw_rad))
         return tuple(
@@ -180,7 +180,7 @@ class Rig:
 
 
 def _add(total: Float32Array | None, first: int, scores: Float32Array, at: int) -> tuple[Float32Array, int]:
-    """Sum of two score maps on the common lattice of yaws; both must have a say about a yaw."""
+    """Sum two score maps on the common grid of yaws; only yaws in both are kept."""
     if total is None:
         return scores.astype(np.float32), at
     low, high = max(first, at), min(first + total.shape[1], at + scores.shape[1])

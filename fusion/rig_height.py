@@ -1,8 +1,8 @@
-"""At which height above the camera the lidar's plane lies, over many pairs.
+"""Height of the lidar's plane above the camera, estimated over many pairs.
 
-The mean likelihood of a height will not do: the heights are seen in different places (what is low, from afar
-only), and some places are easier. So heights are compared two by two over the samples that both have, and one
-value a height is fitted to all these differences.
+The mean likelihood of a height is not usable: different heights are seen in different places (low ones only
+from afar), and some places are easier. So heights are compared in pairs over the samples that both have, and
+one value per height is fitted to all these differences.
 """
 
 # mypy: allow-untyped-decorators
@@ -22,14 +22,14 @@ _MOST_STEPS = 4
 
 
 class HeightContest:
-    """Sums of the differences between heights, pair by pair."""
+    """Sums of the score differences between heights, over all pairs."""
 
     def __init__(self, heights: int) -> None:
         self._gain = np.zeros((heights, heights))
         self._shared = np.zeros((heights, heights))
 
     def add(self, stack: CurveStack, curve: Curve, T_laser_level: FloatArray) -> None:
-        """Let the heights of one camera's slices compete in one pair."""
+        """Add the comparison of the heights of one camera's slices in one pair."""
         ratios = log_ratios(
             stack.ranges_m,
             stack.bearings_rad(),
@@ -45,9 +45,9 @@ class HeightContest:
         self._shared += has @ has.T
 
     def winner(self) -> tuple[int, int, int]:
-        """Index of the height with the largest fitted value, and the first and last that do about as well.
+        """Return the index of the height with the largest value, and the first and last about as good.
 
-        Upright walls are the same at many heights; only what begins or ends in between tells them apart.
+        Upright walls are equal at many heights; only surfaces that begin or end between them differ.
         """
         seen = np.diag(self._shared)
         laplacian = np.diag(self._shared.sum(axis=1)) - self._shared
@@ -72,7 +72,7 @@ def log_ratios(
     start: float,
     step: float,
 ) -> NDArray[np.float32]:
-    """(V, W) log likelihood ratio of each slice sample where the lidar looks at it; ``nan`` without both."""
+    """Return (V, W) log likelihood ratios of the slice samples that the lidar sees; else ``nan``."""
     result = np.full(candidates.shape, np.nan, np.float32)
     rotation_x, rotation_y = np.cos(bearings), np.sin(bearings)
     ahead_x = T_laser_level[0, 0] * rotation_x + T_laser_level[0, 1] * rotation_y

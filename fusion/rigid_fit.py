@@ -1,4 +1,4 @@
-"""The turn and shift between matched points of two curves, some of which are noise; for Xu2024 Eq. (5).
+"""Rotation and translation between matched points of two curves, some of which are noise; Xu2024 Eq. (5).
 
 Points are rows (x, y) here and matrices act on columns; the paper's ``L A = D`` is this with A transposed.
 """
@@ -19,7 +19,7 @@ EPS_OVER_E = 2.0**0.25  # the middle of the paper's best range, E to sqrt(2) E
 
 
 def rigid_fit(source: FloatArray, target: FloatArray, rng: np.random.Generator) -> FloatArray | None:
-    """(3, 3) motion from (N, 2) points to others, row by row; None where they leave it open."""
+    """Return the (3, 3) transform from (N, 2) points to others, row by row; None if not determined."""
     spread = [
         np.linalg.norm(points - points.mean(axis=0), 2) for points in (source, target) if len(points) > 2
     ]
@@ -35,14 +35,14 @@ def ransac(
     size: int,
     solve: Callable[[FloatArray, FloatArray], FloatArray | None],
 ) -> FloatArray | None:
-    """The (3, 3) of the draw whose pairs agree most, then fitted to all that agree with it.
+    """Return the (3, 3) transform of the sample with the most inliers, fitted to all its inliers.
 
     Parameters
     ----------
     size
-        Pairs of a draw.
+        Number of pairs in a sample.
     solve
-        The map between points, (3, 3), or None where they leave it open.
+        Function that returns the (3, 3) transform between points, or None if not determined.
     """
     best: tuple[float, FloatArray] | None = None
     for _ in range(DRAWS):
@@ -67,7 +67,7 @@ def ransac(
 
 
 def rigid_motion(source: FloatArray, target: FloatArray) -> FloatArray:
-    """The turn and shift of least squares, (3, 3).
+    """Return the (3, 3) rigid transform of least squares.
 
     Examples
     --------
@@ -86,13 +86,13 @@ def rigid_motion(source: FloatArray, target: FloatArray) -> FloatArray:
 
 
 def residuals(matrix: FloatArray, source: FloatArray, target: FloatArray) -> FloatArray:
-    """(N,) distances between moved source and target points; ``inf`` for what is moved to the horizon."""
+    """Return (N,) distances between moved source and target points; ``inf`` for points at the horizon."""
     distance = np.linalg.norm(moved(matrix, source) - target, axis=1)
     return np.where(np.isfinite(distance), distance, np.inf)
 
 
 def moved(matrix: FloatArray, points: FloatArray) -> FloatArray:
-    """(N, 2) points through a homography; ``nan`` at the horizon."""
+    """Apply a homography to (N, 2) points; ``nan`` at the horizon."""
     h = points @ matrix[:, :2].T + matrix[:, 2]
     scale = np.where(np.abs(h[:, 2]) > 1e-12, h[:, 2], np.nan)
     return np.asarray(h[:, :2] / scale[:, None])

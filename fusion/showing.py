@@ -1,4 +1,4 @@
-"""How records show themselves: in a shell by one line, in a notebook by that line and a small picture."""
+"""Display of records: one line in a shell; that line and a small picture in a notebook."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ Pixels: TypeAlias = NDArray[np.uint8]
 
 
 def one_line(record: Any) -> str:
-    """A record as its ``__repr__``: short values as they are, arrays and all that is long by what they hold.
+    """Return a record as its ``__repr__``: short values as they are, arrays and long values summarised.
 
     Examples
     --------
@@ -37,7 +37,7 @@ def one_line(record: Any) -> str:
 
 
 def _shown(name: str, value: Any) -> str:
-    """A field in one line."""
+    """Return a field in one line."""
     kind = type(value).__name__
     if isinstance(value, np.ndarray):
         return _array(name, value)
@@ -60,7 +60,7 @@ def _shown(name: str, value: Any) -> str:
 
 
 def _counted(name: str, value: Sized) -> str:
-    """A few short values as they are; of more, how many of which type."""
+    """Return a few short values as they are; for more, their number and type."""
     kinds = set[str]()
     if isinstance(value, list | tuple):
         text = ", ".join(_shown(name, one) for one in value[:5])
@@ -74,7 +74,7 @@ def _counted(name: str, value: Sized) -> str:
 
 
 def _array(name: str, value: NDArray[Any]) -> str:
-    """Type, shape, extent: of points along each axis, of other numbers from the least to the largest."""
+    """Return type, shape and extent: for points along each axis, for other numbers from least to largest."""
     text = f"{value.dtype}{list(value.shape)}"
     if value.dtype.kind not in "fiu" or not value.size:
         return text
@@ -89,7 +89,7 @@ def _array(name: str, value: NDArray[Any]) -> str:
 
 
 def extent(points: NDArray[Any]) -> str:
-    """How far points (N, d) or numbers (N,) reach along each axis."""
+    """Return the extent of points (N, d) along each axis, or of numbers (N,)."""
     rows = points[:, None] if points.ndim == 1 else points
     rows = rows[np.isfinite(rows).all(axis=1)]
     return " x ".join(f"{side:.3g}" for side in np.ptp(rows, axis=0)) if len(rows) else "nothing"
@@ -100,7 +100,7 @@ def _several(values: NDArray[Any]) -> str:
 
 
 def with_pictures(record: Any, *pictures: Pixels | bytes | None) -> str:
-    """HTML of a record: its line under pictures, PNG or arrays with row 0 at the top; None is left out."""
+    """Return HTML of a record: pictures (PNG, or arrays with row 0 at the top), then its line."""
     from PIL import Image
 
     parts = []
@@ -118,7 +118,7 @@ def with_pictures(record: Any, *pictures: Pixels | bytes | None) -> str:
 
 
 def drawn(side: int = 320, **layers: NDArray[Any]) -> Pixels | None:
-    """Points (N, 2), each layer in the colour that is its name, x to the right and y up; None without any."""
+    """Draw points (N, 2), each layer in the colour of its name, x to the right and y up; None without any."""
     from PIL import Image, ImageDraw
 
     known = {color: points[np.isfinite(points).all(axis=1)] for color, points in layers.items()}
@@ -138,7 +138,7 @@ def drawn(side: int = 320, **layers: NDArray[Any]) -> Pixels | None:
 
 
 def shaded(values: NDArray[Any], side: int = 320) -> Pixels:
-    """Numbers (H, W) in grey, the larger the brighter, what is not finite black; photos as they are."""
+    """Draw numbers (H, W) in grey, larger ones brighter, not finite ones black; photos are unchanged."""
     step = -(-max(values.shape[:2]) // side)
     values = values[::step, ::step]
     if values.dtype == np.uint8:
@@ -150,7 +150,7 @@ def shaded(values: NDArray[Any], side: int = 320) -> Pixels:
 
 
 def shrunk(drawing: Pixels, side: int = 320) -> Pixels:
-    """A drawing (H, W, 3) no larger than that: of neighbouring pixels the darkest stays, so that lines do."""
+    """Shrink a drawing (H, W, 3): the darkest of neighbouring pixels is kept, so that lines remain."""
     step = -(-max(drawing.shape[:2]) // side)
     for axis in (0, 1):
         drawing = np.minimum.reduceat(drawing, np.arange(0, drawing.shape[axis], step), axis=axis)

@@ -1,6 +1,6 @@
-"""How alike two curves are: Xu2024 Eq. (2), masked, for all candidates and offsets at once.
+"""Similarity of two curves: Xu2024 Eq. (2), masked, for all candidates and offsets at once.
 
-Every sum over the samples that both curves have is one product of matrices: candidates (V, W) times windows
+Every sum over the samples of both curves is one matrix product: candidates (V, W) times windows
 of the lidar curve (W, U).
 """
 
@@ -20,7 +20,7 @@ _TINY = np.float32(TINY)
 
 
 class Grade(IntEnum):
-    """How far a pair can be trusted, by its PCC (Xu2024, Table 1).
+    """Reliability of a pair, by its PCC (Xu2024, Table 1).
 
     Examples
     --------
@@ -41,13 +41,13 @@ class Sums:
     Attributes
     ----------
     n
-        How many samples.
+        Number of samples.
     d, l, dd, ll, dl
-        Of D, L, their squares and their product, after ``shift_m`` was taken off both.
+        Sums of D, L, their squares and their product, after ``shift_m`` is subtracted from both.
     shift_m
-        A middle range: without it squares of metres hide differences of centimetres in single precision.
+        A mean range: without it, squares of metres hide centimetre differences in single precision.
     width
-        Samples of a candidate, valid or not.
+        Number of samples of a candidate, valid or not.
     """
 
     n: Float32Array
@@ -61,7 +61,7 @@ class Sums:
 
 
 def grade_of(pcc: float) -> Grade:
-    """The paper's class of a PCC.
+    """Return the class of a PCC in the paper.
 
     Examples
     --------
@@ -75,19 +75,19 @@ def grade_of(pcc: float) -> Grade:
 
 
 def masked_sums(candidates_m: Float32Array, curve_m: Float32Array) -> Sums:
-    """All sums at once.
+    """Compute all sums at once.
 
     Parameters
     ----------
     candidates_m
         (V, W) ranges, ``nan`` invalid.
     curve_m
-        (Psi,) the lidar's, at the same step; Psi >= W gives U = Psi - W + 1 windows.
+        (Psi,) lidar ranges at the same step; Psi >= W gives U = Psi - W + 1 windows.
 
     Raises
     ------
     ValueError
-        The lidar curve is shorter than the candidates.
+        If the lidar curve is shorter than the candidates.
     """
     width = candidates_m.shape[1]
     if curve_m.size < width:
@@ -120,12 +120,12 @@ def masked_sums(candidates_m: Float32Array, curve_m: Float32Array) -> Sums:
 
 
 def enough(sums: Sums) -> np.ndarray[tuple[int, ...], np.dtype[np.bool_]]:
-    """(V, U) where a candidate and a window share enough samples to be compared."""
+    """Return (V, U) where a candidate and a window share enough samples to be compared."""
     return sums.n >= max(FEWEST, LEAST_OVERLAP * sums.width)
 
 
 def pearson(sums: Sums) -> Float32Array:
-    """Xu2024 Eq. (2), (V, U) in -1..1; 0 where a curve is flat or too little is shared.
+    """Return Xu2024 Eq. (2), (V, U) in -1..1; 0 if a curve is flat or too few samples are shared.
 
     Examples
     --------

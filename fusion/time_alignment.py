@@ -1,4 +1,4 @@
-"""By how much the clocks of two sensors differ that both tell how the robot turns: Xu2024, 2.1."""
+"""Offset between the clocks of two sensors that both measure the robot's rotation: Xu2024, 2.1."""
 
 from __future__ import annotations
 
@@ -22,16 +22,16 @@ _LEAST_TURN_RAD_S = 0.02  # standard deviation of a yaw rate: below, the robot h
 
 @dataclass(frozen=True)
 class ClockOffset:
-    """By how much one clock is ahead of another.
+    """Offset between two clocks.
 
     Attributes
     ----------
     offset_s
-        Stamps of the second sensor less those of the first, for the same instant.
+        Stamp of the second sensor minus stamp of the first, for the same instant.
     sigma_s
         Standard deviation of the offset.
     correlation
-        Of what both say of the turns, at the offset.
+        Correlation of the rotations of both sensors at this offset.
     """
 
     offset_s: float
@@ -46,22 +46,22 @@ def clock_offset(
     second_turned_rad: FloatArray,
     most_s: float = 1.0,
 ) -> ClockOffset | None:
-    """A constant offset between two clocks, by where what both say of the robot's turns correlates best.
+    """Estimate a constant offset between two clocks: where the rotations of both correlate best.
 
     Parameters
     ----------
     first_spans_s, first_turned_rad
-        (N, 2) stamps between which the first sensor saw (N,) turns, of any length. One that begins before
-        one before has ended is left out, of either sensor: a clock may have been set back.
+        (N, 2) start and end stamps of (N,) rotations that the first sensor measured, of any length. For both
+        sensors, a span that begins before an earlier one ends is ignored: a clock may have been set back.
     second_spans_s, second_turned_rad
-        (M, 2) and (M,) of the second, which are taken as even between their stamps.
+        (M, 2) and (M,) of the second sensor, with constant angular rate assumed within a span.
     most_s
-        Offsets of up to this are tried.
+        Largest offset to try.
 
     Returns
     -------
-    None where the offset is open: too few turns, hardly one, or no clear peak inside the range. What meets a
-    time of which the second says nothing, at any offset that is tried, is left out.
+    None if the offset is not determined: too few spans, too little rotation, or no clear peak in the range. A
+    span is ignored if one of the tried offsets moves it to a time without data of the second sensor.
 
     Examples
     --------
@@ -110,14 +110,14 @@ def clock_offset(
 
 
 def _rising(spans_s: FloatArray, turned_rad: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Spans and turns without those that begin before one before has ended."""
+    """Return spans and rotations without those that begin before an earlier one ends."""
     ended_s = np.maximum.accumulate(np.concatenate([[-np.inf], spans_s[:, 1]]))[:-1]
     rising = (spans_s[:, 0] >= ended_s) & (spans_s[:, 1] > spans_s[:, 0])
     return spans_s[rising], turned_rad[rising]
 
 
 def turns_between(told_s: FloatArray, turned_rad: FloatArray, spans_s: FloatArray) -> FloatArray:
-    """(...) turns over spans (..., 2), by (M,) turns over (M, 2) rising spans, each taken as even.
+    """Return (...) rotations over spans (..., 2) from (M,) over (M, 2) rising spans, at constant rates.
 
     Examples
     --------
@@ -133,7 +133,7 @@ def turns_between(told_s: FloatArray, turned_rad: FloatArray, spans_s: FloatArra
 
 
 def _told_throughout(spans_s: FloatArray, told_s: FloatArray, margin_s: float) -> NDArray[np.bool_]:
-    """(N,) whether one told span follows the other over a span (N, 2), and by a margin on both sides."""
+    """Return (N,) whether spans cover each span (N, 2) without gaps, with a margin on both sides."""
     told_s = told_s[told_s[:, 1] - told_s[:, 0] < GAP_S]
     if not len(told_s):
         return np.zeros(len(spans_s), np.bool_)
@@ -144,7 +144,7 @@ def _told_throughout(spans_s: FloatArray, told_s: FloatArray, margin_s: float) -
 
 
 def _correlations(turned: FloatArray, moved: FloatArray) -> FloatArray:
-    """(K,) Pearson's correlation of turns with each of (K, N) others."""
+    """Return (K,) Pearson correlations of rotations with each of (K, N) others."""
     a = turned - turned.mean()
     b = moved - moved.mean(axis=1, keepdims=True)
     return np.asarray(b @ a / np.sqrt((a @ a) * (b * b).sum(axis=1)))

@@ -1,4 +1,4 @@
-"""Voxels by hash: tables of slots with the numbers of entries, -1 where a slot is empty."""
+"""Voxels in a hash table: slots with the numbers of entries, -1 for an empty slot."""
 
 from __future__ import annotations
 

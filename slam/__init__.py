@@ -1,13 +1,13 @@
 """Scanweave: offline SLAM from lidar and RGB-D logs.
 
-What programs use is found here, and loaded when it is first asked for. `map_log` maps a log, `build_map`
-measurements of your own; `load_map` opens a saved map, `join` adds a log to it, `merge` makes one of several,
-`roll_back` takes sessions back; `localize_log` follows a log in it, `Localizer` a robot, measurement by
-measurement; `diff_maps` tells what differs between two maps; `evaluate` scores a trajectory. The command
-line, ``scanweave``, is a thin shell over the same.
+This package is the public Python API; each part is loaded when it is first used. `map_log` maps a log,
+`build_map` maps measurements of your program. `load_map` opens a saved map, `join` adds a log to it, `merge`
+combines several maps, `roll_back` removes sessions. `localize_log` localises a log in a map, `Localizer` a
+robot, one measurement at a time. `diff_maps` finds differences between two maps; `evaluate` scores a
+trajectory. The command line tool ``scanweave`` uses the same functions.
 
-The parts work by themselves on plain arrays: `match_scans` a matcher, `check_loop` a loop check, `PoseGraph`
-the graph, `grid_of_scans` the grid, and the package `fusion` the fusion of lidar and depth.
+These parts work on plain arrays: `match_scans` matches scans, `check_loop` verifies a loop, `PoseGraph` is
+the pose graph, `grid_of_scans` builds a grid. The package `fusion` fuses lidar and depth images.
 
 Examples
 --------
@@ -99,7 +99,7 @@ _HOMES = {name: module for module, names in _NAMES.items() for name in names.spl
 
 
 def __getattr__(name: str) -> Any:
-    """Load what is asked for: to import slam alone costs nothing."""
+    """Load a name when it is first used, so that ``import slam`` is cheap."""
     if name not in _HOMES:
         raise AttributeError(f"module 'slam' has no attribute '{name}'; it has {', '.join(_HOMES)}")
     found = globals()[name] = getattr(import_module(_HOMES[name]), name)
@@ -107,5 +107,5 @@ def __getattr__(name: str) -> Any:
 
 
 def __dir__() -> list[str]:
-    """What is here, loaded or not."""
+    """List all names, loaded or not."""
     return sorted({*_HOMES, *(name for name in globals() if name.startswith("__"))})

@@ -1,4 +1,4 @@
-"""Places on the earth as places in a plane that touches it: WGS 84 and east, north, up."""
+"""Convert positions on the earth to a tangent plane: WGS 84 to east, north, up."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The errors that a user can meet; each message says what, the value, the limit and the remedy."""
+"""Errors for users; each message names the problem, the value, the limit and the remedy."""
 
 from __future__ import annotations
 
@@ -6,9 +6,9 @@ from slam.foreign import plain
 
 
 class ScanweaveError(Exception):
-    """Base of every expected failure; the command line prints it in one line and exits with 1.
+    """Base class of all expected errors; the command line prints the message in one line and exits with 1.
 
-    What a message quotes of a file or its name is made plain here, wherever it is shown.
+    Text that a message quotes from a file or its name is sanitised here, so it is safe wherever it is shown.
 
     Examples
     --------
@@ -29,15 +29,15 @@ class ConfigError(ScanweaveError):
 
 
 class DatasetError(ScanweaveError):
-    """A log that cannot be opened or holds nothing usable."""
+    """A log that cannot be opened or has no usable data."""
 
 
 class BadRecordError(DatasetError):
-    """A single malformed record, raised only under ``--strict``; otherwise counted and skipped."""
+    """A single malformed record; raised only with ``--strict``, otherwise it is counted and skipped."""
 
 
 class GraphError(ScanweaveError):
-    """A measurement that must not enter the graph (not finite, wrong size, not positive definite)."""
+    """A measurement that the graph does not accept (not finite, wrong size, not positive definite)."""
 
 
 class MapFileError(ScanweaveError):
@@ -45,12 +45,12 @@ class MapFileError(ScanweaveError):
 
 
 class UnfinishedMapError(MapFileError):
-    """A map whose run was interrupted, or still goes on."""
+    """A map whose run was interrupted or is still running."""
 
 
 class LibraryError(ScanweaveError):
-    """A library that does not load, or lacks one of the system."""
+    """A library that cannot be loaded, or that needs a missing system library."""
 
 
 class EvaluationError(ScanweaveError):
-    """A reference that does not fit the trajectory it should score."""
+    """A reference that does not match the trajectory to be scored."""

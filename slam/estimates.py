@@ -1,4 +1,4 @@
-"""What is concluded from measurements: frozen records, frames, stamps and units as theirs."""
+"""Results estimated from measurements: frozen records with the same frames, stamps and units."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from slam.measurements import FloatArray, Pose
 
 @dataclass(frozen=True, slots=True)
 class MotionEstimate:
-    """A measured motion between two base frames, with its own trust.
+    """A measured motion between two base frames, with its uncertainty.
 
     Attributes
     ----------
@@ -24,19 +24,19 @@ class MotionEstimate:
         Pose of the current base frame in the reference frame, Pose2 or Pose3.
     covariance
         (d, d) covariance in GTSAM's tangent order of the current frame: Pose2 (x, y, theta).
-        A degenerate direction is already inflated.
+        It is already inflated in a degenerate direction.
     inlier_share
-        Share of the used readings that agree with the result, 0..1.
+        Share of the used readings that are inliers, 0..1.
     fit
-        Mean robust weight of the used readings, 0..1: falls with every millimetre.
+        Mean robust weight of the used readings, 0..1; it decreases with every millimetre of error.
     residual_m
-        Robust standard deviation of the agreeing readings.
+        Robust standard deviation of the residuals of the inliers.
     converged
-        Whether the iteration settled; of a cloud, also where as many of its points fit as usual.
+        Whether the iteration converged; for a cloud also True if as many points fit as usual.
     degenerate
-        Whether a direction of motion is not determined by the readings (a corridor).
+        Whether the readings leave a direction of motion undetermined (a corridor).
     weak_direction
-        (d,) unit tangent vector of the undetermined direction; zero where all are determined.
+        (d,) unit tangent vector of the undetermined direction; zero if all directions are determined.
 
     Examples
     --------
@@ -70,7 +70,7 @@ class Trajectory:
     stamps_s
         (N,) seconds.
     positions_m
-        (N, 3) of the base frame in the map frame.
+        (N, 3) positions of the base frame in the map frame.
     quaternions_xyzw
         (N, 4), unit length.
 
@@ -119,7 +119,7 @@ class Trajectory:
         return cls(np.asarray(stamps_s, dtype=np.float64), positions, quaternions)
 
     def poses(self) -> list[gtsam.Pose3]:
-        """The N poses.
+        """Return the N poses.
 
         Examples
         --------
@@ -135,7 +135,7 @@ class Trajectory:
         ]
 
     def to_planar(self) -> FloatArray:
-        """(N, 3) rows of x, y, yaw: the projection onto the ground plane.
+        """Project onto the ground plane: (N, 3) rows of x, y, yaw.
 
         Examples
         --------
@@ -150,6 +150,6 @@ class Trajectory:
 
 
 def one_after_another(parts: Sequence[Trajectory]) -> Trajectory:
-    """The poses of several trajectories, one at least, in their order."""
+    """Concatenate the poses of one or more trajectories."""
     columns = zip(*((one.stamps_s, one.positions_m, one.quaternions_xyzw) for one in parts), strict=True)
     return Trajectory(*map(np.concatenate, columns))

@@ -1,4 +1,4 @@
-"""What strangers wrote, before it is shown or believed: text made plain, YAML and JSON that stay small."""
+"""Handle foreign text safely before it is shown or used: sanitised text, YAML and JSON of limited size."""
 
 from __future__ import annotations
 

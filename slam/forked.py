@@ -1,4 +1,4 @@
-"""Work done in a copy of this process, on another core: Python's lock lets threads do one thing at a time."""
+"""Run work in a copy of this process on another core; Python's lock lets only one thread run at a time."""
 
 from __future__ import annotations
 
@@ -60,7 +60,7 @@ class Forked:
         self.close = weakref.finalize(self, _end, self._source, self.number)
 
     def receive(self) -> bytes | None:
-        """The next that it has sent, waited for; None where nothing comes any more."""
+        """The next that it has sent, waited for; None if nothing comes any more."""
         content = self._read(_LENGTH.size)
         return None if content is None else self._read(*_LENGTH.unpack(content))
 

@@ -1,4 +1,4 @@
-"""Memory that counts as this process's without need: what the C library keeps, and the code of libraries."""
+"""Release memory that counts as used without need: what the C library keeps, and the code of libraries."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A module that is loaded when something of it is first asked for."""
+"""A module that is loaded when it is first used."""
 
 from __future__ import annotations
 

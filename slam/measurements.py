@@ -1,4 +1,4 @@
-"""What sensors say: frozen records, frames after REP-105.
+"""Measurements of sensors: frozen records, frames after REP-105.
 
 ``T_a_b`` maps coordinates in frame b to frame a. Stamps are seconds, lengths metres, angles radians.
 """
@@ -45,20 +45,20 @@ class LaserScan:
     stamp_s
         Time of the sweep.
     ranges_m
-        (N,) ranges in beam order. No return is stored as ``inf``, an invalid reading as ``nan``. In a map
-        that a person has edited a negative range is a reading that was taken away: the beam was free up to
-        there, and what it met counts no more.
+        (N,) ranges in beam order. No return is stored as ``inf``, an invalid reading as ``nan``. In an edited
+        map a negative range is a reading that the user removed: the beam is free up to there, but its end
+        point is ignored.
     start_angle_rad, step_rad
-        Bearing of beam 0 and the increment between beams, counter-clockwise, in the laser frame.
+        Bearing of beam 0 and angle between beams, counter-clockwise, in the laser frame.
     range_max_m
-        Range up to which a beam without a return is known to have met nothing.
+        Range up to which a beam without a return is free.
     T_base_laser
-        Mounting of the laser on the robot.
+        Pose of the laser on the robot.
     sensor
-        Name of the sensor, as the log tells it.
+        Name of the sensor in the log.
     beam_s
-        Time from beam to beam, the stamp that of the first; < 0 where the last beam is the first; 0 where
-        the log tells none.
+        Time between beams; the stamp is that of the first. Below zero if the last beam was measured first;
+        zero if the log has no such time.
 
     Examples
     --------
@@ -98,7 +98,7 @@ class LaserScan:
         return self.start_angle_rad + self.step_rad * np.arange(self.ranges_m.size, dtype=np.float64)
 
     def points_laser(self) -> FloatArray:
-        """(N, 2) points of the beams that met something, laser frame.
+        """(N, 2) points of the beams with a valid return, laser frame.
 
         Examples
         --------
@@ -116,7 +116,7 @@ class LaserScan:
 
 @dataclass(frozen=True, slots=True)
 class WheelOdometry:
-    """The robot's pose by its own wheels, in the drifting odom frame.
+    """The robot's pose from wheel odometry, in the drifting odom frame.
 
     Examples
     --------
@@ -134,7 +134,7 @@ class WheelOdometry:
 
 @dataclass(frozen=True, slots=True)
 class CameraIntrinsics(Intrinsics):
-    """A pin-hole camera without lens distortion, in pixels; pixel (0, 0) has its centre at (0, 0).
+    """Intrinsics of a pinhole camera without distortion, in pixels; the centre of pixel (0, 0) is at (0, 0).
 
     Examples
     --------
@@ -151,7 +151,7 @@ class CameraIntrinsics(Intrinsics):
 
 @dataclass(frozen=True, slots=True)
 class RgbdFrame:
-    """One colour image with the depth image registered to it.
+    """One colour image and the depth image registered to it.
 
     Attributes
     ----------
@@ -160,14 +160,14 @@ class RgbdFrame:
     color
         (H, W, 3) RGB.
     depth_m
-        (H, W) distance along the optical axis, 0 where the reading is invalid.
+        (H, W) distance along the optical axis, 0 for an invalid reading.
     intrinsics
-        Of both images.
+        Intrinsics of both images.
     T_base_camera
-        Mounting of the optical frame on the robot: z forward, x right, y down in the image. None where the
-        log does not tell it.
+        Pose of the optical frame on the robot: z forward, x right, y down in the image. None if the log
+        does not contain it.
     sensor
-        Name of the camera, as the log tells it.
+        Name of the camera in the log.
 
     Examples
     --------
@@ -195,23 +195,22 @@ class RgbdFrame:
 
 @dataclass(frozen=True, slots=True)
 class PointCloud:
-    """One turn of a 3D lidar.
+    """One revolution of a 3D lidar.
 
     Attributes
     ----------
     stamp_s
-        Time of the cloud, as the sensor stamps it.
+        Time of the cloud, as stamped by the sensor.
     points_lidar
         (N, 3) finite points, lidar frame.
     times_s
-        (N,) time of each point after ``stamp_s``, below zero before it; None where the log does not tell it.
+        (N,) time of each point relative to ``stamp_s``, negative before it; None if the log has none.
     T_base_lidar
-        Mounting of the lidar on the robot.
+        Pose of the lidar on the robot.
     sensor
-        Name of the sensor, as the log tells it.
+        Name of the sensor in the log.
     intensities
-        (N,) how much of the beam each point sent back, in the sensor's own steps; None where the log does
-        not tell it.
+        (N,) intensity of the return of each point, in the sensor's own units; None if the log has none.
 
     Examples
     --------
@@ -237,20 +236,20 @@ class PointCloud:
 
 @dataclass(frozen=True, slots=True)
 class ImuReading:
-    """What an inertial measurement unit (IMU) says at an instant, in its own frame.
+    """One reading of an inertial measurement unit (IMU), in its own frame.
 
     Attributes
     ----------
     stamp_s
-        Time of the reading, as the sensor stamps it.
+        Time of the reading, as stamped by the sensor.
     gyro_rad_s
-        (3,) turn rate.
+        (3,) angular rate.
     specific_force_m_s2
-        (3,) by the accelerometer: at rest the reaction to gravity, 9.8 upward.
+        (3,) from the accelerometer: at rest the reaction to gravity, 9.8 upward.
     T_base_imu
-        Mounting of the IMU on the robot; None where the log does not tell it.
+        Pose of the IMU on the robot; None if the log does not contain it.
     sensor
-        Name of the sensor, as the log tells it.
+        Name of the sensor in the log.
 
     Examples
     --------
@@ -271,20 +270,20 @@ class ImuReading:
 
 @dataclass(frozen=True, slots=True)
 class GnssFix:
-    """Where a satellite receiver says its antenna is, on the ellipsoid WGS 84.
+    """Position of the antenna from a GNSS receiver, on the ellipsoid WGS 84.
 
     Attributes
     ----------
     stamp_s
-        Time of the fix, as the sensor stamps it.
+        Time of the fix, as stamped by the sensor.
     latitude_deg, longitude_deg, altitude_m
-        North, east, and above the ellipsoid.
+        Positive north, positive east, and height above the ellipsoid.
     covariance_m2
-        (3, 3) of east, north, up; None where the receiver does not tell it.
+        (3, 3) covariance of east, north, up; None if the receiver does not report it.
     antenna_m
-        (3,) where the antenna sits on the robot; None where the log does not tell it.
+        (3,) position of the antenna on the robot; None if the log does not contain it.
     sensor
-        Name of the sensor, as the log tells it.
+        Name of the sensor in the log.
 
     Examples
     --------
@@ -309,44 +308,44 @@ Measurement: TypeAlias = LaserScan | WheelOdometry | RgbdFrame | PointCloud | Im
 
 
 def pose2_from_row(row: Sequence[float] | FloatArray) -> gtsam.Pose2:
-    """A Pose2 from x, y, yaw."""
+    """Create a Pose2 from x, y, yaw."""
     return gtsam.Pose2(float(row[0]), float(row[1]), float(row[2]))
 
 
 def row_from_pose2(pose: Pose) -> FloatArray:
-    """x, y, yaw of a Pose2, (3,)."""
+    """Return x, y, yaw of a Pose2, (3,)."""
     assert isinstance(pose, gtsam.Pose2)
     return np.array([pose.x(), pose.y(), pose.theta()])
 
 
 def spatial(pose: Pose) -> gtsam.Pose3:
-    """A pose in space; one of the plane at z = 0."""
+    """Return a 3D pose; a planar pose is placed at z = 0."""
     return pose if isinstance(pose, gtsam.Pose3) else gtsam.Pose3(pose)
 
 
 def planar(pose: Pose) -> gtsam.Pose2:
-    """A pose on the floor: x, y and yaw of one in space."""
+    """Return a planar pose: x, y and yaw of a 3D pose."""
     if isinstance(pose, gtsam.Pose2):
         return pose
     return gtsam.Pose2(pose.x(), pose.y(), pose.rotation().yaw())
 
 
 def row_from_pose(pose: Pose) -> list[float]:
-    """x, y, z and the quaternion x, y, z, w of a pose."""
+    """Return x, y, z and the quaternion x, y, z, w of a pose."""
     turn: Any = spatial(pose).rotation().toQuaternion()
     return [*spatial(pose).translation().tolist(), turn.x(), turn.y(), turn.z(), turn.w()]
 
 
 def composed(one: Pose, other: Pose) -> Pose:
-    """One, then the other; GTSAM has no type for a pose of the plane or of space."""
+    """Compose two poses, both planar or both 3D; GTSAM has no common type for them."""
     return one.compose(other)  # type: ignore[arg-type]
 
 
 def motion_between(one: Pose, other: Pose) -> Pose:
-    """The other seen from one."""
+    """Return the pose of the other in the frame of the first."""
     return one.between(other)  # type: ignore[arg-type]
 
 
 def logarithm(step: Pose) -> FloatArray:
-    """(d,) tangent of a motion."""
+    """Return the (d,) tangent vector of a motion."""
     return gtsam.Pose2.Logmap(step) if isinstance(step, gtsam.Pose2) else gtsam.Pose3.Logmap(step)

@@ -1,4 +1,4 @@
-"""Where an answer that takes time comes from: it is computed, or an interrupted run has left it."""
+"""Results that take time to compute: they are computed, or read from an interrupted run."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Bytes and arrays that are asked for seldom, in temporary files."""
+"""Bytes and arrays that are seldom needed, stored in temporary files."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ class Spool:
         Raises
         ------
         ScanweaveError
-            Where there is no room for it.
+            If there is no room for it.
         """
         end, left = self._ends[-1], memoryview(content)
         try:
@@ -59,7 +59,7 @@ class ArraySpool:
         Raises
         ------
         ScanweaveError
-            Where there is no room for it.
+            If there is no room for it.
         """
         if not self._rooms or self._used + content.nbytes > len(self._rooms[-1]):
             for room in self._rooms:

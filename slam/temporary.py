@@ -1,4 +1,4 @@
-"""Temporary files and folders, locked while they are used: what a killed run leaves, the next removes."""
+"""Temporary files and folders, locked while in use: the next run removes those that a killed run left."""
 
 from __future__ import annotations
 
@@ -61,7 +61,7 @@ def remove_left(candidates: Iterable[Path]) -> None:
 
 
 def _locked(path: Path) -> int | None:
-    """A lock on a file or folder, as a descriptor; None where another process has it, or none can be had."""
+    """A lock on a file or folder, as a descriptor; None if another process has it, or none can be had."""
     lock = os.open(path, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK)
     try:
         fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)

@@ -1,3 +1,3 @@
-"""The one place that tells the version: package, command line, saved maps and reports ask here."""
+"""The version number; package, command line, saved maps and reports read it here."""
 
 __version__ = "0.1.0"

@@ -1,4 +1,4 @@
-"""Zstandard: in Python itself from 3.14 on, before that the same module as a package."""
+"""Zstandard: part of Python since 3.14, before that the same module from a package."""
 
 import sys
 

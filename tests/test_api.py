@@ -201,12 +201,12 @@ def test_what_is_no_measurement_is_named(given: list[object]) -> None:
 
 def test_a_map_in_memory_is_joined_elsewhere(another_day: SyntheticLog) -> None:
     in_memory = slam.build_map(slam.open_dataset(another_day.log_path))
-    with pytest.raises(slam.ScanweaveError, match="lies in a temporary folder; say with --out"):
+    with pytest.raises(slam.ScanweaveError, match="lies in a temporary folder; give --out"):
         slam.join(in_memory, another_day.log_path)
 
 
 def test_a_file_that_is_no_map_is_not_replaced_unasked(another_day: SyntheticLog, tmp_path: Path) -> None:
     (tmp_path / "map.db").write_bytes(b"somebody's own")
-    with pytest.raises(slam.ScanweaveError, match="something that is no whole map; --force"):
+    with pytest.raises(slam.ScanweaveError, match="not a complete map; --force"):
         slam.map_log(another_day.log_path, out=tmp_path)
     assert (tmp_path / "map.db").read_bytes() == b"somebody's own"

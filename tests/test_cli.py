@@ -40,7 +40,7 @@ class TestMap:
         given = tmp_path / "in" / log.log_path.name
         given.write_bytes(log.log_path.read_bytes())
         (tmp_path / "in" / "tags.yaml").write_text("start: {at_m: [1.0, 2.0], yaw_deg: 0.0}\n")
-        told = "used tags.yaml, which lies beside the log; --tags gives another"
+        told = "used tags.yaml, found next to the log; --tags gives another file"
         assert told in scanweave("map", given, "-o", tmp_path / "out").out.splitlines()
         tags = tmp_path / "in" / "tags.yaml"
         assert told not in scanweave("map", given, "-o", tmp_path / "b", "--tags", tags).out.splitlines()

@@ -152,7 +152,7 @@ def test_simulate_then_map_recovers_the_drive(scanweave: Scanweave, tmp_path: Pa
         (("--campus", "--faults", "harsh"), "no fault preset 'harsh'; there are none, usual"),
         (("--campus", "--office"), "leave out --rig, --imu, --office"),
         (("--street", "--rig", "xu2024x"), "there are car64, car16"),
-        (("--tunnel",), "add it"),
+        (("--tunnel",), "need --street"),
     ],
 )
 def test_simulate_tells_what_there_is(

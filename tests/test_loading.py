@@ -74,3 +74,15 @@ def test_an_interpreter_that_ends_looks_through_nothing() -> None:
     command = [sys.executable, "-P", "-c", code, "--help"]
     done = subprocess.run(command, capture_output=True, text=True, env=os.environ, check=True)
     assert done.stdout.splitlines()[-1] == "True"
+
+
+def test_what_ends_a_run_is_loaded_when_it_tracks(tmp_path: Path) -> None:
+    log = write_synthetic_log(tmp_path / "log", duration_s=10.0).log_path
+    code = (
+        "import sys, slam\nends, seen = {'slam.evaluation.report', 'slam.outputs.exports'}, []\n"
+        "look = lambda progress: seen.append(ends <= sys.modules.keys())\nimport slam.app.mapping\n"
+        "print(ends & sys.modules.keys())\nslam.map_log(sys.argv[1], on_progress=look)\nprint(seen[0])"
+    )
+    command = [sys.executable, "-P", "-c", code, str(log)]
+    done = subprocess.run(command, capture_output=True, text=True, env=os.environ, check=True)
+    assert done.stdout.split() == ["set()", "True"]

@@ -181,7 +181,7 @@ class TestResume:
             if path.name != "report.html":  # which tells of times
                 assert (unfinished / path.name).read_bytes() == path.read_bytes(), path.name
         again = scanweave("map", log.log_path, "-o", unfinished, "--set", "seed=3", "--resume")
-        assert again.code == 0 and "is finished already; there is nothing to resume" in again.out
+        assert again.code == 0 and "is already finished; there is nothing to resume" in again.out
 
     @pytest.mark.parametrize(
         ("settings", "said"),
@@ -258,7 +258,7 @@ class TestResume:
             assert scanweave(*command).code == 0
         whole = (lidar_map / "map.db").read_bytes()
         assert (unfinished / "map.db").read_bytes() != whole
-        assert "is finished already" in scanweave(*command).out
+        assert "is already finished" in scanweave(*command).out
         assert (unfinished / "map.db").read_bytes() == whole
         assert scanweave("check", unfinished).code == 0
 
@@ -289,6 +289,6 @@ def test_a_map_inside_the_folder_of_its_log(scanweave: Scanweave, log: Synthetic
     assert scanweave("map", folder, "-o", folder / "one").code == 0
     assert scanweave("map", folder, "-o", folder).code == 0
     for out in (folder, folder / "one"):
-        assert "finished already" in scanweave("map", folder, "-o", out, "--resume").out
+        assert "already finished" in scanweave("map", folder, "-o", out, "--resume").out
     (folder / "scans.log").write_bytes(log.log_path.read_bytes()[:-200])
     assert "another log" in scanweave("map", folder, "-o", folder, "--resume").error()

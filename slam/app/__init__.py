@@ -1,1 +1,1 @@
-"""Use cases: what the commands, comparisons and programs do with a log or a map, each one call."""
+"""Use cases: what commands, comparisons and programs do with a log or a map, one function each."""

@@ -1,4 +1,4 @@
-"""What differs between two maps of a place, or between two sessions of one map."""
+"""Differences between two maps of a place, or between two sessions of one map."""
 
 from __future__ import annotations
 
@@ -22,19 +22,19 @@ from slam.storage.map_contents import MapContents
 
 @dataclass(frozen=True, slots=True)
 class Difference:
-    """What differs.
+    """The differences between two maps or sessions.
 
     Attributes
     ----------
     things
-        What went, appeared or moved, the likeliest first; all likelier than not. In the frame of the first
-        map.
+        Objects that disappeared, appeared or moved, in the frame of the first map. The most likely change
+        comes first; each has a probability above one half.
     passing
-        How many things were met at times only: people, glass.
+        Number of things that were seen only at times: people, glass.
     comparison
-        All that may have changed, and what both visits saw.
+        Everything that may have changed, and what both visits saw.
     written
-        The files.
+        The files that were written.
     """
 
     things: Sequence[ChangedThing]
@@ -55,15 +55,15 @@ def diff_maps(
     sessions: tuple[int, int] | None = None,
     out: Path | str | None = None,
 ) -> Difference:
-    """Find what went, appeared or moved between two maps of a place, or two sessions of one map.
+    """Find objects that disappeared, appeared or moved between two maps of a place, or sessions of one map.
 
-    Two maps are brought into one frame first, as `slam.join` does; neither is changed.
+    Two maps are first aligned in one frame, as `slam.join` does; neither map is changed.
 
     Parameters
     ----------
     before, after
-        The maps or their paths, of a robot on a floor with a lidar; ``after`` is None where ``sessions``
-        tells two of one.
+        The maps or their paths; they must be of a robot on a floor with a lidar. ``after`` is None if
+        ``sessions`` names two sessions of ``before``.
     sessions
         Numbers of two sessions of ``before``, from 1.
     out
@@ -72,8 +72,8 @@ def diff_maps(
     Raises
     ------
     ScanweaveError
-        Where a map has no scans or is not of a robot on a floor, the two do not connect, a session is not
-        there, or a file cannot be written.
+        If a map has no scans or is not of a robot on a floor, the maps cannot be aligned, a session does not
+        exist, or a file cannot be written.
 
     Examples
     --------
@@ -90,7 +90,7 @@ def diff_maps(
         if one is not None:
             _refuse_unfit(one)
     if (after is None) == (sessions is None):
-        raise ScanweaveError("two maps, or two sessions of one map, can be compared; give one of both")
+        raise ScanweaveError("give two maps, or two sessions of one map")
     if after is None:
         assert sessions is not None
         contents, parts = before.contents, _keyframes_of(before, sessions)
@@ -114,7 +114,7 @@ def diff_maps(
 
 
 def _refuse_unfit(saved: Map) -> None:
-    """Refuse a map without scans of a robot on a floor."""
+    """Raise an error if a map has no scans of a robot on a floor."""
     if saved.contents.clouds or not saved.planar:
         sensor = "a 3D lidar" if saved.contents.clouds else "a camera in space"
         raise ScanweaveError(f"{saved.path} is of {sensor}; only maps of a robot on a floor are compared")
@@ -123,7 +123,7 @@ def _refuse_unfit(saved: Map) -> None:
 
 
 def _keyframes_of(saved: Map, sessions: tuple[int, int]) -> list[np.ndarray]:
-    """The keyframes of two sessions."""
+    """Return the keyframes of two sessions."""
     count = len(saved.sessions)
     if not all(1 <= number <= count for number in sessions) or sessions[0] == sessions[1]:
         raise ScanweaveError(
@@ -134,7 +134,7 @@ def _keyframes_of(saved: Map, sessions: tuple[int, int]) -> list[np.ndarray]:
 
 
 def _in_one_frame(before: Map, after: Map) -> tuple[MapContents, list[np.ndarray]]:
-    """Both maps as one, and the keyframes of each."""
+    """Return both maps as one, and the keyframes of each."""
     connection = connect(before, after)
     if connection.joined is None:
         raise ScanweaveError(f"{after.path} does not connect to {before.path}: {connection.reason}")

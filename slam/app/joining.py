@@ -1,4 +1,4 @@
-"""One more session in a saved map."""
+"""Add a session to a saved map."""
 
 from __future__ import annotations
 
@@ -29,18 +29,18 @@ WORK = "joining"
 
 @dataclass(frozen=True, slots=True)
 class Joined:
-    """What became of a session.
+    """The result of joining a session to a map.
 
     Attributes
     ----------
     map
         The joined map, open.
     session
-        How the log alone was mapped; that map is closed and gone.
+        Result of mapping the log alone; that map is closed and deleted.
     connection
-        Where the session lies, and the loops between it and the map.
+        Pose of the session in the map, and the loops between the two.
     written
-        The files.
+        The files that were written.
     """
 
     map: Map
@@ -61,29 +61,29 @@ def join(
     resume: bool = False,
     strict: bool = False,
 ) -> Joined:
-    """Map a log, join it to a saved map, and let the joined map take its place, or go to another folder.
+    """Map a log and join it to a saved map; the result replaces that map or goes to another folder.
 
     Parameters
     ----------
     known
-        The map, which stays open and shows what it was, or its path.
+        The map or its path. An open map stays open and keeps its contents.
     log
-        A path that `slam.open_dataset` takes, or what it has opened.
+        A path that `slam.open_dataset` accepts, or an opened dataset.
     config
-        By which the log is mapped; None takes the settings of the map.
+        Configuration for mapping the log; None uses the settings of the map.
     out
-        Folder for the joined map; None lets it take the place of ``known``.
+        Folder for the joined map; None replaces ``known``.
     on_progress
-        Told how far it is.
+        Function that is called with a `slam.Progress` during the run.
     resume
-        Go on with a session that was interrupted.
+        Continue a session that was interrupted.
     strict
-        Stop at the first damaged record instead of counting and skipping it; of a path.
+        Stop at the first damaged record instead of counting and skipping it. Used if ``log`` is a path.
 
     Raises
     ------
     ScanweaveError
-        Where the two do not connect, or a file is at fault; the saved map is as it was.
+        If the two cannot be connected, or a file is faulty; the saved map is then unchanged.
 
     Examples
     --------
@@ -100,11 +100,11 @@ def join(
     kind_of(known, str(known.path))
     if out is None and (known.in_memory or known.path.name != MAP_NAME):
         why = "lies in a temporary folder" if known.in_memory else f"is not named {MAP_NAME}"
-        raise MapFileError(f"{known.path} {why}; say with --out (out=) where the joined map goes")
+        raise MapFileError(f"{known.path} {why}; give --out (out=) for the joined map")
     log = opened_by((config or Config()).sensors, log, strict=strict)
     identity = identity_of(log, config or known.config)
     if any(session.log_fingerprint == identity.log_fingerprint for session in known.sessions):
-        raise ScanweaveError(f"{log.path} is in {known.path} already; the map is as it was")
+        raise ScanweaveError(f"{log.path} is already in {known.path}; the map was not changed")
     folder = known.path.parent if out is None else Path(out)
     was_there = folder.exists()
     work = folder / WORK / "session"
@@ -126,7 +126,7 @@ def join(
 
 
 def _connected(log: Dataset, known: Map, session: MapRun, folder: Path) -> tuple[Connection, list[Path]]:
-    """Connect the two, and write the joined map into a folder; what was written."""
+    """Connect the two, write the joined map into a folder, and return the files that were written."""
     work = session.map.path.parent
     try:
         kinds = [kind_of(known, str(known.path)), kind_of(session.map, f"what was mapped of {log.path}")]
@@ -138,7 +138,7 @@ def _connected(log: Dataset, known: Map, session: MapRun, folder: Path) -> tuple
         connection = connect(known, session.map)
         if connection.joined is None:
             raise ScanweaveError(
-                f"{log.path} does not connect to {known.path}: {connection.reason}; the map is as it was"
+                f"{log.path} does not connect to {known.path}: {connection.reason}; the map was not changed"
             )
     except ScanweaveError:
         session.map.close()
@@ -159,7 +159,7 @@ def _connected(log: Dataset, known: Map, session: MapRun, folder: Path) -> tuple
 
 
 def kind_of(saved: Map, name: str) -> str:
-    """What a map is of, in a few words; refused where it holds nothing that a session could be joined by."""
+    """Describe what a map holds in a few words; raise an error if no session can be joined to it."""
     contents = saved.contents
     if contents.clouds is not None:
         return "a 3D lidar"

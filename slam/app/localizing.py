@@ -1,4 +1,4 @@
-"""A log localised in a saved map."""
+"""Localise a log in a saved map."""
 
 from __future__ import annotations
 
@@ -23,7 +23,6 @@ from slam.estimates import Trajectory
 from slam.evaluation.localization_report import write_localization_report
 from slam.localization.drive_log import DriveLog
 from slam.localization.localizer import Localizer
-from slam.localization.output import State
 from slam.localization.poses import Measured, diagonal
 from slam.mapper.pipeline import findings_of, settled
 from slam.outputs.finished_map import Map
@@ -40,16 +39,16 @@ START_SIGMA = (0.5, math.pi / 12.0)
 
 @dataclass(frozen=True, slots=True)
 class Localization:
-    """A localised log.
+    """The result of localising a log.
 
     Attributes
     ----------
     drive
         State, pose, covariance and confidence after every scan or frame.
     written
-        The files.
+        The files that were written.
     warnings
-        What makes the poses doubtful, in words.
+        Reasons to doubt the poses, as text.
     """
 
     drive: DriveLog
@@ -63,7 +62,7 @@ class Localization:
 
     @property
     def trajectory(self) -> Trajectory:
-        """Poses in the map while it was known where the robot is, those found later included; by stamp."""
+        """Poses in the map wherever they are known, also those found later; sorted by stamp."""
         return self.drive.trajectory()
 
 
@@ -79,34 +78,34 @@ def localize_log(
     strict: bool = False,
     record: Path | None = None,
 ) -> Localization:
-    """Find and follow the robot of a log in a saved map; the map stays as it is.
+    """Localise the robot of a log in a saved map; the map is not changed.
 
     Parameters
     ----------
     saved
-        The map, or one of another program (`load_grid_map`), or the path of either.
+        The map, or a grid map of another program (`load_grid_map`), or the path of either.
     log
-        A path that `slam.open_dataset` takes, or what it has opened.
+        A path that `slam.open_dataset` accepts, or an opened dataset.
     config
-        The effective configuration, or its preset or file; None for the default preset.
+        A configuration, or the name of a preset or file; None uses the default preset.
     start
-        x, y (metres) and yaw (radians) of the base in the map at the first reading, as far as somebody knows;
-        None seeks it everywhere.
+        Approximate initial pose: x, y (metres) and yaw (radians) of the base in the map at the first reading.
+        None searches the whole map.
     start_sigma
-        Standard deviations of the start, metres and radians.
+        Standard deviations of the initial pose, metres and radians.
     out
         Folder for ``trajectory.tum``, ``trajectory.csv`` and the report; None writes nothing.
     on_progress
-        Told how far it is.
+        Function that is called with a `slam.Progress` during the run.
     strict
-        Stop at the first damaged record instead of counting and skipping it; of a path.
+        Stop at the first damaged record instead of counting and skipping it. Used if ``log`` is a path.
     record
-        Where a recording for the Rerun viewer goes; None for none.
+        File for a recording for the Rerun viewer; None writes none.
 
     Raises
     ------
     ScanweaveError
-        Where the log cannot be read, holds nothing that can be localised in the map, or a file cannot be
+        If the log cannot be read or has no data that can be localised in the map, or a file cannot be
         written.
 
     Examples
@@ -134,17 +133,17 @@ def localize_log(
         wanted = "clouds of a 3D lidar" if saved.contents.clouds else "planar scans"
         wanted += "" if saved.contents.frames is None else ", or frames of its camera"
         raise DatasetError(
-            f"{log.name} holds nothing that can be localised in {saved.path}, which takes {wanted}; see "
-            "'scanweave inspect' for what the log holds"
+            f"{log.name} contains nothing that can be localised in {saved.path}, which needs {wanted}; "
+            "'scanweave inspect' shows what the log contains"
         )
-    warning = localizer.warning() if drive.share_of(State.TRACKING) else None
+    warning = localizer.warning()
     warnings = () if warning is None else (warning,)
     written = () if out is None else _written(Path(out), drive, saved, log, findings, warnings)
     return Localization(drive, written, warnings)
 
 
 def _known(start: tuple[float, float, float], sigma: tuple[float, float]) -> Measured:
-    """A start as it was told."""
+    """Return the given initial pose with its covariance."""
     if not (all(map(math.isfinite, (*start, *sigma))) and min(sigma) > 0.0):
         raise ConfigError(f"start {start} with sigma {sigma}: needs finite numbers, and sigmas above zero")
     return Measured(pose := gtsam.Pose2(*start), diagonal(pose, *sigma))
@@ -153,7 +152,7 @@ def _known(start: tuple[float, float, float], sigma: tuple[float, float]) -> Mea
 def _registrations(
     known_map: MapContents, log: Dataset, config: Config
 ) -> dict[str, ColorRegistration] | None:
-    """Where the map's colour camera sits: None where the map tells it, else as the log tells."""
+    """Pose of the map's colour camera: None if the map has it, else from the log."""
     if config.rgbd.registration == "given":
         return {}
     if known_map.frames is None or known_map.registrations:
@@ -165,7 +164,7 @@ def _registrations(
 def _driven(
     localizer: Localizer, log: Dataset, config: Config, viewer: Viewer | None, on_progress: OnProgress
 ) -> DriveLog:
-    """The whole log through the localiser."""
+    """Run the localiser on the whole log."""
     drive = DriveLog()
     for measurement in UsedMeasurements(log, config.sensors):
         before = time.perf_counter()
@@ -187,7 +186,7 @@ def _written(
     findings: Sequence[Finding],
     warnings: Sequence[str],
 ) -> tuple[Path, ...]:
-    """Trajectory, covariances and report in a folder."""
+    """Write trajectory, covariances and report into a folder."""
     make_folder(out)
     files = drive.write(out)
     notes = [(reason, f"{tally.count:,}") for reason, tally in log.report.dropped.items()]

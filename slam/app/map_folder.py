@@ -1,4 +1,4 @@
-"""The folder of a map that is being made: what lies there, how a run begins, goes on and leaves it."""
+"""Folder of a map during a run: its contents, and how a run starts, resumes and leaves it."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ def finished_map(folder: Path, identity: MapIdentity) -> bool:
     Raises
     ------
     MapFileError
-        Where it is of another log, configuration or version, or damaged.
+        If it is of another log, configuration or version, or damaged.
     """
     path = folder / MAP_NAME
     file: MapFile | None
@@ -54,7 +54,7 @@ class Left(Enum):
     NOTHING = "nothing"
     UNFINISHED = "a map that was interrupted"
     FINISHED = "a finished map"
-    DAMAGED = "something that is no whole map"
+    DAMAGED = "not a complete map"
 
 
 def left_in(folder: Path) -> Left:
@@ -78,7 +78,7 @@ def opened_map(folder: Path, identity: MapIdentity, *, resume: bool) -> Iterator
     Raises
     ------
     MapFileError
-        Where it cannot be made, or another run writes it.
+        If it cannot be made, or another run writes it.
     """
     path = folder / MAP_NAME
     file = MapFile.resume(path) if resume else None

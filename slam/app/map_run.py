@@ -1,4 +1,4 @@
-"""One log through the mapper into one folder: map.db, the files of other programs, the report."""
+"""Run one log through the mapper into one folder: map.db, the exported files and the report."""
 
 from __future__ import annotations
 
@@ -10,23 +10,18 @@ from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from fusion.showing import one_line
 from slam.app.map_folder import finished_map, opened_map
 from slam.app.progress import OnProgress, Progress
 from slam.datasets.dataset import Dataset
 from slam.errors import ScanweaveError
-from slam.evaluation.map_report import ReportData, RunCost, beside_of
-from slam.evaluation.page_data import map_data
-from slam.evaluation.report import write_report
 from slam.forked import Begun, is_core_free
 from slam.heap import end_stage
 from slam.mapper.checkpoint import Checkpoint
 from slam.mapper.map_result import MapResult
 from slam.mapper.pipeline import build_map
-from slam.outputs.exports import Exports
-from slam.outputs.finished_map import Map, load_map
 from slam.storage.files import make_folder
 from slam.storage.map_contents import MapContents, write_contents
 from slam.storage.map_facts import write_facts
@@ -38,6 +33,11 @@ from slam.temporary import TemporaryFolder
 from slam.viewer.map_recording import record_map
 from slam.viewer.viewer import recording
 
+if TYPE_CHECKING:
+    from slam.evaluation.map_report import ReportData
+    from slam.outputs.exports import Exports
+    from slam.outputs.finished_map import Map
+
 
 @dataclass(frozen=True)
 class MapRun:
@@ -48,7 +48,7 @@ class MapRun:
     folder
         Where the map is.
     report
-        What its report tells; None where the map was finished before, and nothing was done.
+        What its report tells; None if the map was finished before, and nothing was done.
     written
         The files, ``map.db`` and the report among them.
     dropped
@@ -68,6 +68,8 @@ class MapRun:
     @cached_property
     def map(self) -> Map:
         """The finished map, opened when first asked for: what anybody reads from the file."""
+        from slam.outputs.finished_map import load_map
+
         return load_map(self.folder, self.kept_in)
 
 
@@ -100,7 +102,7 @@ def run_into(
     Raises
     ------
     ScanweaveError
-        Where the log holds nothing to map, a file is at fault, or what is resumed does not fit.
+        If the log holds nothing to map, a file is at fault, or what is resumed does not fit.
     """
     started = time.perf_counter()
     make_folder(folder)
@@ -112,6 +114,9 @@ def run_into(
         file = stack.enter_context(opened_map(folder, identity, resume=resume))
 
         def on_step(stage: str, count: int) -> None:
+            if stage == "begun":
+                _load_what_ends_a_run()
+                return
             on_progress(Progress(stage, count, dataset.report.share if stage == "mapping" else None))
 
         result = build_map(dataset, config, on_step, Checkpoint(file))
@@ -134,6 +139,9 @@ def run_into(
     run = MapRun(folder, None, (*files, folder / MAP_NAME), dataset.report.dropped_count)
     if not report:
         return run
+    from slam.evaluation.map_report import ReportData, RunCost, beside_of
+    from slam.evaluation.report import write_report
+
     cost = RunCost(time.perf_counter() - started, sum(os.times()[:4]))
     beside, sessions = beside_of(dataset, result, files, missing), _sessions(result.map, identity)
     data = ReportData(identity.log_name, dataset.report, result, config, cost, beside, sessions, digest)
@@ -144,9 +152,15 @@ def run_into(
             result.map = run.map.contents
             stack.callback(run.map.close)
         end_stage()
-        write_report(folder / "report.html", data, beside_file())
+        write_report(folder / "report.html", data, beside_file)
         stack.pop_all()
     return run
+
+
+def _load_what_ends_a_run() -> None:
+    """Load it while a copy of the process tracks, see `slam.mapper.forerunner`, not before that begins."""
+    import slam.evaluation.report
+    import slam.outputs.exports  # noqa: F401
 
 
 def _beside_file(
@@ -157,6 +171,8 @@ def _beside_file(
     Images and clouds are in the file, which is open here: their files are written first. There, and where
     no core is free, the head is None.
     """
+    from slam.outputs.exports import Exports
+
     made = Exports(result.map, identity.config, result.ground)
     export: Callable[[], Any] = partial(_written, folder, made) if exports else lambda: ([], [])
     if _needs_file(result.map) or not is_core_free():
@@ -166,6 +182,8 @@ def _beside_file(
 
 def _head(found: MapContents, identity: MapIdentity) -> dict[str, Any]:
     """The map as the data of its page."""
+    from slam.evaluation.page_data import map_data
+
     return map_data(found, identity.config, title=identity.log_name, sessions=_sessions(found, identity))
 
 

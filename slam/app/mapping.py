@@ -1,10 +1,11 @@
-"""A log, or measurements of a program's own, to a saved map."""
+"""Map a log, or measurements of a program, and save the map."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from slam.app.map_folder import Left, left_in
 from slam.app.map_run import MapRun, run_into
@@ -16,10 +17,12 @@ from slam.datasets.dataset import Dataset
 from slam.datasets.opening import opened_by
 from slam.errors import MapFileError
 from slam.measurements import Measurement
-from slam.outputs.finished_map import Map
 from slam.storage.map_file import MAP_NAME
 from slam.storage.map_identity import MapIdentity, identity_of
 from slam.temporary import TemporaryFolder
+
+if TYPE_CHECKING:
+    from slam.outputs.finished_map import Map
 
 
 def map_log(
@@ -31,21 +34,21 @@ def map_log(
     resume: bool = False,
     overwrite: bool = False,
 ) -> Map:
-    """Map a log.
+    """Map a log and return the finished map.
 
     Parameters
     ----------
     log
-        A path that `slam.open_dataset` takes, or what it has opened.
+        A path that `slam.open_dataset` accepts, or an opened dataset.
     config
-        The effective configuration, or its preset or file; None for the default preset.
+        A configuration, or the name of a preset or file; None uses the default preset.
     out
-        Folder for ``map.db``, the files of other programs and the report, made where it is missing. None
-        keeps the map in a temporary folder that goes with it; `Map.save` writes it elsewhere.
+        Folder for ``map.db``, the exported files and the report; created if missing. None keeps the map in
+        a temporary folder that is deleted with it; `Map.save` writes it elsewhere.
     on_progress
-        Told how far it is, a few times a second or more often.
+        Function that is called with a `slam.Progress` a few times per second or more often.
     resume
-        Go on with what an interrupted run of the same log and settings has left in ``out``.
+        Continue an interrupted run of the same log and settings in ``out``.
     overwrite
         Replace a finished map in ``out``.
 
@@ -56,8 +59,8 @@ def map_log(
     Raises
     ------
     ScanweaveError
-        Where the log cannot be read or holds nothing to map, where ``out`` holds a finished map and is not
-        to be replaced, or a file cannot be written.
+        If the log cannot be read or has no data to map, ``out`` holds a finished map that must not be
+        replaced, or a file cannot be written.
 
     Examples
     --------
@@ -82,14 +85,14 @@ def run_log(
     strict: bool = False,
     record: Path | None = None,
 ) -> MapRun:
-    """`map_log`, with what its report tells and the files that were written.
+    """As `map_log`; also return the content of the report and the files that were written.
 
     Parameters
     ----------
     strict
-        Stop at the first damaged record instead of counting and skipping it; of a path.
+        Stop at the first damaged record instead of counting and skipping it. Used if ``log`` is a path.
     record
-        Where a recording for the Rerun viewer goes; None for none.
+        File for a recording for the Rerun viewer; None writes none.
     """
     config = config_of(config)
     dataset = opened_by(config.sensors, log, strict=strict)
@@ -104,7 +107,7 @@ def run_log(
     if left in (Left.FINISHED, Left.DAMAGED) and not (resume or overwrite):
         raise MapFileError(
             f"{folder / MAP_NAME} is {left.value}; --force (overwrite=True) replaces it, another --out "
-            "(out=) leaves it as it is"
+            "(out=) keeps it"
         )
     return run_into(
         folder, dataset, identity, on_progress=on_progress or silent, resume=resume, record=record
@@ -117,26 +120,26 @@ def build_map(
     *,
     on_progress: OnProgress | None = None,
 ) -> Map:
-    """Map measurements of a program's own: scans, wheels, clouds, frames in the order in which they came.
+    """Map measurements of your program: scans, wheel odometry, clouds and frames, in the order of arrival.
 
     Parameters
     ----------
     measurements
         `slam.LaserScan`, `slam.WheelOdometry`, `slam.PointCloud`, `slam.RgbdFrame`. They are read several
-        times: a list, a dataset, or whatever else can be iterated again; an iterator is gathered in memory.
+        times: give a list, a dataset or another iterable. An iterator is first copied into memory.
     config
-        The effective configuration, or its preset or file; None for the default preset.
+        A configuration, or the name of a preset or file; None uses the default preset.
     on_progress
         As in `map_log`.
 
     Returns
     -------
-    The finished map in a temporary folder that goes with it; `Map.save` writes it elsewhere.
+    The finished map, in a temporary folder that is deleted with it; `Map.save` writes it elsewhere.
 
     Raises
     ------
     ScanweaveError
-        Where the measurements hold nothing to map.
+        If the measurements have no data to map.
 
     Examples
     --------
@@ -159,7 +162,7 @@ def build_map(
 
 
 def _in_memory(dataset: Dataset, identity: MapIdentity, on_progress: OnProgress | None) -> MapRun:
-    """A map in a temporary folder that goes with it: neither files of other programs nor a report."""
+    """Map into a temporary folder that is deleted with the map, without exported files or a report."""
     kept_in = TemporaryFolder()
     run = run_into(
         kept_in.path, dataset, identity, on_progress=on_progress or silent, exports=False, report=False

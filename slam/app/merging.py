@@ -1,4 +1,4 @@
-"""Several saved maps as one."""
+"""Merge several saved maps into one."""
 
 from __future__ import annotations
 
@@ -19,16 +19,16 @@ from slam.temporary import TemporaryFolder
 
 @dataclass(frozen=True, slots=True)
 class Merged:
-    """What became of several maps.
+    """The result of merging several maps.
 
     Attributes
     ----------
     map
-        All that connect, open.
+        The merged map, open.
     refused
-        Why each of the others could not be joined, by its path.
+        For each map that could not be joined, the reason, by the path of the map.
     written
-        The files.
+        The files that were written.
     """
 
     map: Map
@@ -44,21 +44,21 @@ def merge(
     *,
     overwrite: bool = False,
 ) -> Merged:
-    """Join saved maps, in whatever order they connect, and write what they make together.
+    """Join saved maps in any order in which they connect, and write the merged map.
 
     Parameters
     ----------
     maps
-        The maps or their paths, two at least; the first gives the frame and the settings. None is changed.
+        At least two maps or their paths. The first defines the frame and the settings. None is changed.
     out
-        Folder for the map of all that connect.
+        Folder for the merged map.
     overwrite
         Replace another map in ``out``.
 
     Raises
     ------
     ScanweaveError
-        Where none of the others connects to the first, or a file is at fault; then nothing is written.
+        If no other map connects to the first, or a file is faulty; then nothing is written.
 
     Examples
     --------
@@ -70,7 +70,7 @@ def merge(
     (2, {})
     """
     if len(maps) < 2:
-        raise ScanweaveError("a merge takes two maps or more")
+        raise ScanweaveError("merge needs at least two maps")
     folder = Path(out)
     if (folder / MAP_NAME).exists() and not overwrite:
         raise MapFileError(f"{folder / MAP_NAME} is a map; --force (overwrite=True) replaces it")
@@ -99,7 +99,7 @@ def merge(
 
 
 def _joined(whole: Map, other: Map, folder: Path) -> str:
-    """Join a map to others and write them into a folder; why not, empty where it was done."""
+    """Join a map to others and write the result into a folder; return why it failed, or an empty text."""
     try:
         kinds = [kind_of(one, str(one.path)) for one in (whole, other)]
         known = {session.log_fingerprint: session.log_name for session in whole.sessions}
@@ -107,9 +107,9 @@ def _joined(whole: Map, other: Map, folder: Path) -> str:
         if kinds[0] != kinds[1]:
             return f"it is of {kinds[1]}, the first of {kinds[0]}"
         if shared:
-            return f"its log {shared[0]} is in the others already"
+            return f"its log {shared[0]} is already in the others"
         if other.edits:
-            return "it has edits, which the first map alone may have; give it first, or undo them"
+            return "it has edits, which only the first map may have; give it first, or undo them"
         connection = connect(whole, other)
     except ScanweaveError as error:
         return str(error)

@@ -1,6 +1,6 @@
-"""Parts of the mapper by themselves, on plain arrays: match two scans, check a loop, draw a grid.
+"""Parts of the mapper that work on plain arrays: match two scans, check a loop, build a grid.
 
-The graph is `slam.graph.pose_graph.PoseGraph`, the fusion of lidar and depth the package `fusion`.
+The pose graph is `slam.graph.pose_graph.PoseGraph`; the fusion of lidar and depth is in package `fusion`.
 """
 
 from __future__ import annotations
@@ -35,35 +35,34 @@ def match_scans(
     reference_poses: ArrayLike | None = None,
     config: Config | None = None,
 ) -> MotionEstimate:
-    """Match a scan to another, or to several: point-to-line alignment from a guess (metric of Censi 2008).
+    """Match a scan to one or more scans by point-to-line alignment from a guess (metric of Censi 2008).
 
-    It settles on the nearest match, within some 0.3 m and 0.3 rad of the guess; `check_loop` searches.
+    It converges to the nearest match, within some 0.3 m and 0.3 rad of the guess; `check_loop` searches.
 
     Parameters
     ----------
     reference
-        What is matched to: a `slam.LaserScan`, or (N, 2) points of one sweep in metres, seen from the origin
-        of their frame (x forward, y left); or a list of such.
+        The scan to match to: a `slam.LaserScan`, or (N, 2) points of one sweep in metres, seen from the
+        origin of their frame (x forward, y left); or a list of these.
     scan
-        What is matched, in its own base frame.
+        The scan to match, in its own base frame.
     guess
         (3,) x, y, yaw: the expected pose of the scan's base in the reference frame; metres, radians.
     reference_poses
-        (K, 3) x, y, yaw of the bases of K references in one frame, the reference frame. None where there is
-        one reference, whose base frame it is.
+        (K, 3) x, y, yaw of the bases of K references in one frame, the reference frame. None for a single
+        reference: its base frame is then the reference frame.
     config
         `Config.scan` and `Config.match` are used; None for the defaults.
 
     Returns
     -------
-    The pose of the scan's base in the reference frame, with its covariance, the share of points that fit and
-    whether a direction stays open (a corridor). Where hardly a point fits it is no match: look at
-    ``inlier_share``.
+    The pose of the scan's base in the reference frame, with its covariance, the share of inliers and whether
+    a direction is degenerate (a corridor). Check ``inlier_share``: if it is low, there is no match.
 
     Raises
     ------
     ScanweaveError
-        Where an array has another shape or holds what is not finite, or poses and references do not pair up.
+        If an array has a wrong shape or is not finite, or the numbers of poses and references differ.
 
     Examples
     --------
@@ -96,39 +95,39 @@ def check_loop(
     half_yaw_rad: float | None = None,
     config: Config | None = None,
 ) -> LoopCandidate:
-    """Whether a scan was taken at a known place: search a window about a guess, refine, judge.
+    """Check whether a scan was taken at a known place: search a window around a guess, refine, verify.
 
-    The search is Olson 2009 by branch and bound (Hess 2016 Sec. V-B), as for the loops of a map; what it
-    finds is refined as in `match_scans`.
+    The search is that of Olson 2009 by branch and bound (Hess 2016 Sec. V-B), as for the loops of a map. The
+    result is refined as in `match_scans`.
 
     Parameters
     ----------
     place
-        The known place: a scan or several, see `match_scans`.
+        One or more scans of the known place, see `match_scans`.
     scan
-        What may have been taken there, in its own base frame.
+        The scan that may have been taken there, in its own base frame.
     guess
-        (3,) x, y, yaw: the expected pose of the scan's base in the frame of the place; metres, radians.
+        (3,) x, y, yaw: expected pose of the scan's base in the frame of the place; metres, radians.
     place_poses
         (K, 3) poses of K scans of the place, see `match_scans`.
     half_width_m, half_yaw_rad
-        Half size of the searched window, in x and y, and in yaw. None takes ``0.5 * loops.reach_m`` and
+        Half size of the search window in x and y, and in yaw. None uses ``0.5 * loops.reach_m`` and
         ``config.match.search_half_yaw_rad`` of the configuration.
     config
         `Config.loops`, `Config.scan` and `Config.match` are used; None for the defaults.
 
     Returns
     -------
-    ``accepted``, else the ``reason``; ``motion`` is the pose of the scan's base in the frame of the place,
-    None where no pose in the window fits. The place has number 0 and the scan 1; with
-    `dataclasses.replace` they get those of your graph. One scan can deceive: add the loop untrusted, and
-    let `slam.PoseGraph.optimize` judge it against the others.
+    A candidate that is ``accepted``, or has a ``reason``. ``motion`` is the pose of the scan's base in the
+    frame of the place, None if no pose in the window fits. The place is node 0, the scan node 1; set those of
+    your graph with `dataclasses.replace`. A single scan can be ambiguous: add the loop as untrusted, and
+    let `slam.PoseGraph.optimize` decide together with the other edges.
 
     Raises
     ------
     ScanweaveError
-        Where an array has another shape or holds what is not finite, poses and scans do not pair up, or the
-        window is not finite and not negative.
+        If an array has a wrong shape or is not finite, the numbers of poses and scans differ, or the window
+        is negative or not finite.
 
     Examples
     --------
@@ -144,7 +143,7 @@ def check_loop(
     (True, [1.0, 0.5, 0.3])
     >>> other = slam.check_loop(seen_from(0, 0, 0), seen_from(1.0, 0.5, 0.3, width_m=9.0))
     >>> other.accepted, other.reason
-    (False, 'no pose in the window scores enough')
+    (False, 'no pose in the window scores high enough')
     """
     config = config or Config()
     loops = config.loops
@@ -169,7 +168,7 @@ def check_loop(
 def grid_of_scans(
     scans: Sequence[LaserScan], poses: ArrayLike, config: Config | None = None
 ) -> OccupancyGrid:
-    """The occupancy grid of scans at known poses: Li2020 Eq. (1), (7), (8).
+    """Build the occupancy grid of scans at known poses: Li2020 Eq. (1), (7), (8).
 
     Parameters
     ----------
@@ -182,13 +181,13 @@ def grid_of_scans(
 
     Returns
     -------
-    Cells of ``grid.resolution_m``; ``states()`` is (rows, cols) of 100 occupied, 0 free, -1 unknown, row 0 at
-    the lowest y.
+    A grid with cells of ``grid.resolution_m``; ``states()`` is (rows, cols) with 100 for occupied, 0 for free
+    and -1 for unknown; row 0 has the lowest y.
 
     Raises
     ------
     ScanweaveError
-        Where there is no scan, poses and scans do not pair up or a pose is not finite, or the grid would
+        If there is no scan, the numbers of poses and scans differ, a pose is not finite, or the grid would
         have too many cells.
 
     Examples
@@ -214,7 +213,7 @@ def grid_of_scans(
 
 
 def _local_map(scans: Scan | Sequence[Scan], poses: ArrayLike | None, config: Config) -> LocalMap:
-    """One scan in its own frame, or several at their poses."""
+    """Build a local map of one scan in its own frame, or of several at their poses."""
     if isinstance(scans, LaserScan | np.ndarray):
         scans = [scans]
     if poses is None and len(scans) == 1:
@@ -227,7 +226,7 @@ def _local_map(scans: Scan | Sequence[Scan], poses: ArrayLike | None, config: Co
 
 
 def _oriented(scan: Scan, config: Config) -> OrientedPoints:
-    """The points of a scan that have a normal, base frame."""
+    """Return the points of a scan that have a normal, base frame."""
     limits = config.scan.range_min_m, config.scan.range_max_m, config.scan.neighbours
     if isinstance(scan, LaserScan):
         return OrientedPoints.from_scan(extract_points(scan, *limits))
@@ -236,7 +235,7 @@ def _oriented(scan: Scan, config: Config) -> OrientedPoints:
 
 
 def _rows(values: ArrayLike, shape: tuple[int, ...], name: str) -> FloatArray:
-    """Finite numbers of a shape."""
+    """Check that an array is finite and has a given shape."""
     rows = np.asarray(values, dtype=np.float64)
     if rows.shape != shape:
         raise ScanweaveError(f"{name}: an array of shape {rows.shape}, it must be {shape}")

@@ -1,4 +1,4 @@
-"""How far a use case has come, told to whoever waits for it."""
+"""Progress of a run, for a caller that waits for it."""
 
 from __future__ import annotations
 
@@ -9,16 +9,16 @@ from typing import TypeAlias
 
 @dataclass(frozen=True, slots=True)
 class Progress:
-    """How far a run has come.
+    """Progress of a run.
 
     Attributes
     ----------
     stage
-        What is being done: ``mapping``, ``optimising``, ``writing``, ``localising``.
+        Current step: ``mapping``, ``optimising``, ``writing``, ``localising``.
     readings
-        Scans and frames so far.
+        Number of scans and frames so far.
     share
-        Of the log that has been read, 0..1; None where its reader cannot tell.
+        Share of the log that has been read, 0..1; None if it is not known.
 
     Examples
     --------
@@ -39,4 +39,4 @@ OnProgress: TypeAlias = Callable[[Progress], None]
 
 
 def silent(progress: Progress) -> None:
-    """Tell nobody."""
+    """Report no progress."""

@@ -1,4 +1,4 @@
-"""A map of several sessions without its last ones."""
+"""Remove the last sessions of a map."""
 
 from __future__ import annotations
 
@@ -10,21 +10,21 @@ from slam.sessions.rolling_back import write_first_sessions
 
 
 def roll_back(saved: Map | Path | str, sessions: int, *, out: Path | str | None = None) -> Map:
-    """The map as its first sessions make it alone; the one that was given stays open, and shows what it was.
+    """Return the map with only its first sessions; the given map stays open and unchanged.
 
     Parameters
     ----------
     saved
         The map, or its path.
     sessions
-        How many of its sessions stay.
+        Number of sessions to keep.
     out
-        Folder for the map, which may be its own; None keeps it in a temporary folder.
+        Folder for the map, possibly that of the given map; None keeps it in a temporary folder.
 
     Raises
     ------
     ScanweaveError
-        Where the map has no more sessions than that, or a file is at fault; the map is as it was.
+        If the map does not have more sessions than that, or a file is faulty; the map is then unchanged.
 
     Examples
     --------
@@ -41,7 +41,7 @@ def roll_back(saved: Map | Path | str, sessions: int, *, out: Path | str | None 
     before = len(saved.sessions)
     if not 1 <= sessions < before:
         if before < 2:
-            raise MapFileError(f"{saved.path} has one session: there is none to take back")
+            raise MapFileError(f"{saved.path} has only one session: there is none to remove")
         raise MapFileError(
             f"{saved.path} has {before} sessions; of these 1 to {before - 1} can stay, not {sessions}"
         )

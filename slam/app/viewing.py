@@ -1,8 +1,8 @@
-"""The page of a map on this machine alone, and the edits that are made there.
+"""Serve the page of a map on this machine only, and apply the edits made there.
 
-The server listens on the loopback interface. Whoever has its address, with a random token in it, may look at
-the map and edit it; other pages of the same browser do not know it, and a name that leads here from elsewhere
-(DNS rebinding) is refused by the Host header.
+The server listens on the loopback interface. Anyone with its address, which contains a random token, can view
+and edit the map. Other pages of the same browser do not know the address, and a host name that is redirected
+here (DNS rebinding) is rejected by the Host header.
 """
 
 from __future__ import annotations
@@ -49,7 +49,7 @@ class MapView:
     Raises
     ------
     MapFileError
-        Where there is none, or its file has another name than ``map.db``.
+        If there is none, or its file has another name than ``map.db``.
     """
 
     def __init__(self, path: Path | str) -> None:
@@ -81,7 +81,7 @@ class MapView:
         Raises
         ------
         ScanweaveError
-            Where they do not fit; the map is as it was.
+            If they do not fit; the map is as it was.
         """
         edits = edits_of(tree, "the edits")
         folder = self._map.path.parent

@@ -95,42 +95,41 @@ LogArgument = Annotated[
 ]
 KnownMapArgument = Annotated[
     Path,
-    typer.Argument(
-        metavar="MAP", help="a folder that 'scanweave map' has made, its map.db, or a nav2 map (.yaml)"
-    ),
+    typer.Argument(metavar="MAP", help="output folder of 'scanweave map', its map.db, or a nav2 map (.yaml)"),
 ]
 OutOption = Annotated[
     Path,
-    typer.Option("--out", "-o", parser=folder_of, help="folder for the results; made where missing"),
+    typer.Option("--out", "-o", parser=folder_of, help="output folder; created if missing"),
 ]
 ConfigOption = Annotated[
-    str | None, typer.Option("--config", "-c", help="preset name or a YAML file of your own")
+    str | None, typer.Option("--config", "-c", help="preset name, or your own YAML file")
 ]
 SetOption = Annotated[
-    list[str] | None, typer.Option("--set", "-s", help="one value, as in grid.resolution_m=0.1; repeatable")
+    list[str] | None,
+    typer.Option("--set", "-s", help="set one value, e.g. grid.resolution_m=0.1; repeatable"),
 ]
 RecordOption = Annotated[
     Path | None,
     typer.Option(
         "--record",
-        help="also write a recording for the Rerun viewer here (.rrd); needs the extra 'viewer' of scanweave",
+        help="also write a recording for the Rerun viewer (.rrd); needs the extra 'viewer' of scanweave",
     ),
 ]
-JsonOption = Annotated[bool, typer.Option("--json", help="JSON instead of text")]
+JsonOption = Annotated[bool, typer.Option("--json", help="print JSON instead of text")]
 CalibrationOption = Annotated[
     Path | None,
     typer.Option(
         "--calibration",
-        help="a file of corrections of sensors, as 'scanweave doctor' writes it, or of lenses and mountings: "
+        help="sensor corrections from 'scanweave doctor', or camera intrinsics and mountings: "
         "camera_info, Kalibr, URDF, tf, OpenCV",
     ),
 ]
 TopicsOption = Annotated[
     list[str] | None,
-    typer.Option("--topics", help="of a bag with several topics of a sort: those to read; with commas"),
+    typer.Option("--topics", help="topics to read if a bag has several of one kind; comma-separated"),
 ]
-VerboseOption = Annotated[bool, typer.Option("--verbose", "-v", help="one line an event, on stderr")]
-QuietOption = Annotated[bool, typer.Option("--quiet", "-q", help="warnings and errors alone")]
+VerboseOption = Annotated[bool, typer.Option("--verbose", "-v", help="log every event to stderr")]
+QuietOption = Annotated[bool, typer.Option("--quiet", "-q", help="print only warnings and errors")]
 StrictOption = Annotated[bool, typer.Option("--strict", help="stop at the first bad record")]
 
 
@@ -158,7 +157,7 @@ def _show_version(wanted: bool) -> None:
 def _before_any_command(
     show_version: Annotated[
         bool,
-        typer.Option("--version", callback=_show_version, is_eager=True, help="print the version and stop"),
+        typer.Option("--version", callback=_show_version, is_eager=True, help="print the version and exit"),
     ] = False,
     verbose: VerboseOption = False,
     quiet: QuietOption = False,

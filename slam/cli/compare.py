@@ -18,32 +18,32 @@ if TYPE_CHECKING:
 @command()
 def compare(
     experiment: Annotated[
-        str, typer.Argument(help="experiment file (.yaml), or a ready one: ablation, lidar2d, papers")
+        str, typer.Argument(help="experiment file (.yaml), or a built-in one: ablation, lidar2d, papers")
     ],
     out: OutOption,
     data: Annotated[
         Path | None,
         typer.Option(
-            help="folder that relative paths are taken from; if not given the experiment file's own, of a "
-            "ready one the present one"
+            help="folder for relative paths; default: that of the experiment file, or the current one for a "
+            "built-in experiment"
         ),
     ] = None,
     cache: Annotated[
-        Path | None, typer.Option(help="folder that simulated drives are kept in; OUT/drives if not given")
+        Path | None, typer.Option(help="folder for simulated drives; default: OUT/drives")
     ] = None,
     workers: Annotated[
-        int | None, typer.Option(min=1, help="runs at once here; one a core if not given")
+        int | None, typer.Option(min=1, help="parallel runs on this machine; default: one per core")
     ] = None,
     scheduler: Annotated[
         str | None,
-        typer.Option(help="a Dask scheduler, as in tcp://host:8786; its workers must see OUT and the data"),
+        typer.Option(help="address of a Dask scheduler; its workers must be able to read OUT and the data"),
     ] = None,
     resume: Annotated[
         bool, typer.Option("--resume", help="run only what has no result yet, or was stopped by a limit")
     ] = False,
     record: RecordOption = None,
 ) -> None:
-    """Run data sets x configurations x seeds, each run in its own process, and compare them."""
+    """Run data sets x configurations x seeds, each in its own process, and compare the results."""
     from slam.comparison.compare import compare as run_comparison
     from slam.comparison.experiment import find_experiment
     from slam.comparison.recording import record_comparison
@@ -51,7 +51,7 @@ def compare(
     from slam.viewer.viewer import recording
 
     if workers is not None and scheduler is not None:
-        raise typer.BadParameter("--workers is for this machine; a scheduler has workers of its own")
+        raise typer.BadParameter("--workers is for this machine; a scheduler has its own workers")
     file = find_experiment(experiment)
     with recording(record) as viewer:
         done = run_comparison(

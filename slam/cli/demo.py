@@ -19,9 +19,9 @@ def demo(
     out: Annotated[
         Path, typer.Option("--out", "-o", parser=folder_of, help="folder for the log and the results")
     ] = Path("demo-out"),
-    seed: Annotated[int, typer.Option(min=0, help="another seed, another home and drive")] = 1,
+    seed: Annotated[int, typer.Option(min=0, help="random seed of the home and the drive")] = 1,
 ) -> None:
-    """Simulate a robot with a lidar and four depth cameras in a furnished home, and map what it recorded."""
+    """Simulate a robot with a lidar and four depth cameras in a furnished home, and map its log."""
     from slam.config import load_config
     from slam.simulation.drive_faults import FAULT_PRESETS
     from slam.simulation.home import generate_home
@@ -38,4 +38,4 @@ def demo(
     assert run.report is not None and run.report.beside.truth is not None
     say(f"open {out / 'report.html'} to look at it")
     error_m = run.report.beside.truth.error.translation_m.rmse
-    say(f"score: {100.0 * error_m:.1f} cm from the truth (ATE RMSE) over {run.report.path_length_m:.1f} m")
+    say(f"score: {100.0 * error_m:.1f} cm ATE RMSE over {run.report.path_length_m:.1f} m")

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 OutOption = Annotated[
     Path | None,
-    typer.Option("--out", "-o", parser=folder_of, help="folder for the new map; else it takes its place"),
+    typer.Option("--out", "-o", parser=folder_of, help="folder for the new map; default: replace the map"),
 ]
 
 
@@ -25,17 +25,17 @@ OutOption = Annotated[
 def edit(
     map_: MapArgument,
     edits: Annotated[
-        Path | None, typer.Argument(metavar="EDITS", help="edits.yaml, as docs/edits.md explains it")
+        Path | None, typer.Argument(metavar="EDITS", help="edits.yaml; docs/edits.md describes it")
     ] = None,
     out: OutOption = None,
-    undo: Annotated[bool, typer.Option("--undo", help="take the last edits back")] = False,
-    list_: Annotated[bool, typer.Option("--list", help="show the edits that the map has")] = False,
+    undo: Annotated[bool, typer.Option("--undo", help="undo the last edits")] = False,
+    list_: Annotated[bool, typer.Option("--list", help="list the edits of the map")] = False,
     sessions: Annotated[
         int | None,
-        typer.Option(metavar="N", help="keep the first N sessions, and undo those that joined later"),
+        typer.Option(metavar="N", help="keep the first N sessions and remove the later ones"),
     ] = None,
 ) -> None:
-    """Apply edits to a map: loops forbidden, forced, added; regions erased; zones; turned; places named."""
+    """Apply edits to a map: forbid, force or add loops, erase regions, add zones, rotate, name places."""
     if (edits is not None) + undo + list_ + (sessions is not None) != 1:
         raise typer.BadParameter("give a file of edits, --undo, --sessions or --list")
     started = time.perf_counter()
@@ -61,12 +61,13 @@ def edit(
 @command()
 def merge(
     maps: Annotated[
-        list[Path], typer.Argument(metavar="MAP...", help="maps; the first gives frame and settings")
+        list[Path],
+        typer.Argument(metavar="MAP...", help="maps; the first defines frame and settings"),
     ],
-    out: Annotated[Path, typer.Option("--out", "-o", parser=folder_of, help="folder for the map of all")],
+    out: Annotated[Path, typer.Option("--out", "-o", parser=folder_of, help="folder for the joined map")],
     force: Annotated[bool, typer.Option("--force", help="replace a map in the folder")] = False,
 ) -> None:
-    """Join saved maps into one, in whatever order they connect; what does not is told, with the reason."""
+    """Join saved maps into one, in any order; report each map that does not connect, and why."""
     started = time.perf_counter()
     from slam.app.merging import merge as merged
 
@@ -83,7 +84,7 @@ def merge(
 
 @command()
 def remap(map_: MapArgument, set_: SetOption = None, out: OutOption = None) -> None:
-    """Make a map anew with other settings, without its log: cells, layers, loops that count."""
+    """Rebuild a map with other settings (cell size, layers, accepted loops), without its log."""
     started = time.perf_counter()
     from slam.outputs.finished_map import load_map
 
@@ -94,12 +95,12 @@ def remap(map_: MapArgument, set_: SetOption = None, out: OutOption = None) -> N
 @command()
 def view(
     map_: MapArgument,
-    port: Annotated[int, typer.Option(min=0, max=65535, help="of the address; 0 takes a free one")] = 0,
+    port: Annotated[int, typer.Option(min=0, max=65535, help="TCP port; 0 picks a free one")] = 0,
 ) -> None:
-    """Show a map in a browser on this machine, and save the edits that are made there."""
+    """Open a map in a browser on this machine, and save the edits made there."""
     from slam.app.viewing import serve
 
-    serve(map_, port, lambda address: tell(f"{address}\nThe map's page is there until Ctrl-C."))
+    serve(map_, port, lambda address: tell(f"{address}\nThe map is served there until you press Ctrl-C."))
 
 
 def _own_folder(saved: Map) -> Path:
@@ -108,7 +109,7 @@ def _own_folder(saved: Map) -> Path:
     from slam.storage.map_file import MAP_NAME
 
     if saved.path.name != MAP_NAME:
-        raise MapFileError(f"{saved.path} is not named {MAP_NAME}; say with --out where the new map goes")
+        raise MapFileError(f"{saved.path} is not named {MAP_NAME}; give --out for the new map")
     return saved.path.parent
 
 

@@ -40,19 +40,18 @@ def localize(
     record: RecordOption = None,
     start: Annotated[
         tuple[float, float, float] | None,
-        typer.Option(metavar="X Y YAW", help="where the robot begins in the map, metres and degrees"),
+        typer.Option(metavar="X Y YAW", help="initial pose of the robot in the map, in metres and degrees"),
     ] = None,
     start_sigma: Annotated[
         tuple[float, float] | None,
-        typer.Option(
-            metavar="M DEGREES", help="standard deviations of --start; 0.5 15 where it is not given"
-        ),
+        typer.Option(metavar="M DEGREES", help="standard deviations of --start; default: 0.5 15"),
     ] = None,
     update: Annotated[
-        bool, typer.Option("--update", help="then add the log to the map, as 'scanweave map LOG --into MAP'")
+        bool,
+        typer.Option("--update", help="then add the log to the map, like 'scanweave map LOG --into MAP'"),
     ] = False,
 ) -> None:
-    """Find and follow the robot of a log in a saved map or a nav2 map; the map stays as it is."""
+    """Localise the robot of a log in a saved map or a nav2 map, without changing the map."""
     started = time.perf_counter()
     from slam.app.localizing import START_SIGMA, localize_log
     from slam.config import load_config
@@ -66,7 +65,9 @@ def localize(
         raise MapFileError(f"{out} is the folder of a map, whose files would be replaced; give another --out")
     saved = opened(map_)
     if update and not saved.contents.node_poses:
-        raise MapFileError(f"{saved.path} is a grid alone and takes no other log; localise without --update")
+        raise MapFileError(
+            f"{saved.path} is only a grid and cannot take another log; localise without --update"
+        )
     begin = None if start is None else (start[0], start[1], math.radians(start[2]))
     sigma = START_SIGMA if start_sigma is None else (start_sigma[0], math.radians(start_sigma[1]))
     with progress_bar() as show, interruptible(show) as on_progress:

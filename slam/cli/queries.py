@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -37,7 +38,7 @@ def inspect(
     topics: TopicsOption = None,
     calibration: CalibrationOption = None,
 ) -> None:
-    """Tell what is in a log: sensors, rates, gaps, clock steps, dropped records."""
+    """Show what a log contains: sensors, rates, gaps, clock jumps, dropped records."""
     from slam.datasets.inspection import inspect_dataset, map_commands
     from slam.datasets.sensor_choice import UsedMeasurements
     from slam.doctor.diagnosis import diagnose
@@ -57,14 +58,14 @@ def doctor(
     log: LogArgument,
     write: Annotated[
         Path | None,
-        typer.Option("--write", help="write what mends it here, for --calibration of the other commands"),
+        typer.Option("--write", help="write the corrections to this file, for --calibration"),
     ] = None,
     as_json: JsonOption = False,
     strict: StrictOption = False,
     topics: TopicsOption = None,
     calibration: CalibrationOption = None,
 ) -> None:
-    """Tell what the sensors of a log say of each other that cannot be, and what mends it."""
+    """Check the sensors of a log against each other, and show how to correct what is wrong."""
     from slam.datasets.sensor_choice import UsedMeasurements
     from slam.doctor.diagnosis import examine
     from slam.doctor.finding import calibration_text, remedied
@@ -77,7 +78,7 @@ def doctor(
         found = [finding.plain() for finding in findings]
         tell(json.dumps({"findings": found, "open": diagnosis.open}, indent=2))
     else:
-        tell("\n".join(finding.line for finding in findings) or "nothing is wrong as far as the log tells")
+        tell("\n".join(finding.line for finding in findings) or "no error found in the log")
         for line in diagnosis.open:
             tell(f"not judged: {line}")
     if write is not None:
@@ -106,15 +107,15 @@ def evaluate(
     ] = None,
     groundtruth: Annotated[
         Path | None,
-        typer.Option(help="true trajectory as data sets publish it, or a folder that has one"),
+        typer.Option(help="ground truth in a published format, or a folder that contains one"),
     ] = None,
     tolerance: Annotated[
-        float | None, typer.Option(min=0.0, help="greatest time between a pose and its true pose, seconds")
+        float | None, typer.Option(min=0.0, help="largest time from a pose to its true pose, seconds")
     ] = None,
-    delta: Annotated[float, typer.Option(min=0.0, help="RPE over this many metres")] = 1.0,
+    delta: Annotated[float, typer.Option(min=0.0, help="distance over which RPE is taken, metres")] = 1.0,
     as_json: JsonOption = False,
 ) -> None:
-    """Score a trajectory by relations, or by ATE and RPE against the truth."""
+    """Score a trajectory against relations, or by ATE and RPE against the ground truth."""
     from slam.evaluation.score import evaluate as score
     from slam.evaluation.score import score_text
 
@@ -128,7 +129,7 @@ def evaluate(
 
 @command("config")
 def config_command(config: ConfigOption = None, set_: SetOption = None) -> None:
-    """Print the effective configuration, every field explained."""
+    """Print the effective configuration with a description of every field."""
     from slam.config import dump_config, load_config
 
     tell(dump_config(load_config(config, set_ or [])).rstrip("\n"))
@@ -139,10 +140,10 @@ def plan(
     map_: KnownMapArgument,
     start: Annotated[str, typer.Option("--from", help="x,y in metres, map frame")],
     goal: Annotated[str, typer.Option("--to", help="x,y in metres, map frame")],
-    radius: Annotated[float, typer.Option(min=0.0, help="of the robot, metres")] = 0.2,
-    out: Annotated[Path, typer.Option("--out", "-o", help="the picture")] = Path("plan.png"),
+    radius: Annotated[float, typer.Option(min=0.0, help="radius of the robot in metres")] = 0.2,
+    out: Annotated[Path, typer.Option("--out", "-o", help="the image file to write")] = Path("plan.png"),
 ) -> None:
-    """Plan the shortest path over a map, off the unknown where that costs little, and draw it."""
+    """Plan and draw the shortest path over a map, avoiding unknown space where that costs little."""
     from slam.evaluation.plan_picture import plan_picture
     from slam.mapping.navigation import free_space, shortest_path
     from slam.storage.files import write_bytes
@@ -157,10 +158,10 @@ def plan(
     path = shortest_path(space, *ends)
     if path is None:
         raise ScanweaveError(
-            f"no way from {start} to {goal} for a robot of radius {radius:g} m; try a smaller --radius"
+            f"no path from {start} to {goal} for a robot of radius {radius:g} m; try a smaller --radius"
         )
     write_bytes(out, plan_picture(values, space, path))
-    tell(grid.what or f"{map_} does not tell how it was made")
+    tell(grid.what or f"{map_} does not record how it was made")
     tell(f"{path.length_m:.2f} m, at least {path.clearance_m:.2f} m from obstacles; wrote {out}")
 
 
@@ -184,6 +185,8 @@ def _point(text: str, option: str) -> tuple[float, float]:
     """A point from x,y."""
     try:
         x, y = (float(part) for part in text.split(","))
+        if not math.isfinite(x + y):
+            raise ValueError
     except ValueError as error:
         raise typer.BadParameter(f"{option} is '{text}'; give x,y in metres, as in 1.5,-0.2") from error
     return x, y

@@ -14,7 +14,7 @@ from slam.errors import ScanweaveError
 from slam.later import load_later
 
 MapArgument = Annotated[
-    Path, typer.Argument(metavar="MAP", help="a folder that 'scanweave map' has made, or its map.db")
+    Path, typer.Argument(metavar="MAP", help="output folder of 'scanweave map', or its map.db")
 ]
 
 
@@ -47,7 +47,7 @@ class Format(StrEnum):
 
 @command()
 def info(map_: MapArgument, as_json: JsonOption = False) -> None:
-    """Tell what is in a map: sensors, keyframes, loops, grid, settings, versions."""
+    """Show what a map contains: sensors, keyframes, loops, grid, settings, versions."""
     load_later("gtsam")
     from slam.evaluation.map_info import map_info, render_info
 
@@ -57,7 +57,7 @@ def info(map_: MapArgument, as_json: JsonOption = False) -> None:
 
 @command()
 def check(map_: MapArgument) -> None:
-    """Read everything in a map and compare it with its checksums."""
+    """Verify a map: read all of it and compare it with its checksums."""
     from slam.outputs.finished_map import load_map
 
     saved = load_map(map_)
@@ -75,16 +75,16 @@ def export(
     map_: MapArgument,
     format_: Annotated[
         Format,
-        typer.Option("--format", "-f", help="as docs/outputs.md explains them"),
+        typer.Option("--format", "-f", help="output format; docs/outputs.md describes each"),
     ],
     out: Annotated[
         Path,
         typer.Option(
-            "--out", "-o", parser=folder_of, help="the file, or a folder for files of the usual names"
+            "--out", "-o", parser=folder_of, help="output file, or a folder for files with the usual names"
         ),
     ],
 ) -> None:
-    """Write a map in the format of another program: the same bytes as 'scanweave map' has written."""
+    """Export a map to the format of another program."""
     from slam.outputs.finished_map import load_map
 
     saved = load_map(map_)
@@ -102,7 +102,7 @@ def floorplan(
     ),
     as_json: JsonOption = False,
 ) -> None:
-    """Draw the rooms of a map with doors, lengths and areas, each with its 95 % interval."""
+    """Draw a floor plan: rooms, doors, lengths and areas, each with its 95 % interval."""
     from slam.outputs.finished_map import load_map
     from slam.storage.plan_geojson import plan_geojson
 
@@ -120,11 +120,11 @@ def floorplan(
 def diff(
     before: MapArgument,
     after: Annotated[
-        Path | None, typer.Argument(metavar="[MAP]", help="the later map; none with --sessions")
+        Path | None, typer.Argument(metavar="[MAP]", help="the later map; omit it with --sessions")
     ] = None,
     sessions: Annotated[
         tuple[int, int] | None,
-        typer.Option("--sessions", help="two sessions of one map, by their numbers, instead of a second map"),
+        typer.Option("--sessions", help="numbers of two sessions of one map, instead of a second map"),
     ] = None,
     out: Annotated[
         Path | None,
@@ -132,7 +132,7 @@ def diff(
     ] = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Tell what went, appeared or moved between two maps of a place, with a probability each."""
+    """List what disappeared, appeared or moved between two maps of a place, with probabilities."""
     from slam.app.differing import diff_maps
     from slam.outputs.finished_map import load_map
     from slam.sessions.difference_files import difference_plain, difference_text

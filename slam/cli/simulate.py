@@ -28,51 +28,54 @@ def simulate(
     ],
     rig: Annotated[
         str,
-        typer.Option(help="which robot; a wrong name lists them"),
+        typer.Option(help="robot type; an unknown name lists all"),
     ] = _RIG,
-    home: Annotated[int, typer.Option(min=0, help="which home or campus: the seed of its plan")] = 1,
-    seed: Annotated[int, typer.Option(min=0, help="which drive: the seed of tour, noise and faults")] = 0,
+    home: Annotated[int, typer.Option(min=0, help="random seed of the floor plan")] = 1,
+    seed: Annotated[int, typer.Option(min=0, help="random seed of the route, noise and faults")] = 0,
     moved: Annotated[
         int,
         typer.Option(
             min=0,
-            help="so many pieces of the home's furniture stand elsewhere, went or came; by the drive's seed",
+            help="number of pieces of furniture that moved, disappeared or appeared",
         ),
     ] = 0,
     tags: Annotated[
-        int, typer.Option(min=0, help="so many AprilTags hang on the walls; tags.yaml tells where")
+        int, typer.Option(min=0, help="number of AprilTags on the walls; tags.yaml lists their poses")
     ] = 0,
-    imu: Annotated[
-        bool, typer.Option("--imu", help="the robot carries an IMU of 200 Hz; a street's car always does")
-    ] = False,
-    office: Annotated[bool, typer.Option("--office", help="an office instead of a home")] = False,
+    imu: Annotated[bool, typer.Option("--imu", help="add a 200 Hz IMU (with --street always there)")] = False,
+    office: Annotated[bool, typer.Option("--office", help="simulate an office instead of a home")] = False,
     campus: Annotated[
-        bool, typer.Option("--campus", help="two kilometres of corridors, a SICK lidar, bad wheels; no --rig")
+        bool,
+        typer.Option("--campus", help="2 km of corridors, a SICK lidar, bad wheel odometry; no --rig"),
     ] = False,
     street: Annotated[
         bool,
-        typer.Option("--street", help="a car with a 3D lidar in a town; --rig car64 or car16, no wheels"),
+        typer.Option(
+            "--street", help="a car with a 3D lidar in a town, without wheels; --rig car64 or car16"
+        ),
     ] = False,
     tunnel: Annotated[
-        bool, typer.Option("--tunnel", help="with --street: one road, 200 m of it in a smooth tunnel")
+        bool, typer.Option("--tunnel", help="with --street: one road with 200 m of smooth tunnel")
     ] = False,
     undistorted: Annotated[
-        bool, typer.Option("--undistorted", help="with --street: the folder's clouds as if taken at once")
+        bool,
+        typer.Option("--undistorted", help="with --street: write clouds without motion distortion"),
     ] = False,
     duration: Annotated[
         float | None,
         typer.Option(
-            min=1.0, help="seconds; one tour, the campus' whole way, or 34 of a street, if not given"
+            min=1.0, help="duration in seconds; default: one tour, the whole campus, or 34 s of a street"
         ),
     ] = None,
     faults: Annotated[
-        str, typer.Option(help="none, usual or, but for a campus, harsh: clocks, losses, people, traffic")
+        str,
+        typer.Option(help="none, usual or harsh (not for a campus): clock errors, losses, people"),
     ] = "usual",
     formats: Annotated[
-        list[str] | None, typer.Option("--format", help="folder (CARMEN + TUM) or mcap; both if not given")
+        list[str] | None, typer.Option("--format", help="folder (CARMEN + TUM) or mcap; default: both")
     ] = None,
 ) -> None:
-    """Drive a simulated robot through a home, a campus or a town and record its sensors with the truth."""
+    """Simulate a robot in a home, office, campus or town, and record its sensors and ground truth."""
     from dataclasses import replace
 
     from slam.errors import ConfigError
@@ -86,7 +89,7 @@ def simulate(
     from slam.simulation.street import STREET_FAULTS, STREET_RIGS, record_street
 
     if (tunnel or undistorted) and not street:
-        raise ConfigError("--tunnel and --undistorted are of --street; add it")
+        raise ConfigError("--tunnel and --undistorted need --street")
     if street:
         if campus or office or moved or tags:
             raise ConfigError("--street has no furniture; leave out --campus, --office, --moved and --tags")

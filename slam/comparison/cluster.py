@@ -29,7 +29,7 @@ def check_installed() -> None:
     Raises
     ------
     ScanweaveError
-        Where it is missing.
+        If it is missing.
     """
     try:
         import dask
@@ -52,7 +52,7 @@ def client_of(workers: int, scheduler: str | None) -> Iterator[Client]:
     Raises
     ------
     ScanweaveError
-        Where the scheduler does not answer, has no workers, or they run other code than this.
+        If the scheduler does not answer, has no workers, or they run other code than this.
     """
     from distributed import Client
 

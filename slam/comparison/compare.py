@@ -71,7 +71,7 @@ def compare(
     Raises
     ------
     ScanweaveError
-        Where the experiment does not fit, a file is missing, a library is not installed, or the scheduler
+        If the experiment does not fit, a file is missing, a library is not installed, or the scheduler
         does not answer. A run that fails is a row, not an error.
     """
     check_installed()

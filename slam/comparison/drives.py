@@ -53,7 +53,7 @@ def drives_of(simulation: Simulation) -> Iterator[Drive]:
     Raises
     ------
     ConfigError
-        Where rig or faults are unknown.
+        If rig or faults are unknown.
     """
     from slam.simulation.drive_faults import FAULT_PRESETS
     from slam.simulation.rigs import RIGS
@@ -74,7 +74,7 @@ def record(drive: Drive, folder: Path) -> None:
     Raises
     ------
     ScanweaveError
-        Where it cannot be planned or written.
+        If it cannot be planned or written.
     """
     from slam.simulation.drive_faults import FAULT_PRESETS
     from slam.simulation.home import generate_home

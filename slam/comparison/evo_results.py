@@ -33,7 +33,7 @@ def write_evo_results(folder: Path, rows: Sequence[Row], store: ResultStore) -> 
     Raises
     ------
     MapFileError
-        Where one cannot be written.
+        If one cannot be written.
     """
     shutil.rmtree(folder, ignore_errors=True)
     written = []

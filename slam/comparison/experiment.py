@@ -181,7 +181,7 @@ def find_experiment(name_or_path: str) -> Path:
     Raises
     ------
     ConfigError
-        Where there is none of that name.
+        If there is none of that name.
     """
     return find_file(name_or_path, _READY, "experiment")
 

@@ -59,7 +59,7 @@ class Figure:
     decimals
         Shown.
     smaller_is_better
-        None where neither is, or nobody knows.
+        None if neither is, or nobody knows.
     """
 
     name: str

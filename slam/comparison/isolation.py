@@ -39,7 +39,7 @@ class Outcome:
     status
         ok, or by what it was stopped.
     reason
-        One line; empty where it is ok.
+        One line; empty if it is ok.
     elapsed_s
         From start to end, imports included.
     peak_mb

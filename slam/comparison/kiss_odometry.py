@@ -9,6 +9,8 @@ from __future__ import annotations
 
 import math
 from collections import deque
+from collections.abc import Callable
+from functools import cache, partial
 
 import numpy as np
 
@@ -45,7 +47,7 @@ class KissOdometry:
             max_num_iterations=_ITERATIONS, convergence_criterion=_CONVERGED, max_num_threads=1
         )
         self._keyframes: deque[OrientedPoints] = deque(maxlen=config.match.local_map_keyframes)
-        self._images: deque[RangeImage] = deque(maxlen=config.match.local_map_keyframes)
+        self._images: deque[Callable[[], RangeImage]] = deque(maxlen=config.match.local_map_keyframes)
         self._local_map: LocalMap | None = None
 
     def add_keyframe(self, points: ScanPoints, pose: FloatArray) -> None:
@@ -53,7 +55,7 @@ class KissOdometry:
         if len(points):
             self._map.update(_lifted(points.points_base), _matrix(pose))
         self._keyframes.append(OrientedPoints.from_scan(points).moved(pose))
-        self._images.append(RangeImage.of(points.points_base, pose, points.points_base))
+        self._images.append(cache(partial(RangeImage.of, points.points_base, pose, points.points_base)))
         self._local_map = LocalMap.build(list(self._keyframes), self._match, list(self._images))
 
     def match(self, points: ScanPoints, guesses: list[Motion]) -> MotionEstimate | None:

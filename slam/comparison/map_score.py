@@ -28,7 +28,7 @@ def read_true_grid(path: Path) -> TrueGrid:
     Raises
     ------
     EvaluationError
-        Where it cannot be read.
+        If it cannot be read.
     """
     try:
         with path.open("rb") as raw, np.load(raw, allow_pickle=False) as file:

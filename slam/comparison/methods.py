@@ -34,7 +34,7 @@ _FARTHEST_DEPTH_M = 4.0
 
 
 def scanweave(dataset: Dataset, config: Config) -> Product:
-    """Our own run, with the map to drive by where cameras make one."""
+    """Our own run, with the navigation map where cameras make one."""
     with closing(map_log(dataset, config)) as made:
         grid, layers = made.grid, made.layers
         decision = None

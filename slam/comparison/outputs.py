@@ -18,7 +18,7 @@ def write_outputs(out: Path, plan: Plan, rows: list[Row]) -> list[Path]:
     Raises
     ------
     MapFileError
-        Where one cannot be written.
+        If one cannot be written.
     """
     store = ResultStore(out)
     written = write_tables(out, rows)

@@ -30,7 +30,7 @@ def write_page(path: Path, plan: Plan, rows: Sequence[Row], store: ResultStore) 
     Raises
     ------
     MapFileError
-        Where it cannot be written.
+        If it cannot be written.
     """
     rows = list(rows)
     headline, figures = headline_in(rows), figures_in(rows)

@@ -24,7 +24,7 @@ def perform(run: Row, root: str, drive_fault: str = "") -> Row:
     root
         The comparison's folder.
     drive_fault
-        Why its data set could not be made; empty where it is there.
+        Why its data set could not be made; empty if it is there.
 
     Returns
     -------

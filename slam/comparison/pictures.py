@@ -29,7 +29,7 @@ def trajectories_png(paths_m: Mapping[str, FloatArray], truth_m: FloatArray | No
     paths_m
         By configuration, all in one frame.
     truth_m
-        (N, 2); None where nobody knows, the first way then tells how far the picture reaches: one that got
+        (N, 2); None if nobody knows, the first way then tells how far the picture reaches: one that got
         lost shall not make the others small.
     """
     figure = figure_of(1000, 620)

@@ -23,7 +23,7 @@ _EVERY = 5  # poses of the trajectory of which one may be a start
 
 
 def robot_radius_m(truth: Path) -> float | None:
-    """Of the robot whose drive a folder of truth belongs to; None where it does not tell."""
+    """Of the robot whose drive a folder of truth belongs to; None if it does not tell."""
     try:
         return RIGS[json.loads((truth / "faults.json").read_text(encoding="utf-8"))["rig"]].robot_radius_m
     except (OSError, ValueError, KeyError, TypeError):

@@ -52,11 +52,11 @@ class Product:
     trajectory
         Of the base, map frame.
     plane
-        The occupancy grid at the lidar's height; None where there is none.
+        The occupancy grid at the lidar's height; None if there is none.
     decision
-        The map to drive by; None where no camera made one.
+        The navigation map; None if no camera made one.
     loops
-        Accepted ones; None where the method closes none or the robot leaves the floor.
+        Accepted ones; None if the method closes none or the robot leaves the floor.
     keyframe_stamps_s
         (K,) moments at which a loop could have been closed.
     loops_tried

@@ -25,11 +25,11 @@ class Run:
         ``scanweave``, a baseline of its own (``wheels``, ``kiss_icp``, ``open3d``), one of
         `OTHER_ODOMETRY`, ``external`` or ``command``.
     dataset, group, log, relations, groundtruth
-        As in `slam.comparison.runs.Source`; empty where there is none.
+        As in `slam.comparison.runs.Source`; empty if there is none.
     seed
         Of the configuration.
     config
-        The effective configuration as JSON; empty where none decides.
+        The effective configuration as JSON; empty if none decides.
     trajectory, command, figures
         Of an outside system.
     timeout_s, memory_mb, rpe_m

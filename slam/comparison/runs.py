@@ -90,9 +90,9 @@ def plan_of(experiment: Experiment, data: Path, cache: Path) -> Plan:
     Raises
     ------
     ConfigError
-        Where a configuration does not fit the model, or a rig is unknown.
+        If a configuration does not fit the model, or a rig is unknown.
     DatasetError, MapFileError
-        Where a file is missing.
+        If a file is missing.
     """
     sources = tuple(source for entry in experiment.datasets for source in _sources(entry, data, cache))
     names = [source.name for source in sources]

@@ -57,7 +57,7 @@ def _pictures(source: Source, folders: dict[str, Path], reference: str) -> Itera
 
 
 def _arrays(path: Path) -> dict[str, Any] | None:
-    """What a run has left in an npz, None where it has not."""
+    """What a run has left in an npz, None if it has not."""
     if not path.is_file():
         return None
     with np.load(path, allow_pickle=False) as file:
@@ -89,7 +89,7 @@ def _aligned_paths(folders: dict[str, Path], reference: str) -> dict[str, FloatA
 
 
 def _map(path: Path) -> tuple[StateArray, float] | None:
-    """The map to drive by, or else the plane of the lidar."""
+    """The navigation map, or else the plane of the lidar."""
     found = _arrays(path)
     if found is None:
         return None

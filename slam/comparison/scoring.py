@@ -104,7 +104,7 @@ def absolute_figures(comparison: TruthComparison) -> dict[str, float]:
 
 
 def _relative_figures(trajectory: Trajectory, truth: Trajectory, length_m: float) -> dict[str, float]:
-    """RPE over one length; nothing where the drive is shorter."""
+    """RPE over one length; nothing if the drive is shorter."""
     error = relative_error(trajectory, truth, delta_m=length_m, max_difference_s=MAX_DIFFERENCE_S)
     if error is None:
         return {}

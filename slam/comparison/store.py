@@ -36,12 +36,12 @@ class ResultStore:
         return self.folder / key
 
     def row(self, key: str) -> dict[str, Any] | None:
-        """A finished run's row, None where there is none.
+        """A finished run's row, None if there is none.
 
         Raises
         ------
         MapFileError
-            Where it is there and cannot be read.
+            If it is there and cannot be read.
         """
         path = self.of(key) / RESULT
         try:

@@ -34,7 +34,7 @@ def write_tables(folder: Path, rows: Sequence[Row]) -> list[Path]:
     Raises
     ------
     MapFileError
-        Where they cannot be written.
+        If they cannot be written.
     """
     columns = columns_of(rows)
     text = io.StringIO()
@@ -76,7 +76,7 @@ def values_of(rows: Sequence[Row], configuration: str, figure: Figure) -> dict[t
 
 
 def median_of(rows: Sequence[Row], configuration: str, figure: Figure) -> Interval | None:
-    """A configuration's median with its interval; None where it has no value."""
+    """A configuration's median with its interval; None if it has no value."""
     groups: dict[str, list[float]] = {}
     for (group, _, _), value in values_of(rows, configuration, figure).items():
         groups.setdefault(group, []).append(value)
@@ -86,7 +86,7 @@ def median_of(rows: Sequence[Row], configuration: str, figure: Figure) -> Interv
 def difference_of(
     rows: Sequence[Row], configuration: str, reference: str, figure: Figure
 ) -> PairedDifference | None:
-    """A configuration against the reference; None where no data set has both, or neither way is better."""
+    """A configuration against the reference; None if no data set has both, or neither way is better."""
     if figure.smaller_is_better is None:
         return None
     return paired(

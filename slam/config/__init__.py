@@ -1,6 +1,6 @@
-"""One typed, frozen model a stage; unknown keys are errors that name the nearest valid one.
+"""Configuration: one typed, frozen model per stage; errors of unknown keys name the nearest valid key.
 
-A preset is a YAML file under ``configs/`` that states only what differs from the defaults below.
+A preset is a YAML file under ``configs/``. It contains only values that differ from the defaults.
 """
 
 from __future__ import annotations
@@ -53,7 +53,7 @@ _PRESET_FOLDER = Path(__file__).parents[1] / "presets"
 
 
 class Config(StrictModel):
-    """Everything that decides a run, besides the log itself.
+    """All settings that determine a run, besides the log itself.
 
     Examples
     --------
@@ -99,19 +99,19 @@ def load_config(
     Parameters
     ----------
     preset_or_path
-        Name of a preset, or path of a YAML file (ends in .yaml or .yml); None takes the default preset.
+        Name of a preset, or path of a YAML file (ends in .yaml or .yml); None uses the default preset.
     overrides
-        Texts like ``keyframes.distance_m=0.3``; the right side is read as YAML. Later ones win.
+        Strings like ``keyframes.distance_m=0.3``; the right side is read as YAML. Later ones take precedence.
     calibration
-        File of corrections of the log's sensors, see `load_calibration`, which takes the place of
-        ``sensors.calibration``; or one of lenses and mountings, which is added to
+        File of corrections of the log's sensors (see `load_calibration`); it replaces
+        ``sensors.calibration``. Or a file of camera intrinsics and mountings; it is added to
         ``sensors.calibration_files``.
 
     Raises
     ------
     ConfigError
-        For a missing or malformed file, an unknown key (with the nearest valid one) or a bad value
-        (with its limit).
+        If a file is missing or malformed, a key is unknown (the message names the nearest valid key) or a
+        value is invalid (the message names its limit).
 
     Examples
     --------
@@ -137,17 +137,17 @@ def load_config(
 
 
 def config_of(config: Config | str | None) -> Config:
-    """A configuration, or what `load_config` makes of a preset's or a file's name; errors as there."""
+    """Return a configuration as it is, or load it by name with `load_config`; raises as that does."""
     return config if isinstance(config, Config) else load_config(config)
 
 
 def with_calibration(config: Config, file: Path | str) -> Config:
-    """A configuration with a file of corrections, or with one of lenses and mountings by other tools.
+    """Return a configuration with a file of corrections added, or of intrinsics and mountings of other tools.
 
     Raises
     ------
     ConfigError
-        As `load_calibration`, unless the file is of the other sort: those are read with the log.
+        As `load_calibration`. Files of other tools are not checked here: they are read with the log.
     """
     path = Path(file)
     if path.is_file() and _FOREIGN.search(path.read_text(encoding="utf-8", errors="replace")):
@@ -158,7 +158,7 @@ def with_calibration(config: Config, file: Path | str) -> Config:
 
 
 def with_places(config: Config, file: Path | str) -> Config:
-    """A configuration with a file of tags and surveyed places; `ConfigError` as `load_calibration`."""
+    """Return a configuration with a file of tags and surveyed points; raises as `load_calibration`."""
     if not Path(file).is_file():
         raise ConfigError(f"no file of tags at {file}; it begins with 'size_m: 0.16', the side of a tag")
     places = model_of(KnownPlaces, read_tree(Path(file)), str(file))
@@ -166,18 +166,18 @@ def with_places(config: Config, file: Path | str) -> Config:
 
 
 def holds_places(file: Path) -> bool:
-    """Whether a file that nobody has named tells of tags; other programs have files of that name, too."""
+    """Whether a file found by its name describes tags; files of other programs may have the same name."""
     tree = read_tree(file) if file.is_file() else None
     return isinstance(tree, dict) and bool(tree.keys() & KnownPlaces.model_fields.keys())
 
 
 def load_calibration(file: Path | str) -> Calibration:
-    """Corrections of a log's sensors, as ``scanweave doctor --write`` writes them.
+    """Load corrections of a log's sensors from a file that ``scanweave doctor --write`` wrote.
 
     Raises
     ------
     ConfigError
-        For a missing or malformed file, an unknown key or a bad value.
+        If the file is missing or malformed, a key is unknown or a value is invalid.
     """
     if not Path(file).is_file():
         raise ConfigError(f"no calibration file at {file}; 'scanweave doctor LOG --write {file}' makes one")
@@ -185,18 +185,18 @@ def load_calibration(file: Path | str) -> Calibration:
 
 
 def dump_calibration(calibration: Calibration) -> str:
-    """YAML text of corrections; `load_calibration` reads it back."""
+    """Return corrections as YAML text; `load_calibration` reads it."""
     return yaml.safe_dump(calibration.plain(), sort_keys=False, default_flow_style=None)
 
 
 def calibrated(config: Config, calibration: Calibration) -> Config:
-    """A configuration with other corrections of the log's sensors."""
+    """Return a configuration with other corrections of the log's sensors."""
     sensors = config.sensors.model_copy(update={"calibration": calibration})
     return config.model_copy(update={"sensors": sensors})
 
 
 def with_settings(config: Config, overrides: Sequence[str]) -> Config:
-    """A configuration with other values, given as `load_config` takes them; `ConfigError` as there.
+    """Return a configuration with overrides in the form that `load_config` takes; raises as that does.
 
     Examples
     --------
@@ -212,7 +212,7 @@ def with_settings(config: Config, overrides: Sequence[str]) -> Config:
 
 
 def leaves(tree: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:
-    """Dotted name and value of every setting of a nested mapping."""
+    """Yield the dotted name and the value of every setting in a nested mapping."""
     for name, value in tree.items():
         if isinstance(value, Mapping):
             yield from leaves(value, f"{prefix}{name}.")
@@ -221,7 +221,7 @@ def leaves(tree: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any
 
 
 def dump_config(config: StrictModel) -> str:
-    """YAML text of a configuration, each field under its description; ``load_config`` reads it back.
+    """Return a configuration as YAML text, each field below its description; ``load_config`` reads it.
 
     Examples
     --------

@@ -1,4 +1,4 @@
-"""What a person, or the doctor, knows better than a log: corrections of its sensors, by their names."""
+"""Corrections of a log's sensors, by sensor name. The user or the doctor provides them."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from slam.config.strict import StrictModel
 
 
 class PlanarMounting(StrictModel):
-    """Where a sensor sits on the robot: x forward, y left, turned counter-clockwise."""
+    """Pose of a sensor on the robot in the plane: x forward, y left, yaw counter-clockwise."""
 
     x_m: float = 0.0
     y_m: float = 0.0
@@ -18,10 +18,10 @@ class PlanarMounting(StrictModel):
 
 
 class Mounting(StrictModel):
-    """Where a sensor sits on the robot, in space; the angles of a camera are those of its body.
+    """Pose of a sensor on the robot in 3D. For a camera, the angles are those of the camera body.
 
-    The body looks along x, its image upright; turned by yaw about the robot's z, then pitch (down) about y,
-    then roll about x.
+    The body frame looks along x and its image is upright. It is rotated by yaw about z, then pitch (down)
+    about y, then roll about x.
     """
 
     x_m: float = 0.0
@@ -33,7 +33,7 @@ class Mounting(StrictModel):
 
 
 class Lens(StrictModel):
-    """A pin-hole camera, in pixels of its images."""
+    """Intrinsics of a pinhole camera, in pixels of its images."""
 
     fx: float = Field(gt=0)
     fy: float = Field(gt=0)
@@ -42,76 +42,74 @@ class Lens(StrictModel):
 
 
 class SensorCorrection(StrictModel):
-    """What any sensor may need."""
+    """Corrections that apply to any sensor."""
 
-    use: bool = Field(default=True, description="false leaves the sensor out")
+    use: bool = Field(default=True, description="false ignores the sensor")
     drop_repeated: bool = Field(
         default=False,
-        description="leave out readings that equal the one before, clouds that begin in its turn",
+        description="ignore repeated readings, and clouds that begin within the last revolution",
     )
     clock_offset_s: float = Field(
-        default=0.0, ge=-1e4, le=1e4, description="by how much its stamps are ahead; taken off"
+        default=0.0, ge=-1e4, le=1e4, description="how far its stamps are ahead; it is subtracted"
     )
 
 
 class WheelCorrection(SensorCorrection):
-    """Wheel odometry: first what is written is read anew, then the steps are scaled.
+    """Corrections of wheel odometry: the recorded poses are reinterpreted, then the steps are scaled.
 
-    ``axes`` and ``heading_scale`` say what the three written numbers mean, ``turn_scale`` what a turn of the
-    wheels is worth: the way is then put together anew.
+    ``axes`` and ``heading_scale`` define what the three recorded numbers mean. ``turn_scale`` scales the
+    rotation of each step; the path is then recomputed from the steps.
     """
 
-    scale: float = Field(default=1.0, gt=0, description="of the way: 0.001 where it is in millimetres")
+    scale: float = Field(default=1.0, gt=0, description="factor on the path: 0.001 if it is in millimetres")
     axes: str = Field(
         default="x y",
         pattern=r"^(-?x -?y|-?y -?x)$",
-        description="what stands where x and y should: 'x -y' where y has the wrong sign, 'y x' swapped",
+        description="what stands for x and y: 'x -y' if y has the wrong sign, 'y x' if they are swapped",
     )
     heading_scale: float = Field(
-        default=1.0, description="of the written heading: -1 lost its sign, 0.0174533 is in degrees"
+        default=1.0, description="factor on the heading: -1 for a wrong sign, 0.0174533 for degrees"
     )
-    heading_offset_deg: float = Field(default=0.0, ge=-360, le=360, description="added to the heading")
+    heading_offset_deg: float = Field(default=0.0, ge=-360, le=360, description="angle added to the heading")
     mirrored: bool = Field(default=False, description="left is right: y and the heading have the wrong sign")
-    turn_scale: float = Field(default=1.0, gt=0, description="of every turn, the way put together anew")
+    turn_scale: float = Field(default=1.0, gt=0, description="factor on rotations; the path is recomputed")
 
 
 class SpinningCorrection(SensorCorrection):
-    """Any lidar that spins."""
+    """Corrections of any spinning lidar."""
 
     turn_s: float = Field(
         default=0.0,
         ge=-2,
         le=2,
-        description="how long a turn takes, < 0 clockwise: times of points that tell none, by their bearings",
+        description="time per revolution, < 0 clockwise: gives points without times one by their bearing",
     )
-    cut_deg: float = Field(
-        default=180.0, ge=-360, le=360, description="bearing at which a turn begins and ends"
-    )
+    cut_deg: float = Field(default=180.0, ge=-360, le=360, description="bearing at which a revolution begins")
 
 
 class FloorLine(StrictModel):
-    """A straight line on the floor, as the log's own beams see it."""
+    """A straight line where beams hit the floor, with bearings as recorded in the log."""
 
-    from_m: float = Field(gt=0, description="readings on the line and behind begin here")
-    bearing_deg: float = Field(ge=-360, le=360, description="of its nearest point")
+    from_m: float = Field(gt=0, description="readings this far along bearing_deg, and beyond, are ignored")
+    bearing_deg: float = Field(ge=-360, le=360, description="bearing of its nearest point")
 
 
 class LidarCorrection(SpinningCorrection):
-    """A 2D lidar; what is not given stays as the log tells it."""
+    """Corrections of a 2D lidar; a field that is not given keeps the value in the log."""
 
-    T_base_laser: PlanarMounting | None = Field(default=None, description="where it sits")
+    T_base_laser: PlanarMounting | None = Field(default=None, description="pose on the robot")
     upside_down: bool = Field(default=False, description="beams run the other way round")
-    range_scale: float = Field(default=1.0, gt=0, description="of the ranges: 0.3048 where they are in feet")
+    range_scale: float = Field(default=1.0, gt=0, description="factor on the ranges: 0.3048 if in feet")
     start_angle_deg: float | None = Field(default=None, ge=-720, le=720, description="bearing of beam 0")
-    step_deg: float | None = Field(default=None, ge=-90, le=90, description="from beam to beam")
+    step_deg: float | None = Field(default=None, ge=-90, le=90, description="angle between beams")
     blocked_beams: tuple[tuple[int, int], ...] = Field(
-        default=(), description="first and last beam, from 0, of those that see the robot itself"
+        default=(), description="first and last beam, from 0, of each group that sees the robot itself"
     )
-    floor: FloorLine | None = Field(default=None, description="where it sees the floor: left out")
+    floor: FloorLine | None = Field(default=None, description="where it sees the floor; ignored")
 
     @model_validator(mode="after")
     def _beams_in_order(self) -> LidarCorrection:
-        """A stretch of beams begins before it ends."""
+        """Check that each range of beams begins before it ends."""
         for first, last in self.blocked_beams:
             if not 0 <= first <= last:
                 raise ValueError(f"beams {first} to {last} are no stretch of beams")
@@ -119,56 +117,54 @@ class LidarCorrection(SpinningCorrection):
 
 
 class CameraCorrection(SensorCorrection):
-    """An RGB-D camera."""
+    """Corrections of an RGB-D camera."""
 
-    T_base_camera: Mounting | None = Field(default=None, description="where it sits")
-    depth_scale: float = Field(default=1.0, gt=0, description="of depth: 0.001 for millimetres")
-    intrinsics: Lens | None = Field(default=None, description="the lens")
+    T_base_camera: Mounting | None = Field(default=None, description="pose on the robot")
+    depth_scale: float = Field(default=1.0, gt=0, description="factor on depth: 0.001 for millimetres")
+    intrinsics: Lens | None = Field(default=None, description="camera intrinsics")
     mirrored: bool = Field(default=False, description="left is right in its images")
 
 
 class CloudCorrection(SpinningCorrection):
-    """A 3D lidar."""
+    """Corrections of a 3D lidar."""
 
-    T_base_lidar: Mounting | None = Field(default=None, description="where it sits")
-    range_scale: float = Field(default=1.0, gt=0, description="of the points: 0.3048 where they are in feet")
-    times_scale: float = Field(default=1.0, description="of the points' times: -1 where they run backward")
+    T_base_lidar: Mounting | None = Field(default=None, description="pose on the robot")
+    range_scale: float = Field(default=1.0, gt=0, description="factor on the points: 0.3048 if in feet")
+    times_scale: float = Field(default=1.0, description="factor on points' times: -1 if they run backward")
     elevation_deg: float = Field(
-        default=0.0, ge=-10, le=10, description="by how much all beams look too low: 0.205 for KITTI odometry"
+        default=0.0, ge=-10, le=10, description="beams look too low by this angle: 0.205 for KITTI odometry"
     )
 
 
 class ImuCorrection(SensorCorrection):
-    """An inertial measurement unit."""
+    """Corrections of an inertial measurement unit."""
 
-    T_base_imu: Mounting | None = Field(default=None, description="where it sits")
+    T_base_imu: Mounting | None = Field(default=None, description="pose on the robot")
     gyro_scale: float = Field(
-        default=1.0, description="of the turn rates: -1 for a wrong sign, 0.0174533 where they are in degrees"
+        default=1.0, description="factor on the angular rates: -1 for a wrong sign, 0.0174533 for degrees"
     )
 
 
 class GnssCorrection(SensorCorrection):
-    """A satellite receiver."""
+    """Corrections of a GNSS receiver."""
 
     antenna_m: tuple[float, float, float] | None = Field(
-        default=None, description="x, y, z where its antenna sits"
+        default=None, description="x, y, z of its antenna on the robot"
     )
 
 
 class Calibration(StrictModel):
-    """Corrections by the sensors' names, as 'scanweave inspect' lists them."""
+    """Corrections by sensor name, as 'scanweave inspect' lists the names."""
 
-    wheels: dict[str, WheelCorrection] = Field(default={}, description="corrections of wheels, by name")
+    wheels: dict[str, WheelCorrection] = Field(default={}, description="corrections of odometry, by name")
     lidars: dict[str, LidarCorrection] = Field(default={}, description="corrections of 2D lidars, by name")
     cameras: dict[str, CameraCorrection] = Field(default={}, description="corrections of cameras, by name")
     lidars_3d: dict[str, CloudCorrection] = Field(default={}, description="corrections of 3D lidars, by name")
     imus: dict[str, ImuCorrection] = Field(default={}, description="corrections of IMUs, by name")
-    gnss: dict[str, GnssCorrection] = Field(
-        default={}, description="corrections of satellite receivers, by name"
-    )
+    gnss: dict[str, GnssCorrection] = Field(default={}, description="corrections of GNSS receivers, by name")
 
     def merged(self, entries: Mapping[str, Mapping[str, Mapping[str, object]]]) -> Calibration:
-        """With more entries, by kind and name of the sensor; what is there already stays as it is."""
+        """Return it with more entries, by kind and name of the sensor; existing values are kept."""
         tree = self.plain()
         for kind, sensors in entries.items():
             for name, fields in sensors.items():
@@ -177,5 +173,5 @@ class Calibration(StrictModel):
         return Calibration.model_validate(tree, strict=False)
 
     def plain(self) -> dict[str, dict[str, dict[str, object]]]:
-        """As plain values, without what is as the log tells it."""
+        """Return plain values, without fields that have their default."""
         return self.model_dump(mode="json", exclude_defaults=True)

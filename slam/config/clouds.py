@@ -1,4 +1,4 @@
-"""What can be set for a 3D lidar: odometry, loops and the map of its clouds."""
+"""Settings for a 3D lidar: odometry, loop closure and the map of its clouds."""
 
 from __future__ import annotations
 
@@ -8,63 +8,63 @@ from slam.config.strict import StrictModel
 
 
 class CloudOdometryConfig(StrictModel):
-    """From a turn of a 3D lidar to a motion: KISS-ICP, then point to plane."""
+    """Odometry of a 3D lidar, revolution by revolution: KISS-ICP, then point-to-plane."""
 
     scale_share: float = Field(
-        default=0.05, gt=0, description="voxel as a share of the median range, where voxel_m is not given"
+        default=0.05, gt=0, description="voxel size as a share of the median range, if voxel_m is not given"
     )
     voxel_m: float | None = Field(
         default=None,
         gt=0,
-        description="voxel of the matched points and smallest of the planes; null: by the first cloud",
+        description="voxel size for matched points, and smallest for planes; null: from the first cloud",
     )
-    least_voxel_m: float = Field(default=0.1, gt=0, description="limit of the voxel found by the data")
-    greatest_voxel_m: float = Field(default=0.6, gt=0, description="limit of the voxel found by the data")
-    range_min_m: float = Field(default=0.4, ge=0, description="nearer points are the robot itself")
+    least_voxel_m: float = Field(default=0.1, gt=0, description="lower limit of a voxel size found from data")
+    greatest_voxel_m: float = Field(
+        default=0.6, gt=0, description="upper limit of a voxel size found from data"
+    )
+    range_min_m: float = Field(default=0.4, ge=0, description="nearer points are taken as the robot itself")
     range_max_m: float = Field(default=100.0, gt=0, description="farther points are not used")
     deskew: bool = Field(
-        default=True, description="undo the motion within a turn, where the log tells the points' times"
+        default=True, description="undo the motion within a revolution, if the log has the points' times"
     )
-    keyframe_voxels: float = Field(default=2.0, gt=0, description="voxels between clouds of the local map")
+    keyframe_voxels: float = Field(
+        default=2.0, gt=0, description="travel between two clouds of the local map, in voxels"
+    )
     thickness_m: float = Field(
-        default=0.06, gt=0, description="sigma across a plane up to which a voxel's points are a plane"
+        default=0.06, gt=0, description="largest sigma across a plane for which a voxel's points are a plane"
     )
-    least_pairs: int = Field(default=60, ge=6, description="points on known planes, below which nothing fits")
-    correlated_points: float = Field(default=5.0, ge=1, description="points that count as one reading")
+    least_pairs: int = Field(default=60, ge=6, description="fewest points on known planes in a valid match")
+    correlated_points: float = Field(default=5.0, ge=1, description="points that count as one measurement")
 
 
 class CloudLoopConfig(StrictModel):
-    """Loop closure by clouds: places near by the estimate, and places that look the same."""
+    """Loop closure by clouds: candidate places by distance and by appearance."""
 
     reach_voxels: float = Field(
         default=15.0,
         gt=0,
-        description="distance in voxels at which two keyframes see the same, and travel between two attempts",
+        description="two keyframes this close (in voxels) see the same place; also travel between searches",
     )
-    least_path_voxels: float = Field(
-        default=60.0, gt=0, description="path round in voxels below which it is no loop"
-    )
+    least_path_voxels: float = Field(default=60.0, gt=0, description="shortest path around a loop, in voxels")
     drift_share: float = Field(
         default=0.01,
         ge=0,
-        description="sigma a metre travelled since the last loop, on top of what the covariances tell",
+        description="position sigma per metre since the last loop, added to the covariance",
     )
     greatest_dissimilarity: float = Field(
-        default=0.3, gt=0, le=1, description="distance of scan contexts up to which places look the same"
+        default=0.3, gt=0, le=1, description="largest distance of scan contexts at which places look the same"
     )
     greatest_residual_ratio: float = Field(
-        default=1.5, gt=1, description="greatest residual, in usual residuals of the odometry"
+        default=1.5, gt=1, description="largest residual, relative to the usual residual of the odometry"
     )
 
 
 class CloudMapConfig(StrictModel):
-    """The plan that is cut from the clouds."""
+    """The 2D map that is cut from the clouds."""
 
-    bearings: int = Field(default=720, ge=90, description="bearings of the plan's scan of each keyframe")
+    bearings: int = Field(default=720, ge=90, description="bearings in the 2D scan made of each keyframe")
     ground_share: float = Field(
-        default=0.005,
-        ge=0,
-        description="noise of a height a metre of distance, and that of two metres at any",
+        default=0.005, ge=0, description="height noise per metre of distance, plus that of two metres"
     )
-    plan_range_m: float = Field(default=15.0, gt=0, description="farther points do not enter the plan")
-    least_points: int = Field(default=2, ge=1, description="points of a bearing within a cell that stop it")
+    plan_range_m: float = Field(default=15.0, gt=0, description="farther points are not used in the 2D map")
+    least_points: int = Field(default=2, ge=1, description="points per bearing and cell forming an obstacle")

@@ -1,7 +1,7 @@
-"""What a person decides of a finished map: ``edits.yaml``, written by hand or by the report's page.
+"""Manual edits of a finished map: ``edits.yaml``, written by hand or by the report page.
 
-All coordinates are metres in the map as it was before the file is applied; keyframes go by the number of
-their session, from 1, and of their reading in its log: names that stay when the map grows or moves.
+All coordinates are in metres in the map before the file is applied. A keyframe is named by the number
+of its session, from 1, and of its reading in that log: these do not change when the map grows or moves.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ Name = Annotated[str, Field(min_length=1, max_length=100)]
 
 
 class Keyframe(StrictModel):
-    """A keyframe, by the reading that it was taken at."""
+    """A keyframe, named by its reading."""
 
     session: int = Field(default=1, ge=1, description="number of the log in the map, from 1")
     reading: int = Field(ge=0, description="number of the scan, cloud or frame in that log")
@@ -48,7 +48,7 @@ class AddedLoop(StrictModel):
 
 
 class LoopEdits(StrictModel):
-    """Which loops hold the map together."""
+    """Corrections of the loops of the map."""
 
     forbid: tuple[Pair, ...] = Field(default=(), max_length=_MOST_ENTRIES, description="loops that are wrong")
     force: tuple[Pair, ...] = Field(default=(), max_length=_MOST_ENTRIES, description="loops that are right")
@@ -56,11 +56,11 @@ class LoopEdits(StrictModel):
 
 
 class Erased(StrictModel):
-    """A region in which what was seen is taken away."""
+    """A region in which all readings are removed."""
 
     polygon: Polygon
     name: Name | None = None
-    later: bool = Field(default=False, description="also what sessions see there that join afterwards")
+    later: bool = Field(default=False, description="also remove what sessions that join later see there")
 
 
 class Zone(StrictModel):
@@ -73,13 +73,13 @@ class Zone(StrictModel):
 class SlowZone(Zone):
     """A region where the robot goes slowly."""
 
-    percent: float = Field(gt=0, lt=100, description="of its usual speed")
+    percent: float = Field(gt=0, lt=100, description="percent of the usual speed")
 
 
 class Turn(StrictModel):
-    """How the map is turned; one of the three."""
+    """Rotation of the map; give exactly one of the three."""
 
-    to_walls: bool = Field(default=False, description="most walls along x and y, by the smallest turn")
+    to_walls: bool = Field(default=False, description="align most walls with x or y by the smallest rotation")
     degrees: float | None = Field(default=None, ge=-360, le=360, description="counter-clockwise")
     along_x: tuple[Point, Point] | None = Field(
         default=None, description="two points; x runs from the first to the second"
@@ -87,7 +87,7 @@ class Turn(StrictModel):
 
     @model_validator(mode="after")
     def _one_way(self) -> Turn:
-        """Ways to turn exclude each other."""
+        """Check that exactly one rotation is given."""
         if self.to_walls + (self.degrees is not None) + (self.along_x is not None) != 1:
             raise ValueError("give one of to_walls: true, degrees, along_x")
         if self.along_x is not None and self.along_x[0] == self.along_x[1]:
@@ -104,55 +104,55 @@ class Place(StrictModel):
 
 
 class Edits(StrictModel):
-    """Everything that one file says; what it leaves out stays as it is."""
+    """All edits of one file; what the file does not mention stays unchanged."""
 
     loops: LoopEdits = LoopEdits()
     erase: tuple[Erased, ...] = Field(default=(), max_length=_MOST_ENTRIES)
     keep_out: tuple[Zone, ...] = Field(default=(), max_length=_MOST_ENTRIES)
     slow: tuple[SlowZone, ...] = Field(default=(), max_length=_MOST_ENTRIES)
-    crop: Polygon | None = Field(default=None, description="what is outside is no part of the map")
+    crop: Polygon | None = Field(default=None, description="everything outside is removed from the map")
     turn: Turn | None = None
     origin: Point | None = Field(default=None, description="the point that becomes 0, 0")
     places: tuple[Place, ...] = Field(default=(), max_length=_MOST_ENTRIES)
     settings: dict[str, Any] = Field(
-        default={}, description="settings by their dotted names, as 'scanweave remap' takes them"
+        default={}, description="settings by their dotted names, as for 'scanweave remap'"
     )
 
     @property
     def empty(self) -> bool:
-        """Whether nothing is said."""
+        """Whether there are no edits."""
         return self == Edits()
 
 
 def edits_of(tree: object, source: str) -> Edits:
-    """Edits from plain values.
+    """Create edits from plain values.
 
     Parameters
     ----------
     source
-        What they came from, for messages.
+        Where they came from; used in messages.
 
     Raises
     ------
     ConfigError
-        For an unknown key or a bad value, in one line.
+        If a key is unknown or a value is invalid; the message has one line.
     """
     hint = nearest_field((Edits, LoopEdits, AddedLoop, Keyframe, Erased, SlowZone, Turn, Place))
     return model_of(Edits, {} if tree is None else tree, source, hint, most=1)
 
 
 def load_edits(file: Path | str) -> Edits:
-    """Edits from a YAML file.
+    """Load edits from a YAML file.
 
     Raises
     ------
     ConfigError
-        For a missing or malformed file, an unknown key or a bad value.
+        If the file is missing or malformed, a key is unknown or a value is invalid.
     """
     return edits_of(read_tree(Path(file)), str(file))
 
 
 def dump_edits(edits: Edits) -> str:
-    """YAML text of edits, without what they leave out; `load_edits` reads it back."""
+    """Return edits as YAML text, without defaults; `load_edits` reads it."""
     tree = edits.model_dump(mode="json", exclude_defaults=True)
     return yaml.safe_dump(tree, sort_keys=False, default_flow_style=None, allow_unicode=True)

@@ -1,4 +1,4 @@
-"""YAML files of what can be set: found, read, and turned into a model, or refused in one line."""
+"""Find and read YAML files of settings and validate them as a model; errors are messages of one line."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import re
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from functools import partial
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, TypeVar, get_args, get_origin
 
 from pydantic import BaseModel, ValidationError
 from pydantic_core import ErrorDetails
@@ -29,12 +29,12 @@ ConfigLoader.add_implicit_resolver(
 
 
 def find_file(name_or_path: str, folder: Path, kind: str) -> Path:
-    """Path of a file of one's own (ends in .yaml or .yml), or of one that is ready in a folder, by its name.
+    """Path of a file of the user (ends in .yaml or .yml), or of a named one in a folder.
 
     Raises
     ------
     ConfigError
-        Where there is none.
+        If there is no such file.
     """
     names = sorted(file.stem for file in folder.glob("*.yaml"))
     if Path(name_or_path).suffix in {".yaml", ".yml"}:
@@ -51,7 +51,7 @@ def find_file(name_or_path: str, folder: Path, kind: str) -> Path:
 
 
 def read_tree(file: Path) -> Any:
-    """What a YAML file holds; an empty one is an empty mapping."""
+    """Read a YAML file; an empty file gives an empty mapping."""
     try:
         tree = from_yaml(file.read_text(encoding="utf-8"), ConfigLoader)
     except (OSError, ValueError) as error:
@@ -67,21 +67,21 @@ def model_of(
     *,
     most: int | None = None,
 ) -> Model:
-    """A model of plain values.
+    """Validate plain values as a model.
 
     Parameters
     ----------
     source
-        What they came from, for messages.
+        Where they came from; used in messages.
     hint
-        What to say of a dotted key that there is not; None looks among those of the model.
+        Text to add for an unknown dotted key; None suggests a similar key of the model.
     most
-        So many faults are told, and how many more there are.
+        Largest number of errors in the message; the rest are counted.
 
     Raises
     ------
     ConfigError
-        For something that is no mapping, an unknown key or a bad value.
+        If the values are no mapping, a key is unknown or a value is invalid.
     """
     if not isinstance(tree, dict):
         raise ConfigError(f"{source} holds a {type(tree).__name__}; write 'section:' and its keys under it")
@@ -99,7 +99,7 @@ def model_of(
 
 
 def _described(fault: ErrorDetails, hint: Callable[[str], str]) -> str:
-    """One fault of pydantic's in the words of a user: dotted path, value, limit."""
+    """Describe one pydantic error for users: dotted path, value, limit."""
     dotted = ".".join(str(part) for part in fault["loc"])
     if fault["type"] == "extra_forbidden":
         return f"unknown key '{dotted}'{hint(dotted)}"
@@ -109,7 +109,7 @@ def _described(fault: ErrorDetails, hint: Callable[[str], str]) -> str:
 
 
 def nearest(name: str, candidates: Sequence[str]) -> str:
-    """A hint at the most similar candidate, or nothing.
+    """Return a hint at the most similar candidate, or an empty text.
 
     Examples
     --------
@@ -122,7 +122,7 @@ def nearest(name: str, candidates: Sequence[str]) -> str:
 
 
 def _nearest_key(model: type[BaseModel], dotted: str) -> str:
-    """A hint at the key meant: the same name elsewhere, else a similar one beside it, else anywhere."""
+    """Suggest a key: the same name elsewhere, else a similar name in the same section, else anywhere."""
     section, _, name = dotted.rpartition(".")
     paths = list(_all_paths(model))
     # Only last names are compared: a long shared section would make every key in it look similar.
@@ -136,15 +136,16 @@ def _nearest_key(model: type[BaseModel], dotted: str) -> str:
 
 
 def _all_paths(model: type[BaseModel], prefix: str = "") -> Iterator[str]:
-    """Dotted path of every section and field."""
+    """Yield the dotted path of every section and field."""
     for name, field in model.model_fields.items():
         yield prefix + name
-        section = field.annotation
+        named = get_origin(field.annotation) is dict  # sensors by their names
+        section = get_args(field.annotation)[-1] if named else field.annotation
         if isinstance(section, type) and issubclass(section, BaseModel):
-            yield from _all_paths(section, f"{prefix}{name}.")
+            yield from _all_paths(section, f"{prefix}{name}.{'NAME.' if named else ''}")
 
 
 def nearest_field(models: Iterable[type[BaseModel]]) -> Callable[[str], str]:
-    """What hints at the most similar name of a field of some models."""
+    """Return a function that suggests the most similar field name of some models."""
     names = sorted({name for model in models for name in model.model_fields})
     return lambda dotted: nearest(dotted.rpartition(".")[2], names)

@@ -1,4 +1,4 @@
-"""The base of everything that can be set."""
+"""The base class of all settings."""
 
 from __future__ import annotations
 
@@ -9,10 +9,10 @@ from pydantic import BaseModel, ConfigDict
 
 
 class StrictModel(BaseModel):
-    """Base of every stage model: unknown keys and silent type changes are errors, values are final."""
+    """Base of all stage models: unknown keys and implicit type conversions are errors; values are final."""
 
     def __repr_args__(self) -> Iterable[tuple[str | None, Any]]:
-        """What differs from the defaults: all that `repr` shows."""
+        """Return the fields that differ from their defaults: `repr` shows only these."""
         fields = type(self).model_fields
         shown = super().__repr_args__()
         return [one for one in shown if one[1] != fields[str(one[0])].get_default(call_default_factory=True)]

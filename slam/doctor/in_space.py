@@ -10,7 +10,7 @@ from typing import Any
 import gtsam
 import numpy as np
 
-from fusion.estimation import FEWEST, gate
+from fusion.estimation import gate
 from slam.config.clouds import CloudOdometryConfig
 from slam.datasets.laser_geometry import DEFAULT_NO_RETURN_M
 from slam.doctor.camera_samples import SPREAD, CameraSamples
@@ -80,9 +80,10 @@ class Seen:
         return self.fit.scale
 
 
-def camera_findings(name: str, samples: CameraSamples) -> list[Finding]:
-    """What a camera says of itself."""
-    found = repeated("cameras", name, samples.repeated, samples.count, "frames")
+def camera_findings(name: str, samples: CameraSamples, rows: FloatArray) -> list[Finding]:
+    """What a camera says of itself, and of the (N, 4) rows of the wheels."""
+    hangs = samples.repeats.driven(rows)
+    found = samples.repeats.findings("cameras", name, samples.count, "frames", enough=hangs)
     found += unit_finding("cameras", name, samples.median_depth.median(), _DEPTHS_M)
     return found + lens_findings(name, samples)
 
@@ -91,7 +92,7 @@ def unit_finding(
     group: str, name: str, median_m: float | None, limits_m: tuple[float, float] = (0.0, DEFAULT_NO_RETURN_M)
 ) -> list[Finding]:
     """What a sensor says by itself of the unit of its lengths: a median that none sees."""
-    if median_m is None:
+    if not median_m or median_m < 0:
         return []
     what, seen_by = ("depth", "camera") if group == "cameras" else ("range", "lidar")
     middle_m = math.sqrt(max(_DEPTHS_M[0], limits_m[0]) * _DEPTHS_M[1])  # of what they see, by ratio
@@ -329,7 +330,7 @@ def _entry(kind: str, R_base_sensor: FloatArray, place_m: Sequence[float]) -> di
 def cloud_findings(name: str, samples: CloudSamples) -> list[Finding]:
     """What a 3D lidar says of itself."""
     # A lidar has noise even at rest: one such cloud is one too many.
-    found = repeated("lidars_3d", name, samples.repeated, samples.count, "clouds", least=1)
+    found = samples.repeats.findings("lidars_3d", name, samples.count, "clouds", enough=True)
     if samples.points:
         median_m = float(np.median(np.linalg.norm(np.concatenate(samples.points), axis=1)))
         ways = CloudOdometryConfig()  # beyond its limits nothing can be mapped
@@ -359,26 +360,6 @@ def cloud_findings(name: str, samples: CloudSamples) -> list[Finding]:
     text = f"the times of a cloud's points span {turn_s:.3g} s, clouds come every {interval_s:.3g} s"
     remedy = {"lidars_3d": {name: {"times_scale": 1.0 / units[0]}}}
     return [*found, Finding(name, "times of points", text, effect, (remedy,), sure=True, value=off)]
-
-
-def repeated(
-    kind: str, name: str, repeated: int, count: int, what: str, least: int | None = None
-) -> list[Finding]:
-    """Readings that are told again and again: most of them, if not ``least`` are enough."""
-    if repeated < (max(FEWEST, count // 2 + 1) if least is None else least):
-        return []
-    same = "the one before, to the bit" + ("" if least is None else ", or have its stamp")
-    return [
-        Finding(
-            name,
-            f"repeated {what}",
-            f"{repeated} of {count} {what} are {same}",
-            "the map takes it that the robot stands",
-            ({kind: {name: {"drop_repeated": True}}},),
-            sure=repeated + 1 < count,  # else nothing would be left
-            value=repeated / count,
-        )
-    ]
 
 
 def _within(off: float, sigma: float, limit: float) -> bool:

@@ -1,1 +1,1 @@
-"""A finished map made anew from what its file holds: with a person's edits, and with other settings."""
+"""Rebuild a finished map from its file, with edits of the user or with other settings."""

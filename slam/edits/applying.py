@@ -1,4 +1,4 @@
-"""What a file of edits means in a map: names become keyframes, polygons the evidence in them."""
+"""Apply a file of edits to a map: names become keyframes, polygons become the evidence in them."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ def understood(known: Known, edits: Edits) -> AppliedEdits:
     Raises
     ------
     ScanweaveError
-        Where a keyframe or a loop is none, two keyframes do not match, or a setting takes the log.
+        If a keyframe or a loop is none, two keyframes do not match, or a setting takes the log.
     """
     entries = known.contents.edits
     settings = tuple(_override(name, value) for name, value in edits.settings.items())

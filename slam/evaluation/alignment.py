@@ -1,4 +1,4 @@
-"""How a trajectory is laid over its reference: rigidly in space, or in the plane for a robot on a floor."""
+"""Align a trajectory with its reference: rigidly in 3D, or in the plane for a robot on a floor."""
 
 from __future__ import annotations
 
@@ -21,16 +21,16 @@ _UPRIGHT = 0.95
 
 @dataclass(frozen=True, slots=True)
 class Alignment:
-    """What was found.
+    """The result of an alignment.
 
     Attributes
     ----------
     T_target_point
-        (4, 4) applied to the points.
+        (4, 4) transform applied to the points.
     name
         ``se2`` or ``se3``.
     mirrored
-        A line for people where a mirror image would fit far better; None otherwise.
+        A message if a mirror image would fit far better; None otherwise.
     """
 
     T_target_point: FloatArray
@@ -39,15 +39,15 @@ class Alignment:
 
 
 def align(estimate: Trajectory, truth: Trajectory) -> Alignment:
-    """Lay N poses over their true ones.
+    """Align N poses with their ground truth.
 
-    In the plane where the estimate never leaves it and the true robot stays upright: the true up axis tells
+    In the plane if the estimate never leaves it and the true robot stays upright: the true up axis shows
     which side of the floor is seen.
 
     Raises
     ------
     EvaluationError
-        Where the poses leave the alignment open.
+        If the poses do not determine the alignment.
 
     Examples
     --------
@@ -75,19 +75,19 @@ def align(estimate: Trajectory, truth: Trajectory) -> Alignment:
     T[:3, 3] = truth.positions_m.mean(axis=0) - rotation.apply(points.mean(axis=0))
     if not 2 * mirrored_m < rmse_m:
         return Alignment(T, "se2")
-    why = "a lidar upside down, or an axis or a sign turned round"
+    why = "a lidar mounted upside down, or an inverted axis or sign"
     return Alignment(T, "se2", f"its mirror image fits, to {mirrored_m:.4f} m (RMSE): {why}")
 
 
 def umeyama(points: FloatArray, targets: FloatArray) -> FloatArray:
-    """Rigid motion (4, 4) that brings (N, 3) points nearest to their targets in least squares.
+    """Return the rigid transform (4, 4) that best aligns (N, 3) points with their targets in least squares.
 
-    Umeyama 1991, Eq. (34)-(41), with the scale held at one.
+    Umeyama 1991, Eq. (34)-(41), with the scale fixed at one.
 
     Raises
     ------
     EvaluationError
-        Where the points or the targets lie on a line or in one place.
+        If the points or the targets are on a line or in one place.
 
     Examples
     --------
@@ -114,7 +114,7 @@ def umeyama(points: FloatArray, targets: FloatArray) -> FloatArray:
 
 
 def _turned(points: FloatArray, targets: FloatArray) -> tuple[float, float]:
-    """The turn about z that brings centred points (N, 3) nearest to their targets, and the RMSE left."""
+    """Return the rotation about z that best aligns centred points (N, 3) with their targets, and the RMSE."""
     (xx, xy), (yx, yy) = targets[:, :2].T @ points[:, :2]
     turn = math.atan2(yx - xy, xx + yy)
     off = spatial.transform.Rotation.from_rotvec([0.0, 0.0, turn]).apply(points) - targets
@@ -122,13 +122,13 @@ def _turned(points: FloatArray, targets: FloatArray) -> tuple[float, float]:
 
 
 def _in_plane(trajectory: Trajectory) -> bool:
-    """Whether poses have one height and turn about z alone."""
+    """Return whether poses have one height and rotate only about z."""
     tilted, heights = np.abs(trajectory.quaternions_xyzw[:, :2]).max(), trajectory.positions_m[:, 2]
     return bool(tilted < TINY and np.ptp(heights) < TINY)
 
 
 def _level(truth: Trajectory) -> spatial.transform.Rotation | None:
-    """The turn after which up is along z; None where the robot does not stay upright."""
+    """Return the rotation after which up is along z; None if the robot does not stay upright."""
     up = spatial.transform.Rotation.from_quat(truth.quaternions_xyzw).apply([0.0, 0.0, 1.0]).mean(axis=0)
     if np.linalg.norm(up) < _UPRIGHT:
         return None

@@ -1,4 +1,4 @@
-"""Which pose belongs to which stamp, also where a log's stamps run backward."""
+"""Associate poses with stamps, also if stamps of a log run backward."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Whether covariances are as large as errors: normalised estimation error squared, and coverage.
+"""Consistency of covariances with the errors: normalised estimation error squared (NEES), and coverage.
 
 Y. Bar-Shalom, X. R. Li, T. Kirubarajan, "Estimation with Applications to Tracking and Navigation", Sec. 5.4.
 """
@@ -26,18 +26,18 @@ _SMALLEST = 1e-4
 
 @dataclass(frozen=True, slots=True)
 class Coverage:
-    """How often the truth lies where the covariances say.
+    """How often the ground truth is inside the ellipses of the covariances.
 
     Attributes
     ----------
     count
-        Poses asked.
+        Number of poses compared.
     held_at_s
-        Stamp of the pose at which the trajectory is laid on its truth.
+        Stamp of the pose at which the trajectory is aligned with the ground truth.
     nees
-        Mean squared Mahalanobis distance a degree of freedom: 1 where covariances are as large as errors.
+        Mean squared Mahalanobis distance per degree of freedom: 1 if covariances are as large as errors.
     position, yaw
-        Share of the poses whose 95 % ellipse of the position, and interval of the yaw, holds the truth.
+        Share of the poses whose 95 % ellipse of the position, or interval of the yaw, contains the truth.
     """
 
     count: int
@@ -54,23 +54,23 @@ class Coverage:
 def coverage(
     trajectory: Trajectory, covariances: FloatArray, reference: Trajectory, max_difference_s: float
 ) -> Coverage:
-    """Compare N poses and their covariances with the truth.
+    """Compare N poses and their covariances with the ground truth.
 
-    Covariances are relative to a pose that is held. An alignment of all poses would take out much of the
-    error that they tell of, so the trajectory is laid on its truth at one pose: the surest, which is the one
-    held.
+    Covariances are relative to a fixed pose. An alignment over all poses would remove much of the error that
+    they describe. So the trajectory is aligned with the ground truth at one pose: the one with the smallest
+    covariance, which is the fixed one.
 
     Parameters
     ----------
     covariances
         (N, 3, 3) or (N, 6, 6), see `slam.Map.covariances`.
     max_difference_s
-        Greatest time from a pose to a true one; between two the truth is interpolated.
+        Largest time between a pose and a ground truth pose; the ground truth is interpolated.
 
     Raises
     ------
     EvaluationError
-        Where fewer than two poses have a true one, or a covariance is not positive definite.
+        If fewer than two poses have a ground truth, or a covariance is not positive definite.
     """
     truth, found = _truth_at(reference, trajectory.stamps_s, max_difference_s)
     estimate, covariances = trajectory[found], covariances[found]
@@ -107,9 +107,9 @@ def _squares(errors: FloatArray, covariances: FloatArray) -> FloatArray:
 
 
 def _errors(estimate: Trajectory, truth: Trajectory, held: int) -> FloatArray:
-    """(N, 6) position and rotation vector, along the map's axes, from poses to their truth.
+    """Return (N, 6) position and rotation vector, along the map's axes, from poses to their ground truth.
 
-    Exponential coordinates: in them a way that is turned about a point of it is off in a straight line (Long,
+    In exponential coordinates, rotating a path about one of its points gives errors on a straight line (Long,
     Wolfe, Mashner, Chirikjian 2012, "The banana distribution is Gaussian").
     """
     own, true = (spatial.transform.Rotation.from_quat(one.quaternions_xyzw) for one in (estimate, truth))
@@ -124,7 +124,7 @@ def _errors(estimate: Trajectory, truth: Trajectory, held: int) -> FloatArray:
 
 
 def _truth_at(reference: Trajectory, stamps_s: FloatArray, limit_s: float) -> tuple[Trajectory, Indices]:
-    """The truth at those of (N,) stamps where it is known, and their numbers."""
+    """Return the ground truth at those of (N,) stamps where it is known, and their indices."""
     found = np.flatnonzero(
         np.abs(reference.stamps_s[nearest_indices(reference.stamps_s, stamps_s)] - stamps_s) <= limit_s
     )

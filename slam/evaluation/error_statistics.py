@@ -1,4 +1,4 @@
-"""The figures by which every error list is reported."""
+"""Statistics that are reported for every list of errors."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from slam.measurements import FloatArray
 
 @dataclass(frozen=True, slots=True)
 class ErrorStatistics:
-    """Statistics of non-negative errors, all in the errors' own unit; ``std`` is that of the population."""
+    """Statistics of non-negative errors, in the unit of the errors; ``std`` is that of the population."""
 
     rmse: float
     mean: float
@@ -22,7 +22,7 @@ class ErrorStatistics:
 
     @classmethod
     def of(cls, errors: FloatArray) -> ErrorStatistics:
-        """From (N,) errors, N >= 1."""
+        """Compute the statistics of (N,) errors, N >= 1."""
         return cls(
             rmse=float(np.sqrt(np.mean(np.square(errors)))),
             mean=float(np.mean(errors)),

@@ -1,4 +1,4 @@
-"""What figures by matplotlib share: their look, and how they become PNG."""
+"""Common parts of matplotlib figures: their style, and conversion to PNG."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""report.html of a localised drive: the way over the map, states and confidence over time, what it cost."""
+"""report.html of a localised log: the path on the map, states and confidence over time, and the cost."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ def write_localization_report(
     Raises
     ------
     MapFileError
-        Where the folder is missing, not writable or full; an older report then stays as it was.
+        If the folder is missing, not writable or full; an older report then stays as it was.
     """
     page = _page(title, drive, layers)
     write_page(
@@ -81,7 +81,11 @@ def _page(title: str, drive: DriveLog, layers: LayeredMap | None) -> WorkPage:
         }
         for name, values in columns
     ]
-    found = {"name": "found", "title": "when it was found", "classes": ["at once", "later, by going back"]}
+    found = {
+        "name": "found",
+        "title": "when it was found",
+        "classes": ["at once", "later, from when the robot was found"],
+    }
     way["more"].append({**found, "values": later.astype(np.uint8)})
     head: dict[str, Any] = {
         "kind": "localization",
@@ -109,7 +113,7 @@ def _charts(drive: DriveLog, sigmas: tuple[FloatArray, FloatArray]) -> list[dict
     rows = [
         ("Share that the map explains", drive.supports, 1.0),
         ("Sigma of the position, cm", 100.0 * sigmas[0], None),
-        ("Time a measurement, ms", 1000.0 * drive.seconds, None),
+        ("Time per measurement, ms", 1000.0 * drive.seconds, None),
     ]
     charts = [chart("Confidence", "time, s", since, states, most=1.0, colors=_COLORS)]
     return charts + [
@@ -123,7 +127,7 @@ def _shares(drive: DriveLog) -> list[tuple[str, str]]:
     rows = [(state.value, f"{100.0 * drive.share_of(state):.1f} %") for state in STATES]
     tracked = int(np.count_nonzero(drive.states == STATES.index(State.TRACKING)))
     later = len(drive.trajectory()) - tracked
-    return [*rows, ("poses found later, by going back from where it was found", f"{later:,}")]
+    return [*rows, ("poses of earlier moments, found later", f"{later:,}")]
 
 
 def _cost(drive: DriveLog) -> str:
@@ -132,6 +136,4 @@ def _cost(drive: DriveLog) -> str:
         return "Nothing was localised."
     median, greatest = 1000.0 * np.median(drive.seconds), 1000.0 * drive.seconds.max()
     rate = len(drive) / drive.seconds.sum()
-    return (
-        f"{median:.1f} ms a measurement (median), {greatest:.0f} ms at most, {rate:.0f} a second on average."
-    )
+    return f"{median:.1f} ms per measurement (median), {greatest:.0f} ms at most, {rate:.0f} per second."

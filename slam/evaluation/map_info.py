@@ -1,4 +1,4 @@
-"""What is in a saved map, for ``scanweave info``."""
+"""Contents of a saved map, for ``scanweave info``."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def map_info(path: Path) -> dict[str, Any]:
     Raises
     ------
     MapFileError
-        Where there is none, it is damaged, or a run is writing it.
+        If there is none, it is damaged, or a run is writing it.
     """
     try:
         file = MapFile.read(path)

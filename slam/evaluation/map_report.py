@@ -1,4 +1,4 @@
-"""What a run has come to, as its report tells of it."""
+"""Results of a run, as shown in its report."""
 
 from __future__ import annotations
 
@@ -78,7 +78,7 @@ def beside_of(
         if true_trajectory is not None:
             truth = compare_with_truth(result.map.trajectory, true_trajectory)
             if truth.error.mirrored:
-                lines.append(f"The map is not the truth: {truth.error.mirrored}")
+                lines.append(f"The map disagrees with the ground truth: {truth.error.mirrored}")
     except ScanweaveError as error:
         lines.append(f"Not compared with the ground truth: {error}")
     try:
@@ -201,23 +201,21 @@ def _warnings(data: ReportData) -> list[str]:
         return lines
     lost = int(np.count_nonzero(scans.unmatched & ~carried))
     if lost > _UNMATCHED_SHARE * count:
-        lines.append(f"{lost:,} of {count:,} {unit}s matched nothing; their motion is dead reckoning.")
+        lines.append(f"{lost:,} of {count:,} {unit}s matched nothing; their motion is from dead reckoning.")
     helped = int(np.count_nonzero(scans.unmatched & carried))
     if unit == "scan" and helped > _UNMATCHED_SHARE * count:
-        lines.append(
-            f"At {helped:,} of {count:,} moments the lidar reported nothing; cameras reported the motion."
-        )
+        lines.append(f"At {helped:,} of {count:,} moments only the cameras gave a motion, not the lidar.")
     tried, fitted = len(data.result.map.loops), sum(loop.accepted for loop in data.result.map.loops)
     if unit == "frame" and tried >= FEWEST // 2 and fitted < _FITTING_SHARE * tried:
         lines.append(
-            f"Only {fitted:,} of the {tried:,} places that the camera came back to fit what was seen there: "
-            "its lens, registration or depth is wrong, or its colour and depth are of different times."
+            f"Only {fitted:,} of the {tried:,} revisited places match what the camera saw there before: "
+            "its lens, registration or depth is wrong, or its colour and depth images have different times."
         )
     degenerate = float(scans.degenerate.mean())
     if degenerate > _UNMATCHED_SHARE:
         what = "corridors" if unit == "scan" else "flat or empty views"
         lines.append(
-            f"{degenerate:.1%} of the {unit}s leave a direction open ({what}); its variance was inflated."
+            f"{degenerate:.1%} of the {unit}s do not fix one direction ({what}); its variance was inflated."
         )
     return lines
 

@@ -1,8 +1,8 @@
-"""The data of a page as one block: a JSON head, then arrays as they lie in memory; packed, as text.
+"""Data of a page as one block: a JSON head, then arrays as they are in memory; compressed, as text.
 
-Four bytes tell the head's length, little-endian, which with them is a multiple of eight; the arrays follow,
-each at a multiple of eight from there. In the head an array is ``{"dtype": "f4", "shape": [rows, columns],
-"offset": bytes}``. ``templates/page/data.js`` reads it.
+The first four bytes are the length of the head, little-endian; together with them it is a multiple of eight.
+The arrays follow, each at a multiple of eight from there. In the head an array is ``{"dtype": "f4", "shape":
+[rows, columns], "offset": bytes}``. ``templates/page/data.js`` reads it.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""What the charts of a page draw: series over time or over the log, thinned to what can be seen."""
+"""Data of the charts on a page: series over time or over the log, thinned to what is visible."""
 
 from __future__ import annotations
 
@@ -71,7 +71,7 @@ def map_charts(result: MapResult, unit: str, truth: TruthComparison | None) -> l
     if truth is not None:
         errors_cm = 100.0 * truth.errors_m
         series = {"error, cm": errors_cm}
-        found.append(chart("Distance from the truth, cm", "time, s", _since(truth.stamps_s), series))
+        found.append(chart("Error against the ground truth, cm", "time, s", _since(truth.stamps_s), series))
     for name, record in result.cameras.items():
         found += _tracking(name, record.frames)
     found += [] if result.fused is None else _fusion(result.fused)
@@ -102,7 +102,7 @@ def _scores(result: MapResult) -> list[dict[str, Any]]:
     since, open_ = _since(scans.stamps_s[keyframes]), scans.degenerate[keyframes] > 0.0
     return [
         chart(
-            "Share of the points that fit",
+            "Share of matching points",
             "time, s",
             since,
             _split(scans.inlier_shares[keyframes], open_),
@@ -120,13 +120,13 @@ def _scores(result: MapResult) -> list[dict[str, Any]]:
 def _split(values: FloatArray, open_: BoolArray) -> dict[str, FloatArray]:
     """Values of all matches, and of those that left a direction open."""
     series = {"match": np.where(open_, np.nan, values)}
-    return series | ({"a direction is open": np.where(open_, values, np.nan)} if open_.any() else {})
+    return series | ({"a direction is undetermined": np.where(open_, values, np.nan)} if open_.any() else {})
 
 
 def _tracking(name: str, frames: ScanRecord) -> list[dict[str, Any]]:
     """How well the frames of a camera fitted; a lost frame is a point at zero."""
     rows = {
-        "share of the points that fit": frames.inlier_shares,
+        "share of matching points": frames.inlier_shares,
         "overlap": frames.overlaps,
         "features that agree": frames.feature_counts,
         "reprojection, px": frames.residuals_px,
@@ -175,7 +175,7 @@ def _times(seconds: FloatArray, unit: str) -> dict[str, Any]:
     # The first of all loads compiled code: it may leave the picture rather than flatten all others.
     top = max(min(1.15 * float(high.max()), 4.0 * float(np.percentile(high, 95.0))), 1e-3)
     series = {"95 %": high, "least": np.nanmin(stretches, axis=1), "median": np.nanmedian(stretches, axis=1)}
-    return chart(f"Time a {unit}, ms", unit, middle, series, lines=True, band=True, most=top)
+    return chart(f"Time per {unit}, ms", unit, middle, series, lines=True, band=True, most=top)
 
 
 def _since(stamps_s: FloatArray) -> FloatArray:

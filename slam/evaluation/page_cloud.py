@@ -1,4 +1,4 @@
-"""The cloud and the images of a map as a page shows them: thinned to a stated size."""
+"""Cloud and images of a map for its page, thinned to a given size."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ def cloud_data(found: MapContents, cloud: ColoredCloud | None) -> tuple[dict[str
     data = {"points": steps, "colors": colors[inside], "low": low, "step_m": step_m, "up": up}
     if intensities is not None and np.ptp(intensities := np.nan_to_num(intensities[inside])):
         data["by_intensity"] = ramp(intensities)
-    return data, [f"The cloud: {len(steps):,} of {total}, evenly taken."]
+    return data, [f"The cloud: {len(steps):,} of {total}, evenly sampled."]
 
 
 def _of_keyframes(clouds: MapClouds, found: MapContents) -> tuple[FloatArray, FloatArray | None, str]:

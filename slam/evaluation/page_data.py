@@ -1,4 +1,4 @@
-"""A finished map as the data of its page: nodes, edges, loops, scans and the way, as arrays by name."""
+"""Convert a finished map to the data of its page: nodes, edges, loops, scans and path, as named arrays."""
 
 from __future__ import annotations
 
@@ -136,7 +136,7 @@ def way_data(
         "yaw_sigma": sigmas[1][chosen],
         "speed": speed,
     }
-    told = [] if chosen.step == 1 else [f"The way: {len(part):,} of {count:,} poses, evenly taken."]
+    told = [] if chosen.step == 1 else [f"Trajectory: {len(part):,} of {count:,} poses, evenly sampled."]
     return data, told, chosen
 
 
@@ -281,6 +281,9 @@ def _repairs(found: MapContents) -> dict[str, Any]:
             continue
         was, now = np.isfinite(before.ranges_m), np.isfinite(after.ranges_m) & (after.ranges_m > 0.0)
         changed = now & (after.ranges_m != before.ranges_m)
+        if not changed.any():  # what moved was taken out, no more
+            parts.append(np.zeros((0, 2), np.int16))
+            continue
         chosen = [(after, changed & ~was), (after, changed & was), (before, changed & was)]
         rows = [_centimetres(_points_base(scan, which)[::step]) for scan, which in chosen]
         parts.append(np.vstack(rows))

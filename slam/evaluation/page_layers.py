@@ -1,4 +1,4 @@
-"""The layers of a map as pictures that lie under the page's plan."""
+"""Layers of a map as images under the plan of its page."""
 
 from __future__ import annotations
 
@@ -25,14 +25,14 @@ _SHADES = ((205, 205, 205), (254, 254, 254), (232, 232, 232), (0, 0, 0))
 _CONFLICT = ((0, 0, 0), (217, 115, 13), (147, 51, 234))
 _GONE = (220, 38, 38)
 LEGENDS = {
-    "map": "The map to drive by: black is what the robot must not hit, white is free.",
-    "probability": "How likely a cell is occupied, by all sensors together: white 0, black 1.",
-    "lidar": "The lidar alone, at its own height (layers/lidar.yaml).",
-    "depth": "The cameras alone, within the robot's height (layers/depth.yaml).",
-    "fused": "Both as one probability: unknown where they contradict each other (layers/fused.yaml).",
-    "what has gone": "Red: the lidar saw it stand for a while, and beams have passed since "
-    "(layers/passed_by.yaml); it is not in the map.",
-    "what differs": "Orange: only the cameras see an obstacle. Violet: only the lidar does.",
+    "map": "The map for navigation: black is an obstacle, white is free.",
+    "probability": "Probability that a cell is occupied, from all sensors: white 0, black 1.",
+    "lidar": "Lidar only, at its own height (layers/lidar.yaml).",
+    "depth": "Cameras only, over the robot's height (layers/depth.yaml).",
+    "fused": "Lidar and cameras fused; unknown where they contradict each other (layers/fused.yaml).",
+    "removed objects": "Red: seen by the lidar for a while, then passed by beams "
+    "(layers/passed_by.yaml); not in the map.",
+    "sensors disagree": "Orange: only the cameras see an obstacle. Violet: only the lidar does.",
 }
 
 
@@ -109,7 +109,7 @@ def areas_m2(layers: LayeredMap) -> tuple[float, float]:
 
 
 def _map(layers: LayeredMap) -> Picture:
-    """The map to drive by, what only the lidar saw free in a kind of its own."""
+    """The navigation map, what only the lidar saw free in a kind of its own."""
     kinds = _kinds(layers, "decision")
     if layers.names:
         kinds[layers.free_at_lidar_height() & (kinds == _UNSEEN)] = _LIDAR_HEIGHT
@@ -133,7 +133,7 @@ def _pictures(layers: LayeredMap, passed_by: OccupancyGrid | None) -> Iterator[P
         kinds = np.zeros(lidar.shape, np.uint8)
         kinds[(lidar == FREE) & (depth == OCCUPIED)] = 1
         kinds[(lidar == OCCUPIED) & (depth == FREE)] = 2
-        yield Picture("what differs", kinds, _CONFLICT)
+        yield Picture("sensors disagree", kinds, _CONFLICT)
     if passed_by is not None:
         yield _gone(layers, passed_by)
 
@@ -145,7 +145,7 @@ def _gone(layers: LayeredMap, passed_by: OccupancyGrid) -> Picture:
     apart = layers.T_map_grid.between(passed_by.T_map_grid)
     row, column = round(apart.y() / layers.resolution_m), round(apart.x() / layers.resolution_m)
     kinds[rows + row, columns + column] = len(_SHADES)
-    return Picture("what has gone", kinds, (*_SHADES, _GONE))
+    return Picture("removed objects", kinds, (*_SHADES, _GONE))
 
 
 def _kinds(layers: LayeredMap, name: LayerName) -> NDArray[np.uint8]:

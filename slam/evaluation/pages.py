@@ -1,6 +1,6 @@
-"""Pages of one file that ask nothing of the network, and texts, from the templates beside this file.
+"""Create single-file HTML pages without network access, and texts, from the templates in this folder.
 
-`parts` are the pieces of ``templates/parts.html`` as functions that give HTML.
+`parts` are the pieces of ``templates/parts.html`` as functions that return HTML.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ def write_page(path: Path, template: str, **values: Any) -> None:
     Raises
     ------
     MapFileError
-        Where the folder is missing, not writable or full; an older page then stays as it was.
+        If the folder is missing, not writable or full; an older page then stays as it was.
     """
     with replacing(path) as temporary, temporary.open("w", encoding="utf-8") as file:
         file.writelines(page_parts(template, **values))

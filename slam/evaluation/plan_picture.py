@@ -1,4 +1,4 @@
-"""A picture of a planned path over its map."""
+"""Draw a planned path on its map."""
 
 from __future__ import annotations
 

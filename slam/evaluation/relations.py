@@ -1,7 +1,7 @@
-"""Kuemmerle 2009: score a trajectory by relative poses that people have checked by hand.
+"""Kuemmerle 2009: score a trajectory by relative poses that were checked by hand.
 
 R. Kuemmerle et al., "On measuring the accuracy of SLAM algorithms", Autonomous Robots 27(4), 2009.
-The score needs no global reference frame, so that one early error does not spoil all that follows.
+The score needs no global reference frame, so one early error does not affect all later poses.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ SHORT_RELATION_S = 20.0
 
 @dataclass(frozen=True, slots=True)
 class Relations:
-    """Reference relations: the pose of the base at the second stamp seen from the first.
+    """Reference relations: pose of the base at the second stamp relative to the first.
 
     Attributes
     ----------
@@ -56,7 +56,7 @@ class RelationGroupScore:
 
 @dataclass(frozen=True, slots=True)
 class RelationScore:
-    """Errors over all relations that could be used, and over the short and the long ones.
+    """Errors over all usable relations, and over the short and the long ones.
 
     Attributes
     ----------
@@ -80,7 +80,7 @@ class RelationScore:
         return self.all.used
 
     def to_dict(self) -> dict[str, Any]:
-        """For JSON: the figures over all relations on top, the two groups below."""
+        """Return a dict for JSON: the statistics of all relations first, then of the two groups."""
         groups = asdict(self)
         return {**groups.pop("all"), **groups}
 
@@ -91,7 +91,7 @@ def read_relations(path: Path) -> Relations:
     Raises
     ------
     EvaluationError
-        Naming the line and the reason, where it has not eight finite numbers; or where the file holds none.
+        If a line does not have eight finite numbers (the message names it), or the file is empty.
 
     Examples
     --------
@@ -120,14 +120,14 @@ def read_relations(path: Path) -> Relations:
 def score_relations(trajectory: Trajectory, relations: Relations) -> RelationScore:
     """Compare a trajectory with relations, component by component, in the ground plane.
 
-    The pose nearest in time to each stamp is taken, within 0.1 s and not interpolated; the trajectory may be
-    in any order. The error is the difference of x, y and yaw between inverse(p1) * p2 and the relation, taken
-    by component as the published figures are (not as a composition of the two motions).
+    For each stamp, the pose nearest in time is used, within 0.1 s and without interpolation. The trajectory
+    may be in any order. The error is the difference of x, y and yaw between inverse(p1) * p2 and the
+    relation, by component as in the published figures (not as a composition of the two motions).
 
     Raises
     ------
     EvaluationError
-        Where not one relation has poses at both its stamps.
+        If no relation has poses at both stamps.
 
     Examples
     --------
@@ -165,7 +165,7 @@ def score_relations(trajectory: Trajectory, relations: Relations) -> RelationSco
 
 
 def _look_up(trajectory: Trajectory, stamps_s: FloatArray) -> tuple[NDArray[np.intp], BoolArray]:
-    """Index of the nearest pose to every stamp, and whether it is near enough."""
+    """Return the index of the pose nearest to every stamp, and whether it is near enough."""
     nearest = nearest_indices(trajectory.stamps_s, stamps_s)
     return nearest, np.abs(trajectory.stamps_s[nearest] - stamps_s) <= MAX_STAMP_DIFFERENCE_S
 

@@ -1,8 +1,9 @@
-"""One self-contained report.html a run: what came in, what was decided, how certain, at what cost."""
+"""Write one self-contained report.html per run: input, decisions, uncertainty and cost."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -22,22 +23,23 @@ from slam.mapper.scan_record import CameraRecord
 from slam.measurements import FloatArray
 
 
-def write_report(path: Path, data: ReportData, head: dict[str, Any] | None = None) -> None:
+def write_report(path: Path, data: ReportData, head: Callable[[], Any] = lambda: None) -> None:
     """Write the report as one HTML file that asks nothing of the network.
 
     Parameters
     ----------
     head
-        `map_data` of the map without its digest, where it is there already.
+        Tells `map_data` of the map without its digest, or None; asked when all else is there.
 
     Raises
     ------
     MapFileError
-        Where the folder is missing, not writable or full; an older report then stays as it was.
+        If the folder is missing, not writable or full; an older report then stays as it was.
     """
     result = data.result
-    truth, page = data.beside.truth, _page(data, head)
-    degenerate = result.scans.degenerate[result.map.readings] > 0.0
+    truth, degenerate = data.beside.truth, result.scans.degenerate[result.map.readings] > 0.0
+    loops = loop_section(result.map, data.config, int(np.count_nonzero(degenerate)))
+    page = _page(data, head())
     write_page(
         path,
         "map.html",
@@ -52,7 +54,7 @@ def write_report(path: Path, data: ReportData, head: dict[str, Any] | None = Non
         camera_rows=[_camera_cells(name, record) for name, record in result.cameras.items()],
         truth=truth,
         truth_deg=0.0 if truth is None else math.degrees(truth.error.rotation_rad.rmse),
-        loops=loop_section(result.map, data.config, int(np.count_nonzero(degenerate))),
+        loops=loops,
         stages=_stages(data),
         effective_config=dump_config(data.config),
     )
@@ -70,7 +72,10 @@ def _headline(data: ReportData) -> list[tuple[str, str]]:
         ("log lasts", _duration(data.duration_s)),
         ("wall time", f"{cost.wall_s:,.1f} s"),
         ("CPU time", f"{cost.cpu_s:,.1f} s"),
-        (f"median time a {data.unit}", f"{1e3 * float(np.median(seconds)):.2f} ms" if seconds.size else "–"),
+        (
+            f"median time per {data.unit}",
+            f"{1e3 * float(np.median(seconds)):.2f} ms" if seconds.size else "–",
+        ),
         ("real-time factor", f"{data.duration_s / cost.wall_s:,.1f} ×" if cost.wall_s > 0 else "–"),
         ("peak memory", f"{cost.peak_memory_mb():,.0f} MB"),
     ]

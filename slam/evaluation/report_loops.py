@@ -1,4 +1,4 @@
-"""The part of a map's page about its loops: what held its shape, what was accepted, what not and why."""
+"""Section of a map's page about its loops: which were accepted, which rejected and why, and their effect."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The page of a saved map, without the run that made it; and the plan of any map with cloud and images."""
+"""Page of a saved map without its run, and the plan of any map with cloud and images."""
 
 from __future__ import annotations
 
@@ -80,7 +80,7 @@ def write_saved_page(saved: Map) -> Path:
     Raises
     ------
     MapFileError
-        Where it cannot be written.
+        If it cannot be written.
     """
     path = saved.path.parent / REPORT
     with replacing(path) as temporary, temporary.open("w", encoding="utf-8") as file:
@@ -110,8 +110,8 @@ def _legend(layers: LayeredMap | None) -> str:
     if not lidar_m2:
         return f"{LEGENDS['map']} Free: {free_m2:.1f} m²."
     return (
-        f"{LEGENDS['map']} Light grey is free at the height of the lidar only, no camera saw all heights of "
-        f"the robot there; layers.rule tells whether it may drive there. Free: {free_m2:.1f} m²; at the "
+        f"{LEGENDS['map']} Light grey is free at the height of the lidar only: no camera saw all heights of "
+        f"the robot there. layers.rule decides whether it may drive there. Free: {free_m2:.1f} m²; at the "
         f"height of the lidar only: {lidar_m2:.1f} m²."
     )
 

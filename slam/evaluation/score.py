@@ -1,4 +1,4 @@
-"""Score a trajectory against relations or the truth, and say so to people."""
+"""Score a trajectory against ground truth or relations, and format the scores."""
 
 from __future__ import annotations
 
@@ -32,37 +32,38 @@ def evaluate(
     delta_m: float = 1.0,
     covariances: FloatArray | None = None,
 ) -> dict[str, Any]:
-    """Score a trajectory by ATE and RPE (Sturm 2012) against the truth, or by relations (Kuemmerle 2009).
+    """Score a trajectory by ATE and RPE (Sturm 2012) with ground truth, or by relations (Kuemmerle 2009).
 
     Parameters
     ----------
     trajectory
-        Poses in a frame of their own, a map of such, or a TUM file of them.
+        A trajectory in any frame, a map, or a TUM file.
     groundtruth
-        True poses, a file of them (TUM's, EuRoC's, KITTI's, Newer College's, NCLT's, Boreas', MulRan's or
-        Redwood's form), or the folder of a dataset that comes with its truth. The ATE is taken after
-        the rigid alignment of Umeyama 1991 without scale, or in the plane where the poses never leave it.
+        Ground truth poses, a file of them (format of TUM, EuRoC, KITTI, Newer College, NCLT, Boreas, MulRan
+        or Redwood), or the folder of a dataset with ground truth. The ATE is computed after rigid alignment
+        (Umeyama 1991, without scale), or planar alignment if all poses are in the plane.
     relations
-        Relative poses that people have checked, or a file of them: ``t1 t2 x y z roll pitch yaw``.
+        Relative poses checked by hand, or a file of them: ``t1 t2 x y z roll pitch yaw``.
     tolerance_s
-        Greatest time between a pose and its true pose; None for 0.05 s. Relations have their own, 0.1 s.
+        Largest time difference between pose and ground truth; None uses 0.05 s. Relations always use 0.1 s.
     delta_m
-        The RPE is of motions over this many metres.
+        Path length in metres of the motions that the RPE compares.
     covariances
-        Of every pose, as `slam.Map.covariances`; None for those of a file beside the trajectory's, where
-        ``scanweave map`` has written one.
+        Covariance of every pose, as `slam.Map.covariances`. None reads the file that ``scanweave map`` wrote
+        next to the trajectory, if there is one.
 
     Returns
     -------
-    By name: ``ate`` and ``rpe``, or ``relations``; in each ``translation_m`` and ``rotation_rad`` with
-    ``mean``, ``std``, ``median``, ``rmse`` and ``max``. The ``rpe`` of a drive shorter than ``delta_m`` is
-    None. With covariances and a truth also ``coverage``: ``nees``, and the shares of poses whose 95 % ellipse
-    of the ``position`` and interval of the ``yaw`` hold the truth, laid on it at the surest pose.
+    By name: ``ate`` and ``rpe``, or ``relations``. Each has ``translation_m`` and ``rotation_rad`` with
+    ``mean``, ``std``, ``median``, ``rmse`` and ``max``. ``rpe`` is None if the path is shorter than
+    ``delta_m``. With covariances and ground truth also ``coverage``: the ``nees``, and the shares of poses
+    whose 95 % ellipse (``position``) and interval (``yaw``) contain the ground truth, aligned at the pose
+    with the smallest covariance.
 
     Raises
     ------
     DatasetError, EvaluationError, MapFileError
-        For files that cannot be read or share no time, or where not exactly one reference is given.
+        If a file cannot be read, the times do not overlap, or not exactly one reference is given.
 
     Examples
     --------
@@ -101,7 +102,7 @@ def evaluate(
 
 
 def score_text(scores: dict[str, Any]) -> str:
-    """A few lines for people; angles in degrees."""
+    """Format scores as a few lines of text, with angles in degrees."""
     lines = []
     for name, values in scores.items():
         if values is None:
@@ -113,7 +114,7 @@ def score_text(scores: dict[str, Any]) -> str:
 
 
 def _lines(values: dict[str, Any], indent: str) -> list[str]:
-    """Nested figures, one line a group of statistics."""
+    """Yield one line for each group of statistics."""
     lines = []
     for name, value in values.items():
         if isinstance(value, dict) and "mean" in value:
@@ -131,7 +132,7 @@ def _lines(values: dict[str, Any], indent: str) -> list[str]:
 
 
 def _beside(path: Path, poses: Trajectory) -> FloatArray | None:
-    """The covariances of a trajectory file; None where there are none."""
+    """Return the covariances of a trajectory file; None if there are none."""
     beside = covariance_path(path)
     if not beside.is_file():
         return None
@@ -142,13 +143,13 @@ def _beside(path: Path, poses: Trajectory) -> FloatArray | None:
 
 
 def _poses(source: Trajectory | Map | Path | str) -> Trajectory:
-    """A trajectory, or that of a map or a TUM file."""
+    """Return a trajectory, or that of a map or a TUM file."""
     source = source.trajectory if isinstance(source, Map) else source
     return source if isinstance(source, Trajectory) else read_tum(Path(source))
 
 
 def _truth(source: Trajectory | Map | Path | str) -> Trajectory:
-    """As `_poses`, what a data set publishes of its recordings, or what a recording knows of its truth."""
+    """As `_poses`, also the ground truth that a data set publishes or a recording contains."""
     if isinstance(source, Trajectory | Map):
         return _poses(source)
     if Path(source).is_file():

@@ -1,4 +1,4 @@
-"""Absolute and relative error of a trajectory against a reference: ATE and RPE, equal to evo's figures.
+"""Absolute and relative trajectory error against a reference: ATE and RPE, equal to the results of evo.
 
 J. Sturm et al., "A benchmark for the evaluation of RGB-D SLAM systems", IROS 2012.
 """
@@ -24,20 +24,20 @@ DEFAULT_MAX_DIFFERENCE_S = 0.01
 
 @dataclass(frozen=True, slots=True)
 class AbsoluteError:
-    """ATE: how far each pose is from its reference after the alignment.
+    """ATE: distance of each pose to its reference after the alignment.
 
     Attributes
     ----------
     count
         Pairs of poses compared.
     T_reference_map
-        (4, 4) what the alignment applied to the trajectory.
+        (4, 4) transform that the alignment applied to the trajectory.
     translation_m, rotation_rad
-        Distance, and angle of the rotation between the two poses.
+        Errors: distance, and angle of the rotation between the two poses.
     alignment
-        ``se3``: rigid in space, without scale; ``se2``: of a robot on a floor, turned in the plane alone.
+        ``se3``: rigid in 3D, without scale; ``se2``: rigid in the plane, for a robot on a floor.
     mirrored
-        Said where its mirror image would fit far better; None otherwise.
+        A message if the mirror image would fit far better; None otherwise.
     """
 
     count: int
@@ -54,14 +54,14 @@ class AbsoluteError:
 
 @dataclass(frozen=True, slots=True)
 class RelativeError:
-    """RPE: how far the motions over a fixed distance are from the reference's.
+    """RPE: error of the motions over a fixed distance, compared with the reference.
 
     Attributes
     ----------
     count
-        Motions compared.
+        Number of motions compared.
     delta, unit
-        Their length.
+        Length of the motions.
     translation_m, rotation_rad
         Errors of a whole motion (not divided by its length).
     """
@@ -76,12 +76,12 @@ class RelativeError:
 def associate(
     trajectory: Trajectory, reference: Trajectory, max_difference_s: float = DEFAULT_MAX_DIFFERENCE_S
 ) -> tuple[Trajectory, Trajectory]:
-    """Pairs of poses near in time: for each pose of the shorter trajectory the nearest of the longer.
+    """Associate poses by time: to each pose of the shorter trajectory the nearest of the longer.
 
     Raises
     ------
     EvaluationError
-        Where not one pair is within ``max_difference_s``.
+        If no pair is within ``max_difference_s``.
 
     Examples
     --------
@@ -116,13 +116,13 @@ def absolute_error(
 ) -> AbsoluteError:
     """Absolute trajectory error of associated poses after a rigid alignment without scale.
 
-    A robot on a floor is aligned in the plane: in space a mirror image could be turned over to fit.
+    A robot on a floor is aligned in the plane: in 3D, a mirror image could be flipped to fit.
 
     Raises
     ------
     EvaluationError
-        Where no poses can be associated, or they leave the alignment open: in space on a line, in the plane
-        in one place.
+        If no poses can be associated, or they do not determine the alignment: in 3D on a line, in the plane
+        in one point.
 
     Examples
     --------
@@ -163,12 +163,12 @@ def relative_error(
 
     Returns
     -------
-    None where the trajectory holds no motion that long.
+    The errors; None if the trajectory has no motion of that length.
 
     Raises
     ------
     EvaluationError
-        Where no poses can be associated, or ``delta_m`` is not positive.
+        If no poses can be associated, or ``delta_m`` is not positive.
 
     Examples
     --------
@@ -198,7 +198,7 @@ def relative_error(
 
 
 def _pairs_by_path(positions_m: FloatArray, delta_m: float) -> tuple[Any, Any]:
-    """Start and end indices ``delta_m`` of path apart."""
+    """Return start and end indices that are ``delta_m`` of path apart."""
     steps = np.linalg.norm(np.diff(positions_m, axis=0), axis=1)
     marks, travelled = [0], 0.0
     for index, step in enumerate(steps.tolist(), start=1):
@@ -210,7 +210,7 @@ def _pairs_by_path(positions_m: FloatArray, delta_m: float) -> tuple[Any, Any]:
 
 
 def _motions(trajectory: Trajectory, starts: Any, ends: Any) -> tuple[FloatArray, spatial.transform.Rotation]:
-    """inverse(start) * end: translations (N, 3) and N rotations."""
+    """Return inverse(start) * end: translations (N, 3) and N rotations."""
     rotations = spatial.transform.Rotation.from_quat(trajectory.quaternions_xyzw)
     back = rotations[starts].inv()
     moved = trajectory.positions_m[ends] - trajectory.positions_m[starts]

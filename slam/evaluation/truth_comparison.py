@@ -1,4 +1,4 @@
-"""A trajectory laid over the true one: what the report draws of it."""
+"""Comparison of a trajectory with ground truth, as drawn in the report."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ def compare_with_truth(trajectory: Trajectory, truth: Trajectory) -> TruthCompar
     Raises
     ------
     EvaluationError
-        Where no poses can be associated, or they lie on a line, which leaves the alignment open.
+        If no poses can be associated, or they lie on a line, which leaves the alignment open.
     """
     error = absolute_error(trajectory, truth, max_difference_s=MAX_DIFFERENCE_S)
     estimate, reference = associate(trajectory, truth, MAX_DIFFERENCE_S)

@@ -1,4 +1,4 @@
-"""The plan to work in, as parts of a page: its data, its scripts, and a picture for who runs no scripts."""
+"""The interactive plan as parts of a page: data, scripts, and a picture for browsers without scripts."""
 
 from __future__ import annotations
 

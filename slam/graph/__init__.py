@@ -1,1 +1,1 @@
-"""The pose graph: its edges, loop closure, and how sure its poses are."""
+"""The pose graph: its edges, loop closure, and the uncertainty of its poses."""

@@ -1,10 +1,11 @@
-"""Places on the earth as edges of the pose graph, and where the map lies on the earth.
+"""Positions on the earth as edges of the pose graph, and the georeference of the map.
 
-The earth joins the graph as one more node, a measured place as an edge from it that tells no heading. All are
-solved together, the places' errors by Student's t with three degrees of freedom (Lange, Little and Taylor
-1989), for walls mirror signals. Receivers tell too small covariances, too: neighbours show by how much.
-Then what the earth has shown is told from node 0, which lies where the map does, so that these edges are as
-others: they may be refused, are saved, and hold when the map is edited or joined.
+The earth is added to the graph as one more node; each measured position is an edge from it that gives no
+heading. All are solved together. The position errors have Student's t distribution with three degrees of
+freedom (Lange, Little and Taylor 1989), because walls reflect signals. Receivers also report covariances that
+are too small; neighbouring fixes show by how much. Then the edges are expressed from node 0, which is fixed
+in the map, so that they are like other edges: they may be rejected, are saved, and hold for edited or joined
+maps.
 """
 
 from __future__ import annotations
@@ -93,7 +94,7 @@ def anchored(
 
     Returns
     -------
-    None where the way is no longer than the anchors are uncertain: they do not tell how the map is turned.
+    None if the way is no longer than the anchors are uncertain: they do not tell how the map is turned.
     """
     axes = 3 if isinstance(poses[0], gtsam.Pose3) else 2
     places = np.array([one.place_m for one in anchors])

@@ -1,6 +1,6 @@
-"""What a set of claims entails is tried: where they are true, all that lies along both ways must fit as well.
+"""Test the consequences of a set of place claims: if they are true, everything along both paths must match.
 
-Two corridors look alike for a while, and then they do not.
+Two corridors look alike for a while, but not for long.
 """
 
 from __future__ import annotations

@@ -1,10 +1,9 @@
-"""What holds the shape of the whole map: what its loops had to close, what is left, what else holds it."""
+"""What determines the shape of the whole map: the errors that loops closed, the rest, other constraints."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from copy import deepcopy
 from dataclasses import dataclass
 
 import numpy as np
@@ -68,26 +67,30 @@ def closings(held: Sequence[Edge], poses: Sequence[Pose], reach_m: float, most: 
     way_m = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(rows[:, :2], axis=0).T))])
     tracked, piece = _tracked(held, poses)
     groups = []
-    for group in loop_groups(way_m[[(loop.source, loop.target) for loop in loops]], reach_m):
+    for group in loop_groups(way_m[list(map(_ends, loops))], reach_m):
         members = sorted((loops[n] for n in group.tolist()), key=lambda loop: (loop.target, loop.source))
         first = members[0]
         if piece[first.source] == piece[first.target]:
             groups.append((_missed(first, tracked)[0], members))
     groups.sort(key=lambda group: -group[0])
-    steps = graph_of(len(poses), (edge for edge in held if edge.loop is None))
+    graph = graph_of(len(poses), (edge for edge in held if edge.loop is None))
+    # Those of a group are left out together.
+    parts = {_ends(loop): (n, n) for n, (_, members) in enumerate(groups[:most]) for loop in members}
+    for ends, motion in together(loops).items():
+        graph.add_edge(*ends, motion.pose, motion.covariance, parts.get(ends, (-1, -1)))
     found = []
-    for before_m, members in groups[:most]:
-        first, gone = members[0], {id(loop) for loop in members}
-        others = deepcopy(steps)
-        for (source, target), motion in together(loop for loop in loops if id(loop) not in gone).items():
-            others.add_edge(source, target, motion.pose, motion.covariance)
-        without = others.relative_covariances(first.target, np.array([first.source]), rows)
+    for n, (before_m, members) in enumerate(groups[:most]):
+        first = members[0]
+        without = graph.relative_covariances(first.target, np.array([first.source]), rows, without=n)
         after_m, after_sigmas = max(_missed(loop, poses) for loop in members)
         path_m = float(abs(way_m[first.target] - way_m[first.source]))
-        ends = first.source, first.target
         without_m = float(position_sigmas(without)[0])
-        found.append(Closing(*ends, len(members), path_m, before_m, after_m, after_sigmas, without_m))
+        found.append(Closing(*_ends(first), len(members), path_m, before_m, after_m, after_sigmas, without_m))
     return found
+
+
+def _ends(loop: Edge) -> tuple[int, int]:
+    return loop.source, loop.target
 
 
 def _tracked(edges: Sequence[Edge], poses: Sequence[Pose]) -> tuple[list[Pose], NDArray[np.int64]]:

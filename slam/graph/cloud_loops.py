@@ -1,4 +1,4 @@
-"""Loop closure by clouds: places near by the estimate or by their appearance, verified by registration."""
+"""Loop closure by clouds: candidate places by distance or appearance, verified by registration."""
 
 from __future__ import annotations
 
@@ -247,7 +247,7 @@ class CloudLoopCloser:
         usual_m = max(usual_m, self._config.match.minimal_residual_m)
         moved_m = float(np.linalg.norm(guess.T_place_base.between(aligned.found.pose).translation()))
         if aligned.found.overlap < loops.least_overlap:
-            return candidate.refused("too little is seen by both")
+            return candidate.refused("too little overlap")
         if motion.inlier_share < loops.least_inlier_share:
             return candidate.refused("too few points fit")
         if motion.residual_m > self._config.cloud_loops.greatest_residual_ratio * usual_m:

@@ -1,9 +1,9 @@
-"""Which of many claims about places agree with each other: pairwise consistency, in sets.
+"""Find place claims that agree with each other: pairwise consistency, in sets.
 
 Mangelson, Dominic, Eustice and Vasudevan, "Pairwise consistent measurement set maximization for robust
-multi-robot map merging", ICRA 2018. Two claims are consistent where the cycle through both and the chain
-between their ends closes within its covariance, Eq. (7). The largest set of claims that are all consistent
-is a maximum clique; it is found greedily here.
+multi-robot map merging", ICRA 2018. Two claims are consistent if the cycle through both, and the chain
+between their ends, closes within its covariance, Eq. (7). The largest set of consistent claims is a maximum
+clique; here it is found by a greedy search.
 """
 
 from __future__ import annotations
@@ -73,7 +73,7 @@ class ClaimSets:
     ) -> tuple[int, int, Motion] | None:
         """A place of one set, an equal or later one of the other, and what both sets say of the way there.
 
-        None where their keyframes are too far apart to tell.
+        None if their keyframes are too far apart to tell.
         """
         ways = [self._travelled_m[[claim.keyframe for claim in claims]] for claims in (one, other)]
         apart_m = np.abs(np.subtract.outer(*ways))

@@ -1,4 +1,4 @@
-"""An edge of the pose graph: a relative pose that something measured."""
+"""An edge of the pose graph: a measured relative pose."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from slam.measurements import FloatArray, Pose
 
 
 class EdgeKind(StrEnum):
-    """Where an edge comes from.
+    """Source of an edge.
 
     Examples
     --------
@@ -47,11 +47,11 @@ class Edge:
     covariance
         (d, d), GTSAM's tangent order, in the target's frame.
     kind
-        Where it comes from: an `EdgeKind`, or the name of a sensor that a program has registered.
+        Source of the edge: an `EdgeKind`, or the name of a sensor that a program has registered.
     trusted
-        Part of the chain that holds the graph together; others may be refused as outliers.
+        True for the chain that keeps the graph connected. Other edges may be rejected as outliers.
     loop
-        Number of the loop candidate that it comes from; None for other edges.
+        Number of the loop candidate of this edge; None for other edges.
 
     Examples
     --------
@@ -73,7 +73,7 @@ class Edge:
     __repr__ = one_line
 
     def turned(self) -> Edge:
-        """The same, seen from its target.
+        """Return the same edge in the opposite direction.
 
         Examples
         --------

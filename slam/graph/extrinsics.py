@@ -1,8 +1,8 @@
-"""Where the camera sits on the robot, from the motions of both (hand-eye calibration, Tsai 1989).
+"""Pose of a camera on the robot from the motions of both (hand-eye calibration, Tsai 1989).
 
-``hand_eye`` finds the mount and the bad pairs; then the mount is a variable of a GTSAM graph, joined to two
-base poses by each camera step. Beside ``pose_graph`` this file builds GTSAM factors too. What the motions do
-not tell is named, not invented: a planar robot never tells the camera's height.
+``hand_eye`` finds the mounting and the outliers; then the mounting is a variable of a GTSAM graph, connected
+to two base poses by each camera step. Besides ``pose_graph``, this file also builds GTSAM factors. Degrees of
+freedom that the motions do not determine are reported: a planar robot never determines the camera's height.
 """
 
 from __future__ import annotations
@@ -115,7 +115,7 @@ def estimate_extrinsics(pairs: Sequence[MotionPair], start: gtsam.Pose3 | None =
     Raises
     ------
     GraphError
-        Where a pair is not finite, its covariance is not positive definite, or planar and spatial are mixed.
+        If a pair is not finite, its covariance is not positive definite, or planar and spatial are mixed.
     """
     settings = ExtrinsicsSettings()
     _check(pairs, start)

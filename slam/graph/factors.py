@@ -1,4 +1,4 @@
-"""The GTSAM factors of edges and priors of the pose graph, and its solver."""
+"""GTSAM factors of the edges and priors of the pose graph, and its solver."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ _CAUCHY_SIGMAS = 1.0
 
 
 def mapping_noise(edge: Edge) -> gtsam.noiseModel.Base:
-    """Noise of an edge while mapping: robust where it may be refused."""
+    """Noise of an edge during mapping: robust where it may be refused."""
     noise = gtsam.noiseModel.Gaussian.Covariance(edge.covariance)
     if edge.trusted:
         return noise

@@ -1,4 +1,4 @@
-"""Several steps of a way that are wrong together: how they share what is missed at its end."""
+"""Distribute the error at the end of a path over several of its steps that are wrong together."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Steps of a chain that may be grossly wrong: a few are, wherever nothing but wheels told them."""
+"""Steps of a chain that may have gross errors: a few do, wherever only wheel odometry measured them."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from fusion.estimation import TINY, gate
 from slam.config.stages import GraphConfig, LoopConfig, MatchConfig
 from slam.graph.edge import GUESSES, Edge, EdgeKind
 from slam.graph.fault_sharing import share_faults
-from slam.graph.keyframe_graph import LoneSteps, graph_of, lone_steps, unmeasured
+from slam.graph.keyframe_graph import LoneSteps, graph_of, lone_steps, tied, unmeasured
 from slam.graph.relative_uncertainty import UncertaintyGraph, composed, inverse, moved, seen_from
 from slam.matching.motion import Motion
 from slam.matching.planar import adjoint, between, rotate_covariance
@@ -124,7 +124,11 @@ class FaultySteps:
             self._numbers[first:last] = n
         self.held = believed_edges(edges, kept, poses)
         self._judged = edges, kept, len(poses), config.lost_sigma_m
-        self.known = graph_of(len(poses), self.held, self._numbers)
+        # Too few loops across a step that only wheels measured may be at a place that looks the same.
+        ties = tied(edges, kept, self.lone.unseen, poses, 2.0 * loops.reach_m)
+        few = {edge.loop for edge, enough in zip(edges, ties, strict=True) if not enough} - {None}
+        sure = (edge for edge in self.held if edge.loop not in few)
+        self.known = graph_of(len(poses), sure, self._numbers)
         speeds = _moves(seen_from(poses[:-1], poses[1:])) / np.where(took_s > 0.0, took_s, np.inf)[:, None]
         begun, ended = self._ends.T
         time_s = np.abs(stamps_s[ended] - stamps_s[begun])[:, None]
@@ -139,6 +143,8 @@ class FaultySteps:
     @cached_property
     def loose(self) -> UncertaintyGraph:
         """How uncertain keyframes are of each other where all steps that wheels alone tell may be wrong."""
+        if not self.lone.unseen.any():
+            return self.known
         alone = (e.kind is EdgeKind.WHEEL and self.lone.unseen[e.source : e.target].any() for e in self.held)
         held = (edge for edge, one in zip(self.held, alone, strict=True) if not one)
         return graph_of(len(self.poses), held, self._numbers)
@@ -189,7 +195,8 @@ class FaultySteps:
             return found
         for loosely, alone in product((False, True), (True, False)):
             paid = self._gate * loosely
-            if self._gate < (left := min(most, found[0]) - paid):
+            left = min(most, found[0]) - paid
+            if self._gate < left and not (loosely and self.loose is self.known):
                 bounded = self._bounded_loosely if loosely else self._bounded
                 cost, poses = self._chosen(start, end, known, claim, bounded, alone, left)
                 found = min(found, (paid + cost, poses), key=lambda one: one[0])

@@ -1,7 +1,8 @@
-"""Places recognised where scans lie many metres apart: each claim is followed along both ways.
+"""Place recognition if scans are many metres apart: each claim is followed along both paths.
 
-There a pass sees a place once, and one scan tells nothing, for corridors look alike. But where a claim is
-true the scans before and after fit as well, and what the place knows contradicts hardly any of their points.
+Then each pass sees a place only once, and a single scan proves nothing, since corridors look alike. But if a
+claim is true, the scans before and after match too, and the known place contradicts hardly any of their
+points.
 """
 
 from __future__ import annotations

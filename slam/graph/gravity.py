@@ -1,4 +1,4 @@
-"""Which way is down, as factors of the pose graph."""
+"""Gravity direction as factors of the pose graph."""
 
 from __future__ import annotations
 

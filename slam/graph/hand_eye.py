@@ -1,4 +1,4 @@
-"""Hand-eye calibration: the pose of a camera on a robot from paired motions, with bad pairs among them.
+"""Hand-eye calibration: pose of a camera on a robot from paired motions, some of which are outliers.
 
 ``T_base X = X T_camera`` for every pair of motions (Tsai 1989), solved for X = ``T_base_camera`` by
 Gauss-Newton on all pairs at once. Twists are in GTSAM's order, rotation first, perturbations on the right.

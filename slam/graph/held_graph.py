@@ -1,4 +1,4 @@
-"""A graph as it stands, its first node held: for covariances, and for what one edge does to the others."""
+"""A solved graph with its first node fixed: for covariances, and for the effect of one edge on the others."""
 
 from __future__ import annotations
 

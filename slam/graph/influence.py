@@ -1,4 +1,4 @@
-"""What each loop does to the finished map: how far it would move without the loop, or with it forced in.
+"""Influence of each loop on the finished map: how far it would move without the loop, or with it forced in.
 
 The final map is the least-squares solution of the edges that were kept. There an edge has the whitened
 residual e and the Jacobian A, and all kept edges together have the information H = P^-1. Without the edge
@@ -6,12 +6,12 @@ the solution moves, to first order, by
 
     P A' (I - A P A')^-1 e
 
-and with an edge forced in that was not kept by minus that, with + for - within the brackets. A P A' is the
-edge's leverage, between 0 and I: how much of what the map says of it is its own word (Cook and Weisberg
-1982, of several rows at once). e' (I - A P A')^-1 e is by how much the sum of all squared residuals falls
-without the edge, and the squared Mahalanobis distance of the edge from what the others predict: chi-square
-with as many degrees of freedom as a pose has, where the edge is true. So it tests an edge as Baarda (1968)
-tests one observation for a blunder.
+If a rejected edge is forced in, the solution moves by the negative of this, with + for - in the brackets. A P
+A' is the leverage of the edge, between 0 and I: the part of the map's estimate that comes from the edge
+itself (Cook and Weisberg 1982, for several rows at once). e' (I - A P A')^-1 e is the decrease of the sum of
+squared residuals without the edge. It is also the squared Mahalanobis distance of the edge from the
+prediction of the others: for a true edge it is chi-square distributed with the degrees of freedom of a pose.
+So it tests an edge as Baarda (1968) tests one observation for a blunder.
 """
 
 from __future__ import annotations
@@ -78,7 +78,7 @@ class LinearMap:
     Raises
     ------
     GraphError
-        Where these do not join all nodes.
+        If these do not join all nodes.
     """
 
     def __init__(self, poses: Sequence[Pose], edges: _Edges, kept: Sequence[bool] | BoolArray) -> None:
@@ -227,7 +227,7 @@ def influences(poses: Sequence[Pose], edges: Sequence[Edge], kept: Sequence[bool
 
 
 def misfits(poses: Sequence[Pose], edges: _Edges, kept: BoolArray, asked: list[int]) -> FloatArray:
-    """See `LinearMap.left_out`; nothing where the edges that are kept do not join all nodes."""
+    """See `LinearMap.left_out`; nothing if the edges that are kept do not join all nodes."""
     with suppress(GraphError):
         return LinearMap(poses, edges, kept).left_out(asked) if asked else np.zeros(0)
     return np.zeros(0)

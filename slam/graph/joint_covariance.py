@@ -1,4 +1,4 @@
-"""How uncertain is what many keyframes tell together: lengths, areas, anything linear in their poses."""
+"""Covariance of quantities that are linear in many keyframe poses: lengths, areas and others."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The graph of keyframes: what holds neighbours together, which loops join, and where they all lie."""
+"""The graph of keyframes: edges between neighbours, loops, and the estimated poses."""
 
 from __future__ import annotations
 
@@ -21,16 +21,16 @@ _PLACES = (EdgeKind.GNSS, EdgeKind.SURVEY, EdgeKind.TAG)
 
 
 class KeyframeGraph:
-    """Keyframes 0..n-1, in the plane or in space as the first one's pose says.
+    """Keyframes 0..n-1, in 2D or 3D, depending on the first pose.
 
     Attributes
     ----------
     graph
         Nodes and edges.
     uncertainty
-        How uncertain keyframes are of each other, seen from above.
+        Relative uncertainty of keyframes, projected onto the ground plane.
     loops
-        Every loop candidate so far, with its verdict.
+        All loop candidates so far, accepted and rejected.
     """
 
     def __init__(self, origin: Pose, config: GraphConfig) -> None:
@@ -57,7 +57,7 @@ class KeyframeGraph:
         return self._poses
 
     def rows(self) -> FloatArray:
-        """(n, 3) current estimates seen from above, x, y, yaw in the map."""
+        """(n, 3) current estimates projected onto the ground plane, x, y, yaw in the map."""
         return self._rows[: len(self.graph)]
 
     def add_keyframe(self, step: Pose, edges: Iterable[Edge] = ()) -> int:
@@ -66,10 +66,10 @@ class KeyframeGraph:
         Parameters
         ----------
         step
-            Best knowledge of the motion from the last keyframe: the first guess.
+            Best estimate of the motion from the last keyframe: the initial guess.
         edges
-            What was measured of it. Where no trusted edge joins it to the last keyframe, the step holds it,
-            as uncertain as what nothing measured.
+            Measured edges. If no trusted edge connects it to the last keyframe, the step does, with the
+            covariance of an unmeasured step.
         """
         pose = composed(self.graph.pose(len(self) - 1), step)
         key = self.graph.add_node(pose)
@@ -89,22 +89,22 @@ class KeyframeGraph:
         return key
 
     def add_edge(self, edge: Edge) -> None:
-        """Take a motion between two keyframes that are there."""
+        """Add a motion between two existing keyframes."""
         self.graph.add_edge(edge)
         relative = np.array(row_of(edge.T_source_target))
         self.uncertainty.add_edge(edge.source, edge.target, relative, _in_plane(edge))
 
     def add_loop(self, candidate: LoopCandidate) -> None:
-        """Take a loop candidate: into the graph if it was accepted, into the report in any case."""
+        """Add a loop candidate: to the graph if accepted, and always to the report."""
         if candidate.accepted and candidate.motion is not None:
             self._loop_waits = True
             self.add_edge(candidate.edge(len(self.loops)))
         self.loops.append(candidate)
 
     def update(self) -> None:
-        """Let iSAM2 spread what loops have corrected, if one waits; in the plane only now and then.
+        """Update with iSAM2 if a new loop waits; in 2D only every few keyframes.
 
-        Without a new loop the chain alone, which the estimates already follow, is the answer.
+        Without a new loop, the estimates already follow the chain.
         """
         every = self._config.incremental_every if self._planar else 1
         if self._loop_waits and (len(self) - 1) % every == 0:
@@ -112,14 +112,14 @@ class KeyframeGraph:
             self._loop_waits = False
 
     def pieces(self, kept: BoolArray, reach_m: float) -> NDArray[np.int64]:
-        """(n,) piece of each keyframe by the edges (E,) that are kept; between two nothing beats a guess."""
+        """Return (n,) the piece of each keyframe by the kept edges (E,); only guesses connect two pieces."""
         edges, count, lost_m = self.graph.edges, len(self), self._config.lost_sigma_m
-        parts = np.append(0, np.cumsum(lone_steps(edges, kept, count, lost_m).unseen[:-1]))
-        tied = _tied(edges, kept, parts, self.rows(), 2.0 * reach_m)
-        return lone_steps(edges, kept & tied, count, lost_m).pieces
+        found = lone_steps(edges, kept, count, lost_m)
+        ties = tied(edges, kept, found.unseen, self.rows(), 2.0 * reach_m)
+        return (found if ties[kept].all() else lone_steps(edges, kept & ties, count, lost_m)).pieces
 
     def optimize(self, inlier_probability: float) -> BatchResult:
-        """Solve everything anew; a loop that disagrees with the others is marked as refused."""
+        """Solve the whole graph; mark loops that disagree with the others as rejected."""
         if not self._optimized:
             self.graph.update()
             self._optimized = True
@@ -129,7 +129,7 @@ class KeyframeGraph:
         return outcome
 
     def _append(self, pose: Pose) -> None:
-        """Take the estimate of a new keyframe."""
+        """Append the estimate of a new keyframe."""
         self._optimized = False
         self.uncertainty.add_node()
         if len(self) > len(self._rows):
@@ -137,7 +137,7 @@ class KeyframeGraph:
         self._rows[len(self) - 1] = row_of(pose)
 
     def _read_poses(self, first: int) -> None:
-        """Take over what the solver has found, from a node on."""
+        """Read the poses of the solver, from a node on."""
         self._known = min(self._known, first)
         rows = (
             self.graph.planar_poses(first)
@@ -148,7 +148,7 @@ class KeyframeGraph:
 
 
 def together(edges: Iterable[Edge]) -> dict[tuple[int, int], Motion]:
-    """What all edges between the same two nodes, source and target, say as if they were one, from above."""
+    """Combine all edges between the same two nodes, source and target, into one in the ground plane."""
     same: dict[tuple[int, int], list[Edge]] = {}
     for edge in edges:
         same.setdefault((edge.source, edge.target), []).append(edge)
@@ -164,9 +164,9 @@ def together(edges: Iterable[Edge]) -> dict[tuple[int, int], Motion]:
 
 
 class LoneSteps(NamedTuple):
-    """Whether wheels alone tell the step that begins at a keyframe (n,), and the share of such that is wrong.
+    """Whether only wheels measured the step from each keyframe (n,), and the share of wrong ones.
 
-    ``pieces`` (n,) numbers those of all keyframes, were each such step a guess.
+    ``pieces`` (n,) is the piece of each keyframe if all these steps are taken as guesses.
     """
 
     unseen: BoolArray
@@ -175,11 +175,11 @@ class LoneSteps(NamedTuple):
 
 
 def lone_steps(edges: Sequence[Edge], kept: BoolArray, nodes: int, lost_sigma_m: float) -> LoneSteps:
-    """How often wheels are wrong where nothing else tells a step, asked of those that loops have tried.
+    """Estimate how often wheels are wrong in steps that only they measured, from steps tested by loops.
 
-    As many as were refused. Before any were tried, as many as of those that matches tell, too, which are
-    wrong less often: that counts as two steps, as in the rule of succession. Edges no surer than
-    ``lost_sigma_m`` join nothing.
+    It is the share of rejected steps. As a prior, the share among steps that matches also measured, which are
+    wrong less often, counts as two steps (rule of succession). Edges with a sigma of ``lost_sigma_m`` or more
+    connect nothing.
     """
     judged_edges = list(zip(edges, kept.tolist(), strict=True))
     held = [edge for edge, keep in judged_edges if keep]
@@ -202,23 +202,24 @@ def lone_steps(edges: Sequence[Edge], kept: BoolArray, nodes: int, lost_sigma_m:
     return LoneSteps(np.isin(np.arange(nodes), lone), pieces, share)
 
 
-def _tied(
-    edges: Sequence[Edge], kept: BoolArray, parts: NDArray[np.int64], rows: FloatArray, least_m: float
+def tied(
+    edges: Sequence[Edge], kept: BoolArray, unseen: BoolArray, rows: FloatArray, least_m: float
 ) -> BoolArray:
-    """(E,) whether an edge joins what may be thought one: parts of the way only where loops tell enough.
+    """Return (E,) whether an edge may connect its nodes: parts of the path only with enough loops.
 
-    What fits once may be a place that looks the same, and so may a few loops: those between the same two must
-    be more than a pose has numbers, or lie along so much of both ways; then the two are one for all others.
-    Wheels over many steps tell what they tell of each. ``parts`` (n,) number what was seen in one go.
+    One loop, or a few, may be at a place that looks the same. So the loops between two parts must be more
+    than the numbers of a pose, or cover enough of both paths; then the two parts count as one for all others.
+    Wheel edges over many steps count as the single steps. A part ends where a step is ``unseen`` (n,).
     """
+    parts = np.append(0, np.cumsum(unseen[:-1]))
     ways_m = np.append(0.0, np.cumsum(np.hypot(*np.diff(rows[:, :2], axis=0).T)))
     ends = np.array([(edge.source, edge.target) for edge in edges], np.int64).reshape(-1, 2)
     kinds = np.array([edge.kind for edge in edges], np.str_)
     loops, wheels = (kinds == kind.value for kind in (EdgeKind.LOOP, EdgeKind.WHEEL))
     across = parts[ends[:, 0]] != parts[ends[:, 1]]
-    tied: BoolArray = ~across | ~(loops | wheels) | (np.diff(ends)[:, 0] == 1)
+    ties: BoolArray = ~across | ~(loops | wheels) | (np.diff(ends)[:, 0] == 1)
     numbers = max((len(edge.covariance) for edge in edges), default=0)
-    one = joined(parts[-1] + 1, parts[ends[kept & across & tied & (np.diff(ends)[:, 0] != 1)]])
+    one = joined(parts[-1] + 1, parts[ends[kept & across & ties & (np.diff(ends)[:, 0] != 1)]])
     while (waiting := np.flatnonzero(kept & loops & (np.diff(one[parts[ends]])[:, 0] != 0))).size:
         pairs = np.sort(one[parts[ends[waiting]]], axis=1)
         ways = np.take_along_axis(
@@ -232,11 +233,11 @@ def _tied(
         if not enough.any():
             break
         one = joined(len(one), both[enough])[one]
-    return tied | (loops & (np.diff(one[parts[ends]])[:, 0] == 0))
+    return ties | (loops & (np.diff(one[parts[ends]])[:, 0] == 0))
 
 
 def joined(nodes: int, ends: ArrayLike) -> NDArray[np.int64]:
-    """(n,) numbers of what is one, where so many pairs of nodes are joined."""
+    """Return (n,) the component of each node, for pairs of joined nodes."""
     # SciPy is loaded where it is used: that takes 0.1 s.
     from scipy.sparse import coo_array
     from scipy.sparse.csgraph import connected_components
@@ -247,10 +248,10 @@ def joined(nodes: int, ends: ArrayLike) -> NDArray[np.int64]:
 
 
 def graph_of(nodes: int, edges: Iterable[Edge], parts: NDArray[np.int64] | None = None) -> UncertaintyGraph:
-    """How uncertain nodes are of each other by some edges alone; those of the same two speak together.
+    """Build the relative uncertainty of nodes from some edges; edges between the same two are combined.
 
-    ``parts`` (nodes,) is the part of the way that begins at a node and may be left out, or -1: no edge but
-    loops crosses it then.
+    ``parts`` (nodes,) is the part of the path that begins at a node and may be left out, or -1: then only
+    loops cross it.
     """
     graph, edges = UncertaintyGraph(), list(edges)
     for _ in range(nodes):
@@ -267,26 +268,26 @@ def graph_of(nodes: int, edges: Iterable[Edge], parts: NDArray[np.int64] | None 
 
 
 def unmeasured(config: GraphConfig, share: float = 1.0, *, planar: bool) -> FloatArray:
-    """Covariance (d, d) of a step that nothing measured, GTSAM's order, its sigmas scaled by a share."""
+    """Return the covariance (d, d) of an unmeasured step, GTSAM's order, with scaled sigmas."""
     metres, radians = share * config.lost_sigma_m, share * config.lost_sigma_rad
     sigmas = [metres, metres, radians] if planar else [radians] * 3 + [metres] * 3
     return np.diag(np.square(sigmas))
 
 
 def from_above(edge: Edge) -> Motion:
-    """What an edge says of x, y and yaw."""
+    """Return the motion of an edge in x, y and yaw."""
     return Motion(np.array(row_of(edge.T_source_target)), _in_plane(edge))
 
 
 def _in_plane(edge: Edge) -> FloatArray:
-    """Covariance (3, 3) of x, y, yaw of an edge, in the target's frame."""
+    """Return the covariance (3, 3) of x, y, yaw of an edge, in the target's frame."""
     if isinstance(edge.T_source_target, gtsam.Pose3):
         return edge.covariance[np.ix_(IN_PLANE, IN_PLANE)]
     return edge.covariance
 
 
 def row_of(pose: Pose) -> list[float]:
-    """x, y, yaw of a pose."""
+    """Return x, y, yaw of a pose."""
     if isinstance(pose, gtsam.Pose2):
         return [pose.x(), pose.y(), pose.theta()]
     return [pose.x(), pose.y(), pose.rotation().yaw()]

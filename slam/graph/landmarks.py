@@ -1,8 +1,8 @@
-"""Things that are known again wherever they are seen, as edges of the pose graph between those who saw them.
+"""Landmarks that are recognised wherever they are seen, as edges between the keyframes that saw them.
 
-A landmark joins the graph as one more node, each sighting as an edge to it that may be refused. All are
-solved together; then what was found is told from the node that saw it best, so that these edges are as
-others: they may be refused, are saved, and hold when the map is edited or joined.
+A landmark is added to the graph as one more node, each sighting as an edge to it that may be rejected. All
+are solved together. Then the edges are expressed from the node that saw the landmark best, so that they are
+like other edges: they may be rejected, are saved, and hold for edited or joined maps.
 """
 
 from __future__ import annotations
@@ -93,7 +93,7 @@ def landmarks_of(
 
     Returns
     -------
-    Of each landmark what was found; None where nothing holds.
+    Of each landmark what was found; None if nothing holds.
     """
     visits = [visit for sightings in seen for visit in _visits(sightings)]
     of = np.repeat(np.arange(len(seen)), [len(_visits(sightings)) for sightings in seen])

@@ -1,4 +1,4 @@
-"""A loop that was tried, believed or not."""
+"""A loop candidate, accepted or rejected."""
 
 from __future__ import annotations
 
@@ -16,23 +16,23 @@ log = logging.getLogger(__name__)
 
 @dataclass(frozen=True, slots=True)
 class LoopCandidate:
-    """One attempt to recognise a place, accepted or not.
+    """One attempt to close a loop, accepted or not.
 
     Attributes
     ----------
     place, keyframe
-        Node of the known place and node that may have come back to it.
+        Node of the known place, and node that may have returned to it.
     half_width_m, half_yaw_rad
-        Half size of the searched window.
+        Half size of the search window.
     score
-        Mean likelihood of the search: 1 where the window was too small to need one, the least score where
-        no pose reached it.
+        Mean likelihood of the search: 1 if the window was too small to need a search, the lowest accepted
+        score if no pose reached it.
     motion
-        Pose of ``keyframe`` in the frame of ``place``; None where no match was found.
+        Pose of ``keyframe`` in the frame of ``place``; None if no match was found.
     accepted
         Whether the loop is in the final graph.
     reason
-        Why not; empty where accepted.
+        Why it was rejected; empty if accepted.
 
     Examples
     --------
@@ -59,11 +59,11 @@ class LoopCandidate:
     __repr__ = one_line
 
     def refused(self, reason: str) -> LoopCandidate:
-        """The same candidate, refused."""
+        """Return the same candidate, rejected."""
         return replace(self, accepted=False, reason=reason)
 
     def edge(self, number: int) -> Edge:
-        """What an accepted loop adds to the graph; ``number`` is its place among the candidates."""
+        """Return the edge of an accepted loop; ``number`` is its index among the candidates."""
         assert self.motion is not None
         ends, told, spread = (self.place, self.keyframe), self.motion.T_reference_base, self.motion.covariance
         return Edge(*ends, told, spread, EdgeKind.LOOP, trusted=False, loop=number)
@@ -72,7 +72,7 @@ class LoopCandidate:
 def judged(
     loops: Sequence[LoopCandidate], edges: Iterable[Edge], kept: Iterable[bool]
 ) -> list[LoopCandidate]:
-    """The loop candidates with the verdicts of an optimisation on their edges."""
+    """Return the loop candidates with the decisions of an optimisation about their edges."""
     verdicts = list(loops)
     for edge, keep in zip(edges, kept, strict=True):
         if edge.loop is None:
@@ -87,7 +87,7 @@ def judged(
 
 
 def report(kind: str, candidate: LoopCandidate) -> None:
-    """One INFO line a candidate."""
+    """Log one INFO line per candidate."""
     verdict = "accepted" if candidate.accepted else f"refused, {candidate.reason}"
     ends = candidate.keyframe, candidate.place
     log.info(
@@ -97,6 +97,6 @@ def report(kind: str, candidate: LoopCandidate) -> None:
 
 
 def found_motion(candidate: LoopCandidate) -> Motion:
-    """What an accepted one tells, in the plane."""
+    """Return the planar motion of an accepted candidate."""
     assert candidate.motion is not None
     return Motion(row_from_pose2(candidate.motion.T_reference_base), candidate.motion.covariance)

@@ -1,4 +1,4 @@
-"""Loop closure: where the uncertainty allows a known place, search it, and say why a loop is refused."""
+"""Loop closure: search known places within the uncertainty of the pose, and say why a loop is rejected."""
 
 from __future__ import annotations
 
@@ -45,11 +45,11 @@ class LoopCloser:
         session: int = 0,
         surface: OrientedPoints | None = None,
     ) -> None:
-        """Remember a keyframe, see `SubmapStore.add`."""
+        """Store a keyframe, see `SubmapStore.add`."""
         self.submaps.add(scan, pose, travelled_m, session, surface)
 
     def close(self, key: int, poses: FloatArray, uncertainty: UncertaintyGraph) -> list[LoopCandidate]:
-        """Try the places that the newest keyframe may have come back to.
+        """Try to close loops with places to which the newest keyframe may have returned.
 
         Parameters
         ----------
@@ -62,7 +62,7 @@ class LoopCloser:
 
         Returns
         -------
-        Every candidate that was tried, accepted or refused.
+        Every candidate that was tried, accepted or rejected.
         """
         travelled = self.submaps.travelled_m(key)
         if not self._config.enabled or travelled - self._last_attempt_m < self._config.every_m:
@@ -83,14 +83,14 @@ class LoopCloser:
     def close_again(
         self, poses: FloatArray, uncertainty: UncertaintyGraph, loops: Sequence[LoopCandidate]
     ) -> list[LoopCandidate]:
-        """Try where no loop was found while mapping, from a better estimate; accepted candidates only.
+        """Try again where no loop was found during mapping, from a better estimate; return accepted ones.
 
         Parameters
         ----------
         poses, uncertainty
-            Of all keyframes, as `close` takes them.
+            Poses and uncertainty of all keyframes, as for `close`.
         loops
-            What was tried before.
+            Candidates tried before.
         """
         travelled_m = self.submaps.travelled_m
         closed = np.sort([travelled_m(loop.keyframe) for loop in loops if loop.accepted])
@@ -117,16 +117,16 @@ class LoopCloser:
     def verify(
         self, place: int, key: int, guess: FloatArray, covariance: FloatArray, *, wide: bool = False
     ) -> LoopCandidate:
-        """Match a keyframe to a place in the window that the uncertainty of a guess asks for.
+        """Match a keyframe to a place in a window given by the uncertainty of the guess.
 
         Parameters
         ----------
         guess
             (3,) expected pose of the keyframe in the frame of the place.
         covariance
-            (3, 3) of the guess.
+            (3, 3) covariance of the guess.
         wide
-            Whether to search at least as far as a place is seen.
+            Whether to search at least as far as a place is visible.
         """
         config = self._config
         sigma_m = float(position_sigmas(covariance[None])[0])
@@ -149,7 +149,7 @@ class LoopCloser:
     def _propose(
         self, key: int, poses: FloatArray, uncertainty: UncertaintyGraph
     ) -> list[tuple[int, FloatArray]]:
-        """Places that may see the same as the keyframe, nearest first, with the relative covariance."""
+        """Return places that may see the same as the keyframe, nearest first, with the covariance."""
         config, submaps = self._config, self.submaps
         travelled, least_path_m = submaps.travelled_m(key), submaps.least_path_m
         places = submaps.places(key)
@@ -186,14 +186,14 @@ def closer_of(
     sessions: NDArray[np.int64],
     config: Config,
 ) -> LoopCloser:
-    """A closer that knows all keyframes of a finished map.
+    """Create a loop closer with all keyframes of a finished map.
 
     Parameters
     ----------
     poses
-        (K, 3) in the map: within a few metres as good as by odometry.
+        (K, 3) poses in the map: within a few metres as accurate as odometry.
     path_m, sessions
-        (K,) the way to each in its session, and the number of that.
+        (K,) path length to each keyframe in its session, and the number of the session.
     """
     closer, settings = LoopCloser(config.loops, config.match), config.scan
     for scan, pose, travelled_m, session in zip(scans, poses, path_m, sessions.tolist(), strict=True):
@@ -214,16 +214,16 @@ def search_place(
     config: LoopConfig,
     match: MatchConfig,
 ) -> LoopCandidate:
-    """Search a candidate's window about a guess, refine what is found, and judge it.
+    """Search the window of a candidate around a guess, refine the result, and verify it.
 
     Parameters
     ----------
     candidate
-        Tells the window.
+        Candidate with the window.
     submap
         The place.
     scan
-        What may have been seen there, base frame.
+        Scan that may have been taken there, base frame.
     guess
         (3,) expected pose of the base in the frame of the place.
     """
@@ -239,7 +239,7 @@ def search_place(
         )
         candidate = replace(candidate, score=found.score)
         if not found.found:
-            return candidate.refused("no pose in the window scores enough")
+            return candidate.refused("no pose in the window scores high enough")
         guess = found.pose
     motion = motion_from_alignment(submap.local_map.align(scan, guess), match)
     motion = replace(motion, covariance=motion.covariance * config.caution)
@@ -258,12 +258,12 @@ def _judge(
         return candidate.refused("refinement left the window")
     if motion.degenerate and candidate.half_width_m >= 0.5 * config.reach_m:
         # One corridor looks like another: it confirms a place that is nearly known, and finds none.
-        return candidate.refused("an open direction, and too uncertain a place")
+        return candidate.refused("one direction undetermined, and the place too uncertain")
     return replace(candidate, accepted=True)
 
 
 def position_sigmas(covariances: FloatArray) -> FloatArray:
-    """Greatest standard deviation of the position, (m,) for (m, 3, 3); infinite where no path leads."""
+    """Return the largest position sigma, (m,) for (m, 3, 3); infinite without a path."""
     xx, yy, xy = covariances[:, 0, 0], covariances[:, 1, 1], covariances[:, 0, 1]
     known = np.isfinite(covariances).all(axis=(1, 2))
     with np.errstate(invalid="ignore"):

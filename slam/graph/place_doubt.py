@@ -1,8 +1,8 @@
-"""Steps between keyframes that were matched to a local map, where one was not surely placed in it.
+"""Covariance of steps whose match depends on a keyframe in the local map with an uncertain pose.
 
-A match tells where a keyframe is among those of the local map. The one before it may have been put there by a
-guess, wholly or in a direction that nothing determined; then the step between the two is no more certain than
-the guess. Nor is the way from those before it: what stands in a wrong place is in the local map, too.
+A match gives the pose of a keyframe relative to those of the local map. The keyframe before it may have been
+placed there by a guess, completely or in a degenerate direction; then the step between the two is only as
+certain as the guess. So is the path from earlier keyframes: a wrongly placed one is in the local map, too.
 """
 
 from __future__ import annotations

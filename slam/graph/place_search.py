@@ -1,9 +1,9 @@
-"""Loops over the whole map: a stretch of the way is recognised wherever the estimate takes it to be.
+"""Loop search over the whole map: recognise a stretch of the path wherever the estimate puts it.
 
-What `slam.graph.loop_closure` closes while mapping lies within the uncertainty of the estimate. Where the
-chain is bent, places are found by their appearance instead, and believed only in sets: claims that agree with
-each other along the way (`slam.graph.consistent_sets`), that what lies around them confirms
-(`slam.graph.claim_trial`), and that a fault of the chain explains, or several where a set is so much longer.
+During mapping, `slam.graph.loop_closure` closes loops within the uncertainty of the estimate. If the chain is
+bent, places are found by their appearance instead, and accepted only in sets: claims that agree with each
+other along the path (`slam.graph.consistent_sets`), that the surroundings confirm (`slam.graph.claim_trial`),
+and that one fault of the chain explains, or several faults if the set is much longer.
 """
 
 from __future__ import annotations
@@ -114,7 +114,7 @@ class PlaceSearch:
             self._corrected = False
         if believed := self._believed(poses, known):
             return believed
-        for chain in (known, faulty.loose):
+        for chain in dict.fromkeys((known, faulty.loose)):
             asked = [
                 (place, number)
                 for number in stretches.untied(loops)
@@ -163,7 +163,7 @@ class PlaceSearch:
     ) -> tuple[BoolArray, FloatArray]:
         """(K,) the stretches to which a set, as long as can be, could move one; and how far from it they are.
 
-        What is as certain as places are wide is tried while mapping.
+        What is as certain as places are wide is tried during mapping.
         """
         key = int(stretches.keys[number])
         sigmas_m = position_sigmas(known.relative_covariances(key, stretches.keys, poses))
@@ -174,7 +174,7 @@ class PlaceSearch:
         return (sparse | (most_m > self._config.reach_m)) & (apart_m <= window_m + most_m), apart_m
 
     def _searched(self, stretches: Stretches, place: int, number: int) -> list[float]:
-        """The pose of a stretch at another; nothing where none is found."""
+        """The pose of a stretch at another; nothing if none is found."""
 
         def pose() -> list[float]:
             found = stretches.search(place, number)

@@ -1,21 +1,22 @@
-"""How uncertain every keyframe is in the map, so that the ellipses hold the truth as often as they say.
+"""Covariance of every keyframe in the map, calibrated so that ellipses contain the truth as often as stated.
 
-The graph's own covariances weigh its edges against each other. Three of them say too little of how far off
-the map may be, for they take errors that are shared for independent ones:
+The covariances of the graph weight its edges against each other. In three cases they are too small for the
+error of the map, because they take correlated errors for independent ones:
 
-- What ends at one keyframe is the word of one reading: a step and two loops share its noise, and each of
-  the three counts for a third.
-- A match past a guessed keyframe may have been made to that keyframe, and then repeats the guess: it is left
-  out.
-- A step that wheels alone tell is as certain as wheels are as a rule, or as they claim, where they went
-  wrong. It has the covariance of this mixture; how often they went wrong the loops have shown (Laplace's rule
-  of succession).
+- All edges that end at one keyframe come from one reading: a step and two loops share its noise, so each of
+  the three counts as a third.
+- A match past a keyframe placed by a guess may have been made to that keyframe, and then repeats the guess:
+  it is left out.
+- A step measured only by wheel odometry is as certain as the wheels usually are, or as they claim if they
+  failed. It gets the covariance of this mixture; the loops have shown how often the wheels failed (Laplace's
+  rule of succession).
 
-And one says too much: matches to a local map err less over a way than as many independent steps. How much
-less shows where the way closes: the variances of matches are scaled by their variance of unit weight, the sum
-of the squared whitened residuals by the redundancy (Foerstner 1979). The claim stands beside that, with the
-weight of as many readings as make a statistic; of a lidar's matches half of it, for they claim the noise of
-both keyframes that they join, and along a way that is the noise of each keyframe twice.
+In one case they are too large: matches to a local map drift less along a path than as many independent steps.
+Where the path closes, it shows by how much: the variances of matches are scaled by their variance of unit
+weight, the sum of squared whitened residuals divided by the redundancy (Foerstner 1979). The claimed variance
+also counts, with the weight of as many readings as make a statistic; for lidar matches half of it, because
+they claim the noise of both keyframes they connect, and along a path that is the noise of each keyframe
+twice.
 """
 
 from __future__ import annotations

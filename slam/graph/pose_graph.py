@@ -1,7 +1,7 @@
 """The pose graph.
 
-While mapping, iSAM2 (Kaess 2012) keeps the estimate; at the end graduated non-convexity with truncated
-least squares (Yang 2020) decides which loops and wheel steps are true. SE(2) and SE(3) alike.
+During mapping, iSAM2 (Kaess 2012) updates the estimate. At the end, graduated non-convexity with truncated
+least squares (Yang 2020) decides which loops and wheel odometry edges are inliers. For SE(2) and SE(3).
 """
 
 from __future__ import annotations
@@ -35,17 +35,17 @@ _NODES_A_WINDOW = 3000
 
 @dataclass(frozen=True, slots=True)
 class BatchResult:
-    """The outcome of the final optimisation.
+    """The result of the final optimisation.
 
     Attributes
     ----------
     error
         Half the sum of squared whitened residuals of the edges that were kept.
     kept
-        (E,) in the order of ``PoseGraph.edges``: False where an edge was refused as an outlier.
+        (E,) in the order of ``PoseGraph.edges``: False if an edge was rejected as an outlier.
     cost
-        The error, half the gate for each edge that was refused, and the logarithm of how many ways there are
-        to refuse as many of a kind (Rissanen 1978): where few err, each says much. Less is likelier.
+        The error, plus half the gate for each rejected edge, plus the logarithm of the number of ways to
+        reject as many edges of a kind (Rissanen 1978). A lower cost is more likely.
     """
 
     error: float
@@ -54,12 +54,12 @@ class BatchResult:
 
 
 class PoseGraph:
-    """Poses 0..n-1 and the edges among them; the first pose is held by a prior.
+    """Poses 0..n-1 and the edges between them; a prior fixes the first pose.
 
     Parameters
     ----------
     origin
-        Pose of node 0, Pose2 or Pose3; it decides the dimension of the graph.
+        Pose of node 0, Pose2 or Pose3; it defines the dimension of the graph.
 
     Examples
     --------
@@ -104,7 +104,7 @@ class PoseGraph:
         return self._count
 
     def add_node(self, guess: Pose) -> int:
-        """Add a pose with its initial guess and return its number."""
+        """Add a pose with its initial estimate and return its number."""
         _check_finite(guess)
         key = self._count
         self._pending_values.insert(key, guess)
@@ -118,8 +118,8 @@ class PoseGraph:
         Raises
         ------
         GraphError
-            Where the edge names a node that is not there, is not finite, or its covariance is not
-            positive definite.
+            If the edge names a node that does not exist, is not finite, or its covariance is not positive
+            definite.
 
         Examples
         --------
@@ -137,10 +137,10 @@ class PoseGraph:
         self._pend(edge)
 
     def update(self) -> int:
-        """Bring the estimate up to date with iSAM2; the first node that may have moved.
+        """Update the estimate with iSAM2 and return the first node that may have moved.
 
-        What iSAM2 costs grows with how often a place was passed. So after many nodes everything is solved at
-        once, and from then on held: newer nodes alone move, until they are many again.
+        The cost of iSAM2 grows with the number of passes by a place. So after many nodes the whole graph is
+        solved in one batch and then fixed: only newer nodes move, until there are many of them again.
 
         Examples
         --------
@@ -168,7 +168,7 @@ class PoseGraph:
         return self._held
 
     def _pend(self, edge: Edge) -> None:
-        """Let the next update know of an edge; nodes that are held are where they are."""
+        """Add an edge to the next update; fixed nodes keep their poses."""
         if min(edge.source, edge.target) >= self._held:
             self._pending.add(between_factor(edge, mapping_noise(edge)))
         elif max(edge.source, edge.target) >= self._held:
@@ -177,7 +177,7 @@ class PoseGraph:
             self._pending.add(prior(edge.target, place, mapping_noise(edge)))
 
     def _start_anew(self, held: int) -> None:
-        """Solve everything with damping, and begin a new iSAM2 with the nodes that are not held."""
+        """Solve the whole graph with damping, and start a new iSAM2 with the nodes that are not fixed."""
         graph = self._graph(between_factor(edge, mapping_noise(edge)) for edge in self.edges)
         # A few steps bring a map that was solved before up to date.
         self._estimate = solved(graph, self._estimate, most_steps=3 if held else 100)
@@ -187,16 +187,16 @@ class PoseGraph:
         self._pending_values = gtsam.Values() if held else gtsam.Values(self._estimate)
 
     def optimize(self, inlier_probability: float = 0.99) -> BatchResult:
-        """Solve the whole graph anew: GNC-TLS over the untrusted edges, then plain least squares.
+        """Solve the whole graph: GNC-TLS over the untrusted edges, then plain least squares.
 
-        Loops that agree with each other may be false, and GNC ends near where it begins. So where it first
-        refuses more loops than the gate does by chance it begins once more where the steps alone lead, which
-        no loop has bent; the solution of less cost is taken.
+        False loops may agree with each other, and GNC finds a solution near its initial estimate. So if it
+        first rejects more loops than the gate does by chance, it is run again from the poses of the odometry
+        steps alone, which no loop has bent; the solution with the lower cost is used.
 
         Parameters
         ----------
         inlier_probability
-            Chi-square probability at which a true edge passes the gate.
+            Probability that a true edge passes the chi-square gate.
         """
         begun, first = self._estimate, not len(self._kept)
         found, ended = self._decided(inlier_probability), self._estimate
@@ -212,10 +212,10 @@ class PoseGraph:
         return found
 
     def _decided(self, inlier_probability: float, *, anew: bool = False) -> BatchResult:
-        """Which edges GNC keeps from where the poses are, and the poses by these.
+        """Run GNC from the current poses; return which edges it keeps, and the resulting poses.
 
-        A long chain bends far for little, so that GNC, which ends near where it begins, may keep a loop that
-        all others contradict: such are refused, the worst first, as long as the solution costs less.
+        A long chain can bend far at low cost, so GNC, which finds a solution near its initial estimate, may
+        keep loops that all others contradict. They are rejected, the worst first, while the cost falls.
         """
         most = gate(self._dimension, inlier_probability)
         self._made = {id(e): self._made.get(id(e)) or (e, weighted(e, 1.0)) for e in self.edges}
@@ -236,27 +236,27 @@ class PoseGraph:
             found = other
 
     def _solution(self, factors: list[gtsam.NonlinearFactor], kept: BoolArray, most: float) -> BatchResult:
-        """The poses by the edges that are kept, and what that costs where a gate is ``most``."""
+        """Return the poses from the kept edges, and the cost if a gate is ``most``."""
         self._estimate = solved(graph := self._graph(compress(factors, kept)), self._estimate)
         cost = (error := float(graph.error(self._estimate))) + 0.5 * most * (~kept).sum()
         cost += sum(math.log(math.comb(count, out)) for count, out in self._refused(kept))
         return BatchResult(error, kept, cost)
 
     def _refused(self, kept: BoolArray) -> list[tuple[int, int]]:
-        """Of each kind, how many edges may be refused, and how many are."""
+        """Return, for each kind, how many edges may be rejected and how many are."""
         kinds = Counter(edge.kind for edge in self.edges if not edge.trusted)
         refused = Counter(edge.kind for edge in compress(self.edges, ~kept))
         return [(count, refused[kind]) for kind, count in kinds.items()]
 
     def level(self, down: dict[int, Gravity]) -> None:
-        """Let the next optimisation put a graph in space upright.
+        """Let the next optimisation level a 3D graph.
 
-        Node 0 is then held in place and heading alone.
+        Only the position and heading of node 0 are then fixed.
 
         Parameters
         ----------
         down
-            Gravity at nodes, by their numbers.
+            Gravity at nodes, by node number.
 
         Examples
         --------
@@ -277,7 +277,7 @@ class PoseGraph:
         self._pending, self._pending_values = gtsam.NonlinearFactorGraph(), gtsam.Values()
 
     def begin_with(self, kept: Iterable[bool]) -> None:
-        """Let the next optimisation begin with what an earlier one has kept of the edges so far.
+        """Let the next optimisation start with the inliers of an earlier one.
 
         Examples
         --------
@@ -294,7 +294,7 @@ class PoseGraph:
         self._kept = np.fromiter(kept, np.bool_)
 
     def initialize(self) -> None:
-        """Start from the edges alone: LAGO (Carlone 2014) in the plane, chordal initialisation in space.
+        """Initialise the poses from the edges alone: LAGO (Carlone 2014) in 2D, chordal initialisation in 3D.
 
         Examples
         --------
@@ -314,19 +314,18 @@ class PoseGraph:
         return self._estimate.atPose2(key) if self._dimension == 3 else self._estimate.atPose3(key)
 
     def planar_poses(self, first: int = 0) -> FloatArray:
-        """(n, 3) x, y, yaw of all nodes of an SE(2) graph, or from the first that an update has moved."""
+        """Return (n, 3) x, y, yaw of all nodes in SE(2), or from the ``first`` one that an update moved."""
         estimate = self._moved if first else self._estimate
         rows: FloatArray = gtsam.utilities.extractPose2(estimate)
         return rows.reshape(-1, 3)
 
     def _gnc_weights(self, factors: list[gtsam.NonlinearFactor], most: float, anew: bool) -> FloatArray:
-        """Weight of every edge, 0..1, after GNC-TLS with the trusted edges as known inliers.
+        """Return the weight of every edge, 0..1, after GNC-TLS with the trusted edges as known inliers.
 
-        As Yang 2020, Sec. IV-B, but a round makes one step from where the last one ended; GTSAM goes back
-        to the first estimate, and solves to the end, each time. What was refused before begins refused.
-        Unless it begins ``anew``: then as it fits where all else leads, and half of it may be wrong.
-        Where new edges leave all as it was, for less error than it costs to refuse one more, as `_solution`
-        has it, no round is made.
+        As Yang 2020, Sec. IV-B, but each round makes one step from the result of the last; GTSAM solves
+        completely from the first estimate each time. Edges rejected before start as rejected. With ``anew``
+        they start by how they fit the poses that all others give, and half of them may be wrong. If new edges
+        change nothing, for less error than it costs to reject one more (see `_solution`), no round is made.
         """
         weights: FloatArray = np.append(self._kept, np.ones(len(self.edges) - len(self._kept)))
         graph, asked = self._graph(factors), [k for k, edge in enumerate(self.edges) if not edge.trusted]
@@ -362,7 +361,7 @@ class PoseGraph:
         return weights
 
     def _graph(self, factors: Iterable[gtsam.NonlinearFactor]) -> gtsam.NonlinearFactorGraph:
-        """Prior and edges."""
+        """Build the factor graph of the prior and the edges."""
         graph = gtsam.NonlinearFactorGraph()
         # Gravity behind the edges, which are found by their place.
         for factor in [self._prior(), *factors, *gravity_factors(self._down)]:
@@ -370,14 +369,14 @@ class PoseGraph:
         return graph
 
     def _prior(self) -> gtsam.NonlinearFactor:
-        """Hold node 0; where gravity is known, not its roll and pitch."""
+        """Return the prior of node 0; if gravity is known, without roll and pitch."""
         if not self._down:
             return gauge(self._origin)
         covariance = heading_alone(self._origin, 1e-8 * np.eye(6))
         return prior(0, self._origin, gtsam.noiseModel.Gaussian.Covariance(covariance))
 
     def _check(self, edge: Edge) -> None:
-        """Refuse what GTSAM would take silently."""
+        """Raise an error for input that GTSAM would accept silently."""
         name = f"{edge.kind} edge {edge.source} -> {edge.target}"
         if not (0 <= edge.source < self._count and 0 <= edge.target < self._count):
             raise GraphError(f"{name}: the graph has nodes 0..{self._count - 1}; add the node first")
@@ -394,6 +393,6 @@ class PoseGraph:
 
 
 def _check_finite(pose: Pose) -> None:
-    """Refuse a pose with NaN or infinity in it."""
+    """Raise an error for a pose with NaN or infinity."""
     if not math.isfinite(pose.matrix().sum()):  # a quarter of what asking each number takes
         raise GraphError("a pose that is not finite cannot enter the graph; check the measurement")

@@ -1,8 +1,8 @@
-"""How uncertain is the pose of one node seen from all others: Dijkstra projection (Olson 2008, Sec. IV).
+"""Relative covariance of one node to all others: Dijkstra projection (Olson 2008, Sec. IV).
 
-The least uncertain path of edges from a node bounds the relative covariance from above, without inverting
-the graph. It tells loop closure where to look, and how far. Every so many nodes in a row share an anchor,
-the more the longer the log: paths lead from anchor to anchor, so that a search costs the same in large maps.
+The least uncertain path of edges from a node is an upper bound of the relative covariance, without inverting
+the graph. Loop closure uses it to decide where to search, and how far. Every few consecutive nodes share an
+anchor, more in a longer log. Paths lead from anchor to anchor, so a search costs the same in large maps.
 """
 
 from __future__ import annotations

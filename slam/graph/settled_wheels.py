@@ -1,8 +1,8 @@
-"""How far wheels can be believed where they alone tell a step of the chain.
+"""Covariance of chain steps that only wheel odometry measured.
 
-Long stretches that both wheels and matches tell show how far wheels are off as a rule; that is less than they
-claim, for a claim must cover jumps. So a step of wheels alone is two edges: one as certain as wheels are as a
-rule, which may be refused, and one that allows what they claim.
+Long stretches measured by both wheels and matches show the usual error of the wheels. It is smaller than the
+claimed one, which must also cover jumps. So a step from wheels alone is two edges: one with the usual error,
+which may be rejected, and one with the claimed error.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Stretches of a run's way, each with what is seen along it, and which of them look alike."""
+"""Stretches of a path, each with what the sensors saw along it, and which of them look alike."""
 
 from __future__ import annotations
 
@@ -14,6 +14,7 @@ from slam.graph.loop_candidate import LoopCandidate
 from slam.graph.submaps import SubmapStore
 from slam.matching.correlative import SearchResult, search_window
 from slam.matching.hough_spectrum import SpectrumBank, hough_spectrum
+from slam.matching.local_map import OrientedPoints
 from slam.measurements import BoolArray, FloatArray
 
 
@@ -37,7 +38,9 @@ class Stretches:
         middles_m = np.arange(0.0, way_m[-1] + config.reach_m, self.spacing_m)
         self.keys = np.unique(np.searchsorted(way_m, np.minimum(middles_m, way_m[-1])))
         self._way_m = way_m[self.keys]
-        self._runs = [submaps.run(key) for key in self.keys.tolist()]
+        # Made when one is asked for: where loops tie a map together few are.
+        self._runs: dict[int, OrientedPoints] = {}
+        self._walls = np.full(len(self.keys), -1, np.int8)
 
     def untied(self, loops: Sequence[LoopCandidate]) -> list[int]:
         """The stretches that no loop ties to an earlier place, and that could tell one."""
@@ -45,12 +48,12 @@ class Stretches:
         ends = np.concatenate([[-np.inf], ends, [np.inf]])
         after = np.searchsorted(ends, self._way_m)
         apart_m = np.minimum(self._way_m - ends[after - 1], ends[after] - self._way_m)
-        return np.flatnonzero((apart_m > self._config.reach_m) & self._determined).tolist()
+        return np.flatnonzero(self._determined(apart_m > self._config.reach_m)).tolist()
 
     def between(self, first_m: float, last_m: float) -> list[int]:
         """Keyframes in the middle of those stretches within a part of the way that could tell a place."""
-        within = (self._way_m >= first_m) & (self._way_m <= last_m) & self._determined
-        return self.keys[within].tolist()
+        within = (self._way_m >= first_m) & (self._way_m <= last_m)
+        return self.keys[self._determined(within)].tolist()
 
     def candidates(self, number: int, possible: BoolArray, apart_m: FloatArray) -> list[int]:
         """Earlier stretches that may be seen again in one: the likest, and the nearest by the estimate.
@@ -63,7 +66,9 @@ class Stretches:
             (K,) their distance by the estimate.
         """
         earlier = self._way_m[number] - self._way_m > self._submaps.least_path_m
-        (others,) = np.nonzero(possible & earlier & self._determined)
+        (others,) = np.nonzero(self._determined(possible & earlier))
+        if not others.size:
+            return []
         likest = others[np.argsort(-self._bank.likeness(number, others), kind="stable")]
         near = others[apart_m[others] <= self.window_m]
         nearest = near[np.argsort(apart_m[near], kind="stable")]
@@ -84,7 +89,7 @@ class Stretches:
         match = self._match
         return search_window(
             self._submaps.field(int(self.keys[place])),
-            self._runs[number].thinned(match.search_points),
+            self._run(number).thinned(match.search_points),
             np.zeros(3),
             self.window_m,
             np.pi,
@@ -96,17 +101,26 @@ class Stretches:
         """Half size of the window of a search: two stretches that overlap."""
         return 2.0 * self._config.reach_m
 
-    @cached_property
-    def _determined(self) -> BoolArray:
-        """(K,) whether the walls of a stretch face more than one way: along a bare corridor all is alike."""
-        least = []
-        for run in self._runs:
+    def _run(self, number: int) -> OrientedPoints:
+        """What is seen along a stretch."""
+        if number not in self._runs:
+            self._runs[number] = self._submaps.run(int(self.keys[number]))
+        return self._runs[number]
+
+    def _determined(self, asked: BoolArray) -> BoolArray:
+        """(K,) which of those asked for (K,) have walls that face more than one way.
+
+        Along a bare corridor all is alike.
+        """
+        for number in np.flatnonzero(asked & (self._walls < 0)).tolist():
+            run = self._run(number)
             spread = run.normals.astype(np.float64).T @ run.normals
-            least.append(np.linalg.eigvalsh(spread)[0] / max(len(run), 1) if len(run) >= FEWEST else 0.0)
-        return np.asarray(np.array(least) > self._match.degenerate_share)
+            least = np.linalg.eigvalsh(spread)[0] / max(len(run), 1) if len(run) >= FEWEST else 0.0
+            self._walls[number] = least > self._match.degenerate_share
+        return asked & (self._walls > 0)
 
     @cached_property
     def _bank(self) -> SpectrumBank:
         """How all of them look."""
-        bin_m = self._match.coarse_cell_m
-        return SpectrumBank(hough_spectrum(run.points, run.normals, bin_m) for run in self._runs)
+        bin_m, runs = self._match.coarse_cell_m, map(self._run, range(len(self.keys)))
+        return SpectrumBank(hough_spectrum(run.points, run.normals, bin_m) for run in runs)

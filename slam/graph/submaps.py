@@ -1,4 +1,4 @@
-"""Local maps around keyframes, made from the odometry's own short-range accuracy, kept in a small cache."""
+"""Local maps around keyframes, built with the short-range accuracy of the odometry, in a small cache."""
 
 from __future__ import annotations
 
@@ -165,7 +165,8 @@ class SubmapStore:
             images = []
             for k in members:
                 points = self._surfaces[k].points
-                images.append(RangeImage.of(points, between(self._poses[key], self._poses[k]), points))
+                pose = between(self._poses[key], self._poses[k])
+                images.append(partial(RangeImage.of, points, pose, points))
             return replace(_local_map(self._surfaces, self._poses, key, members, self._match), images=images)
 
         return _newest(self._surroundings, (key, members[0], members[-1]), self._most, seen)

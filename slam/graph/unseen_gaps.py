@@ -1,7 +1,7 @@
-"""Loops across ground that nothing has seen: nothing else holds against a false one.
+"""Loops across a gap without measurements, where no other edge contradicts a false loop.
 
-Where a guess alone joins two stretches of the way, any single loop between them fits the graph, a false one
-as well as a true one. As in the plane (`slam.graph.consistent_sets`), several must agree with each other.
+If only a guess connects two stretches of the path, any single loop between them fits the graph, true or
+false. As in the plane (`slam.graph.consistent_sets`), several loops must agree with each other.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from slam.graph.loop_candidate import LoopCandidate
 from slam.graph.relative_uncertainty import UncertaintyGraph
 from slam.measurements import FloatArray
 
-_ALONE = "alone across ground that nothing saw"
+_ALONE = "no other loop across the unobserved gap agrees"
 
 
 class UnseenGaps:
@@ -42,7 +42,7 @@ class UnseenGaps:
         self._joined.append(len(self._joined))
 
     def crossed(self, loop: LoopCandidate) -> tuple[int, int] | None:
-        """The two stretches that nothing but a loop joins; None where they are one."""
+        """The two stretches that nothing but a loop joins; None if they are one."""
         ends = self._stretch(loop.place), self._stretch(loop.keyframe)
         return None if ends[0] == ends[1] else ends
 

@@ -1,4 +1,4 @@
-"""Loop closure by the camera: places that should be in sight, and places that look the same."""
+"""Loop closure by camera: places that should be in view, and places that look similar."""
 
 from __future__ import annotations
 
@@ -166,11 +166,11 @@ class VisualLoopCloser:
         if match.motion.inlier_share < self._loops.least_inlier_share:
             return candidate.refused("too few readings fit")
         if match.overlap < self._loops.least_overlap and match.feature_count < config.least_features:
-            return candidate.refused("too little is seen by both")
+            return candidate.refused("too little overlap")
         moved = 0.0 if guess is None else dissimilarity(guess, match.pose, frame.median_depth_m)
         # Any corner of three walls fits any other: without features a match may only confirm a guess.
         if moved > self._confirmed and match.feature_count < config.least_features:
-            return candidate.refused("shape alone leads elsewhere")
+            return candidate.refused("geometry alone leads elsewhere")
         if match.motion.degenerate:
             return candidate.refused("a direction is not determined")
         return LoopCandidate(place, key, 0.0, 0.0, score, match.motion, True, "")

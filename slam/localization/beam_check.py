@@ -1,4 +1,4 @@
-"""What the beams of a scan say about a pose in a known map: explained, contradicted, or silent."""
+"""Check the beams of a scan against a pose in a known map: explained, contradicted or neutral."""
 
 from __future__ import annotations
 
@@ -24,18 +24,18 @@ _WALL_REACH_M = 0.1
 # Of a point so far from every wall no small error of the pose makes a wall's.
 _CLEAR_M = 0.2
 # The last stretch of a beam may lie in the wall it ends in, at a small angle and with a little error.
-_END_M = 0.4
+END_M = 0.4
 
 
 class KnownSpace(NamedTuple):
-    """Walls, their surroundings, free and unknown space as a picture.
+    """Walls, their surroundings, free and unknown space as a grid of cells.
 
     Attributes
     ----------
     cells
         (columns, rows, 1), see `slam.localization.beams`.
     clear
-        (columns, rows) whether a cell is free, and no wall is anywhere near it.
+        (columns, rows) whether a cell is free, and far from any wall.
     frame
         (3,) x, y, yaw of the lower-left corner of cell (0, 0) in the map.
     cell_m
@@ -49,18 +49,18 @@ class KnownSpace(NamedTuple):
 
 
 class BeamCounts(NamedTuple):
-    """How many beams of a scan are what.
+    """Number of beams of a scan in each class.
 
     Attributes
     ----------
     explained
-        End on a known wall that faces the same way.
+        Beams that end on a known wall that faces the same way.
     crossing
-        Pass through a known wall.
+        Beams that pass through a known wall.
     in_free
-        End in known free space: something that was not there when the map was made, or a wrong pose.
+        Beams that end in known free space: a new object, or a wrong pose.
     silent
-        End where the map knows nothing, or within reach of a wall that is not the one that they saw.
+        Beams that end in unknown space, or near a wall that is not the one they hit.
     """
 
     explained: int
@@ -96,12 +96,12 @@ def _within(cells: BoolArray, reach_cells: float) -> BoolArray:
 
 
 def in_clear_space(space: KnownSpace, pose: FloatArray, points: AnyFloatArray) -> BoolArray:
-    """Which points (M, 2) of the base frame lie where there was nothing when the map was made, by far.
+    """Return which points (M, 2) of the base frame are in free space of the map, far from walls.
 
     Parameters
     ----------
     pose
-        (3,) x, y, yaw of the base in the map, good to some decimetres.
+        (3,) x, y, yaw of the base in the map, accurate to some decimetres.
     """
     cells = np.floor(transform_points(points, between(space.frame, pose)) / space.cell_m).astype(np.int64)
     return looked_up(space.clear, cells)
@@ -110,7 +110,7 @@ def in_clear_space(space: KnownSpace, pose: FloatArray, points: AnyFloatArray) -
 def check_beams(
     space: KnownSpace, surfels: SurfelMap, pose: FloatArray, laser: FloatArray, points: OrientedPoints
 ) -> BeamCounts:
-    """Follow every beam through the known space.
+    """Trace every beam through the known space.
 
     Parameters
     ----------
@@ -121,23 +121,23 @@ def check_beams(
     pose
         (3,) x, y, yaw of the base in the map.
     laser
-        (2,) where the beams begin, base frame.
+        (2,) origin of the beams, base frame.
     points
-        Where they end, base frame.
+        End points of the beams, base frame.
     """
     explained = np.zeros(len(points), np.bool_)
     _explain(*surfels, pose, points.points, points.normals, explained)
     rest = np.vstack([laser, points.points[~explained]])
     in_picture = transform_points(rest, between(space.frame, pose)) / space.cell_m
     lifted = np.column_stack([in_picture, np.full(len(rest), 0.5)])
-    met = follow(space.cells, lifted[0], lifted[1:], _END_M / space.cell_m)
+    met = follow(space.cells, lifted[0], lifted[1:], END_M / space.cell_m)
     against = np.bincount(met, minlength=WALL + 1)
     return BeamCounts(int(explained.sum()), int(against[WALL]), int(against[FREE]), int(against[UNKNOWN]))
 
 
 @kernel
 def _explain(cells, after, surfels, origin_x, origin_y, cell_m, pose, points, normals, explained):  # type: ignore[no-untyped-def]
-    """Tell which points lie on a surfel that faces the same way."""
+    """Mark which points are on a surfel that faces the same way."""
     cos = math.cos(pose[2])
     sin = math.sin(pose[2])
     for i in range(points.shape[0]):

@@ -1,4 +1,4 @@
-"""Beams through a picture of cells (x, y, z) of which it is known what was free and what was wall."""
+"""Trace beams through a grid of cells (x, y, z) that are known as free or as wall."""
 
 from __future__ import annotations
 

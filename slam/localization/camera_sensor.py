@@ -1,4 +1,4 @@
-"""A camera alone in a known map: its keyframes in sight, its own odometry in between."""
+"""Localise with a camera alone in a known map: by keyframes in view, with its own odometry in between."""
 
 from __future__ import annotations
 
@@ -85,7 +85,7 @@ class CameraSensor:
         return [motion.T_reference_base for motion in self._locator.anywhere(view)]
 
     def _tracked(self, frame: PreparedFrame) -> CameraPose | None:
-        """Where the odometry saw the camera; None where it is lost."""
+        """Where the odometry saw the camera; None if it is lost."""
         tracked = self._odometry.track(frame)
         self._segment += tracked.restarted
         if tracked.new_keyframe:

@@ -1,7 +1,7 @@
-"""Where in a map of clouds a scan may have been taken: by appearance, and by the plan.
+"""Candidate places for a scan in a map of clouds: by appearance, and by the 2D plan.
 
 Scan contexts know only places near the mapped path. A room that looks the same from its other half must not
-be found there and nowhere else, so the plan has its say as well; it tells no height, which the keyframes do.
+be found only there, so the plan is used as well. It gives no height; the keyframes do.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ class CloudPlaces:
     Parameters
     ----------
     field
-        Of the plan; None where the map has none.
+        Of the plan; None if the map has none.
     known
         A map of a 3D lidar.
     voxel_m

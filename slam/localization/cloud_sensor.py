@@ -1,4 +1,4 @@
-"""A 3D lidar in a known map of clouds: aligned to their planes, and its beams weighed."""
+"""Localise with a 3D lidar in a known map of clouds: align clouds to its planes, and weight their beams."""
 
 from __future__ import annotations
 
@@ -39,16 +39,16 @@ _ON_PLANE = 0.5
 
 @dataclass(frozen=True, slots=True)
 class CloudView:
-    """One cloud, prepared once.
+    """A prepared cloud.
 
     Attributes
     ----------
     points
         (N, 3) thinned to the map's voxels, base frame.
     lidar
-        (3,) where the beams begin, base frame.
+        (3,) origin of the beams, base frame.
     novel_share
-        Part of what it sees that the keyframes before it did not see alike.
+        Share of what it sees that is new after the earlier keyframes.
     """
 
     points: FloatArray
@@ -57,19 +57,19 @@ class CloudView:
 
     @classmethod
     def of(cls, points: FloatArray, T_base_lidar: gtsam.Pose3, voxel_m: float) -> CloudView:
-        """Of a whole cloud (N, 3), base frame."""
+        """Prepare a whole cloud (N, 3), base frame."""
         return cls(thin_to_voxels(points, voxel_m), np.asarray(T_base_lidar.translation()))
 
 
 class CloudSensor:
-    """A `Sensor`; stateless but for its odometry and the tiles of the map that it keeps.
+    """A `Sensor`; its only state is its odometry and cached map tiles.
 
     Parameters
     ----------
     known
         A map of a 3D lidar.
     field
-        Of its plan; None where it has none.
+        Likelihood field of its plan; None if it has none.
     """
 
     # Those before cost time, and drift bends the path.
@@ -84,7 +84,7 @@ class CloudSensor:
         self.search_every_m = self._general.search_every_m
 
     def observe(self, measurement: Any, known: Pose | None) -> Observation[CloudView] | None:
-        """See `Sensor`; takes clouds, which are reported at the middle of their turn, and wheel readings."""
+        """See `Sensor`; takes clouds, whose time is the middle of their revolution, and wheel readings."""
         if isinstance(measurement, WheelOdometry):
             self._odometry.add_wheels(measurement)
         if not isinstance(measurement, PointCloud):
@@ -112,7 +112,7 @@ class CloudSensor:
         return replace(aligned.motion, covariance=doubt * aligned.motion.covariance)
 
     def weigh(self, pose: Pose, novel: CloudView, motion: MotionEstimate | None = None) -> float:
-        """See `Sensor`. The beams of a column, one over the other, count as one: walls are upright."""
+        """See `Sensor`. The beams of a vertical column count as one, since walls are upright."""
         points, verdicts = self.judged(pose, novel)
         said = np.any(verdicts, axis=0)
         if not said.any():
@@ -123,7 +123,7 @@ class CloudSensor:
         return novel.novel_share * nats / float(said.sum()) * columns / self._general.correlated_cells
 
     def judged(self, pose: Pose, view: CloudView) -> tuple[FloatArray, BeamVerdicts]:
-        """Some points of a cloud, (N, 3), base frame, and what their beams say of ``T_map_base``."""
+        """Return some points of a cloud, (N, 3), base frame, and how their beams judge ``T_map_base``."""
         assert isinstance(pose, gtsam.Pose3)
         points = view.points[:: max(1, -(-len(view.points) // _MOST_BEAMS))]
         tile = self._tiles.around(pose)
@@ -136,7 +136,7 @@ class CloudSensor:
     def propose(
         self, view: CloudView, keyframes: Sequence[Keyframe[CloudView]], within: Measured | None
     ) -> list[gtsam.Pose3]:
-        """See `Sensor`: places that look alike, by scan context or by plan, and fit best."""
+        """See `Sensor`: places that look similar by scan context or plan, and fit best."""
         scan = thin_to_voxels(view.points, COARSENESS * self.voxel_m)
         arrived: list[tuple[float, gtsam.Pose3]] = []
         for guess in self._places.propose(view.points):
@@ -154,7 +154,7 @@ class CloudSensor:
         return found
 
     def _aligned(self, view: CloudView, guess: Pose) -> tuple[Aligned | None, float]:
-        """An alignment, and what share of the cloud agrees, where that of the map's own clouds is 1."""
+        """Return an alignment, and the share of the cloud that agrees, relative to the map's own clouds."""
         assert isinstance(guess, gtsam.Pose3)
         tile = self._tiles.around(guess)
         if tile is None or not len(view.points):

@@ -1,4 +1,4 @@
-"""What was free and what was wall when clouds were taken, and what the beams of another cloud say to it."""
+"""Free and occupied space of the map's clouds, and how the beams of another cloud agree with it."""
 
 from __future__ import annotations
 

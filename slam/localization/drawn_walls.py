@@ -1,16 +1,22 @@
-"""The walls of a drawn map: where its free space ends, each side of a wall facing the room that it bounds."""
+"""Walls of a grid map: the boundaries of its free space, each side of a wall facing its own room."""
 
 from __future__ import annotations
+
+from collections.abc import Iterator
 
 import numpy as np
 from scipy import ndimage
 
 from fusion.estimation import TINY
+from slam.localization.beam_check import END_M, KnownSpace
+from slam.localization.beams import WALL, follow
+from slam.localization.scan_view import ScanView
 from slam.localization.whole_map_field import BLUR
 from slam.mapping.occupancy_grid import FREE, OCCUPIED, OccupancyGrid
 from slam.matching.local_map import OrientedPoints
-from slam.matching.planar import transform_points
-from slam.measurements import Float32Array, row_from_pose2
+from slam.matching.planar import between, transform_points
+from slam.matching.scan_points import ScanPoints
+from slam.measurements import Float32Array, Pose, pose2_from_row, row_from_pose2
 
 
 def drawn_walls(grid: OccupancyGrid) -> OrientedPoints:
@@ -39,3 +45,21 @@ def drawn_walls(grid: OccupancyGrid) -> OrientedPoints:
     return OrientedPoints(
         transform_points(middles, corner).astype(np.float32), np.asarray(turned, np.float32)
     )
+
+
+def drawn_views(
+    drawn: OrientedPoints, space: KnownSpace, reach_m: float, count: int
+) -> Iterator[tuple[Pose, ScanView]]:
+    """What a lidar that sees all around would see from so many places of all that is free, ``T_map_base``."""
+    clear = np.argwhere(space.clear) + 0.5
+    in_cells = transform_points(drawn.points, between(space.frame, np.zeros(3))) / space.cell_m
+    flat = np.full((len(drawn), 1), 0.5)
+    for cell in clear[np.arange(count) * len(clear) // count] if len(clear) else ():
+        place = np.array([*transform_points(cell[None] * space.cell_m, space.frame)[0], 0.0])
+        away = drawn.points - place[:2]
+        faces = (np.hypot(*away.T) < reach_m) & (np.einsum("ij,ij->i", away, drawn.normals) < 0.0)
+        ends = np.column_stack([in_cells, flat])[faces]
+        met = follow(space.cells, np.array([*cell, 0.5]), ends, END_M / space.cell_m)
+        seen = np.flatnonzero(faces)[met != WALL]
+        points = ScanPoints(away[seen].astype(np.float32), drawn.normals[seen])
+        yield pose2_from_row(place), ScanView(0.0, points, OrientedPoints.from_scan(points), np.zeros(2))

@@ -1,4 +1,4 @@
-"""What a localiser said over a whole drive, and its files: trajectory.tum and trajectory.csv."""
+"""Outputs of a localiser over a whole log, and its files: trajectory.tum and trajectory.csv."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ _SPATIAL_AXES = ("rx", "ry", "rz", "x", "y", "z")
 
 
 class DriveLog:
-    """Flat, growing columns: numbers only, so that it stays small on a long log."""
+    """Outputs of a localiser as growing columns of numbers, which stay small for a long log."""
 
     def __init__(self) -> None:
         self._rows = array("d")
@@ -38,7 +38,7 @@ class DriveLog:
         return len(self._covariances)
 
     def add(self, output: LocalizerOutput, seconds: float) -> None:
-        """Take what was said after a measurement, and how long it took."""
+        """Add the output for a measurement, and its computing time."""
         state = STATES.index(output.state)
         self._rows.extend((output.stamp_s, state, output.confidence, output.support, seconds))
         self._poses.extend([np.nan] * 7 if output.pose is None else row_from_pose(output.pose))
@@ -62,12 +62,12 @@ class DriveLog:
 
     @property
     def supports(self) -> FloatArray:
-        """(N,) share of the measurement that the map explains; NaN where that was not asked."""
+        """(N,) share of the measurement that the map explains; NaN if not computed."""
         return self._columns()[:, 3]
 
     @property
     def seconds(self) -> FloatArray:
-        """(N,) spent on each measurement."""
+        """(N,) computing time of each measurement."""
         return self._columns()[:, 4]
 
     @property
@@ -80,19 +80,19 @@ class DriveLog:
         return float(np.mean(self.states == STATES.index(state))) if len(self) else 0.0
 
     def trajectory(self) -> Trajectory:
-        """Poses while tracking, and those of earlier measurements that were found to lead there; by stamp."""
+        """Return poses while tracking, and those of earlier measurements found later; sorted by stamp."""
         tracked, order = self._tracked_and_order()
         stamps = np.array([*self.stamps_s[tracked], *(stamp for stamp, _ in self._recovered)])
         rows = np.array([*self.poses[tracked], *(pose for _, pose in self._recovered)]).reshape(-1, 7)
         return Trajectory(stamps[order], rows[order, :3], rows[order, 3:])
 
     def of_trajectory(self, values: FloatArray) -> FloatArray:
-        """(M,) of the poses of `trajectory`, of (N,) of the measurements; nan where one was found later."""
+        """Return (M,) values of the poses in `trajectory` from (N,) of measurements; nan if found later."""
         tracked, order = self._tracked_and_order()
         return np.concatenate([values[tracked], np.full(len(self._recovered), np.nan)])[order]
 
     def sigmas(self) -> tuple[FloatArray, FloatArray]:
-        """(N,) sigma of the position where it is greatest, m, and of the yaw, rad; nan where unknown."""
+        """Return (N,) largest position sigma, m, and yaw sigma, rad; nan if unknown."""
         positions, yaws = np.full(len(self), np.nan), np.full(len(self), np.nan)
         for number, covariance in enumerate(self._covariances):
             if covariance is not None:
@@ -102,7 +102,7 @@ class DriveLog:
         return positions, yaws
 
     def write(self, folder: Path) -> list[Path]:
-        """Write ``trajectory.csv``, and ``trajectory.tum`` where there is any pose; the files."""
+        """Write ``trajectory.csv``, and ``trajectory.tum`` if there is any pose; return the files."""
         written = [folder / "trajectory.csv"]
         write_lines(written[0], self._csv())
         trajectory = self.trajectory()
@@ -112,7 +112,7 @@ class DriveLog:
         return written
 
     def _csv(self) -> Iterator[str]:
-        """A line a measurement in the order of the log, then the recovered poses; empty is unknown."""
+        """Return one line per measurement in log order, then the recovered poses; empty means unknown."""
         known = next((covariance for covariance in self._covariances if covariance is not None), None)
         axes = _SPATIAL_AXES if known is not None and len(known) == 6 else _PLANAR_AXES
         pairs = [f"cov_{a}_{b}" for n, a in enumerate(axes) for b in axes[n:]]
@@ -127,7 +127,7 @@ class DriveLog:
             yield ",".join([*head, *map(_number, recovered), *[""] * len(pairs)])
 
     def _tracked_and_order(self) -> tuple[BoolArray, NDArray[np.intp]]:
-        """(N,) which measurements the trajectory holds; (M,) its order, those found later behind them."""
+        """Return (N,) which measurements the trajectory has, and (M,) its order, later finds last."""
         tracked = self.states == STATES.index(State.TRACKING)
         stamps = [*self.stamps_s[tracked], *(stamp for stamp, _ in self._recovered)]
         return tracked, np.argsort(stamps, kind="stable")
@@ -138,5 +138,5 @@ class DriveLog:
 
 
 def _number(value: float) -> str:
-    """The shortest text that reads back as the same number; nothing for NaN."""
+    """Return the shortest text that gives the same number when read; empty for NaN."""
     return "" if np.isnan(value) else repr(float(value))

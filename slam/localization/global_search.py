@@ -1,7 +1,7 @@
-"""Where in a whole map a set of points may have been seen from: branch and bound over every pose.
+"""Search the whole map for poses from which a set of points may have been seen, by branch and bound.
 
-Hess 2016 Sec. V-B over all of the map and all yaws; not the best pose alone is reported, but every one that
-comes near it, for rooms are alike.
+Hess 2016 Sec. V-B over the whole map and all yaws. It returns not only the best pose but all poses with
+nearly as good a score, because rooms look alike.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Where the robot may be: poses that move with the odometry, each weighed by all that was seen."""
+"""Pose hypotheses of the robot: they move with the odometry, and all readings weight them."""
 
 from __future__ import annotations
 
@@ -18,18 +18,18 @@ from slam.measurements import FloatArray, Pose, composed, motion_between
 
 @dataclass(slots=True)
 class Hypothesis:
-    """A pose that may be the robot's.
+    """A possible pose of the robot.
 
     Attributes
     ----------
     pose
         ``T_map_base`` at the newest keyframe.
     evidence
-        Nats by keyframe, oldest first, as many as there are keyframes.
+        Nats per keyframe, oldest first, one for each keyframe.
     motion
-        The alignment of the newest keyframe; None where there was nothing to align to.
+        The alignment of the newest keyframe; None if there was nothing to align to.
     prior
-        Nats in favour before anything was seen.
+        Prior evidence in nats.
     """
 
     pose: Pose
@@ -39,18 +39,18 @@ class Hypothesis:
 
     @property
     def determined(self) -> bool:
-        """Whether it was aligned in all directions."""
+        """Return whether it was aligned in all directions."""
         return self.motion is not None and not self.motion.degenerate
 
     @property
     def measured(self) -> Measured:
-        """The pose as it was aligned; the same place by three sigmas where it was not, in all directions."""
+        """Return the aligned pose; if not aligned in all directions, with three sigmas of one place."""
         if self.motion is not None and self.determined:
             return Measured(self.pose, self.motion.covariance)
         return as_place(self.pose)
 
     def total(self, kidnap_nats: float) -> float:
-        """Evidence of the path, or of its end alone if the robot was kidnapped in between."""
+        """Return the evidence of the path, or only of its end if the robot was kidnapped in between."""
         whole = best = 0.0
         for nats in reversed(self.evidence):
             whole += nats
@@ -61,7 +61,7 @@ class Hypothesis:
 def correction(
     sensor: Sensor[V, N], view: V, expected: Pose, config: LocalizationConfig
 ) -> MotionEstimate | None:
-    """An alignment near an expected pose; None where too little agrees, or that has found another place."""
+    """Align near an expected pose; return None with too few inliers, or if it found another place."""
     motion = sensor.align(view, expected)
     if motion is None or motion.inlier_share < config.least_inlier_share:
         return None
@@ -80,7 +80,7 @@ class KeyframeLog(Generic[V, N]):
         return self._sensor.sees_anew(view, self.keyframes[-1].pose if self.keyframes else None, pose)
 
     def add(self, view: V, pose: Pose) -> int:
-        """Take a reading at ``T_odom_base`` for a keyframe; how many of the oldest were dropped for it."""
+        """Add a reading at ``T_odom_base`` as a keyframe; return how many of the oldest were dropped."""
         travelled_m = 0.0
         if self.keyframes:
             newest = self.keyframes[-1]
@@ -92,7 +92,7 @@ class KeyframeLog(Generic[V, N]):
 
 
 class HypothesisSet(Generic[V, N]):
-    """All hypotheses, and how likely each is."""
+    """All hypotheses with their probabilities."""
 
     def __init__(self, sensor: Sensor[V, N], config: LocalizationConfig) -> None:
         self._sensor, self._config = sensor, config
@@ -105,7 +105,7 @@ class HypothesisSet(Generic[V, N]):
         self._led_nats = 0.0
 
     def clear(self) -> None:
-        """Begin anew: nothing is known."""
+        """Remove all hypotheses: nothing is known."""
         self._log.keyframes.clear()
         self.members.clear()
         self._search, self._search_at_m = None, 0.0
@@ -117,16 +117,16 @@ class HypothesisSet(Generic[V, N]):
     def add_keyframe(
         self, view: V, pose: Pose, dead_reckoned: Measured | None, *, bound: bool = False
     ) -> None:
-        """Move all hypotheses on to a reading, weigh them by what it sees anew, and look for new ones.
+        """Move all hypotheses to a reading, weight them by its new part, and search for new hypotheses.
 
         Parameters
         ----------
         pose
             ``T_odom_base``.
         dead_reckoned
-            ``T_map_base`` by odometry from the last pose that was tracked; None where there is none.
+            ``T_map_base`` by odometry from the last tracked pose; None if there is none.
         bound
-            Whether that is where it must be, within its covariance; otherwise it is as good as any place.
+            Whether the robot must be there, within the covariance; otherwise any place is as likely.
         """
         self._within = dead_reckoned if bound else None
         last = self._log.keyframes[-1].pose if self._log.keyframes else None
@@ -149,11 +149,11 @@ class HypothesisSet(Generic[V, N]):
 
     @property
     def seeking(self) -> bool:
-        """Whether a search is under way."""
+        """Return whether a search is running."""
         return self._search is not None
 
     def seek(self) -> None:
-        """Go on with the search that is under way, by as much as one reading may cost."""
+        """Continue the running search, by as much as one reading may cost."""
         if self._search is None:
             return
         search, searched_at = self._search
@@ -166,7 +166,7 @@ class HypothesisSet(Generic[V, N]):
             self._prune()
 
     def propose(self, pose: Pose, odometry_pose: Pose) -> None:
-        """Take in ``T_map_base`` that another sensor has found, and ``T_odom_base`` at that moment."""
+        """Add ``T_map_base`` that another sensor has found, with ``T_odom_base`` at that time."""
         if self._log.keyframes:
             step = motion_between(odometry_pose, self._log.keyframes[-1].pose)
             self._take_in(composed(pose, step), self._config.nowhere_nats)
@@ -174,11 +174,11 @@ class HypothesisSet(Generic[V, N]):
 
     @property
     def newest_nats(self) -> float:
-        """What the newest keyframe says for the pose that it fits best, nats, beyond the map included."""
+        """Return the newest keyframe's evidence for its best pose, nats, including outside the map."""
         return max([self._led_nats, *(member.evidence[-1] for member in self.members)])
 
     def probabilities(self) -> FloatArray:
-        """Posterior of each hypothesis; what is left to one is that of being nowhere in the map."""
+        """Return the posterior of each hypothesis; the rest to one is that of being outside the map."""
         totals = np.array([self._total(member) for member in self.members])
         nowhere_nats = self._config.nowhere_nats
         greatest = max(nowhere_nats, totals.max(initial=-math.inf))
@@ -186,7 +186,7 @@ class HypothesisSet(Generic[V, N]):
         return np.asarray(weights / (weights.sum() + math.exp(nowhere_nats - greatest)))
 
     def winner(self) -> Hypothesis | None:
-        """The hypothesis that is confident; None while there is none, or a search may find it a rival."""
+        """Return the confident hypothesis; None if there is none, or a running search may find a rival."""
         probabilities = self.probabilities()
         if (
             not self.members
@@ -198,9 +198,9 @@ class HypothesisSet(Generic[V, N]):
         return self.members[best] if probabilities[best] >= self._config.confident_probability else None
 
     def together(self) -> Measured | None:
-        """What all hypotheses tell that dead reckoning holds together, where none but they are likely.
+        """Combine all hypotheses that dead reckoning connects, if no others are likely.
 
-        Along a corridor they stand side by side; where there is no room for all of them, they tell nothing.
+        Along a corridor they are in a row; if there are too many for the set, they give no pose.
         """
         probabilities = self.probabilities()
         crowded = len(self.members) == self._config.hypotheses
@@ -215,20 +215,20 @@ class HypothesisSet(Generic[V, N]):
         return mixed(self._within.pose, poses, probabilities / probabilities.sum())
 
     def _total(self, member: Hypothesis) -> float:
-        """Evidence for a hypothesis, and how far dead reckoning has it: to be nowhere would be a surprise."""
+        """Return the evidence for a hypothesis, with its distance to dead reckoning, limited by surprise."""
         nats = member.total(self._config.nowhere_nats)
         if self._within is None:
             return nats
         return nats + self._config.nowhere_nats - 0.5 * self._squares(member.pose)
 
     def _squares(self, pose: Pose) -> float:
-        """Squared Mahalanobis distance of a place, which is no point, from dead reckoning; 0 without it."""
+        """Return the squared Mahalanobis distance of a place from dead reckoning; 0 without it."""
         if self._within is None:
             return 0.0
         return squared_mahalanobis(self._within, as_place(pose))
 
     def _settle(self, member: Hypothesis, predicted: Pose) -> None:
-        """Align a hypothesis to the map near its predicted pose, and weigh what the keyframe sees anew."""
+        """Align a hypothesis to the map near its predicted pose, and weight it by the new part."""
         assert self._view is not None
         member.motion = correction(self._sensor, self._view, predicted, self._config)
         member.pose = predicted if member.motion is None else member.motion.T_reference_base
@@ -236,12 +236,12 @@ class HypothesisSet(Generic[V, N]):
         member.evidence.append(self._weighed(member.pose, novel, member.motion))
 
     def _weighed(self, pose: Pose, novel: N, motion: MotionEstimate | None) -> float:
-        """What a keyframe says for a pose, nats: it alone makes none hopeless that must agree with others."""
+        """Return a keyframe's evidence for a pose, nats: alone it drops no pose if several must agree."""
         most = self._config.lost_nats / self._sensor.least_keyframes
         return min(max(self._sensor.weigh(pose, novel, motion), -most), most)
 
     def _take_in(self, pose: Pose, prior: float) -> None:
-        """Weigh a pose at the newest keyframe by all of them, unless it is known already."""
+        """Add a pose at the newest keyframe and weight it by all keyframes, unless it is known already."""
         *before, newest = self._log.keyframes
         member = Hypothesis(pose, [], None, prior)
         self._settle(member, pose)
@@ -259,7 +259,7 @@ class HypothesisSet(Generic[V, N]):
         self.members.append(member)
 
     def _prune(self) -> None:
-        """Keep the likeliest, without another's double, the hopeless, and what is beyond the number."""
+        """Keep the most likely hypotheses, without duplicates, hopeless ones, and those above the limit."""
         gate = self._config.gate_sigmas**2
         self.members = [member for member in self.members if self._squares(member.pose) <= gate]
         totals = [self._total(member) for member in self.members]

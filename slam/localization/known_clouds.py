@@ -1,4 +1,4 @@
-"""The clouds of a known map, in the forms in which they are asked for."""
+"""Clouds of a known map, in the forms that localisation needs."""
 
 from __future__ import annotations
 
@@ -66,7 +66,7 @@ class CloudTiles:
     Raises
     ------
     MapFileError
-        Where no keyframe has points enough.
+        If no keyframe has points enough.
     """
 
     def __init__(self, known: MapContents, config: Config) -> None:
@@ -76,7 +76,7 @@ class CloudTiles:
         self._reach_voxels = config.cloud_localization.reach_voxels
         first = next((points for points in known.clouds if len(points)), None)
         if first is None:
-            raise MapFileError("the map's clouds hold no point: nothing can be localised in it")
+            raise MapFileError("the map's clouds contain no point: nothing can be localised in it")
         self.voxel_m = voxel_of(first, config.cloud_odometry)
         self._thickness_m = 0.5 * config.cloud_odometry.thickness_m
         # The two faces of a thin wall are no plane together.

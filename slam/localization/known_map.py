@@ -11,7 +11,7 @@ import numpy as np
 from slam.config import Config
 from slam.errors import MapFileError
 from slam.localization.beam_check import KnownSpace, known_space
-from slam.localization.drawn_walls import drawn_walls
+from slam.localization.drawn_walls import drawn_views, drawn_walls
 from slam.localization.scan_view import ScanView
 from slam.localization.whole_map_field import WholeMapField, build_whole_map_field
 from slam.mapping.occupancy_grid import FREE, OccupancyGrid, looked_up
@@ -38,12 +38,12 @@ class Walls:
     Raises
     ------
     MapFileError
-        Where the map holds no scan.
+        If the map holds no scan.
     """
 
     def __init__(self, known_map: MapContents, config: Config) -> None:
         if not has_walls(known_map):
-            raise MapFileError("the map holds no lidar scan: a scan cannot be localised in it")
+            raise MapFileError("the map contains no lidar scan: a scan cannot be localised in it")
         self.map = known_map
         self._config = config
         self._tile = lru_cache(config.localization.tiles_cached)(self._made)
@@ -97,12 +97,17 @@ class Walls:
         )
 
     def view(self, key: int) -> ScanView | None:
-        """What stood of what a keyframe of the map saw, without people; None where it has no scan."""
+        """What stood of what a keyframe of the map saw, without people; None if it has no scan."""
         view = self._views.get(key)
         return None if view is None else view.only(self._standing(view, self._poses[key])[1])
 
     def sampled(self, count: int) -> Iterator[tuple[Pose, ScanView]]:
-        """So many keyframes from all of its way, ``T_map_base`` and what each saw; all where it has fewer."""
+        """So many keyframes from all of its way, ``T_map_base`` and what each saw; all where it has fewer.
+
+        Of a map that is a grid alone, what would be seen from so many of its free places.
+        """
+        if self._drawn is not None:
+            yield from drawn_views(self._drawn, self.space, self._config.scan.range_max_m, count)
         keys = list(self._views)
         for key in keys if len(keys) <= count else [keys[n * len(keys) // count] for n in range(count)]:
             yield pose2_from_row(self._poses[key]), self._views[key]

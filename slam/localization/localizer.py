@@ -1,8 +1,9 @@
-"""The localiser of a known map: one measurement in, what is known of the pose out."""
+"""Localise in a known map, one measurement at a time."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -26,30 +27,30 @@ from slam.vision.prepared_frame import PreparedFrame
 
 
 class Localizer:
-    """Feed it the measurements of a log, or of a robot, one after the other.
+    """Localise a robot in a map: add the measurements of a log, or of a running robot, one by one.
 
-    Scans are localised in the walls of the map, frames at its camera keyframes. Where the map has walls and
-    scans come, frames of the map's camera help the scans; without scans they do it alone. In the map of a 3D
-    lidar its clouds are localised, and nothing else.
+    Scans are matched to the walls of the map, frames to its camera keyframes. If the map has walls and there
+    are scans, frames of the map's camera support them; without scans only frames are used. In the map of a
+    3D lidar only clouds are used.
 
     Parameters
     ----------
     known_map
-        Where to localise: a saved map or its path, or one that a run has just made; it is not changed.
+        A map, or the path of a saved map; it is not changed.
     config
-        The effective configuration; ``sensors.lidar`` and ``sensors.rgbd`` choose what is used.
+        The configuration; ``sensors.lidar`` and ``sensors.rgbd`` select the sensors.
     registrations
-        Where colour cameras sit beside their depth cameras, by the cameras' names; None takes what the
-        mapping run has learned.
+        Pose of each colour camera relative to its depth camera, by camera name; None uses those that the
+        mapping run estimated.
     start
-        Where the robot is at the first reading, as somebody says, in a map of a floor: it is sought there
-        until what is seen speaks against it. None seeks it everywhere.
+        Approximate initial pose of the robot, in a map of a floor. The search is limited to it until the
+        measurements contradict it. None searches the whole map.
 
     Raises
     ------
     MapFileError
-        Where the map holds nothing that the chosen sensors could be localised in, or is not of a floor and a
-        start was told.
+        If the map has nothing in which the selected sensors can be localised, or an initial pose is given
+        and the map is not of a floor.
 
     Examples
     --------
@@ -74,9 +75,8 @@ class Localizer:
         if not isinstance(known_map, MapContents):
             known_map = opened(known_map).contents
         if start is not None and not known_map.planar:
-            raise MapFileError("the map is not of a floor: leave out the start, the robot is found without")
+            raise MapFileError("a start is for planar maps only: leave it out, the robot is found without it")
         config = config_of(config)
-        self._warned: Callable[[], str | None] = lambda: None
         self._lidar = self._lidar_of(known_map, config, start)
         self._locator: VisualLocator | None = None
         if config.sensors.rgbd and known_map.frames is not None and known_map.clouds is None:
@@ -86,16 +86,16 @@ class Localizer:
             self._camera = StateMachine(CameraSensor(self._locator, config), config.localization, start)
         if self._lidar is None and self._camera is None:
             raise MapFileError(
-                "the map holds neither scans nor camera keyframes for the sensors that are switched on; "
-                "see 'scanweave info' for what it holds"
+                "the map contains no scans or camera keyframes for the enabled sensors; "
+                "'scanweave info' shows what it contains"
             )
 
     def add(self, measurement: Measurement | PreparedFrame) -> LocalizerOutput | None:
-        """Take the next measurement.
+        """Process the next measurement.
 
         Returns
         -------
-        What is known after a scan or frame; None after one that is only kept (wheels), or not used.
+        The state after a scan or frame; None after a measurement that is only stored (wheels) or not used.
 
         Examples
         --------
@@ -118,7 +118,7 @@ class Localizer:
         return self._lidar.add(measurement)
 
     def warning(self) -> str | None:
-        """What makes its poses doubtful, whatever they say: that places of the map look alike; None of most.
+        """Return why all its poses are doubtful: places of the map look alike. None for most maps.
 
         Examples
         --------
@@ -128,13 +128,20 @@ class Localizer:
         >>> slam.Localizer(slam.map_log(log)).warning() is None
         True
         """
-        return self._warned()
+        if self._lidar is None or not self._lidar.copied:
+            return None
+        return (
+            f"the robot was found by appearance alone, and {self._lidar.copied:.0%} of the map's own scans "
+            "match other places of the map, too: the poses may be of another place; give --start"
+        )
 
     def _lidar_of(
         self, known_map: MapContents, config: Config, start: Measured | None
     ) -> StateMachine[Any, Any] | None:
-        """What localises by the lidar; None where the map or the configuration has none."""
+        """Create the localiser for the lidar; None if the map or the configuration has none."""
         sensor: PlanarSensor | CloudSensor
+        settings = config.localization
+        alike: Callable[[], float] = float
         if known_map.clouds is not None:
             if not config.sensors.lidar:
                 raise MapFileError(
@@ -145,21 +152,19 @@ class Localizer:
         elif has_walls(known_map) and config.sensors.lidar:
             walls = Walls(known_map, config)
             sensor = planar = PlanarSensor(walls, config)
-            if start is None:
-                self._warned = lambda: look_alikes(walls, planar, config.localization)
+            alike = partial(look_alikes, walls, planar, settings)
             if not known_map.node_poses and known_map.grid is not None:
                 # Where in its cells a drawn wall is, the drawing does not tell.
                 half_m = 0.5 * known_map.grid.resolution_m
-                sigma_m = max(config.localization.map_sigma_m, half_m)
-                settings = config.localization.model_copy(update={"map_sigma_m": sigma_m})
-                return StateMachine(sensor, settings, start)
+                sigma_m = max(settings.map_sigma_m, half_m)
+                settings = settings.model_copy(update={"map_sigma_m": sigma_m})
         else:
             return None
-        return StateMachine(sensor, config.localization, start)
+        return StateMachine(sensor, settings, start, alike)
 
     @staticmethod
     def _help(lidar: StateMachine[Any, Any], locator: VisualLocator, frame: PreparedFrame) -> None:
-        """Let a frame help: it proposes places while one is sought, and holds the pose that is tracked."""
+        """Use a frame as support: it proposes places during a search, and stabilises a tracked pose."""
         if lidar.tracked is None:
             for place in locator.anywhere(frame):
                 lidar.propose(place.T_reference_base)

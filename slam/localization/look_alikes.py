@@ -1,4 +1,4 @@
-"""Whether places of a map look alike, so that one may be taken for another where nobody told the start."""
+"""Check if places of a map look alike, so that a search without initial pose may find the wrong one."""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ from slam.localization.scan_view import first_in_cells
 from slam.measurements import pose2_from_row
 
 
-def look_alikes(walls: Walls, sensor: PlanarSensor, settings: LocalizationConfig) -> str | None:
-    """What there is to say of a map of which more than one scan in ten fits somewhere else in it, too.
+def look_alikes(walls: Walls, sensor: PlanarSensor, settings: LocalizationConfig) -> float:
+    """Share of a map's own scans, taken from all of its way, that fit somewhere else in it, too.
 
-    Such a scan has more evidence there than a place needs to be likelier than being nowhere. None where few
-    have, and for a map without scans.
+    Such a scan has more evidence there than a place needs to be likelier than being nowhere. 0 for a map
+    without scans, and where no more than one in ten do: something looks alike in most maps.
     """
     asked = list(walls.sampled(FEWEST))
     elsewhere = 0
@@ -31,9 +31,4 @@ def look_alikes(walls: Walls, sensor: PlanarSensor, settings: LocalizationConfig
             if not same_place(own, pose) and sensor.weigh(pose, seen) > settings.nowhere_nats:
                 elsewhere += 1
                 break
-    if 10 * elsewhere <= len(asked):
-        return None
-    return (
-        f"nobody told the start, and places of this map look alike ({elsewhere} of {len(asked)} of its own "
-        "scans fit elsewhere in it, too): the poses may be those of another place; --start tells it"
-    )
+    return elsewhere / len(asked) if 10 * elsewhere > len(asked) else 0.0

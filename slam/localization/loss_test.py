@@ -1,4 +1,4 @@
-"""How far the pose is believed while it is tracked: until what is seen speaks against it (Page 1954)."""
+"""Test how long a tracked pose is accepted, until the readings contradict it (Page 1954)."""
 
 from __future__ import annotations
 

@@ -1,9 +1,10 @@
-"""The state machine of localisation, whatever the sensor: search, track, lose, find again."""
+"""State machine of localisation for any sensor: search, track, lose, recover."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from functools import cache
 from typing import Any, Generic
 
 import numpy as np
@@ -22,17 +23,29 @@ from slam.measurements import Pose, composed, motion_between
 
 
 class StateMachine(Generic[V, N]):
-    """State of one drive in a known map; feed the readings of its sensor in the order of the log.
+    """State of one drive in a known map; add the readings of its sensor in log order.
 
     Parameters
     ----------
     start
-        ``T_map_base`` at the first reading, where somebody has told it; it is believed as dead reckoning is.
+        ``T_map_base`` at the first reading, if it is given; it is trusted like dead reckoning.
+    alike
+        Gives the probability that a place found only by its appearance is a copy of another; called once.
+
+    Attributes
+    ----------
+    copied
+        This probability for the tracked pose; 0 if it was given, or reached from there by dead reckoning.
     """
 
     def __init__(
-        self, sensor: Sensor[V, N], config: LocalizationConfig, start: Measured | None = None
+        self,
+        sensor: Sensor[V, N],
+        config: LocalizationConfig,
+        start: Measured | None = None,
+        alike: Callable[[], float] = float,
     ) -> None:
+        self._alike, self.copied = cache(alike), 0.0
         self._sensor, self._config, self._start = sensor, config, start
         self._hypotheses = HypothesisSet(sensor, config)
         self._loss = LossTest(config)
@@ -46,11 +59,11 @@ class StateMachine(Generic[V, N]):
 
     @property
     def tracked(self) -> Measured | None:
-        """``T_map_base``, while it is tracked."""
+        """``T_map_base`` while it is tracked."""
         return self._known if self._state is State.TRACKING else None
 
     def add(self, measurement: Any) -> LocalizerOutput | None:
-        """Take a reading; what is known after it, None where the sensor only keeps it or does not use it."""
+        """Process a reading; return the output, or None if the sensor only stores it or does not use it."""
         known = self.tracked
         observed = self._sensor.observe(measurement, None if known is None else known.pose)
         if observed is None:
@@ -78,26 +91,26 @@ class StateMachine(Generic[V, N]):
         return self._output(observed.stamp_s, support, recovered)
 
     def wants_help(self) -> bool:
-        """Whether the robot has moved on since another sensor helped: that is as much as it can tell anew."""
+        """Return whether the robot has moved since another sensor helped: only then is it new evidence."""
         if self._odometry_pose is None or not moved_on(self._helped_at, self._odometry_pose, self._config):
             return False
         self._helped_at = self._odometry_pose
         return True
 
     def confirm(self, seen: Measured) -> None:
-        """Take where another sensor sees the tracked pose, if it may be there: the map may differ for it."""
+        """Use the tracked pose as another sensor measures it, if plausible: its map may differ."""
         seen = self._in_map(seen)
         if self.tracked is not None and self._smoother is not None and self._may_be(self.tracked, seen):
             self._smoother.add_seen(seen)
             self._known = self._smoother.newest
 
     def propose(self, pose: Pose) -> None:
-        """Take ``T_map_base`` that another sensor has found while the pose is sought."""
+        """Add ``T_map_base`` that another sensor found during a search."""
         if self._odometry_pose is not None:
             self._hypotheses.propose(pose, self._odometry_pose)
 
     def _track(self, observed: Observation[V], predicted: Measured) -> float:
-        """Align to the map where it is expected, judge: the share of the reading that the map explains."""
+        """Align to the map at the predicted pose and verify; return the share that the map explains."""
         assert self._smoother is not None and observed.moved is not None
         motion = self._sensor.align(observed.view, predicted.pose)
         believed = self._believed(motion, predicted)
@@ -114,22 +127,22 @@ class StateMachine(Generic[V, N]):
         return math.nan if motion is None else motion.inlier_share
 
     def _believed(self, motion: MotionEstimate | None, predicted: Measured) -> MotionEstimate | None:
-        """An alignment, if enough of the reading agrees with it and it is where it may be."""
+        """Return an alignment if it has enough inliers and passes the gate."""
         if motion is None or motion.inlier_share < self._config.least_inlier_share:
             return None
         return motion if self._may_be(predicted, _measured(motion)) else None
 
     def _may_be(self, expected: Measured, found: Measured) -> bool:
-        """Gating."""
+        """Return whether a pose passes the gate."""
         return squared_mahalanobis(expected, found) <= self._config.gate_sigmas**2
 
     def _search(
         self, observed: Observation[V], predicted: Measured | None
     ) -> tuple[float, Sequence[RecoveredPose]]:
-        """Weigh all hypotheses; where one wins, begin to track it.
+        """Weight all hypotheses; if one wins, start to track it.
 
-        A pose that is not known well enough to align there is one of those within its covariance, until what
-        is seen contradicts them all.
+        If the predicted pose is too uncertain for an alignment, all poses within its covariance are possible,
+        until the readings contradict all of them.
         """
         if self._state is State.TRACKING:
             self._state = State.LOST
@@ -151,6 +164,7 @@ class StateMachine(Generic[V, N]):
                 self._forget()
         winner = self._hypotheses.winner()
         if winner is not None and winner.motion is not None and winner.determined:
+            self.copied = self.copied if bound else self._alike()
             return winner.motion.inlier_share, self._found(_measured(winner.motion), observed.pose)
         together = self._hypotheses.together()
         if together is not None and position_sigma_m(together) <= SAME_M:
@@ -158,7 +172,7 @@ class StateMachine(Generic[V, N]):
         return math.nan, ()
 
     def _found(self, found: Measured, odometry_pose: Pose) -> Sequence[RecoveredPose]:
-        """Begin to track a pose that was found; the path up to here becomes known."""
+        """Start to track a pose that was found; the path up to here becomes known."""
         self._state, self._contradicted = State.TRACKING, False
         self._smoother = PoseSmoother(found)
         self._known = self._smoother.newest
@@ -171,21 +185,21 @@ class StateMachine(Generic[V, N]):
         return recovered
 
     def _in_map(self, known: Measured) -> Measured:
-        """A pose with what the map itself is off by there."""
+        """Return a pose with the local error of the map added."""
         bent = diagonal(known.pose, self._config.map_sigma_m, self._config.map_sigma_rad)
         return Measured(known.pose, known.covariance + bent)
 
     def _forget(self) -> None:
-        """What the odometry held together is held together no more, or needs no more to be."""
+        """Discard hypotheses and unknown poses: the odometry no longer connects them, or need not."""
         self._hypotheses.clear()
         self._unknown.clear()
 
     def _output(self, stamp_s: float, support: float, recovered: Sequence[RecoveredPose]) -> LocalizerOutput:
-        """What is known after a reading; a pose that the newest one speaks against counts as lost."""
+        """Return the output for a reading; a pose that the newest reading contradicts counts as lost."""
         probabilities = self._hypotheses.probabilities()
         state, confidence = self._state, float(probabilities.max(initial=0.0))
         if self._smoother is not None and state is State.TRACKING:
-            confidence = self._loss.confidence * self._smoother.trust
+            confidence = self._loss.confidence * self._smoother.trust * (1.0 - self.copied)
             state = State.LOST if self._loss.doubted else state
         known = None if self._known is None else self._in_map(self._known)
         if known is not None and state is State.LOST and (self._contradicted or self._loss.doubted):
@@ -207,6 +221,6 @@ class StateMachine(Generic[V, N]):
 
 
 def _measured(motion: MotionEstimate) -> Measured:
-    """Where an alignment puts the robot; along an open direction it repeats its guess, and tells nothing."""
+    """Return the aligned pose; in a degenerate direction it only repeats its guess."""
     open_ = np.outer(motion.weak_direction, motion.weak_direction) / TINY
     return Measured(motion.T_reference_base, motion.covariance + open_)

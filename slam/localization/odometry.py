@@ -1,4 +1,4 @@
-"""The robot's motion while it is localised, by its lidar and wheels alone, and when that thread is cut."""
+"""Motion of the robot during localisation, from its lidar and wheels only, and when this odometry breaks."""
 
 from __future__ import annotations
 
@@ -37,14 +37,14 @@ _LONG_GAP_S = 5.0
 
 
 class OdometryStep(NamedTuple):
-    """Where a reading was taken, by odometry.
+    """Pose of a reading by odometry.
 
     Attributes
     ----------
     pose
-        ``T_odom_base``; the odometry frame begins anew where nobody knows the motion.
+        ``T_odom_base``; a new odometry frame starts if the motion is unknown.
     moved
-        Motion since the last reading; None where nobody knows it.
+        Motion since the last reading; None if unknown.
     """
 
     pose: Pose
@@ -52,7 +52,7 @@ class OdometryStep(NamedTuple):
 
 
 class ScanOdometry:
-    """Scan to recent scans, with wheels where there are any."""
+    """Odometry by matching scans to recent scans, with wheels if there are any."""
 
     def __init__(self, config: Config) -> None:
         self._config = config
@@ -76,9 +76,9 @@ class ScanOdometry:
             self._wheels_s = reading.stamp_s
 
     def expected_step(self, stamp_s: float) -> Measured:
-        """Motion from the last scan to one at a stamp, before it is matched.
+        """Return the motion from the last scan to one at a stamp, before matching.
 
-        By the wheels; as before, where they say nothing.
+        It is measured by the wheels; without them, the last motion is repeated.
         """
         step_s = stamp_s - self._stamp_s
         if self._wheels is not None and self._last is not None:
@@ -88,9 +88,9 @@ class ScanOdometry:
         return self._repeated(step_s)
 
     def _repeated(self, step_s: float) -> Measured:
-        """The last motion once more, for another time: as steady as it was while it was measured.
+        """Repeat the last motion for another time, with the steadiness that was measured.
 
-        What that did not tell is not told by repeating it, and who stands may go as fast as usual.
+        Its undetermined directions stay undetermined, and a standing robot may move at its usual speed.
         """
         steady_s, config = max(GAP_S, self._step_s), self._config.prediction
         step = row_from_pose2(self._step.pose)
@@ -136,7 +136,7 @@ class ScanOdometry:
         return MotionTracker(odometry, self._wheels, config.prediction, config.match)
 
     def _is_cut(self, last: TrackedScan, tracked: TrackedScan, elapsed_s: float) -> bool:
-        """Whether nothing tells how the robot moved."""
+        """Return whether the motion of the robot is unknown."""
         if tracked.motion is not None:
             self._unmatched = 0
             return False
@@ -151,11 +151,11 @@ class ScanOdometry:
         return not told or gap or self._unmatched >= _LOST_READINGS
 
     def _fused(self, row: FloatArray, tracked: TrackedScan, expected: Measured, elapsed_s: float) -> Measured:
-        """A step (3,) by match and expectation, by their covariances: wheels tell how long a corridor is.
+        """Fuse a match and the prediction to a step (3,) by covariance: wheels measure along a corridor.
 
-        Past a gap a match may have found another place that looks the same: where there are wheels, it must
-        agree with them, be beyond dispute, and they must tell the way well enough. Before one, wheels that
-        contradict the match have slipped, and the robot goes on as before where the match does not tell.
+        After a gap a match may be at another place that looks the same: with wheels, it must agree with them,
+        be undisputed, and the wheels must be accurate enough. Without a gap, wheels that contradict the match
+        have slipped; the last motion is then repeated in directions that the match leaves open.
         """
         past_gap = self._wheels is not None and elapsed_s > _LONG_GAP_S
         vague = position_sigma_m(expected) > self._config.localization.dead_reckoning_m
@@ -175,7 +175,7 @@ class ScanOdometry:
 
 
 class CloudOdometry:
-    """Cloud to recent clouds."""
+    """Odometry by matching clouds to recent clouds."""
 
     def __init__(self, config: Config) -> None:
         self._config, self._guess = config, config.prediction
@@ -191,7 +191,7 @@ class CloudOdometry:
             self._wheels.add(reading)
 
     def add(self, cloud: PointCloud) -> tuple[FloatArray, OdometryStep]:
-        """Take a cloud: its usable points (N, 3), base frame, deskewed, and where it was taken."""
+        """Process a cloud; return its usable points (N, 3), base frame, deskewed, and its pose."""
         last, elapsed_s = self._last, cloud.stamp_s - self._stamp_s
         self._stamp_s = cloud.stamp_s
         gap = last is not None and not 0.0 <= elapsed_s <= _LONG_GAP_S
@@ -206,7 +206,7 @@ class CloudOdometry:
         return tracked.points, OdometryStep(tracked.pose, None if last is None else self._step(last, tracked))
 
     def _step(self, last: TrackedCloud, tracked: TrackedCloud) -> Measured:
-        """Motion between two clouds, each matched to the same recent ones; or as good as a guess."""
+        """Return the motion between two clouds, both matched to the same recent clouds; or a guess."""
         step = last.pose.between(tracked.pose)
         if tracked.motion is None:
             sigmas = self._guess.velocity_floor_m, self._guess.velocity_floor_rad

@@ -1,4 +1,4 @@
-"""What a localiser says after each measurement."""
+"""Output of a localiser after each measurement."""
 
 from __future__ import annotations
 
@@ -9,11 +9,11 @@ from slam.measurements import FloatArray, Pose, one_line
 
 
 class State(StrEnum):
-    """What a localiser knows.
+    """State of a localiser.
 
-    SEARCHING: not where the robot is; the hypotheses are listed. TRACKING: the pose. LOST: it knew, but what
-    is seen no longer fits, or nothing has confirmed the pose for long; the pose is dead reckoning. So it
-    begins where it was told the start, until what is seen confirms that.
+    SEARCHING: the pose is unknown; the hypotheses are listed. TRACKING: the pose is known. LOST: the pose was
+    known, but the measurements no longer fit or have not confirmed it for long; it is now dead reckoning. A
+    localiser with a given initial pose starts as LOST, until the measurements confirm that pose.
 
     Examples
     --------
@@ -29,7 +29,7 @@ class State(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class PoseHypothesis:
-    """A pose that may be the robot's, and how likely it is that it is."""
+    """A possible pose of the robot, and its probability."""
 
     pose: Pose
     probability: float
@@ -37,7 +37,7 @@ class PoseHypothesis:
 
 @dataclass(frozen=True, slots=True)
 class RecoveredPose:
-    """Where the robot had been at an earlier measurement, as it is known now."""
+    """Pose of the robot at an earlier measurement, known only now."""
 
     stamp_s: float
     pose: Pose
@@ -45,26 +45,26 @@ class RecoveredPose:
 
 @dataclass(frozen=True, slots=True)
 class LocalizerOutput:
-    """The localiser after one measurement.
+    """Output of the localiser for one measurement.
 
     Attributes
     ----------
     stamp_s
-        Of the measurement.
+        Time of the measurement.
     state
-        What is known.
+        Whether the pose is known.
     pose
         ``T_map_base``; None while searching.
     covariance
         (d, d) in GTSAM's tangent order, base frame; None while searching.
     confidence
-        0..1: probability that ``pose`` is right; while searching, that of the likeliest hypothesis.
+        0..1: probability that ``pose`` is right; while searching, that of the most likely hypothesis.
     hypotheses
-        While searching or lost, the likeliest first.
+        While searching or lost: possible poses, the most likely first.
     support
-        Share of the measurement that the map explains; NaN where that was not asked.
+        Share of the measurement that the map explains; NaN if not computed.
     recovered
-        Poses of earlier measurements that this one has made known, oldest first.
+        Poses of earlier measurements that became known with this one, oldest first.
 
     Examples
     --------

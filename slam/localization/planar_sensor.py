@@ -1,4 +1,4 @@
-"""A planar lidar in the walls of a known map: aligned to them, and its beams weighed."""
+"""Localise with a 2D lidar in a known map: align scans to its walls, and weight their beams."""
 
 from __future__ import annotations
 
@@ -43,12 +43,12 @@ _AROUND = np.array([(row, column) for row in (-1, 0, 1) for column in (-1, 0, 1)
 
 
 class NovelSurfaces(NamedTuple):
-    """What a scan sees for the first time: no surface is weighed twice.
+    """Surfaces that a scan sees for the first time: no surface is counted twice.
 
     Attributes
     ----------
     points
-        On those surfaces, one a cell, base frame.
+        Points on these surfaces, one per cell, base frame.
     laser
         (2,) where the beams begin, base frame.
     keys
@@ -61,7 +61,7 @@ class NovelSurfaces(NamedTuple):
 
 
 class PlanarSensor:
-    """A `Sensor`; stateless but for its odometry and the tiles of the map that it keeps."""
+    """A `Sensor`; its only state is its odometry and cached map tiles."""
 
     def __init__(self, walls: Walls, config: Config) -> None:
         self._walls, self._config, self._settings = walls, config, config.localization
@@ -118,7 +118,7 @@ class PlanarSensor:
         return (_EXPLAINED_NATS * beams.explained + against) / self._settings.correlated_cells
 
     def counted(self, pose: Pose, novel: NovelSurfaces) -> BeamCounts:
-        """What the beams of a scan say of ``T_map_base``."""
+        """Count what the beams of a scan show about ``T_map_base``."""
         row = row_from_pose2(pose)
         return check_beams(self._space, self._walls.tile(row).fine, row, novel.laser, novel.points)
 
@@ -127,7 +127,7 @@ class PlanarSensor:
     ) -> Iterator[Pose | None]:
         """See `Sensor`.
 
-        By turns for all of the last path, which is rarer, and for the newest scan, which no drift has bent.
+        It alternates between the last path, which is less ambiguous, and the newest scan, without drift.
         """
         settings, newest = self._settings, keyframes[-1]
         self._searches += 1
@@ -147,9 +147,9 @@ class PlanarSensor:
         yield from (pose2_from_row(place.pose) for place in found)
 
     def _without_dynamic_points(self, view: ScanView, known: Pose | None) -> ScanView:
-        """A scan without what stands in the midst of known free space, if the pose is tracked: people.
+        """Return a scan without points in known free space (people), if the pose is tracked.
 
-        A scan that would lose much of itself is left whole: rather the pose is wrong.
+        A scan that would lose many points is not changed: the pose is probably wrong.
         """
         if known is None:
             return view

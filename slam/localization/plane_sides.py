@@ -1,4 +1,4 @@
-"""From which side each plane of a map was seen: a thin wall is another one from the next room."""
+"""Side from which each plane of a map was seen: from the next room, a thin wall is a different plane."""
 
 from __future__ import annotations
 

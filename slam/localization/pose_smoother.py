@@ -1,4 +1,4 @@
-"""The newest poses as a fixed-lag factor graph: odometry between them, the map's word on each."""
+"""Fixed-lag factor graph of the newest poses: odometry between them, and matches to the map."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ _LAG_NODES = 2.0
 
 
 class PoseSmoother:
-    """Poses one after the other, all Pose2 or all Pose3; what is older than the lag is marginalised.
+    """Consecutive poses, all Pose2 or all Pose3; poses older than the lag are marginalised.
 
     Parameters
     ----------
     first
-        Pose in the map, covariance in the base frame.
+        First pose in the map, covariance in the base frame.
     """
 
     def __init__(self, first: Measured) -> None:
@@ -34,32 +34,32 @@ class PoseSmoother:
 
     @property
     def sigma_m(self) -> float:
-        """Greatest standard deviation of the newest position."""
+        """Largest standard deviation of the newest position."""
         return position_sigma_m(self.newest)
 
     @property
     def trust(self) -> float:
-        """Probability that the newest position is right, by its standard deviation (Rayleigh)."""
+        """Return the probability that the newest position is right, by its standard deviation (Rayleigh)."""
         return 1.0 - math.exp(-0.5 * (SAME_M / self.sigma_m) ** 2)
 
     def add(self, step: Measured, seen: Sequence[Measured]) -> None:
-        """Take a step, and what was measured of the pose in the map after it."""
+        """Add a step, and the measured pose in the map after it."""
         before, self._newest = self._newest, self._newest + 1
         factors = [_between(before, self._newest, step), *(self._seen(measured) for measured in seen)]
         self.newest = self._update(factors, composed(self.newest.pose, step.pose))
 
     def add_seen(self, seen: Measured) -> None:
-        """Take what was measured of the newest pose."""
+        """Add a measurement of the newest pose."""
         self.newest = self._update([self._seen(seen)], None)
 
     def _seen(self, measured: Measured) -> gtsam.NonlinearFactor:
-        """A factor on the newest pose."""
+        """Return a factor on the newest pose."""
         if isinstance(measured.pose, gtsam.Pose2):
             return gtsam.PriorFactorPose2(self._newest, measured.pose, _noise(measured))
         return gtsam.PriorFactorPose3(self._newest, measured.pose, _noise(measured))
 
     def _update(self, factors: Sequence[gtsam.NonlinearFactor], guess: Pose | None) -> Measured:
-        """Add factors, and a node where there is a guess of it; the newest pose by all of them."""
+        """Add factors, and a node if its guess is given; return the newest pose from all factors."""
         graph, values = gtsam.NonlinearFactorGraph(), gtsam.Values()
         for factor in factors:
             graph.add(factor)
@@ -75,12 +75,12 @@ class PoseSmoother:
 
 
 def _between(before: int, after: int, step: Measured) -> gtsam.NonlinearFactor:
-    """A factor between two poses."""
+    """Return a factor between two poses."""
     if isinstance(step.pose, gtsam.Pose2):
         return gtsam.BetweenFactorPose2(before, after, step.pose, _noise(step))
     return gtsam.BetweenFactorPose3(before, after, step.pose, _noise(step))
 
 
 def _noise(measured: Measured) -> gtsam.noiseModel.Base:
-    """Noise of a measurement."""
+    """Return the noise model of a measurement."""
     return gtsam.noiseModel.Gaussian.Covariance(measured.covariance)

@@ -1,4 +1,4 @@
-"""Poses with their uncertainty, in the plane and in space alike."""
+"""Poses with their covariance, in the plane and in 3D."""
 
 from __future__ import annotations
 
@@ -16,21 +16,21 @@ SAME_M, SAME_RAD = 0.3, 0.15
 
 
 class Measured(NamedTuple):
-    """A pose or a motion with its covariance (d, d), GTSAM's order, in the frame after it."""
+    """A pose or motion with its covariance (d, d), GTSAM's order, in the frame after it."""
 
     pose: Pose
     covariance: FloatArray
 
 
 def after(known: Measured, step: Measured) -> Measured:
-    """A pose after a motion."""
+    """Return a pose after a motion."""
     adjoint = step.pose.inverse().AdjointMap()
     covariance = adjoint @ known.covariance @ adjoint.T + step.covariance
     return Measured(composed(known.pose, step.pose), covariance)
 
 
 def apart(one: Pose, other: Pose) -> tuple[float, float]:
-    """Metres and radians between two poses."""
+    """Return metres and radians between two poses."""
     step = motion_between(one, other)
     if isinstance(step, gtsam.Pose2):
         return float(np.hypot(step.x(), step.y())), abs(step.theta())
@@ -39,14 +39,14 @@ def apart(one: Pose, other: Pose) -> tuple[float, float]:
 
 
 def position_sigma_m(known: Measured) -> float:
-    """Greatest standard deviation of a position."""
+    """Return the largest standard deviation of a position."""
     planar = isinstance(known.pose, gtsam.Pose2)
     position = known.covariance[:2, :2] if planar else known.covariance[3:, 3:]
     return math.sqrt(float(np.linalg.eigvalsh(position)[-1]))
 
 
 def mixed(near: Pose, poses: Sequence[Measured], weights: FloatArray) -> Measured:
-    """Mean and covariance of poses near another of which one is true, with probabilities (n,)."""
+    """Return mean and covariance of near poses of which one is true, with probabilities (n,)."""
     apart_ = np.array([logarithm(motion_between(near, one.pose)) for one in poses])
     mean = weights @ apart_
     scatter = (weights[:, None] * (apart_ - mean)).T @ (apart_ - mean)
@@ -57,24 +57,24 @@ def mixed(near: Pose, poses: Sequence[Measured], weights: FloatArray) -> Measure
 
 
 def same_place(one: Pose, other: Pose) -> bool:
-    """Whether two poses are one place."""
+    """Return whether two poses are the same place."""
     apart_m, turned_rad = apart(one, other)
     return apart_m < SAME_M and turned_rad < SAME_RAD
 
 
 def as_place(pose: Pose) -> Measured:
-    """A pose known no better than which place it is: that by three sigmas."""
+    """Return a pose with three sigmas as large as one place."""
     return Measured(pose, diagonal(pose, SAME_M / 3.0, SAME_RAD / 3.0))
 
 
 def squared_mahalanobis(expected: Measured, found: Measured) -> float:
-    """Squared Mahalanobis distance of a measured pose from an expected one, by the covariances of both."""
+    """Return the squared Mahalanobis distance of a measured and an expected pose, by both covariances."""
     offset = logarithm(motion_between(expected.pose, found.pose))
     return float(offset @ np.linalg.solve(expected.covariance + found.covariance, offset))
 
 
 def diagonal(like: Pose, sigma_m: float, sigma_rad: float) -> FloatArray:
-    """(d, d) covariance of a pose as ``like``, by one sigma of positions and one of angles."""
+    """Return the (d, d) covariance of a pose as ``like``, from one sigma of positions and one of angles."""
     metres, radians = sigma_m**2, sigma_rad**2
     if isinstance(like, gtsam.Pose2):
         return np.diag([metres, metres, radians])

@@ -1,4 +1,4 @@
-"""A scan as localisation looks at it."""
+"""A scan in the form that localisation uses."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ Numbers: TypeAlias = NDArray[np.intp]
 
 @dataclass(frozen=True, slots=True)
 class ScanView:
-    """One scan, prepared once.
+    """A prepared scan.
 
     Attributes
     ----------
@@ -27,9 +27,9 @@ class ScanView:
     points
         All returns, base frame.
     oriented
-        Those on a line.
+        Returns on a line, with normals.
     laser
-        (2,) where the beams begin, base frame.
+        (2,) origin of the beams, base frame.
     """
 
     stamp_s: float
@@ -45,13 +45,13 @@ class ScanView:
         return cls(scan.stamp_s, points, OrientedPoints.from_scan(points), laser)
 
     def only(self, keep: BoolArray) -> ScanView:
-        """The scan with only some of its returns, (M,)."""
+        """Return the scan with only some of its returns, (M,)."""
         points = ScanPoints(self.points.points_base[keep], self.points.normals_base[keep])
         return ScanView(self.stamp_s, points, OrientedPoints.from_scan(points), self.laser)
 
 
 def first_in_cells(points: AnyFloatArray, cell_m: float) -> tuple[Numbers, NDArray[np.int64]]:
-    """Numbers of the first point (of (M, 2)) in each cell, ascending, and (n, 2) those cells."""
+    """Return indices of the first point (of (M, 2)) in each cell, ascending, and (n, 2) the cells."""
     cells = np.floor(points / cell_m).astype(np.int64)
     _, first = np.unique(cell_keys(cells), return_index=True)
     first = np.sort(first)
@@ -59,6 +59,6 @@ def first_in_cells(points: AnyFloatArray, cell_m: float) -> tuple[Numbers, NDArr
 
 
 def cell_keys(cells: NDArray[np.int64]) -> NDArray[np.int64]:
-    """One number for each of (n, 2) cells."""
+    """Return one number for each of (n, 2) cells."""
     keys: NDArray[np.int64] = (cells[:, 0] << 32) + cells[:, 1]
     return keys

@@ -1,4 +1,4 @@
-"""What a sensor must answer to be localised by: the one protocol between it and the state machine."""
+"""Protocol between a localisation sensor and the state machine."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ N = TypeVar("N")
 
 @dataclass(frozen=True, slots=True)
 class Observation(Generic[V]):
-    """A reading, and how the robot came to where it was taken.
+    """A reading, and the motion of the robot to its pose.
 
     Attributes
     ----------
@@ -26,11 +26,11 @@ class Observation(Generic[V]):
     view
         The reading, prepared once.
     pose
-        ``T_odom_base``; None where the odometry does not tell.
+        ``T_odom_base``; None if the odometry does not know it.
     moved
-        Motion since the last reading; None where not even dead reckoning leads on from there.
+        Motion since the last reading; None if not even dead reckoning is possible.
     restarted
-        Whether the odometry frame has begun anew.
+        Whether a new odometry frame has started.
     """
 
     stamp_s: float
@@ -42,16 +42,16 @@ class Observation(Generic[V]):
 
 @dataclass(frozen=True, slots=True)
 class Keyframe(Generic[N]):
-    """A localisation keyframe: a reading of the path that is weighed.
+    """A localisation keyframe: a reading of the path that weights the hypotheses.
 
     Attributes
     ----------
     pose
         ``T_odom_base``.
     travelled_m
-        Path up to here.
+        Path length up to here.
     novel
-        What no earlier keyframe had seen.
+        The part that no earlier keyframe has seen.
     """
 
     pose: Pose
@@ -60,27 +60,27 @@ class Keyframe(Generic[N]):
 
 
 def moved_on(before: Pose | None, pose: Pose, config: LocalizationConfig) -> bool:
-    """Whether ``T_odom_base`` is far enough from an earlier one to see anew."""
+    """Return whether ``T_odom_base`` is far enough from an earlier one to see something new."""
     return before is None or anew(motion_between(before, pose), config) >= 1.0
 
 
 def anew(step: Pose, config: LocalizationConfig) -> float:
-    """Share of what is seen after a motion that was not before it: all, after that between two keyframes."""
+    """Return the share of a reading that is new after a motion: all after that between two keyframes."""
     apart_m, turned_rad = apart(composed(step, step.inverse()), step)
     return min(max(apart_m / config.keyframe_m, turned_rad / config.keyframe_rad), 1.0)
 
 
 class Sensor(Protocol[V, N]):
-    """A sensor in a known map; V is a prepared reading, N what of it is novel.
+    """A sensor in a known map; V is a prepared reading, N the new part of it.
 
     Attributes
     ----------
     search_every_m
-        Path between two searches of the whole map.
+        Path length between two searches of the whole map.
     weighs_back
-        A pose that is newly proposed is weighed by so many earlier keyframes.
+        Number of earlier keyframes that weight a newly proposed pose.
     least_keyframes
-        So many must agree before a pose is believed, or is hopeless: somebody may stand before the sensor.
+        Number of keyframes that must agree to accept or drop a pose: a person may block the sensor.
     """
 
     search_every_m: float
@@ -88,7 +88,7 @@ class Sensor(Protocol[V, N]):
     least_keyframes: int
 
     def observe(self, measurement: Any, known: Pose | None) -> Observation[V] | None:
-        """Take a reading; None of one that is only kept, or not used.
+        """Process a reading; return None if it is only stored, or not used.
 
         Parameters
         ----------
@@ -98,35 +98,35 @@ class Sensor(Protocol[V, N]):
         ...
 
     def sees_anew(self, view: V, before: Pose | None, pose: Pose) -> bool:
-        """Whether a reading at ``T_odom_base`` should be a keyframe after one at an earlier pose."""
+        """Return whether a reading at ``T_odom_base`` should be a keyframe after one at an earlier pose."""
         ...
 
     def novel(self, view: V, pose: Pose, before: Sequence[Keyframe[N]] | None) -> N:
-        """What a reading at ``T_odom_base`` sees that earlier keyframes did not; None asks for all of it."""
+        """Return the part of a reading at ``T_odom_base`` that is new; ``before`` None returns all of it."""
         ...
 
     def align(self, view: V, guess: Pose) -> MotionEstimate | None:
-        """``T_map_base`` from a guess nearby; None where nothing can be aligned."""
+        """Align to ``T_map_base`` from a near guess; return None if nothing can be aligned."""
         ...
 
     def weigh(self, pose: Pose, novel: N, motion: MotionEstimate | None) -> float:
-        """Evidence for ``T_map_base`` over the best of the wrong poses, nats.
+        """Return the evidence for ``T_map_base`` over the best of the wrong poses, nats.
 
         Parameters
         ----------
         motion
-            The alignment that was believed there; None without one.
+            The accepted alignment there; None without one.
         """
         ...
 
     def propose(
         self, view: V, keyframes: Sequence[Keyframe[N]], within: Measured | None
     ) -> Iterable[Pose | None]:
-        """``T_map_base`` of every place of the newest keyframe; None where a reading has waited enough.
+        """Return ``T_map_base`` of all candidate places of the newest keyframe; None while searching.
 
         Parameters
         ----------
         within
-            Where dead reckoning leaves it, places elsewhere being of no use; None where it may be anywhere.
+            Pose by dead reckoning; places outside its covariance are not needed; None: anywhere.
         """
         ...

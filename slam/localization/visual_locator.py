@@ -1,4 +1,4 @@
-"""Where in a known map a body with a camera is, by keyframes that look the same or should be in sight."""
+"""Locate a camera in a known map by keyframes that look similar or should be in view."""
 
 from __future__ import annotations
 
@@ -25,17 +25,17 @@ from slam.vision.visual_match import VisualKeyframe, VisualMatch, dissimilarity
 
 
 class VisualLocator:
-    """The camera keyframes of a map, by appearance and by place, and what carries the camera.
+    """Locate a camera by the camera keyframes of a map, by appearance and by position.
 
     Parameters
     ----------
     known
         A map with camera keyframes.
     config
-        The effective configuration; the bounds on a match are those of visual loops.
+        The configuration; the limits for a match are those of visual loops.
     registrations
-        Where colour cameras sit beside their depth cameras, by the cameras' names; None takes what the
-        mapping run has learned.
+        Pose of each colour camera relative to its depth camera, by camera name; None uses those that the
+        mapping run estimated.
     """
 
     def __init__(
@@ -67,7 +67,7 @@ class VisualLocator:
             self._index.add(known.frames.features(key).descriptors)
 
     def view(self, measurement: Measurement | PreparedFrame) -> PreparedFrame | None:
-        """A frame of the map's camera, prepared once; None of anything else."""
+        """Return a prepared frame of the map's camera; None for anything else."""
         prepared = self._prepare(measurement) if isinstance(measurement, RgbdFrame) else measurement
         if not isinstance(prepared, PreparedFrame) or prepared.frame.sensor != self._sensor:
             return None
@@ -76,7 +76,7 @@ class VisualLocator:
         return prepared
 
     def anywhere(self, frame: PreparedFrame) -> list[MotionEstimate]:
-        """Every place that the frame may show, none guessed: ``T_map_base`` each, verified."""
+        """Return all places that the frame may show, without a guess: ``T_map_base`` of each, verified."""
         found = []
         alike = self._index.query(frame.features.descriptors, len(self._index), self._loops.by_appearance)
         for place in alike:
@@ -85,17 +85,17 @@ class VisualLocator:
         return [motion for motion in found if motion is not None]
 
     def near(self, frame: PreparedFrame, guess: Pose) -> MotionEstimate | None:
-        """``T_map_base`` from a guess; None where no keyframe sees the same, or it does not fit."""
+        """Find ``T_map_base`` from a guess; return None if no keyframe sees the same, or it does not fit."""
         camera = self._camera_of(guess)
         local = [self._keyframe(key) for key in self._alike(frame.median_depth_m, camera)]
         return self._believed(self._matcher.match(frame, local, camera)) if local else None
 
     def should_see(self, depth_m: float, guess: Pose) -> bool:
-        """Whether a camera of the body at ``T_map_base`` would see what a keyframe saw, so far away."""
+        """Return whether a camera of the body at ``T_map_base`` would see what a keyframe saw at a depth."""
         return bool(self._alike(depth_m, self._camera_of(guess)))
 
     def step(self, motion: gtsam.Pose3, covariance: FloatArray) -> Measured | None:
-        """Motion of the body by its camera's; None where it cannot move so."""
+        """Return the motion of the body from that of its camera; None if the body cannot move so."""
         return self._of_body(motion, covariance, self._mounting)
 
     @property
@@ -105,7 +105,7 @@ class VisualLocator:
         return self._T_base_camera
 
     def _of_body(self, motion: gtsam.Pose3, covariance: FloatArray, T_a_b: gtsam.Pose3) -> Measured | None:
-        """``T_a_base`` by ``T_b_camera``; on a floor projected to it, and None where that leaves it."""
+        """Return ``T_a_base`` from ``T_b_camera``; on a floor, projected to it, or None if it leaves it."""
         mounting = self._mounting
         if isinstance(self.origin, gtsam.Pose2):
             planar = planar_motion(motion, covariance, mounting, T_a_b)
@@ -117,12 +117,12 @@ class VisualLocator:
         return Measured(moved, adjoint @ covariance @ adjoint.T)
 
     def _camera_of(self, pose: Pose) -> gtsam.Pose3:
-        """``T_map_camera`` where the body stands at a pose."""
+        """Return ``T_map_camera`` for a pose of the body."""
         spatial = gtsam.Pose3(pose) if isinstance(pose, gtsam.Pose2) else pose
         return spatial.compose(self._mounting)
 
     def _alike(self, depth_m: float, guess: gtsam.Pose3) -> list[int]:
-        """Keyframes whose cameras see most nearly the same as one at the guess, best first."""
+        """Return keyframes whose cameras see most of what a camera at the guess sees, best first."""
         far = np.linalg.norm(self._positions - guess.translation(), axis=1) / depth_m
         facing = self._axes @ guess.rotation().matrix()[:, 2]
         limit = self._images.near_dissimilarity
@@ -132,11 +132,11 @@ class VisualLocator:
         return near[: self._views]
 
     def _keyframe(self, key: int) -> VisualKeyframe:
-        """A keyframe with its images, where it stands in the map."""
+        """Return a keyframe with its images, at its pose in the map."""
         return VisualKeyframe(self._store.keyframe(key), self._poses[key])
 
     def _believed(self, match: VisualMatch | None) -> MotionEstimate | None:
-        """``T_map_base`` by a match, if it is one of features, not of any corner of walls."""
+        """Return ``T_map_base`` of a match, if features support it, not only the shape of walls."""
         if match is None or match.motion.degenerate or match.feature_count < self._images.least_features:
             return None
         if match.motion.inlier_share < self._loops.least_inlier_share:

@@ -1,7 +1,7 @@
-"""A likelihood field of a whole map, max-pooled as deep as the map is wide.
+"""Likelihood field of a whole map, max-pooled over as many levels as its size needs.
 
-As in `slam.matching.correlative` (Olson 2009, Hess 2016 Sec. V-B), but free space and unseen space speak too:
-a point costs its share where the map is free, and little where the map knows nothing.
+As in `slam.matching.correlative` (Olson 2009, Hess 2016 Sec. V-B), but free and unknown space count too: a
+point in free space of the map lowers the score fully, a point in unknown space only a little.
 """
 
 from __future__ import annotations

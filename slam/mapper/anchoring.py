@@ -1,4 +1,4 @@
-"""Places that were measured along a way, and what they do to the graph of its keyframes."""
+"""Positions measured along a path, and how they enter the graph of its keyframes."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ class Way:
         return np.asarray(in_time[np.searchsorted(middles_s, stamps_s)])
 
     def seen_from(self, key: int, stamp_s: float) -> gtsam.Pose3 | None:
-        """The base at a time in the frame of a node; None where it is not known."""
+        """The base at a time in the frame of a node; None if it is not known."""
         at = _pose_at(self.trajectory, stamp_s)
         if at is None:
             return None
@@ -78,7 +78,7 @@ def anchor(
 
     Returns
     -------
-    The outcome of the new optimisation, and where the map lies; the old one and None where the places do not
+    The outcome of the new optimisation, and where the map lies; the old one and None if the places do not
     tell that.
     """
     edges, kept = graph.graph.edges, outcome.kept
@@ -99,7 +99,7 @@ def anchor(
 
 
 def _pose_at(ways: Trajectory, stamp_s: float) -> gtsam.Pose3 | None:
-    """Between two poses of a trajectory in the order of time; None where it is not known."""
+    """Between two poses of a trajectory in the order of time; None if it is not known."""
     after = int(np.searchsorted(ways.stamps_s, stamp_s))
     pair = ways[max(after - 1, 0) : after + 1]
     ends = pair.poses()

@@ -1,4 +1,4 @@
-"""What cameras saw at the keyframes of a lidar: pictures for the map, places to come back to."""
+"""Camera images at the keyframes of a lidar: pictures for the map, and places for loop closure."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
-"""The checkpoint of a run: every answer that took time, so that an interrupted run goes on where it was.
+"""Checkpoint of a run: stores every result that took time, so that an interrupted run can resume.
 
-A mapper is deterministic. Fed the same log again and given the answers that it got before, it comes to the
-same state, without the time that the answers took.
+A mapper is deterministic. If it gets the same log and the stored results again, it reaches the same state,
+without the time for computing the results.
 """
 
 from __future__ import annotations
@@ -75,7 +75,7 @@ class Checkpoint:
         Raises
         ------
         MapFileError
-            Where the interrupted run asked something else at this place.
+            If the interrupted run asked something else at this place.
         """
         if self._next is not None:
             return cast(T, self._replayed(question, key))
@@ -158,7 +158,7 @@ class Checkpoint:
         return answer
 
     def _found_ahead(self, question: str, key: float) -> tuple[bytes | None, Any]:
-        """An answer as it is kept, and itself; None where nothing, or another one, was found ahead."""
+        """An answer as it is kept, and itself; None if nothing, or another one, was found ahead."""
         assert self.ahead is not None
         content = self.ahead()
         asked, about, answer = (None, None, None) if content is None else unpack(content)

@@ -1,7 +1,7 @@
-"""RGB-D cameras beside a 3D lidar: their pictures at its keyframes, and what fusion makes of its horizon.
+"""RGB-D cameras beside a 3D lidar: their images at its keyframes, and their fusion with its horizontal ring.
 
-The lidar makes the way. A camera is placed by its own odometry and clock at each keyframe; where the lidar is
-lost, it tells the step.
+The lidar estimates the path. A camera is placed by its own odometry and clock at each keyframe; if the lidar
+loses track, the camera measures the step.
 """
 
 from __future__ import annotations
@@ -129,5 +129,5 @@ class CloudCameras:
 
     def unused(self) -> dict[str, str]:
         """Why a camera could not be used, by its name."""
-        why = "beside a 3D lidar the log must tell where a camera sits on the robot"
+        why = "with a 3D lidar, the log must contain the mounting of a camera"
         return dict.fromkeys(self._cameras.unplaced(), why)

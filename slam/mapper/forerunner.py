@@ -1,10 +1,10 @@
-"""The way of a planar robot, or of cameras, found ahead in a copy of this process.
+"""Track a planar robot, or cameras, ahead of the run in a copy of this process.
 
-No pose by odometry depends on a loop, and nothing depends on how long an answer takes. So a copy tracks
-the scans from the first on while the doctor still looks at the log, and the run makes the map of them
-meanwhile: it is sent each pose, and what a keyframe adds to the map, with the answers that an interrupted run
-goes on from; at the end what was learned of the sensors. Where there are cameras their frames alone are
-matched ahead; the run finds these answers when it comes to them.
+The odometry does not depend on loops, and nothing depends on how long a result takes. So a copy tracks the
+scans from the first one while the doctor still checks the log, and the run builds the map from them in
+parallel. The copy sends each pose, what a keyframe adds to the map, and the results with which an interrupted
+run resumes; at the end it sends what was learned about the sensors. If there are cameras, only their frames
+are matched ahead; the run uses these results when it reaches the frames.
 """
 
 from __future__ import annotations
@@ -54,7 +54,7 @@ class Ahead:
         Raises
         ------
         LostError
-            Where the copy does not tell.
+            If the copy does not tell.
         """
         if not isinstance(measurement, LaserScan):
             return None
@@ -62,7 +62,9 @@ class Ahead:
         if stamp_s != measurement.stamp_s:
             raise LostError
         for answer in answers:
-            self._checkpoint.keep(answer)
+            self._checkpoint.keep(pack(answer))
+        if isinstance(motion, int):
+            motion = answers[motion][2]
         if step is not None:
             moved, edges, points, normals, seen = step
             # Of `_plain` values.
@@ -88,7 +90,7 @@ class Ahead:
         Raises
         ------
         LostError
-            Where the copy does not tell.
+            If the copy does not tell.
         """
         self._way.take_over(pickle.loads(self._next()))  # it is our own copy that has sent it
 
@@ -111,7 +113,7 @@ class Forerunner:
     Attributes
     ----------
     ahead
-        What it finds of scans; None where it does not track any.
+        What it finds of scans; None if it does not track any.
     """
 
     def __init__(self, dataset: Dataset, odometries: Odometries, checkpoint: Checkpoint) -> None:
@@ -174,7 +176,10 @@ class Forerunner:
                 edges = [_plain(edge) for edge in found.edges]
                 step = found.step, edges, found.surface.points, found.surface.normals, found.seen
                 key += 1
-            tell(pack((moment.stamp_s, moment.pose, moment.motion, answers.found, step)))
+            # A match is told once: as the number of the answer that it is.
+            which = (n for n, (_, _, answer) in enumerate(answers.found) if answer is moment.motion)
+            motion = None if moment.motion is None else next(which, moment.motion)
+            tell(pack((moment.stamp_s, moment.pose, motion, answers.found, step)))
             answers.found = []
         tell(pickle.dumps(way.learned(), pickle.HIGHEST_PROTOCOL))
 
@@ -208,12 +213,12 @@ class _Answers:
     """What took time, as a checkpoint keeps it; see `slam.result_cache.ResultCache`."""
 
     def __init__(self) -> None:
-        self.found: list[bytes] = []
+        self.found: list[tuple[str, float, Any]] = []
 
     def cached(self, question: str, key: float, compute: Callable[[], T]) -> T:
         """Compute it, and note it."""
         answer = compute()
-        self.found.append(pack((question, float(key), answer)))
+        self.found.append((question, float(key), answer))
         return answer
 
 

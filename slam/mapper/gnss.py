@@ -1,4 +1,4 @@
-"""Fixes of a satellite receiver, gathered along the way and laid on the map when it is done."""
+"""Collect the fixes of a GNSS receiver along the path, and align the finished map with them."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ class GnssAnchors:
     georeference
         Where the map lies on the earth, once it was laid there; else None.
     unused
-        Why the fixes could not be used; empty where they are.
+        Why the fixes could not be used; empty if they are.
     """
 
     def __init__(self) -> None:
@@ -73,7 +73,7 @@ class GnssAnchors:
             return outcome
         outcome, found = anchor(graph, anchors, outcome, inlier_probability, EdgeKind.GNSS)
         if found is None:
-            self.unused = "the way is no longer than its fixes are uncertain"
+            self.unused = "the trajectory is not longer than the uncertainty of its fixes"
             return outcome
         self.georeference = Georeference(plane, found.T_enu_map)
         self._tell(found, graph, anchors, outcome)
@@ -126,10 +126,10 @@ class GnssAnchors:
             for one in anchors
             if one.node in used
         ]
-        larger = f", errors {found.scale:.1f} times what they claim" if found.scale > 1.0 else ""
+        larger = f", errors {found.scale:.1f} times their stated sigma" if found.scale > 1.0 else ""
         rms = f"; those used are {np.sqrt(np.mean(np.square(off_m))):.2f} m off (RMS)" if off_m else ""
         all_ = sum(one.node > 0 for one in anchors)
         self._told = (
-            f"GNSS: {len(used)} of {all_} keyframes with a fix hold the map on the earth{larger}{rms}; its x "
+            f"GNSS: {len(used)} of {all_} keyframes with a fix georeference the map{larger}{rms}; its x "
             f"axis looks {self.georeference.heading_deg:.1f} degrees east of north"
         )

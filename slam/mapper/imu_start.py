@@ -1,7 +1,7 @@
-"""How a robot with an IMU moves at its first cloud, found out before the map is begun.
+"""Estimate the motion of a robot with an IMU at its first cloud, before mapping starts.
 
-Clouds that are seen on the way are straightened by the velocity, and that is known once some of them were
-matched. So the first seconds are read twice.
+Clouds in motion are deskewed with the velocity, which is known only after some clouds are matched. So the
+first seconds are read twice.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ def after_readings(log: Iterable[Measurement]) -> Iterator[Measurement]:
 
 
 def start_of(log: Iterable[Measurement], config: Config) -> ImuStart | None:
-    """The state at the first cloud; None where the first seconds do not tell it."""
+    """The state at the first cloud; None if the first seconds do not tell it."""
     imu = ImuTracker()
     tracker, first_s = CloudTracker(config, None, imu=imu), math.inf
     for measurement in log:

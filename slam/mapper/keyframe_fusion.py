@@ -1,4 +1,4 @@
-"""Each keyframe's scan and depth images repair each other, with no calibration between them (Xu2024)."""
+"""Mutual repair of scan and depth images of each keyframe, without calibration between them (Xu2024)."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ class FusionPair:
     u, grade
         Best offset along the lidar curve, and how far the pair can be trusted.
     repaired
-        (5,) beams by `fusion.Provenance`; None where nothing was repaired.
+        (5,) beams by `fusion.Provenance`; None if nothing was repaired.
     """
 
     stamp_s: float
@@ -49,7 +49,7 @@ class FusionSummary:
     pairs
         One a keyframe with scan and images.
     estimate
-        What the whole drive tells of the rig; None where nothing could be reported.
+        What the whole drive tells of the rig; None if nothing could be reported.
     note
         In one line, for people.
     """
@@ -123,7 +123,7 @@ class KeyframeFusion:
             return list(scans), None
         estimate = self._rig.estimate() if len(self._pairs) >= self._config.least_pairs else None
         if estimate is None:
-            note = f"{len(self._pairs)} pairs of scan and image do not tell the rig: nothing was repaired"
+            note = f"{len(self._pairs)} pairs of scan and image do not fix the rig: nothing was repaired"
             return list(scans), FusionSummary(self._pairs, None, note)
         views = list(self._views.items())
         half = len(views) // 2
@@ -153,7 +153,7 @@ class KeyframeFusion:
         turns: tuple[FloatArray, ...],
         estimate: fusion.RigEstimate,
     ) -> tuple[NDArray[np.int64] | None, Float32Array | None, str]:
-        """Beams by `fusion.Provenance` and ranges, None where nothing was repaired; why it cannot be."""
+        """Beams by `fusion.Provenance` and ranges, None if nothing was repaired; why it cannot be."""
         if scan is None:
             return None, None, ""
         depths = [self._images.depth(image, turn) for image, turn in zip(numbers, turns, strict=True)]
@@ -195,7 +195,7 @@ def _note(pairs: Sequence[FusionPair], estimate: fusion.RigEstimate) -> str:
     height = f", lidar {-estimate.height_m:.2f} m below the camera"
     filled = counts[fusion.Provenance.FILLED] if np.ndim(counts) else 0
     interpolated = counts[fusion.Provenance.INTERPOLATED] if np.ndim(counts) else 0
-    drift = f"; the last pairs alone differ by {estimate.drift} samples" if estimate.drift else ""
+    drift = f"; the last pairs differ by {estimate.drift} samples" if estimate.drift else ""
     return (
         f"fusion of {len(pairs)} keyframes ({high} of high grade): u = {estimate.u}{height}; "
         f"{filled:,} beams filled, {interpolated:,} interpolated{drift}"

@@ -1,4 +1,4 @@
-"""Camera keyframes of a whole run: images on disk, surfaces of the latest used in memory."""
+"""Camera keyframes of a run: images on disk, surfaces of the recently used ones in memory."""
 
 from __future__ import annotations
 

@@ -1,18 +1,20 @@
-"""A robot on a floor: a 2D lidar leads, wheels predict, cameras see what it misses; SE(2)."""
+"""Front end for a robot on a floor: matches a 2D lidar, with wheel odometry and cameras as support; SE(2)."""
 
 from __future__ import annotations
 
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from functools import cached_property
 from typing import Any
 
 import gtsam
 import numpy as np
 
 from slam.config import Config
+from slam.forked import Begun
 from slam.graph.edge import Edge
-from slam.graph.keyframe_graph import KeyframeGraph
+from slam.graph.keyframe_graph import KeyframeGraph, row_of
 from slam.graph.loop_candidate import LoopCandidate
 from slam.graph.loop_closure import LoopCloser
 from slam.graph.place_search import PlaceSearch
@@ -20,27 +22,28 @@ from slam.heap import end_stage
 from slam.mapper.camera_keyframes import CameraKeyframes
 from slam.mapper.checkpoint import Checkpoint
 from slam.mapper.forerunner import Ahead
-from slam.mapper.keyframe_fusion import KeyframeFusion
+from slam.mapper.keyframe_fusion import FusionSummary, KeyframeFusion
 from slam.mapper.keyframe_store import registration_notes
 from slam.mapper.map_result import MapResult
 from slam.mapper.mount_learner import LearnedMounting
 from slam.mapper.planar_way import Moment, PlanarWay, Step, Steps
 from slam.mapper.protocol import FrontEnd, Tracked
+from slam.mapping.keyframe_grid import lidar_grids
 from slam.mapping.moving_things import MovingThings
 from slam.matching.local_map import OrientedPoints
-from slam.measurements import BoolArray, LaserScan, Pose, pose2_from_row
+from slam.measurements import BoolArray, FloatArray, LaserScan, Pose, pose2_from_row
 from slam.odometry import STANDARD, Odometries
 from slam.spool import ArraySpool
 from slam.vision.color_registration import ColorRegistration
 
 
 class PlanarRobot(FrontEnd):
-    """Scans, wheels and cameras of a robot on a floor; see `slam.mapper.protocol.FrontEnd`.
+    """Front end for scans, wheels and cameras of a robot on a floor; see `slam.mapper.protocol.FrontEnd`.
 
     Parameters
     ----------
     ahead
-        Who tracks the scans of the same log in another process, see `slam.mapper.forerunner`.
+        Process that tracks the scans of the same log ahead, see `slam.mapper.forerunner`.
     """
 
     def __init__(
@@ -68,9 +71,12 @@ class PlanarRobot(FrontEnd):
         self._keyframe_scans: list[LaserScan | None] = []
         self._kept = ArraySpool()
         self._travelled_m = 0.0
+        self._fused: FusionSummary | None = None
+        # Poses (K, 3) of keyframes that may be the last, and who draws the grids by them.
+        self._drawn: tuple[FloatArray, Begun | None] = np.zeros((0, 3)), None
 
     def observe(self, measurement: Any) -> Tracked | None:
-        """Take the next measurement; where the robot is then, if it tells that."""
+        """Process the next measurement; return the tracked pose, if it gives one."""
         moment = self._steps.observe(measurement)
         if moment is None:
             return None
@@ -82,17 +88,17 @@ class PlanarRobot(FrontEnd):
         return Tracked(moment.stamp_s, moment.motion, moment.new_keyframe)
 
     def origin(self) -> Pose:
-        """The map begins where the robot does."""
+        """Return the origin of the map: the first pose of the robot."""
         return gtsam.Pose2()
 
     def step(self, key: int) -> tuple[Pose, Sequence[Edge]]:
-        """Motion from the last keyframe to the newest moment, and its edges."""
+        """Return the motion from the last keyframe to the newest pose, and its edges."""
         found = self._step = self._steps.step(key)
         self._travelled_m += float(np.hypot(found.step[0], found.step[1]))
         return pose2_from_row(found.step), found.edges
 
     def recognise(self, key: int, graph: KeyframeGraph) -> list[LoopCandidate]:
-        """Remember a keyframe, and try the places that it may have come back to."""
+        """Store a keyframe, and try to close loops with places it may have returned to."""
         moment, found = self._newest, self._step
         assert moment is not None and found is not None
         surface = OrientedPoints(*map(self._kept.keep, (found.surface.points, found.surface.normals)))
@@ -112,42 +118,56 @@ class PlanarRobot(FrontEnd):
         return tried
 
     def refuse(self) -> None:
-        """Whatever a scan sees is a map."""
+        """Never raise an error: any scan gives a map."""
 
     def settle(self, graph: KeyframeGraph) -> None:
-        """Say anew how cameras and wheels moved, as the whole run tells their clocks and mountings."""
+        """Recompute the steps of cameras and wheels with the clocks and mountings estimated in the run."""
         self._way.settle(graph)
         self._pictures.settle(graph, self.readings.scan_stamps_s()[self.readings.keyframe_scans()])
 
     def search_again(self, graph: KeyframeGraph, kept: BoolArray) -> list[LoopCandidate]:
-        """Places all over the map."""
+        """Places all over the map; mostly there are none, so that the grids may be drawn meanwhile."""
+        if not len(self._drawn[0]) and not self._cameras.cameras:
+            poses, scans = np.array([row_of(pose) for pose in graph.poses()]), self._keyframe_scans
+            self._drawn = poses, Begun(lambda: lidar_grids(self._still, poses, self._config, scans))
         stamps_s = self.readings.scan_stamps_s()[self.readings.keyframe_scans()]
         found = self._places.search(graph.rows(), stamps_s, graph.graph.edges, kept, graph.loops)
-        if not found:
+        if found:
+            self._drawn = self._drawn[0], None
+        else:
             del self._places, self._closer, self._kept  # it was the last search: what they know is large
             end_stage()
         return found
 
     def complete(self, result: MapResult) -> None:
         """The repaired scans, and the grids that scans and images draw."""
-        started, scans = time.perf_counter(), self._keyframe_scans
+        started = time.perf_counter()
         result.notes += [*registration_notes(self._registrations), *self._cameras.notes()]
         self._way.tell(result)
-        if self._fusion is not None:
-            scans, result.fused = self._fusion.repair(scans)
-            result.notes += [] if result.fused is None else [result.fused.note]
-        scans = self._moving.taken_from(scans)
-        del self._moving  # it knows much of a long log, and nobody asks it any more
+        scans, result.fused = self._still, self._fused
+        result.notes += [] if result.fused is None else [result.fused.note]
         result.stage_seconds["fusion"] = time.perf_counter() - started
         result.add_cameras(self._cameras.records(self._registrations), self._pictures.frames)
         result.map = replace(result.map, measured_scans=self._keyframe_scans, keyframe_scans=scans)
-        result.draw(self._config)
+        poses, grids = self._drawn
+        result.draw(self._config, grids if np.array_equal(poses, result.map.keyframe_poses) else None)
+        del self._drawn
         result.warnings += self._cameras.warnings()
         result.unused |= dict.fromkeys(
             self._cameras.unplaced(),
-            "it is not known where it sits on the robot; it repaired scans only",
+            "its mounting on the robot is unknown; it only repaired scans",
         )
 
     def learned_mountings(self) -> dict[str, LearnedMounting]:
-        """Where cameras sit that the log does not tell, as far as this run has shown."""
+        """Return camera mountings that the log lacks and this run estimated."""
         return self._cameras.learned_mountings()
+
+    @cached_property
+    def _still(self) -> list[LaserScan | None]:
+        """The scans of the keyframes, repaired, without what moves."""
+        scans: Sequence[LaserScan | None] = self._keyframe_scans
+        if self._fusion is not None:
+            scans, self._fused = self._fusion.repair(scans)
+        still = self._moving.taken_from(scans)
+        del self._moving  # it knows much of a long log, and nobody asks it any more
+        return still

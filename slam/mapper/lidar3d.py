@@ -1,6 +1,6 @@
-"""A 3D lidar: clouds give pose and map in SE(3), wheels predict; the plan is cut by height.
+"""Front end for a 3D lidar: clouds give pose and map in SE(3), wheel odometry predicts, the plan is cut out.
 
-Cameras beside it see what it passes: the map's colours and depth layer, see `slam.mapper.cloud_cameras`.
+Cameras add the colours and the depth layer of the map, see `slam.mapper.cloud_cameras`.
 """
 
 from __future__ import annotations
@@ -60,7 +60,7 @@ _MOST_DOUBTFUL = 0.02
 
 
 class CloudLidar(FrontEnd):
-    """Clouds, wheels and cameras of a robot in space; see `slam.mapper.protocol.FrontEnd`."""
+    """Front end for clouds, wheels and cameras of a robot in 3D; see `slam.mapper.protocol.FrontEnd`."""
 
     def __init__(
         self,
@@ -92,7 +92,7 @@ class CloudLidar(FrontEnd):
         self._between: tuple[gtsam.Pose3, FloatArray] | None = None
 
     def observe(self, measurement: Any) -> Tracked | None:
-        """Take the next measurement; where the robot is then, if it tells that."""
+        """Process the next measurement; return the tracked pose, if it gives one."""
         if isinstance(measurement, PointCloud):
             return self._track(measurement)
         if isinstance(measurement, ImuReading):
@@ -104,11 +104,11 @@ class CloudLidar(FrontEnd):
         return None
 
     def origin(self) -> Pose:
-        """The map begins where the robot does."""
+        """Return the origin of the map: the first pose of the robot."""
         return gtsam.Pose3()
 
     def step(self, key: int) -> tuple[Pose, Sequence[Edge]]:
-        """Motion from the last keyframe to the newest cloud, and its edges."""
+        """Return the motion from the last keyframe to the newest cloud, and its edges."""
         tracked = self._newest
         assert tracked is not None
         motion, edges, step = tracked.motion, list[Edge](), gtsam.Pose3()
@@ -142,7 +142,7 @@ class CloudLidar(FrontEnd):
         return step, edges
 
     def recognise(self, key: int, graph: KeyframeGraph) -> list[LoopCandidate]:
-        """Remember a keyframe, and try the places that it may have come back to."""
+        """Store a keyframe, and try to close loops with places it may have returned to."""
         tracked = self._newest
         assert tracked is not None
         if self._imu is not None and (gravity := self._imu.gravity()) is not None:
@@ -165,7 +165,7 @@ class CloudLidar(FrontEnd):
         return self._closer.close(key, graph.poses(), graph.rows(), graph.uncertainty)
 
     def refuse(self) -> None:
-        """Refuse what is no map."""
+        """Raise an error if the data are not enough for a map."""
         clouds = self.readings.scan_count
         if not self._stamps_s:
             raise DatasetError(
@@ -179,9 +179,9 @@ class CloudLidar(FrontEnd):
             )
 
     def settle(self, graph: KeyframeGraph) -> None:
-        """Place the frames, and put the map upright where gravity is known; steps were settled at once.
+        """Place the frames, and level the map if gravity is known; steps are final already.
 
-        Loops that nothing else confirms across ground that nothing saw are refused.
+        Loops across a gap without measurements are rejected if nothing else confirms them.
         """
         for loop in [] if self._closer is None else self._closer.alone():
             graph.add_loop(loop)
@@ -190,7 +190,7 @@ class CloudLidar(FrontEnd):
             graph.graph.level(apart_in_time(self._down))
 
     def complete(self, result: MapResult) -> None:
-        """The clouds, and the plan of what stands in the robot's way."""
+        """Return the clouds, and the plan of obstacles."""
         # The looks of all places, and what the final optimisation has left.
         self._closer = None
         end_stage()
@@ -205,7 +205,7 @@ class CloudLidar(FrontEnd):
         result.unused |= self._cameras.unused()
 
     def _track(self, cloud: PointCloud) -> Tracked:
-        """Pose of a cloud."""
+        """Find the pose of a cloud."""
         told_s = cloud.stamp_s
         cloud = at_middle_of_turn(cloud, self._config.cloud_odometry)
         tracked = self._tracker.track(cloud)
@@ -223,7 +223,7 @@ class CloudLidar(FrontEnd):
         return Tracked(told_s, tracked.motion, keyframe)
 
     def _passed(self, tracked: TrackedCloud) -> bool:
-        """Take every second cloud into the local map alone: one that is surely placed, without pictures."""
+        """Add every second cloud only to the local map, if its pose is certain and it has no images."""
         motion = tracked.motion
         sure = motion is not None and motion.converged and not motion.degenerate
         if motion is None or not sure or self._between is not None or self._cameras.frames:
@@ -233,27 +233,29 @@ class CloudLidar(FrontEnd):
         return True
 
     def _doubts(self) -> list[str]:
-        """A warning of ways that nothing has seen, and where clouds fitted the map only in part."""
+        """Return a warning about unmeasured parts of the path, and about clouds that matched only in part."""
         doubts, count = list[str](), f"{self._doubtful:,} of {self._matched:,} clouds"
         if self._unseen:
             doubts.append(
-                f"nothing saw the way of about {', '.join(self._unseen)}: how what follows lies to what was "
-                "before rests on loops or GNSS, and is wrong where those are"
+                f"no sensor observed the motion over about {', '.join(self._unseen)}: only loops "
+                "or GNSS connect the parts before and after, and an error in them misplaces the later part"
             )
         if self._doubtful > _MOST_DOUBTFUL * self._matched:
-            doubts.append(f"{count} fit only in part; their motions count as uncertain")
+            doubts.append(f"{count} match the map only in part; their motions are treated as uncertain")
         return doubts
 
     def _draw_plan(self, result: MapResult) -> None:
-        """The flat scan of each keyframe, and the grids."""
+        """Return the 2D scan of each keyframe, and the grids."""
         layers = self._config.layers
         thickness_m = self._config.cloud_odometry.thickness_m
         ground = ground_of(self._clouds, self._T_base_lidar, self._tracker.voxel_m, thickness_m)
         if ground is None:
-            result.warnings.append("No grid was built: no ground was seen, and no mounting tells its height")
+            result.warnings.append(
+                "No grid was built: no ground was seen, and its height does not follow from the mounting"
+            )
             return
-        source = "the mounting" if ground.by_mounting else "sight"
-        result.notes.append(f"ground: {ground.height_m:+.2f} m in the base frame, by {source}")
+        source = "the mounting" if ground.by_mounting else "the clouds"
+        result.notes.append(f"ground: {ground.height_m:+.2f} m in the base frame, from {source}")
         try:
             poses = [spatial(pose) for pose in result.map.node_poses]
             reach_m = self._config.cloud_map.plan_range_m
@@ -278,16 +280,16 @@ def band_scans(
     ground: Elevation | None,
     config: Config,
 ) -> KeptScans:
-    """The flat scan of each keyframe: what stands in the robot's way, and the ground that is free.
+    """Return the 2D scan of each keyframe: obstacles, and free ground.
 
     Parameters
     ----------
     poses
         ``T_map_base`` of each keyframe.
     ground_m
-        Height of the ground in the base frame, where the robot stands.
+        Height of the ground in the base frame, at the robot.
     ground
-        Of the map; where none is known, it is level under each keyframe.
+        Ground of the map; if unknown, it is level under each keyframe.
     """
     layers, T_base_lidar = config.layers, clouds.T_base_lidar(len(clouds) - 1)
     band = HeightBand(0.0, layers.robot_height_m, layers.climb_m)
@@ -306,6 +308,6 @@ def band_scans(
 
 
 def level(T_map_base: gtsam.Pose3) -> gtsam.Pose3:
-    """``T_level_base``: the base as it leans, in a frame at its place that looks along its yaw."""
+    """Return ``T_level_base``: the tilt of the base in a level frame with the same position and yaw."""
     turn = gtsam.Rot3.Yaw(T_map_base.rotation().yaw())
     return gtsam.Pose3(turn.inverse().compose(T_map_base.rotation()), np.zeros(3))

@@ -1,4 +1,4 @@
-"""What a run hands on when it is done."""
+"""Result of a finished run."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ import numpy as np
 from slam.config import Config
 from slam.datasets.sensor_choice import SensorUse
 from slam.errors import ScanweaveError
+from slam.forked import Begun
 from slam.mapper.keyframe_fusion import FusionSummary
 from slam.mapper.scan_record import CameraRecord, ScanRecord
 from slam.mapping.elevation import Elevation
@@ -41,7 +42,7 @@ class MapResult:
     notes
         What was found out on the way, one line each: mountings, registrations, the fusion.
     fused
-        What scans and depth images repaired of each other; None where there were not both.
+        What scans and depth images repaired of each other; None if there were not both.
     cameras
         What became of every camera's frames, by its name.
     unused
@@ -75,14 +76,14 @@ class MapResult:
         self.warnings += [f"{name} is not used: {why}" for name, why in unused.items()]
         self.unused |= unused
 
-    def draw(self, config: Config) -> None:
+    def draw(self, config: Config, grids: Begun | None = None) -> None:
         """Draw the grids, see `drawn`; what cannot be drawn is a warning."""
-        self.map, warnings = drawn(self.map, config)
+        self.map, warnings = drawn(self.map, config, grids)
         self.warnings += warnings
 
 
-def drawn(found: MapContents, config: Config) -> tuple[MapContents, list[str]]:
-    """A map with the lidar's grid of its keyframe scans, and the depth layer of its frames.
+def drawn(found: MapContents, config: Config, grids: Begun | None = None) -> tuple[MapContents, list[str]]:
+    """A map with the `lidar_grids` of its keyframe scans, or ``grids``, and the depth layer of its frames.
 
     Returns
     -------
@@ -91,11 +92,11 @@ def drawn(found: MapContents, config: Config) -> tuple[MapContents, list[str]]:
     settled, warnings = config, list[str]()
     try:
         scans, measured = found.keyframe_scans, found.measured_scans
-        grids = lidar_grids(scans, found.keyframe_poses, config, measured)
+        of_lidar = lidar_grids(scans, found.keyframe_poses, config, measured) if grids is None else grids()
     except ScanweaveError as error:  # a map that would not fit in memory
         warnings.append(f"No grid was built: {error}")
-        grids = {}
-    lidar = grids.get(OCCUPANCY)
+        of_lidar = {}
+    lidar = of_lidar.get(OCCUPANCY)
     if lidar is not None and lidar.resolution_m > config.grid.resolution_m:
         warnings.append(
             f"The map is so large that its cells are {lidar.resolution_m:g} m wide; for cells of "
@@ -106,19 +107,19 @@ def drawn(found: MapContents, config: Config) -> tuple[MapContents, list[str]]:
     if found.frames is not None and (found.planar or lidar is not None):
         try:
             depth = depth_grid(found.frames.taken(), found.frame_poses(), settled, found.ground_m)
-            grids |= {} if depth is None else {DEPTH: depth}
+            of_lidar |= {} if depth is None else {DEPTH: depth}
             if depth is not None and lidar is not None and found.planar:
                 # A camera calls free what it sees through glass.
-                grids[OCCUPANCY] = with_glass(lidar, found.keyframe_scans, found.keyframe_poses, settled)
+                of_lidar[OCCUPANCY] = with_glass(lidar, found.keyframe_scans, found.keyframe_poses, settled)
         except ScanweaveError as error:
-            warnings.append(f"No depth layer was drawn, the map is the lidar's alone: {error}")
-    return replace(found, grids=grids), warnings
+            warnings.append(f"No depth layer was drawn; the map is from the lidar only: {error}")
+    return replace(found, grids=of_lidar), warnings
 
 
 def depth_grid(
     frames: Iterable[RgbdFrame], poses: Sequence[gtsam.Pose3], config: Config, ground_m: float | None = None
 ) -> OccupancyGrid | None:
-    """The depth layer of camera keyframes; None where it is not asked for, or they tell nothing.
+    """The depth layer of camera keyframes; None if it is not asked for, or they tell nothing.
 
     Parameters
     ----------
@@ -131,7 +132,7 @@ def depth_grid(
     Raises
     ------
     ScanweaveError
-        Where the map would not fit.
+        If the map would not fit.
     """
     if not config.layers.enabled:
         return None

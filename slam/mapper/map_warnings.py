@@ -1,4 +1,4 @@
-"""Warnings of what holds a finished map together, and of poses that nothing has told."""
+"""Warnings about the constraints of a finished map, and about poses that nothing measured."""
 
 from __future__ import annotations
 
@@ -29,9 +29,9 @@ def apart(pieces: NDArray[np.int64], stamps_s: FloatArray) -> list[str]:
     begins_s = sorted(float(stamps_s[pieces == part][0]) for part in parts)
     share = counts.max() / len(pieces)
     return [
-        f"The map is in {len(parts)} pieces, and how they lie to each other is a guess: the first ends "
-        f"before {begins_s[1]:.0f} s, the largest has {share:.0%} of the keyframes. Wheels, more scans or "
-        "a place seen again would join them"
+        f"The map is in {len(parts)} pieces whose relative poses are only a guess: the first piece ends "
+        f"before {begins_s[1]:.0f} s, the largest has {share:.0%} of the keyframes. Wheel odometry, more "
+        "scans or a place that is visited again would connect them"
     ]
 
 
@@ -62,8 +62,8 @@ def unseen(
         return []
     _, first, last, position_m, turn_rad = max(found)
     from_s, to_s = trajectory.stamps_s[[first, last]] - trajectory.stamps_s[0]
-    others = f" (the worst of {len(found)} times)" if len(found) > 1 else ""
+    others = f" (the worst of {len(found)} such periods)" if len(found) > 1 else ""
     return [
-        f"No scan or image was placed from {from_s:.1f} to {to_s:.1f} s{others}: against what was before, "
+        f"No scan or image was matched from {from_s:.1f} to {to_s:.1f} s{others}: relative to before, "
         f"poses are uncertain by up to {position_m:.2f} m and {np.degrees(turn_rad):.1f} degrees (one sigma)"
     ]

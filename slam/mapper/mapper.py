@@ -1,4 +1,4 @@
-"""The main loop's state: measurements -> front end -> factors -> keyframe graph -> loops -> map."""
+"""State of the main loop: measurements -> front end -> factors -> keyframe graph -> loops -> map."""
 
 from __future__ import annotations
 
@@ -34,12 +34,12 @@ from slam.trajectory.carried import (
 
 
 class Mapper:
-    """State of a run: feed measurements in log order, then finish.
+    """State of a run: add measurements in log order, then finish.
 
     Parameters
     ----------
     front_end
-        What tells where the robot is, and makes the map: `slam.mapper.lidar2d.PlanarRobot`,
+        The part that tracks the robot and makes the map: `slam.mapper.lidar2d.PlanarRobot`,
         `slam.mapper.lidar3d.CloudLidar` or `slam.mapper.rgbd.FreeCamera`.
     """
 
@@ -55,12 +55,12 @@ class Mapper:
 
     @property
     def scan_count(self) -> int:
-        """Scans, clouds or frames so far that were given a pose."""
+        """Number of scans, clouds or frames so far that have a pose."""
         return len(self._record)
 
     @property
     def stage_seconds(self) -> dict[str, float]:
-        """Wall time of what was taken so far, by stage."""
+        """Wall time so far, by stage."""
         scans = float(self._record.finish().seconds.sum())
         return {
             "scans": scans - self._keyframes_s,
@@ -69,11 +69,11 @@ class Mapper:
         }
 
     def learned_mountings(self) -> dict[str, LearnedMounting]:
-        """Where cameras sit that the log does not tell, as far as this run has shown."""
+        """Camera mountings that the log lacks and this run estimated."""
         return self._front_end.learned_mountings()
 
     def add(self, measurement: Any) -> None:
-        """Take the next measurement; where the robot has moved on, add a keyframe and close loops."""
+        """Process the next measurement; if the robot has moved far enough, add a keyframe and close loops."""
         started = time.perf_counter()
         kind = type(measurement)
         if kind in SENSORS:
@@ -97,16 +97,16 @@ class Mapper:
         self._record.add(tracked.stamp_s, tracked.motion, time.perf_counter() - started, tracked.match)
 
     def add_loop(self, candidate: LoopCandidate) -> None:
-        """Take a loop candidate: into the graph if it was accepted, into the report in any case."""
+        """Add a loop candidate: to the graph if accepted, and always to the report."""
         self._keyframes.add_loop(candidate)
 
     def finish(self) -> MapResult:
-        """Optimise everything, give every reading its pose, and make the map.
+        """Optimise everything, compute the pose of every reading, and make the map.
 
         Raises
         ------
         DatasetError
-            Where nothing could be mapped.
+            If nothing could be mapped.
         """
         self._front_end.refuse()
         if len(self._keyframes) == 1 and self._last is not None:
@@ -139,6 +139,7 @@ class Mapper:
         result.stage_seconds["final optimisation"] = clock[1] - clock[0]
         front_end.complete(result)
         clock.append(time.perf_counter())
+        pieces = graph.pieces(outcome.kept, self._config.loops.reach_m)
         end_stage()
         of_keyframes = told()
         give_back()
@@ -147,13 +148,12 @@ class Mapper:
         result.stage_seconds["map"] = clock[2] - clock[1] - result.stage_seconds.get("fusion", 0.0)
         result.stage_seconds["full trajectory"] = time.perf_counter() - clock[2]
         self._tell(result)
-        pieces = graph.pieces(outcome.kept, self._config.loops.reach_m)
         result.warnings += apart(pieces, way.stamps_s - result.scans.stamps_s[0])
         result.warnings += unseen(result.map.trajectory, readings.placed(), covariances, self._config)
         return result
 
     def _optimised(self, graph: KeyframeGraph) -> BatchResult:
-        """Solve for everything until no loop is found any more, then lay it on the places that were told."""
+        """Optimise until no more loops are found, then align the map with the known positions."""
         probability = self._config.loops.inlier_probability
         outcome = graph.optimize(probability)
         if self._places is not None:
@@ -170,14 +170,14 @@ class Mapper:
         return outcome
 
     def _way(self, graph: KeyframeGraph) -> Way:
-        """Where the robot was, as the graph has it now."""
+        """Return the trajectory by the current graph."""
         readings, nodes = self._front_end.readings, graph.poses()
         bases = self._front_end.bases(nodes)
         stamps_s = readings.scan_stamps_s()[readings.keyframe_scans()]
         return Way.of(nodes, bases, stamps_s, readings.trajectory(bases))
 
     def _covariances(self, found: MapContents, *of_keyframes: FloatArray) -> FloatArray:
-        """Of every pose, from those of the keyframes."""
+        """Return the covariance of every pose, from those of the keyframes."""
         readings, trajectory = self._front_end.readings, found.trajectory
         at = readings.keyframe_readings()
         covariances = carried_covariances(trajectory, at, *of_keyframes)
@@ -190,7 +190,7 @@ class Mapper:
         return covariances
 
     def _tell(self, result: MapResult) -> None:
-        """Say what people should know of the sensors beside the front end."""
+        """Add notes of the sensors beside the front end for the user."""
         result.notes += [note for sensor in self._sensors.values() for note in sensor.notes()]
         result.notes += self._gnss.notes()
         if self._places is not None:
@@ -201,13 +201,13 @@ class Mapper:
 
     @property
     def _keyframes(self) -> KeyframeGraph:
-        """The graph, once there is a keyframe."""
+        """Return the graph, once there is a keyframe."""
         if self._graph is None:
-            raise DatasetError("nothing in the log can be mapped; see 'scanweave inspect' for what it holds")
+            raise DatasetError("nothing in the log can be mapped; 'scanweave inspect' shows what it contains")
         return self._graph
 
     def _add_keyframe(self, tracked: Tracked) -> None:
-        """Grow the graph by the newest moment, and close loops."""
+        """Add the newest pose to the graph as a keyframe, and close loops."""
         front_end, key = self._front_end, 0
         if self._graph is None:
             self._graph = KeyframeGraph(front_end.origin(), self._config.graph)
@@ -224,7 +224,7 @@ class Mapper:
         self._graph.update()
 
     def _factors(self, key: int, stamp_s: float) -> list[Edge]:
-        """What the sensors beside the front end know of a new keyframe."""
+        """Return the edges that the sensors beside the front end add for a new keyframe."""
         edges = [edge for sensor in self._sensors.values() for edge in sensor.factors(key, stamp_s)]
         for edge in edges:
             if edge.kind in set(EdgeKind):

@@ -1,4 +1,4 @@
-"""Where a camera sits on its robot, learned while mapping from the motions of both."""
+"""Estimate the pose of a camera on its robot during mapping, from the motions of both."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ class MountLearner:
     Attributes
     ----------
     start
-        ``T_base_camera`` as the log tells it, right or wrong; None where it does not.
+        ``T_base_camera`` as the log tells it, right or wrong; None if it does not.
     steps
         Every motion of the camera between keyframes, to become edges when the mounting is known.
     result
@@ -80,11 +80,11 @@ class MountLearner:
     def note(self, camera: str) -> str:
         """What was found, in one line for people."""
         if self.result is None:
-            return f"{camera}: mounting unknown, {len(self._pairs)} motions are too few to learn it"
+            return f"{camera}: mounting unknown; {len(self._pairs)} motions are too few to estimate it"
         body = self.result.T_base_camera.compose(T_BODY_CAMERA.inverse())
         turn = np.degrees(body.rotation().rpy())
         text = (
-            f"{camera}: mounting learned from {len(self._pairs)} motions: "
+            f"{camera}: mounting estimated from {len(self._pairs)} motions: "
             f"x {body.x():.3f} m, y {body.y():.3f} m, "
             f"yaw {turn[2]:.2f}, pitch {turn[1]:.2f}, roll {turn[0]:.2f} degrees"
         )

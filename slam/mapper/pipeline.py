@@ -52,18 +52,18 @@ def build_map(
     dataset
         The log.
     config
-        The effective configuration.
+        The configuration.
     on_step
-        Called with the stage, ``mapping`` or ``optimising``, and the number of scans and frames so far.
+        Called with the stage, ``begun``, ``mapping`` or ``optimising``, and how many scans and frames so far.
     checkpoint
-        Keeps what a run finds out, so that it can go on where it was interrupted; None keeps nothing.
+        Stores the results of a run, so that an interrupted run can resume; None stores nothing.
     odometries
-        What makes the odometries; `slam.comparison.methods` has others.
+        Factory of the odometries; `slam.comparison.methods` has others.
 
     Raises
     ------
     DatasetError
-        Where the log holds nothing that can be mapped.
+        If the log has no data that can be mapped.
     """
     checkpoint = checkpoint or Checkpoint()
     with Forerunner(dataset, odometries, checkpoint) as forerunner:
@@ -74,7 +74,7 @@ def build_map(
 
 
 class _Run:
-    """One log on its way through the mapper, see `build_map`."""
+    """The run of one log through the mapper, see `build_map`."""
 
     def __init__(
         self,
@@ -96,7 +96,7 @@ class _Run:
         self._mountings: Mapping[str, LearnedMounting] = {}
 
     def look_at_sensors(self) -> None:
-        """Find what is wrong with them, and correct what is beyond doubt."""
+        """Find errors of the sensors, and correct those that are beyond doubt."""
         if self._choice.cameras:
             self._run_ahead()
         with read_once(self._dataset, self._run_ahead):
@@ -113,9 +113,11 @@ class _Run:
         end_stage()
 
     def follow(self) -> tuple[Mapper, SensorTally]:
-        """Hand the whole log to a mapper; how much of it there was."""
+        """Feed the whole log to a mapper, and return how much was read."""
         self._clock += [time.perf_counter()] * 2
         self._run_ahead(self._registrations)
+        if self._on_step:
+            self._on_step("begun", 0)
         mapper, tally = self._whole_way()
         if not self._mountings and (mountings := mapper.learned_mountings()):
             # The way up to there was mapped without these cameras; now they are known from its beginning.
@@ -129,7 +131,7 @@ class _Run:
         return mapper, tally
 
     def finish(self, mapper: Mapper, tally: SensorTally) -> MapResult:
-        """Optimise everything and make the map; what the log was worth is told with it."""
+        """Optimise everything and make the map; report the quality of the log with it."""
         dataset, clock = self._dataset, self._clock
         reading_s = clock[3] - clock[2] - sum(mapper.stage_seconds.values())
         dataset.report.note_share(1.0)
@@ -153,24 +155,28 @@ class _Run:
                 result.warnings.append(finding.line)
         result.notes += use_lines(result.uses)
         result.warnings += dataset.report.warnings
+        if dataset.report.dropped_count >= mapper.scan_count:
+            result.warnings.append(
+                f"Only {mapper.scan_count} scans or frames are mapped: {dataset.report.refusals}"
+            )
         return result
 
     def _chosen(self) -> SensorChoice:
-        """How the log is mapped, by its beginning; a few images of each camera show that it is there."""
+        """Choose how the log is mapped, from its beginning; a few images show that a camera is present."""
         with fewer_frames(self._dataset, paired_frames):
             return SensorChoice.of(self._dataset, self._config.sensors)
 
     def _run_ahead(self, known: Mapping[str, ColorRegistration] | None = None) -> None:
-        """Let another core begin, if that is of use."""
+        """Start tracking ahead on another core, if that is useful."""
         self._forerunner.start(self._config, self._choice, self._registered, known)
 
     def _begin_again(self) -> None:
-        """Forget the way, and what was found ahead of it."""
+        """Discard the path, and the results tracked ahead."""
         self._forerunner.stop()
         self._checkpoint.begin_again(self._findings, self._registrations, self._mountings)
 
     def _whole_way(self) -> tuple[Mapper, SensorTally]:
-        """Go through the log, again where what was taken for granted did not hold."""
+        """Run through the log; run again if an assumption was wrong."""
         while True:
             try:
                 return self._way(self._forerunner.ahead)
@@ -186,7 +192,7 @@ class _Run:
                 self._begin_again()
 
     def _way(self, ahead: Ahead | None = None) -> tuple[Mapper, SensorTally]:
-        """Go through the log once, frames prefetched."""
+        """Run through the log once, with frames prefetched."""
         mapper, tally = Mapper(self._config, self._front_end(ahead)), SensorTally(self._choice)
         used = self._used(tally.counted(self._dataset))
         measurements: Iterable[Measurement | PreparedFrame] = used
@@ -200,22 +206,23 @@ class _Run:
             if self._on_step:
                 self._on_step("mapping", mapper.scan_count)
         if mapper.scan_count == 0:
+            refusals = self._dataset.report.refusals
             raise DatasetError(
-                f"{self._dataset.name} holds no scan or frame that can be mapped; "
-                "see 'scanweave inspect' for what it holds"
+                f"{self._dataset.name} contains no scan or frame that can be mapped"
+                f"{f' ({refusals})' if refusals else ''}; 'scanweave inspect' shows what it contains"
             )
         if ahead is not None:
             ahead.end()
         return mapper, tally
 
     def _used(self, log: Iterable[Measurement]) -> Iterable[Measurement]:
-        """What is mapped of a log; in space it goes by the readings of its IMU."""
+        """Return the measurements to map; in 3D, the IMU readings determine the times."""
         used = self._choice.used(log)
         waits = self._choice.imu and (self._choice.cloud or self._choice.spatial)
         return after_readings(used) if waits else used
 
     def _front_end(self, ahead: Ahead | None) -> FrontEnd:
-        """The sensor that leads."""
+        """Create the front end of the leading sensor."""
         config, choice, checkpoint = self._config, self._choice, self._checkpoint
         if choice.cloud:
             imu = choice.imu and config.sensors.imu
@@ -229,7 +236,7 @@ class _Run:
 
 @dataclass(slots=True)
 class _Registered:
-    """Where colour cameras sit, each found once."""
+    """Registrations of colour cameras, each estimated once."""
 
     dataset: Dataset
     config: Config
@@ -246,12 +253,12 @@ class _Registered:
 def findings_of(
     dataset: Dataset, config: Config, registrations: Registrations | None = None
 ) -> list[Finding]:
-    """What is wrong with the sensors of a log, see `diagnose`; nothing where that is not asked for."""
+    """Return the findings about the sensors of a log, see `diagnose`; none if the doctor is off."""
     if not config.sensors.doctor:
         return []
     return diagnose(UsedMeasurements(dataset, config.sensors), registrations)
 
 
 def settled(config: Config, findings: Iterable[Finding]) -> Config:
-    """A configuration with the remedies of what is beyond doubt; what a person has calibrated stays."""
+    """Return a configuration with the certain corrections; calibrations by the user are kept."""
     return calibrated(config, remedied(config.sensors.calibration, findings, only_sure=True))

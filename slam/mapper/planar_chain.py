@@ -1,4 +1,4 @@
-"""What holds a keyframe of a planar robot to the one before: whom of lidar, wheels and cameras to believe."""
+"""Edges between consecutive keyframes of a planar robot: which of lidar, wheels and cameras to trust."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ _GUESS_SHARE = 0.1
 
 
 class PlanarChain:
-    """The steps from keyframe to keyframe, and what is still to be settled about them."""
+    """The steps between consecutive keyframes, some of which are still to be revised."""
 
     def __init__(
         self, config: Config, tracker: MotionTracker, wheels: WheelTracker | None, cameras: RobotCameras
@@ -56,18 +56,18 @@ class PlanarChain:
         *,
         blind: bool = False,
     ) -> tuple[FloatArray, list[Edge]]:
-        """Take the next keyframe.
+        """Add the next keyframe.
 
         Parameters
         ----------
         camera_poses
-            Where every camera was.
+            Pose of every camera.
         blind
-            Whether its lidar saw too little for anything to be matched to.
+            Whether its lidar saw too little for other scans to be matched to it.
 
         Returns
         -------
-        (3,) the motion since the last one, and the edges to it.
+        (3,) the motion since the last keyframe, and the edges to the new one.
         """
         step, edges = np.zeros(3), list[Edge]()
         if self._last is None:
@@ -85,14 +85,14 @@ class PlanarChain:
     def settle(
         self, graph: KeyframeGraph, stamps_s: FloatArray, before: FloatArray, after: FloatArray
     ) -> None:
-        """At the end: say anew how cameras and wheels moved, as the whole run tells clocks and mountings.
+        """Recompute, at the end, the steps of cameras and wheels with the estimated clocks and mountings.
 
         Parameters
         ----------
         stamps_s
-            (K,) of the keyframes by the clocks as they are known now.
+            (K,) stamps of the keyframes by the clocks as estimated now.
         before, after
-            (K, 3) poses of the wheels at the keyframes, by which their edges were made, and by these stamps.
+            (K, 3) poses of the wheels at the keyframes, as used for their edges, and by these stamps.
         """
         moved = (before != after).any(axis=1)
         for n, edge in enumerate(graph.graph.edges):
@@ -117,7 +117,7 @@ class PlanarChain:
     def _step(
         self, key: int, stamp_s: float, last: TrackedScan, tracked: TrackedScan, camera_poses: CameraPoses
     ) -> tuple[FloatArray, list[Edge]]:
-        """Motion from the last keyframe, and the edges."""
+        """Return the motion from the last keyframe, and the edges."""
         step = between(last.pose, tracked.pose)
         match = None
         if tracked.motion is not None:
@@ -158,11 +158,11 @@ class PlanarChain:
         return step, edges
 
     def _past_a_guess(self, key: int, match: Motion, last: TrackedScan) -> tuple[Motion, Edge | None]:
-        """A match where the last keyframe matched nothing: from there, and from the last that matched.
+        """Return edges of a match if the last keyframe matched nothing: from it, and from the last match.
 
-        The guess was by the wheels or by cameras, and a match to keyframes of before knows no more of the
-        guessed one. A guessed one that saw enough and yet fitted nowhere was somewhere else: then it is what
-        was matched to, and of those before nothing is known.
+        The unmatched pose was predicted by wheels or cameras, and a match to earlier keyframes adds nothing
+        about it. If it saw enough but matched nothing, the robot was somewhere else: then the new scan is
+        matched to it, and its relation to earlier keyframes is unknown.
         """
         guess = unmeasured(self._config.graph, _GUESS_SHARE, planar=True)
         uncertain = Motion(match.pose, match.covariance + guess)
@@ -173,7 +173,7 @@ class PlanarChain:
         return uncertain, _edge(source, key, bridge, EdgeKind.LIDAR, trusted=False)
 
     def _long_wheels(self, key: int, stamp_s: float, tracked: TrackedScan) -> list[Edge]:
-        """Every so often the wheels say how far a whole stretch went: no single wrong match can turn it."""
+        """Add wheel edges over long stretches from time to time: a single wrong match cannot bend them."""
         begun, anchor = self._stretch
         if key - begun < 2 * self._config.loops.half_keyframes:
             return []
@@ -184,7 +184,7 @@ class PlanarChain:
         return [] if wheels is None else [_edge(begun, key, wheels, EdgeKind.WHEEL, trusted=False)]
 
     def _camera_steps(self, moved: list[CameraStep]) -> dict[str, Motion]:
-        """What cameras say whose mounting is given, by name; learned ones wait for its last estimate."""
+        """Return the steps of cameras with a given mounting, by name; others wait for the last estimate."""
         return {
             step.camera: Motion(step.planar.motion, step.planar.covariance)
             for step in moved
@@ -192,7 +192,7 @@ class PlanarChain:
         }
 
     def _doubtful(self, tracked: TrackedScan) -> bool:
-        """Whether a match was contradicted, or too few points agree with it."""
+        """Return whether a match was contradicted, or has too few inliers."""
         least = self._config.graph.confident_inlier_share
         motion, disputed = tracked.motion, np.count_nonzero(tracked.dispute) > 0
         return bool(motion is None or disputed or motion.inlier_share < least)
@@ -210,20 +210,20 @@ def edges_of(
     match_doubtful: bool = False,
     match_open: bool = False,
 ) -> list[Edge]:
-    """The edges from the keyframe before to a keyframe, something trusted among them.
+    """Return the edges from the previous keyframe to a keyframe; at least one is trusted.
 
     Parameters
     ----------
     step
-        (3,) best knowledge of the motion.
+        (3,) best estimate of the motion.
     match, wheels, cameras
-        What was measured; None where a sensor told nothing.
+        Measured motions; None if a sensor measured nothing.
     longer
-        How many times as uncertain as in a second is what nothing measured.
+        Factor of the sigmas of an unmeasured step, 1 for one of a second.
     match_doubtful
         Whether the loops may overrule the match.
     match_open
-        Whether it leaves a direction open.
+        Whether the match leaves a direction undetermined.
     """
     edges = []
     if match is not None:
@@ -250,10 +250,10 @@ def edges_of(
 
 
 def _edge(source: int, target: int, step: Motion, kind: EdgeKind, *, trusted: bool) -> Edge:
-    """A step as an edge."""
+    """Return a step as an edge."""
     return Edge(source, target, pose2_from_row(step.pose), step.covariance, kind, trusted)
 
 
 def _camera_edge(source: int, target: int, step: Motion) -> Edge:
-    """A camera's step as an edge, which may be refused."""
+    """Return a camera's step as an edge that may be rejected."""
     return _edge(source, target, step, EdgeKind.RGBD, trusted=False)

@@ -1,4 +1,4 @@
-"""Where a robot on a floor goes: its scans matched, wheels, gyroscope and cameras asked; no map yet."""
+"""Path of a robot on a floor: match scans, use wheel odometry, gyroscope and cameras; no map yet."""
 
 from __future__ import annotations
 
@@ -40,18 +40,18 @@ from slam.vision.prepared_frame import PreparedFrame
 
 @dataclass(frozen=True, slots=True)
 class Moment:
-    """A moment at which it is known where the robot is.
+    """A time at which the pose of the robot is known.
 
     Attributes
     ----------
     scan
-        None where a camera carries the robot on.
+        The scan; None if a camera continues the track.
     pose
-        (3,) in the odometry frame.
+        (3,) pose in the odometry frame.
     motion
-        The match that told it; None where nothing matched.
+        The match that gave the pose; None if nothing matched.
     new_keyframe
-        Whether the robot has moved on enough.
+        Whether the robot has moved far enough for a keyframe.
     """
 
     stamp_s: float
@@ -63,16 +63,16 @@ class Moment:
 
 @dataclass(frozen=True, slots=True)
 class Step:
-    """What a keyframe adds to the map.
+    """The part of the map that a keyframe adds.
 
     Attributes
     ----------
     step
         (3,) the motion from the keyframe before.
     edges
-        To it and those before.
+        Edges to it from earlier keyframes.
     surface, seen
-        What its scan tells a map, base frame, and how many of the points, the first, it has itself seen.
+        Points of its scan for a map, base frame, and how many of them, the first, it has seen itself.
     """
 
     step: FloatArray
@@ -82,7 +82,7 @@ class Step:
 
 
 class Steps(Protocol):
-    """Tells the way of a robot: `PlanarWay`, or who has gone ahead, see `slam.mapper.forerunner`."""
+    """Tracks the path of a robot: `PlanarWay`, or a process ahead, see `slam.mapper.forerunner`."""
 
     def observe(self, measurement: Any) -> Moment | None:
         """Take the next measurement; where the robot is then, if it tells that."""
@@ -94,14 +94,14 @@ class Steps(Protocol):
 
 
 class PlanarWay:
-    """Scans, wheels, gyroscope and cameras of a robot on a floor: where it goes by them.
+    """Track a robot on a floor by its scans, wheel odometry, gyroscope and cameras.
 
     Attributes
     ----------
     readings
-        Of the log so far, with their poses in the odometry frame.
+        Readings of the log so far, with their poses in the odometry frame.
     cameras
-        Of the robot.
+        Cameras of the robot.
     """
 
     def __init__(
@@ -165,7 +165,7 @@ class PlanarWay:
         return Step(step, edges, OrientedPoints.surface(points), len(points.oriented()[0]))
 
     def settle(self, graph: KeyframeGraph) -> None:
-        """Say anew how cameras and wheels moved, as the whole run tells their clocks and mountings."""
+        """Recompute the steps of cameras and wheels with the clocks and mountings estimated in the run."""
         self.cameras.settle_clocks()
         led, stamps_s = self.cameras.led()
         before = self.readings.keyframe_wheels()
@@ -180,41 +180,41 @@ class PlanarWay:
         settle_wheels(graph, config.loops.reach_m, wheels, stamps_s, config.graph)
 
     def learned(self) -> tuple[Any, ...]:
-        """What the whole way has told: plain objects, for `take_over`."""
+        """Return what was learned on the whole path: plain objects, for `take_over`."""
         wheels = self._wheels, self._wheels_name, self._unexplained_s
         return self.readings, self._gyro, self.cameras.scan_turns, *wheels
 
     def take_over(self, learned: tuple[Any, ...]) -> None:
-        """What another one has `learned`, of a robot without cameras."""
+        """Adopt what another object has `learned`, for a robot without cameras."""
         readings, self._gyro, self.cameras.scan_turns, *wheels = learned
         self._wheels, self._wheels_name, self._unexplained_s = wheels
         vars(self.readings).update(vars(readings))
 
     def tell(self, result: MapResult) -> None:
-        """What people should know of the wheels and the gyroscope."""
+        """Return notes about the wheels and the gyroscope for the user."""
         if self._wheels is not None and self._wheels.clock.known:
             result.notes.append(self._wheels.clock.note("wheels", "lidar"))
         if self._wheels is not None and self._wheels.dead and self._wheels_name:
             result.warnings.append(
-                "The wheels report no motion where the robot has moved; they were left out"
+                "The wheel odometry reports no motion while the robot moves; it is not used"
             )
-            result.unused[self._wheels_name] = "they report no motion where the robot has moved"
+            result.unused[self._wheels_name] = "it reports no motion while the robot moves"
         if self._unexplained_s:
             at_s, count = self._unexplained_s[0] - self.readings.scan_stamps_s()[0], len(self._unexplained_s)
             result.warnings.append(
-                f"At {at_s:.1f} s a scan fits nothing that was seen there (such scans: {count}), and the "
-                "wheels say that the robot hardly moved: it was carried, or something stood around it; if it "
-                "was carried, what follows lies wrong until a loop joins it"
+                f"At {at_s:.1f} s a scan does not match what was seen there before ({count} such scans), "
+                "although the wheels report hardly any motion: it was carried, or its view was blocked. "
+                "If it was carried, the map after this moment is misplaced until a loop corrects it"
             )
         if self._gyro is not None:
             result.notes += self._gyro.notes()
             if self._gyro.unfit:
-                why = "its turns are not those of the lidar: a wrong axis, sign, unit or clock"
+                why = "its rotation does not agree with the lidar's: a wrong axis, sign, unit or clock"
                 result.unused[self._gyro.sensor] = why
                 result.warnings.append(f"{self._gyro.sensor} is not used: {why}")
 
     def _add_wheels(self, reading: WheelOdometry) -> None:
-        """Take a wheel odometry reading: a guess for the next scan, and a reading that wants a pose."""
+        """Process a wheel odometry reading: it predicts the next scan, and gets a pose itself."""
         self._wheels_name = reading.sensor
         if self._wheels is None:
             self.readings.add_wheel(reading.stamp_s, None)
@@ -222,7 +222,7 @@ class PlanarWay:
         self.readings.add_wheel(reading.stamp_s, self._wheels.add(reading))
 
     def _add_frame(self, frame: PreparedFrame) -> Moment | None:
-        """Track a frame; where no scan has come for a while, the leading camera carries the robot on."""
+        """Track a frame; if there was no scan for a while, the leading camera continues the track."""
         self.cameras.add(frame)
         if self._config.sensors.lidar and np.isneginf(self._scan_stamp_s):
             # The lidar is about to begin: without a scan the first keyframe would leave it nothing to match.
@@ -237,7 +237,7 @@ class PlanarWay:
         return self._track(stamp_s, None, None)
 
     def _track(self, stamp_s: float, scan: LaserScan | None, points: ScanPoints | None) -> Moment:
-        """Pose of a moment."""
+        """Find the pose of a scan or frame."""
         camera_poses = self.cameras.camera_poses(stamp_s)
         steps = [
             step.planar

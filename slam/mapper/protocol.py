@@ -1,4 +1,4 @@
-"""What the main loop knows of sensors: one leads and says where the robot is, others stand beside it."""
+"""Interface of sensors to the main loop: one leads and tracks the robot, others add factors."""
 
 from __future__ import annotations
 
@@ -21,18 +21,18 @@ from slam.vision.visual_match import VisualMatch
 
 @dataclass(frozen=True, slots=True)
 class Tracked:
-    """A moment at which it is known where the robot is.
+    """A time at which the pose of the robot is known.
 
     Attributes
     ----------
     stamp_s
-        As the log has it.
+        Stamp in the log.
     motion
-        The match that told it; None where nothing matched, and for the first.
+        The match that gave the pose; None if nothing matched, and for the first.
     new_keyframe
-        Whether the robot has moved on enough.
+        Whether the robot has moved far enough for a keyframe.
     match
-        Of a camera's frame: the whole match.
+        The whole match of a camera frame.
     """
 
     stamp_s: float
@@ -42,76 +42,76 @@ class Tracked:
 
 
 class FrontEnd(Protocol):
-    """The sensor that leads, with those that it asks for help.
+    """The leading sensor, with the sensors that support it.
 
     Attributes
     ----------
     readings
-        Of the log so far, with their poses in the odometry frame.
+        Readings of the log so far, with their poses in the odometry frame.
     tags
-        Looks for tags in the images of its keyframes.
+        Detector of tags in the images of its keyframes.
     """
 
     readings: Readings
     tags: TagFinder
 
     def observe(self, measurement: Any) -> Tracked | None:
-        """Take the next measurement; where the robot is then, if it tells that."""
+        """Process the next measurement; return the tracked pose, if it gives one."""
         ...
 
     def origin(self) -> Pose:
-        """Pose of the first node in the map, Pose2 or Pose3, once a first moment was tracked."""
+        """Return the pose of the first node in the map, Pose2 or Pose3, once a first pose was tracked."""
         ...
 
     def step(self, key: int) -> tuple[Pose, Sequence[Edge]]:
-        """Motion from the last keyframe to the newest moment, to be keyframe ``key``, and its edges."""
+        """Return the motion from the last keyframe to the new keyframe ``key``, and its edges."""
         ...
 
     def recognise(self, key: int, graph: KeyframeGraph) -> Iterable[LoopCandidate]:
-        """Remember keyframe ``key``, and try the places that it may have come back to."""
+        """Store keyframe ``key``, and try to close loops with places it may have returned to."""
         ...
 
     def refuse(self) -> None:
-        """Raise a `slam.errors.DatasetError` where all that was seen is no map."""
+        """Raise a `slam.errors.DatasetError` if the data are not enough for a map."""
         ...
 
     def settle(self, graph: KeyframeGraph) -> None:
-        """Say anew what the whole run has shown, before the final optimisation."""
+        """Revise edges by what the whole run has shown, before the final optimisation."""
         ...
 
     def search_again(self, graph: KeyframeGraph, kept: BoolArray) -> list[LoopCandidate]:
-        """Places recognised from the estimate of the final optimisation, which has ``kept`` these edges.
+        """Search for loops from the estimate of the final optimisation, which has ``kept`` these edges.
 
-        None as a rule: all places were tried while mapping.
+        Usually there are none: all places were tried during mapping.
         """
         return []
 
     def bases(self, poses: Sequence[Pose]) -> Sequence[Pose]:
-        """``T_map_base`` of every node, by the nodes' poses, which are those of the bases as a rule."""
+        """Return ``T_map_base`` of every node from the node poses, which usually are those of the bases."""
         return poses
 
     def complete(self, result: MapResult) -> None:
-        """Make of the final poses what else the map has, and tell what people should know of it."""
+        """Create the rest of the map from the final poses, and return notes for the user."""
         ...
 
     def learned_mountings(self) -> dict[str, LearnedMounting]:
-        """Where cameras sit that the log does not tell, as far as this run has shown; none as a rule."""
+        """Return camera mountings that the log lacks and this run estimated; usually none."""
         return {}
 
 
 class Sensor(Protocol):
-    """A sensor beside the one that leads: it adds what it knows to the graph, and may be overruled."""
+    """A sensor besides the leading one: it adds edges to the graph, which may be rejected."""
 
     def observe(self, measurement: Any) -> None:
-        """Take the next measurement of its kind."""
+        """Process the next measurement of its kind."""
         ...
 
     def factors(self, key: int, stamp_s: float) -> Iterable[Edge]:
-        """What it knows of a new keyframe and those before it."""
+        """Return the edges between a new keyframe and earlier ones."""
         ...
 
     def notes(self) -> list[str]:
-        """One line each, for people."""
+        """Return notes for the user, one line each."""
         ...
 
 
@@ -119,17 +119,17 @@ SENSORS: dict[type, Callable[[Config], Sensor]] = {}
 
 
 def register_sensor(kind: type, make: Callable[[Config], Sensor]) -> None:
-    """Let measurements of another kind reach a sensor of one's own.
+    """Register a sensor of your own for a new type of measurement.
 
     Parameters
     ----------
     kind
         Type of its measurements, which have ``stamp_s`` (seconds) and ``sensor`` (a name).
     make
-        Given the configuration, the sensor of a new run: ``observe(measurement)`` takes what comes,
-        ``factors(key, stamp_s)`` gives `slam.Edge`s of a kind of its own when keyframe ``key`` is made, from
-        earlier ones (none for the first), ``notes()`` what people
-        should know.
+        Function that takes the configuration and returns the sensor for a new run. The sensor has three
+        methods: ``observe(measurement)`` takes a measurement; ``factors(key, stamp_s)`` is called for each
+        new keyframe ``key`` and returns `slam.Edge`s from earlier ones, of a kind of its own (none for the
+        first); ``notes()`` returns lines for the user.
 
     Examples
     --------

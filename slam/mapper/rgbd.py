@@ -1,4 +1,4 @@
-"""An RGB-D camera alone that moves freely: frames give pose, loops and map; SE(3)."""
+"""Front end for a freely moving RGB-D camera alone: frames give pose, loops and map; SE(3)."""
 
 from __future__ import annotations
 
@@ -36,11 +36,11 @@ from slam.vision.prepared_frame import PreparedFrame
 
 
 class FreeCamera(FrontEnd):
-    """Frames of one camera; see `slam.mapper.protocol.FrontEnd`.
+    """Front end for the frames of one camera; see `slam.mapper.protocol.FrontEnd`.
 
     The nodes are camera poses. The map frame is that of the first base pose; without a known mounting the
     base is the camera itself, and the map frame its body: x along the first view, z up in the first image.
-    An IMU beside it puts the map upright.
+    An IMU beside the camera levels the map.
     """
 
     def __init__(
@@ -67,7 +67,7 @@ class FreeCamera(FrontEnd):
         self._down: dict[int, Gravity] = {}
 
     def observe(self, measurement: Any) -> Tracked | None:
-        """Take the next measurement; where the camera is then, if it tells that."""
+        """Process the next measurement; return the tracked pose of the camera, if it gives one."""
         if isinstance(measurement, ImuReading):
             self._feel(measurement)
         if not isinstance(measurement, PreparedFrame):
@@ -92,11 +92,11 @@ class FreeCamera(FrontEnd):
         return Tracked(measurement.stamp_s, motion, tracked.new_keyframe, tracked.match)
 
     def origin(self) -> Pose:
-        """Where the camera is when the map begins."""
+        """Return the first pose of the camera."""
         return T_BODY_CAMERA if self._T_base_camera is None else self._T_base_camera
 
     def step(self, key: int) -> tuple[Pose, Sequence[Edge]]:
-        """Motion from the last keyframe to the newest frame, and its edge."""
+        """Return the motion from the last keyframe to the newest frame, and its edge."""
         assert self._newest is not None
         tracked = self._newest[1]
         step = gtsam.Pose3() if self._last is None else self._last.between(self._placed)
@@ -109,7 +109,7 @@ class FreeCamera(FrontEnd):
         return step, [Edge(key - 1, key, step, covariance, EdgeKind.RGBD, trusted=True)]
 
     def recognise(self, key: int, graph: KeyframeGraph) -> list[LoopCandidate]:
-        """Remember a keyframe, and try the places that it may have come back to."""
+        """Store a keyframe, and try to close loops with places it may have returned to."""
         assert self._newest is not None
         frame, tracked = self._newest
         if self._imu is not None and (gravity := self._imu.gravity()) is not None:
@@ -121,19 +121,19 @@ class FreeCamera(FrontEnd):
         return self._closer.close(key, [spatial(pose) for pose in graph.poses()])
 
     def refuse(self) -> None:
-        """Whatever a camera sees is a map."""
+        """Never raise an error: any frame gives a map."""
 
     def settle(self, graph: KeyframeGraph) -> None:
-        """Put the map upright, where gravity is known; every step was settled when it was made."""
+        """Level the map if gravity is known; all steps are final already."""
         if self._down:
             graph.graph.level(apart_in_time(self._down))
 
     def bases(self, poses: Sequence[Pose]) -> Sequence[Pose]:
-        """The bases that carry the camera."""
+        """Return the bases of the camera poses."""
         return [spatial(pose).compose(self._T_camera_base) for pose in poses]
 
     def complete(self, result: MapResult) -> None:
-        """The images of the keyframes."""
+        """Return the images of the keyframes."""
         assert self._camera is not None
         learned = LearnedCamera(self._registrations.get(self._camera), self._T_base_camera)
         result.add_cameras({self._camera: CameraRecord(result.scans, learned=learned)}, self._store.images)
@@ -142,7 +142,7 @@ class FreeCamera(FrontEnd):
             result.add_told(*self._imu.told())
 
     def _place(self, stamp_s: float, tracked: TrackedFrame) -> None:
-        """Where the camera is: as it was seen, unless it turned otherwise than the IMU says."""
+        """Find the pose of the camera: as matched, unless its rotation contradicts the IMU."""
         motion = None if tracked.match is None else tracked.match.motion
         before, step = self._placed, self._seen.between(tracked.pose)
         self._seen, self._placed = tracked.pose, before.compose(step)
@@ -160,9 +160,9 @@ class FreeCamera(FrontEnd):
         self._imu.took(stamp_s, self._placed, covariance)
 
     def _feel(self, reading: ImuReading) -> None:
-        """Take a reading of an IMU whose place is known, as one that sits on the camera."""
+        """Process a reading of an IMU with known mounting, transformed to the camera."""
         if self._imu is None or self._camera is None:
             return
         if reading.T_base_imu is None:
-            raise UnfitImuError(reading.sensor, "nothing tells how it sits beside the camera")
+            raise UnfitImuError(reading.sensor, "its pose relative to the camera is unknown")
         self._imu.add(replace(reading, T_base_imu=self._T_camera_base.compose(reading.T_base_imu)))

@@ -1,4 +1,4 @@
-"""The RGB-D cameras of a robot on a floor: where each was at a moment, and how the robot moved by it."""
+"""RGB-D cameras of a robot on a floor: the pose of each at a given time, and the robot's motion from it."""
 
 from __future__ import annotations
 
@@ -289,4 +289,4 @@ class RobotCameras:
             ):
                 lines += [f"{failed:,} of {count:,} of {name}"] if failed > 0.01 * count else []
         told = [f"Frames that matched nothing: {', '.join(lost)}"] if lost else []
-        return told + ([f"Motions that left the floor, refused: {', '.join(refused)}"] if refused else [])
+        return told + ([f"Rejected motions off the floor: {', '.join(refused)}"] if refused else [])

@@ -1,4 +1,4 @@
-"""Tags and surveyed places: gathered along the way, and what they do to the graph when it is done."""
+"""Collect tags and surveyed points along the path, and add them to the graph at the end."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ class TagFinder:
     Attributes
     ----------
     places
-        What hangs; None where nobody has said that.
+        What hangs; None if nobody has said that.
     registrations
         Where colour cameras sit that are not registered to depth, by name.
     seen
@@ -138,7 +138,7 @@ class PlaceAnchors:
             f"tags: {len(tags)} in {finder.images} images, {fit} of {views} views fit, {len(edges)} edges "
             f"between keyframes that saw the same; corners are {sigma_px:.2f} px off"
         )
-        self.warnings += [f"Tag {number} hangs at several places at once; it is not used" for number in twice]
+        self.warnings += [f"Tag {number} was seen at several places; it is not used" for number in twice]
         graph.graph.begin_with([*outcome.kept, *[True] * len(edges)])
         return graph.optimize(inlier_probability)
 
@@ -244,7 +244,7 @@ class PlaceAnchors:
         return MapTag(number, side_m, found.node, pose, math.sqrt(variance), len(spatials), fit)
 
     def _seen_at(self, one: SurveyedPlace, way: Way) -> tuple[int, FloatArray, float] | None:
-        """Node, (3,) place in its frame and variance of that, of a surveyed place; None where it was not."""
+        """Node, (3,) place in its frame and variance of that, of a surveyed place; None if it was not."""
         if one.stamp_s is not None:
             node = int(way.nearest(np.array([one.stamp_s]))[0])
             T_node_base = way.seen_from(node, one.stamp_s)

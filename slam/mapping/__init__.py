@@ -1,1 +1,1 @@
-"""What is drawn of a map: grids and their layers, clouds, coloured surfaces, rooms, ways over the floor."""
+"""Drawing of maps: grids and their layers, clouds, coloured surfaces, rooms, paths on the floor."""

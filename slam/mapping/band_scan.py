@@ -1,6 +1,6 @@
-"""The plan that a robot drives by, from clouds: the nearest obstacle of each bearing, by the height band.
+"""2D scan for navigation, cut from clouds: the nearest obstacle at each bearing within the height band.
 
-Yang2021 Eq. (16)-(18): what lies between the step that the robot drives over and the robot's own height.
+Yang2021 Eq. (16)-(18): from the step that the robot can drive over to the height of the robot.
 """
 
 from __future__ import annotations
@@ -114,7 +114,7 @@ def ground_of(
 
     Returns
     -------
-    None where it is not seen, and no mounting tells it.
+    None if it is not seen, and no mounting tells it.
     """
     first = islice(clouds, FEWEST)
     seen_m = ground_height(first, float(T_base_lidar.z()), voxel_m, thickness_m)
@@ -140,7 +140,7 @@ def ground_height(
 
     Returns
     -------
-    None where no level surface is seen.
+    None if no level surface is seen.
     """
     heights = []
     for points in clouds:

@@ -1,4 +1,4 @@
-"""The cloud of the whole map from the clouds of its keyframes, tile by tile, coloured by height."""
+"""Point cloud of the whole map from the clouds of its keyframes, tile by tile, coloured by height."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ class CloudTiles:
     Raises
     ------
     ScanweaveError
-        Where a pose is not finite.
+        If a pose is not finite.
     """
 
     def __init__(

@@ -1,7 +1,7 @@
-"""Clouds as bytes and back: points in whole steps, each as the way from the one before, packed by Zstandard.
+"""Convert clouds to bytes and back: points in integer steps, stored as differences, compressed by Zstandard.
 
-Intensities, where there are any, follow as they are (float32), their upper bytes first apart from the lower.
-Maps of schema 5 and before packed them by zlib, at seven times the cost and the same size.
+Intensities, if there are any, follow unchanged (float32), with the upper bytes separate from the lower.
+Maps of schema 5 and older used zlib, at seven times the cost and the same size.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ def packed_cloud(rows: FloatArray) -> bytes:
     Raises
     ------
     ScanweaveError
-        Where a point is not finite.
+        If a point is not finite.
     """
     reach_m = float(np.abs(rows[:, :3]).max(initial=0.0))
     if not np.isfinite(reach_m):
@@ -46,7 +46,7 @@ def unpacked_cloud(content: bytes, *, intensities: bool = True) -> FloatArray:
     Raises
     ------
     ValueError
-        Where they are not what `packed_cloud` gives; no more is unpacked than they say.
+        If they are not what `packed_cloud` gives; no more is unpacked than they say.
     """
     if len(content) < _HEAD.size:
         raise ValueError("a cloud that ends too soon")

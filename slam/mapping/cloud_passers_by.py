@@ -1,6 +1,6 @@
-"""What only passed by in a 3D lidar's clouds: places that beams have gone through, taken out of the map.
+"""Remove moving objects from the clouds of a 3D lidar: places that beams have passed through.
 
-The idea of `slam.mapping.passers_by` in space: what is fixed is hit whenever somebody looks.
+The idea of `slam.mapping.passers_by` in 3D: a fixed object is hit whenever the lidar looks at it.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""A coloured mesh and point cloud of what RGB-D cameras saw from known poses, by a signed distance field."""
+"""Coloured mesh and point cloud from RGB-D images at known poses, by a signed distance field."""
 
 from __future__ import annotations
 
@@ -67,7 +67,7 @@ class ColoredCloud:
     normals_map
         (N, 3) unit vectors towards where the surface was seen from.
     intensities
-        (N,) of a lidar's points, in its own steps, NaN where one does not tell it; None where none does.
+        (N,) of a lidar's points, in its own steps, NaN where one does not tell it; None if none does.
     """
 
     points_map: Float32Array
@@ -119,7 +119,7 @@ def fuse_keyframes(
     Raises
     ------
     ScanweaveError
-        Where a pose is not finite, or the memory limit is met.
+        If a pose is not finite, or the memory limit is met.
     """
     blocks = VoxelBlocks(settings.voxel_size_m)
     # A frame is integrated in another thread while the next one is decoded.

@@ -1,6 +1,6 @@
-"""What one depth image says about the cells of a map: obstacles in the height band, and what is clear.
+"""Evidence of one depth image for the cells of a map: obstacles in the height band, and free cells.
 
-Yang2021 Eq. (13)-(20) make the obstacles, Li2020's inverse sensor model weighs them by range.
+The obstacles are from Yang2021 Eq. (13)-(20); the inverse sensor model of Li2020 weights them by range.
 """
 
 from __future__ import annotations
@@ -75,7 +75,7 @@ class DepthModel:
 def depth_board(
     frame: RgbdFrame, T_grid_camera: FloatArray, model: DepthModel, cell_m: float
 ) -> Board | None:
-    """The evidence of one depth image, height by height; None where it has no reading within reach.
+    """The evidence of one depth image, height by height; None if it has no reading within reach.
 
     A negative depth is a reading that an edit has taken away: its ray frees as before, and the cell where it
     ends is not marked.
@@ -94,7 +94,7 @@ def depth_board(
     Raises
     ------
     ConfigError
-        Where the cell is not larger than the radius.
+        If the cell is not larger than the radius.
     """
     if not cell_m > model.radius_m:
         raise ConfigError(

@@ -1,4 +1,4 @@
-"""Doors: where one can see, and nothing was met, from the face of a wall to that of the next room's."""
+"""Detect doors: openings that beams pass, from a wall face to that of the next room, without any hit."""
 
 from __future__ import annotations
 

@@ -1,8 +1,8 @@
-"""The ground under a 3D lidar's map: its height everywhere, by what hangs together with where the robot was.
+"""Ground under the map of a 3D lidar: its height everywhere, connected to where the robot was.
 
-So the height band (Yang2021 Eq. (16)-(18)) is cut upright on ramps, behind kerbs and for a lidar that is
-carried, where one level for all would not do. One height a place: of storeys above each other the plan shows
-a mixture.
+So the height band (Yang2021 Eq. (16)-(18)) is correct on ramps, behind kerbs and for a hand-held lidar, where
+a single level would not be. There is one height per place: if storeys lie above each other, the plan mixes
+them.
 """
 
 from __future__ import annotations
@@ -91,7 +91,7 @@ def elevation(
 
     Returns
     -------
-    None where no ground hangs together with the robot's way.
+    None if no ground hangs together with the robot's way.
     """
     batches, waiting = list[Keys](), list[Keys]()
     seen = zip(clouds, poses, strict=True)

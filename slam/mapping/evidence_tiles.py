@@ -1,7 +1,7 @@
-"""Sums of evidence in square tiles: memory for what was seen only, and the least used tiles go to disk.
+"""Sums of evidence in square tiles: only seen areas use memory, and the least used tiles go to disk.
 
-Evidence is in whole steps of log-odds (`fusion.bayes.STEPS_A_UNIT`): sums are exact, so the order in which
-boards come changes nothing.
+Evidence is in integer steps of log-odds (`fusion.bayes.STEPS_A_UNIT`). So sums are exact, and the order of
+the boards does not matter.
 """
 
 from __future__ import annotations

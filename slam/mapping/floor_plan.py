@@ -1,4 +1,4 @@
-"""A plan of a floor: rooms, walls as lines, doors, lengths and areas with how sure they are."""
+"""Floor plan: rooms, walls as lines, doors, lengths and areas with their uncertainty."""
 
 from __future__ import annotations
 
@@ -19,11 +19,11 @@ class Wall:
     Attributes
     ----------
     begin_m, end_m
-        (2,) map frame; the room lies on the left.
+        (2,) map frame; the room is on the left.
     sigma_m
-        Standard deviation across it at its middle, in the map; None where it was not seen.
+        Standard deviation across it at its middle, in the map; None if it was not seen.
     seen_m
-        (n, 2) from where to where along it anything was met.
+        (n, 2) begin and end along it of each stretch with a hit.
     """
 
     begin_m: FloatArray
@@ -35,15 +35,15 @@ class Wall:
 
     @property
     def length_m(self) -> float:
-        """From corner to corner."""
+        """Length from corner to corner."""
         return float(np.hypot(*(self.end_m - self.begin_m)))
 
     def at(self, along_m: float) -> FloatArray:
-        """(2,) the point so far along it."""
+        """Return (2,) the point at a distance along it."""
         return np.asarray(self.begin_m + along_m / self.length_m * (self.end_m - self.begin_m))
 
     def pieces(self) -> list[tuple[FloatArray, FloatArray, bool]]:
-        """Begin and end of each stretch, and whether it was seen."""
+        """Return begin and end of each stretch, and whether it was seen."""
         found, last = [], 0.0
         for low, high in self.seen_m:
             if low > last:
@@ -57,14 +57,14 @@ class Wall:
 
 @dataclass(frozen=True, slots=True)
 class Length:
-    """From one wall to the one across.
+    """Distance from one wall to the opposite wall.
 
     Attributes
     ----------
     begin_m, end_m
-        (2,) where it is measured.
+        (2,) end points of the measurement.
     length_m, sigma_m
-        And its standard deviation.
+        The length and its standard deviation.
     """
 
     begin_m: FloatArray
@@ -79,7 +79,7 @@ class Length:
 
     @property
     def text(self) -> str:
-        """With its interval, for people."""
+        """Return the length with its interval, as text."""
         return f"{self.length_m:.3f} +- {self.half_interval_m:.3f} m"
 
 
@@ -90,15 +90,15 @@ class Room:
     Attributes
     ----------
     number
-        From 1, the largest first.
+        Number from 1; the largest room comes first.
     walls
-        Counter-clockwise, each from where the one before ends.
+        Walls, counter-clockwise; each begins where the one before ends.
     area_m2
-        Within them.
+        Area within the walls.
     area_sigma_m2
-        Its standard deviation; None where a wall was not seen.
+        Its standard deviation; None if a wall was not seen.
     lengths
-        Its extents along its walls and across, where both walls were seen.
+        Its extents along and across its walls, if both walls were seen.
     entered
         Whether the robot has been in it.
     """
@@ -127,12 +127,12 @@ class Room:
 
     @property
     def area_half_interval_m2(self) -> float | None:
-        """Half of the 95 % interval; None where a wall was not seen."""
+        """Half of the 95 % interval; None if a wall was not seen."""
         return None if self.area_sigma_m2 is None else half_interval(self.area_sigma_m2)
 
     @property
     def area_text(self) -> str:
-        """For people: with its interval, or `about` where it has none."""
+        """Return the area as text: with its interval, or with `about` if it has none."""
         half = self.area_half_interval_m2
         return f"about {self.area_m2:.1f} m2" if half is None else f"{self.area_m2:.2f} +- {half:.2f} m2"
 
@@ -144,11 +144,11 @@ class Door:
     Attributes
     ----------
     begin_m, end_m
-        (2,) its sides.
+        (2,) sides of the opening.
     rooms
-        Numbers of the two.
+        Numbers of the two rooms.
     driven
-        Whether the robot has gone through; else it was seen open.
+        Whether the robot drove through it; otherwise it was seen open.
     """
 
     begin_m: FloatArray
@@ -158,21 +158,21 @@ class Door:
 
     @property
     def width_m(self) -> float:
-        """From side to side, to two cells of the grid."""
+        """Width from side to side, accurate to two cells of the grid."""
         return float(np.hypot(*(self.end_m - self.begin_m)))
 
     @property
     def middle_m(self) -> FloatArray:
-        """(2,) halfway."""
+        """(2,) middle of the opening."""
         return np.asarray(0.5 * (self.begin_m + self.end_m))
 
 
 @dataclass(frozen=True, slots=True)
 class FloorPlan:
-    """Rooms and the doors between them; all in the map frame, metres.
+    """Rooms and the doors between them, in the map frame, metres.
 
-    Lengths and areas are as uncertain as points and poses make them. A lidar that measures everything too
-    long or too short by the same, or by a share, is in none of them.
+    The uncertainty of lengths and areas comes from the points and the poses. It does not include a constant
+    offset or a scale error of the lidar.
     """
 
     rooms: Sequence[Room]
@@ -189,7 +189,7 @@ class FloorPlan:
         return float(np.angle(sum(turned)) / 4) if turned else 0.0
 
     def text(self) -> str:
-        """A line a room and a line a door; what has no 95 % interval was not seen whole."""
+        """Return one line per room and per door; a length without a 95 % interval was not seen completely."""
         doors = sum(door.driven for door in self.doors)
         lines = [f"{len(self.rooms)} rooms, {len(self.doors)} doors, {doors} of them driven through"]
         for room in self.rooms:

@@ -1,4 +1,4 @@
-"""Where the robot stands nothing else does: what it says of the cells under it."""
+"""Footprint of the robot: the cells under it are free of obstacles."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ _UNDER_ROBOT = 0.2
 
 
 def footprint_board(pose: gtsam.Pose2, radius_m: float, cell_m: float) -> Board | None:
-    """The evidence of a keyframe's pose, in the lattice's axes; None where no whole cell is under the robot.
+    """The evidence of a keyframe's pose, in the lattice's axes; None if no whole cell is under the robot.
 
     Parameters
     ----------

@@ -1,10 +1,10 @@
-"""Glass that no beam met head on: gaps in walls in which beams are lost that should have met what is behind.
+"""Detect glass that no beam hit at a right angle: wall gaps in which beams to objects behind are lost.
 
-At a slant a pane throws no beam back: a part of them goes through, the rest is gone (Foster et al. 2013; Koch
-et al. 2017). A doorway loses none. But beams are lost for other reasons too: what is behind may be dark, or
-farther away than the lidar measures. So only beams count that should have met a thing that is known, and it
-is asked how often it loses beams that do not come through the gap. A thing is what stands in one square of
-the floor, for behind a pane only single points are seen of a wall.
+At a slant, a pane returns no beam: a part goes through, the rest is lost (Foster et al. 2013; Koch et al.
+2017). A doorway loses none. But beams are also lost for other reasons: the object behind may be dark, or
+beyond the range of the lidar. So only beams towards a known object count, and they are compared with how
+often this object loses beams that do not come through the gap. An object is whatever stands in one square of
+the floor, because behind a pane only single points of a wall are seen.
 """
 
 from __future__ import annotations

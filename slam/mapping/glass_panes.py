@@ -1,7 +1,7 @@
-"""Panes of glass in the scans of a lidar: walls that only a beam at a right angle meets.
+"""Detect panes of glass in the scans of a lidar: walls that only return beams at a right angle.
 
-A pane throws a beam back where it is met head on; else the beam goes through or is lost (Foster et al. 2013).
-So what passes elsewhere refutes nothing: of a pane the head-on beams tell, and as many of them as pass.
+A pane returns a beam that hits it at a right angle; else the beam passes or is lost (Foster et al. 2013). So
+beams that pass elsewhere prove nothing: only the beams at right angles, returned or passed, are counted.
 """
 
 from __future__ import annotations

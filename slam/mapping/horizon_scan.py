@@ -1,4 +1,4 @@
-"""The ring of a 3D lidar nearest the horizon as a flat scan: Xu2024's curve, to compare with a camera's."""
+"""Ring of a 3D lidar nearest to the horizon as a 2D scan: the curve of Xu2024, to compare with a camera's."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def horizon_scan(
 
     Returns
     -------
-    None where no ring is near the horizon.
+    None if no ring is near the horizon.
     """
     rays = points - T_base_lidar.translation()
     level = np.hypot(rays[:, 0], rays[:, 1])

@@ -1,4 +1,4 @@
-"""RGB-D images as bytes and back: colour as JPEG, depth as a 16-bit PNG."""
+"""Convert RGB-D images to bytes and back: colour as JPEG, depth as a 16-bit PNG."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ def depth_steps_per_m(frame: RgbdFrame) -> float:
     Raises
     ------
     ScanweaveError
-        Where a depth is not finite.
+        If a depth is not finite.
     """
     reach_m = float(frame.depth_m.max(initial=0.0))
     if not math.isfinite(reach_m):
@@ -59,7 +59,7 @@ def unpacked_images(
     Raises
     ------
     ValueError
-        Where the bytes are no images, or not of the camera's size; the size is looked at before decoding.
+        If the bytes are no images, or not of the camera's size; the size is looked at before decoding.
     """
     import cv2
 

@@ -1,4 +1,4 @@
-"""The settings of a run as the builder of grids takes them, and the lidar's grid of a map's keyframes."""
+"""Settings of a run for the grid builder, and the lidar grid of a map's keyframes."""
 
 from __future__ import annotations
 
@@ -57,12 +57,12 @@ def lidar_grids(
 
     Returns
     -------
-    `OCCUPANCY`; nothing where no keyframe has a scan. `PASSED_BY` where something has gone.
+    `OCCUPANCY`; nothing if no keyframe has a scan. `PASSED_BY` where something has gone.
 
     Raises
     ------
     ScanweaveError
-        Where the grid would have too many cells.
+        If the grid would have too many cells.
     """
     settings = layer_settings(config)
     builder = LayerBuilder(settings)
@@ -117,19 +117,19 @@ def _moved(
 def grid_of_keyframes(
     scans: Sequence[LaserScan | None], poses: FloatArray, config: Config
 ) -> OccupancyGrid | None:
-    """The first of `lidar_grids`; None where no keyframe has a scan."""
+    """The first of `lidar_grids`; None if no keyframe has a scan."""
     return lidar_grids(scans, poses, config).get(OCCUPANCY)
 
 
 def layers_of_grids(
     lidar: OccupancyGrid | None, depth: OccupancyGrid | None, config: Config
 ) -> LayeredMap | None:
-    """What the grids of both sensors decide together; None where there is neither.
+    """What the grids of both sensors decide together; None if there is neither.
 
     Raises
     ------
     ScanweaveError
-        Where they do not lie on one lattice.
+        If they do not lie on one lattice.
     """
     if lidar is None and depth is None:
         return None

@@ -1,7 +1,7 @@
-"""From keyframes at known poses to the grids of lidar and depth: the one way in which evidence is drawn.
+"""Build the lidar and depth grids from keyframes at known poses: the only place where evidence is drawn.
 
-Rebuilt from keyframes at their optimised poses, in any order, each counted once. Evidence is summed without
-bounds and clamped only when the map is taken: clamping on the way would make the map depend on the order.
+Grids are rebuilt from keyframes at their optimised poses, in any order, each counted once. Evidence is summed
+without limits and clamped only in the final map; earlier clamping would make the map depend on the order.
 """
 
 from __future__ import annotations
@@ -84,7 +84,7 @@ class LayerBuilder:
         Raises
         ------
         ScanweaveError
-            Where the pose is not finite or too far away, the map would be far too large, or a frame does not
+            If the pose is not finite or too far away, the map would be far too large, or a frame does not
             tell where its camera sits; the map is as it was then.
         """
         if not (np.abs(T_map_base.matrix()) < _MAX_POSITION_M).all():
@@ -106,7 +106,7 @@ class LayerBuilder:
         return True
 
     def grid(self, name: str) -> OccupancyGrid | None:
-        """The grid of ``lidar`` or ``depth`` so far, clamped; None where it told nothing.
+        """The grid of ``lidar`` or ``depth`` so far, clamped; None if it told nothing.
 
         Where it would have too many cells, they are larger, by a whole number.
         """

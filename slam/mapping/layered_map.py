@@ -1,4 +1,4 @@
-"""The finished map of a floor: what lidar and depth say each, their Bayes fusion, the decision (Li2020)."""
+"""Finished map of a floor: lidar and depth layers, their Bayesian fusion, and the decision (Li2020)."""
 
 from __future__ import annotations
 
@@ -27,15 +27,15 @@ LAYERS: tuple[LayerName, ...] = ("lidar", "depth", "fused", "decision")
 
 @dataclass(frozen=True, slots=True)
 class DecisionRule:
-    """How the layers become the map to drive by.
+    """How the layers are combined to the navigation map.
 
     Attributes
     ----------
     rule
-        Of `fusion.bayes.decide`; where one sensor gave nothing, the other decides alone.
+        Rule of `fusion.bayes.decide`; if one sensor has no data, the other decides alone.
     lidar, depth, fused
-        Li2020 Eq. (9) for each layer. Where a camera helps to decide, the lidar's is as certain of obstacles
-        as of free space: what one beam met from afar, where noise spreads it over cells, is no wall yet.
+        Thresholds of Li2020 Eq. (9) for each layer. If a camera supports the decision, those of the lidar are
+        symmetric: one hit from afar, which noise spreads over several cells, is not yet a wall.
     """
 
     rule: bayes.Rule = "cautious"
@@ -50,14 +50,14 @@ class DecisionRule:
 
 @dataclass(frozen=True, slots=True)
 class LayeredMap:
-    """The grids of both sensors, which lie on one lattice, and what they make together.
+    """The grids of both sensors, with the same cell positions, and their combination.
 
     Attributes
     ----------
     lidar, depth
-        None where the sensor gave nothing; not both.
+        Grid of the sensor, or None if it has no data; at least one is given.
     rule
-        How they are read.
+        Decision rule for the layers.
     """
 
     lidar: OccupancyGrid | None
@@ -65,12 +65,12 @@ class LayeredMap:
     rule: DecisionRule = field(default_factory=DecisionRule)
 
     def __post_init__(self) -> None:
-        """Refuse grids that do not lie on one lattice.
+        """Check that the cells of both grids have the same positions.
 
         Raises
         ------
         ScanweaveError
-            Where there is no grid, or cells of one do not cover cells of the other.
+            If there is no grid, or the cells of one do not cover cells of the other.
         """
         if self.lidar is None and self.depth is None:
             raise ScanweaveError("no reading was given to build a map from; does the log hold any?")
@@ -96,14 +96,14 @@ class LayeredMap:
 
     @property
     def names(self) -> tuple[LayerName, ...]:
-        """The layers that are worth a look; none where the lidar's grid is the map itself."""
+        """Names of the layers to show; none if the lidar grid is the map itself."""
         if self.depth is None:
             return ()
         return LAYERS if self.lidar is not None else LAYERS[1:]
 
     @property
     def box(self) -> Box:
-        """First row, first col, rows, cols of what holds both grids, on their lattice."""
+        """First row, first col, rows, cols of the box that contains both grids."""
         boxes = [self._box(grid) for grid in self._grids()]
         return union(boxes[0], boxes[-1])
 
@@ -114,22 +114,22 @@ class LayeredMap:
 
     @property
     def T_map_grid(self) -> gtsam.Pose2:
-        """The lower-left corner of cell (0, 0)."""
+        """Pose of the lower-left corner of cell (0, 0)."""
         row, col = (self.box[:2] + self._phase).tolist()
         corner = gtsam.Pose2(col * self.resolution_m, row * self.resolution_m, 0.0)
         return gtsam.Pose2(0.0, 0.0, self.yaw_rad).compose(corner)
 
     def grid(self, name: Literal["lidar", "depth", "fused"]) -> OccupancyGrid:
-        """A probability layer over the whole map; ``fused`` is Li2020 Eq. (10), the sum of both log-odds."""
+        """Return a probability layer of the map; ``fused`` is Li2020 Eq. (10), the sum of both log-odds."""
         steps = np.empty(self.shape, dtype=np.int16)
         for part in _blocks(self.shape):
             steps[part] = self._steps(name, part)
         return OccupancyGrid(steps, self.resolution_m, self.T_map_grid)
 
     def states(self, name: LayerName) -> StateArray:
-        """(rows, cols) of 100, 0 and -1: a layer by its own thresholds, or what they decide together.
+        """Return (rows, cols) of 100, 0 and -1: a layer with its own thresholds, or the combined decision.
 
-        The decision is what the robot must not hit.
+        The decision shows what the robot must not hit.
         """
         states = np.empty(self.shape, dtype=np.int8)
         # Where no camera helped, the lidar's height and its every hit are all that there is.
@@ -145,9 +145,9 @@ class LayeredMap:
         return states
 
     def free_at_lidar_height(self) -> BoolArray:
-        """(rows, cols) cells that the lidar calls free and no camera saw at all heights of the robot.
+        """Return (rows, cols) cells free for the lidar that no camera saw at all heights of the robot.
 
-        Unknown in a ``cautious`` decision. Nothing where no camera helped.
+        They are unknown in a ``cautious`` decision. Without a camera there are none.
         """
         free = np.zeros(self.shape, dtype=np.bool_)
         if self.lidar is not None and self.depth is not None:
@@ -158,7 +158,7 @@ class LayeredMap:
         return free
 
     def percent(self) -> StateArray:
-        """(rows, cols) fused probability in percent, -1 where it is one half, which is unknown."""
+        """Return (rows, cols) fused probability in percent, -1 if it is one half, which means unknown."""
         percent = np.empty(self.shape, dtype=np.int8)
         for part in _blocks(self.shape):
             steps = self._steps("fused", part)

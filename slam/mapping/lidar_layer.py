@@ -1,4 +1,4 @@
-"""What one laser scan says about the cells of a map, with noise by range: Li2020 Eq. (1), (8)."""
+"""Evidence of one laser scan for the cells of a map, with noise by range: Li2020 Eq. (1), (8)."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The compiled kernels of what clouds look through: voxels that a cloud hits, and those that it passes."""
+"""Compiled kernels of free space in clouds: voxels that a cloud hits, and voxels that its beams pass."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
-"""What moves, followed from scan to scan of a 2D lidar, and its beams taken out of the keyframes' scans.
+"""Track moving objects from scan to scan of a 2D lidar, and remove their beams from the keyframe scans.
 
-Keyframes alone cannot tell a person who stands still for a while from a chair. But he came and went: then he
-stood in space that was seen free a moment before, or was a moment after.
+Keyframes alone cannot distinguish a person who stands still for a while from a chair. But the person came and
+went: the space was seen free shortly before or shortly after.
 """
 
 from __future__ import annotations
@@ -86,28 +86,28 @@ class MovingThings:
     def __init__(self, range_max_m: float) -> None:
         self._range_max_m = range_max_m
         # Those of two moments; so many of them are judged.
-        self._sweeps: list[_Sweep] = []
+        self._sweeps, self._stamps_s = list[_Sweep](), list[float]()
         self._judged = 0
         self._keyframes: list[_Sweep | None] = []
         self._kept = ArraySpool()
 
     def add(self, scan: LaserScan, pose: FloatArray) -> None:
         """Take the next scan, whose base was at a pose (3,) in the odometry frame."""
-        if self._sweeps and not 0.0 < scan.stamp_s - self._sweeps[-1].scan.stamp_s <= GAP_S:
+        if self._sweeps and not 0.0 < scan.stamp_s - self._stamps_s[-1] <= GAP_S:
             self.lose()
         self._sweeps.append(_Sweep.of(scan, pose, min(self._range_max_m, scan.range_max_m)))
-        while scan.stamp_s - self._sweeps[self._judged].scan.stamp_s >= 2 * GAP_S:
+        self._stamps_s.append(scan.stamp_s)
+        while scan.stamp_s - self._stamps_s[self._judged] >= 2 * GAP_S:
             self._judge()
-        newest_s = self._sweeps[self._judged].scan.stamp_s
-        old = max(bisect_right(self._sweeps, newest_s - 2 * GAP_S, key=_stamp_s) - 1, 0)
-        del self._sweeps[:old]
+        old = max(bisect_right(self._stamps_s, self._stamps_s[self._judged] - 2 * GAP_S) - 1, 0)
+        del self._sweeps[:old], self._stamps_s[:old]
         self._judged -= old
 
     def lose(self) -> None:
         """Nobody knows how the next scan lies to those before."""
         while self._judged < len(self._sweeps):
             self._judge()
-        self._sweeps, self._judged = [], 0
+        self._sweeps, self._stamps_s, self._judged = [], [], 0
 
     def keep(self, scan: LaserScan | None) -> None:
         """The newest scan is a keyframe's; nothing is known of another."""
@@ -140,13 +140,13 @@ class MovingThings:
     def _judge(self) -> None:
         """Tell what moves in the next scan that nobody has judged."""
         sweeps, number = self._sweeps, self._judged
-        sweep, now_s = sweeps[number], sweeps[number].scan.stamp_s
+        sweep, now_s = sweeps[number], self._stamps_s[number]
         self._judged += 1
         beside = sweeps[max(number - 1, 0)]
         # Who walks leaves the place where he stood in the longer time, and in part in the shorter one.
         away_s = GAP_S, 2 * GAP_S
-        before = [bisect_right(sweeps, now_s - ago_s, key=_stamp_s) - 1 for ago_s in away_s]
-        after = [bisect_left(sweeps, now_s + in_s, key=_stamp_s) for in_s in away_s]
+        before = [bisect_right(self._stamps_s, now_s - ago_s) - 1 for ago_s in away_s]
+        after = [bisect_left(self._stamps_s, now_s + in_s) for in_s in away_s]
         for side, others in enumerate((before, after)):
             some = min(others) >= 0 and max(others) < len(sweeps)
             free = (np.ones if some else np.zeros)(len(sweep.beams), np.bool_)
@@ -162,11 +162,6 @@ class MovingThings:
                 if not keyframe.follow(follower, 1):
                     break
                 follower = keyframe
-
-
-def _stamp_s(sweep: _Sweep) -> float:
-    """When it was taken."""
-    return sweep.scan.stamp_s
 
 
 @kernel

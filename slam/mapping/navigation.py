@@ -1,4 +1,4 @@
-"""Ways over a finished map: room for the robot, connected free space, the shortest path by what is known."""
+"""Path planning on a finished map: clearance for the robot, connected free space, the shortest path."""
 
 # mypy: allow-untyped-decorators
 from __future__ import annotations
@@ -107,7 +107,7 @@ def free_space(
     Raises
     ------
     ScanweaveError
-        Where the radius is negative or not a number.
+        If the radius is negative or not a number.
     """
     if not 0.0 <= radius_m < math.inf:
         raise ScanweaveError(f"robot radius is {radius_m:g} m; it must be 0 or more")
@@ -122,7 +122,7 @@ def free_space(
 def shortest_path(
     space: FreeSpace, start_xy: tuple[float, float], goal_xy: tuple[float, float]
 ) -> Path | None:
-    """The shortest way by price, also diagonally where both neighbours are free; None where there is none.
+    """The shortest way by price, also diagonally where both neighbours are free; None if there is none.
 
     Parameters
     ----------
@@ -132,7 +132,7 @@ def shortest_path(
     Raises
     ------
     ScanweaveError
-        Where an end lies outside the map, or the robot has no room there.
+        If an end lies outside the map, or the robot has no room there.
     """
     start, goal = _free_cell(space, start_xy, "start"), _free_cell(space, goal_xy, "goal")
     if space.region[start] != space.region[goal]:

@@ -1,4 +1,4 @@
-"""The occupancy grid, Li2020 Eq. (7)-(9): what is known of every cell, as log-odds in whole steps."""
+"""The occupancy grid, Li2020 Eq. (7)-(9): log-odds of every cell in integer steps."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ _Cell = TypeVar("_Cell", bound=np.generic)
 
 @dataclass(frozen=True, slots=True)
 class Thresholds:
-    """Li2020 Eq. (9) on either side: what is between is uncertain. Each sensor has its own."""
+    """Thresholds of Li2020 Eq. (9): cells between them are uncertain. Each sensor has its own."""
 
     occupied_above: float = 0.5
     free_below: float = 0.4
@@ -37,14 +37,14 @@ class Thresholds:
             )
 
     def states(self, steps: Steps) -> StateArray:
-        """States of cells from their steps of log-odds."""
+        """Return the states of cells from their log-odds steps."""
         states = np.full(steps.shape, UNKNOWN, dtype=np.int8)
         states[self.occupied(steps)] = OCCUPIED
         states[steps < log_odds(self.free_below) * STEPS_A_UNIT] = FREE
         return states
 
     def occupied(self, steps: Steps) -> BoolArray:
-        """Which cells are occupied, by their steps of log-odds."""
+        """Return which cells are occupied, from their log-odds steps."""
         return np.asarray(steps > log_odds(self.occupied_above) * STEPS_A_UNIT)
 
 
@@ -53,17 +53,17 @@ THRESHOLDS = Thresholds()
 
 @dataclass(frozen=True, slots=True)
 class OccupancyGrid:
-    """A map of square cells.
+    """An occupancy grid map of square cells.
 
     Attributes
     ----------
     steps
-        (rows, cols) log-odds of being occupied in steps of 1 / `fusion.bayes.STEPS_A_UNIT`; row 0 at the
+        (rows, cols) log-odds of occupancy in steps of 1 / `fusion.bayes.STEPS_A_UNIT`; row 0 has the
         lowest y, 0 is unknown (Li2020 Eq. (7): P = 0.5).
     resolution_m
         Side of a cell.
     T_map_grid
-        The lower-left corner of cell (0, 0); columns run along its x, rows along its y.
+        Pose of the lower-left corner of cell (0, 0); columns run along its x axis, rows along its y axis.
 
     Examples
     --------
@@ -87,23 +87,23 @@ class OccupancyGrid:
     def of_log_odds(
         cls, log_odds: Float32Array, resolution_m: float, T_map_grid: gtsam.Pose2 | None = None
     ) -> OccupancyGrid:
-        """A grid of (rows, cols) log-odds, rounded to steps."""
+        """Create a grid from (rows, cols) log-odds, rounded to steps."""
         steps = np.rint(log_odds * np.float32(STEPS_A_UNIT)).astype(np.int16)
         return cls(steps, resolution_m, T_map_grid or gtsam.Pose2())
 
     @property
     def shape(self) -> tuple[int, int]:
-        """Rows and columns."""
+        """Number of rows and columns."""
         rows, cols = self.steps.shape
         return rows, cols
 
     @property
     def log_odds(self) -> Float32Array:
-        """(rows, cols) log-odds of being occupied."""
+        """(rows, cols) log-odds of occupancy."""
         return np.asarray(self.steps / np.float32(STEPS_A_UNIT))
 
     def probabilities(self) -> Float32Array:
-        """(rows, cols) probability of being occupied.
+        """Return the (rows, cols) occupancy probability.
 
         Examples
         --------
@@ -116,11 +116,11 @@ class OccupancyGrid:
         return probabilities
 
     def states(self, thresholds: Thresholds = THRESHOLDS) -> StateArray:
-        """(rows, cols) of OCCUPIED, FREE and UNKNOWN."""
+        """Return (rows, cols) of OCCUPIED, FREE and UNKNOWN."""
         return thresholds.states(self.steps)
 
     def picture(self, way_map: FloatArray | None = None) -> NDArray[np.uint8]:
-        """A small drawing (H, W, 3), y up: walls black, free cells white, (N, 2) points of a way blue.
+        """Draw a small image (H, W, 3), y up: walls black, free cells white, (N, 2) points of a path blue.
 
         Examples
         --------
@@ -138,7 +138,7 @@ class OccupancyGrid:
         return shrunk(drawing[::-1])
 
     def cells_of(self, points_map: FloatArray) -> NDArray[np.int64]:
-        """(N, 2) row and column of (N, 2) points; they may lie outside the grid.
+        """Return (N, 2) row and column of (N, 2) points; they may lie outside the grid.
 
         Examples
         --------
@@ -152,7 +152,7 @@ class OccupancyGrid:
 
 
 def _to_frame(points: FloatArray, T_a_b: gtsam.Pose2) -> FloatArray:
-    """(N, 2) points of frame a in frame b."""
+    """Transform (N, 2) points from frame a to frame b."""
     cosine, sine = math.cos(T_a_b.theta()), math.sin(T_a_b.theta())
     moved = np.asarray(points, dtype=np.float64) - [T_a_b.x(), T_a_b.y()]
     turned: FloatArray = moved @ np.array([[cosine, -sine], [sine, cosine]])
@@ -160,7 +160,7 @@ def _to_frame(points: FloatArray, T_a_b: gtsam.Pose2) -> FloatArray:
 
 
 def looked_up(picture: NDArray[_Cell], cells: NDArray[np.int64], outside: Any = 0) -> NDArray[_Cell]:
-    """(N,) what a picture tells of (N, 2) rows and columns, which may lie outside of it."""
+    """Look up (N,) values of an image at (N, 2) rows and columns, which may lie outside of it."""
     inside = ((cells >= 0) & (cells < picture.shape)).all(axis=1)
     found = np.full(len(cells), outside, picture.dtype)
     found[inside] = picture[cells[inside, 0], cells[inside, 1]]

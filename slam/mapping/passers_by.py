@@ -1,7 +1,7 @@
-"""What stood only for a while: things that beams have passed before or since, taken out of the lidar's grid.
+"""Remove temporary objects from the lidar grid: things that beams passed through before or after.
 
-Bayes' rule counts all hits of a cell, whenever they were, so that a person who stands still for some scans
-outweighs the few beams that pass. But what is fixed is hit from the first to the last time somebody looks.
+Bayes' rule counts all hits of a cell at any time, so a person who stands still for some scans outweighs the
+few beams that pass. But a fixed object is hit from the first to the last time that the lidar looks at it.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from slam.measurements import FloatArray, LaserScan
 
 
 class StaticGrid(NamedTuple):
-    """A grid of what stays, and another of what has gone; None where nothing has."""
+    """A grid of what stays, and another of what has gone; None if nothing has."""
 
     static: OccupancyGrid
     passed_by: OccupancyGrid | None

@@ -1,4 +1,4 @@
-"""Which points lie in a polygon, by the even-odd rule: one that crosses itself has holes."""
+"""Test which points are inside a polygon, by the even-odd rule: a polygon that crosses itself has holes."""
 
 # mypy: allow-untyped-decorators
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Keyframes with their optimised poses, checked before they enter a map."""
+"""Keyframes with their optimised poses, checked before they are used in a map."""
 
 from __future__ import annotations
 

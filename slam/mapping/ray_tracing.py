@@ -1,9 +1,9 @@
-"""The kernels that turn one laser scan into evidence for the cells of a grid.
+"""Kernels that convert one laser scan to evidence for the cells of a grid.
 
-A scan is drawn on a small board of its own, so that each cell takes at most one piece of evidence a scan:
+A scan is drawn on a small board of its own, so that each cell gets at most one piece of evidence per scan:
 neighbouring beams through one cell see the same surface and are not independent.
 
-Positions are in cells on an endless lattice: cell (row, col) spans [col, col + 1) in x, [row, row + 1) in y.
+Positions are in cells on an infinite grid: cell (row, col) covers [col, col + 1) in x, [row, row + 1) in y.
 """
 
 from __future__ import annotations

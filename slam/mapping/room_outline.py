@@ -1,7 +1,7 @@
-"""The outline of a room: which faces of the arrangement of its walls' lines lie inside.
+"""Outline of a room: which faces of the arrangement of its wall lines are inside.
 
-All lines of what is straight cut the plane into faces (Mura et al. 2014). Inside is what was seen free to
-a third, and what furniture hides: faces before the outermost lines, no larger than the largest furniture.
+The lines of all straight walls divide the plane into faces (Mura et al. 2014). Inside are faces seen free to
+a third, and faces hidden by furniture: in front of the outermost lines, no larger than the largest furniture.
 """
 
 from __future__ import annotations
@@ -99,7 +99,7 @@ def seen_from(rooms: RoomMap, points: WallPoints) -> NDArray[np.int32]:
 def room_outline(
     rooms: RoomMap, label: int, points: WallPoints, others: Sequence[Outline] = ()
 ) -> Outline | None:
-    """The outline of a room by the points that were seen from inside it; None where they make none.
+    """The outline of a room by the points that were seen from inside it; None if they make none.
 
     It stays out of others.
     """

@@ -1,4 +1,4 @@
-"""The outlines of all rooms of a floor: no place lies in two."""
+"""Outlines of all rooms of a floor, without overlap."""
 
 from __future__ import annotations
 

@@ -1,8 +1,8 @@
-"""Rooms of a floor: free space, cut where walls have gaps no wider than a door.
+"""Rooms of a floor: free space, divided where walls have gaps no wider than a door.
 
-Narrow passages part rooms (distance transform and its kin: Bormann et al. 2016, "Room segmentation: survey,
-implementation, and analysis"), but furniture leaves narrow passages, too. So a passage counts where a wall
-goes on in line with it, between the same two rooms, two thirds as long as the passage is wide.
+Narrow passages separate rooms (distance transform and others: Bormann et al. 2016, "Room segmentation:
+survey, implementation, and analysis"), but furniture also leaves narrow passages. So a passage counts only if
+a wall continues in line with it, between the same two rooms, two thirds as long as the passage is wide.
 """
 
 from __future__ import annotations
@@ -184,7 +184,7 @@ class _Opening:
     cells
         (n,) where along its line, so that a gap seen from both sides counts once.
     wall
-        What is in line with it; None where no wall can part the two.
+        What is in line with it; None if no wall can part the two.
     """
 
     one: int

@@ -1,7 +1,7 @@
-"""Which sides of rooms are walls, and which may be fronts of furniture from corner to corner.
+"""Decide which sides of rooms are walls, and which may be fronts of furniture from corner to corner.
 
-A front is as straight as a wall and its points scatter as little, so no fit tells it apart. What was seen
-elsewhere does: a wall needs a witness.
+A furniture front is as straight as a wall and its points scatter as little, so no fit can distinguish them.
+Other observations can: a wall needs evidence from elsewhere.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ class Side:
     begin_m, end_m
         (2,) map frame.
     fit
-        The line through its points; None where there is none.
+        The line through its points; None if there is none.
     ends_seen
         Whether the sides before and after it were seen; else it may go on there.
     odd

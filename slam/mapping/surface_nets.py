@@ -1,4 +1,4 @@
-"""The surface of a signed distance field as triangles, one vertex a voxel that it passes through.
+"""Extract the surface of a signed distance field as triangles, with one vertex per voxel that it crosses.
 
 Surface nets, after Gibson, "Constrained elastic surface nets" (MICCAI 1998): a vertex is the mean of where
 the surface cuts the edges of a cell of eight voxels, and an edge that is cut has a face of its four cells.

@@ -1,8 +1,8 @@
-"""The kernel that tells which cells a depth image saw through, from the floor to the top of the height band.
+"""Kernel that finds the cells that a depth image saw as free, from the floor to the top of the height band.
 
-A cell is free for a robot when nothing stands in it at any height of the band. One ray tells about one
-height: what passes over a low box says nothing about the box. So every ray notes at which heights it passed
-a cell, and only a cell with all heights noted, and the floor seen in it, is clear.
+A cell is free for a robot if nothing stands in it at any height of the band. One ray covers one height: a ray
+that passes over a low box says nothing about the box. So every ray records at which heights it passed a cell,
+and a cell is free only if all heights are recorded and the floor was seen in it.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Blocks of voxels about surfaces: which of them a depth image touches, and what it tells each voxel.
+"""Blocks of voxels near surfaces: which blocks a depth image touches, and the update of each voxel.
 
 A truncated signed distance field after Curless and Levoy, "A volumetric method for building complex models
 from range images" (SIGGRAPH 1996), with equal weights. Blocks are numbered as they come.

@@ -1,4 +1,4 @@
-"""Lines through the points on a room's walls, and how they depend on the poses of the scans."""
+"""Fit lines to the points on the walls of a room, and find how they depend on the poses of the scans."""
 
 from __future__ import annotations
 
@@ -103,7 +103,7 @@ def along(face: Face, points_m: FloatArray) -> FloatArray:
 def fit_wall(
     face: Face, ends_m: tuple[float, float], points: WallPoints, poses: FloatArray, cell_m: float
 ) -> WallFit | None:
-    """The line through the points near a face; None where there are too few.
+    """The line through the points near a face; None if there are too few.
 
     Parameters
     ----------

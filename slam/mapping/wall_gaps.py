@@ -1,4 +1,4 @@
-"""Gaps in walls: where one straight piece ends and another goes on, no farther than a door is wide."""
+"""Gaps in walls: one straight piece ends and another continues, at most the width of a door away."""
 
 from __future__ import annotations
 

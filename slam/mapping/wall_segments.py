@@ -1,4 +1,4 @@
-"""Straight pieces of wall in the points of many scans, and the gaps between two that go on in one line."""
+"""Straight pieces of wall in the points of many scans, and the gaps between two pieces in one line."""
 
 from __future__ import annotations
 
@@ -71,7 +71,7 @@ def wall_points(
     Parameters
     ----------
     scans
-        K sweeps; None where there is none.
+        K sweeps; None if there is none.
     poses_map
         (K, 3) x, y, yaw of the bases.
     range_m, neighbours
@@ -180,7 +180,7 @@ def _strips(points: FloatArray, angle: float, cell_m: float) -> Iterator[NDArray
 def _fitted(
     points: WallPoints, members: NDArray[np.int64], cell_m: float, shortest_m: float
 ) -> tuple[Segment | None, NDArray[np.int64]]:
-    """A segment through points, and those that lie on it; None where it would be shorter than that."""
+    """A segment through points, and those that lie on it; None if it would be shorter than that."""
     for _ in range(3):
         chosen, weights = points.points_map[members], points.weights[members]
         # Most are so few or so close together that a line through them need not be tried.

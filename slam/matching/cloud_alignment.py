@@ -1,4 +1,4 @@
-"""Point-to-plane alignment of a cloud in space, and how far it can be trusted."""
+"""Point-to-plane alignment of a cloud in 3D, with its covariance."""
 
 from __future__ import annotations
 
@@ -75,9 +75,7 @@ class CloudAlignment:
 def align_cloud(
     points: FloatArray, planes: PlaneVoxels, guess: gtsam.Pose3, iterations: int, kernel_m: float
 ) -> CloudAlignment | None:
-    """Gauss-Newton on the distances to planes; None where fewer than six points lie on planes.
-
-    Cauchy weights, whose scale is that of the residuals.
+    """Gauss-Newton on the distances to planes, with Cauchy weights whose scale is that of the residuals.
 
     Parameters
     ----------
@@ -89,6 +87,10 @@ def align_cloud(
         ``T_map_base``.
     kernel_m
         The widest kernel; a point farther than that from its plane never agrees.
+
+    Returns
+    -------
+    None if fewer than six points lie on planes.
     """
     pose, found, converged = guess, None, False
     for _ in range(iterations):

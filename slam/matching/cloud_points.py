@@ -1,4 +1,4 @@
-"""From a turn of a 3D lidar to the points that are matched: checked, deskewed, in the base frame."""
+"""Convert a revolution of a 3D lidar to points for matching: checked, deskewed, in the base frame."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def base_points(cloud: PointCloud, twist: FloatArray, config: CloudOdometryConfi
 
 
 def usable_intensities(cloud: PointCloud, config: CloudOdometryConfig) -> Float32Array | None:
-    """(M,) of the points of `base_points`; None where the cloud does not tell them."""
+    """(M,) of the points of `base_points`; None if the cloud does not tell them."""
     return None if cloud.intensities is None else cloud.intensities[_usable(cloud, config)[1]]
 
 

@@ -1,4 +1,4 @@
-"""Alignment of a scan to a coarse surfel map, then to a fine one, and the spread of its gradient."""
+"""Align a scan to a coarse surfel map, then to a fine one, and find the scatter of the gradient."""
 
 from __future__ import annotations
 

@@ -1,8 +1,8 @@
 """Correlative scan matching: the best of all poses in a window, by branch and bound.
 
 Olson 2009 (correlative matching on a likelihood field), Hess 2016 Sec. V-B (the bound by max-pooled fields
-and the depth-first search). A field is a picture of a local map blurred by the range noise; a pose's score
-is the mean of the field under the scan's points.
+and the depth-first search). A field is an image of a local map blurred by the range noise; the score of a
+pose is the mean of the field at the points of the scan.
 """
 
 from __future__ import annotations

@@ -1,10 +1,10 @@
-"""How a place looks to a flat lidar, however it is turned and shifted: its Hough spectrum.
+"""Place descriptor for a 2D lidar, independent of rotation and translation: the Hough spectrum.
 
 Censi, Iocchi and Grisetti, "Scan matching in the Hough domain", ICRA 2005: the walls of a place are projected
-on every direction, and the magnitudes of each projection's Fourier transform do not change when the place is
-shifted; a turn moves them from one direction to the next. Its first guess is right for 83 % (fr079) and 93 %
-(intel) of the stretches that were seen before; polar occupancy (scan context) has 50 and 57 %, distances of
-pairs of points 56 and 81 %.
+on every direction, and the magnitudes of each projection's Fourier transform do not change with translation;
+a rotation moves them from one direction to the next. The first candidate is right for 83 % (fr079) and 93 %
+(intel) of the stretches that were seen before; polar occupancy (scan context) reaches 50 and 57 %, distances
+of pairs of points 56 and 81 %.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
-"""A map of clouds to match to: planes from a near guess; else the middles of large voxels first find the way.
+"""Map of clouds to match to: planes from a near guess; otherwise the centres of large voxels come first.
 
-Indoors the rings on floor and ceiling travel with the lidar, and as points they pull every motion short; as
-planes they tell only height and tilt. So a point-to-plane alignment has the last word.
+Indoors, the rings on floor and ceiling move with the lidar. As points they make every motion too short; as
+planes they determine only height and tilt. So a point-to-plane alignment is always the last step.
 """
 
 from __future__ import annotations
@@ -77,14 +77,14 @@ class LocalCloud:
         reach_m: float | None = None,
         least_agreement: float = 0.0,
     ) -> Aligned | None:
-        """Align a thinned scan (N, 3), base frame; None where too little is known.
+        """Align a thinned scan (N, 3), base frame; None if too little is known.
 
         Parameters
         ----------
         guess
             ``T_map_base``.
         reach_m
-            How far the guess may be off; None where it is expected to be right within a voxel.
+            How far the guess may be off; None if it is expected to be right within a voxel.
         least_agreement
             Share of points on planes with which planes alone are believed.
         """

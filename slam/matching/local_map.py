@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,6 +24,7 @@ from slam.matching.surfel_map import SurfelMap, build_surfel_maps
 from slam.matching.visibility import RangeImage, RangeImages, standing_before
 from slam.measurements import BoolArray, Float32Array, FloatArray
 
+Seen: TypeAlias = Sequence[Callable[[], RangeImage]]
 # Enough to hold a direction that the points determine badly against their noise.
 _HELD_POINTS = 300.0
 
@@ -82,18 +84,16 @@ class LocalMap:
     coarse: SurfelMap
     fine: SurfelMap
     config: MatchConfig
-    images: Sequence[RangeImage] = ()
+    images: Seen = ()
 
     @cached_property
     def _images(self) -> RangeImages:
         """What the keyframes have looked through, joined when first asked for."""
-        return RangeImages.of(self.images)
+        return RangeImages.of(image() for image in self.images)
 
     @classmethod
-    def build(
-        cls, parts: list[OrientedPoints], config: MatchConfig, images: Sequence[RangeImage] = ()
-    ) -> LocalMap:
-        """Join scans that are already in the map's frame; `evidence` needs their range images."""
+    def build(cls, parts: list[OrientedPoints], config: MatchConfig, images: Seen = ()) -> LocalMap:
+        """Join scans that are already in the map's frame; `evidence` asks for their range images."""
         points = OrientedPoints(
             np.concatenate([part.points for part in parts]), np.concatenate([part.normals for part in parts])
         )

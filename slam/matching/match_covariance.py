@@ -1,4 +1,4 @@
-"""How far a scan match can be trusted: covariance and degeneracy from its own Hessian."""
+"""Covariance and degeneracy of a scan match, from its own Hessian."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ def motion_from_alignment(alignment: Alignment, noise: MatchConfig) -> MotionEst
 
 
 def weak_direction(alignment: Alignment, degenerate_share: float) -> FloatArray | None:
-    """Unit tangent (3,) of the translation that a match does not determine; None where all is determined.
+    """Unit tangent (3,) of the translation that a match does not determine; None if all is determined.
 
     The rotation is eliminated first (Schur complement): what counts is the information on a direction when
     the yaw is free. It is compared with the number of points, so it does not depend on the beam count.

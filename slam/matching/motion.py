@@ -1,4 +1,4 @@
-"""A motion in the plane with its covariance, and the one question asked of it: does another agree?"""
+"""A planar motion with its covariance, and a test whether another motion agrees with it."""
 
 from __future__ import annotations
 

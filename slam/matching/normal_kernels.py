@@ -1,4 +1,4 @@
-"""The compiled kernel of normals across the points of neighbouring cells."""
+"""Compiled kernel of normals from the points of neighbouring cells."""
 
 from __future__ import annotations
 

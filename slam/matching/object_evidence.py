@@ -1,7 +1,7 @@
-"""How much a scan prefers one pose to another, an object being one witness however many beams it catches.
+"""How much a scan prefers one pose to another, with each object counted once, however many beams hit it.
 
-A person who walks ahead of the robot in a bare corridor is seen by a third of the beams, and all of them
-agree that the robot stands. They are one object, and may be wrong together.
+A person who walks ahead of the robot in a bare corridor is hit by a third of the beams, and all of these
+beams agree that the robot stands still. They are one object, and may be wrong together.
 """
 
 from __future__ import annotations

@@ -53,7 +53,7 @@ def wrap(angle_rad: float) -> float:
     >>> round(wrap(3 * math.pi / 2), 3)
     -1.571
     """
-    return angle_rad - 2.0 * math.pi * math.floor((angle_rad + math.pi) / (2.0 * math.pi))
+    return angle_rad - math.tau * math.floor((angle_rad + math.pi) / math.tau)
 
 
 @kernel

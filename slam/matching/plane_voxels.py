@@ -1,7 +1,7 @@
-"""Planes in the voxels of clouds, at several sizes at once: what points are matched to.
+"""Planes in the voxels of clouds, at several sizes at once, to which points are matched.
 
-Where a large voxel holds one plane it is taken, since more points tell its normal; where it does not, smaller
-ones are asked (as the voxel map of Yuan 2022, "Efficient and probabilistic adaptive voxel mapping").
+If a large voxel contains one plane, it is used, since more points determine its normal; otherwise smaller
+voxels are used (like the voxel map of Yuan 2022, "Efficient and probabilistic adaptive voxel mapping").
 """
 
 from __future__ import annotations

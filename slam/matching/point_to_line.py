@@ -1,7 +1,7 @@
 """Gauss-Newton alignment of a scan to a surfel map with the point-to-line distance.
 
-The metric is Censi 2008 (PL-ICP); the surfels play the part of the reference lines, and a Geman-McClure
-kernel takes the part of his trimming.
+The metric is that of Censi 2008 (PL-ICP); surfels replace the reference lines, and a Geman-McClure kernel
+replaces his trimming.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ class Alignment(NamedTuple):
     converged
         Whether the last step was below a tenth of a millimetre and of a milliradian.
     spread
-        (3, 3) covariance of the gradient at the pose, see `slam.matching.score_spread`; None where nobody
+        (3, 3) covariance of the gradient at the pose, see `slam.matching.score_spread`; None if nobody
         asked for it.
     """
 

@@ -1,8 +1,8 @@
-"""How a place looks to a 3D lidar from above: scan context.
+"""Place descriptor for a 3D lidar, seen from above: scan context.
 
 Kim and Kim, "Scan Context: Egocentric spatial descriptor for place recognition within 3D point cloud map",
-IROS 2018. Deviations: heights are taken above the lowest usual point, since a mounting need not be known, and
-the reach follows the scene, since a room is no street.
+IROS 2018. Differences: heights are measured from the lowest usual point, since the mounting may be unknown,
+and the maximum range depends on the scene, since a room is smaller than a street.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""From a lidar sweep to points with surface normals, in the base frame."""
+"""Convert a lidar sweep to points with surface normals, in the base frame."""
 
 from __future__ import annotations
 

@@ -1,8 +1,8 @@
-"""How far the residuals of an alignment scatter its gradient, neighbours' common errors included.
+"""Scatter of an alignment's gradient from its residuals, including correlated errors of neighbouring beams.
 
-Beams that see the same piece of wall share that piece's error in the map, so they are not independent
-readings. How much they share differs from log to log and from room to room, and the residuals tell it: the
-covariance of the gradient is summed up over neighbouring beams too (Newey and West 1987, Bartlett weights).
+Beams that see the same piece of wall share the error of that piece in the map, so they are not independent.
+How much they share differs between logs and rooms, and the residuals show it: the covariance of the gradient
+is also summed over neighbouring beams (Newey and West 1987, Bartlett weights).
 """
 
 from __future__ import annotations

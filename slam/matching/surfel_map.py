@@ -1,7 +1,7 @@
-"""A local map of surfels: per cell and facing side, the mean point and normal of a surface.
+"""Local map of surfels: per cell and facing side, the mean point and normal of a surface.
 
-Both sides of a thin wall fall into one cell; they are kept apart by the side that they face, so that a
-robot in one room is never pulled to the far face of its walls.
+Both sides of a thin wall fall into one cell. They are kept separate by the side they face, so that a robot in
+one room is never pulled to the other face of its walls.
 """
 
 from __future__ import annotations

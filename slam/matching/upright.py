@@ -1,4 +1,4 @@
-"""Which way is down."""
+"""Gravity direction."""
 
 from __future__ import annotations
 

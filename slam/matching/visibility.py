@@ -1,4 +1,4 @@
-"""What a scan has looked through, and what would have stood in its way."""
+"""Space that the beams of a scan passed through, and obstacles that would have blocked them."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A lidar odometry whose results an interrupted run may have left."""
+"""Lidar odometry whose results may come from an interrupted run."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ class CachedOdometry:
         self._result_cache = result_cache
 
     def match(self, points: ScanPoints, guesses: list[Motion]) -> MotionEstimate | None:
-        """Pose of the scan's base in the odometry frame, or None where nothing fits."""
+        """Pose of the scan's base in the odometry frame, or None if nothing fits."""
         return self._result_cache.cached(
             MATCH, float(guesses[0].pose[0]), lambda: self._odometry.match(points, guesses)
         )

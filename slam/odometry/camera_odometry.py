@@ -1,4 +1,4 @@
-"""One camera of a robot: its own odometry, asked for the motion between two moments."""
+"""Odometry of one camera of a robot, which gives the motion between two times."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ class CameraOdometry:
 
 
 def pose_in_segment(tracked: TrackedFrame, segment: int) -> CameraPose | None:
-    """Where a frame was taken; None where the odometry was lost."""
+    """Where a frame was taken; None if the odometry was lost."""
     if tracked.match is not None:
         return CameraPose(tracked.pose, tracked.match.motion.covariance, segment)
     # The beginning of a segment is its origin, and exact.
@@ -49,7 +49,7 @@ def pose_in_segment(tracked: TrackedFrame, segment: int) -> CameraPose | None:
 
 
 def camera_step(before: CameraPose | None, after: CameraPose | None) -> tuple[gtsam.Pose3, FloatArray] | None:
-    """Motion of a camera between two moments with its covariance (6, 6); None where it is not known."""
+    """Motion of a camera between two moments with its covariance (6, 6); None if it is not known."""
     if before is None or after is None or before.segment != after.segment:
         return None
     motion = before.pose.between(after.pose)

@@ -1,4 +1,4 @@
-"""Where a camera was at every frame that matched, to be asked for any moment of the run."""
+"""Poses of a camera at all matched frames, interpolated for any time of the run."""
 
 from __future__ import annotations
 
@@ -71,7 +71,7 @@ class CameraTrack:
         return None if twist is None else (self._stamps[-2], self._stamps[-1], twist)
 
     def at(self, stamp_s: float, clock_sigma_s: float) -> CameraPose | None:
-        """The camera at a stamp between its frames or shortly outside them; None where that is not known.
+        """The camera at a stamp between its frames or shortly outside them; None if that is not known.
 
         Parameters
         ----------

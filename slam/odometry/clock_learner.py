@@ -1,4 +1,4 @@
-"""By how much a sensor's clock is ahead of the robot's, learned from how both say that the robot turns."""
+"""Estimate the clock offset of a sensor from the rotation that it and the robot measure."""
 
 from __future__ import annotations
 
@@ -153,7 +153,7 @@ class ClockLearner:
         return list(pairwise(np.linspace(first_s, last_s, count + 1).tolist()))
 
     def _offset(self, robot: Turns, first_s: float, last_s: float) -> tuple[float, float] | None:
-        """Offset and sigma of one stretch; None where it does not tell."""
+        """Offset and sigma of one stretch; None if it does not tell."""
         spans, turned = robot.between(first_s, last_s)
         own_spans, own_turned = self.turns.between(first_s - 2.0 * _MOST_S, last_s + 2.0 * _MOST_S)
         if not turned.size or not own_turned.size:

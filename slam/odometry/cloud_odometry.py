@@ -1,4 +1,4 @@
-"""Odometry of a 3D lidar: each scan against the clouds of the newest keyframes."""
+"""Odometry of a 3D lidar: each cloud is matched to the clouds of the newest keyframes."""
 
 from __future__ import annotations
 
@@ -79,7 +79,7 @@ class CloudOdometry:
         before: gtsam.Pose3 | None = None,
         turned_rad: float = 0.0,
     ) -> MotionEstimate | None:
-        """Pose of a scan (N, 3), base frame, in the odometry frame; None where nothing fits.
+        """Pose of a scan (N, 3), base frame, in the odometry frame; None if nothing fits.
 
         Parameters
         ----------
@@ -149,7 +149,7 @@ class CloudOdometry:
         return [pose, *(pose.compose(gtsam.Pose3.Expmap(np.array(step))) for step in ways + turns)]
 
     def _best(self, found: Sequence[Aligned | None]) -> Aligned | None:
-        """The match with most points on planes; None where none fits."""
+        """The match with most points on planes; None if none fits."""
         least = self._config.match.least_inlier_share
         fitting = [one for one in found if one is not None and one.motion.inlier_share >= least]
         best = max(fitting, key=lambda one: one.found.agreement, default=None)

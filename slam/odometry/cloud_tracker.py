@@ -1,4 +1,4 @@
-"""Where a 3D lidar is after every turn, and which turns are keyframes."""
+"""Track a 3D lidar revolution by revolution, and select keyframes."""
 
 from __future__ import annotations
 
@@ -31,21 +31,21 @@ _UNSEEN_M = 100.0
 
 @dataclass(frozen=True, slots=True)
 class TrackedCloud:
-    """A cloud with its place.
+    """A cloud with its pose.
 
     Attributes
     ----------
     points
-        (N, 3) usable points, base frame, deskewed where that is possible.
+        (N, 3) usable points, base frame, deskewed if possible.
     pose
         ``T_odom_base``.
     motion
-        The match; None where nothing matched, and the pose is a guess.
+        The match; None if nothing matched and the pose is a guess.
     new_keyframe
-        Whether the robot has moved on enough.
+        Whether the robot has moved far enough for a keyframe.
     unseen_m
-        How far it would have come by its velocity since the cloud before, where nothing has told of that way
-        and it is longer than a match finds; else 0.
+        Distance by its velocity since the previous cloud, if nothing measured this motion and it is longer
+        than the range of a match; otherwise 0.
     """
 
     points: FloatArray
@@ -61,8 +61,8 @@ class CloudTracker:
     Parameters
     ----------
     twist
-        (6,) as `CloudVelocity.twist`, of a robot that moves as it begins; None of one that stands, or where
-        nobody knows.
+        (6,) as `CloudVelocity.twist`, of a robot that moves at the beginning; None if it stands still or its
+        motion is unknown.
     """
 
     def __init__(
@@ -93,11 +93,11 @@ class CloudTracker:
 
     @property
     def twist(self) -> FloatArray:
-        """(6,) how it moves by the last sure match."""
+        """(6,) velocity from the last certain match."""
         return self._velocity.twist
 
     def track(self, cloud: PointCloud) -> TrackedCloud:
-        """Find the pose of the next cloud at its stamp; where it cannot be matched it is guessed."""
+        """Find the pose of the next cloud at its stamp; without a match it is a guess."""
         step_s = 0.0 if self._stamp_s is None else cloud.stamp_s - self._stamp_s
         told = None if self._imu is None else self._imu.predicted(cloud.stamp_s)
         guesses, before = self._guesses(cloud, step_s, told), self._pose
@@ -142,25 +142,25 @@ class CloudTracker:
         return self._matched(cloud, seen, motion)
 
     def follow(self, cloud: PointCloud) -> TrackedCloud:
-        """`track`, and where the robot has moved on enough, take the cloud into the local map."""
+        """`track`, and add the cloud to the local map if the robot has moved far enough."""
         tracked = self.track(cloud)
         if tracked.new_keyframe:
             self.add_keyframe(tracked)
         return tracked
 
     def intensities(self) -> Float32Array | None:
-        """(N,) of the points of the newest cloud that was tracked; None where it does not tell them."""
+        """(N,) of the points of the newest tracked cloud; None if it has none."""
         return None if self._cloud is None else usable_intensities(self._cloud, self._turns)
 
     def roll(self, stamp_s: float, pose: FloatArray) -> None:
-        """Take where the wheels say that the robot is, (3,) in their odom frame."""
+        """Add a pose of the wheels, (3,) in their odom frame."""
         self._rolls.append((stamp_s, pose))
         # More than the longest time between two states of the IMU.
         while stamp_s - self._rolls[0][0] > 4.0 * LONGEST_STEP_S:
             self._rolls.popleft()
 
     def hear(self, reading: ImuReading) -> None:
-        """Take a reading of the IMU; where no cloud has come for long, it goes on alone, and with wheels."""
+        """Add a reading of the IMU; without clouds for long, IMU and wheels continue the track."""
         assert self._imu is not None
         self._imu.add(reading)
         due_s = self._imu.due_s()
@@ -168,7 +168,7 @@ class CloudTracker:
             self._imu.took(due_s, pose, None, self._rolled(due_s))
 
     def add_keyframe(self, tracked: TrackedCloud) -> None:
-        """Take a tracked cloud into the local map; of a lost one it is made anew."""
+        """Add a tracked cloud to the local map; if tracking was lost, start a new local map."""
         assert self._odometry is not None and self._cloud is not None
         if self._lost >= self._config.match.lost_after:
             self._odometry.restart()
@@ -181,7 +181,7 @@ class CloudTracker:
         self._keyframe = tracked.pose
 
     def _guesses(self, cloud: PointCloud, step_s: float, told: gtsam.Pose3 | None) -> Sequence[gtsam.Pose3]:
-        """Where the robot may be by now: as its IMU has told, by its wheels; without one by its velocity."""
+        """Predict the pose of the robot: by its IMU, by its wheels; without an IMU by its velocity."""
         guesses = [] if told is None else [told]
         if self._wheels is not None:
             self.by_wheels.guesses.clear()
@@ -203,7 +203,7 @@ class CloudTracker:
         return guesses
 
     def _begun(self, cloud: PointCloud, seen: DeskewedCloud) -> TrackedCloud:
-        """The first cloud, by which all that comes is measured."""
+        """Start with the first cloud, the reference for all later ones."""
         self.voxel_m = voxel_of(seen.points, self._turns)
         self._odometry = CloudOdometry(self._config, self.voxel_m)
         self._matcher = TurnMatcher(self._turns, self._odometry, self._velocity, self.voxel_m)
@@ -212,7 +212,7 @@ class CloudTracker:
         return TrackedCloud(seen.points, self._pose, None, new_keyframe=True)
 
     def _matched(self, cloud: PointCloud, seen: DeskewedCloud, motion: MotionEstimate) -> TrackedCloud:
-        """Where the robot is, and with which velocity."""
+        """Return pose and velocity from a match."""
         if self._lost == 0 and motion.converged and not motion.degenerate:
             self._judge_wheels(self._pose.between(pose_of(motion)))
         self._lost = 0
@@ -234,16 +234,16 @@ class CloudTracker:
         return TrackedCloud(points, self._pose, motion, self._moved_on(self._pose))
 
     def _judge_wheels(self, step: gtsam.Pose3) -> None:
-        """Learn from a step as it was matched what the wheels are worth."""
+        """Learn the uncertainty of the wheels from a matched step."""
         if self._wheels is not None and self.by_wheels.guesses:
             seen = np.array([step.x(), step.y(), step.rotation().yaw()])
             self._wheels.learn_scale(self.by_wheels.guesses[0].pose, seen)
             self.by_wheels.judge(seen)
 
     def _believed(self, motion: MotionEstimate, told: gtsam.Pose3 | None) -> bool:
-        """Whether a match agrees with where the IMU leads; one that fits as usual may be off by a voxel more.
+        """Return whether a match agrees with the IMU's prediction; a usual fit may be off by a voxel more.
 
-        After seconds that nobody saw a street fits where it looks the same.
+        After unmeasured seconds, a street matches wherever it looks the same.
         """
         if told is None or self._imu is None:
             return True
@@ -261,20 +261,20 @@ class CloudTracker:
         return (spread := self._imu.spread()) is not None and agrees(covariance + spread)
 
     def _guessed(self, points: FloatArray, pose: gtsam.Pose3, *, new_keyframe: bool) -> TrackedCloud:
-        """A cloud that did not match."""
+        """Handle a cloud that did not match."""
         self._pose = pose
         self._tell(None)
         return TrackedCloud(points, pose, None, new_keyframe)
 
     def _tell(self, covariance: FloatArray | None) -> None:
-        """Tell the IMU where the robot is, (6, 6); None where that was guessed."""
+        """Give the IMU the pose of the robot, with covariance (6, 6); None for a guess."""
         if self._imu is None or self._stamp_s is None:
             return
         unseen = covariance is None or float(np.trace(covariance)) > _UNSEEN_M**2
         self._imu.took(self._stamp_s, self._pose, covariance, self._rolled(self._stamp_s) if unseen else None)
 
     def _rolled(self, stamp_s: float) -> tuple[gtsam.Pose3, FloatArray] | None:
-        """Motion since the newest state of the IMU by the wheels, with its covariance (6, 6)."""
+        """Return the wheel motion since the newest state of the IMU, with its covariance (6, 6)."""
         assert self._imu is not None
         state = self._imu.state
         if self._wheels is None or state is None:
@@ -295,7 +295,7 @@ class CloudTracker:
         return spatial(gtsam.Pose2(*moved)), covariance
 
     def _moved_on(self, pose: gtsam.Pose3) -> bool:
-        """Whether the last keyframe is far enough behind."""
+        """Return whether the last keyframe is far enough away."""
         step = self._keyframe.between(pose)
         turn_rad = float(np.linalg.norm(gtsam.Rot3.Logmap(step.rotation())))
         path_m = float(np.linalg.norm(step.translation()))

@@ -1,4 +1,4 @@
-"""How fast a 3D lidar moves, by its last sure matches."""
+"""Velocity of a 3D lidar, from its last certain matches."""
 
 from __future__ import annotations
 

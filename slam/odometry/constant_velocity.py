@@ -1,4 +1,4 @@
-"""The last motion once more, for another time: what is expected where nothing tells."""
+"""Constant velocity prediction: the last motion, scaled to another time, if nothing else measures it."""
 
 from __future__ import annotations
 

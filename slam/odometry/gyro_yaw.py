@@ -1,8 +1,8 @@
-"""A gyroscope beside a 2D lidar: by how much a robot on a floor turned, by its rates about the vertical.
+"""Gyroscope beside a 2D lidar: rotation of a robot on a floor from its rates about the vertical axis.
 
-Of a turn it says ``w - b t - s w``: w is its rates integrated over the time t, b its bias, and s the share by
-which its turns are too large. Both are learned by a Kalman filter from what matched scans say of the same
-turns. The accelerometer tells the vertical, so the mounting need not be known.
+The rotation is ``w - b t - s w``: w is the rates integrated over the time t, b the bias, and s the scale
+error. A Kalman filter estimates b and s from the rotations of matched scans. The accelerometer gives the
+vertical axis, so the mounting need not be known.
 """
 
 from __future__ import annotations
@@ -82,7 +82,7 @@ class YawGyro:
         return self._doubt > gate()
 
     def moment(self, stamp_s: float) -> GyroMoment | None:
-        """How far it has turned by a stamp of the lidar's clock; None where it does not tell."""
+        """How far it has turned by a stamp of the lidar's clock; None if it does not tell."""
         at_s = stamp_s + self._ahead_s
         before = next((one for one in reversed(self._recent) if one.stamp_s <= at_s), None)
         if before is None or self._readings.is_gap(at_s - before.stamp_s):
@@ -93,7 +93,7 @@ class YawGyro:
     def turn(
         self, begun: GyroMoment | None, ended: GyroMoment | None, *, chained: bool = False
     ) -> tuple[float, float] | None:
-        """Turn between two moments and its variance; None where it is unfit, or does not tell.
+        """Turn between two moments and its variance; None if it is unfit, or does not tell.
 
         That is where readings are missing, and where a scan comes after what is stamped later.
 
@@ -150,7 +150,7 @@ class YawGyro:
         wanders = math.degrees(half_interval(bias[1]))
         known = (
             f"{self.sensor}: its gyroscope is {math.degrees(bias[0]):+.3f} +- {wanders:.3f} degrees/s off, "
-            f"its turns {share[0]:+.1%} +- {half_interval(share[1]):.1%} too large (95 %)"
+            f"its rotation {share[0]:+.1%} +- {half_interval(share[1]):.1%} too large (95 %)"
         )
         clock = self._clocks.clock
         return [known, *([clock.note(self.sensor, "lidar")] if clock.known else [])]

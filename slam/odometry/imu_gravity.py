@@ -1,4 +1,4 @@
-"""Gravity at the keyframes, as it may enter the graph of the map."""
+"""Gravity at the keyframes, in the form that enters the graph of the map."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The newest readings of an inertial measurement unit, and what they integrate to."""
+"""The newest readings of an inertial measurement unit, and their integration."""
 
 from __future__ import annotations
 

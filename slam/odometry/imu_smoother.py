@@ -1,8 +1,8 @@
 """Velocity, biases and gravity beside an odometry: GTSAM's preintegrated readings over the last seconds.
 
-The graph of the map stays one of poses. What an IMU knows beyond them, it knows of seconds: here they are
-smoothed with the poses that the front end measures (Forster 2017), and what goes into the map's graph is
-steps with their covariance, and which way gravity points.
+The graph of the map contains only poses. The other states that an IMU determines are valid for seconds: here
+they are smoothed with the poses that the front end measures (Forster 2017). The map's graph gets steps with
+their covariance, and the direction of gravity.
 """
 
 from __future__ import annotations
@@ -139,7 +139,7 @@ class ImuSmoother:
         whole
             The readings since the newest state.
         pose, covariance
-            ``T_odom_imu`` as it was measured, (6, 6) in its tangent; None where nothing was.
+            ``T_odom_imu`` as it was measured, (6, 6) in its tangent; None if nothing was.
         step
             Motion since the newest state by other sensors, with its covariance (6, 6).
 

@@ -1,4 +1,4 @@
-"""An IMU as the helper of a 3D lidar: it straightens turns, foretells poses, and bridges what is not seen."""
+"""IMU as support for a 3D lidar: it deskews clouds, predicts poses, and bridges gaps in the matching."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ class ImuTracker:
     Parameters
     ----------
     start
-        What is known already; None where the first poses must tell it.
+        What is known already; None if the first poses must tell it.
 
     Attributes
     ----------
@@ -89,12 +89,12 @@ class ImuTracker:
         return ImuStart(state, _GUESS, self._parameters)
 
     def due_s(self) -> float | None:
-        """A stamp up to which readings alone must go on, since no cloud has come; None where that is not."""
+        """A stamp up to which readings alone must go on, since no cloud has come; None if that is not."""
         state, newest_s = self.state, self._readings.newest_s
         return None if state is None or newest_s - state.stamp_s <= _BEGIN_S else newest_s - 0.5 * _BEGIN_S
 
     def predicted(self, stamp_s: float) -> gtsam.Pose3 | None:
-        """``T_odom_base`` at a stamp after the newest state; None where the readings do not tell."""
+        """``T_odom_base`` at a stamp after the newest state; None if the readings do not tell."""
         state = self.state
         if state is None or stamp_s <= state.stamp_s or not self._readings.covers(state.stamp_s, stamp_s):
             return None
@@ -203,7 +203,7 @@ class ImuTracker:
             return
         off_m_s2 = float(np.linalg.norm(smoother.state.bias.accelerometer()))
         if off_m_s2**2 > gate(3) * FORCE_BIAS_M_S2**2:
-            why = f"its forces are {off_m_s2:.1f} m/s^2 off those of the way that was seen"
+            why = f"its forces are {off_m_s2:.1f} m/s^2 off what the trajectory implies"
             raise UnfitImuError(self._sensor, f"{why}: a wrong mounting, clock or unit")
 
     def restart(self) -> None:
@@ -242,7 +242,7 @@ class ImuTracker:
             return [], {}
         state, gravity = self.state, self.gravity()
         if state is None or gravity is None:
-            why = "velocity and gravity were not found; it needs a second of matches"
+            why = "velocity and gravity could not be initialised; that needs a second of matches"
             return [], {self._sensor: why} if self._states < FEWEST else {}
         gyro, force = np.abs(state.bias.gyroscope()).max(), np.abs(state.bias.accelerometer()).max()
         notes = [
@@ -297,7 +297,7 @@ class ImuTracker:
         """Whether the lidar and the gyroscope tell the same turns; where mostly not, the IMU is left out."""
         self._agree.append(alike(seen, state.pose.between(state.carried(whole)[0])))
         if len(self._agree) == 2 * FEWEST and sum(self._agree) < FEWEST:
-            why = "its turns are not those that were seen: a wrong mounting, clock or unit"
+            why = "its rotation does not agree with the lidar's: a wrong mounting, clock or unit"
             raise UnfitImuError(self._sensor, why)
 
     def _lose(self) -> None:

@@ -1,4 +1,4 @@
-"""What every lidar odometry offers."""
+"""Interface of every lidar odometry."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ class LidarOdometry(Protocol):
     """Scan to local map matching in an odometry frame that drifts slowly and never jumps back."""
 
     def match(self, points: ScanPoints, guesses: list[Motion]) -> MotionEstimate | None:
-        """Pose of the scan's base in the odometry frame, or None where nothing fits.
+        """Pose of the scan's base in the odometry frame, or None if nothing fits.
 
         Parameters
         ----------

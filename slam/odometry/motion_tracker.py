@@ -1,10 +1,10 @@
-"""Scan by scan motion: predictors that must prove themselves, and the lidar match that judges them.
+"""Scan by scan motion: predictions with learned uncertainty, and the lidar match that checks them.
 
-Cameras, wheels and constant velocity predict where a scan was taken, the lidar's match says where. Each
-prediction has the covariance that it claims, times what the matches of late have shown. A match that a
-camera or the wheels contradict must be likelier than the pose that they predict: by what the objects of the
-scan say, and by all predictions, whose tails are heavy (Student's t with three degrees of freedom). A match
-must be likelier by far; where neither is, what is taken is disputed.
+Cameras, wheel odometry and constant velocity predict where a scan was taken; the lidar match measures it.
+Each prediction has its claimed covariance, scaled by what recent matches have shown. If a camera or the
+wheels contradict a match, it must be more likely than the predicted pose, according to the objects of the
+scan and to all predictions, which have heavy tails (Student's t with three degrees of freedom). It must be
+far more likely; if neither pose is, the result is marked as disputed.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ _JUDGE_INLIER_SHARE = 0.8
 
 
 class MotionTracker:
-    """Predicts each scan's pose, matches it, and keeps the velocity."""
+    """Predict the pose of each scan, match it, and update the velocity."""
 
     def __init__(
         self,
@@ -80,9 +80,9 @@ class MotionTracker:
         elapsed_s: float,
         dispute: FloatArray | None = None,
     ) -> Motion | None:
-        """Motion by the wheels, as far as matches let them be believed; None where they do not tell.
+        """Return the wheel motion with learned uncertainty; None if the wheels measured nothing.
 
-        ``dispute`` (3, 3) comes on top of what they claim, and is rescaled too.
+        ``dispute`` (3, 3) is added to the claimed covariance, and is rescaled too.
         """
         step = None if self._wheels is None else self._wheels.motion(begun, ended, elapsed_s)
         if self._wheels is None or step is None or begun is None or ended is None:
@@ -94,18 +94,18 @@ class MotionTracker:
     def gyro_turn(
         self, begun: TrackedScan, gyro: GyroMoment | None, *, chained: bool = False
     ) -> tuple[float, float] | None:
-        """Turn by the gyroscope since a scan and its variance, see `YawGyro.turn`."""
+        """Return the rotation by the gyroscope since a scan and its variance, see `YawGyro.turn`."""
         return None if self._gyro is None else self._gyro.turn(begun.gyro, gyro, chained=chained)
 
     def track(self, points: ScanPoints | None, stamp_s: float, cameras: Sequence[Motion] = ()) -> TrackedScan:
-        """Pose of the next scan; the first one is the origin of the odometry frame.
+        """Find the pose of the next scan; the first one is the origin of the odometry frame.
 
         Parameters
         ----------
         points
-            None where there is no scan: the best prediction is the pose then.
+            Points of the scan; None without a scan: then the best prediction is the pose.
         cameras
-            Motion since the last scan as each camera measured it.
+            Motion since the last scan, measured by each camera.
         """
         wheels = self._wheels.moment(stamp_s, in_order=points is not None) if self._wheels else None
         gyro = self._gyro.moment(stamp_s) if self._gyro else None
@@ -129,7 +129,7 @@ class MotionTracker:
         return tracked
 
     def add_keyframe(self, points: ScanPoints, tracked: TrackedScan) -> None:
-        """Let the local map grow by a tracked scan."""
+        """Add a tracked scan to the local map."""
         self._odometry.add_keyframe(points, tracked.pose)
 
     def _predict(
@@ -140,10 +140,10 @@ class MotionTracker:
         step_s: float,
         gyro: GyroMoment | None,
     ) -> list[Motion]:
-        """By cameras, by wheels, if a robot can move so, and by constant velocity: the most certain first.
+        """Predict by cameras, wheels if plausible, and constant velocity: the most certain comes first.
 
-        A dispute about the pose that they start from comes on top of what they claim, and is rescaled too:
-        who proved exact is believed through a dispute, or whoever walks ahead would win at the next scan.
+        A dispute about the pose that they start from is added to the claimed covariance, and is rescaled too:
+        an exact predictor is trusted through a dispute, or a person walking ahead would win at the next scan.
         """
         predictors = (self._by_camera, self._by_wheels, self._by_velocity)
         for predictor in predictors:
@@ -170,7 +170,7 @@ class MotionTracker:
         return sorted(guesses, key=Motion.volume)
 
     def _turned(self, guess: Motion, begun: TrackedScan, gyro: GyroMoment | None) -> Motion:
-        """A pose as the turn by the gyroscope since a scan makes it likelier; as it was without one."""
+        """Return a pose corrected by the rotation of the gyroscope since a scan; unchanged without one."""
         turn = self.gyro_turn(begun, gyro)
         if turn is None:
             return guess
@@ -178,7 +178,7 @@ class MotionTracker:
         return looking.widened(np.diag([0.0, 0.0, _SENSOR_FLOOR[2, 2]]))
 
     def _learn_velocity(self, step: FloatArray, step_s: float, *, told: bool) -> None:
-        """Take a step (3,): one that repeats the velocity teaches none, nor the next, that mends it."""
+        """Learn from a step (3,), except one that repeats the velocity, and the next, which corrects it."""
         if told and not self._blind_s and abs(step_s) > SHORTEST_STEP_S:
             self._velocity_step, self._velocity_step_s = step, step_s
             if step_s <= GAP_S:
@@ -190,7 +190,7 @@ class MotionTracker:
     def _predict_by_window(
         self, stamp_s: float, wheels: WheelMoment | None, gyro: GyroMoment | None
     ) -> list[Motion]:
-        """Where the wheels say that the robot went since a while ago; nothing where they do not tell."""
+        """Return the pose by the wheels since some time ago; nothing if the wheels measured nothing."""
         while self._recent and stamp_s - self._recent[0][0] > _WINDOW_S:
             self._recent.popleft()
         if len(self._recent) < 2:
@@ -205,7 +205,7 @@ class MotionTracker:
     def _match(
         self, points: ScanPoints, guesses: list[Motion], step_s: float, gyro: GyroMoment | None
     ) -> tuple[MotionEstimate | None, FloatArray]:
-        """Match, settle a contradiction, judge the predictors: what was measured, and the dispute."""
+        """Match, decide contradictions, update the predictors; return the match and the dispute."""
         motion = self._odometry.match(points, guesses)
         if motion is None:
             return None, np.zeros((3, 3))
@@ -246,10 +246,10 @@ class MotionTracker:
     def _other_way_round(
         self, points: ScanPoints, motion: MotionEstimate, guesses: list[Motion]
     ) -> FloatArray | None:
-        """From a match in a corridor to where the scan fits turned round; None where it cannot be there.
+        """Return the offset from a match in a corridor to the reversed pose; None if that is impossible.
 
-        After a while without a scan the robot may have turned. From a pose that is in dispute both ways lead
-        on: what was asked there is not asked again.
+        After some time without a scan the robot may have turned around. If the pose is already in dispute,
+        both directions are open, and the test is not repeated.
         """
         if not motion.degenerate or (self._last is not None and self._last.dispute.any()):
             return None
@@ -263,10 +263,10 @@ class MotionTracker:
         return between(matched, row_from_pose2(held.T_reference_base))
 
     def _another_corridor(self, motion: MotionEstimate, step_s: float) -> FloatArray | None:
-        """From a match in a corridor to where the wheels are, after a gap; None where it may be believed.
+        """Return the offset from a corridor match to the wheels' pose after a gap; None if plausible.
 
-        Corridors look alike, and meet at right angles: where the wheels have turned away by more than half of
-        that, and gone elsewhere, the robot may be in another. A heading alone may have slipped.
+        Corridors look alike, and meet at right angles. If the wheels turned by more than half a right angle,
+        and moved elsewhere, the robot may be in another one. A heading alone may be due to slip.
         """
         if not motion.degenerate or step_s <= GAP_S or not self._by_wheels.guesses:
             return None
@@ -277,11 +277,11 @@ class MotionTracker:
     def _out_of_sight(
         self, motion: MotionEstimate, step_s: float, gyro: GyroMoment | None
     ) -> FloatArray | None:
-        """How uncertain (3, 3) a match is after a gap in which nothing told the way; None if it was short.
+        """Return the covariance (3, 3) of a match after an unmeasured gap; None if the gap was short.
 
-        As fast as it moves as a rule it has left what a match finds, and what fits there may be a place that
-        looks the same. Any way and turn from none to twice that are evenly spread; a heading that the
-        gyroscope confirms is as it was matched.
+        At its usual speed the robot has left the range of a match, and a match may be at a place that looks
+        the same. Path and rotation are taken as uniform from none to twice the usual; a heading that the
+        gyroscope confirms is kept as matched.
         """
         if self._by_camera.guesses or self._by_wheels.guesses or step_s <= GAP_S or not self._squares[2]:
             return None
@@ -298,11 +298,11 @@ class MotionTracker:
     def _rivals(
         self, points: ScanPoints, motion: MotionEstimate, contesting: list[Motion], asked: list[Motion]
     ) -> list[tuple[float, MotionEstimate | None, Motion]]:
-        """Log-odds against a match, and the scan held at it, of every prediction that the match contradicts.
+        """Return log-odds against a match, and the scan fixed at it, for predictions it contradicts.
 
-        Predictions are asked without the match's covariance: a wrong match does not know that it is. Only
-        those that start at the same pose are asked. Constant velocity is an expectation, no measurement: it
-        contests nothing. A camera needs no scan: it tells the turn too, and whoever walks ahead turns with
+        Predictions are compared without the match's covariance: a wrong match may claim a small one. Only
+        those that start at the same pose are used. Constant velocity is no measurement, so it contradicts
+        nothing. A camera needs no scan: it also measures the rotation, and a person walking ahead turns with
         the robot.
         """
         matched, rivals = row_from_pose2(motion.T_reference_base), []
@@ -323,7 +323,7 @@ class MotionTracker:
     def _led_by_others(
         self, points: ScanPoints, motion: MotionEstimate, guesses: list[Motion]
     ) -> MotionEstimate:
-        """The match without the guesses that it has refuted: one of them has led it along a corridor."""
+        """Match without the guesses that were refuted: one of them led the match along a corridor."""
         matched = Motion(row_from_pose2(motion.T_reference_base), motion.covariance)
         others = [guess for guess in guesses if guess.agrees(matched)]
         if not (motion.degenerate and others) or others[0] is guesses[0]:
@@ -331,7 +331,7 @@ class MotionTracker:
         return self._odometry.match(points, others) or motion
 
     def _follow_the_wheels(self) -> None:
-        """Take it that the last while went as the wheels say: what led the matches astray leads on."""
+        """Assume that the last part of the path is as the wheels say: the matches are still misled."""
         begun = self._recent[0][1]
         for n, (stamp_s, tracked) in enumerate(self._recent):
             if begun.wheels is not None and tracked.wheels is not None:
@@ -339,14 +339,14 @@ class MotionTracker:
                 self._recent[n] = stamp_s, replace(tracked, pose=pose, dispute=begun.dispute)
 
     def _evidence(self, points: ScanPoints, motion: MotionEstimate, rival: Motion) -> float:
-        """Log-likelihood of a match over another pose: about the difference of their Geman-McClure costs."""
+        """Return the log-likelihood ratio of two poses: about the difference of Geman-McClure costs."""
         residual_m = max(motion.residual_m, self._noise.minimal_residual_m)
         scale = 0.5 * (0.5 * self._noise.cell_m / residual_m) ** 2
         objects = scale * self._odometry.evidence(points, row_from_pose2(motion.T_reference_base), rival)
         return float(np.clip(objects, -_MOST_AN_OBJECT, _MOST_AN_OBJECT).sum())
 
     def _fused(self, motion: MotionEstimate) -> FloatArray:
-        """Match and most certain camera, each by its covariance: a corridor is as long as it looks."""
+        """Fuse match and most certain camera by covariance: the camera measures along a corridor."""
         matched = Motion(row_from_pose2(motion.T_reference_base), motion.covariance)
         if not self._by_camera.guesses or not matched.agrees(self._by_camera.guesses[0]):
             return matched.pose
@@ -355,7 +355,7 @@ class MotionTracker:
         return compose(matched.pose, gain @ between(matched.pose, camera.pose))
 
     def _judge(self, motion: MotionEstimate, gyro: GyroMoment | None) -> None:
-        """Let a match that is certain score the predictors."""
+        """Update the predictors with a match that is certain."""
         last = self._last
         if motion.inlier_share < _JUDGE_INLIER_SHARE or motion.degenerate:
             return

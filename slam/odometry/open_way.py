@@ -1,4 +1,4 @@
-"""How little is known of a way along which clouds tell nothing: a tunnel, a long wall, an open field."""
+"""Uncertainty of a path along which clouds determine nothing: a tunnel, a long wall, an open field."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""How far a kind of prediction can be trusted, learned from the matches."""
+"""Uncertainty of a kind of prediction, learned from the matches."""
 
 from __future__ import annotations
 
@@ -18,14 +18,14 @@ LEAST_SHARE = 0.02
 
 
 class Predictor:
-    """How far a kind of prediction can be trusted, learned from the matches.
+    """Scale of the uncertainty of a kind of prediction, learned from the matches.
 
     Parameters
     ----------
     memory_scans
-        Scans over which it is judged.
+        Number of scans over which errors are averaged.
     least_share
-        Share of the claimed variance of the path that it may be taken to have; 1 to believe no less than all.
+        Smallest factor on the claimed variance of the path; with 1 the variance is never reduced.
     """
 
     def __init__(self, memory_scans: float, least_share: float = 1.0) -> None:
@@ -36,17 +36,17 @@ class Predictor:
         self.guesses: list[Motion] = []
 
     def predict(self, pose: FloatArray, covariance: FloatArray) -> None:
-        """Expect a pose (3,) with a covariance (3, 3) as claimed, rescaled by what was learned so far."""
+        """Predict a pose (3,) with a claimed covariance (3, 3), rescaled by what was learned so far."""
         self.guesses.append(self.rescaled(pose, covariance))
 
     def rescaled(self, pose: FloatArray, covariance: FloatArray) -> Motion:
-        """A pose (3,) with a covariance (3, 3) as claimed, rescaled by what was learned so far."""
+        """Return a pose (3,) with a claimed covariance (3, 3), rescaled by what was learned so far."""
         way, turn = self.doubt * self._share, self.doubt
         both = math.sqrt(way * turn)
         return Motion(pose, covariance * np.array([[way, way, both], [way, way, both], [both, both, turn]]))
 
     def judge(self, pose: FloatArray) -> None:
-        """Learn from where the scan was taken (3,): the first guess's normalised squared error on average."""
+        """Learn from the pose of the scan (3,): mean normalised squared error of the first guess."""
         if not self.guesses:
             return
         guess = self.guesses[0]

@@ -1,4 +1,4 @@
-"""What every RGB-D odometry offers."""
+"""Interface of every RGB-D odometry."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ class RgbdOdometry(Protocol):
     def match(
         self, frame: PreparedFrame, local: list[VisualKeyframe], guess: gtsam.Pose3
     ) -> VisualMatch | None:
-        """Pose of the frame's camera, or None where nothing fits.
+        """Pose of the frame's camera, or None if nothing fits.
 
         Parameters
         ----------

@@ -1,4 +1,4 @@
-"""Frame by frame motion of an RGB-D camera against a local map of keyframes."""
+"""Track an RGB-D camera frame by frame against a local map of keyframes."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ class TrackedFrame:
     pose
         ``T_odom_camera``.
     match
-        None where nothing fitted and the pose is a guess, and for the first frame.
+        None if nothing fitted and the pose is a guess, and for the first frame.
     new_keyframe
         Whether it should become a keyframe.
     restarted

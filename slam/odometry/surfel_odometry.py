@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import math
 from collections import deque
+from collections.abc import Callable
+from functools import cache, partial
 
 import numpy as np
 
@@ -32,7 +34,7 @@ class SurfelOdometry:
         self._ways_m: deque[float] = deque(maxlen=config.match.local_map_keyframes)
         self._last = np.zeros(3)
         self._keyframes: deque[OrientedPoints] = deque(maxlen=config.match.local_map_keyframes)
-        self._images: deque[RangeImage] = deque(maxlen=config.match.local_map_keyframes)
+        self._images: deque[Callable[[], RangeImage]] = deque(maxlen=config.match.local_map_keyframes)
         self._local_map: LocalMap | None = None
 
     def add_keyframe(self, points: ScanPoints, pose: FloatArray) -> None:
@@ -45,7 +47,7 @@ class SurfelOdometry:
                 remembered.popleft()
         self._ways_m.append(way_m)
         self._keyframes.append(OrientedPoints.surface(points).moved(pose))
-        self._images.append(RangeImage.of(points.points_base, pose, points.points_base))
+        self._images.append(cache(partial(RangeImage.of, points.points_base, pose, points.points_base)))
         self._local_map = None
 
     def match(self, points: ScanPoints, guesses: list[Motion]) -> MotionEstimate | None:

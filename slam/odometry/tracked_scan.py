@@ -1,4 +1,4 @@
-"""Where a scan was taken, and what told it."""
+"""Pose of a scan, and what measured it."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ class TrackedScan:
     pose
         (3,) x, y, yaw of the base.
     motion
-        The lidar match; None where nothing fitted and the pose is dead reckoning.
+        The lidar match; None if nothing fitted and the pose is dead reckoning.
     wheels
         Where the wheels alone say that the robot was; None without wheels.
     dispute

@@ -1,4 +1,4 @@
-"""Matches a cloud that was seen while the lidar turned and the robot moved."""
+"""Match a cloud that was recorded while the lidar rotated and the robot moved."""
 
 from __future__ import annotations
 
@@ -67,7 +67,7 @@ class TurnMatcher:
         *,
         told: bool,
     ) -> MotionEstimate | None:
-        """Pose of a cloud in the odometry frame; None where nothing fits.
+        """Pose of a cloud in the odometry frame; None if nothing fits.
 
         Parameters
         ----------

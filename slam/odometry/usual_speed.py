@@ -1,4 +1,4 @@
-"""How fast a robot is as a rule, by its own wheels."""
+"""Usual speed of a robot, from its wheel odometry."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What wheel odometry cannot mean: jumps between readings, and ways that went on while it counted none."""
+"""Errors in wheel odometry: jumps between readings, and motion during which it counted nothing."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Wheel odometry as a guess and as a measurement, never as the truth."""
+"""Wheel odometry as a prediction and as a measurement, never as ground truth."""
 
 from __future__ import annotations
 
@@ -28,16 +28,16 @@ _TURN_PER_M = 0.5
 
 @dataclass(frozen=True, slots=True)
 class WheelMoment:
-    """Where the wheels say that the robot was.
+    """A pose of the robot by its wheels.
 
     Attributes
     ----------
     pose
         (3,) in the odom frame.
     guessed_m
-        Way until there that no reading tells.
+        Path length up to there that no reading measured.
     unusual_m
-        Way until there by which readings went farther than the robot does as a rule in their time.
+        Path length up to there by which readings exceed the usual motion of the robot in their time.
     """
 
     pose: FloatArray
@@ -46,7 +46,7 @@ class WheelMoment:
 
 
 class WheelTracker:
-    """The newest odometry readings, asked for the pose at a scan's stamp; and the wheels' clock."""
+    """The newest odometry readings, for poses at the stamps of scans; and the wheels' clock."""
 
     def __init__(self, config: WheelConfig, gyro: YawGyro | None = None) -> None:
         self._config, self._gyro = config, gyro
@@ -75,23 +75,24 @@ class WheelTracker:
 
     @property
     def turns(self) -> Turns:
-        """By how much the wheels say that the robot turned."""
+        """Rotation of the robot by its wheels."""
         return self._clocks.turns
 
     @property
     def clock(self) -> SensorClock:
-        """The wheels' clock against the lidar's, as far as it is known."""
+        """Clock offset of the wheels to the lidar, if it is known."""
         return self._clocks.clock
 
     @property
     def clock_was_used(self) -> bool:
-        """Whether a pose was ever read at another time than the stamps tell."""
-        return bool(self._ahead_s or self._T_odom_read.any())
+        """Whether a pose was ever read at another time than that of the stamps."""
+        return bool(self._ahead_s or np.count_nonzero(self._T_odom_read))
 
     def learn_clock(self, lidar: Turns, *, final: bool = False) -> None:
-        """Estimate the clock anew where that is due; the poses go on from the one last asked for."""
+        """Estimate the clock offset again if due; poses continue from the one last returned."""
+        known = self.clock
         self._clocks.learn(lidar, final=final)
-        if self.clock.significant_s == self._ahead_s:
+        if self.clock is known or self.clock.significant_s == self._ahead_s:
             return
         before = self.pose_at(self._asked_s)
         self._ahead_s = self.clock.significant_s
@@ -100,9 +101,9 @@ class WheelTracker:
             self._T_odom_read = compose(compose(before, between(after, np.zeros(3))), self._T_odom_read)
 
     def add(self, reading: WheelOdometry) -> FloatArray:
-        """Take the next reading in log order: its pose (3,) without jumps that no robot can make.
+        """Add the next reading in log order; return its pose (3,) without impossible jumps.
 
-        Its turns are joined with those of a gyroscope, each by its covariance.
+        Its rotations are fused with those of a gyroscope, by covariance.
         """
         step, step_s = self._gaps.step(reading)
         alone = self._gaps.add(reading, step, step_s, usual=self._usual(step, step_s))
@@ -119,7 +120,7 @@ class WheelTracker:
         return pose
 
     def _joined(self, alone: FloatArray, stamp_s: float) -> FloatArray:
-        """The pose (3,) that follows the newest one; where no wheel has moved the robot stands."""
+        """Return the pose (3,) that follows the newest one; if no wheel has moved, the robot stands still."""
         gyro = None if self._gyro is None else self._gyro.moment(stamp_s - self._ahead_s)
         begun, self._alone = self._alone, (alone, gyro)
         if begun is None or not self._recent:
@@ -134,7 +135,7 @@ class WheelTracker:
         return compose(self._recent[0][1], step)
 
     def moment(self, stamp_s: float, *, in_order: bool = True) -> WheelMoment | None:
-        """Where the robot was at a stamp, see `pose_at`; None before any reading."""
+        """Return the pose of the robot at a stamp, see `pose_at`; None before any reading."""
         pose = self.pose_at(stamp_s, in_order=in_order)
         if pose is None:
             return None
@@ -144,9 +145,9 @@ class WheelTracker:
     def motion(
         self, begun: WheelMoment | None, ended: WheelMoment | None, elapsed_s: float
     ) -> FloatArray | None:
-        """Motion (3,) between two moments; None where the wheels do not tell, or no robot can move so.
+        """Return the motion (3,) between two moments; None if not measured, or impossible for a robot.
 
-        Dead ones do not tell that it stands.
+        Wheels that never move do not prove that it stands still.
         """
         if begun is None or ended is None or self.dead:
             return None
@@ -154,11 +155,11 @@ class WheelTracker:
         return step if self.plausible(step, elapsed_s) else None
 
     def on_top(self, step: FloatArray, begun: WheelMoment, ended: WheelMoment) -> FloatArray:
-        """Covariance (3, 3) of a motion (3,) that no experience with the wheels makes smaller.
+        """Return the covariance (3, 3) of a motion (3,) that learning from matches cannot reduce.
 
-        The base may sit beside the axle by more than the log tells, so a turn swings it aside. What was
-        guessed may be wrong by all of it, and the robot may have turned there. Wheels that run faster than
-        as a rule may have spun by as much.
+        The base may be farther from the axle than the log says, so a rotation moves it sideways. A guessed
+        path may be completely wrong, and the robot may have rotated there. Wheels that run faster than usual
+        may have spun by the difference.
         """
         guessed_m = abs(ended.guessed_m - begun.guessed_m)
         unusual_m = ended.unusual_m - begun.unusual_m
@@ -166,14 +167,14 @@ class WheelTracker:
         return diagonal(metres2, metres2, (_TURN_PER_M * guessed_m) ** 2)
 
     def see(self, speed_m_s: float) -> None:
-        """Who was seen to move as fast as that may move twice as fast."""
+        """A robot seen at this speed may move twice as fast."""
         self._fastest_m_s = max(self._fastest_m_s, 2.0 * speed_m_s)
 
     def learn_scale(self, step: FloatArray, matched: FloatArray) -> None:
-        """Learn what a metre of the wheels is from a step (3,) as `motion` told it and as it was matched.
+        """Learn the scale of the wheels from a step (3,) as returned by `motion` and as matched.
 
-        Least squares over all steps of which both tell much the same; where no gyroscope tells turns also of
-        what one wheel that is larger than the other turns a metre.
+        Least squares over all steps on which both roughly agree. Without a gyroscope, it also estimates the
+        rotation per metre of two wheels of different size.
         """
         (x, y, _), (true_x, true_y, _), scale = step.tolist(), matched.tolist(), float(self._scale[0])
         told, true = math.hypot(x, y), math.hypot(true_x, true_y)
@@ -197,11 +198,11 @@ class WheelTracker:
         self._aside_rad_m = aside_rad_m if aside_rad_m**2 > least2 else 0.0
 
     def pose_at(self, stamp_s: float, *, in_order: bool = True) -> FloatArray | None:
-        """Pose (3,) in the odom frame at a stamp of the lidar's clock; None before any reading.
+        """Return the pose (3,) in the odom frame at a stamp of the lidar's clock; None before any reading.
 
-        The newest reading is carried on to a stamp shortly after it. For one before it, it stands as it is,
-        since the order of the log is that of the readings; unless the clocks are known to differ, or the
-        stamp is not the log's own (not ``in_order``), as that of a frame by its camera's learned clock.
+        The newest reading is extrapolated to a stamp shortly after it. For an earlier stamp, it is used as it
+        is, since readings are in log order; unless the clocks are known to differ, or the stamp is not that
+        of the log (not ``in_order``), such as that of a frame by the learned clock of its camera.
         """
         self._asked_s = stamp_s
         if not self._recent:
@@ -210,7 +211,7 @@ class WheelTracker:
         return compose(self._T_odom_read, pose) if self.clock_was_used else pose
 
     def _read_at(self, asked_s: float, *, by_stamp: bool) -> FloatArray:
-        """Pose (3,) that the wheels tell for a stamp of their own clock."""
+        """Return the pose (3,) by the wheels for a stamp of their own clock."""
         readings, number, shortest_s = self._recent, 0, 0.0
         if by_stamp:
             last = len(readings) - 1
@@ -228,7 +229,7 @@ class WheelTracker:
         return compose(pose, between(begun[1], ended) / (ended_s - begun[0]) * (asked_s - read_s))
 
     def _usual(self, step: FloatArray, step_s: float) -> bool:
-        """Whether this robot makes motions such as ``step`` (3,), the next to learn that from."""
+        """Return whether ``step`` (3,) is usual for this robot, and learn from it."""
         time_s, way_m, turn_rad = self._time_s(step_s), math.hypot(step[0], step[1]), abs(float(step[2]))
         unusual = (
             self._speed.exceeded_by((way_m - self._config.floor_m) / time_s)
@@ -243,13 +244,13 @@ class WheelTracker:
         return not unusual
 
     def _time_s(self, step_s: float) -> float:
-        """Time that a step may have taken."""
+        """Return the time that a step may have taken."""
         return max(step_s, self._gaps.period_s, SHORTEST_STEP_S) if step_s > 0.0 else _UNKNOWN_STEP_S
 
     def plausible(self, step: FloatArray, step_s: float) -> bool:
-        """Whether a robot can move by ``step`` (3,) in that time, or in that between readings as a rule.
+        """Return whether a robot can move by ``step`` (3,) in that time, or in the usual time of a reading.
 
-        Stamps may come late by about as much: then two readings are one right after the other.
+        Stamps may be late by about as much: then two readings follow each other at once.
         """
         time_s = self._time_s(step_s)
         return bool(
@@ -258,7 +259,7 @@ class WheelTracker:
         )
 
     def covariance(self, step: FloatArray) -> FloatArray:
-        """Covariance (3, 3) of a wheel motion ``step`` (3,): floor, and shares of way and turn."""
+        """Return the covariance (3, 3) of a wheel motion ``step`` (3,): floor, path and rotation shares."""
         config = self._config
         path_m = math.hypot(step[0], step[1])
         turn_rad = abs(float(step[2]))
@@ -268,10 +269,10 @@ class WheelTracker:
 
 
 def thrown_aside(motion: Motion) -> FloatArray:
-    """Covariance (3, 3) on top of a long motion's: what was turned wrongly on the way threw the rest aside.
+    """Return the added covariance (3, 3) of a long motion: heading errors shift the rest of the path.
 
-    A heading may go wrong anywhere between: then a share of the way from 0 to 1 is aside by the error, its
-    mean one half, that of its square one third.
+    The heading error may occur anywhere on the path: then a share of it, uniform from 0 to 1, is shifted; the
+    mean of the share is one half, that of its square one third.
     """
     x, y, yaw_rad = motion.pose.tolist()
     cos, sin = math.cos(yaw_rad), math.sin(yaw_rad)

@@ -1,1 +1,1 @@
-"""A finished map, and the files of it."""
+"""A finished map, and its files."""

@@ -1,4 +1,4 @@
-"""A finished map in its file, with what decided it."""
+"""A finished map in its file."""
 
 from __future__ import annotations
 
@@ -38,22 +38,22 @@ log = logging.getLogger(__name__)
 
 @dataclass(frozen=True, slots=True)
 class Map:
-    """A finished map; images and clouds are read when they are asked for.
+    """A finished map; images and clouds are read when they are needed.
 
     Attributes
     ----------
     path
-        Of the file.
+        Path of the file.
     identity
-        What decided it.
+        Configuration, log and library versions of the run.
     sessions
-        The logs that it was made of.
+        The logs in the map.
     contents
-        The map itself; what follows here and is there too is there explained.
+        The map data; properties below that exist there too are explained there.
     digest
-        Of everything; equal for equal maps.
+        Digest of everything; equal for equal maps.
     notes, warnings
-        What the mapping run found out, and what a person should know before trusting the map: a line each.
+        Findings of the mapping run, and reasons to distrust the map: one line each.
 
     Examples
     --------
@@ -107,17 +107,17 @@ class Map:
 
     @property
     def in_memory(self) -> bool:
-        """Whether it lies in a temporary folder that goes with it."""
+        """Whether the map is in a temporary folder that is deleted with it."""
         return self._folder is not None
 
     @property
     def planar(self) -> bool:
-        """Whether the robot stays on a floor; in space the nodes are bases with clouds, or else cameras."""
+        """Whether the robot is on a floor. Otherwise the nodes are bases with clouds, or cameras."""
         return self.contents.planar
 
     @property
     def config(self) -> Config:
-        """The effective configuration."""
+        """The configuration of the map."""
         return self.identity.config
 
     @property
@@ -127,30 +127,30 @@ class Map:
 
     @property
     def keyframe_scans(self) -> Sequence[LaserScan | None]:
-        """K sweeps, repaired where they were."""
+        """K sweeps, after the repair if there was one."""
         return self.contents.keyframe_scans
 
     @property
     def grid(self) -> OccupancyGrid | None:
-        """The lidar's grid, which other scans are matched to; None of cameras alone."""
+        """The lidar grid to which scans are matched; None if there are only cameras."""
         return self.contents.grid
 
     @property
     def layers(self) -> LayeredMap | None:
-        """The map to drive by and its layers, those of the run that saved it; None of a camera in space."""
+        """The navigation map and its layers from the run that saved it; None for a camera in 3D."""
         return self.contents.layers(self.config)
 
     @property
     def trajectory(self) -> Trajectory:
-        """A pose for every reading of the log."""
+        """The pose of every reading of the log."""
         return self.contents.trajectory
 
     @property
     def covariances(self) -> FloatArray | None:
         """Covariance of every pose of the trajectory; None in a map of an older version.
 
-        (N, 3, 3) of x, y, yaw, or in space (N, 6, 6) of x, y, z and a rotation vector: all along the axes of
-        the map, metres and radians. They are relative to the first keyframe, which is held.
+        (N, 3, 3) of x, y, yaw, or in 3D (N, 6, 6) of x, y, z and a rotation vector, along the axes of the
+        map, in metres and radians. They are relative to the first keyframe, which is fixed.
         """
         return self.contents.covariances
 
@@ -161,47 +161,47 @@ class Map:
 
     @property
     def loops(self) -> Sequence[LoopCandidate]:
-        """Every loop candidate with its verdict."""
+        """All loop candidates, accepted and rejected."""
         return self.contents.loops
 
     def floor_plan(self) -> FloorPlan:
-        """Rooms with walls, lengths and areas and how sure these are, and doors, by a 2D lidar's scans.
+        """Compute the floor plan: rooms with walls, lengths, areas, their uncertainty, and doors.
 
-        A `ScanweaveError` tells that the map has no such scans.
+        It needs the scans of a 2D lidar; without, it raises a `ScanweaveError`.
         """
         return floor_plan(self.contents, self.config)
 
     def check(self) -> None:
-        """Read everything, images and clouds too; a `MapFileError` names table and row of the first fault."""
+        """Read and check the whole file; a `MapFileError` names table and row of the first error."""
         self._file.check_pages()
         if self.contents.edits:
             self.parts()
         self.contents.read_all()
 
     def export(self, format_: str, out: Path | str) -> list[Path]:
-        """Write the map in another program's format, and tell what was written.
+        """Write the map in the format of another program, and return the files written.
 
         Parameters
         ----------
         format_
-            nav2 (the map to drive by), tum, g2o, ply or bt; of the floor plan svg, dxf, geojson or nav2-zones
+            nav2 (the navigation map), tum, g2o, ply or bt. For the floor plan svg, dxf, geojson or nav2-zones
             (keep-out and speed masks, route graph).
         out
-            The file, or a folder (what is one, or has no ending) for the usual names. Of nav2 it is the yaml,
-            of ply the mesh of the images or, without any, the cloud of the 3D lidar; what belongs to them
-            goes beside. Of nav2-zones it is a folder.
+            The file, or a folder (existing, or a name without ending) for the usual names. For nav2 it is the
+            yaml; for ply the mesh of the images or, without images, the cloud of the 3D lidar. Related files
+            are written next to it. For nav2-zones it is a folder.
 
         Raises
         ------
         ScanweaveError
-            Where the map does not hold what the format needs, or a file cannot be written.
+            If the map does not contain the data for the format, or a file cannot be written.
         """
         return Exports(self.contents, self.config).write(format_, Path(out))
 
     def write_files(self, folder: Path, like: Map | None = None) -> list[Path]:
-        """Write the files for other programs that ``scanweave map`` writes; errors as in `export`.
+        """Write the exported files that ``scanweave map`` writes; raises as `export`.
 
-        Surfaces, which take long, are left out where they would be those of another map.
+        Surfaces, which take long, are not written if they would be those of another map.
         """
         exports = Exports(self.contents, self.config)
         same = like is not None and exports.same_surfaces(Exports(like.contents, like.config))
@@ -210,32 +210,32 @@ class Map:
 
     @property
     def edits(self) -> list[str]:
-        """What a person has decided of the map: each applied file, as YAML, in their order."""
+        """Edits of the map: each applied file, as YAML, in order."""
         return [entry.text for entry in self.contents.edits]
 
     @property
     def places(self) -> dict[str, FloatArray]:
-        """(3,) x, y, yaw of the places that a person has named, map frame."""
+        """(3,) x, y, yaw of the named places, by name, map frame."""
         return {one.name: one.pose(self.keyframe_poses) for one in regions_of(self.contents.edits, "place")}
 
     def zones(self, kind: str = "keep_out") -> dict[str, FloatArray]:
-        """(n, 2) corners of the zones of a kind, ``keep_out`` or ``slow``, by their names, map frame."""
+        """Return (n, 2) corners of the zones of a kind, ``keep_out`` or ``slow``, by name, map frame."""
         return {zone.name: zone.points(self.keyframe_poses) for zone in regions_of(self.contents.edits, kind)}
 
     def edited(self, edits: Edits | Mapping[str, Any] | Path | str, *, out: Path | str | None = None) -> Map:
-        """The map with edits on top of those that it has; this one stays open, and shows what it was.
+        """Return the map with more edits applied; this map stays open and unchanged.
 
         Parameters
         ----------
         edits
-            A file as ``docs/edits.md`` explains it, or what it would hold.
+            A file as in ``docs/edits.md``, or its contents.
         out
-            Folder for the edited map, which may be this one's; None keeps it in a temporary folder.
+            Folder for the edited map, possibly that of this map; None keeps it in a temporary folder.
 
         Raises
         ------
         ScanweaveError
-            Where edits do not fit, the folder holds another map or cannot be written; the map is as it was.
+            If edits do not fit, or the folder has another map or cannot be written; the map is unchanged.
 
         Examples
         --------
@@ -258,18 +258,18 @@ class Map:
         return made_anew(self, lambda path: write_with(self.parts(), chosen, path), out)
 
     def remap(self, settings: Sequence[str] = (), *, out: Path | str | None = None) -> Map:
-        """The map made anew with other settings, without its log; else as `edited`.
+        """Return the map recomputed with other settings, without its log; otherwise as `edited`.
 
         Parameters
         ----------
         settings
-            As `slam.load_config` takes them; what takes the log is refused.
+            Overrides as for `slam.load_config`; settings that need the log raise an error.
         """
         pairs = (setting.partition("=") for setting in settings)
         return self.edited({"settings": {name: value for name, _, value in pairs}}, out=out)
 
     def undone(self, *, out: Path | str | None = None) -> Map:
-        """The map as it was before the last edits; else as `edited`, and an error where it has none."""
+        """Return the map before the last edits; otherwise as `edited`. Raises if there are no edits."""
         from slam.edits.edited_file import write_undone
 
         if not self.contents.edits:
@@ -277,36 +277,36 @@ class Map:
         return made_anew(self, lambda path: write_undone(self.parts(), path), out)
 
     def parts(self) -> Known:
-        """The map as it is, and as it was before all edits."""
+        """Return the map as it is, and as it was before all edits."""
         from slam.edits.edited_file import known_of
 
         return known_of(self._file, self.contents, self.sessions)
 
     def save(self, folder: Path | str, *, overwrite: bool = False) -> list[Path]:
-        """Write the map into a folder, ``map.db`` and the files for other programs, and tell which.
+        """Write the map into a folder: ``map.db`` and the exported files. Return the files written.
 
         Parameters
         ----------
         overwrite
-            Replace another map in the folder, which is made where it is missing.
+            Replace another map in the folder. The folder is created if missing.
 
         Raises
         ------
         ScanweaveError
-            Where the folder holds another map and is not to be replaced, or a file cannot be written.
+            If the folder has another map that must not be replaced, or a file cannot be written.
         """
         target = copy_into(Path(folder), self.path, overwrite=overwrite)
         return [target, *self.write_files(target.parent)]
 
     def close(self) -> None:
-        """Close the file; no image or cloud can be read afterwards, and a map in memory is gone."""
+        """Close the file; images and clouds cannot be read afterwards, and a temporary map is deleted."""
         self._file.close()
         if self._folder is not None:
             self._folder.remove()
 
 
 def made_anew(saved: Map, write: Callable[[Path], list[str]], out: Path | str | None) -> Map:
-    """A map that is written beside what is there, and takes its place."""
+    """Write a map next to the existing one, then replace that one."""
     if out is None:
         kept_in = TemporaryFolder()
         write(kept_in.path / MAP_NAME)
@@ -325,17 +325,17 @@ def made_anew(saved: Map, write: Callable[[Path], list[str]], out: Path | str | 
 
 
 def load_map(path: Path | str, kept_in: TemporaryFolder | None = None) -> Map:
-    """Open a finished map: a folder that ``scanweave map`` has made, or its ``map.db``.
+    """Open a finished map: a folder that ``scanweave map`` wrote, or its ``map.db``.
 
     Parameters
     ----------
     kept_in
-        A temporary folder that holds it, and lives as long as the map.
+        A temporary folder that holds the map and is deleted with it.
 
     Raises
     ------
     MapFileError
-        Where there is none, it is not finished, damaged, or of a newer version.
+        If there is no map, or it is unfinished, damaged, or of a newer version.
 
     Examples
     --------

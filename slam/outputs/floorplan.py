@@ -1,4 +1,4 @@
-"""From a finished map to a plan of its floor."""
+"""Compute the floor plan of a finished map."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def floor_plan(contents: MapContents, config: Config) -> FloorPlan:
     Raises
     ------
     ScanweaveError
-        Where the map has no scans of a 2D lidar.
+        If the map has no scans of a 2D lidar.
     """
     grid = contents.grid
     if grid is None or not contents.planar or not any(scan is not None for scan in contents.measured_scans):

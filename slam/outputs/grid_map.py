@@ -1,4 +1,4 @@
-"""A map of another program that is a grid and nothing else: where its walls are, a log can be localised."""
+"""A grid map of another program, in which a log can be localised by the walls."""
 
 from __future__ import annotations
 
@@ -25,9 +25,9 @@ class GridMap:
     Attributes
     ----------
     path
-        Of its yaml.
+        Path of its yaml file.
     grid
-        What is known of every cell.
+        The occupancy grid.
     """
 
     path: Path
@@ -38,32 +38,32 @@ class GridMap:
 
     @cached_property
     def contents(self) -> MapContents:
-        """A map without keyframes, for `Localizer`."""
+        """The map without keyframes, for `Localizer`."""
         none = np.zeros(0)
         nowhere = Trajectory.from_planar(none, none.reshape(0, 3))
         return MapContents([], none, none.astype(np.int64), nowhere, grids={OCCUPANCY: self.grid})
 
     @property
     def layers(self) -> LayeredMap:
-        """The same as the map to drive by."""
+        """The same grid as a navigation map."""
         return LayeredMap(self.grid, None)
 
     def close(self) -> None:
-        """Nothing is open."""
+        """Do nothing: no file is open."""
 
 
 def load_grid_map(path: Path | str) -> GridMap:
-    """Load a map of nav2's map server (a yaml and its image), to localise in.
+    """Load a map of nav2's map server (a yaml file and its image) for localisation.
 
     Parameters
     ----------
     path
-        The yaml; ``trinary``, ``scale`` or ``raw``.
+        The yaml file; mode ``trinary``, ``scale`` or ``raw``.
 
     Raises
     ------
     MapFileError
-        Where it cannot be read, or has no wall to be localised at.
+        If it cannot be read, or has no walls to localise at.
 
     Examples
     --------
@@ -83,7 +83,7 @@ def load_grid_map(path: Path | str) -> GridMap:
 
 
 def opened(known: Map | GridMap | Path | str) -> Map | GridMap:
-    """A map, or what is at its path: a folder, its ``map.db``, or the yaml of a grid.
+    """Open a map or return an open one; a path is a folder, its ``map.db``, or the yaml file of a grid.
 
     Raises
     ------
@@ -96,7 +96,7 @@ def opened(known: Map | GridMap | Path | str) -> Map | GridMap:
 
 
 def _grid_of(drawn: Nav2Map) -> OccupancyGrid:
-    """What the values say of each cell; of a free or occupied one as much as a grey of 256 can."""
+    """Return the log-odds of each cell; free and occupied cells get the limits that 256 grey levels allow."""
     least = 1 / 512
     probability = np.clip(drawn.values / 100.0, least, 1.0 - least)
     log_odds = np.where(drawn.values == UNKNOWN, 0.0, np.log(probability / (1.0 - probability)))

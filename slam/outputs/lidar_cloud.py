@@ -1,4 +1,4 @@
-"""The cloud of a 3D lidar's map without what only passed by, with its ground."""
+"""Cloud of a 3D lidar's map without moving objects, with its ground."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def lidar_cloud(found: MapContents, config: Config, ground: Elevation | None) ->
     Raises
     ------
     ScanweaveError
-        Where a pose is not finite.
+        If a pose is not finite.
     """
     poses = [spatial(pose) for pose in found.node_poses]
     clouds = found.clouds

@@ -1,1 +1,1 @@
-"""Another log of the same place joined to a saved map: find where it belongs, join the graphs, rebuild."""
+"""Join another log of the same place to a saved map: find its pose, join the graphs, rebuild the map."""

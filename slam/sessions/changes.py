@@ -1,10 +1,10 @@
-"""What stands elsewhere than on an earlier visit: what has gone, what has come, and how likely that is.
+"""Changes since an earlier visit: what disappeared, what appeared, and how likely each change is.
 
-Where scans of one visit met something that those of the other looked through, something has changed, unless
-the two are not where they are thought to be: what has gone must be missed wherever it may stand. Hidden or
-never looked at is no change. What was met at times only, while other scans of the same visit looked through,
-did not stand there: somebody walked by, or it is glass. Evidence is that of the occupancy grid (Li2020
-Eq. (8)), drawn of each visit alone; a thing is one witness, however many cells it has.
+If scans of one visit hit something that scans of the other passed through, something has changed, unless the
+two poses are wrong: an object that disappeared must be absent wherever it may have been. Hidden or unseen
+space is no change. Something hit only at times, while other scans of the same visit passed through, was not
+an object there: it was a person, or glass. Evidence is that of the occupancy grid (Li2020 Eq. (8)), drawn for
+each visit separately; an object counts once, however many cells it has.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ Spread = Callable[[NDArray[np.int64], NDArray[np.int64], FloatArray], FloatArray
 
 @dataclass(frozen=True, slots=True)
 class Visit:
-    """The keyframes of a visit: K scans, None where there is none, and (K, 3) poses in a frame of both."""
+    """Keyframes of a visit: K scans, None if missing, and (K, 3) poses in the common frame."""
 
     scans: Sequence[LaserScan | None]
     poses: FloatArray
@@ -50,18 +50,18 @@ class Visit:
 
 @dataclass(frozen=True, slots=True)
 class Change:
-    """A thing that stands on one visit, and on the other does not.
+    """An object that is present on one visit and absent on the other.
 
     Attributes
     ----------
     appeared
-        Whether it has come; else it has gone.
+        Whether it appeared; otherwise it disappeared.
     cells_m
-        (N, 2) middles of the cells in which it was met, map frame.
+        (N, 2) centres of the cells in which it was hit, map frame.
     probability
-        That it stood there, and on the other visit did not.
+        Probability that it was there, and on the other visit was not.
     standing
-        That it stood there all the time of its visit; low of what walked by, and of glass.
+        Probability that it was there during its whole visit; low for people and glass.
     """
 
     appeared: bool
@@ -74,16 +74,16 @@ class Change:
 
 @dataclass(frozen=True, slots=True)
 class Comparison:
-    """Two visits compared.
+    """Comparison of two visits.
 
     Attributes
     ----------
     changes
-        All that may have changed, the likeliest first.
+        All possible changes, the most likely first.
     steps
         (2, rows, cols) log-odds of both visits, in steps as of a grid.
     resolution_m, corner_m
-        Side of a cell, and where the lower left one begins, map frame.
+        Side of a cell, and corner of the lower left cell, map frame.
     """
 
     changes: Sequence[Change]
@@ -94,7 +94,7 @@ class Comparison:
     __repr__ = one_line
 
     def seen_m2(self) -> tuple[float, float, float]:
-        """Area that both visits have seen, and that which the first and the second alone have."""
+        """Areas seen by both visits, only by the first, and only by the second."""
         first, second = self.steps != 0
         cell_m2 = self.resolution_m**2
         counts = ((first & second).sum(), (first & ~second).sum(), (second & ~first).sum())
@@ -108,7 +108,7 @@ def compare(before: Visit, after: Visit, spread: Spread, config: Config) -> Comp
     Raises
     ------
     ScanweaveError
-        Where a visit has no scans, or is so large that its cells would be larger than the other's.
+        If a visit has no scans, or is so large that its cells would be larger than those of the other.
     """
     # What returns nothing may be a black thing as well as nothing.
     certain = config.model_copy(update={"grid": config.grid.model_copy(update={"clear_range_m": 0.0})})
@@ -146,19 +146,19 @@ def compare(before: Visit, after: Visit, spread: Spread, config: Config) -> Comp
 
 
 def spread_between(contents: MapContents, before: NDArray[np.int64], after: NDArray[np.int64]) -> Spread:
-    """How certain it is where one visit lies against another, by the edges that hold between their keyframes.
+    """Estimate the uncertainty of one visit relative to another, from the edges between their keyframes.
 
     Parameters
     ----------
     contents
-        A planar map that holds both.
+        A planar map that contains both visits.
     before, after
         The keyframes of each.
 
     Returns
     -------
-    What tells it of a point: of the keyframes of both that saw it, by the most certain way from one of the
-    first to the one of the second that was nearest; infinite where none leads there.
+    A function that gives it for a point, from the keyframes of both visits that saw it: along the most
+    certain path from one of the first to the nearest one of the second; infinite if there is no path.
     """
     poses, graph = contents.keyframe_poses, UncertaintyGraph()
     for _ in poses:
@@ -188,7 +188,7 @@ def spread_between(contents: MapContents, before: NDArray[np.int64], after: NDAr
 def _on_one_lattice(
     grids: Sequence[OccupancyGrid | None],
 ) -> tuple[NDArray[np.int16], float, tuple[float, float]]:
-    """Steps (2, rows, cols) of both, side of a cell, and corner."""
+    """Return steps (2, rows, cols) of both, side of a cell, and corner."""
     first, second = grids
     if first is None or second is None:
         raise ScanweaveError("a visit without lidar scans cannot be compared")
@@ -213,7 +213,7 @@ def _on_one_lattice(
 def _things(
     own: NDArray[np.int16], other: NDArray[np.int16], resolution_m: float
 ) -> tuple[NDArray[np.int32], int]:
-    """Cells (rows, cols) by the number of the thing that one visit met and the other looked through."""
+    """Number the objects, (rows, cols), in cells that one visit hit and the other saw as free."""
     occupied = (THRESHOLDS.states(own) == OCCUPIED) & (THRESHOLDS.states(other) == FREE)
     reach = round(0.5 * _APART_M / resolution_m)
     near = ndimage.distance_transform_edt(~occupied) <= reach if occupied.any() else occupied
@@ -229,7 +229,7 @@ def _sightings(
     resolution_m: float,
     corner_m: tuple[float, float],
 ) -> tuple[BoolArray, BoolArray]:
-    """(K, count) whether a keyframe met each thing, and whether it looked through at least half of it."""
+    """Return (K, count) whether a keyframe hit each object, and whether it passed at least half of it."""
     beside = ndimage.maximum_filter(labels, 3)
     sizes = np.bincount(labels.ravel(), minlength=count + 1)[1:]
     met, through = np.zeros((2, len(visit.scans), count), np.bool_)
@@ -253,17 +253,17 @@ def _sightings(
 
 
 def _standing(met: int, through: int) -> float:
-    """Probability that a thing stood there all the time, from how many scans met it, and looked through.
+    """Return the probability that an object was there all the time, from how many scans hit and passed it.
 
-    What stands is missed by one scan in so many as make a statistic; of what walks by, or is glass, any share
-    of the scans meets something.
+    A fixed object is missed by one scan in as many as make a statistic. A person or glass may be hit by any
+    share of the scans.
     """
     stood = special.betaln(FEWEST - 1 + met, 1 + through) - special.betaln(FEWEST - 1, 1)
     return float(special.expit(stood - special.betaln(1 + met, 1 + through)))
 
 
 def _met_s(visit: Visit, met: BoolArray) -> float:
-    """Time from the first of the scans, of which (K,) tells, to the last."""
+    """Return the time from the first to the last of the scans that (K,) selects."""
     stamps_s = [scan.stamp_s for scan, one in zip(visit.scans, met, strict=True) if one and scan is not None]
     return max(stamps_s, default=0.0) - min(stamps_s, default=0.0)
 
@@ -271,12 +271,12 @@ def _met_s(visit: Visit, met: BoolArray) -> float:
 def _gone(
     other: NDArray[np.int16], cells: NDArray[np.int64], covariance: FloatArray, resolution_m: float
 ) -> float:
-    """Probability that a visit did not meet what the other met in (N, 2) cells, wherever that lies for it.
+    """Return the probability that a visit did not hit an object of the other in (N, 2) cells.
 
     Parameters
     ----------
     covariance
-        (2, 2) of where the cells lie, x and y in metres; rounding to cells comes on top, twice.
+        (2, 2) covariance of these positions, x and y in metres; rounding to cells is added twice.
     """
     if not np.isfinite(covariance).all():
         return 0.0

@@ -1,7 +1,7 @@
-"""Whether a session belongs into a map, and the two joined where it does: found out in three steps.
+"""Decide whether a session belongs to a map, and join the two if so, in three steps.
 
-All that was seen on the way must tell where the session lies; scans along it must match the map there;
-and the optimisation of both together must keep most of those loops. Each may say no.
+All readings along the path must determine the session's pose; scans along it must match the map there; and
+the optimisation of both together must keep most of those loops. Each step may reject the session.
 """
 
 from __future__ import annotations
@@ -27,18 +27,18 @@ _LEAST_LOOPS = 3
 
 @dataclass(frozen=True, slots=True)
 class Connection:
-    """What became of an attempt to join a session to a map.
+    """Result of an attempt to join a session to a map.
 
     Attributes
     ----------
     placing
-        Where the session lies.
+        Pose of the session in the map.
     loops
         Every attempt to match a keyframe of the session to the map.
     joined
-        The two as one; None where they do not connect.
+        The joined map; None if they do not connect.
     reason
-        Why not, in a few words; empty where they do.
+        Why they do not connect, in a few words; empty if they do.
     """
 
     placing: Placing
@@ -50,12 +50,12 @@ class Connection:
 
 
 def connect(known: Map, session: Map) -> Connection:
-    """Join a session to a map of the same kind, by the settings of the map.
+    """Join a session to a map of the same kind, with the settings of the map.
 
     Raises
     ------
     ScanweaveError
-        Where the joined grid would have too many cells.
+        If the joined grid would have too many cells.
     """
     config = known.config
     own, keyframes = set(_readings(known.contents)), len(session.contents.node_poses)
@@ -71,9 +71,7 @@ def connect(known: Map, session: Map) -> Connection:
     loops = _find_loops(known, session, placing, sides[1], config)
     accepted = sum(loop.accepted for loop in loops)
     if accepted < _LEAST_LOOPS:
-        reason = (
-            f"only {accepted} of {len(loops)} readings match the map where they should, {_LEAST_LOOPS} must"
-        )
+        reason = f"only {accepted} of {len(loops)} readings match the map there; {_LEAST_LOOPS} are needed"
         return Connection(placing, loops, None, reason)
     joined = join(known, session, placing, loops, config)
     if joined.loops_kept < max(_LEAST_LOOPS, 0.5 * joined.loops_between):
@@ -91,7 +89,7 @@ def _find_loops(known: Map, session: Map, placing: Placing, way: Side, config: C
     Parameters
     ----------
     way
-        The session's.
+        Path of the session.
 
     Returns
     -------
@@ -109,7 +107,7 @@ def _find_loops(known: Map, session: Map, placing: Placing, way: Side, config: C
 
 
 def _readings(contents: MapContents) -> Iterator[Hashable]:
-    """What each keyframe measured; what an edit has taken away was measured all the same."""
+    """Return the readings of each keyframe, including those that an edit removed."""
     if contents.clouds is not None:
         yield from (contents.clouds.digest(key) for key in range(len(contents.clouds)))
     elif contents.planar:
@@ -122,15 +120,15 @@ def _readings(contents: MapContents) -> Iterator[Hashable]:
 
 
 def _unplaced(placing: Placing) -> str:
-    """Why a placing is not certain."""
+    """Return why a placing is not certain."""
     if not placing.anchors:
-        return "no place of it was recognised in the map"
+        return "none of its places was recognised in the map"
     if placing.nats < placing.least_nats:
         return (
             f"the evidence for its likeliest place in the map is {placing.nats:.1f} nats, "
             f"{placing.least_nats:.1f} are needed"
         )
     return (
-        f"two places in the map are alike, with evidence of {placing.nats:.1f} and "
+        f"two places in the map look alike, with evidence of {placing.nats:.1f} and "
         f"{placing.rival_nats:.1f} nats"
     )

@@ -1,4 +1,4 @@
-"""Things that changed as people tell of them: what went here and came there in the same shape has moved."""
+"""Combine changes into moved objects: one that disappeared here and appeared there in the same shape."""
 
 from __future__ import annotations
 
@@ -20,18 +20,18 @@ _ALIKE = 0.7
 
 @dataclass(frozen=True, slots=True)
 class ChangedThing:
-    """A thing that went, appeared or moved between two visits.
+    """An object that disappeared, appeared or moved between two visits.
 
     Attributes
     ----------
     what
         ``went``, ``appeared`` or ``moved``.
     before_m, after_m
-        (M, 2) corners around it on the first and on the second visit, map frame; None where it did not stand.
+        (M, 2) corners around it on the first and on the second visit, map frame; None if it was not there.
     size_m
-        Length and width of what the lidar met of it; cells are rounded.
+        Length and width of the part that the lidar saw, rounded to cells.
     probability
-        That it changed so; of what moved, that both places changed.
+        Probability of the change; for ``moved``, that both places changed.
     """
 
     what: str
@@ -44,24 +44,24 @@ class ChangedThing:
 
     @property
     def places_m(self) -> list[FloatArray]:
-        """(2,) the middle of where it stood, and of where it stands; one of both, or both."""
+        """Return (2,) the centre of its old and of its new position; one of them, or both."""
         boxes = [corners for corners in (self.before_m, self.after_m) if corners is not None]
         return [0.5 * (corners.min(axis=0) + corners.max(axis=0)) for corners in boxes]
 
     @property
     def moved_m(self) -> float:
-        """How far it moved; 0 of what went or appeared."""
+        """Distance that it moved; 0 if it disappeared or appeared."""
         places = self.places_m
         return math.dist(places[0], places[-1])
 
 
 def changed_things(changes: Sequence[Change], cell_m: float) -> list[ChangedThing]:
-    """What has changed, the likeliest first: pairs of the same shape as one thing that moved.
+    """Return changed objects, the most likely first; two changes of the same shape are one moved object.
 
     Parameters
     ----------
     changes
-        Those that are believed.
+        Changes that are accepted.
     cell_m
         Side of a cell.
     """
@@ -89,10 +89,10 @@ def changed_things(changes: Sequence[Change], cell_m: float) -> list[ChangedThin
 
 
 def _likeness(one: FloatArray, other: FloatArray, cell_m: float) -> float:
-    """How well two shapes, (N, 2) and (M, 2) cells, cover each other at the best turn, 0 to 1.
+    """Return how well two shapes, (N, 2) and (M, 2) cells, cover each other at the best rotation, 0 to 1.
 
-    A lidar meets other sides of a thing that has been turned: the mean of the shares of each that lie on the
-    other. Shapes of different length are none.
+    It is the mean of the shares of each that cover the other, since a lidar sees other sides of an object
+    that was rotated. Shapes of different length do not match.
     """
     if round(abs(_size(one, cell_m)[0] - _size(other, cell_m)[0]) / cell_m) > 2:
         return 0.0
@@ -107,7 +107,7 @@ def _likeness(one: FloatArray, other: FloatArray, cell_m: float) -> float:
 
 
 def _size(cells_m: FloatArray, cell_m: float) -> tuple[float, float]:
-    """Length and width of the smallest rectangle around the middles of (N, 2) cells, a cell at least."""
+    """Return length and width of the smallest rectangle around (N, 2) cell centres, at least one cell."""
     sides = []
     for turn in _TURNS[: len(_TURNS) // 4]:
         c, s = math.cos(turn), math.sin(turn)
@@ -117,7 +117,7 @@ def _size(cells_m: FloatArray, cell_m: float) -> tuple[float, float]:
 
 
 def _around(cells_m: FloatArray, cell_m: float) -> FloatArray:
-    """(M, 2) corners of the convex hull of (N, 2) cells, counter-clockwise."""
+    """Return (M, 2) corners of the convex hull of (N, 2) cells, counter-clockwise."""
     square = 0.5 * cell_m * np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])
     corners = (cells_m[:, None] + square).reshape(-1, 2)
     return np.asarray(corners[spatial.ConvexHull(corners).vertices])

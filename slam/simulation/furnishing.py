@@ -91,7 +91,7 @@ def furnish(plan: RoomPlan, rng: np.random.Generator) -> list[Thing]:
 def place_once_more(
     plan: RoomPlan, others: Sequence[Thing], thing: Thing, rng: np.random.Generator, at_wall: bool
 ) -> Thing | None:
-    """A piece, given by itself, where it fits among what stands in a room; None where it fits nowhere."""
+    """A piece, given by itself, where it fits among what stands in a room; None if it fits nowhere."""
     standing = [*plan.fixed, *others]
     site = _site(plan, standing, _low(standing))
     _try_places(site, thing, rng, at_wall=at_wall)

@@ -101,7 +101,7 @@ class Rearrangement:
     Attributes
     ----------
     before, after
-        As it stood, and as it stands; None where it was brought, or carried away.
+        As it stood, and as it stands; None if it was brought, or carried away.
     """
 
     before: Thing | None

@@ -121,7 +121,7 @@ def step_graph(nodes: IntArray, price: FloatArray) -> sparse.csr_array:
 
 
 def chain(before: NDArray[np.integer], start: int, end: int) -> IntArray | None:
-    """The nodes from start to end by `csgraph`'s predecessors (nodes,); None where no way leads."""
+    """The nodes from start to end by `csgraph`'s predecessors (nodes,); None if no way leads."""
     found = [end]
     while found[-1] != start:
         previous = int(before[found[-1]])

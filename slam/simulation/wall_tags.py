@@ -36,7 +36,7 @@ def hang_tags(home: Home, count: int, seed: int, way_xyt: FloatArray, side_m: fl
     Raises
     ------
     ConfigError
-        Where there are not so many free places.
+        If there are not so many free places.
     """
     rng, scene = generator(seed, "tags"), Scene(home)
     places = [place for room in home.rooms for place in _places(room.rectangle, rng)]

@@ -1,1 +1,1 @@
-"""Files that the product writes and reads: ``map.db``, and the formats of other programs."""
+"""Files that Scanweave writes and reads: ``map.db``, and the formats of other programs."""

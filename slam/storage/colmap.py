@@ -1,7 +1,7 @@
-"""Posed images as a COLMAP model, in binary and in text: cameras, images and a cloud to start from.
+"""Images with poses as a COLMAP model, in binary and in text: cameras, images and an initial cloud.
 
-https://colmap.github.io/format.html. COLMAP's pixels begin at their corner, ours at their middle: half a
-pixel lies between the principal points. Points have no tracks: they are of a surface, not of features.
+https://colmap.github.io/format.html. COLMAP's pixels start at their corner, ours at their centre: the
+principal points differ by half a pixel. Points have no tracks: they come from a surface, not from features.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ def write_colmap(folder: Path, images: Sequence[PosedImage], cloud: ColoredCloud
     Raises
     ------
     MapFileError
-        Where a file cannot be written.
+        If a file cannot be written.
     """
     cameras: dict[tuple[str, CameraIntrinsics], int] = {}
     for image in images:

@@ -1,4 +1,4 @@
-"""Covariances of poses as text beside a TUM file: a stamp and an upper triangle a line, without loss."""
+"""Pose covariances as text beside a TUM file: per line a stamp and an upper triangle, without loss."""
 
 from __future__ import annotations
 

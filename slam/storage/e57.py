@@ -1,4 +1,4 @@
-"""Clouds as E57, which survey programs open: each where it was taken, with the pose of its scanner."""
+"""Clouds as E57 for survey programs: each with the pose of its scanner."""
 
 from __future__ import annotations
 
@@ -30,9 +30,9 @@ def write_e57(
     Raises
     ------
     LibraryError
-        Where pye57 is not installed.
+        If pye57 is not installed.
     MapFileError
-        Where the file cannot be written.
+        If the file cannot be written.
     """
     try:
         import pye57

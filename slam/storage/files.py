@@ -1,4 +1,4 @@
-"""How every text and image file of the product is read and written: whole, or not at all."""
+"""Read and write all text and image files of Scanweave: completely, or not at all."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def replacing(path: Path) -> Iterator[Path]:
     Raises
     ------
     MapFileError
-        Where the folder is missing, not writable or full; nothing is left behind.
+        If the folder is missing, not writable or full; nothing is left behind.
     """
     path = Path(path)
     temporary = path.with_name(f".{path.stem}.{secrets.token_hex(8)}.tmp{path.suffix}")
@@ -52,7 +52,7 @@ def make_folder(path: Path) -> None:
     Raises
     ------
     MapFileError
-        Where that cannot be done, or a file of that name is in the way.
+        If that cannot be done, or a file of that name is in the way.
     """
     try:
         Path(path).mkdir(parents=True, exist_ok=True)

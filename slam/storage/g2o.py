@@ -1,4 +1,4 @@
-"""Pose graphs as g2o text, 2D and 3D, with full precision and gtsam's order of the tangent space."""
+"""Pose graphs as g2o text, 2D and 3D, with full precision and GTSAM's order of the tangent space."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ def write_g2o(path: Path, poses: Sequence[Pose], edges: Iterable[Edge]) -> None:
     Raises
     ------
     MapFileError
-        Where a pose or an information matrix is not finite, or the file cannot be written.
+        If a pose or an information matrix is not finite, or the file cannot be written.
 
     Examples
     --------

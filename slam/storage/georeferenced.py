@@ -1,4 +1,4 @@
-"""Where a map lies on the earth, and the way of the robot there, for programs of the earth."""
+"""Georeference of a map, and the path of the robot on the earth, as files for GIS programs."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ def write_georeference(path: Path, earth: Georeference) -> None:
     Raises
     ------
     MapFileError
-        Where it cannot be written.
+        If it cannot be written.
     """
     plane, (latitude, longitude, altitude) = earth.plane, earth.geodetic(np.zeros(3))
     rows = np.asarray(earth.T_enu_map.matrix())[:3]
@@ -46,7 +46,7 @@ def write_gpx(path: Path, trajectory: Trajectory, earth: Georeference) -> None:
     Raises
     ------
     MapFileError
-        Where it cannot be written.
+        If it cannot be written.
     """
 
     def lines() -> list[str]:

@@ -1,7 +1,7 @@
-"""A coloured mesh as binary glTF 2.0, as browsers, Blender and phones open it.
+"""Coloured mesh as binary glTF 2.0, for browsers, Blender and phones.
 
-https://registry.khronos.org/glTF/specs/2.0/glTF-2.0.html: y is up, colours of vertices are linear. They are
-what was seen, light included, so that the material is not lit again (KHR_materials_unlit).
+https://registry.khronos.org/glTF/specs/2.0/glTF-2.0.html: y is up, vertex colours are linear. They contain
+the light of the scene, so the material is not lit again (KHR_materials_unlit).
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ def write_mesh_glb(path: Path, mesh: ColoredMesh) -> None:
     Raises
     ------
     MapFileError
-        Where the mesh is empty or the file cannot be written.
+        If the mesh is empty or the file cannot be written.
     """
     if not len(mesh.faces):
         raise MapFileError(f"no triangles for {path}: no surface was seen often enough")

@@ -1,4 +1,4 @@
-"""The ground of a 3D lidar's map as layers: its height, and how steep it is."""
+"""Ground of a 3D lidar's map as layers: its height and its slope."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ def write_ground_layers(folder: Path, ground: Elevation | None, driving_yaml: Pa
     Parameters
     ----------
     driving_yaml
-        The map to drive by, whose form the yaml files have.
+        The navigation map, whose form the yaml files have.
 
     Returns
     -------
@@ -32,7 +32,7 @@ def write_ground_layers(folder: Path, ground: Elevation | None, driving_yaml: Pa
     Raises
     ------
     MapFileError
-        Where a file cannot be written.
+        If a file cannot be written.
     """
     if ground is None:
         remove_maps(folder, {_ELEVATION, _SLOPE})

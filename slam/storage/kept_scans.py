@@ -1,4 +1,4 @@
-"""Scans of keyframes that are read when they are asked for."""
+"""Scans of keyframes that are read when they are needed."""
 
 from __future__ import annotations
 

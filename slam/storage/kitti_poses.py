@@ -1,4 +1,4 @@
-"""Trajectories as the KITTI odometry benchmark has them: a 3 x 4 matrix a line, and times beside it."""
+"""Trajectories in the format of the KITTI odometry benchmark: a 3 x 4 matrix per line, times in a file."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ def write_kitti(path: Path, trajectory: Trajectory) -> list[Path]:
     Raises
     ------
     MapFileError
-        Where a file cannot be written.
+        If a file cannot be written.
     """
     poses = trajectory.poses()
     first = poses[0].inverse()

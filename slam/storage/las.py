@@ -1,4 +1,4 @@
-"""Clouds as LAS 1.4, which survey programs open: points in millimetres, colours, intensities, the ground."""
+"""Clouds as LAS 1.4 for survey programs: points in millimetres, colours, intensities, the ground."""
 
 from __future__ import annotations
 
@@ -29,9 +29,9 @@ def write_las(path: Path, cloud: ColoredCloud, is_ground: BoolArray) -> None:
     Raises
     ------
     LibraryError
-        Where laspy is not installed.
+        If laspy is not installed.
     MapFileError
-        Where the file cannot be written.
+        If the file cannot be written.
     """
     try:
         import laspy

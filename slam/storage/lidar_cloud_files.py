@@ -1,4 +1,4 @@
-"""The cloud of a 3D lidar's map as other programs open it, whole or in tiles; what has gone beside it."""
+"""Cloud of a 3D lidar's map for other programs, whole or in tiles; removed points in a file beside it."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ class LidarCloud:
     is_ground
         Of points (N, 3), which (N,) are the ground.
     gone
-        What only passed by, in parts; None where nothing did.
+        What only passed by, in parts; None if nothing did.
     """
 
     stays: Iterable[ColoredCloud]
@@ -51,7 +51,7 @@ def write_lidar_cloud(path: Path, cloud: LidarCloud) -> list[Path]:
     Raises
     ------
     MapFileError
-        Where the map shows nothing, or a file cannot be written.
+        If the map shows nothing, or a file cannot be written.
     """
     write_cloud_ply(path, cloud.stays)
     beside = path.with_name(f"{path.stem}_passed_by.ply")
@@ -70,9 +70,9 @@ def export_cloud(format_: str, out: Path, cloud: LidarCloud) -> list[Path]:
     Raises
     ------
     LibraryError
-        Where LAS is asked for without laspy.
+        If LAS is asked for without laspy.
     MapFileError
-        Where the map shows nothing, or a file cannot be written.
+        If the map shows nothing, or a file cannot be written.
     """
     name = format_.removesuffix(TILES)
     write = _WRITERS[name]

@@ -1,4 +1,4 @@
-"""Keyframe clouds of a 3D lidar in ``map.db``; each is read when it is asked for."""
+"""Keyframe clouds of a 3D lidar in ``map.db``; each is read when it is needed."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ class MapClouds:
         Raises
         ------
         ScanweaveError
-            Where a point is not finite, the map cannot be written, or an interrupted run had another cloud
+            If a point is not finite, the map cannot be written, or an interrupted run had another cloud
             here.
         """
         key = self._count
@@ -74,14 +74,14 @@ class MapClouds:
         Raises
         ------
         IndexError
-            Where there is no such keyframe.
+            If there is no such keyframe.
         MapFileError
-            Where its row is damaged.
+            If its row is damaged.
         """
         return self.rows(key, everything=everything, intensities=False)
 
     def intensities(self, key: int, *, everything: bool = False) -> Float32Array | None:
-        """(N,) of the points, in the sensor's own steps; None where its log did not tell them."""
+        """(N,) of the points, in the sensor's own steps; None if its log did not tell them."""
         rows = self.rows(key, everything=everything)
         return rows[:, 3].astype(np.float32) if rows.shape[1] > 3 else None
 
@@ -121,7 +121,7 @@ class MapClouds:
         Raises
         ------
         MapFileError
-            Where a row is damaged, or the other map cannot be written.
+            If a row is damaged, or the other map cannot be written.
         """
         for key in range(len(self))[:most]:
             file.append(CLOUDS, *self._row(key))

@@ -1,4 +1,4 @@
-"""Connections to ``map.db``: one that writes, one that trusts nothing, and what SQLite says in one line."""
+"""Connections to ``map.db``: one for writing, one that trusts nothing, and SQLite errors in one line."""
 
 from __future__ import annotations
 
@@ -32,11 +32,11 @@ def reader(path: Path) -> sqlite3.Connection:
     Raises
     ------
     MapFileError
-        Where it is no SQLite file.
+        If it is no SQLite file.
     """
     with path.open("rb") as stream:
         if stream.read(len(_HEADER)) != _HEADER:
-            raise MapFileError(f"{path} is no map: not an SQLite file")
+            raise MapFileError(f"{path} is no map: not an SQLite file; give what 'scanweave map' has made")
     connection = foreign_database(path, immutable=True, views=False, any_thread=True)
     connection.execute("PRAGMA cell_size_check = ON")
     connection.execute("PRAGMA query_only = ON")

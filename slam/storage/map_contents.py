@@ -1,4 +1,4 @@
-"""A finished map, in memory and loaded, and its rows in ``map.db``."""
+"""Data of a finished map, in memory and loaded, and its rows in ``map.db``."""
 
 from __future__ import annotations
 
@@ -55,38 +55,38 @@ class SavedFactor:
 
 @dataclass(frozen=True)
 class MapContents:
-    """A finished map, of a run that ends as of a file.
+    """Data of a finished map, from a run or from a file.
 
     Attributes
     ----------
     node_poses
-        ``T_map_base`` of the K nodes, Pose2; in space Pose3, of a camera alone ``T_map_camera``.
+        ``T_map_base`` of the K nodes, Pose2 or in 3D Pose3; for a camera alone ``T_map_camera``.
     stamps_s, readings
-        (K,) time of each, and its number among the scans or frames of the log.
+        (K,) time of each node, and its number among the scans or frames of the log.
     trajectory
-        A pose for every reading of the log.
+        The pose of every reading of the log.
     covariances
-        (N, d, d) of each of its poses, see `Map.covariances`; None in a map of an older version.
+        (N, d, d) of the poses of the trajectory, see `Map.covariances`; None in a map of an older version.
     factors, loops
-        The graph's edges, and every loop candidate with its verdict.
+        The edges of the graph, and all loop candidates, accepted and rejected.
     measured_scans, keyframe_scans
-        The sweep of each node as measured, and as the camera has repaired it; None where there is none, and
-        empty where there is none at all.
+        The sweep of each node as measured, and after the repair by the camera; None for a node without a
+        sweep, and empty if there are no sweeps at all.
     grids
-        By name.
+        Grids by name.
     cameras
-        What the run learned of each camera, by its name.
+        What the run learned about each camera, by name.
     frames, clouds
-        Camera keyframes, and the clouds of the nodes; None where there are none. They are written while the
-        map is made, and read when they are asked for.
+        Camera keyframes, and the clouds of the nodes; None if there are none. They are written during
+        mapping, and read when they are needed.
     ground_m
-        Height of the floor in the base frame of a robot in space; None of another, or where it is not known.
+        Height of the floor in the base frame of a robot in 3D; None for other robots, or if unknown.
     edits
-        What a person has decided of the map; all else is as it is with them.
+        Edits of the map; they are already applied to all other fields.
     georeference
-        Where it lies on the earth; None where no satellite receiver has told that.
+        Position of the map on the earth; None without a GNSS receiver.
     places
-        Its tags, and where it lies in a surveyor's frame; None where nobody asked for them.
+        Tags of the map, and its pose in the surveyor's frame; None if none were requested.
     """
 
     node_poses: Sequence[Pose]
@@ -111,7 +111,7 @@ class MapContents:
 
     @property
     def planar(self) -> bool:
-        """Whether the robot stays on a floor; in space the nodes are bases with clouds, or else cameras."""
+        """Whether the robot is on a floor. Otherwise the nodes are bases with clouds, or cameras."""
         return all(isinstance(pose, gtsam.Pose2) for pose in self.node_poses[:1])
 
     @cached_property
@@ -126,16 +126,16 @@ class MapContents:
 
     @cached_property
     def path_m(self) -> FloatArray:
-        """(K,) way on the floor from the first keyframe to each."""
+        """(K,) path length on the floor from the first keyframe to each."""
         return np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(self.keyframe_poses[:, :2], axis=0).T))])
 
     @property
     def grid(self) -> OccupancyGrid | None:
-        """The lidar's grid; None of cameras alone, or where it could not be built."""
+        """The lidar grid; None if there are only cameras, or if it could not be built."""
         return self.grids.get(OCCUPANCY)
 
     def layers(self, config: Config) -> LayeredMap | None:
-        """The map to drive by and its layers; None where there is no grid."""
+        """The navigation map and its layers; None if there is no grid."""
         return layers_of_grids(self.grid, self.grids.get(DEPTH), config)
 
     def frame_poses(self) -> list[gtsam.Pose3]:
@@ -144,7 +144,7 @@ class MapContents:
 
     @property
     def T_base_lidar(self) -> gtsam.Pose3:
-        """Where the rays of the clouds begin."""
+        """Pose of the origin of the rays in the clouds."""
         assert self.clouds is not None
         return self.clouds.T_base_lidar(len(self.clouds) - 1)
 
@@ -154,7 +154,7 @@ class MapContents:
         Raises
         ------
         MapFileError
-            With the first that is damaged.
+            If one is damaged; the message names the first.
         """
         for index in range(len(self.frames or ())):
             assert self.frames
@@ -167,15 +167,15 @@ class MapContents:
 
     @property
     def registrations(self) -> dict[str, ColorRegistration]:
-        """Where colour cameras sit beside their depth cameras, as far as the run has asked, by name."""
+        """Pose of colour cameras relative to their depth cameras, by name, if the run estimated them."""
         learned = {name: one.registration for name, one in self.cameras.items()}
         return {name: found for name, found in learned.items() if found is not None}
 
 
 def clock_sigma_s(contents: MapContents, nodes: slice = slice(None)) -> float:
-    """By how much the stamps of all poses around some nodes may be off together; 0 but of a camera on wheels.
+    """Return the common stamp error (sigma) of all poses around some nodes; 0 except for a camera on wheels.
 
-    Without a lidar's scan the stamps are those of the cameras, by what their clocks are less the wheels'.
+    Without lidar scans, the stamps are those of the cameras, corrected by their clock offset to the wheels.
     """
     if not contents.planar or any(scan is not None for scan in contents.measured_scans[nodes]):
         return 0.0
@@ -185,7 +185,7 @@ def clock_sigma_s(contents: MapContents, nodes: slice = slice(None)) -> float:
 
 
 def parts_of(contents: MapContents, sessions: Sequence[MapSession]) -> list[tuple[int, int, float]]:
-    """Keyframes, poses and `clock_sigma_s` of the first sessions of a map."""
+    """Return keyframes, poses and `clock_sigma_s` of the first sessions of a map."""
     ends = itertools.accumulate(one.keyframes for one in sessions)
     return [
         (one.keyframes, one.poses, clock_sigma_s(contents, slice(end - one.keyframes, end)))
@@ -194,12 +194,12 @@ def parts_of(contents: MapContents, sessions: Sequence[MapSession]) -> list[tupl
 
 
 def write_contents(file: MapFile, contents: MapContents) -> None:
-    """Write what is known when a map is finished: all but frames and clouds.
+    """Write the data of a finished map, except frames and clouds.
 
     Raises
     ------
     MapFileError
-        Where the file cannot be written.
+        If the file cannot be written.
     """
     for table in (KEYFRAMES, FACTORS, LOOPS, TRAJECTORY, COVARIANCES, GRIDS, CAMERAS):
         file.clear(table)  # an interrupt may have come amid the writing
@@ -236,12 +236,12 @@ def write_contents(file: MapFile, contents: MapContents) -> None:
 
 
 def read_contents(file: MapFile) -> MapContents:
-    """Everything, frames and clouds to be read later.
+    """Read the data of a map; frames and clouds are read later.
 
     Raises
     ------
     MapFileError
-        Where a row is damaged, or does not fit the others.
+        If a row is damaged, or does not fit the others.
     """
     edits = read_edits(file)
     frames, clouds = (
@@ -292,7 +292,7 @@ def read_contents(file: MapFile) -> MapContents:
 
 
 def refuse_misfits(file: MapFile, contents: MapContents) -> None:
-    """Refuse frames and clouds that do not fit the nodes; `MapFileError` as in `read_contents`."""
+    """Check that frames and clouds fit the nodes; raises `MapFileError` as `read_contents`."""
     frames, clouds, nodes = contents.frames, contents.clouds, contents.node_poses
     in_space = sum(isinstance(pose, gtsam.Pose3) for pose in nodes)
     if clouds is not None and not len(clouds) == len(nodes) == in_space:
@@ -309,7 +309,7 @@ def refuse_misfits(file: MapFile, contents: MapContents) -> None:
 
 
 def _each(pairs: Sequence[Any], of_pair: Callable[[_Scans], LaserScan | None]) -> Sequence[LaserScan | None]:
-    """A scan of each pair, read when it is asked for as the pairs are."""
+    """A scan of each pair, read when it is needed as the pairs are."""
     if isinstance(pairs, KeptScans):
         return KeptScans(len(pairs), lambda key: of_pair(pairs[key]))
     return [of_pair(pair) for pair in pairs]
@@ -351,7 +351,7 @@ def _kind(name: str) -> str:
 
 
 def _covariances(file: MapFile, poses: int, dimension: int, small: Unpack) -> FloatArray | None:
-    """Those of the trajectory; None where the map tells none."""
+    """Those of the trajectory; None if the map tells none."""
     rows = list(file.parsed(COVARIANCES, lambda row: _triangles(row, dimension, small)))
     if not rows:
         return None

@@ -1,7 +1,7 @@
-"""What a person has decided of a map, in ``map.db``: the edits in their order, and how the map was before.
+"""Edits of a map in ``map.db``: in their order, and how the map was before.
 
-The other tables hold the map as it is with its edits. The rows of them that the edits have changed lie here
-as they were: the unedited map is those, and all rows that nobody has touched.
+The other tables contain the map with its edits. Rows that the edits changed are also stored here in their old
+form: these, and all unchanged rows, are the unedited map.
 """
 
 from __future__ import annotations
@@ -107,7 +107,7 @@ class AppliedEdits:
     regions
         Zones, places, crop, and what was erased.
     turned
-        ``T_new_old`` of the map frame; None where it is as it was.
+        ``T_new_old`` of the map frame; None if it is as it was.
     settings
         Other values of settings, as ``--set`` takes them.
     """
@@ -140,7 +140,7 @@ def mask_of(bits: bytes, size: int) -> BoolArray:
     Raises
     ------
     MapFileError
-        Where they are of another size.
+        If they are of another size.
     """
     require(len(bits) == (size + 7) // 8, "an edit takes away of evidence of another size")
     return np.unpackbits(np.frombuffer(bits, np.uint8), count=size).astype(np.bool_)
@@ -152,7 +152,7 @@ def read_edits(file: MapFile) -> list[AppliedEdits]:
     Raises
     ------
     MapFileError
-        Where a row is damaged, or does not fit the map.
+        If a row is damaged, or does not fit the map.
     """
     entries, small, nodes = list[AppliedEdits](), Unpacker(file.size), file.count(KEYFRAMES)
     for number, (source, _, content) in enumerate(file.rows(EDITS)):
@@ -267,7 +267,7 @@ def copy_unedited(source: MapFile, path: Path) -> None:
     Raises
     ------
     MapFileError
-        Where a row is damaged, or the file cannot be written.
+        If a row is damaged, or the file cannot be written.
     """
     before = UneditedFile(source)
     file = MapFile.create(path)

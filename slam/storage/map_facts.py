@@ -1,4 +1,4 @@
-"""Facts of a map beside its tables: the height of the floor, and where it lies on the earth."""
+"""Facts of a map beside its tables: the height of the floor, and the georeference."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def write_facts(
     Raises
     ------
     MapFileError
-        Where the file cannot be written.
+        If the file cannot be written.
     """
     if ground_m is not None:
         file.add_meta(_GROUND, json.dumps(ground_m))
@@ -48,7 +48,7 @@ def ground_of_file(file: MapFile) -> float | None:
 
 
 def georeference_of_file(file: MapFile, first: Pose) -> Georeference | None:
-    """Where a map lies on the earth whose first node is at ``first``; None where it does not tell that.
+    """Where a map lies on the earth whose first node is at ``first``; None if it does not tell that.
 
     Raises
     ------

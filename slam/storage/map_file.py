@@ -1,4 +1,4 @@
-"""``map.db`` itself: one SQLite file of numbered, checksummed rows, written while mapping, then sealed."""
+"""``map.db``: one SQLite file of numbered rows with checksums, written during mapping, then sealed."""
 
 from __future__ import annotations
 
@@ -97,12 +97,12 @@ class MapFile:
 
     @classmethod
     def resume(cls, path: Path) -> MapFile | None:
-        """A map that was begun, to go on with it; None where nothing is there yet.
+        """A map that was begun, to go on with it; None if nothing is there yet.
 
         Raises
         ------
         MapFileError
-            Where it is no map, is damaged, or another process writes it.
+            If it is no map, is damaged, or another process writes it.
         """
         if not path.exists() or not path.stat().st_size:
             return None
@@ -130,7 +130,7 @@ class MapFile:
         Raises
         ------
         MapFileError
-            Where it is no map, is not finished, or rows are missing.
+            If it is no map, is not finished, or rows are missing.
         """
         path = map_path(path)
         if not path.is_file():
@@ -201,7 +201,7 @@ class MapFile:
         Raises
         ------
         MapFileError
-            Where it is missing or damaged.
+            If it is missing or damaged.
         """
         with self.blaming(table, number):
             found = self._connection.execute(f"SELECT * FROM {table.name} WHERE number = ?", (number,))

@@ -1,4 +1,4 @@
-"""Camera keyframes in ``map.db``: images and features are read when they are asked for."""
+"""Camera keyframes in ``map.db``: images and features are read when they are needed."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ class FrameHead:
         The node of the graph that it belongs to.
     T_base_camera
         Where the camera was when it took the frame, seen from the base at the node; in space the mounting,
-        and None where the camera is its own base.
+        and None if the camera is its own base.
     """
 
     node: int
@@ -74,7 +74,7 @@ class MapFrames:
         Raises
         ------
         ScanweaveError
-            Where a depth is not finite, or the map cannot be written.
+            If a depth is not finite, or the map cannot be written.
         """
         index = self._count
         self._count += 1
@@ -139,9 +139,9 @@ class MapFrames:
         Raises
         ------
         IndexError
-            Where there is no such frame.
+            If there is no such frame.
         MapFileError
-            Where its row is damaged.
+            If its row is damaged.
         """
         head = self.head(index)
         images = self._file.row(IMAGES, index)
@@ -173,7 +173,7 @@ class MapFrames:
         Raises
         ------
         MapFileError
-            Where a row is damaged, or the other map cannot be written.
+            If a row is damaged, or the other map cannot be written.
         """
         for index in range(len(self)):
             node, *rest = self._row(index)

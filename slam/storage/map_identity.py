@@ -1,4 +1,4 @@
-"""What decides a map: log, configuration, versions. A run is resumed by its like alone."""
+"""What determines a map: log, configuration, versions. A run is only resumed if they are the same."""
 
 from __future__ import annotations
 
@@ -40,16 +40,16 @@ _OUTPUTS = frozenset(
 
 @dataclass(frozen=True, slots=True)
 class MapIdentity:
-    """What decided a map.
+    """What determines a map.
 
     Attributes
     ----------
     config
-        The effective configuration, with the seed.
+        The configuration, with the seed.
     log_name, log_fingerprint
-        Of the log, see `fingerprint_of`.
+        Name and digest of the log, see `fingerprint_of`.
     versions
-        Of the libraries, and under ``code`` the digest of Scanweave's own source.
+        Versions of the libraries, and under ``code`` the digest of Scanweave's own source.
     """
 
     config: Config
@@ -74,7 +74,7 @@ class MapIdentity:
         Raises
         ------
         MapFileError
-            Where a row is missing, or the configuration is that of another version.
+            If a row is missing, or the configuration is of another version.
         """
         try:
             config = Config.model_validate_json(json.dumps(_known(from_json(meta[CONFIG]))))
@@ -95,7 +95,7 @@ class MapIdentity:
             ) from error
 
     def difference(self, now: MapIdentity) -> str | None:
-        """What of a run that goes on now is not as it was, in a few words; None where all is the same."""
+        """Describe what differs from an interrupted run in a few words; None if nothing differs."""
         if now.log_fingerprint != self.log_fingerprint:
             return f"it was begun with another log, {self.log_name}"
         before, after = (dict(leaves(one.config.model_dump(mode="json"))) for one in (self, now))
@@ -109,7 +109,7 @@ class MapIdentity:
 
 
 def _known(settings: Any, model: type[BaseModel] = Config) -> Any:
-    """Settings that this version knows: what those of earlier ones decided is in the map."""
+    """Keep the settings that this version knows; the effects of others are already in the map."""
     if not isinstance(settings, dict):
         return settings
     kinds = {name: field.annotation for name, field in model.model_fields.items() if name in settings}
@@ -122,7 +122,7 @@ def _known(settings: Any, model: type[BaseModel] = Config) -> Any:
 
 
 def identity_of(log: Path | Dataset, config: Config) -> MapIdentity:
-    """What decides the map of a log; one that lies in no file is known by its stamps and sensors."""
+    """Return the identity of a map; a log without file is identified by its stamps and sensors."""
     path = log if isinstance(log, Path) else log.path
     if isinstance(log, Path) or path.exists() or any(at.is_file() for at in path.parents):
         fingerprint = fingerprint_of(path)
@@ -135,21 +135,21 @@ def identity_of(log: Path | Dataset, config: Config) -> MapIdentity:
 
 
 def current_versions() -> dict[str, str]:
-    """Versions of the libraries that decide a result, and the digest of Scanweave's own source."""
+    """Return versions of the libraries that affect a result, and the digest of Scanweave's own source."""
     return {**_versions(), "code": _code_digest()}
 
 
 def fingerprint_of(log: Path) -> str:
-    """Digest of a log: names, sizes and checksums of its files, of images name and size alone.
+    """Return the digest of a log: names, sizes and checksums of its files; for images only name and size.
 
-    It tells logs apart, and proves nothing to who would forge one: a checksum of each block, at a fifth of
-    the cost of a cryptographic digest. What an earlier run has written into the folder of its log is passed
-    over.
+    It distinguishes logs, but is no protection against forgery: it uses a checksum of each block, at a fifth
+    of the cost of a cryptographic digest. Files that an earlier run wrote into the folder of the log are
+    ignored.
 
     Raises
     ------
     DatasetError
-        Where it cannot be read.
+        If it cannot be read.
     """
     digest, block = hashlib.blake2b(digest_size=16), memoryview(bytearray(_BLOCK))
     try:
@@ -170,7 +170,7 @@ def fingerprint_of(log: Path) -> str:
 
 
 def _files(root: Path) -> list[Path]:
-    """The files of a log's folder, without those of maps that were made of it."""
+    """Return the files of a log's folder, without those of its maps."""
     maps = {found.parent for found in root.rglob(MAP_NAME)} - {root}
     return [
         file
@@ -194,7 +194,7 @@ def _versions() -> dict[str, str]:
 
 @cache
 def _code_digest() -> str:
-    """Digest of Scanweave's own source, as it is when first asked for: later edits are not what runs."""
+    """Return the digest of Scanweave's own source at the first call: later edits are not what runs."""
     digest = hashlib.blake2b(digest_size=8)
     for root in (Path(__file__).parents[1], Path(fusion.__file__).parent):
         for file in sorted(root.rglob("*.py")):
@@ -207,7 +207,7 @@ NOTES, WARNINGS = "notes", "warnings"
 
 
 def lines_of(meta: Mapping[str, str], key: str, path: Path) -> list[str]:
-    """Lines of text from a row of the file; none in a map of an older version."""
+    """Return lines of text from a row of the file; none in a map of an older version."""
     try:
         lines = from_json(meta.get(key, "[]"))
     except ValueError as error:

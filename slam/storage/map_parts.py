@@ -1,4 +1,4 @@
-"""The parts of ``map.db`` that are read by themselves, too: the trajectory and the grids."""
+"""Parts of ``map.db`` that can be read separately: the trajectory and the grids."""
 
 from __future__ import annotations
 

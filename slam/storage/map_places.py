@@ -1,4 +1,4 @@
-"""Tags of a map, and where it lies in a surveyor's frame: facts of the map's file, and yaml for people."""
+"""Tags of a map, and its pose in the surveyor's frame: stored in the map file, and as YAML for users."""
 
 from __future__ import annotations
 
@@ -64,7 +64,7 @@ class MapPlaces:
     tags
         By number.
     T_survey_map
-        Where it lies in the surveyor's frame; None where nothing tells that.
+        Where it lies in the surveyor's frame; None if nothing tells that.
     """
 
     family: str
@@ -78,7 +78,7 @@ def write_places(file: MapFile, places: MapPlaces | None, first: Pose) -> None:
     Raises
     ------
     MapFileError
-        Where the file cannot be written.
+        If the file cannot be written.
     """
     if places is None:
         return
@@ -89,7 +89,7 @@ def write_places(file: MapFile, places: MapPlaces | None, first: Pose) -> None:
 
 
 def places_of_file(file: MapFile, poses: Sequence[Pose]) -> MapPlaces | None:
-    """Tags and survey of a map with these nodes; None where it tells none.
+    """Tags and survey of a map with these nodes; None if it tells none.
 
     Raises
     ------
@@ -116,7 +116,7 @@ def write_places_yaml(path: Path, places: MapPlaces, node_poses: Sequence[Pose])
     Raises
     ------
     MapFileError
-        Where it cannot be written.
+        If it cannot be written.
     """
     T_survey_map = places.T_survey_map or gtsam.Pose3()
     lines = [f"family: {places.family}"]

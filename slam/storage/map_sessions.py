@@ -1,4 +1,4 @@
-"""The logs that a map was made of, in the order in which they were joined."""
+"""The logs of a map, in the order in which they were joined."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ class MapSession:
     log_name, log_fingerprint
         As in `slam.storage.map_identity.MapIdentity`.
     keyframes, poses
-        How many of the map's keyframes and poses are its own; they follow those of the sessions before.
+        Number of its keyframes and poses in the map; they follow those of the earlier sessions.
     """
 
     log_name: str
@@ -35,22 +35,22 @@ class MapSession:
 
 
 def session_numbers(sessions: Sequence[MapSession]) -> NDArray[np.int64]:
-    """(K,) the number of the session, from 0, of each keyframe of a map."""
+    """Return (K,) the session number, from 0, of each keyframe of a map."""
     return np.repeat(np.arange(len(sessions)), [session.keyframes for session in sessions])
 
 
 def sessions_to_meta(sessions: Sequence[MapSession]) -> str:
-    """As the value of one row of the file."""
+    """Return sessions as the value of one row of the file."""
     return json.dumps([asdict(session) for session in sessions])
 
 
 def sessions_of(meta: Mapping[str, str], keyframes: int, poses: int) -> list[MapSession]:
-    """The sessions of a map that holds so many keyframes and poses; a map of one log does not tell them.
+    """Return the sessions of a map with these numbers of keyframes and poses; not stored for a single log.
 
     Raises
     ------
     MapFileError
-        Where they are reported, but do not make up the map.
+        If they are stored, but their numbers do not match the map.
     """
     if SESSIONS not in meta:
         return [MapSession(meta["log_name"], meta["log_fingerprint"], keyframes, poses)]

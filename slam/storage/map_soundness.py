@@ -1,8 +1,8 @@
-"""What is refused of a saved map: numbers that are none or out of range, wrong shapes, no rotations.
+"""Checks of a saved map: numbers that are invalid or out of range, wrong shapes, invalid rotations.
 
-`MapFile` refuses columns of another type, `slam.storage.packing` poses that are none, this file what no run
-writes into a record. Every command that opens a map asks all of it, row by row, before it believes the map.
-Another table is one more function of this file, called where its rows are read.
+`MapFile` rejects columns of a wrong type, `slam.storage.packing` rejects invalid poses, and this file rejects
+values that no run writes. Every command that opens a map checks all of it, row by row, before using it.
+A new table needs one more function in this file, called where its rows are read.
 """
 
 from __future__ import annotations

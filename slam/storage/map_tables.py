@@ -1,4 +1,4 @@
-"""The tables of ``map.db``: which there are, and the checksum of a row."""
+"""List of the tables of ``map.db``, and the checksum of a row."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a map has found as a ROS 2 bag in MCAP, which Foxglove and RViz show: plan, way, frames and clouds."""
+"""Results of a map as a ROS 2 bag in MCAP for Foxglove and RViz: plan, path, frames and clouds."""
 
 from __future__ import annotations
 
@@ -59,7 +59,7 @@ def write_results_bag(
     Raises
     ------
     MapFileError
-        Where the folder is there, or cannot be written.
+        If the folder is there, or cannot be written.
     """
     from rosbags.rosbag2 import StoragePlugin, Writer, WriterError
 
@@ -102,7 +102,7 @@ def write_results_bag(
 
 
 def _grid(plan: Plan, stamp_s: float) -> Any:
-    """The map to drive by."""
+    """The navigation map."""
     header = ros.header(stamp_s, _MAP)
     rows, columns = plan.states.shape
     about = ros.new(

@@ -1,4 +1,4 @@
-"""Maps as nav2's map server writes and reads them: ``map.yaml`` beside ``map.pgm``."""
+"""Maps in the format of nav2's map server: ``map.yaml`` and ``map.pgm``."""
 
 from __future__ import annotations
 
@@ -78,7 +78,7 @@ def write_nav2_map(
     Raises
     ------
     MapFileError
-        Where there are other states, no cells, or the files cannot be written.
+        If there are other states, no cells, or the files cannot be written.
     """
     stem = Path(stem)
     image_path, yaml_path = stem.with_name(f"{stem.name}.pgm"), stem.with_name(f"{stem.name}.yaml")

@@ -1,4 +1,4 @@
-"""A finished map for nav2: the one to drive by, and beside it the layers that it was made of."""
+"""Finished map for nav2: the navigation map, and beside it the layers from which it was made."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def write_driving_map(stem: Path, layers: LayeredMap) -> tuple[Path, Path]:
     Raises
     ------
     MapFileError
-        Where a file cannot be written.
+        If a file cannot be written.
     """
     by = [name for name, grid in (("lidar", layers.lidar), ("cameras", layers.depth)) if grid is not None]
     rule = f", by rule {layers.rule.rule} (layers.rule)" if len(by) > 1 else ""
@@ -56,7 +56,7 @@ def write_layers(folder: Path, layers: LayeredMap) -> list[Path]:
     Raises
     ------
     MapFileError
-        Where a file cannot be written.
+        If a file cannot be written.
     """
     remove_maps(folder, set(LAYERS) - set(layers.names))
     if not layers.names:
@@ -76,7 +76,7 @@ def write_passed_by(folder: Path, grid: OccupancyGrid | None) -> list[Path]:
     Raises
     ------
     MapFileError
-        Where a file cannot be written.
+        If a file cannot be written.
     """
     if grid is None:
         remove_maps(folder, {_PASSED_BY})

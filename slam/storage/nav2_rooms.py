@@ -1,7 +1,7 @@
-"""A floor plan for nav2: where to keep out, where to drive slowly, and the route graph.
+"""Floor plan for nav2: keep-out zones, speed zones and the route graph.
 
-The masks are read by nav2's map server and costmap filters (KeepoutFilter, SpeedFilter), whose parameters are
-in ``zones.yaml``; the graph by the GeoJsonGraphFileLoader of nav2_route (format of release 1.3).
+nav2's map server and costmap filters (KeepoutFilter, SpeedFilter) read the masks; their parameters are in
+``zones.yaml``. The GeoJsonGraphFileLoader of nav2_route reads the graph (format of release 1.3).
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ def write_room_zones(folder: Path, plan: FloorPlan, layers: LayeredMap, radius_m
     Raises
     ------
     ScanweaveError
-        Where the plan has no room, or a file cannot be written.
+        If the plan has no room, or a file cannot be written.
     """
     if not plan.rooms:
         raise ScanweaveError("the map shows no room, so there are no zones to write")

@@ -1,4 +1,4 @@
-"""Zones that a person has drawn, as masks of nav2's costmap filters beside the map to drive by.
+"""Zones that the user drew, as masks of nav2's costmap filters beside the navigation map.
 
 The keep-out mask is 100 where the robot must not go (KeepoutFilter). The speed mask holds percent of the
 usual speed, and 0, which is no limit, elsewhere (SpeedFilter of type 1, base 0, multiplier 1).
@@ -47,7 +47,7 @@ def write_zones(
     Raises
     ------
     MapFileError
-        Where a file cannot be written.
+        If a file cannot be written.
     """
     masks: dict[str, StateArray] = {}
     size, place = layers.states("decision").shape, (layers.resolution_m, layers.T_map_grid)
@@ -79,7 +79,7 @@ def without_keep_out(grid: Nav2Map, path: Path) -> StateArray:
     Raises
     ------
     MapFileError
-        Where the mask cannot be read.
+        If the mask cannot be read.
     """
     mask_path = path.with_name(f"{KEEP_OUT}.yaml")
     if not mask_path.is_file():

@@ -1,7 +1,7 @@
-"""OctoMap's binary tree (``.bt``): which space is occupied, free or unknown, for 3D planners.
+"""OctoMap's binary tree (``.bt``): occupied, free and unknown space, for 3D planners.
 
 Hornung et al., "OctoMap: an efficient probabilistic 3D mapping framework based on octrees", Autonomous Robots
-2013; its own library does the work, with its own sensor model.
+2013; its own library builds the tree, with its own sensor model.
 """
 
 from __future__ import annotations
@@ -38,11 +38,11 @@ def write_octomap(
     Raises
     ------
     ConfigError
-        Where the resolution or the range is not above 0.
+        If the resolution or the range is not above 0.
     ScanweaveError
-        Where the extra is not installed, a pose is not finite or outside the tree, or nothing was seen.
+        If the extra is not installed, a pose is not finite or outside the tree, or nothing was seen.
     MapFileError
-        Where the file cannot be written.
+        If the file cannot be written.
     """
     views = (
         (_points_camera(frame, resolution_m, range_max_m), T_map_camera)

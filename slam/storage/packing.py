@@ -1,8 +1,8 @@
-"""Plain values and the project's own records as bytes, exactly; nothing that is read back can run code.
+"""Convert plain values and Scanweave's records to bytes and back, exactly; reading never runs code.
 
-A closed list of types, each with a tag of one byte; no field names, so another field in a record is another
-schema (`slam.storage.map_tables.SCHEMA_VERSION`). Every length is checked against what is left of the bytes
-before anything is allocated.
+There is a closed list of types, each with a tag of one byte. There are no field names, so a changed record
+needs a new schema (`slam.storage.map_tables.SCHEMA_VERSION`). Every length is checked against the remaining
+bytes before memory is allocated.
 """
 
 from __future__ import annotations
@@ -77,7 +77,7 @@ def unpack(content: bytes) -> Any:
     Raises
     ------
     MapFileError
-        Where they are not what `pack` gives.
+        If they are not what `pack` gives.
     """
     try:
         value, end = _unpack(content, 0, 0)

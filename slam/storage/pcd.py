@@ -1,4 +1,4 @@
-"""Clouds as binary PCD of the Point Cloud Library: place, normal, colour, ground, intensity."""
+"""Clouds as binary PCD of the Point Cloud Library: position, normal, colour, ground, intensity."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def write_pcd(path: Path, cloud: ColoredCloud, is_ground: BoolArray) -> None:
     Raises
     ------
     MapFileError
-        Where the file cannot be written.
+        If the file cannot be written.
     """
     count, intensities = len(cloud.points_map), cloud.intensities
     fields, row = (_FIELDS, _ROW) if intensities is None else ((*_FIELDS, _INTENSITY), _INTENSITY_ROW)

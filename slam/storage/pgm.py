@@ -1,4 +1,4 @@
-"""Grey images in the PGM format: nav2's own of eight bits and of sixteen, without an image library."""
+"""Grey images in the PGM format, with eight bits (as nav2) and with sixteen, without an image library."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def write_pgm(path: Path, image: GreyImage | NDArray[np.uint16], pixel_of: GreyI
     Raises
     ------
     MapFileError
-        Where the file cannot be written.
+        If the file cannot be written.
 
     Examples
     --------
@@ -60,7 +60,7 @@ def read_pgm(path: Path) -> GreyImage:
     Raises
     ------
     MapFileError
-        Where the file cannot be read, is not PGM, or has too few or too bright pixels.
+        If the file cannot be read, is not PGM, or has too few or too bright pixels.
 
     Examples
     --------

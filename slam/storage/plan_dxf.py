@@ -1,4 +1,4 @@
-"""A floor plan for CAD: DXF R2010, metres, the map's frame."""
+"""Floor plan for CAD: DXF R2010, in metres, in the map frame."""
 
 from __future__ import annotations
 
@@ -28,9 +28,9 @@ def write_plan_dxf(path: Path, plan: FloorPlan) -> None:
     Raises
     ------
     LibraryError
-        Where ezdxf is not installed.
+        If ezdxf is not installed.
     MapFileError
-        Where the file cannot be written.
+        If the file cannot be written.
     """
     try:
         import ezdxf

@@ -1,4 +1,4 @@
-"""A floor plan as GeoJSON in the map's own metres."""
+"""Floor plan as GeoJSON, in metres in the map frame."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ def write_plan_geojson(path: Path, plan: FloorPlan) -> None:
     Raises
     ------
     MapFileError
-        Where the file cannot be written.
+        If the file cannot be written.
     """
     write_lines(path, [json.dumps(plan_geojson(plan), indent=1)])
 

@@ -1,4 +1,4 @@
-"""A floor plan as a drawing: SVG, 1:50, turned to its walls."""
+"""Floor plan as a drawing: SVG, 1:50, rotated to align with its walls."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def write_plan_svg(path: Path, plan: FloorPlan) -> None:
     Raises
     ------
     MapFileError
-        Where the file cannot be written.
+        If the file cannot be written.
     """
     write_lines(path, _Drawing(plan).lines())
 

@@ -1,4 +1,4 @@
-"""Meshes and point clouds as binary PLY, as MeshLab, CloudCompare, Blender and Open3D read it."""
+"""Meshes and point clouds as binary PLY, for MeshLab, CloudCompare, Blender and Open3D."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def write_mesh_ply(path: Path, mesh: ColoredMesh) -> None:
     Raises
     ------
     MapFileError
-        Where the mesh is empty or the file cannot be written.
+        If the mesh is empty or the file cannot be written.
     """
     _refuse_nothing(path, len(mesh.faces), "triangles")
     faces = np.empty(len(mesh.faces), _FACE)
@@ -50,7 +50,7 @@ def write_cloud_ply(path: Path, parts: Iterable[ColoredCloud]) -> None:
     Raises
     ------
     MapFileError
-        Where the cloud is empty or the file cannot be written.
+        If the cloud is empty or the file cannot be written.
     """
     count, lines = 0, _VERTEX_LINES
     with replacing(path) as temporary, tempfile.TemporaryFile(prefix="scanweave-cloud-") as body:
@@ -73,7 +73,7 @@ def read_cloud_ply(path: Path) -> ColoredCloud:
     Raises
     ------
     MapFileError
-        Where the file cannot be read, is cut off, or lacks one of them.
+        If the file cannot be read, is cut off, or lacks one of them.
     """
     try:
         columns = read_ply_points(path)

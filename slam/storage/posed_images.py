@@ -1,4 +1,4 @@
-"""The camera keyframes of a map as image files, with where they were taken and their lenses."""
+"""Camera keyframes of a map as image files, with their poses and camera intrinsics."""
 
 from __future__ import annotations
 
@@ -59,7 +59,7 @@ def write_posed_images(
     Raises
     ------
     MapFileError
-        Where a frame is damaged, or a file cannot be written.
+        If a frame is damaged, or a file cannot be written.
     """
     import cv2
 

@@ -1,4 +1,4 @@
-"""Messages of ROS 2 Humble that several files are written of, without ROS."""
+"""Messages of ROS 2 Humble for several files, written without ROS."""
 
 from __future__ import annotations
 

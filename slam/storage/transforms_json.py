@@ -1,7 +1,7 @@
-"""Posed images as ``transforms.json``, which nerfstudio and those that read its format take.
+"""Images with poses as ``transforms.json``, for nerfstudio and programs that read its format.
 
-https://docs.nerf.studio/quickstart/data_conventions.html: cameras look along their -z with y up, the world's
-z is up. Its rays pass pixels at half a pixel from their corner: the principal points are COLMAP's.
+https://docs.nerf.studio/quickstart/data_conventions.html: cameras look along their -z with y up; z of the
+world is up. Its rays pass pixels at half a pixel from their corner: the principal points are as in COLMAP.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ def write_transforms(path: Path, images: Sequence[PosedImage], cloud_name: str) 
     Raises
     ------
     MapFileError
-        Where it cannot be written.
+        If it cannot be written.
     """
     lenses = {image.intrinsics for image in images}
     head: dict[str, Any] = {"camera_model": "OPENCV", "ply_file_path": cloud_name}

@@ -25,7 +25,7 @@ def write_tum(path: Path, trajectory: Trajectory) -> None:
     Raises
     ------
     MapFileError
-        Where the trajectory holds a value that is not finite or a quaternion that is not of unit length,
+        If the trajectory holds a value that is not finite or a quaternion that is not of unit length,
         its arrays do not fit each other, or the file cannot be written.
 
     Examples
@@ -56,7 +56,7 @@ def read_tum(path: Path) -> Trajectory:
     ------
     MapFileError
         Naming the line, where it has not eight finite numbers or its quaternion is not of unit length
-        within 0.01; or where the file holds no pose at all.
+        within 0.01; or if the file holds no pose at all.
 
     Examples
     --------

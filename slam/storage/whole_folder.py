@@ -1,4 +1,4 @@
-"""The files of a map changed together: all are written beside, then take the place of the old ones."""
+"""Change all files of a map together: all are written next to the old ones, then replace them."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ def holds(folder: Path, path: Path, remedy: str) -> bool:
     Raises
     ------
     MapFileError
-        Where it holds another one.
+        If it holds another one.
     """
     target = folder / MAP_NAME
     if target.exists() and not target.samefile(path):
@@ -41,7 +41,7 @@ def copy_into(folder: Path, path: Path, *, overwrite: bool) -> Path:
     Raises
     ------
     MapFileError
-        Where the folder holds another one that is not to be overwritten, or it cannot be written.
+        If the folder holds another one that is not to be overwritten, or it cannot be written.
     """
     target = folder / MAP_NAME
     if not overwrite:
@@ -60,7 +60,7 @@ def only_one_in(folder: Path) -> Iterator[None]:
     Raises
     ------
     MapFileError
-        Where another one does so already.
+        If another one does so already.
     """
     handle = os.open(folder, os.O_RDONLY)
     try:
@@ -78,7 +78,7 @@ def keep_report(folder: Path) -> None:
     Raises
     ------
     MapFileError
-        Where it cannot be renamed.
+        If it cannot be renamed.
     """
     old, kept = folder / REPORT, folder / FIRST_REPORT
     try:
@@ -102,7 +102,7 @@ def move_into(folder: Path, source: Path) -> list[Path]:
     Raises
     ------
     MapFileError
-        Where a file cannot be moved.
+        If a file cannot be moved.
     """
     files = sorted(path for path in source.rglob("*") if path.is_file())
     files.sort(key=lambda path: path.name == MAP_NAME)
@@ -125,7 +125,7 @@ def remake(folder: Path, write: Callable[[Path], None]) -> None:
     Raises
     ------
     ScanweaveError
-        Where it fails: the folder is as it was.
+        If it fails: the folder is as it was.
     """
     make_folder(folder)
     with only_one_in(folder):

@@ -1,1 +1,1 @@
-"""What the rerun viewer shows."""
+"""Recordings for the Rerun viewer."""

@@ -1,6 +1,6 @@
-"""A finished map played back: scans and images where the robot was, loops as they were met, the growing grid.
+"""Playback of a finished map: scans and images at their poses, loops at their times, the growing grid.
 
-All of it at the optimised poses, on the clock of the log.
+Everything is at the optimised poses, on the clock of the log.
 """
 
 from __future__ import annotations

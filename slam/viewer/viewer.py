@@ -1,6 +1,6 @@
-"""What a person can watch: a Rerun recording.
+"""Recording for the Rerun viewer during a run.
 
-Everything lies in the map frame, in metres, on the clock of the log.
+Everything is in the map frame, in metres, on the clock of the log.
 """
 
 from __future__ import annotations
@@ -105,7 +105,7 @@ def recording(path: Path | None) -> Iterator[Viewer | None]:
     Raises
     ------
     ScanweaveError
-        Where Rerun is not installed, or the file cannot be written.
+        If Rerun is not installed, or the file cannot be written.
     """
     if path is None:
         yield None
@@ -121,13 +121,14 @@ def recording(path: Path | None) -> Iterator[Viewer | None]:
     temporary = path.with_name(f".{path.stem}.{os.getpid()}.tmp.rrd")
     stream = rerun.RecordingStream("scanweave")
     try:
-        stream.save(temporary)
+        try:
+            stream.save(temporary)
+        except RuntimeError as error:
+            raise ScanweaveError(f"cannot write {path}: {error}; give another --record") from error
         yield Viewer(stream)
         stream.flush()
         stream.disconnect()
         temporary.replace(path)
-    except OSError as error:
-        raise ScanweaveError(f"cannot write {path}: {error.strerror or error}") from error
     finally:
         stream.disconnect()
         temporary.unlink(missing_ok=True)

@@ -1,1 +1,1 @@
-"""What the camera sees: surfaces, features, their alignment, known places."""
+"""Camera processing: surfaces, features, their alignment, place recognition."""

@@ -1,4 +1,4 @@
-"""The optical frame of a camera against its body."""
+"""Optical frame of a camera relative to its body frame."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
-"""A colour camera beside the depth camera: where a colour pixel lies in the depth image, and the reverse.
+"""Registration of a colour camera to the depth camera: map colour pixels to the depth image, and back.
 
-Both optical frames are right-handed (z forward, x right, y down) and parallel; a small turn of the colour
-camera shows as a shift of its principal point. `color_registration_fit.py` estimates the registration.
+Both optical frames are right-handed (z forward, x right, y down) and parallel; a small rotation of the colour
+camera appears as a shift of its principal point. `color_registration_fit.py` estimates the registration.
 """
 
 from __future__ import annotations

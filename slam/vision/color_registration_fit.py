@@ -1,7 +1,7 @@
-"""Estimating from the log itself how the colour camera sits beside the depth camera.
+"""Estimate the pose of the colour camera relative to the depth camera from the log itself.
 
-Matched features of frame pairs must fit one rigid motion a pair, once their 3D points are read from the depth
-image at the right place. `color_registration_search.py` finds that place; here it is believed, or not.
+Matched features of a frame pair must fit one rigid motion if their 3D points are read at the right place in
+the depth image. `color_registration_search.py` finds that place; this file accepts or rejects it.
 """
 
 from __future__ import annotations
@@ -128,7 +128,7 @@ def _cross_validate(problem: Problem, own: BoolArray) -> _Half:
 
 
 def _refusal(halves: Sequence[_Half], gain: float, apart: float, depth: CameraIntrinsics) -> str:
-    """Why the registration must not be used; empty where the evidence is clear."""
+    """Why the registration must not be used; empty if the evidence is clear."""
     clear = _standard_errors(np.concatenate([half.gains for half in halves]))
     over_rescaled = _standard_errors(np.concatenate([half.gains_over_rescaled for half in halves]))
     asked = math.sqrt(gate())

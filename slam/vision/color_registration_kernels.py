@@ -1,4 +1,4 @@
-"""Hot loops of the estimate of a registration: all motions of frame pairs settle, all matches are judged."""
+"""Kernels for estimating a registration: fit the motions of all frame pairs, check all matches."""
 
 from __future__ import annotations
 

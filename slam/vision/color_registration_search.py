@@ -1,8 +1,8 @@
-"""Finding the registration of colour to depth that lets matched features fit rigid motions best.
+"""Find the registration of colour to depth for which matched features fit rigid motions best.
 
-The robust loss of all pairs, each with its best motion, is a smooth bowl over the registration (the loss of a
-single pair is not: readings jump at rims), so parabolas along its axes find the bottom; the derivative of the
-errors themselves, by Gauss-Newton, does not.
+The robust loss of all pairs, each with its best motion, is a smooth function of the registration (the loss of
+a single pair is not: readings jump at edges). So parabolas along its axes find the minimum; the derivative of
+the errors themselves, by Gauss-Newton, does not.
 """
 
 from __future__ import annotations
@@ -218,7 +218,7 @@ def _moved(guess: Guess, axis: str, amount: float, depth_m: float) -> Guess:
 
 
 def _first_motion(points: FloatArray, pixels: FloatArray, camera: CameraIntrinsics) -> FloatArray | None:
-    """(3, 4) ``T_b_a`` by PnP-RANSAC; None where few matches agree."""
+    """(3, 4) ``T_b_a`` by PnP-RANSAC; None if few matches agree."""
     import cv2
 
     known = points[:, 2] > 0.0

@@ -1,4 +1,4 @@
-"""Pose from matched features without a guess: PnP-RANSAC by three points (Ke2017), then least squares.
+"""Pose from matched features without initial guess: PnP-RANSAC by three points (Ke2017), then least squares.
 
 The squares are those of Yang2021 Eq. (3)-(6).
 """
@@ -41,7 +41,7 @@ def pose_from_features(
     tolerance_px: float,
     least_inliers: int,
 ) -> FeaturePose | None:
-    """Pose of a camera from known points and where it sees them; None where too few agree.
+    """Pose of a camera from known points and where it sees them; None if too few agree.
 
     Parameters
     ----------

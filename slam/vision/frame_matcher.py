@@ -1,4 +1,4 @@
-"""Frame against keyframes by surfaces and features; PnP-RANSAC where the guess does not lead there."""
+"""Match a frame to keyframes by surfaces and features; use PnP-RANSAC if the initial guess is too far off."""
 
 from __future__ import annotations
 
@@ -67,7 +67,7 @@ class FrameMatcher:
         return max([best, *held], key=lambda one: self._support(one.pose, landmarks, frame))
 
     def match_anywhere(self, frame: PreparedFrame, local: list[VisualKeyframe]) -> VisualMatch | None:
-        """Pose of the frame's camera without a guess, or None where too few features agree."""
+        """Pose of the frame's camera without a guess, or None if too few features agree."""
         found = self._by_features(frame, local, self._landmarks(frame, local))
         return self._judge(found[0]) if found else None
 
@@ -147,7 +147,7 @@ class FrameMatcher:
         return agree / met if met > 0.0 else 0.0
 
     def _judge(self, alignment: JointAlignment) -> VisualMatch | None:
-        """A measured motion, or None where too little agrees."""
+        """A measured motion, or None if too little agrees."""
         config = self._config
         share = self._share(alignment)
         shape = alignment.overlap >= self._least_overlap and alignment.point_count >= config.least_points

@@ -1,4 +1,4 @@
-"""Matching of features whose place in the image is expected."""
+"""Match features near their predicted position in the image."""
 
 from __future__ import annotations
 

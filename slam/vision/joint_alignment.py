@@ -1,6 +1,6 @@
-"""Pose of a frame against keyframes: surfaces by point to plane and features by reprojection, together.
+"""Align a frame to keyframes: surfaces by point-to-plane and features by reprojection, together.
 
-Either part may be empty: a bare wall is held by its texture, a dark room by its shape.
+Either part may be empty: texture determines the pose at a bare wall, shape in a dark room.
 """
 
 from __future__ import annotations

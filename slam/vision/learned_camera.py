@@ -1,4 +1,4 @@
-"""What a run learned of a camera, which whoever uses the same camera again need not learn anew."""
+"""What a run learned about a camera, so that a later run with the same camera need not learn it again."""
 
 from __future__ import annotations
 
@@ -16,9 +16,9 @@ class LearnedCamera:
     Attributes
     ----------
     registration
-        Where its colour camera sits beside the depth camera; None where that was not asked.
+        Where its colour camera sits beside the depth camera; None if that was not asked.
     T_base_camera
-        Its mounting, as the log reported it or as it was learned; None where it is its own base, or unknown.
+        Its mounting, as the log reported it or as it was learned; None if it is its own base, or unknown.
     mounting_learned
         Whether the mounting was learned from the motions of camera and robot.
     clock_offset_s, clock_sigma_s

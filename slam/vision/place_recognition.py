@@ -1,9 +1,9 @@
-"""Which earlier keyframes show the same place: an inverted file of ORB descriptors, verified bit by bit.
+"""Place recognition: which earlier keyframes show the same place, by an inverted file of ORB descriptors.
 
-A vocabulary from the log itself only tells which descriptors to compare; what counts is how near they are, as
-in Hamming embedding (Jegou et al. 2008). Bare words (tf-idf) need a vocabulary that has seen the place: with
-one from the first 20 of 100 keyframes they rank views much worse.
-Normalisation by the neighbouring keyframe and grouping: Galvez-Lopez and Tardos (2012), Eq. (2), section V-B.
+A vocabulary from the log itself only selects which descriptors to compare; the score is their Hamming
+distance, as in Hamming embedding (Jegou et al. 2008). Plain words (tf-idf) need a vocabulary that has seen
+the place: with one from the first 20 of 100 keyframes they rank views much worse. Normalisation by the
+neighbouring keyframe and grouping: Galvez-Lopez and Tardos (2012), Eq. (2), section V-B.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
-"""The inverted file: for each word the descriptors that have it, keyframe after keyframe.
+"""The inverted file: for each word its descriptors, keyframe after keyframe.
 
-A list is a chain of blocks, the newest first; all blocks lie in arrays that grow to the double.
+A list is a chain of blocks, newest first; all blocks are in arrays that double when full.
 """
 
 from __future__ import annotations

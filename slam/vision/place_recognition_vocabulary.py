@@ -1,7 +1,8 @@
-"""A vocabulary of binary descriptors, trained from the log itself: k-majority in two levels.
+"""Vocabulary of binary descriptors, trained from the log itself: k-majority in two levels.
 
-Grana et al., A fast approach for integrating ORB descriptors in the bag of words model (2013): a cluster's
-centre has each bit as most of its members have it. Two levels, as the tree of Galvez-Lopez and Tardos (2012).
+Grana et al., A fast approach for integrating ORB descriptors in the bag of words model (2013): the centre of
+a cluster has each bit as most of its members have it. Two levels, as the tree of Galvez-Lopez and Tardos
+(2012).
 """
 
 from __future__ import annotations

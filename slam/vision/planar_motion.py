@@ -1,4 +1,4 @@
-"""A camera's motion in space as the motion of a robot on a floor."""
+"""Convert a 3D camera motion to the motion of a robot on a floor."""
 
 from __future__ import annotations
 

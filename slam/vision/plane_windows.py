@@ -1,6 +1,6 @@
-"""Least-squares planes in the windows of an inverse depth image, a row of windows at a time.
+"""Least-squares planes in the windows of an inverse depth image, one row of windows at a time.
 
-Sums of a whole row run over its pixels in the innermost loop, where vector instructions take them.
+Sums of a whole row run over its pixels in the innermost loop, where vector instructions are used.
 """
 
 from __future__ import annotations

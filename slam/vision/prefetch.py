@@ -1,4 +1,4 @@
-"""Items decoded or prepared in other threads while the one before is used."""
+"""Decode or prepare items in other threads while the previous item is used."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What odometry needs of an RGB-D frame, made once; safe to do ahead in another thread."""
+"""Data that odometry needs of an RGB-D frame, computed once; can be done ahead in another thread."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ class PreparedFrame:
     config
         How many features and points, and at which resolution.
     registration
-        Where the colour camera sits; None where colour is registered to depth.
+        Where the colour camera sits; None if colour is registered to depth.
     features
         Where they are known.
     """

@@ -1,4 +1,4 @@
-"""Surfaces in a depth image: smoothed depth and normals by local planes, and points drawn from them.
+"""Surfaces in a depth image: smoothed depth and normals from local planes, and points sampled from them.
 
 A plane is linear in inverse depth, ``1/z = a u + b v + c``, and there the noise of a structured-light or
 stereo camera is the same at every pixel: the least-squares plane of a window gives both the smoothed depth

@@ -1,8 +1,8 @@
-"""AprilTags and ArUco markers in an image: which, where each is, and how sure that is.
+"""Detect AprilTags and ArUco markers in an image, with their poses and covariances.
 
-OpenCV finds them (Garrido-Jurado 2014; the families of Olson 2011). Four corners tell two poses of a square,
-one the other tilted the other way (Collins and Bartoli 2014): where the corners do not tell them apart, the
-depth image may; where it does not either, the tag tells its place alone.
+OpenCV finds them (Garrido-Jurado 2014; the families of Olson 2011). Four corners allow two poses of a square,
+tilted in opposite directions (Collins and Bartoli 2014). If the corners do not decide, the depth image may;
+if that does not either, the tag gives only its position.
 """
 
 from __future__ import annotations
@@ -115,7 +115,7 @@ def find_tags(color: ColorImage, intrinsics: CameraIntrinsics, places: KnownPlac
 def _refined(gray: NDArray[np.uint8], corners: FloatArray, cells: int) -> FloatArray | None:
     """Corners (4, 2) where lines meet that are laid through the edges of a square, as Wang and Olson 2016.
 
-    OpenCV's own are those of a contour of whole pixels, half a pixel inside. None where the tag is too small
+    OpenCV's own are those of a contour of whole pixels, half a pixel inside. None if the tag is too small
     to tell its edges: OpenCV finds it all the same.
     """
     # A cell off its ends, where the other edges are seen.
@@ -162,7 +162,7 @@ def _bilinear(gray: NDArray[np.uint8], points: FloatArray) -> FloatArray:
 
 
 def _posed(number: int, corners_px: FloatArray, side_m: float, lens: CameraIntrinsics) -> TagView | None:
-    """Pose of a square by its corners (4, 2); None where there is none before the camera."""
+    """Pose of a square by its corners (4, 2); None if there is none before the camera."""
     import cv2
 
     # Corners in the order of OpenCV: x to the right of who looks at it, y up.

@@ -1,4 +1,4 @@
-"""A frame matched to keyframes, and how sure that is."""
+"""Match of a frame to keyframes, with its covariance."""
 
 from __future__ import annotations
 

@@ -41,9 +41,7 @@ def test_the_doctor_tells_writes_and_the_map_takes_it(
     assert "# not sure: turns the other way" in file.read_text()
     found = json.loads(scanweave("doctor", in_mm, "--json").out)
     assert {one["kind"] for one in found["findings"]} == {"scale", "mirrored"} and found["open"] == []
-    assert scanweave("doctor", in_mm, "--calibration", file).out == (
-        "nothing is wrong as far as the log tells\n"
-    )
+    assert scanweave("doctor", in_mm, "--calibration", file).out == ("no error found in the log\n")
     assert "finding: odometry: its lengths are" in scanweave("inspect", in_mm).out
     # What is sure the mapper uses by itself, and warns of the rest.
     alone = scanweave("map", in_mm, "-o", tmp_path / "alone")

@@ -95,7 +95,7 @@ def test_what_has_gone_is_shown_over_the_map() -> None:
     beside = gtsam.Pose2(4 * shown.resolution_m, 7 * shown.resolution_m, 0.0)
     gone = OccupancyGrid(steps, shown.resolution_m, shown.T_map_grid.compose(beside))
     pictures = map_data(replace(made, grids={**made.grids, PASSED_BY: gone}), Config(), title="log")["layers"]
-    (picture,) = (one for one in pictures if one["name"] == "what has gone")
+    (picture,) = (one for one in pictures if one["name"] == "removed objects")
     png = base64.b64decode(picture["png"].partition(",")[2])
     pixels = np.asarray(Image.open(io.BytesIO(png)).convert("RGB"))[::-1].astype(int)
     rows, columns = np.nonzero((pixels == (220, 38, 38)).all(axis=2))

@@ -114,7 +114,7 @@ def test_loops_are_sorted_selected_and_told(page: Path) -> None:
             "Scanweave.select.set({kind: 'loop', index: [...Scanweave.data.loops.accepted].indexOf(1)})"
         )
         pictures = set()
-        for title in ("by the steps alone", "as matched", "in the map"):
+        for title in ("by odometry edges only", "as matched", "in the map"):
             button = seen.page.get_by_role("button", name=title)
             button.click()
             assert button.get_attribute("aria-pressed") == "true"
@@ -217,8 +217,8 @@ def test_charts_and_the_cloud_are_drawn(page: Path) -> None:
         seen.page.locator("#charts").scroll_into_view_if_needed()
         seen.page.wait_for_selector("#charts .uplot")
         titles = seen.page.locator("#charts figcaption").all_inner_texts()
-        assert titles[0] == "Share of the points that fit" and "Sigma of the position, cm" in titles
-        assert titles[-1] == "Time a scan, ms" and any("</script>" in title for title in titles)
+        assert titles[0] == "Share of matching points" and "Sigma of the position, cm" in titles
+        assert titles[-1] == "Time per scan, ms" and any("</script>" in title for title in titles)
         over = seen.page.locator("#charts .u-over").first
         over.click()
         assert seen.value("Scanweave.player.at") > 10
@@ -262,13 +262,13 @@ def test_it_fits_the_screen(page: Path, width: int, scheme: str) -> None:
 def test_without_scripts_or_webgl_the_rest_is_there(page: Path) -> None:
     with visit(page, java_script_enabled=False) as seen:
         assert seen.page.locator("svg.map").is_visible() and not seen.page.locator("#work").is_visible()
-        assert "Scripts are off" in seen.page.locator("#still").inner_text()
+        assert "JavaScript is disabled" in seen.page.locator("#still").inner_text()
         assert seen.page.locator("table").count() > 5
         seen.page.locator("svg.map").screenshot()
     sound(seen, page)
     with visit(page, webgl=False) as seen:
         ready(seen)
-        assert "offers no WebGL" in seen.page.locator("#cloud").inner_text()
+        assert "has no WebGL" in seen.page.locator("#cloud").inner_text()
         assert dark_share(seen) > 0.01
     assert seen.requests == [page.resolve().as_uri()]
 
@@ -352,10 +352,10 @@ def test_what_differs_lies_over_the_map(page: Path) -> None:
     with visit(page) as seen:
         ready(seen)
         shown = "Scanweave.plan.rasters.filter(one => one.shown).map(one => one.name)"
-        seen.click("[data-layer='what differs']")
-        assert seen.value(shown) == ["map", "what differs"]
+        seen.click("[data-layer='sensors disagree']")
+        assert seen.value(shown) == ["map", "sensors disagree"]
         seen.click("[data-layer='depth']")
-        assert seen.value(shown) == ["depth", "what differs"]
+        assert seen.value(shown) == ["depth", "sensors disagree"]
         seen.click("[data-layer='depth']")
-        assert seen.value(shown) == ["what differs"]
+        assert seen.value(shown) == ["sensors disagree"]
     sound(seen, page)

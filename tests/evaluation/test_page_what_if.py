@@ -155,16 +155,16 @@ def test_a_step_that_alone_holds_the_map_says_so(page: Any) -> None:
     page.evaluate("Scanweave.select.set({kind: 'edge', index: 0})")
     page.click(".what-if .switch")
     tab(page, "What if")
-    assert "Steps are only tried here" in told(page)
+    assert "Changes to odometry edges are not saved" in told(page)
     assert edits(page) is None
     page.click("#what-if-reset")
     page.evaluate("Scanweave.whatIf.on.fill(0); Scanweave.whatIf.update()")
-    assert "would be loose" in told(page)
+    assert "would be disconnected" in told(page)
     page.click("#what-if-reset")
 
 
 def test_loops_are_sorted_by_what_they_do(page: Any) -> None:
     tab(page, "Loops")
-    for name in ("moves", "left out"):
+    for name in ("moves", "removed"):
         page.click(f".row.head button:has-text('{name}')")
         assert page.get_attribute(".rows .row >> nth=0", "data-loop") == str(len(contents().loops) - 2)

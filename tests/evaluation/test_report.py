@@ -225,4 +225,4 @@ def test_the_data_of_the_page_decodes_to_what_it_was_given(data: ReportData, wri
     assert image.shape == (layer["rows"], layer["cols"]) == (56, 76)
     assert layer["corner"] == pytest.approx([2 * 0.05, 2 * 0.05, 0.0])
     assert (image[8, 8:68] == 3).all() and (image[9:48, 8:68] == 1).all() and (image[:8] == 0).all()
-    assert [chart["title"] for chart in found["charts"]][-1] == "Time a scan, ms"
+    assert [chart["title"] for chart in found["charts"]][-1] == "Time per scan, ms"

@@ -95,15 +95,15 @@ def page(run: MapResult, folder: Path, beside: Beside = Beside()) -> str:  # noq
 def test_places_that_do_not_fit_are_told(fitted: int, told: bool) -> None:
     loops = [LoopCandidate(0, 2, 0.1, 0.1, 1.0, None, number < fitted, "") for number in range(15)]
     run = replace(result(), map=replace(result().map, loops=loops))
-    assert any("of the 15 places" in line for line in report(run).warnings) == told
+    assert any("of the 15 revisited places" in line for line in report(run).warnings) == told
 
 
 def test_a_map_by_cameras_is_told_in_frames(tmp_path: Path) -> None:
     html = page(result(lost=slice(20, 27)), tmp_path)
-    assert "<dt>frames</dt><dd>100</dd>" in html and "median time a frame" in html
+    assert "<dt>frames</dt><dd>100</dd>" in html and "median time per frame" in html
     assert "<dt>scans" not in html
     assert "<tr><td>RGBD_1<td>100<td>7<td>0<td>–<td>–<td>0.85<td>321<td>1.25<td>4.2" in html
-    assert "7 of 100 frames matched nothing; their motion is dead reckoning." in html
+    assert "7 of 100 frames matched nothing; their motion is from dead reckoning." in html
     assert "<h2>Trajectory</h2>" in html
 
 
@@ -119,10 +119,10 @@ def test_a_map_by_lidar_is_told_in_scans(tmp_path: Path) -> None:
         (
             EdgeKind.RGBD,
             True,
-            "At 30 of 100 moments the lidar reported nothing; cameras reported the motion.",
+            "At 30 of 100 moments only the cameras gave a motion, not the lidar.",
         ),
-        (EdgeKind.RGBD, False, "30 of 100 scans matched nothing; their motion is dead reckoning."),
-        (EdgeKind.WHEEL, True, "30 of 100 scans matched nothing; their motion is dead reckoning."),
+        (EdgeKind.RGBD, False, "30 of 100 scans matched nothing; their motion is from dead reckoning."),
+        (EdgeKind.WHEEL, True, "30 of 100 scans matched nothing; their motion is from dead reckoning."),
     ],
 )
 def test_dead_reckoning_is_what_no_camera_told(kind: EdgeKind, keep: bool, expected: str) -> None:
@@ -136,8 +136,8 @@ def test_only_the_steps_that_cameras_told_are_theirs() -> None:
     first = replace(first, edge=replace(first.edge, kind=EdgeKind.WHEEL))
     run.map = replace(run.map, factors=[first, *others])
     assert report(run).warnings == [
-        "11 of 100 scans matched nothing; their motion is dead reckoning.",  # 30 to 40
-        "At 19 of 100 moments the lidar reported nothing; cameras reported the motion.",  # 41 to 59
+        "11 of 100 scans matched nothing; their motion is from dead reckoning.",  # 30 to 40
+        "At 19 of 100 moments only the cameras gave a motion, not the lidar.",  # 41 to 59
     ]
 
 

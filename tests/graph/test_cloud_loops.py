@@ -166,4 +166,6 @@ def test_a_return_after_a_way_unseen_waits_for_others_that_agree() -> None:
     drive = driven()
     drive.add(HOME, unseen=True)
     assert not any(loop.accepted for loop in drive.close())
-    assert [loop.reason for loop in drive.closer.alone()] == ["alone across ground that nothing saw"]
+    assert [loop.reason for loop in drive.closer.alone()] == [
+        "no other loop across the unobserved gap agrees"
+    ]

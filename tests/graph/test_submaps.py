@@ -5,6 +5,7 @@ import pytest
 from flat_worlds import points_at, room
 
 from slam.config.stages import LoopConfig, MatchConfig
+from slam.graph.stretches import Stretches
 from slam.graph.submaps import SubmapStore
 from slam.matching.local_map import OrientedPoints
 from slam.matching.planar import compose, transform_points
@@ -103,3 +104,16 @@ def test_what_was_added_comes_back() -> None:
     assert len(store.scan(2)) == 1
     with pytest.raises(IndexError):
         store.scan(3)
+
+
+def test_what_is_seen_along_a_stretch_is_joined_where_it_is_asked_for(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    joined, run, store = list[int](), SubmapStore.run, store_of(200)
+    monkeypatch.setattr(SubmapStore, "run", lambda store, key: joined.append(key) or run(store, key))
+    stretches = Stretches(store, LoopConfig(), MatchConfig())
+    everywhere = np.ones(len(stretches.keys), np.bool_)
+    for _ in range(2):
+        assert not stretches.between(50.0, 70.0)  # nothing but a line of points
+    assert not stretches.candidates(len(everywhere) - 1, ~everywhere, np.zeros(len(everywhere)))
+    assert joined == sorted(set(joined)) and min(joined) >= 50 and max(joined) <= 70

@@ -50,7 +50,7 @@ def test_one_alone_waits_and_ends_refused() -> None:
     assert believed(found, loop(3, 22)) == []
     (refused,) = found.alone()
     assert not refused.accepted
-    assert "alone" in refused.reason
+    assert "no other loop" in refused.reason
 
 
 def test_what_does_not_cross_the_gap_is_taken() -> None:

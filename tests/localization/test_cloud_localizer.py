@@ -138,8 +138,8 @@ def test_the_command(scanweave: Scanweave, log: Path, tmp_path: Path) -> None:
     assert "cov_rx_rx" in (out / "trajectory.csv").read_text().splitlines()[0]
 
     flat = write_synthetic_log(tmp_path / "flat", seed=1, duration_s=10.0).log_path
-    assert_one_line_error(scanweave("localize", folder, flat, "-o", out), "takes clouds of a 3D lidar")
+    assert_one_line_error(scanweave("localize", folder, flat, "-o", out), "needs clouds of a 3D lidar")
     assert (folder / "map.db").read_bytes() == before
     assert scanweave("map", flat, "-o", tmp_path / "flat map").code == 0
     outcome = scanweave("localize", tmp_path / "flat map", driven, "-o", out)
-    assert_one_line_error(outcome, "takes planar scans")
+    assert_one_line_error(outcome, "needs planar scans")

@@ -14,7 +14,9 @@ from slam.errors import MapFileError
 from slam.localization.drive_log import DriveLog
 from slam.localization.known_map import Walls
 from slam.localization.localizer import Localizer
+from slam.localization.look_alikes import look_alikes
 from slam.localization.output import LocalizerOutput, State
+from slam.localization.planar_sensor import PlanarSensor
 from slam.localization.poses import Measured
 from slam.mapper.lidar2d import PlanarRobot
 from slam.mapper.map_result import MapResult
@@ -144,7 +146,7 @@ def test_another_building_leads_to_no_pose(mapped: tuple[MapContents, FloatArray
 
 
 def test_a_map_without_what_the_sensors_need_is_refused(mapped: tuple[MapContents, FloatArray]) -> None:
-    with pytest.raises(MapFileError, match="neither scans nor camera keyframes"):
+    with pytest.raises(MapFileError, match="no scans or camera keyframes"):
         Localizer(mapped[0], load_config(None, ["sensors.lidar=false"]))
 
 
@@ -194,10 +196,9 @@ def mapped_room(stamps: FloatArray) -> MapResult:
     return mapper.finish()
 
 
-def test_places_that_look_alike_are_told(mapped: tuple[MapContents, FloatArray]) -> None:
-    """The building once more, 60 m beside itself; who is told the start asks for no such warning."""
+def test_places_that_look_alike_are_counted(mapped: tuple[MapContents, FloatArray]) -> None:
+    """The building once more, 60 m beside itself."""
     once = mapped[0]
-    assert Localizer(once, CONFIG).warning() is None
     poses = np.vstack([once.keyframe_poses, once.keyframe_poses + np.array([60.0, 0.0, 0.0])])
     scans = [*once.keyframe_scans, *once.keyframe_scans]
     grid = grid_of_keyframes(scans, poses, CONFIG)
@@ -208,11 +209,40 @@ def test_places_that_look_alike_are_told(mapped: tuple[MapContents, FloatArray])
         keyframe_scans=scans,
         grids={OCCUPANCY: grid},
     )
-    warning = Localizer(twice, CONFIG).warning()
-    assert warning is not None and "of 20 of its own scans fit elsewhere" in warning
-    # From all of the way, of 30 keyframes, too.
-    few = replace(once, node_poses=once.node_poses[:30], keyframe_scans=once.keyframe_scans[:30])
+    for known_map, least, most in (
+        (once, 0.0, 0.0),
+        (twice, 1.0, 1.0),
+        (drawn(once), 0.0, 0.0),
+        (drawn(twice), 0.6, 1.0),  # some free places see hardly any wall
+    ):
+        walls = Walls(known_map, CONFIG)
+        assert least <= look_alikes(walls, PlanarSensor(walls, CONFIG), CONFIG.localization) <= most
+
+
+def drawn(known_map: MapContents) -> MapContents:
+    """Its grid alone."""
+    return replace(
+        known_map, node_poses=[], stamps_s=np.zeros(0), readings=np.zeros(0, int), keyframe_scans=[]
+    )
+
+
+def test_looks_alone_are_not_believed_where_places_look_alike(
+    mapped: tuple[MapContents, FloatArray], other: Drive, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    true = compose(between(mapped[1], np.zeros(3)), other.truth(other.log[0].stamp_s))
+    known = Measured(pose2_from_row(true), np.diag([0.01, 0.01, 0.01]))
+    for share, start, told in ((0.0, None, False), (0.8, None, True), (0.8, known, False)):
+        monkeypatch.setattr("slam.localization.localizer.look_alikes", lambda *_, share=share: share)
+        localizer = Localizer(mapped[0], CONFIG, start=start)
+        said = [output for output in map(localizer.add, other.log[:200]) if output is not None]
+        surest = max(output.confidence for output in said if output.state is State.TRACKING)
+        assert (0.15 < surest <= 0.2) if told else surest > 0.9
+        assert told == ("80% of the map's own scans match other places" in (localizer.warning() or ""))
+
+
+def test_own_scans_are_asked_from_all_of_the_way(mapped: tuple[MapContents, FloatArray]) -> None:
+    few = replace(
+        mapped[0], node_poses=mapped[0].node_poses[:30], keyframe_scans=mapped[0].keyframe_scans[:30]
+    )
     asked = [row_from_pose2(pose) for pose, _ in Walls(few, CONFIG).sampled(20)]
-    assert len(asked) == 20 and np.allclose(asked[-1], once.keyframe_poses[28])
-    known = Measured(pose2_from_row(poses[0]), np.diag([0.01, 0.01, 0.01]))
-    assert Localizer(twice, CONFIG, start=known).warning() is None
+    assert len(asked) == 20 and np.allclose(asked[-1], mapped[0].keyframe_poses[28])

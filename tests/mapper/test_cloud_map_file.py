@@ -104,7 +104,7 @@ def test_interrupted_and_resumed(
 
 def test_a_log_that_is_in_the_map_is_not_joined_again(scanweave: Scanweave, log: Path, mapped: Path) -> None:
     before = (mapped / "map.db").read_bytes()
-    assert_one_line_error(scanweave("map", log, "--into", mapped), "is in")
+    assert_one_line_error(scanweave("map", log, "--into", mapped), "is already in")
     assert (mapped / "map.db").read_bytes() == before
 
 

@@ -10,7 +10,7 @@ import pytest
 import slam
 from slam import forked
 from slam.app.mapping import run_log
-from slam.mapper import forerunner, pipeline
+from slam.mapper import forerunner, lidar2d, map_result, pipeline
 from slam.mapper.forerunner import Ahead
 from slam.simulation.synthetic_log import write_synthetic_log
 
@@ -115,3 +115,24 @@ def test_where_the_doctor_mends_a_sensor_it_begins_again(
     assert mapped(log, tmp_path / "two") == as_alone
     assert counted.made == 2
     assert counted.found == SCANS
+
+
+def test_the_grids_are_drawn_by_another_core_while_places_are_searched(
+    log: Path, alone: bytes, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    Counted(monkeypatch, free=True)
+    here, lidar_grids = list[int](), lidar2d.lidar_grids
+    # What a copy of the process appends stays there.
+    for module in (lidar2d, map_result):
+        monkeypatch.setattr(module, "lidar_grids", lambda *given: here.append(1) or lidar_grids(*given))
+    assert mapped(log, tmp_path / "two") == alone
+    assert not here
+
+
+@pytest.mark.parametrize("free", [False, True])
+def test_grids_by_other_poses_than_the_last_are_not_taken(
+    free: bool, log: Path, alone: bytes, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    Counted(monkeypatch, free=free)
+    monkeypatch.setattr(lidar2d, "row_of", lambda pose: [pose.x() + 1.0, pose.y(), 0.5])
+    assert mapped(log, tmp_path / "moved") == alone

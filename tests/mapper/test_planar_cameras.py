@@ -282,7 +282,7 @@ def test_without_a_depth_layer_the_map_is_the_lidars(
     seen = run(drive[:60], whole)
     alone = seen.map.layers(load_config())
     assert alone is not None and alone.depth is None
-    assert [line for line in seen.warnings if "the map is the lidar's alone: no room" in line]
+    assert [line for line in seen.warnings if "the map is from the lidar only: no room" in line]
 
 
 def test_the_map_shows_what_every_camera_saw(drive: list[tuple[int, Measurement]]) -> None:

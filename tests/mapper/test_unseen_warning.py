@@ -22,7 +22,7 @@ def test_only_what_a_match_would_not_mend_is_told(position_m: float, turn_rad: f
     covariances[(STAMPS_S > 4.0) & (STAMPS_S < 6.0)] = np.diag([position_m**2, 0.0, turn_rad**2])
     warnings = unseen(ALONG, PLACED, covariances, Config())
     assert [told in warning for warning in warnings] == [True] * bool(told)
-    assert all("from 3.0 to 7.0 s: against" in warning for warning in warnings)
+    assert all("from 3.0 to 7.0 s: relative" in warning for warning in warnings)
 
 
 def test_the_worst_of_several_is_told_with_their_number() -> None:
@@ -31,7 +31,7 @@ def test_the_worst_of_several_is_told_with_their_number() -> None:
     covariances[STAMPS_S == 8.5] *= 4.0
     (warning,) = unseen(ALONG, placed, covariances, Config())
     assert (
-        "from 7.5 to 9.5 s (the worst of 2 times): against what was before, poses are uncertain by up to "
+        "from 7.5 to 9.5 s (the worst of 2 such periods): relative to before, poses are uncertain by up to "
         "2.00 m" in warning
     )
 

@@ -18,8 +18,9 @@ class Told:
 
     def __init__(self, before: FloatArray, at: FloatArray = HOME) -> None:
         scan = points_at(before, at)
-        images = [RangeImage.of(scan.points_base, at, scan.points_base)]
-        self.local_map = LocalMap.build([OrientedPoints.from_scan(scan).moved(at)], MatchConfig(), images)
+        image = RangeImage.of(scan.points_base, at, scan.points_base)
+        points = OrientedPoints.from_scan(scan).moved(at)
+        self.local_map = LocalMap.build([points], MatchConfig(), [lambda: image])
 
     def evidence(
         self, scan: OrientedPoints, pose: FloatArray, other: FloatArray, sigma: float = 0.0

@@ -13,6 +13,7 @@ from slam.matching.local_map import OrientedPoints
 from slam.matching.motion import Motion
 from slam.matching.planar import between, compose
 from slam.matching.scan_points import ScanPoints
+from slam.matching.visibility import RangeImage
 from slam.measurements import FloatArray, row_from_pose2
 from slam.odometry import STANDARD
 from slam.odometry.lidar_odometry import LidarOdometry
@@ -219,3 +220,19 @@ def test_of_scans_far_apart_less_is_known(spacing_m: float, fits: bool) -> None:
     known = SimpleNamespace(contradicted=lambda scan, pose: 0.0)
     best = SimpleNamespace(inlier_share=0.2, pose=HOME)
     assert odometry._fits_what_is_known(known, OrientedPoints.none(), best) is fits  # type: ignore[arg-type]
+
+
+def test_what_scans_have_looked_through_is_drawn_where_it_is_asked_for(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    drawn = list[int]()
+    of = SimpleNamespace(of=lambda *given: drawn.append(1) or RangeImage.of(*given))
+    monkeypatch.setattr("slam.odometry.surfel_odometry.RangeImage", of)
+    odometry, scan = SurfelOdometry(load_config()), points_at(room(), HOME)
+    for _ in range(2):
+        odometry.add_keyframe(scan, HOME)
+    assert odometry.match(scan, [guess_at(HOME)]) is not None
+    assert not drawn
+    for _ in range(2):
+        odometry.evidence(scan, HOME, guess_at(HOME + 0.5))
+    assert len(drawn) == 2

@@ -41,8 +41,8 @@ def test_a_pillar_that_moved_is_told(days: Path, capsys: pytest.CaptureFixture[s
     done = outcome_of(capsys, "diff", days / "monday", days / "wednesday", "-o", tmp_path / "diff")
     assert done.code == 0, done
     # Met from other sides on the two days, it need not look like the same pillar.
-    assert re.search(r"a thing of 0\.[34] x 0\.[234] m from \(5\.0, -0\.7\)", done.out)
-    assert re.search(r"(a thing of 0\.[34] x 0\.[234] m at|to) \(6\.2, 0\.7\)", done.out)
+    assert re.search(r"an object of 0\.[34] x 0\.[234] m from \(5\.0, -0\.7\)", done.out)
+    assert re.search(r"(an object of 0\.[34] x 0\.[234] m at|to) \(6\.2, 0\.7\)", done.out)
     told = json.loads((tmp_path / "diff" / "diff.json").read_text())
     kinds = sorted(thing["what"] for thing in told["things"])
     assert kinds in (["moved"], ["appeared", "went"]) and done.out.count("probability") == len(kinds)
@@ -63,7 +63,7 @@ def test_where_nothing_moved_nothing_is_told(days: Path, capsys: pytest.CaptureF
     assert done.code == 0, done
     assert json.loads(done.out)["things"] == []
     done = outcome_of(capsys, "diff", days / "monday", days / "monday")
-    assert "nothing has changed where both have looked" in done.out
+    assert "nothing changed in the area that both visits saw" in done.out
 
 
 def test_two_sessions_of_one_map(days: Path, capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
@@ -91,8 +91,10 @@ def test_what_cannot_be_compared_is_refused(
     for other in (tmp_path, tmp_path / "missing", days / "monday-log" / "scans.log"):
         outcome_of(capsys, "diff", monday, other, "-o", tmp_path / "out").error()
         outcome_of(capsys, "diff", other, monday, "-o", tmp_path / "out").error()
-    assert "give one of both" in outcome_of(capsys, "diff", monday).error()
-    assert "give one of both" in outcome_of(capsys, "diff", monday, monday, "--sessions", 1, 2).error()
+    assert "or two sessions of one map" in outcome_of(capsys, "diff", monday).error()
+    assert (
+        "or two sessions of one map" in outcome_of(capsys, "diff", monday, monday, "--sessions", 1, 2).error()
+    )
     log = days / "tuesday-log" / "scans.log"
     begin_s = next(iter(slam.open_dataset(log))).stamp_s
     mirrored = mirror_of(

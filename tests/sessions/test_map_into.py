@@ -138,7 +138,7 @@ class TestRefused:
     ) -> None:
         before = contents_of(map_)
         error = outcome_of(capsys, "map", sessions.mirrored, "--into", map_).error()
-        assert "does not connect" in error and "the map is as it was" in error
+        assert "does not connect" in error and "the map was not changed" in error
         assert contents_of(map_) == before
 
     def test_what_is_in_the_map_already(
@@ -202,7 +202,7 @@ def test_an_interrupted_session_goes_on_to_the_same_map(
     with monkeypatch.context() as patch:
         patch.setattr(Checkpoint, "keep", interrupted)
         outcome = outcome_of(capsys, "map", sessions.later_log, "--into", map_)
-    assert outcome.code == 130 and "--resume goes on with it" in outcome.err
+    assert outcome.code == 130 and "--resume continues it" in outcome.err
     assert {name: whole for name, whole in contents_of(map_).items() if "joining" not in name} == before
 
     outcome = outcome_of(capsys, "map", sessions.later_log, "--into", map_, "--resume")
@@ -251,7 +251,7 @@ def test_maps_merge_in_whatever_order_they_connect(
         assert found.digest == other.digest
     assert "is a map; --force" in outcome_of(capsys, "merge", *maps, "-o", out).error()
     error = outcome_of(capsys, "merge", mapped, joined, "-o", tmp_path / "none").error()
-    assert "its log scans.log is in the others already" in error and not (tmp_path / "none").exists()
+    assert "its log scans.log is already in the others" in error and not (tmp_path / "none").exists()
 
 
 def test_the_page_of_a_joined_map_is_of_both_and_each_session_keeps_its_own(

@@ -109,8 +109,8 @@ def test_what_does_not_belong_leaves_the_map_as_it_was(
     folder = Path(shutil.copytree(mapped, tmp_path / "map"))
     before = {file.name: file.read_bytes() for file in folder.iterdir() if file.is_file()}
     error = outcome_of(capsys, "map", logs / "mirrored", "--into", folder).error()
-    assert "does not connect" in error and "the map is as it was" in error
-    assert "is in" in outcome_of(capsys, "map", logs / "first", "--into", folder).error()
+    assert "does not connect" in error and "the map was not changed" in error
+    assert "is already in" in outcome_of(capsys, "map", logs / "first", "--into", folder).error()
     assert (
         "keyframes are in the map already"
         in outcome_of(capsys, "map", logs / "part", "--into", folder).error()
@@ -162,7 +162,7 @@ def test_a_camera_in_space_joins_its_own_room_alone(
     before = (folder / "map.db").read_bytes()
     other = filmed(tmp_path / "other", WALKS[1][:20], seed=5)
     error = outcome_of(capsys, "map", other, "--into", folder).error()
-    assert "no place of it was recognised" in error and (folder / "map.db").read_bytes() == before
+    assert "none of its places was recognised" in error and (folder / "map.db").read_bytes() == before
 
     assert outcome_of(capsys, "map", later, "--into", folder).code == 0
     with load_map(folder) as found:

@@ -74,7 +74,7 @@
       shown = scene(canvas, data.cloud);
     } catch (error) {
       // Shown to people; nothing else of the page needs WebGL.
-      box.replaceChildren(element("p", {class: "soft", textContent: `No cloud can be shown: this browser offers no WebGL (${error.message}). The plan above shows the map from above.`}));
+      box.replaceChildren(element("p", {class: "soft", textContent: `The cloud cannot be shown: this browser has no WebGL (${error.message}). The plan above shows the map from above.`}));
       return;
     }
     const brightness = element("button", {type: "button", id: "cloud-intensity", textContent: "By intensity", ariaPressed: "false", onclick: () => {
@@ -87,7 +87,7 @@
       element("button", {type: "button", id: "cloud-larger", textContent: "Larger points", onclick: () => shown.larger(1.4)}),
       element("button", {type: "button", id: "cloud-smaller", textContent: "Smaller points", onclick: () => shown.larger(1 / 1.4)}),
       ...shown.byIntensity ? [brightness] : [],
-      element("span", {class: "soft", textContent: `${S.count(shown.count)} points; drag to turn, right button to shift, wheel to come nearer`}),
+      element("span", {class: "soft", textContent: `${S.count(shown.count)} points; drag to rotate, right button to pan, wheel to zoom`}),
     );
   }, 64);
 })(Scanweave);

@@ -54,18 +54,18 @@
       const {index} = chosen;
       const reason = loops.reasons[loops.reason[index]];
       rows.push(["verdict", loops.accepted[index] ? "accepted" : `refused: ${reason}`]);
-      rows.push(["points that fit", Number.isFinite(loops.score[index]) ? `${(100 * loops.score[index]).toFixed(1)} %` : "no match"]);
+      rows.push(["matching points", Number.isFinite(loops.score[index]) ? `${(100 * loops.score[index]).toFixed(1)} %` : "no match"]);
       rows.push(["their residual", Number.isFinite(loops.residual_m[index]) ? `${(1000 * loops.residual_m[index]).toFixed(1)} mm` : null]);
-      rows.push(["window searched", `± ${S.number(loops.half_width_m[index], 2)} m`]);
+      rows.push(["search window", `± ${S.number(loops.half_width_m[index], 2)} m`]);
     } else {
       rows.push(["kind", edges.kinds[edges.kind[chosen.index]]]);
-      rows.push(["verdict", edges.kept[chosen.index] ? "kept" : "refused by the final optimisation"]);
+      rows.push(["verdict", edges.kept[chosen.index] ? "kept" : "rejected by the final optimisation"]);
     }
     const along = Math.hypot(S.plan.poses[3 * from] - S.plan.poses[3 * to], S.plan.poses[3 * from + 1] - S.plan.poses[3 * to + 1]);
-    rows.push(["apart in the map", `${along.toFixed(2)} m`]);
+    rows.push(["distance in the map", `${along.toFixed(2)} m`]);
     if (match && planar) {
       const {off, sigmas, sigma} = S.residual(match.measured, match.triangle, from, to);
-      rows.push(["map against match", `${(100 * Math.hypot(off[0], off[1])).toFixed(1)} cm, ${(off[2] * 180 / Math.PI).toFixed(2)}°`]);
+      rows.push(["map versus match", `${(100 * Math.hypot(off[0], off[1])).toFixed(1)} cm, ${(off[2] * 180 / Math.PI).toFixed(2)}°`]);
       rows.push(["in sigmas", sigmas.toFixed(1)]);
       rows.push(["sigma of the match", `${length(sigma[0])} × ${length(sigma[1])}, ${(sigma[2] * 180 / Math.PI).toFixed(2)}°`]);
     }
@@ -109,7 +109,7 @@
     const panel = element("div");
     const fill = chosen => {
       if (!chosen) {
-        panel.replaceChildren(element("p", {class: "soft", textContent: "Click a loop, a step or a keyframe in the plan, or a row of the loops."}));
+        panel.replaceChildren(element("p", {class: "soft", textContent: "Click a loop, an edge or a keyframe in the plan, or a row of the loop table."}));
         return;
       }
       const names = {node: "Keyframe", loop: "Loop", edge: "Step"};

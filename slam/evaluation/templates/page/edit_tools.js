@@ -69,7 +69,7 @@
     active = {tool, draw, button};
     S.plan.busy = true;
     button.setAttribute("aria-pressed", "true");
-    hint.textContent = type === "Polygon" ? "Click the corners; end by a double click." : type === "Point" ? "Click the point." : "Click two points.";
+    hint.textContent = type === "Polygon" ? "Click the corners; finish with a double click." : type === "Point" ? "Click the point." : "Click two points.";
     S.plan.map.addInteraction(draw);
   }
 
@@ -139,11 +139,11 @@
     const row = (...parts) => element("div", {class: "choice"}, ...parts);
     S.editing.tools.append(
       row(name, draws("places", "Place"), draws("origin", "Origin"), tool("add", "Add a loop", startPair)),
-      row(draws("erase", "Erase"), label(later, "in later sessions, too"), draws("crop", "Crop")),
+      row(draws("erase", "Erase"), label(later, "also in later sessions"), draws("crop", "Crop")),
       row(draws("keep_out", "Keep out"), draws("slow", "Slow"), label(percent, "% of its speed")),
-      row(tool("walls", "Turn to the walls", () => S.editing.add("turn", {to_walls: true}, "turn to the walls")),
+      row(tool("walls", "Align with the walls", () => S.editing.add("turn", {to_walls: true}, "align with the walls")),
         draws("along_x", "x along two points")),
-      row(tool("turn", "Turn by", () => S.editing.add("turn", {degrees: Number(degrees.value)}, `turn by ${degrees.value}°`)),
+      row(tool("turn", "Rotate by", () => S.editing.add("turn", {degrees: Number(degrees.value)}, `rotate by ${degrees.value}°`)),
         label(degrees, "degrees")),
       hint);
     S.select.on(picked);

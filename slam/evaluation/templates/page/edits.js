@@ -75,7 +75,7 @@
       if (answer.ok) return location.reload();
       said = found.error;
     } catch {
-      said = "The server does not answer; does 'scanweave view' still run?";
+      said = "The server does not answer; is 'scanweave view' still running?";
     }
     edits.busy = false;
     S.emit("edits");
@@ -94,7 +94,7 @@
   function list() {
     const mine = items.map(item => entry(item.title, () => edits.remove(item)));
     const all = [...mine, ...switched()];
-    const none = element("p", {class: "soft", textContent: "Nothing is decided yet. Draw a region, name a place, add a loop; or switch loops under What if."});
+    const none = element("p", {class: "soft", textContent: "There are no edits yet. Draw a region, name a place, add a loop, or switch loops on the What if tab."});
     return element("div", {id: "edits-list"}, element("h3", {textContent: `To be saved: ${all.length}`}),
       all.length ? element("ul", {class: "plain"}, ...all) : none);
   }
@@ -105,8 +105,8 @@
     return element("div", {class: "choice"},
       made("edits-undo", "Undo (Ctrl+Z)", !items.length, edits.undo),
       made("edits-yaml", "Save edits.yaml", !some, edits.download),
-      edits.live ? made("edits-save", edits.busy ? "Saving …" : "Save into the map", !some || edits.busy, () => post("edits", S.edits)) : null,
-      edits.live && applied.length ? made("edits-back", "Take the last saved back", edits.busy, () => post("undo", {})) : null);
+      edits.live ? made("edits-save", edits.busy ? "Saving …" : "Save to the map", !some || edits.busy, () => post("edits", S.edits)) : null,
+      edits.live && applied.length ? made("edits-back", "Undo the last saved", edits.busy, () => post("undo", {})) : null);
   }
 
   function saved() {

@@ -64,7 +64,7 @@
     const kept = steps.filter(edge => edges.kept[edge]), left = steps.filter(edge => !edges.kept[edge]);
     S.plan.add({
       name: "steps", title: `steps (${S.count(steps.length)})`, shown: false, swatch: "soft",
-      legend: "Edges of the graph that are no loops; those that were refused are red.",
+      legend: "Edges of the graph that are not loops; rejected ones are red.",
       draw(context, frame) {
         strokes(context, frame, kept.map(edge => [edges.source[edge], edges.target[edge]]), S.color("soft"), 1.5);
         strokes(context, frame, left.map(edge => [edges.source[edge], edges.target[edge]]), S.color("red"), 1.5, [4, 3]);
@@ -74,7 +74,7 @@
     if (refused.length) {
       S.plan.add({
         name: "refused", title: `loops refused (${S.count(refused.length)})`, shown: false, swatch: "red",
-        legend: "Places that were compared, and why they are no loops: click one.",
+        legend: "Places that were compared and rejected: click one for the reason.",
         draw: (context, frame) => strokes(
           context, frame, refused.map(loop => [loops.place[loop], loops.keyframe[loop]]), S.color("red"), 0.9, [4, 3]),
         pick: pickLoops(refused),
@@ -83,7 +83,7 @@
     if (accepted.length) {
       S.plan.add({
         name: "loops", title: `loops (${S.count(accepted.length)})`, shown: true, swatch: "orange",
-        legend: "Places that were seen again: click one.",
+        legend: "Places that were visited again: click one.",
         draw: (context, frame) => strokes(
           context, frame, accepted.map(loop => [loops.place[loop], loops.keyframe[loop]]), S.color("orange"), 1.1),
         pick: pickLoops(accepted),
@@ -91,7 +91,7 @@
     }
     S.plan.add({
       name: "keyframes", title: `keyframes (${S.count(all.length)})`, shown: true, swatch: "blue",
-      legend: "Where scans or images were kept: click one.",
+      legend: "Poses whose scans or images are stored: click one.",
       draw(context, frame) {
         // From afar they would hide the way.
         if (frame.pixelsAMetre / frame.ratio > 30) dots(context, frame, all, S.color("blue"), 2.6);

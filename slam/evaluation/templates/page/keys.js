@@ -37,23 +37,23 @@
     S.key("0", "the whole map", () => S.plan.fit(null, {duration: S.still ? 0 : 200}));
     S.key("[", "turn left", () => turn(15));
     S.key("]", "turn right", () => turn(-15));
-    S.key("n", "turn back", () => view().animate({rotation: 0, duration: S.still ? 0 : 150}));
+    S.key("n", "reset the rotation", () => view().animate({rotation: 0, duration: S.still ? 0 : 150}));
     S.key("ArrowLeft", "to the left (in the plan)", () => pan(-1, 0));
     S.key("ArrowRight", "to the right (in the plan)", () => pan(1, 0));
     S.key("ArrowUp", "up (in the plan)", () => pan(0, 1));
     S.key("ArrowDown", "down (in the plan)", () => pan(0, -1));
-    S.key("Escape", "nothing selected, no tool", () => {
+    S.key("Escape", "clear selection and tool", () => {
       S.emit("escape");
       S.select.set(null);
     });
     S.key("d", "dark or light", S.switchTheme);
-    S.key("?", "these keys", () => help.open ? help.close() : open());
+    S.key("?", "show these keys", () => help.open ? help.close() : open());
     const help = document.getElementById("keys");
     const open = () => {
       const names = {" ": "space", ArrowLeft: "←", ArrowRight: "→", ArrowUp: "↑", ArrowDown: "↓", Escape: "Esc"};
       document.getElementById("keys-list").replaceChildren(...S.keys.flatMap(({key, does}) => [
         S.element("dt", {}, S.element("kbd", {textContent: names[key] || key})), S.element("dd", {textContent: does}),
-      ]), S.element("dt", {}, S.element("kbd", {textContent: "Alt+Shift"})), S.element("dd", {textContent: "and drag: turn"}));
+      ]), S.element("dt", {}, S.element("kbd", {textContent: "Alt+Shift"})), S.element("dd", {textContent: "and drag: rotate"}));
       help.showModal();
     };
     document.addEventListener("keydown", typed);

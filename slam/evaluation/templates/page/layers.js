@@ -51,14 +51,14 @@
     }}, element("option", {value: "plain", textContent: "one colour"}),
     ...S.way.colors.map(one => element("option", {value: one.name, textContent: one.title})));
     select.value = S.way.color;
-    return element("div", {class: "coloring"}, element("label", {}, "The way coloured by ", select), colorBar());
+    return element("div", {class: "coloring"}, element("label", {}, "Trajectory coloured by ", select), colorBar());
   }
 
   S.ready(data => {
     const panel = element("div");
     const fill = () => panel.replaceChildren(
       ...(S.plan.rasters.length ? [element("h3", {textContent: "Map"}), ...S.plan.rasters.map(choice)] : []),
-      element("h3", {textContent: "Drawn on it"}),
+      element("h3", {textContent: "Overlays"}),
       ...S.plan.drawings.filter(one => one.title).toReversed().map(toggle),
       colorings(),
       ...data.limits.map(line => element("p", {class: "soft", textContent: line})),

@@ -34,7 +34,7 @@
     let active = null;
     const buttons = [["length", "LineString", "Length", "l"], ["area", "Polygon", "Area", "a"]].map(([name, type, title, key]) => {
       const button = S.element("button", {
-        type: "button", id: `measure-${name}`, textContent: title, title: `measure: click, end by a double click (${key})`,
+        type: "button", id: `measure-${name}`, textContent: title, title: `measure: click points, finish with a double click (${key})`,
         onclick: () => active && active.name === name ? stop() : start(name, type, button),
       });
       button.setAttribute("aria-pressed", "false");

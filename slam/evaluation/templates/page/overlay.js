@@ -13,7 +13,7 @@
     const lifted = S.data.planar || S.data.scans.points.length > 0;
     if (chosen.kind === "loop" && lifted) {
       alone = alone || S.stepsAlone();
-      found.push({name: "steps", title: "by the steps alone", pose: relative(alone)});
+      found.push({name: "steps", title: "by odometry edges only", pose: relative(alone)});
     }
     if (match) found.push({name: "match", title: "as matched", pose: match.measured});
     found.push({name: "map", title: S.plan.moved ? "as shown" : "in the map", pose: relative(S.plan.poses)});

@@ -174,7 +174,7 @@
     plan.map = new ol.Map({
       target: "plan", view: plan.view,
       // Keys act while the plan has the focus: its element can be tabbed to.
-      controls: ol.control.defaults({attribution: false, rotateOptions: {autoHide: true, tipLabel: "North up again (n)"}}).extend([
+      controls: ol.control.defaults({attribution: false, rotateOptions: {autoHide: true, tipLabel: "Reset the rotation (n)"}}).extend([
         new ol.control.ScaleLine({minWidth: 80}),
       ]),
       interactions: ol.interaction.defaults({doubleClickZoom: false}).extend([

@@ -102,7 +102,7 @@
     const whole = elapsed[elapsed.length - 1] || 1;
     button = element("button", {type: "button", id: "play", textContent: "▶", onclick: play});
     button.title = button.ariaLabel = "play (space)";
-    slider = element("input", {type: "range", id: "moment", ariaLabel: "moment of the drive", oninput: () => {
+    slider = element("input", {type: "range", id: "moment", ariaLabel: "time in the log", oninput: () => {
       stop();
       show(before(elapsed, Number(slider.value)));
     }});
@@ -115,8 +115,8 @@
     document.getElementById("player").append(button, slider, speed, told, box);
     S.plan.add({name: "robot", shown: true, draw: drawRobot});
     S.key(" ", "play, or stop", play);
-    S.key(",", "a moment back", () => show(at - 1));
-    S.key(".", "a moment on", () => show(at + 1));
+    S.key(",", "step back", () => show(at - 1));
+    S.key(".", "step forward", () => show(at + 1));
     // seek(seconds since the start); stamps may run backward: the nearest.
     S.player = {seek(seconds) {
       let best = 0;

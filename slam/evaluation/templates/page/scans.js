@@ -42,7 +42,7 @@
     if (data.scans.points.length) {
       S.plan.add({
         name: "scans", title: "scans of the keyframes", shown: false, swatch: "scan",
-        legend: "All points of the lidar, at the keyframes' poses.",
+        legend: "All lidar points, at the poses of their keyframes.",
         draw: (context, frame) => S.drawPoints(context, frame, data.scans, [S.color("scan")], all),
       });
     }
@@ -50,7 +50,7 @@
       const colors = ["orange", "blue", "red"];
       S.plan.add({
         name: "repairs", title: "fused repairs", shown: false, swatch: "orange",
-        legend: "Orange: readings where the lidar had none. Blue: readings that were moved. Red: where they were before.",
+        legend: "Orange: filled readings. Blue: corrected readings. Red: where these were before.",
         draw: (context, frame) => S.drawPoints(context, frame, data.repairs, colors.map(S.color), all),
       });
     }

@@ -133,7 +133,7 @@
     }
     if (data.truth) {
       S.plan.add({
-        name: "truth", title: "true way", shown: true, swatch: "green", legend: "The ground truth, laid on the way.",
+        name: "truth", title: "ground truth", shown: true, swatch: "green", legend: "The ground truth, aligned with the trajectory.",
         draw(context, frame) {
           const {xy} = data.truth;
           context.strokeStyle = S.color("green");
@@ -146,6 +146,6 @@
         },
       });
     }
-    S.plan.add({name: "way", title: "the way", shown: true, swatch: "blue", legend: "Green: start. Red: end.", draw: drawWay});
+    S.plan.add({name: "way", title: "trajectory", shown: true, swatch: "blue", legend: "Green: start. Red: end.", draw: drawWay});
   }, 21);
 })(Scanweave);

@@ -128,15 +128,15 @@
   });
   const verdict = edge => {
     const {edges, on} = whatIf, back = on[edge] !== edges.kept[edge];
-    return on[edge] ? (back ? "Leave it out again" : "Switch it off") : (back ? "Switch it on again" : "Force it on");
+    return on[edge] ? (back ? "Remove it again" : "Switch it off") : (back ? "Switch it on again" : "Force it on");
   };
 
   // What the switches did.
   function outcome() {
     const {found, shifts, solver} = whatIf;
-    if (!found) return element("p", {class: "soft", textContent: "Switch loops or steps off, or refused loops on: the map moves at once."});
+    if (!found) return element("p", {class: "soft", textContent: "Switch loops or edges off, or rejected loops on: the map is solved again at once."});
     if (!shifts) {
-      return element("p", {}, "Nothing else holds the map together: ", nodeLink(S.keyframe(found.loose), found.loose), " would be loose.");
+      return element("p", {}, "Nothing else connects the map: ", nodeLink(S.keyframe(found.loose), found.loose), " would be disconnected.");
     }
     const most = shifts.reduce((best, shift, node) => shift > shifts[best] ? node : best, 0);
     const missed = solver.residuals(found.poses).reduce((sum, one, edge) => sum + (whatIf.on[edge] ? one * one : 0), 0);
@@ -148,10 +148,10 @@
   function influenceOf(edge) {
     const told = whatIf.influence, at = told ? told.edge.indexOf(edge) : -1;
     if (at < 0) return null;
-    if (!Number.isFinite(told.shift_m[at])) return element("p", {textContent: "Nothing else holds the map together there."});
+    if (!Number.isFinite(told.shift_m[at])) return element("p", {textContent: "Nothing else connects the map there."});
     const verb = whatIf.on[edge] ? "Without it the map moves" : "With it the map would move";
     return element("p", {}, `${verb} ${length(told.shift_m[at])}, `, nodeLink("here", told.node[at]),
-      `; the rest of the map is ${told.left_out[at].toFixed(1)} sigmas off it.`);
+      `; the rest of the map is ${told.left_out[at].toFixed(1)} sigmas away from it.`);
   }
 
   // What is doubtful first, of the loops that are on.
@@ -162,10 +162,10 @@
     const rows = [...told.edge.keys()].filter(at => whatIf.on[told.edge[at]] && told.left_out[at] > gate)
       .sort((a, b) => told.left_out[b] - told.left_out[a]);
     const head = element("h3", {textContent: `Doubtful loops: ${rows.length}`});
-    if (!rows.length) return element("div", {}, head, element("p", {class: "soft", textContent: `No loop is more than ${gate.toFixed(1)} sigmas off the rest of the map.`}));
+    if (!rows.length) return element("div", {}, head, element("p", {class: "soft", textContent: `No loop is more than ${gate.toFixed(1)} sigmas away from the rest of the map.`}));
     return element("div", {}, head, element("ul", {class: "plain"}, ...rows.slice(0, LISTED).map(at => element("li", {},
       toggleButton(told.edge[at], "off"), " ", edgeLink(told.edge[at]), ` ${told.left_out[at].toFixed(1)} σ, ${length(told.shift_m[at])}`))),
-      element("button", {type: "button", id: "snoop", textContent: "Switch off the worst until none is left", onclick: whatIf.snoop}));
+      element("button", {type: "button", id: "snoop", textContent: "Switch off the worst one until none is left", onclick: whatIf.snoop}));
   }
 
   function columns() {
@@ -180,7 +180,7 @@
     };
     const shift = cached("shift_m"), off = cached("left_out");
     S.loops.add({name: "shift", title: "moves", value: shift, text: loop => Number.isFinite(shift(loop)) ? length(shift(loop)) : "–"});
-    S.loops.add({name: "left-out", title: "left out", value: off, text: loop => S.number(off(loop), 1)});
+    S.loops.add({name: "left-out", title: "removed", value: off, text: loop => S.number(off(loop), 1)});
   }
 
   S.ready(data => {
@@ -199,7 +199,7 @@
         element("div", {class: "choice"},
           element("button", {type: "button", id: "what-if-reset", textContent: "Back to the map", onclick: whatIf.reset}),
           element("button", {type: "button", id: "edits-download", textContent: "Save edits.yaml", onclick: () => S.editing.download()})),
-        changed.some(edge => whatIf.edges.loop[edge] < 0) ? element("p", {class: "soft", textContent: "Steps are only tried here; edits.yaml holds loops."}) : "",
+        changed.some(edge => whatIf.edges.loop[edge] < 0) ? element("p", {class: "soft", textContent: "Changes to odometry edges are not saved; edits.yaml contains loops only."}) : "",
       ] : []), doubtful() || "");
     };
     S.on("what-if", fill);
