@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Any
 
@@ -135,8 +136,10 @@ def _place(points, T_a_b, placed):  # type: ignore[no-untyped-def]
             placed[i, k] = T_a_b[k, 0] * x + T_a_b[k, 1] * y + T_a_b[k, 2] * z + T_a_b[k, 3]
 
 
-def thin_to_voxels(points: FloatArray, voxel_m: float) -> FloatArray:
-    """Return (M, 3), the first point in each voxel, so that near surfaces do not count more than far ones.
+def thin_to_voxels(points: FloatArray, voxel_m: float, step: int = 1) -> FloatArray:
+    """Return the first point (M, 3) in each voxel, so that near surfaces weigh no more than far ones.
+
+    Points are visited in strides of ``step``, coprime to their number.
 
     Examples
     --------
@@ -148,8 +151,19 @@ def thin_to_voxels(points: FloatArray, voxel_m: float) -> FloatArray:
     if not len(points):
         return points
     first, keys = np.empty(len(points), np.int64), np.empty(len(points), np.int64)
-    count = first_in_voxels(points, voxel_m, table_for(len(points)), keys, first)
-    return points.take(first[:count], axis=0)
+    count = first_in_voxels(points, voxel_m, step, table_for(len(points)), keys, first)
+    return points.take(first[:count] if step == 1 else np.sort(first[:count]), axis=0)
+
+
+def thin_evenly(points: FloatArray, voxel_m: float) -> FloatArray:
+    """Return one point (M, 3) in each voxel without a bias to one side.
+
+    The first in the order of the beams turns a noisy cloud; strides of the golden section prefer no side.
+    """
+    step = len(points) * 514_229 // 832_040
+    while math.gcd(step, len(points)) > 1:
+        step += 1
+    return thin_to_voxels(points, voxel_m, step)
 
 
 def dense_enough(points: FloatArray, radius_m: float, least_neighbours: int) -> BoolArray:

@@ -36,32 +36,26 @@ def key_of(x, y, z, size_m):  # type: ignore[no-untyped-def]
 
 
 @kernel(inline="always")
-def slot_of(key, mask):  # type: ignore[no-untyped-def]
-    """Where the search for a key begins."""
-    return (key ^ ((key >> AXIS_BITS) * _PRIMES[0]) ^ ((key >> 2 * AXIS_BITS) * _PRIMES[1])) & mask
+def slot_of(key, table, keys):  # type: ignore[no-untyped-def]
+    """The slot of a key; an empty one where it has no entry."""
+    mask = table.shape[0] - 1
+    slot = (key ^ ((key >> AXIS_BITS) * _PRIMES[0]) ^ ((key >> 2 * AXIS_BITS) * _PRIMES[1])) & mask
+    while table[slot] >= 0 and keys[table[slot]] != key:
+        slot = (slot + 1) & mask
+    return slot
 
 
 @kernel(inline="always")
 def entry_of(key, table, keys):  # type: ignore[no-untyped-def]
     """The number of a key's entry; -1 where there is none."""
-    mask = table.shape[0] - 1
-    slot = slot_of(key, mask)
-    found = np.int64(table[slot])
-    while found >= 0 and keys[found] != key:
-        slot = (slot + 1) & mask
-        found = np.int64(table[slot])
-    return found
+    return np.int64(table[slot_of(key, table, keys)])
 
 
 @kernel
 def index_keys(keys, table):  # type: ignore[no-untyped-def]
     """Enter the numbers of keys (V,), each of them once, into empty slots."""
-    mask = table.shape[0] - 1
     for i in range(keys.shape[0]):
-        slot = slot_of(keys[i], mask)
-        while table[slot] >= 0:
-            slot = (slot + 1) & mask
-        table[slot] = i
+        table[slot_of(keys[i], table, keys)] = i
 
 
 @kernel(nogil=True)
@@ -72,26 +66,26 @@ def entries_at(points, size_m, table, keys, entries):  # type: ignore[no-untyped
 
 
 @kernel(nogil=True)
-def first_in_voxels(points, size_m, table, keys, first):  # type: ignore[no-untyped-def]
-    """Numbers of the first point (N, 3) of each voxel, in order, into ``first`` (N,); how many there are.
+def first_in_voxels(points, size_m, step, table, keys, first):  # type: ignore[no-untyped-def]
+    """Numbers of the first point (N, 3) of each voxel into ``first`` (N,); how many there are.
 
     Parameters
     ----------
+    step
+        From one point that is asked to the next, round and round; it shares no divisor with N.
     table, keys
         Empty slots for N entries, and room (N,) for their keys.
     """
-    count = ZERO
-    mask = table.shape[0] - 1
-    for i in range(points.shape[0]):
+    count = i = ZERO
+    for _ in range(points.shape[0]):
         key = key_of(points[i, 0], points[i, 1], points[i, 2], size_m)
-        slot = slot_of(key, mask)
-        k = table[slot]
-        while k >= 0 and keys[k] != key:
-            slot = (slot + 1) & mask
-            k = table[slot]
-        if k < 0:
+        slot = slot_of(key, table, keys)
+        if table[slot] < 0:
             table[slot] = count
             keys[count] = key
             first[count] = i
             count += 1
+        i += step
+        if i >= points.shape[0]:
+            i -= points.shape[0]
     return count

@@ -78,6 +78,11 @@ def test_every_way_to_write_a_number_is_a_number(text: str) -> None:
         ("distance_m=1", "unknown key 'distance_m'; did you mean 'keyframes.distance_m'?"),
         ("grid.distance_m=1", "unknown key 'grid.distance_m'; did you mean 'keyframes.distance_m'?"),
         ("grid.resolution=1", "unknown key 'grid.resolution'; did you mean 'grid.resolution_m'?"),
+        (
+            "sensors.calibration.lidars.front.upsidedown=true",
+            "unknown key 'sensors.calibration.lidars.front.upsidedown'; "
+            "did you mean 'sensors.calibration.lidars.NAME.upside_down'?",
+        ),
         ("grid.qqqq=1", "unknown key 'grid.qqqq'; valid here: grid."),
     ],
 )

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -33,6 +35,9 @@ def scans(kind: object) -> list[slam.LaserScan]:
     return [slam.LaserScan(0.1 * n, given, -np.pi, np.pi / 180, 20.0) for n in range(3)]
 
 
+IMAGE, LENS = np.zeros((4, 6, 3), np.uint8), slam.CameraIntrinsics(5.0, 5.0, 3.0, 2.0, 6, 4)
+
+
 @pytest.mark.parametrize("kind", [list, np.float64, np.int64])
 def test_ranges_of_any_numbers_are_mapped(kind: object) -> None:
     with slam.build_map(scans(kind)) as room, slam.build_map(scans(np.float32)) as same:
@@ -51,6 +56,17 @@ def test_ranges_of_any_numbers_are_mapped(kind: object) -> None:
         (slam.LaserScan(0.0, ["near"], 0.0, 0.1, 9.0), r"ranges_m is <U4\[1\]"),
         (slam.WheelOdometry(0.0, (1, 2, 0)), r"T_odom_base is \(1, 2, 0\); give gtsam.Pose2"),
         (slam.PointCloud(0.0, [1.0, 2.0, 3.0]), r"points_lidar is float64\[3\]; give float32 of 2"),
+        (slam.LaserScan(math.nan, np.ones(3), 0.0, 0.1, 9.0), "its stamp cannot be: nan"),
+        (slam.LaserScan(0.0, np.ones(0), 0.0, 0.1, 9.0), r"its ranges_m cannot be: float32\[0\]"),
+        (slam.LaserScan(0.0, np.ones(3), 0.1, -0.1, 9.0), "its step_rad cannot be: -0.1"),
+        (slam.LaserScan(0.0, np.ones(360), 0.0, 1.0, 9.0), "its beams span 359 rad"),
+        (slam.LaserScan(0.0, np.ones(3), 0.0, 0.1, 0.0), "its range_max_m cannot be: 0.0"),
+        (
+            slam.RgbdFrame(0.0, IMAGE, np.ones((6, 8)), LENS),
+            r"colour .*, depth \(6, 8\), lens",
+        ),
+        (slam.RgbdFrame(0.0, IMAGE.transpose(2, 0, 1), np.ones((4, 6)), LENS), r"colour \(3, 4, 6\)"),
+        (slam.RgbdFrame(0.0, IMAGE, np.ones((4, 6)), replace(LENS, width=60)), r"colour .*, lens \(4, 60\)"),
     ],
 )
 def test_what_is_no_array_of_a_measurement_is_named(measurement: object, told: str) -> None:

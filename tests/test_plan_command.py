@@ -29,7 +29,8 @@ def test_plan_says_where_there_is_no_way_and_what_a_point_is(tmp_path):
     narrow = run(tmp_path, str(tmp_path), *ends, "--radius", "0.4")
     assert isinstance(narrow.exception, ScanweaveError)
     assert "no path" in str(narrow.exception)
-    assert run(tmp_path, str(tmp_path), "--from", "here", "--to", "4,0").exit_code == 2
+    for wrong in ("here", "nan,0", "inf,0"):
+        assert run(tmp_path, str(tmp_path), "--from", wrong, "--to", "4,0").exit_code == 2
 
 
 def test_plan_says_where_a_folder_holds_no_map(tmp_path):

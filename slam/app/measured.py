@@ -11,10 +11,11 @@ import gtsam
 import numpy as np
 
 from slam.datasets.dataset import ReadReport
-from slam.errors import DatasetError
+from slam.errors import DatasetError, MapFileError
 from slam.estimates import Trajectory
 from slam.mapper.protocol import SENSORS
-from slam.measurements import Measurement, WheelOdometry
+from slam.measurements import LaserScan, Measurement, RgbdFrame, WheelOdometry
+from slam.storage.map_soundness import require, sound, sound_stamp
 
 
 class Measured:
@@ -49,7 +50,7 @@ class Measured:
             if not isinstance(measurement, Measurement) and type(measurement) not in SENSORS:
                 kind = type(measurement).__name__
                 raise DatasetError(f"number {number} is a {kind}; give scans, wheels, clouds or frames")
-            measurement = _with_arrays(measurement, number)
+            measurement = _checked(_with_arrays(measurement, number), number)
             report.observe(measurement, number)
             if count:
                 report.note_share(number / count)
@@ -83,3 +84,22 @@ def _with_arrays(measurement: Any, number: int) -> Any:
             raise DatasetError(f"number {number}: {told}; give {np.dtype(kind)} of {axes} dimension(s)")
         changed[name] = found.astype(kind)
     return replace(measurement, **changed) if changed else measurement
+
+
+def _checked(measurement: Any, number: int) -> Any:
+    """The measurement, if its values are such as sensors give."""
+    try:
+        sound_stamp(measurement.stamp_s)
+        if isinstance(measurement, LaserScan):
+            sound(measurement)
+            turn_rad = measurement.step_rad * (measurement.ranges_m.size - 1)
+            require(turn_rad < 7, f"its beams span {turn_rad:.4g} rad")  # a turn, and what is rounded
+        if isinstance(measurement, RgbdFrame):
+            sound(lens := measurement.intrinsics)
+            color, depth = measurement.color.shape, measurement.depth_m.shape
+            alike = color == (*depth, 3) and (lens.height, lens.width) in (depth, (0, 0))
+            require(alike, f"colour {color}, depth {depth}, lens {(lens.height, lens.width)}: other sizes")
+    except MapFileError as error:
+        kind = type(measurement).__name__
+        raise DatasetError(f"number {number}: {error}; help(slam.{kind}) tells what belongs there") from None
+    return measurement

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import sys
 import time
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -23,7 +25,7 @@ from slam.cli.app import (
     tell,
     topics_override,
 )
-from slam.cli.progress import interruptible, progress_bar
+from slam.cli.progress import Show, interruptible, progress_bar
 
 if TYPE_CHECKING:
     from slam.app.joining import Joined
@@ -71,12 +73,8 @@ def map_command(
 ) -> None:
     """Map a log: write trajectory, pose graph, grid and report, and map.db with everything."""
     overrides = [*(set_ or []), *topics_override(topics)]
-    if no_odometry:
-        overrides.append("sensors.wheels=false")
-    if no_loops:
-        overrides.append("loops.enabled=false")
-    if no_fusion:
-        overrides.append("fusion.enabled=false")
+    left_out = {"sensors.wheels": no_odometry, "loops.enabled": no_loops, "fusion.enabled": no_fusion}
+    overrides += [f"{part}=false" for part, off in left_out.items() if off]
     if into is not None and record is not None:
         raise typer.BadParameter("--record cannot be combined with --into")
     if into is None and out is None:
@@ -111,21 +109,10 @@ def map_log(
     from slam.app.mapping import run_log
     from slam.config.tags import FILE_NAME as TAGS_FILE
 
-    try:
-        with progress_bar(first=_beginning(out, resume)) as show, interruptible(show) as on_progress:
-            run = run_log(
-                log,
-                config,
-                out=out,
-                on_progress=on_progress,
-                resume=resume,
-                overwrite=force,
-                strict=strict,
-                record=record,
-            )
-    except KeyboardInterrupt:
-        _tell_unfinished(out)
-        raise
+    with _told_of(out, resume=resume) as on:
+        run = run_log(
+            log, config, out=out, on_progress=on, resume=resume, overwrite=force, strict=strict, record=record
+        )
     if run.report is None:
         say(f"{run.map.path} is already finished; there is nothing to resume")
         return run
@@ -159,12 +146,8 @@ def map_into(
     if config is None and calibration is not None:
         config = with_calibration(known.config, calibration)
     work = (out or known.path.parent) / WORK / "session"
-    try:
-        with progress_bar(first=_beginning(work, resume)) as show, interruptible(show) as on_progress:
-            joined = join(known, log, config, out=out, on_progress=on_progress, resume=resume, strict=strict)
-    except KeyboardInterrupt:
-        _tell_unfinished(work)
-        raise
+    with _told_of(work, resume=resume) as on:
+        joined = join(known, log, config, out=out, on_progress=on, resume=resume, strict=strict)
     if joined.session.report is not None:
         _tell(joined.session, "", f"{log.name} alone: ")
     together, placing = joined.connection.joined, joined.connection.placing
@@ -179,26 +162,24 @@ def map_into(
     return joined
 
 
-def _beginning(folder: Path, resume: bool) -> str:
-    """What becomes of a map that an interrupted run has left; nothing where there is none."""
+@contextmanager
+def _told_of(folder: Path, *, resume: bool) -> Iterator[Show]:
+    """Show how far a map in a folder is: first what becomes of one that was begun, last how to go on."""
     from slam.app.map_folder import Left, left_in
     from slam.storage.map_file import MAP_NAME
 
-    left, path = left_in(folder), folder / MAP_NAME
+    left, path, first = left_in(folder), folder / MAP_NAME, ""
     if left is Left.UNFINISHED:
-        return f"going on with {path}" if resume else f"replacing {path}, left by an interrupted run"
-    nothing = resume and left is Left.NOTHING
-    return f"nothing to resume in {folder}; mapping from the beginning" if nothing else ""
-
-
-def _tell_unfinished(folder: Path) -> None:
-    """Say how an interrupted map is gone on with."""
-    from slam.app.map_folder import Left, left_in
-    from slam.storage.map_file import MAP_NAME
-
-    if left_in(folder) is Left.UNFINISHED:
-        path = folder / MAP_NAME
-        tell(f"{path} is not finished; the same command with --resume continues it", sys.stderr)
+        first = f"going on with {path}" if resume else f"replacing {path}, left by an interrupted run"
+    elif resume and left is Left.NOTHING:
+        first = f"nothing to resume in {folder}; mapping from the beginning"
+    try:
+        with progress_bar(first=first) as bar, interruptible(bar) as show:
+            yield show
+    except KeyboardInterrupt:
+        if left_in(folder) is Left.UNFINISHED:
+            tell(f"{path} is not finished; the same command with --resume continues it", sys.stderr)
+        raise
 
 
 def _tell(run: MapRun, took: str, of: str = "") -> None:

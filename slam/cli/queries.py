@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -184,6 +185,8 @@ def _point(text: str, option: str) -> tuple[float, float]:
     """A point from x,y."""
     try:
         x, y = (float(part) for part in text.split(","))
+        if not math.isfinite(x + y):
+            raise ValueError
     except ValueError as error:
         raise typer.BadParameter(f"{option} is '{text}'; give x,y in metres, as in 1.5,-0.2") from error
     return x, y

@@ -8,7 +8,7 @@ import re
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from functools import partial
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, TypeVar, get_args, get_origin
 
 from pydantic import BaseModel, ValidationError
 from pydantic_core import ErrorDetails
@@ -139,9 +139,10 @@ def _all_paths(model: type[BaseModel], prefix: str = "") -> Iterator[str]:
     """Yield the dotted path of every section and field."""
     for name, field in model.model_fields.items():
         yield prefix + name
-        section = field.annotation
+        named = get_origin(field.annotation) is dict  # sensors by their names
+        section = get_args(field.annotation)[-1] if named else field.annotation
         if isinstance(section, type) and issubclass(section, BaseModel):
-            yield from _all_paths(section, f"{prefix}{name}.")
+            yield from _all_paths(section, f"{prefix}{name}.{'NAME.' if named else ''}")
 
 
 def nearest_field(models: Iterable[type[BaseModel]]) -> Callable[[str], str]:

@@ -19,8 +19,7 @@ from slam.datasets.dataset_format import recorded
 from slam.datasets.frame_pairs import pair_images
 from slam.datasets.image_files import ImageFiles
 from slam.datasets.lens_files import checked, median_lens
-from slam.datasets.phone_poses import COMPARED
-from slam.datasets.pose_files import PoseTable, numbers_of, trajectory_of
+from slam.datasets.pose_files import COMPARED, PoseTable, numbers_of, trajectory_of
 from slam.datasets.recording import Contents
 from slam.datasets.stamped_files import StampedFile
 from slam.errors import DatasetError

@@ -209,7 +209,9 @@ class _Decoder:
         count = record.ranges_m.size
         if record.start_rad is None:
             fov, step = self._parameter(record.kind, "fov"), self._parameter(record.kind, "resolution")
-            layout = beam_layout(count, fov and math.radians(fov), step and math.radians(step))
+            # No lidar sees as little as a full turn's radians, taken for degrees.
+            unit_rad = 1.0 if (fov or (step or 0.0) * count) <= 2.0 * math.pi else math.radians(1.0)
+            layout = beam_layout(count, fov and fov * unit_rad, step and step * unit_rad)
         else:
             layout = beam_layout(count, record.fov_rad, record.step_rad)
             if not layout.contradiction and abs(record.start_rad) <= 2.0 * math.pi:

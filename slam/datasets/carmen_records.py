@@ -114,10 +114,13 @@ def parse_configured_laser(tokens: list[bytes]) -> LaserRecord:
     if not all(map(math.isfinite, (start_rad, fov_rad, step_rad))):
         raise RecordFault(BAD_GEOMETRY, f"start {start_rad}, field of view {fov_rad}, step {step_rad}")
     tail = _numbers(tokens[after : after + pose_fields + 1])
+    ranges_m = _numbers(tokens[9:remission_at])
+    if step_rad < 0.0:  # the beams go clockwise
+        start_rad, step_rad, ranges_m = start_rad + step_rad * (count - 1), -step_rad, ranges_m[::-1].copy()
     return LaserRecord(
         kind=kind,
         stamp_s=_stamp(tail[pose_fields]),
-        ranges_m=_numbers(tokens[9:remission_at]),
+        ranges_m=ranges_m,
         laser=finite_row(tail[0:3]) if pose_fields else None,
         robot=finite_row(tail[3:6]) if pose_fields else None,
         start_rad=start_rad,
@@ -170,13 +173,11 @@ def _numbers(tokens: list[bytes]) -> FloatArray:
     values, text = np.empty(len(tokens)), b" ".join(tokens)
     if _plain_numbers(np.frombuffer(text, np.uint8), values) == len(tokens):
         return values
-    try:
-        values[:] = list(map(float, tokens))
-    except ValueError:
-        bad = next(token for token in tokens if not _is_number(token))
-        raise RecordFault(NOT_A_NUMBER, _shown(bad)) from None
-    if b"_" in text:
-        raise RecordFault(NOT_A_NUMBER, _shown(next(token for token in tokens if b"_" in token)))
+    for at, token in enumerate(tokens):
+        try:
+            values[at] = float(token.replace(b"_", b"?"))
+        except ValueError:
+            raise RecordFault(NOT_A_NUMBER, _shown(token)) from None
     return values
 
 
@@ -214,15 +215,6 @@ def _plain_numbers(text, values):  # type: ignore[no-untyped-def]
         else:
             break
     return count
-
-
-def _is_number(token: bytes) -> bool:
-    """Whether float() takes a token."""
-    try:
-        float(token)
-    except ValueError:
-        return False
-    return True
 
 
 def finite_row(values: FloatArray) -> Row:

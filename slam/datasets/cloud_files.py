@@ -25,6 +25,9 @@ CLOUD_NAMES = "(?:bin|pcd|ply|la[sz])"  # as a pattern
 _LOOKED_AT, _ALIKE_SHARE = 2000, 1e-6
 # What lidars tell lies between these, rounded heights of a plane too; what is no cloud mostly does not.
 _LEAST, _GREATEST = 1e-30, 1e9
+# Of an Ouster OS1-64 whose clouds keep its order but not its times: 1024 columns of 64 rows a turn.
+_ROWS, _COLUMNS, _TURN_S = 64, 1024, 0.1
+_TIMES = ("t", "time", "timestamp")
 
 MISSING = "cloud file missing"
 UNREADABLE = "cloud file cannot be read"
@@ -174,3 +177,15 @@ def read_fields(path: Path) -> Parsed:
     if points.shape[1:] != (3,):
         raise RecordFault(DAMAGED, f"{path.name}: points of shape {points.shape}")
     return points, {name: values for name, values in columns.items() if values.ndim == 1}
+
+
+def with_column_times(parse: Callable[[Path], Parsed]) -> Callable[[Path], Parsed]:
+    """A parser that gives the points of a whole turn the times of their columns; others are left without."""
+
+    def parsed(path: Path) -> Parsed:
+        points, fields = parse(path)
+        if len(points) == _ROWS * _COLUMNS and not any(name in fields for name in _TIMES):
+            fields["t"] = np.arange(_ROWS * _COLUMNS) // _ROWS * (_TURN_S / _COLUMNS)
+        return points, fields
+
+    return parsed

@@ -12,7 +12,7 @@ from slam.datasets.cloud_files import CLOUD_NAMES
 from slam.datasets.clouds_over_time import CloudFolder, cloud_files, stamped_clouds, times_of
 from slam.datasets.dataset_format import recorded
 from slam.datasets.imu_files import beside_imu, imu_file
-from slam.datasets.log_file import numbered_lines
+from slam.datasets.log_file import first_file, numbered_lines
 from slam.datasets.numbered_frames import NO_STAMPS, numbered_files
 from slam.datasets.pose_files import pose_lines, pose_of_row, trajectory_of
 from slam.datasets.recording import Contents
@@ -64,23 +64,17 @@ def _groundtruth(path: Path, account: Account) -> Trajectory | None:
     """``groundtruth.txt``, or KITTI's poses: of its left camera, turned into those of the lidar."""
     if (path / _GROUNDTRUTH).is_file():
         return read_poses(path / _GROUNDTRUTH, account)
-    found = [
-        file
-        for file in (
-            path / "poses.txt",
-            path.resolve().parent.parent / "poses" / f"{path.resolve().name}.txt",
-        )
-        if file.is_file()
-    ]
+    place = path.resolve()
+    found = first_file((path / "poses.txt", place.parent.parent / "poses" / f"{place.name}.txt"))
     times = times_of(path)
     calibration = path / _KITTI_CALIBRATION
-    if not found or times is None or not calibration.is_file():
+    if found is None or times is None or not calibration.is_file():
         return None
     T_camera_lidar = _kitti_rows(calibration, account).get("Tr")
     if T_camera_lidar is None:
         return None
     stamps = [file.stamp_s for file in stamped_clouds(times, _cloud_places(path)[0], account)]
-    poses = zip(stamps, pose_lines(found[0], account), strict=False)
+    poses = zip(stamps, pose_lines(found, account), strict=False)
     T_lidar_camera = T_camera_lidar.inverse()
     return trajectory_of(
         (stamp_s, T_lidar_camera.compose(pose).compose(T_camera_lidar)) for stamp_s, pose in poses if pose

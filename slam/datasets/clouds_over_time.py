@@ -14,7 +14,7 @@ from slam.datasets.account import Account
 from slam.datasets.bin_rows import is_bin, rows_of
 from slam.datasets.cloud_files import CLOUD_SUFFIXES, KITTI_ROWS, CloudFile, Parsed, read_cloud
 from slam.datasets.dataset import RecordFault
-from slam.datasets.log_file import files_inside
+from slam.datasets.log_file import files_inside, first_file
 from slam.datasets.point_intensity import intensities_of
 from slam.datasets.point_times import PointTimes
 from slam.datasets.recording import Numbered
@@ -84,7 +84,7 @@ class CloudFolder:
 
 def times_of(folder: Path) -> Path | None:
     """The list of stamps in a folder."""
-    return next((folder / name for name in TIMES_NAMES if (folder / name).is_file()), None)
+    return first_file(folder / name for name in TIMES_NAMES)
 
 
 def cloud_files(folder: Path) -> list[Path]:
@@ -98,7 +98,7 @@ def stamped_clouds(times: Path, folder: Path, account: Account) -> list[StampedF
     """The clouds of a list of stamps: by the names in it, else one after another as the folder has them."""
     if any(len(fields) > 1 for _, fields in fields_of(times, Account.quiet(times), 1, 2)):
         return read_image_list(times, account)
-    lines, files = list(fields_of(times, account, 1, 1)), cloud_files(folder)
+    lines, files = list(fields_of(times, account, 1)), cloud_files(folder)
     found = []
     for (number, fields), path in zip(lines, files, strict=False):
         with account.refusing(times.name, number):

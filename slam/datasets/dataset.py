@@ -138,6 +138,14 @@ class ReadReport:
         return sum(tally.count for tally in self.dropped.values())
 
     @property
+    def refusals(self) -> str:
+        """How many records were refused, and why."""
+        return "; ".join(
+            f"{tally.count} x {reason}, first at record {tally.lines[0]}"
+            for reason, tally in self.dropped.items()
+        )
+
+    @property
     def warnings(self) -> list[str]:
         """The notes that a person should see before trusting a map."""
         found = [note.removeprefix(WARNING) for note in self.notes if note.startswith(WARNING)]

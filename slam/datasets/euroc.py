@@ -9,6 +9,7 @@ from pathlib import Path
 
 from slam.datasets.account import Account
 from slam.datasets.dataset_format import recorded
+from slam.datasets.log_file import first_file
 from slam.datasets.pose_files import PoseTable
 from slam.datasets.recording import Contents
 from slam.errors import DatasetError
@@ -36,8 +37,7 @@ def _load(path: Path, account: Account) -> Contents:
 
 def _groundtruth(path: Path, account: Account) -> Trajectory | None:
     """Of the IMU, or of the markers on the robot."""
-    files = (place / name for place in (path / "mav0", path) for name in _TRUTHS)
-    file = next((one for one in files if one.is_file()), None)
+    file = first_file(place / name for place in (path / "mav0", path) for name in _TRUTHS)
     return POSES.read(file, account) if file else None
 
 

@@ -12,7 +12,8 @@ from slam.datasets.account import Account
 from slam.datasets.cloud_files import Rows, row_of
 from slam.datasets.clouds_over_time import CloudFolder, clouds_by_name
 from slam.datasets.dataset_format import recorded
-from slam.datasets.imu_files import beside_imu, first_file
+from slam.datasets.imu_files import beside_imu
+from slam.datasets.log_file import first_file
 from slam.datasets.mulran import NAMED_BY_CLOCK, stamp_of_clock, xsens
 from slam.datasets.pose_files import PoseTable
 from slam.datasets.recording import Contents

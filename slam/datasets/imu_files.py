@@ -17,7 +17,8 @@ from slam.datasets.account import Account
 from slam.datasets.calibration import read_mounting
 from slam.datasets.dataset import RecordFault
 from slam.datasets.imu_units import ForceUnit
-from slam.datasets.log_file import numbered_lines
+from slam.datasets.log_file import first_file, numbered_lines
+from slam.datasets.pose_files import by_its_size
 from slam.datasets.recording import Numbered
 from slam.measurements import ImuReading
 
@@ -35,15 +36,11 @@ _GYRO = re.compile(
 )
 _FORCE = re.compile(r"^(a|acc|accel|accelerometer|lin|linear|linear_?acceleration)([_. ].*)?[_. ]?([xyz])$")
 _TIMES = ("timestamp", "time", "stamp", "t")
-_SECONDS, _REST = (
-    frozenset({"sec", "secs", "seconds"}),
-    frozenset({"nsec", "nsecs", "nanosec", "nanoseconds"}),
-)
+_SECONDS = frozenset({"sec", "secs", "seconds"})
+_REST = frozenset({"nsec", "nsecs", "nanosec", "nanoseconds"})
 # EuRoC's order, for files without a head.
 _PLAIN = (0, 1, 2, 3, 4, 5, 6)
-# Stamps that large count no seconds but parts of them; a clock of the world tells 1.7e9 s.
 _UNITS = {"ns": 1e-9, "us": 1e-6, "ms": 1e-3, "s": 1.0}
-_SCALES = ((1e17, 1e-9), (1e14, 1e-6), (1e11, 1e-3))
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,9 +58,7 @@ class _Columns:
         if len(self.time) == 2:
             return float(row[self.time[0]] + 1e-9 * row[self.time[1]])
         told = float(row[self.time[0]])
-        if self.time_scale is not None:
-            return told * self.time_scale
-        return told * next((scale for least, scale in _SCALES if abs(told) > least), 1.0)
+        return by_its_size(told) if self.time_scale is None else told * self.time_scale
 
 
 @dataclass(frozen=True, slots=True)
@@ -88,11 +83,6 @@ class ImuFile:
 def imu_file(folder: Path) -> Path | None:
     """The file of an IMU beside clouds."""
     return first_file(folder / name for name in _NAMES)
-
-
-def first_file(places: Iterable[Path]) -> Path | None:
-    """The first of several places where there is a file."""
-    return next((place for place in places if place.is_file()), None)
 
 
 def beside_imu(log: Iterable[Numbered], imu: ImuFile | Path | None, account: Account) -> Iterable[Numbered]:

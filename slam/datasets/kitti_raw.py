@@ -18,8 +18,8 @@ from slam.datasets.cloud_files import DAMAGED, KITTI_ROWS, Parsed
 from slam.datasets.clouds_over_time import UNPAIRED, WITHOUT_CLOUD, CloudFolder
 from slam.datasets.dataset import RecordFault
 from slam.datasets.dataset_format import recorded
-from slam.datasets.imu_files import first_file, with_imu
-from slam.datasets.log_file import numbered_lines
+from slam.datasets.imu_files import with_imu
+from slam.datasets.log_file import first_file, numbered_lines
 from slam.datasets.numbered_frames import numbered_files
 from slam.datasets.pose_files import numbers_of, rotation_and_shift, trajectory_of
 from slam.datasets.recording import Contents, Numbered

@@ -5,7 +5,7 @@ from __future__ import annotations
 import gzip
 import io
 import zlib
-from collections.abc import Callable, Collection, Iterator
+from collections.abc import Callable, Collection, Iterable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -91,8 +91,13 @@ def read_head(path: Path, size: int) -> bytes:
     return b"".join(chunks).removeprefix(_BYTE_ORDER_MARK)
 
 
+def first_file(places: Iterable[Path]) -> Path | None:
+    """The first of several places where there is a file."""
+    return next((place for place in places if place.is_file()), None)
+
+
 def files_inside(folder: Path, suffixes: Collection[str]) -> list[Path]:
-    """Files directly in a folder with one of some endings in lower case, unsorted.
+    """Files directly in a folder with one of some endings in lower case, unsorted; hidden ones are left out.
 
     Raises
     ------
@@ -100,7 +105,8 @@ def files_inside(folder: Path, suffixes: Collection[str]) -> list[Path]:
         The folder cannot be listed.
     """
     try:
-        return [file for file in folder.iterdir() if file.suffix.lower() in suffixes and file.is_file()]
+        shown = (file for file in folder.iterdir() if not file.name.startswith("."))  # macOS adds ._NAME
+        return [file for file in shown if file.suffix.lower() in suffixes and file.is_file()]
     except OSError as error:
         raise DatasetError(f"cannot list {folder}: {error.strerror}; check its rights") from error
 

@@ -14,20 +14,20 @@ import gtsam
 import numpy as np
 
 from slam.datasets.account import Account
-from slam.datasets.cloud_files import KITTI_ROWS
+from slam.datasets.cloud_files import KITTI_ROWS, with_column_times
 from slam.datasets.clouds_over_time import CloudFolder, clouds_by_name
 from slam.datasets.dataset_format import recorded
-from slam.datasets.imu_files import ImuFile, beside_imu, first_file
-from slam.datasets.ouster_order import with_column_times
+from slam.datasets.imu_files import ImuFile, beside_imu
+from slam.datasets.log_file import first_file
 from slam.datasets.pose_files import (
     BAD_MATRIX,
     by_its_size,
     pose_of_row,
     rotation_and_shift,
-    rows_of,
     trajectory_of,
 )
 from slam.datasets.recording import Contents
+from slam.datasets.stamped_files import fields_of
 from slam.errors import DatasetError
 from slam.estimates import Trajectory
 
@@ -78,7 +78,7 @@ def read_poses(path: Path, account: Account) -> Trajectory | None:
     """Lines of nanoseconds and the twelve numbers of a pose of the car; None without a pose."""
 
     def good() -> Iterator[tuple[float, gtsam.Pose3]]:
-        for number, fields in rows_of(path, account, 13):
+        for number, fields in fields_of(path, account, 13):
             with account.refusing(path.name, number, BAD_MATRIX, ValueError):
                 yield by_its_size(float(fields[0])), pose_of_row(fields[1:13])
 

@@ -16,7 +16,8 @@ from slam.datasets.account import Account
 from slam.datasets.cloud_files import Parsed, Rows, row_of
 from slam.datasets.clouds_over_time import CloudFolder, clouds_by_name, merged
 from slam.datasets.dataset_format import recorded
-from slam.datasets.imu_files import ImuFile, beside_imu, first_file
+from slam.datasets.imu_files import ImuFile, beside_imu
+from slam.datasets.log_file import first_file
 from slam.datasets.pose_files import PoseTable, trajectory_of
 from slam.datasets.recording import Contents, Numbered
 from slam.estimates import Trajectory
@@ -65,13 +66,8 @@ def _groundtruth(path: Path, account: Account) -> Trajectory | None:
     """The publishers' poses, in the folder or beside it."""
     name = f"groundtruth_{path.resolve().name}.csv"
     above = path.resolve().parent
-    places = (
-        path / name,
-        above / name,
-        above / "ground_truth" / name,
-        *sorted(path.glob("groundtruth_*.csv")),
-    )
-    file = next((place for place in places if place.is_file()), None)
+    places = path / name, above / name, above / "ground_truth" / name
+    file = first_file([*places, *sorted(path.glob("groundtruth_*.csv"))])
     return read_poses(file, account) if file else None
 
 

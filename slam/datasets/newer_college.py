@@ -11,11 +11,11 @@ import gtsam
 import numpy as np
 
 from slam.datasets.account import Account
-from slam.datasets.cloud_files import read_fields
+from slam.datasets.cloud_files import read_fields, with_column_times
 from slam.datasets.clouds_over_time import CloudFolder, clouds_by_name
 from slam.datasets.dataset_format import recorded
-from slam.datasets.imu_files import ImuFile, beside_imu, first_file
-from slam.datasets.ouster_order import with_column_times
+from slam.datasets.imu_files import ImuFile, beside_imu
+from slam.datasets.log_file import first_file
 from slam.datasets.pose_files import PoseTable, trajectory_of
 from slam.datasets.recording import Contents
 from slam.estimates import Trajectory
@@ -58,8 +58,7 @@ def _groundtruth(path: Path, account: Account) -> Trajectory | None:
     """Of the lidar, by the poses in the folder or near it."""
     above = path.resolve().parents
     places = (path, *above[:2])
-    files = (place / inside / _TRUTH for place in places for inside in ("", "ground_truth"))
-    file = next((one for one in files if one.is_file()), None)
+    file = first_file(place / inside / _TRUTH for place in places for inside in ("", "ground_truth"))
     return read_poses(file, account) if file else None
 
 

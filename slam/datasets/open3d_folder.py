@@ -21,6 +21,7 @@ from slam.datasets.dataset_format import recorded
 from slam.datasets.frame_pairs import pair_images
 from slam.datasets.image_files import FILES, MANY_CHANNELS, ImageFiles, decoded, file_content, metres_of
 from slam.datasets.lens_files import camera_matrix, four_numbers, open3d_lens, plain_lens
+from slam.datasets.log_file import files_inside
 from slam.datasets.numbered_frames import (
     NO_STAMPS,
     RATE_HZ,
@@ -51,6 +52,7 @@ ASSUMED = (
     "intrinsics and millimetres assumed (525 525 319.5 239.5 at 640 x 480, as Redwood's); "
     "give a camera_intrinsic.json, a calibration.yaml or --calibration FILE"
 )
+NO_NUMBER = "image whose name is no number"
 STAMPS_IN_NAMES = "stamps from the names of the files"
 
 # 000012, frame000012, color_12, frame-000012.color
@@ -90,7 +92,7 @@ def _places(path: Path) -> tuple[Path, Path] | None:
 
 def _named(folder: Path) -> list[tuple[str, Path]]:
     """Images by the names of their files without the suffix."""
-    return sorted((entry.stem, entry) for entry in folder.iterdir() if entry.suffix.lower() in _IMAGES)
+    return sorted((file.stem, file) for file in files_inside(folder, _IMAGES))
 
 
 def _camera(path: Path, account: Account) -> Camera:
@@ -101,7 +103,10 @@ def _camera(path: Path, account: Account) -> Camera:
     sun3d = places[0].name == "image" and (path / "intrinsics.txt").is_file()
     source = _RotatedDepth() if sun3d else FILES
     calibration = _calibration(path)
-    if all(_NUMBER.fullmatch(name) for name, _ in (*colors, *depths)):
+    odd = [file.name for name, file in (*colors, *depths) if not _NUMBER.fullmatch(name)]
+    if 2 * len(odd) < len(colors) + len(depths):
+        for name in odd:
+            account.refuse(RecordFault(NO_NUMBER, name), path.name, 0)
         account.report.note(NO_STAMPS.format(rate=RATE_HZ), 1)
         numbered = [numbered_files(place, _NUMBER.pattern + r"\.(?:png|jpe?g)") for place in places]
         return numbered_camera(numbered[0], numbered[1], calibration, account, at_rate(), source)

@@ -18,6 +18,7 @@ from slam.datasets.cloud_files import CLOUD_NAMES, CLOUD_SUFFIXES
 from slam.datasets.clouds_over_time import CloudFolder, clouds_by_name
 from slam.datasets.dataset_format import recorded
 from slam.datasets.imu_files import beside_imu, imu_file
+from slam.datasets.log_file import first_file
 from slam.datasets.pose_files import by_its_size, trajectory_of
 from slam.datasets.recording import Contents
 from slam.datasets.stamped_files import numbered_poses, read_poses
@@ -28,10 +29,8 @@ STAMPS_IN_NAMES = "stamps from the names of the clouds in {place}"
 # Seconds with a fraction behind a dot, seconds and nanoseconds, or a whole number of any unit.
 _NAME = r"(?:[a-z]+_)?(\d{9,19}(?:\.\d{1,9})?|\d{9,10}_\d{1,9})\." + CLOUD_NAMES
 _FOLDER = re.compile(r"cloud|lidar|hesai|ouster|velodyne|livox|pandar|points|scans", re.IGNORECASE)
-_TRUTH, _OWN_TRUTH = (
-    "groundtruth.txt",
-    ("gt-tum.txt", "processed/trajectory/gt-tum.txt", "trajectory/gt-tum.txt"),
-)
+_TRUTH = "groundtruth.txt"
+_OWN_TRUTH = "gt-tum.txt", "processed/trajectory/gt-tum.txt", "trajectory/gt-tum.txt"
 # The publishers' sensor.yaml: the lidar in the frame of their poses.
 _T_TRUTH_LIDAR = gtsam.Pose3(gtsam.Rot3.Yaw(np.pi), np.array([0.0, 0.0, 0.124]))
 _LOOKED_AT = 200
@@ -79,8 +78,7 @@ def _groundtruth(path: Path, account: Account) -> Trajectory | None:
     above = path.resolve().parents
     if (path / _TRUTH).is_file():
         return read_poses(path / _TRUTH, account)
-    files = (place / name for place in (path, *above[:2]) for name in _OWN_TRUTH)
-    file = next((one for one in files if one.is_file()), None)
+    file = first_file(place / name for place in (path, *above[:2]) for name in _OWN_TRUTH)
     rows = numbered_poses(file, account) if file else ()
     poses = ((row[0], gtsam.Pose3(gtsam.Rot3.Quaternion(*row[[7, 4, 5, 6]]), row[1:4])) for _, row in rows)
     return trajectory_of((float(stamp_s), pose.compose(_T_TRUTH_LIDAR)) for stamp_s, pose in poses)

@@ -13,8 +13,7 @@ from slam.datasets.dataset_format import recorded
 from slam.datasets.image_files import ImageFiles
 from slam.datasets.lens_files import json_object, lens_of_json, median_lens
 from slam.datasets.numbered_frames import numbered_camera, numbered_files
-from slam.datasets.phone_poses import COMPARED, T_ARKIT_OPTICAL
-from slam.datasets.pose_files import BAD_MATRIX, trajectory_of
+from slam.datasets.pose_files import BAD_MATRIX, COMPARED, T_ARKIT_OPTICAL, trajectory_of
 from slam.datasets.recording import Contents
 from slam.errors import DatasetError
 from slam.estimates import Trajectory

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,15 +13,17 @@ from slam.datasets.account import Account
 from slam.datasets.calibration import pose_from, pose_from_matrix
 from slam.datasets.dataset import RecordFault
 from slam.datasets.log_file import MAX_LINE_BYTES, numbered_lines
-from slam.datasets.stamped_files import BAD_POSE, BAD_STAMP
+from slam.datasets.stamped_files import BAD_POSE, BAD_STAMP, PARTED, fields_of
 from slam.estimates import Trajectory
 from slam.measurements import FloatArray, row_from_pose
 
+# ARKit's camera has x right, y up and looks along -z; an optical frame y down and z forward.
+T_ARKIT_OPTICAL = gtsam.Pose3(gtsam.Rot3(np.diag([1.0, -1.0, -1.0])), np.zeros(3))
+COMPARED = "the phone's own tracking is only compared with"
 BAD_MATRIX = "pose without a 4 x 4 rigid transform"
 
 # A clock that was ever set tells its unit by its size: seconds until the year 5138, and so on.
 _LARGEST = ((1e11, 1.0), (1e14, 1e-3), (1e17, 1e-6), (1e20, 1e-9))
-_PARTED = re.compile(rb"[\s,;]+")
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,7 +50,7 @@ class PoseTable:
     def rows(self, path: Path, account: Account) -> Iterator[tuple[int, float, gtsam.Pose3]]:
         """Line number, stamp and pose of each line; what is none is counted, a heading is not."""
         least = max(self.position + 3, self.rotation + len(self.order))
-        for number, fields in rows_of(path, account, least):
+        for number, fields in fields_of(path, account, least):
             try:
                 numbers = np.array([float(field) for field in fields[:least]])
                 yield number, self._stamp(numbers), self._pose(numbers)
@@ -80,19 +81,6 @@ class PoseTable:
     def read(self, path: Path, account: Account) -> Trajectory | None:
         """The trajectory of a file, None where it holds no pose."""
         return trajectory_of((stamp_s, pose) for _, stamp_s, pose in self.rows(path, account))
-
-
-def rows_of(path: Path, account: Account, least: int) -> Iterator[tuple[int, list[bytes]]]:
-    """Line numbers and fields of a table, comments and empty lines left out, short lines counted."""
-    for number, line in numbered_lines(path, account):
-        text = line.strip()
-        if not text or text.startswith(b"#"):
-            continue
-        fields = [field for field in _PARTED.split(text) if field]
-        if len(fields) < least:
-            account.refuse(RecordFault(BAD_POSE, f"{len(fields)} of {least} numbers"), path.name, number)
-            continue
-        yield number, fields
 
 
 def by_its_size(number: float) -> float:
@@ -127,7 +115,7 @@ def numbers_of(path: Path) -> FloatArray | None:
         if path.stat().st_size > MAX_LINE_BYTES:
             return None
         text = b" ".join(line for line in path.read_bytes().splitlines() if not line.startswith(b"#"))
-        numbers = np.array([float(field) for field in _PARTED.split(text) if field])
+        numbers = np.array([float(field) for field in PARTED.split(text) if field])
     except (OSError, ValueError):
         return None
     return numbers if np.isfinite(numbers).all() else None
@@ -159,7 +147,7 @@ def pose_file(path: Path) -> gtsam.Pose3:
 def pose_lines(path: Path, account: Account) -> list[gtsam.Pose3 | None]:
     """A pose a line by the rows of its matrix, 12 or 16 numbers; None where the line has none."""
     poses: list[gtsam.Pose3 | None] = []
-    for number, fields in rows_of(path, account, 1):
+    for number, fields in fields_of(path, account, 1):
         try:
             poses.append(pose_of_row(fields))
         except ValueError as error:
@@ -192,7 +180,7 @@ def rotation_and_shift(file: Path, account: Account) -> gtsam.Pose3 | None:
 
 def pose_blocks(path: Path, account: Account) -> dict[int, gtsam.Pose3]:
     """Poses by number from a ``.log`` of Redwood and Open3D: a line of three numbers, four of a matrix."""
-    lines = list(rows_of(path, account, 3))
+    lines = list(fields_of(path, account, 3))
     poses = {}
     for start in range(0, len(lines) - 4, 5):
         number, head = lines[start]

@@ -19,9 +19,9 @@ from slam.datasets.carmen_records import BAD_POSE, WRONG_COUNT, finite_row
 from slam.datasets.dataset import WARNING, RecordFault
 from slam.datasets.dataset_format import recorded
 from slam.datasets.log_file import numbered_lines
-from slam.datasets.pose_files import rows_of, trajectory_of
+from slam.datasets.pose_files import trajectory_of
 from slam.datasets.recording import Contents
-from slam.datasets.stamped_files import stamp_of
+from slam.datasets.stamped_files import fields_of, stamp_of
 from slam.estimates import Trajectory
 from slam.measurements import pose2_from_row
 
@@ -78,7 +78,7 @@ def _groundtruth(path: Path, account: Account) -> Trajectory | None:
     """Stamp, x, y and yaw of the robot."""
 
     def poses(file: Path) -> Iterator[tuple[float, gtsam.Pose3]]:
-        for number, fields in rows_of(file, account, 4):
+        for number, fields in fields_of(file, account, 4):
             with account.refusing(file.name, number, BAD_POSE, ValueError):
                 pose = pose2_from_row(finite_row(np.array(fields[1:4], dtype=np.float64)))
                 yield stamp_of(fields[0]), gtsam.Pose3(pose)

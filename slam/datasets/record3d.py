@@ -25,8 +25,7 @@ from slam.datasets.dataset_format import recorded
 from slam.datasets.frame_pairs import FramePair
 from slam.datasets.image_files import DAMAGED, MISSING, OTHER_CONFIDENCE, color_of, usable_metres
 from slam.datasets.lens_files import checked, median_lens
-from slam.datasets.phone_poses import COMPARED, T_ARKIT_OPTICAL
-from slam.datasets.pose_files import trajectory_of
+from slam.datasets.pose_files import COMPARED, T_ARKIT_OPTICAL, trajectory_of
 from slam.datasets.recording import Contents
 from slam.datasets.stamped_files import BAD_POSE, StampedFile, stamp_of
 from slam.errors import DatasetError

@@ -173,7 +173,13 @@ class Recording:
                     kept.append(measurement)
                     kept = kept if fits else None
                 yield measurement
-        if report.measurement_count == 0 and (self.read_images or not contents.cameras):
+        if report.measurement_count == 0 and cameras and (choice := self.choose_frames):
+            self.choose_frames = None  # what was chosen is damaged, and the rest may not be
+            try:
+                yield from self
+            finally:
+                self.choose_frames = choice
+        elif report.measurement_count == 0 and (self.read_images or not contents.cameras):
             raise DatasetError(_nothing_usable(self.path, report, self._remedy))
         if kept is not None:
             self.kept = kept, report
@@ -240,10 +246,7 @@ def _frames_after_log(log: Iterable[Numbered], frames: Iterator[tuple[int, RgbdF
 
 def _nothing_usable(path: Path, report: ReadReport, remedy: str) -> str:
     """The message for a recording without a single measurement."""
-    reasons = "; ".join(
-        f"{tally.count} x {reason}, first at record {tally.lines[0]}"
-        for reason, tally in report.dropped.items()
-    )
+    reasons = report.refusals
     if report.ignored:
         reasons += f"{'; ' if reasons else ''}ignored: {', '.join(list(report.ignored)[:5])}"
     return f"{path} holds no usable frame, scan or odometry{f' ({reasons})' if reasons else ''}; {remedy}"

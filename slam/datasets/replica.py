@@ -11,6 +11,7 @@ from slam.datasets.account import Account
 from slam.datasets.calibration import Calibration, read_calibration
 from slam.datasets.dataset_format import recorded
 from slam.datasets.lens_files import json_object, lens_of_json
+from slam.datasets.log_file import first_file
 from slam.datasets.numbered_frames import NO_STAMPS, RATE_HZ, at_rate, numbered_camera, numbered_files
 from slam.datasets.pose_files import pose_lines, trajectory_of
 from slam.datasets.recording import Contents
@@ -21,12 +22,6 @@ from slam.measurements import CameraIntrinsics
 _LENS_FILE = "cam_params.json"
 # What cam_params.json, which is published beside the rooms, says for all of them.
 _PUBLISHED = Calibration(CameraIntrinsics(600.0, 600.0, 599.5, 339.5, 1200, 680), 6553.5)
-
-
-def looks_like_replica(path: Path, head: bytes) -> bool:
-    """Whether a path is a folder with rendered images inside."""
-    inside = path / "results"
-    return inside.is_dir() and bool(_depths(path))
 
 
 def _load(path: Path, account: Account) -> Contents:
@@ -43,8 +38,7 @@ def _depths(path: Path) -> dict[int, Path]:
 
 def _calibration(path: Path) -> Calibration:
     """By the file in the folder or above it, else as published."""
-    places = (path / _LENS_FILE, path.resolve().parent / _LENS_FILE)
-    found = next((file for file in places if file.is_file()), None)
+    found = first_file((path / _LENS_FILE, path.resolve().parent / _LENS_FILE))
     if found is None:
         return _PUBLISHED
     fields = json_object(found).get("camera")
@@ -66,4 +60,4 @@ def _groundtruth(path: Path, account: Account) -> Trajectory | None:
     return trajectory_of((number / RATE_HZ, pose) for number, pose in poses if pose)
 
 
-FORMAT = recorded("Replica room as in NICE-SLAM", looks_like_replica, _load, _groundtruth)
+FORMAT = recorded("Replica room as in NICE-SLAM", lambda path, head: bool(_depths(path)), _load, _groundtruth)

@@ -85,19 +85,12 @@ def _load(indexes: list[Path], account: Account) -> Contents:
 
 def _observations(index: Path, account: Account) -> Iterator[tuple[str, _Observation]]:
     """Labels and observations of an index, in its order."""
-    for number, fields in fields_of(index, account, _FIELDS, _FIELDS):
+    for number, fields in fields_of(index, account, _FIELDS):
         with account.refusing(index.name, number):
-            stamp_s = unix_stamp_s(_whole(fields[8]))
-            key, label = str(_whole(fields[0])), fields[1].decode("ascii", "replace")
-            yield label, _Observation(stamp_s, number, key, index.with_suffix(""))
-
-
-def _whole(field: bytes) -> int:
-    """A whole number."""
-    try:
-        return int(field)
-    except ValueError as error:
-        raise RecordFault(BAD_TIME, repr(field[:24])) from error
+            if not fields[0].isdigit():
+                raise RecordFault(BAD_TIME, repr(fields[0][:24]))
+            key, label = str(int(fields[0])), fields[1].decode("ascii", "replace")
+            yield label, _Observation(unix_stamp_s(fields[8]), number, key, index.with_suffix(""))
 
 
 def _pair(one: _Observation) -> FramePair:

@@ -21,7 +21,7 @@ from slam.datasets.dataset import RecordFault
 from slam.datasets.frame_pairs import FramePair
 from slam.datasets.log_file import read_head
 from slam.datasets.recording import Contents, Numbered, Recording
-from slam.datasets.robot_at_home_rig import BAD_TIME, LASER, camera, laser_scan, unix_stamp_s
+from slam.datasets.robot_at_home_rig import LASER, camera, laser_scan, unix_stamp_s
 from slam.datasets.sqlite_reading import SQLITE_MAGIC, foreign_database
 from slam.datasets.stamped_files import StampedFile
 from slam.errors import DatasetError
@@ -79,19 +79,20 @@ def _selection(path: Path) -> _Selection | None:
     while not path.exists() and len(names) < 2 and path.name:
         names.insert(0, path.name)
         path = path.parent
-    candidates = sorted(path.glob("*.db")) if path.is_dir() else [path]
-    for database in candidates:
-        if (
-            database.is_file()
-            and read_head(database, len(SQLITE_MAGIC)) == SQLITE_MAGIC
-            and _is_robot_at_home(database)
-        ):
-            return _Selection(database, *names)
+    for database in [path] if path.is_file() else sorted(path.glob("*.db")):
+        try:
+            if _is_robot_at_home(database):
+                return _Selection(database, *names)
+        except DatasetError:
+            if database == path and not names:
+                raise  # else it was not asked for
     return None
 
 
 def _is_robot_at_home(path: Path) -> bool:
-    """Whether a database has the dataset's tables."""
+    """Whether a file is a database with the dataset's tables."""
+    if not path.is_file() or read_head(path, len(SQLITE_MAGIC)) != SQLITE_MAGIC:
+        return False
     with _connected(path) as database:
         return {"rh_raw", "rh_home_sessions"} <= _tables(database)
 
@@ -153,7 +154,7 @@ def _pair(folder: Path, row: dict[str, Any]) -> FramePair:
     found = {kind: [name for name in names if kind in name] for kind in ("intensity", "depth")}
     if not all(found.values()):
         raise RecordFault(NO_FILES, f"files {names}")
-    stamp_s = _stamp_s(row)
+    stamp_s = unix_stamp_s(row["ticks"])
     color, depth = (
         StampedFile(stamp_s, images / str(row["folder"] or ".") / found[kind][0], int(row["id"]))
         for kind in ("intensity", "depth")
@@ -173,7 +174,7 @@ def _scans(chosen: _Selection, account: Account) -> Iterator[Numbered]:
             with account.refusing(LASER, number):
                 shots = _shots(database, tables, number)
                 maxima = (_number(row["aperture_rad"]), _number(row["max_m"]))
-                scan = laser_scan(_stamp_s(row), shots[:, 0], shots[:, 1], *maxima, account)
+                scan = laser_scan(unix_stamp_s(row["ticks"]), shots[:, 0], shots[:, 1], *maxima, account)
                 account.report.accept(LASER)
                 yield number, scan
 
@@ -187,14 +188,6 @@ def _shots(
         if rows := database.execute(query, (number,)).fetchall():
             return np.array([[_number(value) for value in row] for row in rows])
     return np.empty((0, 2))
-
-
-def _stamp_s(row: dict[str, Any]) -> float:
-    """Seconds since 1970."""
-    try:
-        return unix_stamp_s(int(row["ticks"]))
-    except (TypeError, ValueError) as error:
-        raise RecordFault(BAD_TIME, repr(row["ticks"])) from error
 
 
 def _number(value: Any) -> float:

@@ -6,6 +6,7 @@ Ruiz-Sarmiento et al. 2017, "Robot@Home, a robotic dataset for semantic mapping 
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import gtsam
 import numpy as np
@@ -50,17 +51,20 @@ def camera(sensor: str, pairs: list[FramePair]) -> Camera:
     return Camera(sensor, pairs, Calibration(_UPRIGHT, _DEPTH_STEPS_PER_M, (), mount), _QUARTER_TURNS)
 
 
-def unix_stamp_s(ticks: int) -> float:
+def unix_stamp_s(ticks: Any) -> float:
     """Seconds since 1970 of 100 ns ticks since 1601.
 
     Raises
     ------
     RecordFault
-        Before 1970 or far ahead: no tick count.
+        Before 1970 or far ahead, or no number: no tick count.
     """
-    whole, rest = divmod(ticks, _TICKS_PER_S)
+    try:
+        whole, rest = divmod(int(ticks), _TICKS_PER_S)
+    except (TypeError, ValueError):
+        whole, rest = 0, 0
     if not 0 <= whole - _EPOCH_S < STAMP_LIMIT_S:
-        raise RecordFault(BAD_TIME, f"{ticks} ticks")
+        raise RecordFault(BAD_TIME, f"{str(ticks)[:24]} ticks")
     return (whole - _EPOCH_S) + rest / _TICKS_PER_S
 
 

@@ -18,7 +18,7 @@ from slam.datasets.calibration import Calibration
 from slam.datasets.camera_frames import Camera
 from slam.datasets.dataset_format import recorded
 from slam.datasets.lens_files import camera_matrix, checked, plain_lens
-from slam.datasets.log_file import numbered_lines
+from slam.datasets.log_file import first_file, numbered_lines
 from slam.datasets.numbered_frames import (
     at_rate,
     numbered_camera,
@@ -78,7 +78,7 @@ def _calibration(folder: Path, published: Calibration) -> Calibration:
     """By a matrix beside the frames, of unstated size, or both lenses of an info file; else as published."""
     if (folder / _MATRIX_FILE).is_file():
         return replace(published, intrinsics=camera_matrix(folder / _MATRIX_FILE), assumed="")
-    info = next((folder / name for name in _INFOS if (folder / name).is_file()), None)
+    info = first_file(folder / name for name in _INFOS)
     if info is None:
         return published
     told = dict(line.partition(b"=")[::2] for _, line in numbered_lines(info, Account.quiet(info)))

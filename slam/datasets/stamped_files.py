@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import os
+import re
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,8 +17,9 @@ from slam.datasets.log_file import numbered_lines
 from slam.estimates import Trajectory
 from slam.measurements import FloatArray
 
-WRONG_FIELDS = "index line with too few fields"
-BAD_STAMP = "index line without a stamp of this age"
+PARTED = re.compile(rb"[\s,;]+")
+WRONG_FIELDS = "line with too few fields"
+BAD_STAMP = "index line without a stamp of this age, in seconds"
 BAD_NAME = "index line without a usable file name"
 BAD_POSE = "pose line without finite numbers or a unit quaternion"
 
@@ -33,16 +35,16 @@ class StampedFile:
     number: int
 
 
-def fields_of(path: Path, account: Account, least: int, most: int) -> Iterator[tuple[int, list[bytes]]]:
+def fields_of(path: Path, account: Account, least: int, most: int = 0) -> Iterator[tuple[int, list[bytes]]]:
     """Line numbers and fields of a text file, comments and empty lines left out, short lines counted.
 
-    The last field keeps its blanks where there would be more than ``most``.
+    Commas, semicolons or blanks part them; the last keeps its own where there would be more than ``most``.
     """
     for number, line in numbered_lines(path, account):
-        text = line.strip()
+        text = line.strip(b",; \t\r\n")
         if not text or text.startswith(b"#"):
             continue
-        fields = text.split(maxsplit=most - 1)
+        fields = PARTED.split(text, max(most - 1, 0))
         if len(fields) < least:
             account.refuse(RecordFault(WRONG_FIELDS, f"{len(fields)} of {least}"), path.name, number)
             continue
@@ -96,7 +98,7 @@ def read_poses(path: Path, account: Account) -> Trajectory | None:
 
 def numbered_poses(path: Path, account: Account) -> Iterator[tuple[int, FloatArray]]:
     """Line numbers and (8,) stamp, position and unit quaternion, one line at a time."""
-    for number, fields in fields_of(path, account, 8, 64):
+    for number, fields in fields_of(path, account, 8):
         try:
             row = np.array([float(field) for field in fields[:8]])
         except ValueError:

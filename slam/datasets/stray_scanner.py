@@ -20,10 +20,9 @@ from slam.datasets.dataset_format import recorded
 from slam.datasets.image_files import DAMAGED, ImageFiles, rgb_of
 from slam.datasets.lens_files import camera_matrix, checked, median_lens
 from slam.datasets.numbered_frames import numbered_camera, numbered_files
-from slam.datasets.phone_poses import COMPARED, T_ARKIT_OPTICAL
-from slam.datasets.pose_files import rows_of, trajectory_of
+from slam.datasets.pose_files import COMPARED, T_ARKIT_OPTICAL, trajectory_of
 from slam.datasets.recording import Contents
-from slam.datasets.stamped_files import BAD_POSE, StampedFile, stamp_of
+from slam.datasets.stamped_files import BAD_POSE, StampedFile, fields_of, stamp_of
 from slam.errors import DatasetError
 from slam.estimates import Trajectory
 from slam.measurements import CameraIntrinsics, ColorImage, Float32Array
@@ -96,7 +95,7 @@ class _Row:
 def _rows(path: Path, account: Account) -> dict[int, _Row]:
     """``timestamp, frame, x, y, z, qx, qy, qz, qw`` and, in later versions, ``fx, fy, cx, cy``, by frame."""
     rows = {}
-    for line, fields in rows_of(path, account, 9):
+    for line, fields in fields_of(path, account, 9):
         try:
             stamp_s, number = stamp_of(fields[0]), int(fields[1])
             x, y, z, qx, qy, qz, qw = (float(value) for value in fields[2:9])

@@ -10,9 +10,10 @@ import gtsam
 
 from slam.datasets import boreas, euroc, mulran, nclt, newer_college
 from slam.datasets.account import Account
-from slam.datasets.log_file import read_head
+from slam.datasets.log_file import first_file, read_head
 from slam.datasets.numbered_frames import RATE_HZ
-from slam.datasets.pose_files import numbers_of, pose_blocks, pose_lines, rows_of, trajectory_of
+from slam.datasets.pose_files import numbers_of, pose_blocks, pose_lines, trajectory_of
+from slam.datasets.stamped_files import fields_of
 from slam.errors import DatasetError
 from slam.estimates import Trajectory
 
@@ -35,7 +36,7 @@ def read_truth(path: Path) -> Trajectory | None:
     """
     head = read_head(path, _HEAD_BYTES).decode("ascii", "replace")
     account = Account.quiet(path)
-    lines = list(islice(rows_of(path, account, 1), 2))
+    lines = list(islice(fields_of(path, account, 1), 2))
     counts = [len(fields) for _, fields in lines]
     if not counts:
         raise DatasetError(f"{path} holds no pose; give a trajectory")
@@ -67,7 +68,7 @@ def read_truth(path: Path) -> Trajectory | None:
 def _kitti(path: Path, account: Account) -> Trajectory | None:
     """Lines of twelve numbers by the times of the sequence that they belong to."""
     places = (path.parent, path.resolve().parent.parent / "sequences" / path.stem)
-    file = next((place / "times.txt" for place in places if (place / "times.txt").is_file()), None)
+    file = first_file(place / "times.txt" for place in places)
     stamps_s = None if file is None else numbers_of(file)
     if stamps_s is None:
         raise DatasetError(f"{path} has poses without stamps; put the times.txt of its sequence beside it")

@@ -11,8 +11,8 @@ import numpy as np
 from fusion.height_band import back_project, pixel_rays
 from fusion.time_alignment import GAP_S
 from slam.config.stages import RgbdConfig, RgbdOdometryConfig
-from slam.datasets.corrections import repeats
 from slam.datasets.dataset import Thinned
+from slam.doctor.repeats import Repeats
 from slam.doctor.stretches import Stretches
 from slam.measurements import CameraIntrinsics, FloatArray, RgbdFrame
 from slam.vision.feature_pose import pose_from_features
@@ -55,7 +55,7 @@ class CameraSamples:
         Features of frames some way apart, for the lens.
     points
         (N, 3) blocks of what it saw, camera frame, by the lens it is told to have.
-    count, repeated
+    count, repeats
         Frames in all, and those that are the one before to the bit.
     """
 
@@ -63,7 +63,7 @@ class CameraSamples:
     pairs: list[MatchedPair] = field(default_factory=list)
     points: list[FloatArray] = field(default_factory=list)
     count: int = 0
-    repeated: int = 0
+    repeats: Repeats = field(default_factory=Repeats)
     median_depth: Thinned = field(default_factory=Thinned)
     intrinsics: CameraIntrinsics | None = None
     T_base_camera: gtsam.Pose3 | None = None
@@ -74,8 +74,7 @@ class CameraSamples:
     def add(self, frame: RgbdFrame, *, compared: bool) -> None:
         """Take the next frame; its motion is found only where it will be compared with that of another."""
         self.count += 1
-        if repeats(self._newest, frame):
-            self.repeated += 1
+        if self.repeats.take(self._newest, frame):
             return
         self._newest, self.intrinsics, self.T_base_camera = frame, frame.intrinsics, frame.T_base_camera
         if not self._stretches.wants(frame.stamp_s):

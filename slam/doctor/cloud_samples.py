@@ -9,10 +9,11 @@ import numpy as np
 
 from fusion.time_alignment import GAP_S
 from slam.config import Config
-from slam.datasets.corrections import begins_early, repeats
+from slam.datasets.corrections import begins_early
 from slam.datasets.corrections_in_space import turned_round
 from slam.datasets.dataset import Thinned
 from slam.doctor.camera_samples import SensorStep
+from slam.doctor.repeats import Repeats
 from slam.doctor.stretches import Stretches
 from slam.doctor.turning import Turn, run_backward, turn_of
 from slam.matching.cloud_points import at_middle_of_turn
@@ -46,7 +47,7 @@ class CloudSamples:
     clouds: list[list[PointCloud]] = field(default_factory=list)
     points: list[FloatArray] = field(default_factory=list)
     count: int = 0
-    repeated: int = 0
+    repeats: Repeats = field(default_factory=Repeats)
     between: int = 0
     interval_s: Thinned = field(default_factory=Thinned)
     turn_s: Thinned = field(default_factory=Thinned)
@@ -67,10 +68,10 @@ class CloudSamples:
     def add(self, cloud: PointCloud) -> None:
         """Take the next cloud."""
         self.count += 1
-        if repeats(self._newest, cloud):
-            between = self._newest is not None and begins_early(self._newest, cloud)
-            self.between += between
-            self.repeated += not between
+        if self._newest is not None and begins_early(self._newest, cloud):
+            self.between += 1
+            return
+        if self.repeats.take(self._newest, cloud):
             return
         if self._newest is not None:
             self.interval_s.add(cloud.stamp_s - self._newest.stamp_s)

@@ -85,7 +85,8 @@ def examine(log: Iterable[Measurement], registrations: Registrations | None = No
     vouched_for = False  # the IMUs, by a 2D lidar
     wheels = max(samples.wheels.items(), key=lambda item: item[1].count, default=None)
     for name, lidar in samples.lidars.items():
-        findings += in_space.repeated("lidars", name, lidar.repeated, lidar.count, "scans")
+        hangs = wheels is not None and lidar.repeats.driven(wheels[1].rows())
+        findings += lidar.repeats.findings("lidars", name, lidar.count, "scans", enough=hangs)
         if not lidar.stretches:
             continue
         alone = _alone(name, lidar.stretches, config, with_wheels=wheels is not None)
@@ -113,7 +114,7 @@ def examine(log: Iterable[Measurement], registrations: Registrations | None = No
     found_apart = registrations(lenses) if registrations else registrations_of(log, lenses, config)
     apart = [name for name, one in found_apart.items() if one.accepted]
     findings = [one for one in findings if one.kind != "lens" or one.sensor not in apart]
-    unknown += [f"{name}: its lens, for its colours lie beside its depths" for name in apart]
+    unknown += [f"{name}: its lens, because its colour is not registered to its depth" for name in apart]
     return Diagnosis(findings, unknown)
 
 
@@ -189,7 +190,8 @@ def _in_space(
     vouched
         Whether a 2D lidar was compared with the wheels: what they say then, as mended, is certain.
     """
-    found = [one for camera in samples.cameras.items() for one in in_space.camera_findings(*camera)]
+    rows = np.empty((0, 4)) if wheels is None else wheels[1].rows()
+    found = [one for camera in samples.cameras.items() for one in in_space.camera_findings(*camera, rows)]
     doubtful = frozenset(one.sensor for one in found if one.kind == "lens")
     found += [one for name, clouds in samples.clouds.items() for one in in_space.cloud_findings(name, clouds)]
     for lidar, clouds in list(samples.clouds.items())[: 0 if samples.lidars else 1]:
@@ -197,7 +199,7 @@ def _in_space(
         for name, imu in samples.imus.items():
             told = imu_findings(name, imu, steps, clouds.T_base_lidar, clouds.untimed_s)
             found += told if clouds.turn is None else [clouds.turn.stamped(one, lidar) for one in told]
-    known = None if wheels is None else mended_rows(wheels[0], wheels[1].rows(), findings)
+    known = None if wheels is None else mended_rows(wheels[0], rows, findings)
     if wheels is None or known is None:
         return found
     base = in_space.Base(wheels[0], BaseTrack(known), vouched)
@@ -260,10 +262,10 @@ def _stamps(samples: Samples) -> list[Finding]:
     """Lidars whose stamps do not tell when they saw what they say."""
     found, wheels = list[Finding](), [np.diff(one.rows()[:, 0]) for one in samples.wheels.values()]
     for name, lidar in samples.lidars.items():
-        count = lidar.count - lidar.repeated
+        count = lidar.count - lidar.repeats.count
         slow_s = [lidar.interval_s.median() or 0.0, *(float(np.median(one)) for one in wheels if one.size)]
         if undated := lidar.undated >= FEWEST and 2 * lidar.undated > count:
-            text = f"{lidar.undated} of {count} scans are stamped no later than the scan before"
+            text = f"{lidar.undated} of {count} scans have a stamp not later than the scan before"
         elif len(slow_s) > 1 and min(slow_s) > FEWEST * GAP_S:
             text = f"its scans come every {slow_s[0]:.4g} s, the wheels' readings every {slow_s[1]:.4g} s"
         else:

@@ -90,9 +90,9 @@ def imu_findings(
     if len(rows) < FEWEST:
         return []
     same = _frozen(rows, steps)
-    text = f"{np.count_nonzero(same)} of {len(rows)} readings are the one before, to the bit"
+    text = f"{np.count_nonzero(same)} of {len(rows)} readings are identical to the one before"
     once: Remedy = {"imus": {name: {"drop_repeated": True}}}
-    hangs = Finding(name, "frozen", text, "the robot is taken to turn on as it did", (once,), sure=True)
+    hangs = Finding(name, "frozen", text, "the robot seems to go on turning", (once,), sure=True)
     found = [hangs] if same.any() else []
     rows = rows[~same]
     found += _saturated(name, rows)
@@ -223,13 +223,13 @@ def _in_the_plane(name: str, rows: FloatArray, steps: Sequence[SensorStep], unit
     remedy: Remedy = {"imus": {name: {"use": False}}}
     unexplained = 0.0 if slope is None else np.abs(turned - slope.values[0] * about).sum()
     if fit is None or slope is None or 2.0 * unexplained > np.abs(turned).sum():
-        text = "its turns are not those of the lidar, whatever its unit, sign, axis and clock"
+        text = "its rotation does not agree with the lidar's for any unit, sign, axis or clock"
         return [Finding(name, "no agreement", text, "it misleads", (remedy,), sure=True)]
     up = np.median(rows[:, 4:7], axis=0)
     facing = float(fit.R_lidar_imu[2] @ up) / max(float(np.linalg.norm(up)), SETTLED)
     found = _clock(name, fit)
     if abs(facing) < 0.5:
-        text = "it turns about another axis than the one that its accelerometer says is vertical"
+        text = "its rotation axis is not the vertical of its accelerometer"
         return [*found, Finding(name, "axes", text, "it misleads", (remedy,), sure=True)]
     scale, sigma = float(slope.values[0]), math.sqrt(float(slope.covariance[0, 0]))
     off = abs(math.log(scale)) > IN_ORDER + math.sqrt(gate()) * sigma / scale
@@ -248,7 +248,7 @@ def _turn_rates(name: str, what: str, factor: float, sigma: float = 0.0) -> Find
         name,
         "turn rates",
         f"its turn rates are {what}",
-        "the robot is taken to turn otherwise than it does",
+        "rotations of the robot are wrong",
         ({"imus": {name: {"gyro_scale": float(f"{factor:.6g}")}}},),
         sure=True,
         value=factor,
@@ -267,7 +267,7 @@ def _clock(name: str, fit: TurnFit, untimed_s: float = 0.0) -> list[Finding]:
             name,
             "clock",
             f"its stamps are {1e3 * fit.ahead_s:+.1f} +- {1e3 * half_s:.1f} ms ahead of the lidar's",
-            "turns are straightened by what was before or after",
+            "clouds are deskewed with the motion of another time",
             ({"imus": {name: {"clock_offset_s": round(fit.ahead_s, 4)}}},),
             sure=True,
             value=fit.ahead_s,
@@ -296,7 +296,7 @@ def _sits(name: str, samples: ImuSamples, fit: TurnFit, T_base_lidar: gtsam.Pose
         if value <= _ANGLE_RAD + half_rad or half_rad >= 2.0 * _ANGLE_RAD:
             return []
         text = f"it turns as if it sat {math.degrees(value):.1f} degrees otherwise: {angles}"
-    effect = "what it feels is put on the wrong axes"
+    effect = "its readings are assigned to the wrong axes"
     # Where nothing is told, any rotation that is known to some degrees is better than none.
     sure = half_rad < (_ANGLE_RAD if told is not None else 2.0 * _ANGLE_RAD)
     return [Finding(name, "mounting", text, effect, (remedy,), sure=sure, value=math.degrees(value))]
@@ -319,5 +319,5 @@ def _saturated(name: str, rows: FloatArray) -> list[Finding]:
         count = int(np.count_nonzero(np.abs(columns).max(axis=1) == greatest))
         if count >= FEWEST * 2 and greatest > 0.0 and np.unique(columns).size > FEWEST * FEWEST:
             text = f"{count} of its {what} are the same greatest one, {greatest:.4g}: it saturates"
-            found.append(Finding(name, "saturation", text, "there its motion is wrong", value=float(count)))
+            found.append(Finding(name, "saturation", text, "its motion is wrong there", value=float(count)))
     return found

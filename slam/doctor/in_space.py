@@ -10,7 +10,7 @@ from typing import Any
 import gtsam
 import numpy as np
 
-from fusion.estimation import FEWEST, gate
+from fusion.estimation import gate
 from slam.config.clouds import CloudOdometryConfig
 from slam.datasets.laser_geometry import DEFAULT_NO_RETURN_M
 from slam.doctor.camera_samples import SPREAD, CameraSamples
@@ -80,9 +80,10 @@ class Seen:
         return self.fit.scale
 
 
-def camera_findings(name: str, samples: CameraSamples) -> list[Finding]:
-    """What a camera says of itself."""
-    found = repeated("cameras", name, samples.repeated, samples.count, "frames")
+def camera_findings(name: str, samples: CameraSamples, rows: FloatArray) -> list[Finding]:
+    """What a camera says of itself, and of the (N, 4) rows of the wheels."""
+    hangs = samples.repeats.driven(rows)
+    found = samples.repeats.findings("cameras", name, samples.count, "frames", enough=hangs)
     found += unit_finding("cameras", name, samples.median_depth.median(), _DEPTHS_M)
     return found + lens_findings(name, samples)
 
@@ -91,7 +92,7 @@ def unit_finding(
     group: str, name: str, median_m: float | None, limits_m: tuple[float, float] = (0.0, DEFAULT_NO_RETURN_M)
 ) -> list[Finding]:
     """What a sensor says by itself of the unit of its lengths: a median that none sees."""
-    if median_m is None:
+    if not median_m or median_m < 0:
         return []
     what, seen_by = ("depth", "camera") if group == "cameras" else ("range", "lidar")
     middle_m = math.sqrt(max(_DEPTHS_M[0], limits_m[0]) * _DEPTHS_M[1])  # of what they see, by ratio
@@ -129,10 +130,10 @@ def lens_findings(name: str, samples: CameraSamples) -> list[Finding]:
         Finding(
             name,
             "lens",
-            f"the shape of what it sees asks for f = {told.fx * fit.focal_gain:.0f} px and the centre at "
+            f"the geometry of the scene implies f = {told.fx * fit.focal_gain:.0f} px and the centre at "
             f"{fit.center_px[0]:.0f}, {fit.center_px[1]:.0f}, not {told.fx:.0f} at {told.cx:.0f}, "
             f"{told.cy:.0f}",
-            "turns and walls come out bent",
+            "rotations and walls are distorted",
             ({"cameras": {name: {"intrinsics": lens}}},),
             value=fit.focal_gain,
             interval=interval(fit.focal_gain, float(fit.sigmas[0])),
@@ -213,7 +214,7 @@ def _clock(base: Base, seen: Seen, others: Sequence[Seen]) -> list[Finding]:
             "clock",
             f"its stamps are {abs(ahead_s):.2f} s {'ahead of' if (ahead_s > 0) != blame else 'behind'} "
             f"those of {'cameras and lidars' if blame else base.wheels}, by when both turn",
-            "turns are taken at the wrong time, and walls are doubled",
+            "rotations are used at the wrong time, and walls are doubled",
             (wheels,) if blame else (own,) if sure else (own, wheels),
             sure=sure,
             value=ahead_s,
@@ -243,9 +244,9 @@ def _scale(base: Base, seen: Seen, others: Sequence[Seen]) -> list[Finding]:
     mine = base.certain or mine or any(one.off == 1.0 for one in others)
     blame = yours and not mine
     what = "depth" if seen.kind == "cameras" else "range"
-    text = f"its {what}s are {scale:.3g} times what the way of {base.wheels} asks for"
+    text = f"its {what}s are {scale:.3g} times what the path of {base.wheels} implies"
     if blame:
-        text = f"its way is {1.0 / scale:.3g} times what {seen.name} sees"
+        text = f"its path is {1.0 / scale:.3g} times what {seen.name} measures"
     return [
         Finding(
             base.wheels if blame else seen.name,
@@ -291,8 +292,8 @@ def _mounting(base: Base, seen: Seen, others: Sequence[Seen]) -> list[Finding]:
     finding = Finding(
         seen.name,
         "mounting",
-        f"it moves as if it sat otherwise: {text} (x, y +- {float(fit.sigmas[3:].max()):.2f} m)",
-        "what it sees is put in the wrong place",
+        f"its motion implies another mounting: {text} (x, y +- {float(fit.sigmas[3:].max()):.2f} m)",
+        "what it sees is placed wrongly",
         (remedy,),
         sure=sure,
         value=math.degrees(tilt_rad if tilted else yaw_rad),
@@ -303,7 +304,7 @@ def _mounting(base: Base, seen: Seen, others: Sequence[Seen]) -> list[Finding]:
     if seen.kind != "cameras" or seen.upside_down:
         return [finding]
     # A mirror and a camera on its head turn alike; the floor tells them apart.
-    text = "it turns the wrong way round: its images are mirrored, or it sits upside down"
+    text = "it rotates in the opposite direction: its images are mirrored, or it is mounted upside down"
     known = seen.upside_down is False
     remedies = (mirrored,) if known else (mirrored, remedy)
     return [replace(finding, kind="mirrored", text=text, remedies=remedies, sure=sure and known)]
@@ -329,14 +330,14 @@ def _entry(kind: str, R_base_sensor: FloatArray, place_m: Sequence[float]) -> di
 def cloud_findings(name: str, samples: CloudSamples) -> list[Finding]:
     """What a 3D lidar says of itself."""
     # A lidar has noise even at rest: one such cloud is one too many.
-    found = repeated("lidars_3d", name, samples.repeated, samples.count, "clouds", least=1)
+    found = samples.repeats.findings("lidars_3d", name, samples.count, "clouds", enough=True)
     if samples.points:
         median_m = float(np.median(np.linalg.norm(np.concatenate(samples.points), axis=1)))
         ways = CloudOdometryConfig()  # beyond its limits nothing can be mapped
         found += unit_finding("lidars_3d", name, median_m, (ways.range_min_m, ways.range_max_m))
     if samples.turn is not None:
         found.append(samples.turn.finding("lidars_3d", name))
-    effect = "clouds are not set right for the motion within a turn"
+    effect = "clouds are not deskewed correctly"
     if samples.backward:
         text, reverse = "the times of a cloud's points run backward", {"times_scale": -1.0}
         remedy: Remedy = {"lidars_3d": {name: reverse}}
@@ -347,8 +348,8 @@ def cloud_findings(name: str, samples: CloudSamples) -> list[Finding]:
     off = turn_s / interval_s
     # One lidar whose turn is over when its next begins does not overlap itself.
     if 4 * samples.between > samples.count and off < 1.0 + _SHARE:
-        text = f"{samples.between} of {samples.count} clouds begin while the turn of the one before goes on"
-        why = "they are of another lidar under the same name, and fit nowhere"
+        text = f"{samples.between} of {samples.count} clouds begin during the revolution of the one before"
+        why = "they are from another lidar with the same name, and match nothing"
         remedy = {"lidars_3d": {name: {"drop_repeated": True}}}
         found.append(Finding(name, "several lidars", text, why, (remedy,), sure=True))
     units = [unit for unit in (1e3, 1e-3, 1e6, 1e-6, 1e9, 1e-9) if abs(math.log(off / unit)) < 1.0]
@@ -359,26 +360,6 @@ def cloud_findings(name: str, samples: CloudSamples) -> list[Finding]:
     text = f"the times of a cloud's points span {turn_s:.3g} s, clouds come every {interval_s:.3g} s"
     remedy = {"lidars_3d": {name: {"times_scale": 1.0 / units[0]}}}
     return [*found, Finding(name, "times of points", text, effect, (remedy,), sure=True, value=off)]
-
-
-def repeated(
-    kind: str, name: str, repeated: int, count: int, what: str, least: int | None = None
-) -> list[Finding]:
-    """Readings that are told again and again: most of them, if not ``least`` are enough."""
-    if repeated < (max(FEWEST, count // 2 + 1) if least is None else least):
-        return []
-    same = "the one before, to the bit" + ("" if least is None else ", or have its stamp")
-    return [
-        Finding(
-            name,
-            f"repeated {what}",
-            f"{repeated} of {count} {what} are {same}",
-            "the map takes it that the robot stands",
-            ({kind: {name: {"drop_repeated": True}}},),
-            sure=repeated + 1 < count,  # else nothing would be left
-            value=repeated / count,
-        )
-    ]
 
 
 def _within(off: float, sigma: float, limit: float) -> bool:

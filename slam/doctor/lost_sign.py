@@ -81,9 +81,9 @@ def lost_sign(
     return Finding(
         wheels,
         "lost sign",
-        f"never rolls back, but at {back} of {len(ways)} starts after a stop {lidar} does: "
-        "its way has lost its sign",
-        "where the robot backs up the wheels mislead; the scans must hold the map there",
+        f"never goes backward, but at {back} of {len(ways)} starts after a stop {lidar} does: "
+        "its speed is recorded without a sign",
+        "where the robot goes backward, the wheel odometry is wrong and the scans must determine the map",
         sure=True,
         value=back / len(ways),
     )

@@ -61,7 +61,7 @@ def blocked_finding(name: str, blocked: BoolArray) -> Finding | None:
         name,
         "blocked beams",
         f"{int(blocked.sum())} of {blocked.size} beams always see the robot itself: {told}",
-        "what moves along holds the matches back, and is drawn as walls",
+        "parts that move with the robot bias the matching and are drawn as walls",
         ({"lidars": {name: {"blocked_beams": [list(run) for run in runs]}}},),
         sure=True,
         value=float(blocked.mean()),

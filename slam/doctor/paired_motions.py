@@ -97,14 +97,14 @@ def joined(runs: Sequence[Sequence[SensorStep]], count: int) -> list[SensorStep]
 
 
 def mended_rows(wheels: str, rows: FloatArray, findings: Sequence[Finding]) -> FloatArray | None:
-    """(N, 4) rows of wheels as findings mend them; None where one does not say how, or there are too few.
+    """(N, 4) rows of wheels as findings mend them; None where one leaves open how, or there are too few.
 
     Parameters
     ----------
     rows
         (N, 4) stamp, x, y, heading.
     """
-    own = [finding for finding in findings if finding.sensor == wheels]
+    own = [one for one in findings if one.sensor == wheels or any("wheels" in each for each in one.remedies)]
     if len(rows) < FEWEST or any(len(finding.remedies) != 1 for finding in own):
         return None
     calibration = remedied(Calibration(), own, only_sure=False)

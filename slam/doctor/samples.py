@@ -9,11 +9,12 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from fusion.estimation import FEWEST
-from slam.datasets.corrections import Unwound, repeats
+from slam.datasets.corrections import Unwound
 from slam.datasets.dataset import Thinned
 from slam.doctor.camera_samples import CameraSamples
 from slam.doctor.cloud_samples import CloudSamples
 from slam.doctor.imu import ImuSamples, rising
+from slam.doctor.repeats import Repeats
 from slam.measurements import (
     FloatArray,
     ImuReading,
@@ -58,7 +59,7 @@ class LidarSamples:
     ----------
     stretches
         Lists of scans, each within a few seconds.
-    count, repeated, undated
+    count, repeats, undated
         Scans in all, those that are the one before to the bit, and others that are stamped no later than it.
     interval_s
         From scan to scan.
@@ -66,7 +67,7 @@ class LidarSamples:
 
     stretches: list[list[LaserScan]] = field(default_factory=list)
     count: int = 0
-    repeated: int = 0
+    repeats: Repeats = field(default_factory=Repeats)
     undated: int = 0
     interval_s: Thinned = field(default_factory=Thinned)
     _open: list[LaserScan] = field(default_factory=list)
@@ -77,8 +78,9 @@ class LidarSamples:
     def add(self, scan: LaserScan) -> None:
         """Take the next scan."""
         self.count += 1
-        if repeats(self._newest, scan) and np.isfinite(scan.ranges_m).any():
-            self.repeated += 1
+        # Few beams may well meet the same again, as those of a robot that a post goes along with.
+        sees = 2 * np.count_nonzero(np.isfinite(scan.ranges_m)) > scan.ranges_m.size
+        if sees and self.repeats.take(self._newest, scan):
             return
         if self._newest is not None:
             self.interval_s.add(scan.stamp_s - self._newest.stamp_s)

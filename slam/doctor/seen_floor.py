@@ -53,7 +53,7 @@ def floor_findings(
         f"tilts and sees the floor, {at_m:.1f} m away at {line['bearing_deg']} degrees: wherever the robot "
         "turns, a straight line, and nothing behind"
     )
-    effect = "it is drawn as walls and bends the way"
+    effect = "it is drawn as walls and distorts the trajectory"
     remedy = {"lidars": {name: {"floor": line}}}
     return [Finding(name, "floor", text, effect, (remedy,), sure=True, value=at_m)]
 

@@ -42,7 +42,7 @@ def clock_finding(
         pair.wheels,
         "clock",
         f"its clock is ahead of the lidar's by {offset_s:+.2f} s (95 %: {low:+.2f} to {high:+.2f})",
-        f"in turns the wheels are wrong by up to {math.degrees(wrong_rad):.0f} degrees",
+        f"during rotations the wheels are wrong by up to {math.degrees(wrong_rad):.0f} degrees",
         (
             pair.of_wheels(clock_offset_s=round(offset_s, 3)),
             pair.of_lidar(clock_offset_s=round(-offset_s, 3)),
@@ -109,7 +109,7 @@ def angle_scale(
         "field of view",
         f"its beams span {seen_deg:.0f} degrees (95 %: {low:.0f} to {high:.0f}), "
         f"the log says {stated_deg:.0f}",
-        "walls are bent, and turns of the wrong size",
+        "walls are distorted, and rotations have the wrong size",
         (
             pair.of_lidar(
                 start_angle_deg=round(middle_deg - 0.5 * seen_deg, 4),

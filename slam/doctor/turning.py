@@ -61,9 +61,9 @@ class Turn:
         return Finding(
             name,
             "turn",
-            f"its points were seen one after the other, in a turn of {abs(turn_s):.3f} s, {sense}, that "
+            f"its points were measured in a revolution of {abs(turn_s):.3f} s, {sense}, that "
             f"begins at {cut_deg:.0f} degrees",
-            "walls are bent by the robot's own motion",
+            "walls are distorted by the robot's own motion",
             ({kind: {name: {"turn_s": turn_s, "cut_deg": cut_deg}}},),
             sure=True,
             value=turn_s,
@@ -80,8 +80,8 @@ class Turn:
         return replace(
             clock,
             sensor=name,
-            text=f"its stamps are of the {'beginning' if half_s > 0.0 else 'end'} of a turn, by the IMU",
-            effect="poses are told half a turn aside",
+            text=f"its stamps are of the {'beginning' if half_s > 0.0 else 'end'} of a sweep, by the IMU",
+            effect="poses are off by half a revolution in time",
             remedies=({"lidars_3d": {name: {"clock_offset_s": round(-half_s, 4)}}},),
         )
 

@@ -23,14 +23,14 @@ from slam.measurements import FloatArray
 _UNITS = (1e-3, 1e-2, 0.3048, 0.0254, 0.5, 2.0)
 _QUARTERS = ("x y", "-y x", "-x -y", "y -x")
 _FLIPPED_QUARTERS = ("x -y", "y x", "-x y", "-y -x")
-_GARBLED = "each step of the wheels points elsewhere, so they are of no help"
+_GARBLED = "each step of the wheels has a wrong direction, so they cannot be used"
 
 
 def compare(pair: Pair, tracked: list[ScanMotion], config: Config) -> tuple[list[Finding], list[str]]:
     """What wheels and a lidar say of each other that cannot be, and what they leave open."""
     steps = Steps.of(tracked, config)
     if len(steps) < FEWEST:
-        return [], [f"{pair.lidar}: scans alone tell too little of its motion (corridors, or it stands)"]
+        return [], [f"{pair.lidar}: the scans do not determine its motion (corridors, or it stands)"]
     if not len(pair.rows) or not np.ptp(pair.rows[:, 1:], axis=0).any():
         return [_frozen(pair)], []
     ahead_s, findings = clock_finding(pair, tracked, steps, config)
@@ -42,7 +42,7 @@ def compare(pair: Pair, tracked: list[ScanMotion], config: Config) -> tuple[list
     if len(wheels) >= FEWEST and not _explains(turn, wheels.lidar_turns_rad):
         return [*findings, _unfit(pair)], []
     if turn is None or turn.values[0] ** 2 < gate() * turn.covariance[0, 0]:
-        return findings, [f"{pair.lidar} and {pair.wheels}: signs, mounting and clock, for lack of turns"]
+        return findings, [f"{pair.lidar} and {pair.wheels}: signs, mounting and clock, for lack of rotations"]
     scale = float(turn.values[0])
     sign = math.copysign(1.0, scale)
     readings = [Reading(sign, sign < 0.0), Reading(sign, sign > 0.0)]
@@ -77,8 +77,8 @@ def _frozen(pair: Pair) -> Finding:
     return Finding(
         pair.wheels,
         "frozen wheels",
-        "reports no motion though the lidar's scans show some",
-        "the map is made of the scans alone, and where these tell nothing the robot is lost",
+        "reports no motion although the lidar's scans show some",
+        "the map is made from the scans alone, and is wrong where these do not determine the motion",
         sure=True,
     )
 
@@ -109,9 +109,8 @@ def _unfit(pair: Pair) -> Finding:
     return Finding(
         pair.wheels,
         "no agreement",
-        f"what it tells fits {pair.lidar} under no unit, sign, axis or clock: "
-        "a part is frozen, noisy or lost",
-        "the wheels mislead wherever the scans alone do not hold the map",
+        f"it fits {pair.lidar} for no unit, sign, axis or clock: part of it is frozen, noisy or lost",
+        "the wheels mislead wherever the scans alone do not determine the map",
     )
 
 
@@ -146,7 +145,7 @@ def _axes(
         quarter = -quarter % 4
     if names[quarter] != _QUARTERS[0]:
         axes = names[quarter]
-        findings.append(_surely(pair, "axes", f"what it writes as x y is {axes}", _GARBLED, axes=axes))
+        findings.append(_surely(pair, "axes", f"its x y are {axes}", _GARBLED, axes=axes))
         turned = complex(0.0, 1.0) ** quarter
         steps = steps * turned
         relation = relation.with_wheels_turned(turned)
@@ -174,13 +173,13 @@ def _mirrored(pair: Pair, relation: Relation) -> Finding:
     if not sure and pair.handed:
         sure, by_lidar = True, pair.handed < 0.0
     remedies = (of_lidar, of_wheels) if by_lidar else (of_wheels, of_lidar)
-    told = "it is mounted upside down" if remedies[0] is of_lidar else "the wheels take left for right"
-    other = "" if sure else ", or the wheels take left for right: these two cannot tell which"
+    told = "it is mounted upside down" if remedies[0] is of_lidar else "the wheels swap left and right"
+    other = "" if sure else ", or the wheels swap left and right: these two cannot tell which"
     return Finding(
         pair.lidar,
         "mirrored",
-        f"turns the other way than {pair.wheels} and goes the same: {told}{other}",
-        "the map is mirrored, or the wheels are of no help",
+        f"rotates opposite to {pair.wheels} but moves the same way: {told}{other}",
+        "the map is mirrored, or the wheels cannot be used",
         remedies[:1] if sure else remedies,
         sure=bool(sure),
     )
@@ -200,7 +199,7 @@ def _heading(pair: Pair, scale: float) -> Finding:
 def _crab(pair: Pair, heading_rad: float) -> Finding:
     """A heading that is off by always the same: the robot seems to go aside, as wheels cannot."""
     turned_deg = math.degrees(heading_rad)
-    text = f"its heading is off by {-turned_deg:.1f} degrees: it goes aside, and the lidar does not"
+    text = f"its heading is off by {-turned_deg:.1f} degrees: it moves sideways, and the lidar does not"
     offset_deg = round(turned_deg, 2)
     return _surely(pair, "heading offset", text, _GARBLED, -heading_rad, heading_offset_deg=offset_deg)
 
@@ -233,7 +232,7 @@ def _mounting(pair: Pair, relation: Relation, forward: bool, config: Config) -> 
                 "yaw",
                 f"is turned by {math.degrees(yaw_rad):.1f} degrees (95 %: {low:.1f} to {high:.1f}), "
                 f"the log says {math.degrees(stated.theta()):.1f}",
-                "the robot's poses are turned by as much, and wheels and lidar contradict each other",
+                "the robot's poses are rotated by as much, and wheels and lidar contradict each other",
                 (remedy,),
                 sure=forward,
                 value=yaw_rad,
@@ -247,7 +246,7 @@ def _mounting(pair: Pair, relation: Relation, forward: bool, config: Config) -> 
                 "offset",
                 f"sits at x {x:.3f} m, y {y:.3f} m (95 %: +- {interval(0.0, relation.sigma_beta)[1]:.3f}), "
                 f"the log says {stated.x():.3f} and {stated.y():.3f}",
-                f"in turns the robot's poses swing by up to {abs(shift):.2f} m",
+                f"during rotations the robot's poses are off by up to {abs(shift):.2f} m",
                 (remedy,),
                 sure=True,
                 value=abs(shift),
@@ -330,12 +329,12 @@ def _unit(scale: float) -> float | None:
 def _turns(pair: Pair, scale: float, sigma: float) -> Finding:
     """Turns of the wheels that are too large or too small."""
     low, high = interval(scale, sigma)
-    text = f"its turns are {1.0 / scale:.3f} times the lidar's (95 % of their scale: {low:.3f} to {high:.3f})"
+    text = f"it rotates {1.0 / scale:.3f} times as far as the lidar (scale, 95 %: {low:.3f} to {high:.3f})"
     found = _surely(
         pair,
         "turn scale",
         text,
-        "in turns the wheels contradict the matches",
+        "during rotations the wheels contradict the matches",
         scale,
         turn_scale=round(scale, 4),
     )

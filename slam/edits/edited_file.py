@@ -22,7 +22,7 @@ from slam.storage.map_tables import CLOUDS, FRAMES, IMAGES, META
 
 
 def known_of(file: MapFile, contents: MapContents, sessions: Sequence[MapSession]) -> Known:
-    """A map, and how it was before all edits."""
+    """Return a map, and how it was before all edits."""
     unedited = UneditedFile(file)
     before = MapIdentity.from_meta(unedited.meta(), file.path).config
     contents = replace(contents, ground_m=_ground_m(contents, before))
@@ -31,7 +31,7 @@ def known_of(file: MapFile, contents: MapContents, sessions: Sequence[MapSession
 
 
 def _ground_m(contents: MapContents, config: Config) -> float | None:
-    """Height of the floor of a robot in space, also where an older map does not tell it."""
+    """Return the height of the floor of a robot in 3D, also if an older map does not store it."""
     if contents.clouds is None or contents.ground_m is not None:
         return contents.ground_m
     voxel_m = voxel_of(contents.clouds.points(0, everything=True), config.cloud_odometry)
@@ -41,7 +41,7 @@ def _ground_m(contents: MapContents, config: Config) -> float | None:
 
 
 def write_with(known: Known, edits: Edits, path: Path) -> list[str]:
-    """Write a map with more edits; what cannot be drawn, a line each.
+    """Write a map with more edits; return one line for each thing that cannot be drawn.
 
     Raises
     ------
@@ -55,7 +55,7 @@ def write_with(known: Known, edits: Edits, path: Path) -> list[str]:
 
 
 def write_entries(known: Known, entries: Sequence[AppliedEdits], path: Path) -> list[str]:
-    """Write a map with some of its edits, or others; what cannot be drawn, a line each; errors as above."""
+    """Write a map with some of its edits, or others; returns and raises as `write_with`."""
     found, warnings = remade(known.base, entries, known.before, known.sessions)
     config = remade_config(known.before, entries)
     _write(path, UneditedFile(known.file), found, None if config == known.before else config)
@@ -63,7 +63,7 @@ def write_entries(known: Known, entries: Sequence[AppliedEdits], path: Path) -> 
 
 
 def write_undone(known: Known, path: Path) -> list[str]:
-    """Write a map without the last of its edits; what cannot be drawn, a line each; errors as above."""
+    """Write a map without the last of its edits; returns and raises as `write_with`."""
     if entries := known.contents.edits[:-1]:
         return write_entries(known, entries, path)
     copy_unedited(known.file, path)

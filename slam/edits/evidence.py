@@ -22,21 +22,21 @@ from slam.storage.map_edits import CLOUD, FRAME, MEASURED, REPAIRED, Evidence, m
 
 @dataclass(frozen=True, slots=True)
 class Cut:
-    """What is taken away.
+    """A region whose readings are removed.
 
     Attributes
     ----------
     polygon
         (n, 2) corners in the map.
     outside
-        Whether it is everything outside, down to the floor; else what stands inside.
+        True removes everything outside, down to the floor; False removes objects inside.
     """
 
     polygon: FloatArray
     outside: bool = False
 
     def takes(self, points: FloatArray) -> BoolArray:
-        """(N,) of points (N, 2)."""
+        """Return (N,) whether points (N, 2) are removed."""
         within = inside(points, self.polygon)
         return ~within if self.outside else within
 
@@ -44,12 +44,12 @@ class Cut:
 def taken(
     contents: MapContents, cuts: Sequence[Cut], config: Config, first: int = 0
 ) -> dict[Evidence, bytes]:
-    """What of the evidence lies in one of some cuts: packed bits by kind and number.
+    """Return which evidence is in one of some cuts: packed bits by kind and number.
 
     Parameters
     ----------
     first
-        Keyframe from which on.
+        First keyframe to check.
     """
     found: dict[Evidence, bytes] = {}
     if not cuts:
@@ -73,7 +73,7 @@ def taken(
 
 
 def _beams(scan: LaserScan, pose: FloatArray, cuts: Sequence[Cut], config: Config) -> BoolArray:
-    """(N,) which beams of a scan met something that is taken away."""
+    """Return (N,) which beams of a scan hit something that is removed."""
     ranges = scan.ranges_m.astype(np.float64)
     limit_m = min(config.scan.range_max_m, scan.range_max_m)
     met = np.flatnonzero((ranges > 0.0) & (ranges <= limit_m) & np.isfinite(ranges))
@@ -87,7 +87,7 @@ def _beams(scan: LaserScan, pose: FloatArray, cuts: Sequence[Cut], config: Confi
 
 
 def _in_space(contents: MapContents, first: int) -> Iterator[tuple[Evidence, FloatArray, float | None]]:
-    """Kind and number of images and clouds, their points (N, 3) in the map, the height of the floor there.
+    """Yield kind and number of images and clouds, their points (N, 3) in the map, the floor height there.
 
     A pixel without a reading is NaN.
     """
@@ -112,13 +112,13 @@ def _in_space(contents: MapContents, first: int) -> Iterator[tuple[Evidence, Flo
 
 
 def _placed(points: FloatArray, pose: Pose) -> FloatArray:
-    """Points (N, 3) of a frame in the map."""
+    """Return points (N, 3) of a frame in the map."""
     matrix = np.asarray(spatial(pose).matrix())
     return np.asarray(points @ matrix[:3, :3].T + matrix[:3, 3])
 
 
 def _floor_m(contents: MapContents, T_map_base: Pose | None) -> float | None:
-    """Height of the floor around the robot; None if nobody knows it."""
+    """Return the height of the floor around the robot; None if unknown."""
     if contents.planar:
         return 0.0
     if contents.ground_m is None or T_map_base is None:
@@ -127,7 +127,7 @@ def _floor_m(contents: MapContents, T_map_base: Pose | None) -> float | None:
 
 
 def scans_without(scans: Sequence[LaserScan | None], erased: Mapping[int, bytes]) -> list[LaserScan | None]:
-    """Scans, readings of them taken away: negative ranges."""
+    """Return scans with readings removed: these get negative ranges."""
     left = list(scans)
     for node, bits in erased.items():
         scan = scans[node]

@@ -17,7 +17,7 @@ from slam.storage.map_sessions import MapSession
 
 
 def row_of(keyframe: Keyframe, contents: MapContents, sessions: Sequence[MapSession]) -> int:
-    """The row of a keyframe.
+    """Return the row of a keyframe.
 
     Raises
     ------
@@ -44,14 +44,14 @@ def held(
     value: float = 0.0,
     near: BoolArray | None = None,
 ) -> Region:
-    """Points (n, 2) of the map, each held by the keyframe nearest to it.
+    """Attach points (n, 2) of the map to keyframes, each to the nearest one.
 
     Parameters
     ----------
     poses
-        (K, 3) of all keyframes.
+        (K, 3) poses of all keyframes.
     near
-        (K,) those that may hold them, if there is any; None for all.
+        (K,) keyframes that may be used, if there are any; None for all.
     """
     rows: NDArray[np.int64] = np.arange(len(poses))
     if near is not None and near.any():
@@ -66,7 +66,7 @@ def held(
 
 
 def bases_of(contents: MapContents, poses: Sequence[Pose]) -> Sequence[Pose]:
-    """The robot at nodes of a map: of a camera alone that carries it they are cameras."""
+    """Return the base poses at the nodes of a map; the nodes of a camera alone are camera poses."""
     if contents.planar or contents.clouds is not None or contents.frames is None:
         return poses
     T_base_camera = contents.frames.head(0).T_base_camera

@@ -30,14 +30,14 @@ _OFF = "no loops are closed"
 
 
 def pair_of(loop: LoopCandidate) -> Pair:
-    """The two keyframes of a loop, the lower first."""
+    """Return the two keyframes of a loop, the lower first."""
     return min(loop.place, loop.keyframe), max(loop.place, loop.keyframe)
 
 
 def edited_loops(
     base: MapContents, entries: Sequence[AppliedEdits], before: Config, config: Config
 ) -> tuple[list[SavedFactor], list[LoopCandidate]]:
-    """The factors and loop candidates of a map with edits, not yet optimised.
+    """Return the factors and loop candidates of a map with edits, not yet optimised.
 
     Parameters
     ----------
@@ -46,7 +46,7 @@ def edited_loops(
 
     Returns
     -------
-    Factors of loops that are refused for good are left out: no later optimisation brings them back.
+    Factors without those of permanently rejected loops: no later optimisation brings these back.
     """
     loops = [*base.loops]
     state: dict[int, bool] = {}  # true is forced, false forbidden
@@ -82,7 +82,7 @@ def edited_loops(
 
 
 def best_of(loops: Sequence[LoopCandidate], pair: Pair) -> int:
-    """The number of the loop between two keyframes that fits best: accepted, else of the best score.
+    """Return the number of the best loop between two keyframes: accepted, else with the best score.
 
     Raises
     ------
@@ -96,17 +96,17 @@ def best_of(loops: Sequence[LoopCandidate], pair: Pair) -> int:
 
 
 def _numbers(loops: Sequence[LoopCandidate], pair: Pair) -> list[int]:
-    """Those of all loops between two keyframes."""
+    """Return the numbers of all loops between two keyframes."""
     return [number for number, loop in enumerate(loops) if pair_of(loop) == pair]
 
 
 def _trusted(factor: SavedFactor) -> SavedFactor:
-    """A factor that no optimisation refuses."""
+    """Return a factor that no optimisation rejects."""
     return SavedFactor(replace(factor.edge, trusted=True), True)
 
 
 def _rejudged(loop: LoopCandidate, config: Config) -> LoopCandidate:
-    """A loop by other limits, as far as its match tells."""
+    """Verify a loop with other limits, as far as its match allows."""
     settings, motion = config.loops, loop.motion
     if not settings.enabled:
         return loop.refused(_OFF)
@@ -118,17 +118,17 @@ def _rejudged(loop: LoopCandidate, config: Config) -> LoopCandidate:
 
 
 def refuse_unknown(loops: Sequence[LoopCandidate], pair: Pair, told: str, *, matched: bool) -> None:
-    """Refuse to forbid or force a loop that is none.
+    """Raise an error if a loop to forbid or force does not exist.
 
     Parameters
     ----------
     matched
-        Whether it needs a match.
+        Whether the loop needs a match.
 
     Raises
     ------
     MapFileError
-        It says which.
+        If it does not exist; the message names it.
     """
     numbers = _numbers(loops, pair)
     if not numbers:
@@ -149,7 +149,7 @@ def matched_loops(
     Parameters
     ----------
     wanted
-        Two rows each, the pose (3,) of the second seen from the first or None, and what to call them.
+        Two rows each, the pose (3,) of the second relative to the first or None, and their names.
 
     Raises
     ------
@@ -181,7 +181,7 @@ def matched_loops(
 def _match_in_space(
     contents: MapContents, wanted: tuple[int, int, FloatArray | None, str], config: Config
 ) -> tuple[LoopCandidate, str]:
-    """The match of two clouds, or of two frames of a camera alone, and what to call it."""
+    """Return the match of two clouds, or of two frames of a camera alone, and its name."""
     first, second, row, told = wanted
     place, key = min(first, second), max(first, second)
     guess = None if row is None else gtsam.Pose3(pose2_from_row(row))
@@ -206,7 +206,7 @@ def _match_in_space(
 
 
 def _checked(loop: LoopCandidate, told: str) -> LoopCandidate:
-    """A loop that matches.
+    """Return a loop that matches.
 
     Raises
     ------

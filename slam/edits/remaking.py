@@ -39,12 +39,12 @@ _FUSION = "fusion.enabled"
 
 
 def remade_config(before: Config, entries: Sequence[AppliedEdits]) -> Config:
-    """The settings of a map with edits.
+    """Return the settings of a map with edits.
 
     Raises
     ------
     ConfigError
-        For an unknown key, a bad value, or a setting that only the log could follow.
+        If a key is unknown, a value is invalid, or a setting needs the log.
     """
     changed = with_settings(before, [setting for entry in entries for setting in entry.settings])
     told, asked = (dict(leaves(one.model_dump(mode="json"))) for one in (before, changed))
@@ -66,7 +66,7 @@ def remade_config(before: Config, entries: Sequence[AppliedEdits]) -> Config:
 
 
 def turned_by(entries: Sequence[AppliedEdits]) -> gtsam.Pose2:
-    """``T_new_old`` of all edits together."""
+    """Return ``T_new_old`` of all edits together."""
     whole = gtsam.Pose2()
     for entry in entries:
         whole = whole if entry.turned is None else entry.turned.compose(whole)
@@ -76,9 +76,9 @@ def turned_by(entries: Sequence[AppliedEdits]) -> gtsam.Pose2:
 def remade(
     base: MapContents, entries: Sequence[AppliedEdits], before: Config, sessions: Sequence[MapSession]
 ) -> tuple[MapContents, list[str]]:
-    """A map with edits.
+    """Rebuild a map with edits.
 
-    What nothing has changed stays to the bit: without edits the map is the unedited one.
+    Unchanged data stay equal to the bit: without edits the result is the unedited map.
 
     Parameters
     ----------
@@ -87,12 +87,12 @@ def remade(
 
     Returns
     -------
-    The map, and a line on everything that cannot be drawn.
+    The map, and one line for each thing that cannot be drawn.
 
     Raises
     ------
     ScanweaveError
-        If an edit does not fit, or a setting takes the log.
+        If an edit does not fit, or a setting needs the log.
     """
     config = remade_config(before, entries)
     found = replace(settled(base, entries, before, config, sessions), edits=list(entries))
@@ -112,7 +112,7 @@ def settled(
     config: Config,
     sessions: Sequence[MapSession],
 ) -> MapContents:
-    """A map with its graph solved and turned; scans, images and grids as they were."""
+    """Return a map with its graph solved and rotated; scans, images and grids are unchanged."""
     factors, loops = edited_loops(base, entries, before, config)
     poses = base.node_poses
     # Edges are compared by what made them.
@@ -151,10 +151,10 @@ def settled(
 def solved(
     poses: Sequence[Pose], factors: Sequence[SavedFactor], before: Config, config: Config
 ) -> tuple[list[SavedFactor], list[Pose]]:
-    """A graph solved anew from where it was, with what was kept then.
+    """Solve a graph again, starting from its poses and the edges kept then.
 
-    What one edge had kept out may fit now, and what it had held may not: where an edge begins to contradict
-    its verdict, all are judged again until nothing changes. One that does so already is the run's affair.
+    Edges rejected or kept because of a changed edge may now be decided differently: if an edge newly
+    contradicts its decision, all are decided again until nothing changes. Old contradictions are kept.
     """
     kept = np.array([factor.kept for factor in factors], np.bool_)
     certain = [replace(factor.edge, trusted=True) for factor in factors if factor.kept]
@@ -175,7 +175,7 @@ def solved(
 
 
 def graph_of(poses: Sequence[Pose], edges: Sequence[Edge]) -> PoseGraph:
-    """Nodes where they are, and edges."""
+    """Build a graph of the nodes at their poses, and the edges."""
     graph = PoseGraph(poses[0])
     for pose in poses[1:]:
         graph.add_node(pose)
@@ -185,12 +185,12 @@ def graph_of(poses: Sequence[Pose], edges: Sequence[Edge]) -> PoseGraph:
 
 
 def poses_of(graph: PoseGraph) -> list[Pose]:
-    """Where its nodes are."""
+    """Return the poses of its nodes."""
     return [graph.pose(node) for node in range(len(graph))]
 
 
 def _misfits(poses: Sequence[Pose], edges: Sequence[Edge], kept: BoolArray, probability: float) -> set[int]:
-    """Edges that may be refused, and are on the other side of the gate than their verdict."""
+    """Return untrusted edges that are on the other side of the gate than their decision."""
     graph, values = held_graph(poses, edges)
     limit = 0.5 * gate(len(edges[0].covariance), probability)
     return {
@@ -201,14 +201,14 @@ def _misfits(poses: Sequence[Pose], edges: Sequence[Edge], kept: BoolArray, prob
 
 
 def _moved(pose: Pose, T_new_old: gtsam.Pose2) -> Pose:
-    """A pose in the turned map."""
+    """Return a pose in the rotated map."""
     if isinstance(pose, gtsam.Pose2):
         return T_new_old.compose(pose)
     return gtsam.Pose3(T_new_old).compose(pose)
 
 
 def _unrepaired(measured: LaserScan | None, mended: LaserScan | None) -> LaserScan | None:
-    """A scan as measured, without what was taken out of the repaired one as moving."""
+    """Return a scan as measured, without the readings removed from the repaired one as moving."""
     if measured is None or mended is None or not (mended.ranges_m < 0.0).any():
         return measured
     return replace(
@@ -219,7 +219,7 @@ def _unrepaired(measured: LaserScan | None, mended: LaserScan | None) -> LaserSc
 def _seen(
     found: MapContents, base: MapContents, entries: Sequence[AppliedEdits], before: Config, config: Config
 ) -> MapContents:
-    """The map with the evidence that edits and settings have left."""
+    """Return the map with the evidence that remains after edits and settings."""
     frames = base.frames and base.frames.without(erased_bits(entries, FRAME))
     clouds = base.clouds and base.clouds.without(erased_bits(entries, CLOUD))
     measured, mended = base.measured_scans, base.keyframe_scans
@@ -248,7 +248,7 @@ def _seen(
 
 
 def _cropped(grid: OccupancyGrid, polygon: FloatArray) -> OccupancyGrid | None:
-    """The cells of a grid with their middle in a polygon, none unknown around; None if there is none."""
+    """Return the cells of a grid with their centre in a polygon, without unknown borders; None if empty."""
     within = cells_inside(polygon, grid.steps.shape, grid.resolution_m, grid.T_map_grid)
     (at_rows,), (at_cols,) = np.nonzero(within.any(axis=1)), np.nonzero(within.any(axis=0))
     if not len(at_rows):

@@ -18,22 +18,22 @@ _NORMAL_SIGMA_RAD = math.radians(2.0)
 
 
 def turned_about(angle_rad: float, origin: FloatArray) -> gtsam.Pose2:
-    """``T_new_old`` of a map that is turned by an angle, and in which a point (2,) becomes the origin."""
+    """Return ``T_new_old`` of a map that is rotated by an angle, with a point (2,) as its new origin."""
     turn = gtsam.Pose2(0.0, 0.0, angle_rad)
     at = turn.transformFrom(origin)
     return gtsam.Pose2(-at[0], -at[1], angle_rad)
 
 
 def to_walls_rad(contents: MapContents, config: Config) -> float:
-    """The smallest turn after which most walls lie along x and y.
+    """Return the smallest rotation after which most walls are along x and y.
 
-    The normals of all scans' points vote, mod a quarter turn: the greatest of their density, by a kernel as
-    wide as they scatter, and the mean of those about it.
+    The normals of all scan points vote, modulo 90 degrees: the result is the maximum of their density, with a
+    kernel as wide as their scatter, refined by the mean of those around it.
 
     Raises
     ------
     MapFileError
-        If the map has no scans, and so no walls to be seen.
+        If the map has no scans, and so no walls.
     """
     angles = []
     for scan, pose in zip(contents.keyframe_scans, contents.keyframe_poses, strict=False):

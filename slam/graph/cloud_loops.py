@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 import gtsam
 import numpy as np
 
-from fusion.height_band import thin_to_voxels
+from fusion.height_band import thin_evenly
 from slam.config import Config
 from slam.graph.loop_candidate import LoopCandidate, report
 from slam.graph.relative_uncertainty import UncertaintyGraph
@@ -228,7 +228,7 @@ class CloudLoopCloser:
         """Register and judge."""
         width_m = self._loops.sigmas * guess.sigma_m + 2.0 * self._voxel_m
         candidate = LoopCandidate(guess.place, key, width_m, 0.0, guess.score, None, False, "")
-        scan = thin_to_voxels(self._clouds(key), self._voxel_m)
+        scan = thin_evenly(self._clouds(key), self._voxel_m)
         near = not guess.by_appearance and width_m <= REACH * self._voxel_m
         reach_m = None if near else max(width_m, REACH * self._voxel_m)
         aligned = local.align(scan, guess.T_place_base, reach_m)
@@ -267,7 +267,7 @@ class CloudLoopCloser:
         members = range(max(0, key - half), min(len(self._poses), key + half + 1))
         thin_m = 0.5 * self._voxel_m
         parts = [
-            moved(thin_to_voxels(self._clouds(k), thin_m), self._poses[key].between(self._poses[k]))
+            moved(thin_evenly(self._clouds(k), thin_m), self._poses[key].between(self._poses[k]))
             for k in members
         ]
         local = LocalCloud.of(np.vstack(parts), self._voxel_m, self._config)

@@ -16,7 +16,7 @@ from fusion.estimation import TINY, gate
 from slam.config.stages import GraphConfig, LoopConfig, MatchConfig
 from slam.graph.edge import GUESSES, Edge, EdgeKind
 from slam.graph.fault_sharing import share_faults
-from slam.graph.keyframe_graph import LoneSteps, graph_of, lone_steps, unmeasured
+from slam.graph.keyframe_graph import LoneSteps, graph_of, lone_steps, tied, unmeasured
 from slam.graph.relative_uncertainty import UncertaintyGraph, composed, inverse, moved, seen_from
 from slam.matching.motion import Motion
 from slam.matching.planar import adjoint, between, rotate_covariance
@@ -124,7 +124,11 @@ class FaultySteps:
             self._numbers[first:last] = n
         self.held = believed_edges(edges, kept, poses)
         self._judged = edges, kept, len(poses), config.lost_sigma_m
-        self.known = graph_of(len(poses), self.held, self._numbers)
+        # Too few loops across a step that only wheels measured may be at a place that looks the same.
+        ties = tied(edges, kept, self.lone.unseen, poses, 2.0 * loops.reach_m)
+        few = {edge.loop for edge, enough in zip(edges, ties, strict=True) if not enough} - {None}
+        sure = (edge for edge in self.held if edge.loop not in few)
+        self.known = graph_of(len(poses), sure, self._numbers)
         speeds = _moves(seen_from(poses[:-1], poses[1:])) / np.where(took_s > 0.0, took_s, np.inf)[:, None]
         begun, ended = self._ends.T
         time_s = np.abs(stamps_s[ended] - stamps_s[begun])[:, None]

@@ -115,9 +115,8 @@ class KeyframeGraph:
         """Return (n,) the piece of each keyframe by the kept edges (E,); only guesses connect two pieces."""
         edges, count, lost_m = self.graph.edges, len(self), self._config.lost_sigma_m
         found = lone_steps(edges, kept, count, lost_m)
-        parts = np.append(0, np.cumsum(found.unseen[:-1]))
-        tied = _tied(edges, kept, parts, self.rows(), 2.0 * reach_m)
-        return (found if tied[kept].all() else lone_steps(edges, kept & tied, count, lost_m)).pieces
+        ties = tied(edges, kept, found.unseen, self.rows(), 2.0 * reach_m)
+        return (found if ties[kept].all() else lone_steps(edges, kept & ties, count, lost_m)).pieces
 
     def optimize(self, inlier_probability: float) -> BatchResult:
         """Solve the whole graph; mark loops that disagree with the others as rejected."""
@@ -203,23 +202,24 @@ def lone_steps(edges: Sequence[Edge], kept: BoolArray, nodes: int, lost_sigma_m:
     return LoneSteps(np.isin(np.arange(nodes), lone), pieces, share)
 
 
-def _tied(
-    edges: Sequence[Edge], kept: BoolArray, parts: NDArray[np.int64], rows: FloatArray, least_m: float
+def tied(
+    edges: Sequence[Edge], kept: BoolArray, unseen: BoolArray, rows: FloatArray, least_m: float
 ) -> BoolArray:
     """Return (E,) whether an edge may connect its nodes: parts of the path only with enough loops.
 
     One loop, or a few, may be at a place that looks the same. So the loops between two parts must be more
     than the numbers of a pose, or cover enough of both paths; then the two parts count as one for all others.
-    Wheel edges over many steps count as the single steps. ``parts`` (n,) number the uninterrupted parts.
+    Wheel edges over many steps count as the single steps. A part ends where a step is ``unseen`` (n,).
     """
+    parts = np.append(0, np.cumsum(unseen[:-1]))
     ways_m = np.append(0.0, np.cumsum(np.hypot(*np.diff(rows[:, :2], axis=0).T)))
     ends = np.array([(edge.source, edge.target) for edge in edges], np.int64).reshape(-1, 2)
     kinds = np.array([edge.kind for edge in edges], np.str_)
     loops, wheels = (kinds == kind.value for kind in (EdgeKind.LOOP, EdgeKind.WHEEL))
     across = parts[ends[:, 0]] != parts[ends[:, 1]]
-    tied: BoolArray = ~across | ~(loops | wheels) | (np.diff(ends)[:, 0] == 1)
+    ties: BoolArray = ~across | ~(loops | wheels) | (np.diff(ends)[:, 0] == 1)
     numbers = max((len(edge.covariance) for edge in edges), default=0)
-    one = joined(parts[-1] + 1, parts[ends[kept & across & tied & (np.diff(ends)[:, 0] != 1)]])
+    one = joined(parts[-1] + 1, parts[ends[kept & across & ties & (np.diff(ends)[:, 0] != 1)]])
     while (waiting := np.flatnonzero(kept & loops & (np.diff(one[parts[ends]])[:, 0] != 0))).size:
         pairs = np.sort(one[parts[ends[waiting]]], axis=1)
         ways = np.take_along_axis(
@@ -233,7 +233,7 @@ def _tied(
         if not enough.any():
             break
         one = joined(len(one), both[enough])[one]
-    return tied | (loops & (np.diff(one[parts[ends]])[:, 0] == 0))
+    return ties | (loops & (np.diff(one[parts[ends]])[:, 0] == 0))
 
 
 def joined(nodes: int, ends: ArrayLike) -> NDArray[np.int64]:

@@ -155,6 +155,10 @@ class _Run:
                 result.warnings.append(finding.line)
         result.notes += use_lines(result.uses)
         result.warnings += dataset.report.warnings
+        if dataset.report.dropped_count >= mapper.scan_count:
+            result.warnings.append(
+                f"Only {mapper.scan_count} scans or frames are mapped: {dataset.report.refusals}"
+            )
         return result
 
     def _chosen(self) -> SensorChoice:
@@ -202,9 +206,10 @@ class _Run:
             if self._on_step:
                 self._on_step("mapping", mapper.scan_count)
         if mapper.scan_count == 0:
+            refusals = self._dataset.report.refusals
             raise DatasetError(
-                f"{self._dataset.name} contains no scan or frame that can be mapped; "
-                "'scanweave inspect' shows what it contains"
+                f"{self._dataset.name} contains no scan or frame that can be mapped"
+                f"{f' ({refusals})' if refusals else ''}; 'scanweave inspect' shows what it contains"
             )
         if ahead is not None:
             ahead.end()

@@ -125,7 +125,7 @@ def _pixels(points_lidar: FloatArray) -> tuple[NDArray[np.int32], NDArray[np.int
 def _keys(points: FloatArray, voxel_m: float) -> IntArray:
     """(V,) keys of the voxels that hold points (N, 3), each once."""
     keys, first = np.empty(len(points), np.int64), np.empty(len(points), np.int64)
-    return keys[: first_in_voxels(points, voxel_m, table_for(len(points)), keys, first)]
+    return keys[: first_in_voxels(points, voxel_m, 1, table_for(len(points)), keys, first)]
 
 
 def _indexed(keys: IntArray) -> NDArray[np.int32]:

@@ -17,7 +17,7 @@ _LEAST_POINTS = 6
 
 @kernel(nogil=True)
 def count_points(points, sign, sizes, known, table, keys, sums, marks, touched):  # type: ignore[no-untyped-def]
-    """Count points (N, 3) into the moments of their voxels of every size, or out again.
+    """Count points (N, 3) into moments of their voxels of every size, or out; how many, how many touched.
 
     Parameters
     ----------
@@ -31,14 +31,9 @@ def count_points(points, sign, sizes, known, table, keys, sums, marks, touched):
         Slots, keys (V,) and moments (V, 10).
     marks, touched
         (V,) all False; set for the voxels whose numbers are written into ``touched``.
-
-    Returns
-    -------
-    How many voxels there are now, and how many were touched.
     """
     count = np.int64(known)
     changed = ZERO
-    mask = table.shape[0] - 1
     last = sizes.shape[0] - 1
     for i in range(points.shape[0]):
         x = points[i, 0]
@@ -52,11 +47,8 @@ def count_points(points, sign, sizes, known, table, keys, sums, marks, touched):
             b = row >> (last - level)
             c = layer >> (last - level)
             key = key_of_cell(a, b, c) | (level << 3 * AXIS_BITS)
-            slot = slot_of(key, mask)
+            slot = slot_of(key, table, keys)
             k = np.int64(table[slot])
-            while k >= 0 and keys[k] != key:
-                slot = (slot + 1) & mask
-                k = np.int64(table[slot])
             if k < 0:
                 k = count
                 table[slot] = k

@@ -11,7 +11,7 @@ import gtsam
 import numpy as np
 
 from fusion.estimation import FEWEST
-from fusion.height_band import thin_to_voxels
+from fusion.height_band import thin_evenly
 from slam.config import Config
 from slam.estimates import MotionEstimate
 from slam.matching.cloud_alignment import levers
@@ -61,8 +61,8 @@ class CloudOdometry:
         """Take points (N, 3), seen from (3,), both base frame, at ``T_odom_base`` into the local map."""
         if not len(points):
             return
-        half = thin_to_voxels(points, 0.5 * self._voxel_m)
-        scan = thin_to_voxels(half, self._voxel_m)  # the same points as of the whole cloud
+        half = thin_evenly(points, 0.5 * self._voxel_m)
+        scan = thin_evenly(half, self._voxel_m)
         before = self._map.agreement(scan, pose)
         self._newest.append(moved(half, pose))
         gone = self._newest.popleft() if len(self._newest) > self._config.match.local_map_keyframes else None
@@ -97,7 +97,7 @@ class CloudOdometry:
         -------
         Not converged, and uncertain by a voxel, where fewer points than usual lie on planes.
         """
-        scan = thin_to_voxels(points, self._voxel_m)
+        scan = thin_evenly(points, self._voxel_m)
         found: list[Aligned | None] = []
         for guess in guesses:
             aligned = self._map.align(scan, guess, None, self._usual)
@@ -125,11 +125,11 @@ class CloudOdometry:
 
     def nearby(self, points: FloatArray, start: gtsam.Pose3) -> gtsam.Pose3:
         """Roughly where a scan (N, 3) fits near ``T_odom_base``."""
-        return self._map.best_of(thin_to_voxels(points, self._voxel_m), [start])
+        return self._map.best_of(thin_evenly(points, self._voxel_m), [start])
 
     def agreement(self, points: FloatArray, pose: gtsam.Pose3) -> float:
         """Share of a scan (N, 3), base frame, that lies on planes from ``T_odom_base``."""
-        return self._map.agreement(thin_to_voxels(points, self._voxel_m), pose)
+        return self._map.agreement(thin_evenly(points, self._voxel_m), pose)
 
     @property
     def _usual(self) -> float:

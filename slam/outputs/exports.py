@@ -61,7 +61,7 @@ FORMATS = (*_NAMES, "ply", "colmap", "nerfstudio", "sensors", "mcap", *CLOUD_FOR
 
 @dataclass(frozen=True)
 class Exports:
-    """What is written of a map for other programs.
+    """Export of a map for other programs.
 
     Attributes
     ----------
@@ -70,7 +70,7 @@ class Exports:
     config
         Its settings.
     known_ground
-        As `ground`, where it is known already.
+        As `ground`, if it is known already.
     """
 
     contents: MapContents
@@ -79,12 +79,12 @@ class Exports:
 
     @cached_property
     def layers(self) -> LayeredMap | None:
-        """The map of the floor to drive by; None of a camera in space."""
+        """The navigation map of the floor; None for a camera in 3D."""
         return self.contents.layers(self.config)
 
     @cached_property
     def ground(self) -> Elevation | None:
-        """The ground under a 3D lidar's clouds; None of other maps, and where it was not seen."""
+        """The ground under a 3D lidar's clouds; None for other maps, or if it was not seen."""
         found = self.contents
         if self.known_ground is not None or found.clouds is None or found.ground_m is None:
             return self.known_ground
@@ -92,12 +92,12 @@ class Exports:
         return elevation(found.clouds, poses, found.ground_m, self.config.cloud_map.plan_range_m)
 
     def write(self, format_: str, out: Path) -> list[Path]:
-        """Write one format, see `slam.Map.export`; what was written.
+        """Write one format, see `slam.Map.export`; return the files written.
 
         Raises
         ------
         ScanweaveError
-            If the map does not hold what the format needs, or a file cannot be written.
+            If the map does not contain the data for the format, or a file cannot be written.
         """
         if format_ not in FORMATS:
             hint = nearest(format_, FORMATS)
@@ -121,7 +121,7 @@ class Exports:
         return self._write_file(format_, out)
 
     def _lacking(self, format_: str) -> str:
-        """What the map does not hold of what a format needs; empty if it holds all."""
+        """Return what the map lacks for a format; empty if nothing is missing."""
         found = self.contents
         if format_ == "nav2" and self.layers is None:
             return "grid"
@@ -135,7 +135,7 @@ class Exports:
         return "place on the earth, as its log had no GNSS" if unplaced else ""
 
     def _write_file(self, format_: str, out: Path) -> list[Path]:
-        """Write one of the formats that are a file, with what belongs to it beside."""
+        """Write one of the single-file formats, with related files next to it."""
         found = self.contents
         match format_:
             case "nav2":
@@ -161,7 +161,7 @@ class Exports:
         return [out]
 
     def write_files(self, folder: Path) -> list[Path]:
-        """Write trajectory and graph, of a floor the navigation map, layers, zones; errors as in `write`."""
+        """Write trajectory and graph, and for a floor navigation map, layers, zones; raises as `write`."""
         formats = ["tum", "g2o"] if self.layers is None else ["tum", "g2o", "nav2"]
         written = [path for name in formats for path in self.write(name, folder)]
         if self.contents.georeference is not None:
@@ -182,7 +182,7 @@ class Exports:
         return written + write_zones(folder, self.layers, keep_out, slow)
 
     def write_sessions(self, folder: Path, poses: Sequence[int]) -> list[Path]:
-        """Write a trajectory a session, where several have so many poses: their clocks may overlap."""
+        """Write one trajectory per session if there are several: their clocks may overlap."""
         written, first, found = list[Path](), 0, self.contents
         for number, count in enumerate(poses if len(poses) > 1 else (), start=1):
             part = slice(first, first + count)
@@ -193,7 +193,7 @@ class Exports:
         return written
 
     def write_surfaces(self, folder: Path) -> list[Path]:
-        """Write surfaces and clouds, and the octree, where they are asked for; see `write`."""
+        """Write surfaces, clouds and the octree, if they are enabled; see `write`."""
         dense = self.config.dense_map
         if not dense.enabled or (self.contents.frames is None and self.contents.clouds is None):
             return []
@@ -201,14 +201,14 @@ class Exports:
         return written + self.write("bt", folder) if dense.octomap else written
 
     def same_surfaces(self, other: Exports) -> bool:
-        """Whether another map of the same log shows the same images and clouds at the same places."""
+        """Return whether another map of the same log has the same images and clouds at the same poses."""
         maps = (self.contents, other.contents)
         poses = [np.array([spatial(pose).matrix() for pose in found.node_poses]) for found in maps]
         erased = [[erased_bits(found.edits, kind) for kind in (FRAME, CLOUD)] for found in maps]
         return self.config == other.config and np.array_equal(poses[0], poses[1]) and erased[0] == erased[1]
 
     def _write_plan(self, format_: str, out: Path) -> list[Path]:
-        """The plan of the floor, or what nav2 makes of it (a folder)."""
+        """Write the floor plan, or its form for nav2 (a folder)."""
         plan = floor_plan(self.contents, self.config)
         if format_ == ZONES:
             assert self.layers is not None
@@ -220,7 +220,7 @@ class Exports:
         return [out]
 
     def _write_images(self, format_: str, folder: Path) -> list[Path]:
-        """Images with poses and lenses and a cloud to start from, in a folder."""
+        """Write images with poses, intrinsics and an initial cloud into a folder."""
         found = self.contents
         assert found.frames is not None
         make_folder(folder)
@@ -239,7 +239,7 @@ class Exports:
 
     @cached_property
     def _surface(self) -> DenseMap:
-        """Of the images; empty if they show none."""
+        """Return the surface of the images; empty if they show none."""
         found, dense = self.contents, self.config.dense_map
         settings = DenseMapSettings(dense.voxel_m, self.config.layers.depth_max_m, dense.nearest_m)
         return fuse_keyframes(found.frames or (), found.frame_poses(), settings)
@@ -247,7 +247,7 @@ class Exports:
     def _scans(
         self,
     ) -> Iterator[tuple[str, gtsam.Pose3, AnyFloatArray, Colors | None, Float32Array | None]]:
-        """The clouds of the 3D lidar where they were taken; of images alone their surface as one."""
+        """Return the clouds of the 3D lidar with their poses; for images, their surface as one cloud."""
         found = self.contents
         if found.clouds is None:
             yield "surface", gtsam.Pose3(), self._surface.cloud.points_map, self._surface.cloud.colors, None
@@ -259,7 +259,7 @@ class Exports:
             yield f"keyframe {key}", pose, placed, None, found.clouds.intensities(key)
 
     def _mounts(self) -> dict[str, gtsam.Pose3]:
-        """Where each sensor sits on the base, as far as the map tells."""
+        """Return the mounting of each sensor, as far as the map has it."""
         found = self.contents
         mounts = {name: one.T_base_camera for name, one in found.cameras.items()}
         known = {name: pose for name, pose in mounts.items() if pose is not None}
@@ -269,7 +269,7 @@ class Exports:
         return known if found.clouds is None else {**known, "lidar": found.T_base_lidar}
 
     def _write_sensors(self, folder: Path) -> list[Path]:
-        """Where each sensor was at every reading of the log, a TUM file each in a folder."""
+        """Write the pose of each sensor at every reading, one TUM file per sensor in a folder."""
         make_folder(folder)
         written, trajectory = [], self.contents.trajectory
         poses = trajectory.poses()
@@ -282,7 +282,7 @@ class Exports:
         return written
 
     def _write_bag(self, folder: Path) -> Path:
-        """What was found, for Foxglove; in a folder that is there in one of its own."""
+        """Write the results for Foxglove; in an existing folder, into a folder of its own."""
         found, plan = self.contents, None
         if self.layers is not None:
             layers = self.layers
@@ -302,7 +302,7 @@ class Exports:
         return write_results_bag(folder, plan, found.trajectory, self._mounts(), clouds if seen else ())
 
     def _write_ply(self, out: Path) -> list[Path]:
-        """The coloured surface of the images, and the cloud of the 3D lidar."""
+        """Write the coloured surface of the images, and the cloud of the 3D lidar."""
         written, path, found = list[Path](), out, self.contents
         if found.frames is not None:
             written = _save_surface(out, self._surface)
@@ -313,7 +313,7 @@ class Exports:
         return written
 
     def _write_octree(self, out: Path) -> None:
-        """The octree of a 3D lidar's keyframes, else of the images."""
+        """Write the octree of a 3D lidar's keyframes, otherwise of the images."""
         found, resolution_m = self.contents, self.config.grid.resolution_m
         if found.clouds is None:
             assert found.frames is not None
@@ -330,7 +330,7 @@ class Exports:
 
 
 def _save_surface(path: Path, surface: DenseMap) -> list[Path]:
-    """The coloured mesh of the camera keyframes, and its points beside it; nothing if they show none."""
+    """Write the coloured mesh of the camera keyframes and its points; nothing if there is no surface."""
     written = list[Path]()
     if len(surface.mesh.faces):
         write_mesh_ply(path, surface.mesh)

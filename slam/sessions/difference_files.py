@@ -22,7 +22,7 @@ _COLORS = {"went": RED, "appeared": BLUE, "moved": ORANGE}
 
 
 def difference_text(things: Sequence[ChangedThing], passing: int, found: Comparison) -> str:
-    """A line a thing, and what could be compared at all."""
+    """Return one line per object, and how much area could be compared."""
     both, first, second = found.seen_m2()
     lines = [_line(thing) for thing in things] or ["nothing changed in the area that both visits saw"]
     if passing:
@@ -39,7 +39,7 @@ def difference_text(things: Sequence[ChangedThing], passing: int, found: Compari
 def difference_plain(
     things: Sequence[ChangedThing], passing: int, found: Comparison, names: Sequence[str]
 ) -> dict[str, Any]:
-    """The same as plain values; places in metres, in the frame of the first map."""
+    """Return the same as plain values; positions in metres, in the frame of the first map."""
     both, first, second = found.seen_m2()
     return {
         "before": names[0],
@@ -78,7 +78,7 @@ def write_difference(
 
 
 def difference_picture(things: Sequence[ChangedThing], found: Comparison) -> bytes:
-    """PNG: what both visits saw, red what went, blue what appeared, orange what moved and its way."""
+    """Draw a PNG: what both visits saw; red: disappeared, blue: appeared, orange: moved, with its path."""
     shade = np.full((*found.steps.shape[1:], 3), 205, dtype=np.uint8)
     states = [THRESHOLDS.states(steps) for steps in found.steps]
     shade[(states[0] == FREE) | (states[1] == FREE)] = 254
@@ -105,7 +105,7 @@ def difference_picture(things: Sequence[ChangedThing], found: Comparison) -> byt
 
 
 def _line(thing: ChangedThing) -> str:
-    """A thing in words."""
+    """Describe an object in words."""
     length_m, width_m = thing.size_m
     size = f"an object of {length_m:.1f} x {width_m:.1f} m"
     places = [f"({x:.1f}, {y:.1f})" for x, y in thing.places_m]
@@ -117,13 +117,13 @@ def _line(thing: ChangedThing) -> str:
 
 
 def _plain(thing: ChangedThing) -> dict[str, Any]:
-    """A thing as plain values."""
+    """Return an object as plain values."""
     corners = {"before_m": thing.before_m, "after_m": thing.after_m}
     return {"what": thing.what, **_told(thing), **{key: _rounded(value) for key, value in corners.items()}}
 
 
 def _told(thing: ChangedThing) -> dict[str, Any]:
-    """What is told of a thing beside its corners."""
+    """Return the properties of an object besides its corners."""
     return {
         "probability": round(thing.probability, 3),
         "size_m": [round(side, 2) for side in thing.size_m],
@@ -133,5 +133,5 @@ def _told(thing: ChangedThing) -> dict[str, Any]:
 
 
 def _rounded(points_m: Sequence[FloatArray] | FloatArray | None) -> list[list[float]] | None:
-    """Points to millimetres."""
+    """Round points to millimetres."""
     return None if points_m is None else np.round(points_m, 3).tolist()

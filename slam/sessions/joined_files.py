@@ -34,10 +34,10 @@ from slam.storage.map_sessions import SESSIONS, MapSession
 
 
 def write_joined(folder: Path, known: Map, session: Map, connection: Connection) -> Path:
-    """Write ``map.db`` of a map and a session into a new folder; where it is.
+    """Write ``map.db`` of a map and a session into a new folder; return its path.
 
-    Of a map that a person has edited both are joined once more without the edits, which are then applied:
-    the joined map can be undone as the first could.
+    If the map has edits, both are joined again without the edits, which are then applied: so the edits of the
+    joined map can be undone like those of the first.
 
     Raises
     ------
@@ -56,7 +56,7 @@ def write_joined(folder: Path, known: Map, session: Map, connection: Connection)
 
 
 def _unedited(known: Map, session: Map, connection: Connection) -> tuple[Map, Map, JoinedMap]:
-    """A map without its edits, a session, and the two joined by the same loops."""
+    """Return a map without its edits, a session, and the two joined by the same loops."""
     parts = known.parts()
     identity = replace(known.identity, config=parts.before)
     before = replace(known, contents=parts.base, identity=identity)
@@ -82,7 +82,7 @@ def _edit(folder: Path, known: Map, path: Path) -> None:
 
 
 def _write(path: Path, known: Map, session: Map, joined: JoinedMap) -> None:
-    """Write ``map.db`` of the two."""
+    """Write ``map.db`` of the joined map."""
     config = known.config
     depth, contents = _depth(known, session, joined, config), joined.contents
     if depth is not None:
@@ -117,7 +117,7 @@ def write_sessions(
     told
         Notes and warnings.
     copied
-        Copies frames and clouds into the file, and tells all else.
+        Function that copies frames and clouds into the file, and returns the rest.
     """
     if len(sessions) > 1:
         digest = hashlib.blake2b(digest_size=16)
@@ -142,7 +142,7 @@ def write_sessions(
 
 
 def _depth(known: Map, session: Map, joined: JoinedMap, config: Config) -> OccupancyGrid | None:
-    """The depth layer from all images; None without a camera, or a plan that it belongs to."""
+    """Draw the depth layer from all images; None without a camera or a plan."""
     joint, first = joined.contents, len(known.contents.node_poses)
     nodes, bases = joint.node_poses, known.contents.clouds is not None
     if not (known.planar or joint.grids):

@@ -24,18 +24,18 @@ from slam.vision.prepared_frame import PreparedFrame
 
 
 class LoopMatcher(Protocol):
-    """Matches keyframes of a session, numbered after those of a map, to places of the map.
+    """Match keyframes of a session, numbered after those of a map, to places of the map.
 
     Attributes
     ----------
     every_m
-        Way between two attempts.
+        Path length between two attempts.
     """
 
     every_m: float
 
     def tried(self, key: int, T_map_session: Pose, sigma_m: float, sigma_rad: float) -> list[LoopCandidate]:
-        """A keyframe of the session at the places where it should be, accepted or not."""
+        """Match a keyframe of the session to the places where it should be; accepted or not."""
         ...
 
 
@@ -73,7 +73,7 @@ class ScanMatcher:
         ]
 
     def _places(self, expected: FloatArray) -> Iterator[int]:
-        """Keyframes of the map around a pose (3,), the nearest of each pass first."""
+        """Return keyframes of the map around a pose (3,), the nearest of each pass first."""
         loops, poses, path_m = self._loops, self._known.keyframe_poses, self._known.contents.path_m
         turns = np.abs((poses[:, 2] - expected[2] + np.pi) % (2.0 * np.pi) - np.pi)
         distances = np.hypot(*(poses[:, :2] - expected[:2]).T)
@@ -143,7 +143,7 @@ class FrameMatching:
 
 
 def matcher_of(known: Map, session: Map, config: Config) -> LoopMatcher:
-    """That of two maps of a kind."""
+    """Return the matcher for two maps of the same kind."""
     if known.contents.clouds is not None:
         return CloudMatcher(known, session, config)
     return ScanMatcher(known, session, config) if known.planar else FrameMatching(known, session, config)
@@ -152,7 +152,7 @@ def matcher_of(known: Map, session: Map, config: Config) -> LoopMatcher:
 def _of_passes(
     ordered: Sequence[int], path_m: FloatArray, sessions: NDArray[np.int64], apart_m: float, most: int
 ) -> Iterator[int]:
-    """The first of each pass by a place, so many at most."""
+    """Return the first of each pass by a place, up to a number."""
     chosen: list[int] = []
     for place in ordered:
         if len(chosen) == most:
@@ -180,4 +180,4 @@ class _Frames:
         return self._known.keyframe(key) if later < 0 else self._session.keyframe(later)
 
     def touch(self, key: int) -> None:
-        """Nothing is told again from what was kept."""
+        """Do nothing: no stored result is used again."""

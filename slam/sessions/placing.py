@@ -36,18 +36,18 @@ _FOLLOWED = 8
 
 @dataclass(frozen=True, slots=True)
 class Placing:
-    """Where a session lies in a map.
+    """Pose of a session in a map.
 
     Attributes
     ----------
     anchors
-        Keyframes of the session along the likeliest path, where the map has confirmed it.
+        Keyframes of the session along the most likely path, where the map has confirmed it.
     nats
         Evidence for that path over the best of the wrong ones.
     rival_nats
-        That for the likeliest other place; minus infinity where there is none.
+        Evidence for the best other place; minus infinity if there is none.
     least_nats, lead_nats
-        Evidence that it needs, and by how much that must exceed the rival's: what makes a localiser certain.
+        Required evidence, and required lead over the other place: the same as for a certain localiser.
     """
 
     anchors: Sequence[Sighting] = ()
@@ -58,11 +58,11 @@ class Placing:
 
     @property
     def confident(self) -> bool:
-        """Whether there is evidence enough, and no other place like it."""
+        """Return whether there is enough evidence, and no other place like it."""
         return bool(self.anchors) and self.nats >= max(self.least_nats, self.rival_nats + self.lead_nats)
 
     def nearest(self, pose: Pose, poses: Sequence[Pose]) -> tuple[Pose, float]:
-        """The motion of the session by the anchor nearest to a pose of it, and how far that is, m.
+        """Return the transform of the session by the anchor nearest to a pose, and its distance, m.
 
         Parameters
         ----------
@@ -75,7 +75,7 @@ class Placing:
 
 
 def place(known: Side, session: Side, config: Config) -> Placing:
-    """Find where a session lies in a map."""
+    """Find the pose of a session in a map."""
     poses = session.bases
     paths: list[tuple[Sighting, Followed]] = []
     sensor = known.sensor()
@@ -101,7 +101,7 @@ def place(known: Side, session: Side, config: Config) -> Placing:
 
 
 def _proposals(sensor: Sensor[Any, Any], known: Side, session: Side, config: Config) -> list[Sighting]:
-    """Where stretches of either may lie in the other, as keyframes of the session in the map."""
+    """Return candidate poses of stretches of each in the other, as keyframes of the session in the map."""
     poses, found = session.bases, []
     for key, pose, nats in _stretches(sensor, session, config):
         found.append(Sighting.of(key, pose, poses[key], nats))
@@ -113,7 +113,7 @@ def _proposals(sensor: Sensor[Any, Any], known: Side, session: Side, config: Con
 
 
 def _stretches(sensor: Sensor[Any, Any], path: Side, config: Config) -> Iterator[tuple[int, Pose, float]]:
-    """Stretch by stretch of a way: a keyframe of it, where that may be in a map, and the evidence."""
+    """Yield for each stretch of a path a keyframe, its candidate poses in a map, and the evidence."""
     hypotheses = HypothesisSet(sensor, config.localization)
     kidnap_nats = config.localization.nowhere_nats
     path_m = path.path_m
@@ -146,7 +146,7 @@ def _stretches(sensor: Sensor[Any, Any], path: Side, config: Config) -> Iterator
 
 
 def _distinct(proposals: Sequence[Sighting], poses: Sequence[Pose]) -> list[Sighting]:
-    """The likeliest of all that agree with each other, by their common evidence."""
+    """Return the most likely of all candidates that agree with each other, by their common evidence."""
     groups: list[list[Sighting]] = []
     for one in sorted(proposals, key=lambda one: -one.nats):
         for group in groups:
@@ -160,7 +160,7 @@ def _distinct(proposals: Sequence[Sighting], poses: Sequence[Pose]) -> list[Sigh
 
 
 def _agree(one: Sighting, other: Sighting, poses: Sequence[Pose]) -> bool:
-    """Whether one sighting puts the keyframe of another where that was found."""
+    """Return whether one sighting predicts the keyframe of another where that was found."""
     miss_m, miss_rad = apart(composed(one.T_map_session, poses[other.keyframe]), other.pose)
     apart_m, _ = apart(poses[one.keyframe], poses[other.keyframe])
     sigmas = math.sqrt(gate())

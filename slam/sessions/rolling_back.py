@@ -27,7 +27,7 @@ from slam.trajectory.resettled import resettled
 
 
 def write_first_sessions(saved: Map, count: int, path: Path) -> list[str]:
-    """Write ``map.db`` of the first sessions of a map alone; a line on what is lost or not drawn.
+    """Write ``map.db`` of only the first sessions of a map; return a line on what is lost or not drawn.
 
     Raises
     ------
@@ -66,7 +66,7 @@ def write_first_sessions(saved: Map, count: int, path: Path) -> list[str]:
 
 
 def _alone(base: MapContents, nodes: int, sessions: Sequence[MapSession], config: Config) -> MapContents:
-    """The first keyframes of a map, what joins them judged and solved anew; nothing drawn."""
+    """Return the first keyframes of a map, with their edges decided and solved again; nothing is drawn."""
     numbers = [n for n, loop in enumerate(base.loops) if max(loop.place, loop.keyframe) < nodes]
     renumbered = {before: now for now, before in enumerate(numbers)}
     edges = [
@@ -103,7 +103,7 @@ def _alone(base: MapContents, nodes: int, sessions: Sequence[MapSession], config
 
 
 def _of_first(entry: AppliedEdits, nodes: int, base: MapContents) -> AppliedEdits | None:
-    """An edit without what it took away of later keyframes; None if it joins or names such."""
+    """Return an edit without its effect on later keyframes; None if it refers to such keyframes."""
     pairs = [*entry.forbidden, *entry.forced, *((loop.place, loop.keyframe) for loop in entry.added)]
     rows = [row for pair in pairs for row in pair]
     rows += [int(row) for region in entry.regions for row in region.keyframes]

@@ -34,11 +34,11 @@ class JoinedMap:
         Nodes, factors, loops and trajectory of the map, then those of the session, then the loops between
         them.
     loops_between
-        How many loops between the two were accepted by their matches.
+        Number of loops between the two that their matches accepted.
     loops_kept
-        How many of them the optimisation has kept.
+        Number of these loops that the optimisation kept.
     moved_m
-        How far the map's own keyframes have moved at most.
+        Largest movement of the map's own keyframes.
     """
 
     contents: MapContents
@@ -50,14 +50,14 @@ class JoinedMap:
 def join(
     known_map: Map, session_map: Map, placing: Placing, between_them: Sequence[LoopCandidate], config: Config
 ) -> JoinedMap:
-    """Join two maps of a kind by loops between them.
+    """Join two maps of the same kind by loops between them.
 
-    Every edge that may be refused is judged anew: what one session could not decide the other may.
+    All untrusted edges are decided again: one session may decide what the other could not.
 
     Parameters
     ----------
     placing
-        Where the session lies in the map.
+        Pose of the session in the map.
     between_them
         Loop candidates, ``keyframe`` numbered after those of the map.
 
@@ -118,7 +118,7 @@ def join(
 def _optimised(
     known: MapContents, session: MapContents, placing: Placing, factors: Sequence[SavedFactor], config: Config
 ) -> tuple[list[bool], list[Pose]]:
-    """Which factors hold, and the poses of all nodes."""
+    """Return which factors are kept, and the poses of all nodes."""
     own = bases_of(session, session.node_poses)
     T_map_session, _ = placing.nearest(own[len(own) // 2], own)
     placed = [composed(T_map_session, pose) for pose in session.node_poses]
@@ -128,7 +128,7 @@ def _optimised(
 
 
 def _renumbered(session: MapContents, nodes: int, loops: int) -> list[SavedFactor]:
-    """The factors of a session, its nodes and loops numbered after others."""
+    """Return the factors of a session, with its nodes and loops numbered after others."""
     return [
         replace(
             factor,

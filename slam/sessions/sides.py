@@ -27,18 +27,18 @@ from slam.storage.map_contents import MapContents
 
 @dataclass(frozen=True, slots=True)
 class Side:
-    """One of two maps.
+    """One of the two maps of a join.
 
     Attributes
     ----------
     bases
         K poses of the robot at the keyframes, each in its map.
     path_m
-        (K,) way to each.
+        (K,) path length to each.
     view
-        What stood of what a keyframe saw, as the other side's sensor takes it; None if it saw nothing.
+        The static part of a keyframe's reading, for the other side's sensor; None if it saw nothing.
     sensor
-        Makes what knows readings of the other side again, and holds much of its own side in memory.
+        Creates the sensor that recognises readings of the other side; it needs much memory.
     """
 
     bases: Sequence[Pose]
@@ -48,12 +48,12 @@ class Side:
 
     @classmethod
     def of_walls(cls, walls: Walls, config: Config) -> Side:
-        """Of a map of a floor."""
+        """Create a side from a map of a floor."""
         return cls(walls.map.node_poses, walls.map.path_m, walls.view, lambda: PlanarSensor(walls, config))
 
     @classmethod
     def of_clouds(cls, known: MapContents, config: Config) -> Side:
-        """Of a map of a 3D lidar."""
+        """Create a side from a map of a 3D lidar."""
         assert known.clouds is not None
         clouds, voxel_m = known.clouds, voxel_of(known.clouds.points(0), config.cloud_odometry)
 
@@ -67,7 +67,7 @@ class Side:
 
     @classmethod
     def of_frames(cls, known: MapContents, other: MapContents, config: Config) -> Side:
-        """Of a map of a camera in space that another's frames are shown to."""
+        """Create a side from a map of a camera in 3D, to which frames of the other are matched."""
         assert known.frames is not None and other.frames is not None
         locator = VisualLocator(known, config)
         seen, shown = (
@@ -82,13 +82,13 @@ class Side:
         )
 
     def nearest(self, pose: Pose) -> int:
-        """The keyframe nearest to a pose in the map."""
+        """Return the keyframe nearest to a pose in the map."""
         away = np.array([base.translation() for base in self.bases]) - pose.translation()
         return int(np.linalg.norm(away, axis=1).argmin())
 
 
 def sides_of(known: MapContents, session: MapContents, config: Config) -> tuple[Side, Side]:
-    """Two maps of a kind."""
+    """Return the sides of two maps of the same kind."""
     if known.clouds is not None:
         return Side.of_clouds(known, config), Side.of_clouds(session, config)
     if known.planar:

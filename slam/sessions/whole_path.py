@@ -16,16 +16,16 @@ from slam.sessions.sides import Side
 
 @dataclass(frozen=True, slots=True)
 class Sighting:
-    """A keyframe of a session and where it is in the map.
+    """A keyframe of a session and its pose in the map.
 
     Attributes
     ----------
     keyframe
         Its number in the session.
     pose
-        Of its base in the map.
+        Pose of its base in the map.
     T_map_session
-        The motion of the session that this asks for.
+        The transform of the session that follows from it.
     nats
         Evidence for it.
     """
@@ -37,23 +37,23 @@ class Sighting:
 
     @classmethod
     def of(cls, keyframe: int, pose: Pose, own: Pose, nats: float) -> Sighting:
-        """A keyframe at ``own`` in the session, and at ``pose`` in the map."""
+        """Create the sighting of a keyframe at ``own`` in the session, and at ``pose`` in the map."""
         return cls(keyframe, pose, composed(pose, own.inverse()), nats)
 
 
 @dataclass(frozen=True, slots=True)
 class Followed:
-    """A way through the map: where its walls have confirmed it, and the evidence of all of it, nats."""
+    """A path through the map: where its walls have confirmed it, and its total evidence, nats."""
 
     anchors: Sequence[Sighting]
     nats: float
 
 
 def follow(sensor: Sensor[Any, Any], session: Side, start: Sighting, config: Config) -> Followed:
-    """Follow a session from a place to both its ends, laid to what a map's sensor knows where it knows any.
+    """Follow a session from a place to both its ends, aligned to the map wherever its sensor can.
 
-    The evidence is that over the best of the wrong places; every surface is weighed once. Who walked about in
-    the session speaks against no place: only what stood by its own map is weighed.
+    The evidence is relative to the best of the wrong places; every surface counts once. People in the session
+    are no evidence against a place: only what is static in its own map counts.
     """
     log = KeyframeLog(sensor, math.inf)
     poses = session.bases

@@ -36,7 +36,7 @@ def reader(path: Path) -> sqlite3.Connection:
     """
     with path.open("rb") as stream:
         if stream.read(len(_HEADER)) != _HEADER:
-            raise MapFileError(f"{path} is no map: not an SQLite file")
+            raise MapFileError(f"{path} is no map: not an SQLite file; give what 'scanweave map' has made")
     connection = foreign_database(path, immutable=True, views=False, any_thread=True)
     connection.execute("PRAGMA cell_size_check = ON")
     connection.execute("PRAGMA query_only = ON")

@@ -19,11 +19,11 @@ from slam.trajectory.spread import path_lengths
 def carried_covariances(
     trajectory: Trajectory, anchors: NDArray[np.int64], covariances: FloatArray, steps: FloatArray
 ) -> FloatArray:
-    """Covariance of each pose of a trajectory, by the keyframes before and after it.
+    """Compute the covariance of each pose of a trajectory from the keyframes before and after it.
 
-    On the way from one keyframe to the next the error is a Brownian bridge (Gauss-Markov with independent
-    increments): ends weigh by the share of the way, and where the ends are known better than the step between
-    them, what is left of the step comes on top. Past either end the step beside goes on.
+    Between two keyframes the error is a Brownian bridge (Gauss-Markov with independent increments): the ends
+    are weighted by the share of the path. If the ends are known better than the step between them, the rest
+    of the step's covariance is added. Beyond the first and last keyframe the nearest step is continued.
 
     Parameters
     ----------
@@ -32,13 +32,13 @@ def carried_covariances(
     anchors
         (K,) increasing numbers of the keyframes' readings, K > 0.
     covariances
-        (K, d, d) of the base at the keyframes, GTSAM's tangent of the base; d is 3 or 6.
+        (K, d, d) covariances of the base at the keyframes, GTSAM's tangent of the base; d is 3 or 6.
     steps
-        (K - 1, d, d) of the motion from each to the next, in the tangent where it ends.
+        (K - 1, d, d) covariances of the motion from each to the next, in the tangent at its end.
 
     Returns
     -------
-    (N, d, d) of x, y, yaw, or of x, y, z and a rotation vector: all along the axes of the map.
+    (N, d, d) of x, y, yaw, or of x, y, z and a rotation vector, along the axes of the map.
     """
     rotations = scipy.spatial.transform.Rotation.from_quat(trajectory.quaternions_xyzw)
     ends = _along_map(covariances, rotations[anchors])
@@ -66,20 +66,20 @@ def carried_covariances(
 def unseen_covariances(
     trajectory: Trajectory, scans: NDArray[np.int64], wheels: Poses | None, size: int
 ) -> FloatArray:
-    """How uncertain poses are besides where no scan was placed for a while: in gaps, and outside.
+    """Compute the additional covariance of poses in gaps without a matched scan, and before and after.
 
-    From the last scan to the next the error is a Brownian bridge. Wheels drift with the way as they do
-    elsewhere, and what they miss the next scan by may have come about at any moment, as by a slip. Without
-    wheels the robot may be anywhere that it comes to, as fast as it moves elsewhere.
+    From the last scan to the next the error is a Brownian bridge. Wheels drift with the path as usual, and
+    their error at the next scan may have occurred at any time, as by a slip. Without wheels the robot may be
+    anywhere that it can reach at its usual speed.
 
     Parameters
     ----------
     scans
-        (S,) increasing numbers of the readings that were placed by a scan, S > 0.
+        (S,) increasing numbers of the readings whose pose comes from a scan, S > 0.
     wheels
         N poses, odom frame; None without wheels.
     size
-        3 on a floor, 6 in space.
+        3 on a floor, 6 in 3D.
 
     Returns
     -------
@@ -113,7 +113,7 @@ def unseen_covariances(
 
 
 def bridged_covariances(trajectory: Trajectory, bridged: Mapping[int, FloatArray]) -> FloatArray:
-    """(N, 6, 6) by how much poses are more uncertain to which an IMU alone led, see `Readings.bridged`."""
+    """Return the (N, 6, 6) additional covariance of poses from an IMU alone, see `Readings.bridged`."""
     found, rows = np.zeros((len(trajectory), 6, 6)), list(bridged)
     turns = scipy.spatial.transform.Rotation.from_quat(trajectory.quaternions_xyzw[rows])
     found[rows] = _along_map(np.array(list(bridged.values())), turns)
@@ -121,12 +121,12 @@ def bridged_covariances(trajectory: Trajectory, bridged: Mapping[int, FloatArray
 
 
 def grown_covariances(trajectory: Trajectory, covariances: FloatArray, first: int, last: int) -> FloatArray:
-    """(last - first + 1, d, d) by how much poses are more uncertain than if the first held them rigidly.
+    """Return the (last - first + 1, d, d) covariance that poses have in addition to a rigid first pose.
 
     Parameters
     ----------
     covariances
-        (N, d, d) of all poses, along the axes of the map.
+        (N, d, d) covariances of all poses, along the axes of the map.
     """
     rows = slice(first, last + 1)
     shifts = trajectory.positions_m[rows] - trajectory.positions_m[first]
@@ -134,16 +134,16 @@ def grown_covariances(trajectory: Trajectory, covariances: FloatArray, first: in
 
 
 def late_covariances(trajectory: Trajectory, held: int, sessions: Sequence[tuple[int, float]]) -> FloatArray:
-    """What an error that a session's stamps share does to the poses of a robot on a floor, one of them held.
+    """Compute the effect of a common stamp error per session on planar poses, one of which is fixed.
 
     Parameters
     ----------
     trajectory
         N poses in the map, one session after the other.
     held
-        Number of the pose, of the first session, on which the others are laid: where it moves, all are off.
+        Number of the fixed pose, in the first session: if it moves, all others get an error.
     sessions
-        Of each how many poses it has, and the standard deviation of its error in seconds; errors of two
+        For each its number of poses, and the standard deviation of its error in seconds; errors of two
         sessions are independent.
 
     Returns
@@ -166,7 +166,7 @@ def late_covariances(trajectory: Trajectory, held: int, sessions: Sequence[tuple
 
 
 def _speeds(trajectory: Trajectory) -> FloatArray:
-    """(N, 3) along the axes of the map and about the vertical, of one session."""
+    """Return (N, 3) velocities along the axes of the map and about the vertical, of one session."""
     stamps_s, order = np.unique(trajectory.stamps_s, return_index=True)
     rows = trajectory[order].to_planar()
     rows[:, 2] = np.unwrap(rows[:, 2])
@@ -176,13 +176,13 @@ def _speeds(trajectory: Trajectory) -> FloatArray:
 
 
 def _left_over(steps: FloatArray, ends: FloatArray) -> FloatArray:
-    """(K - 1, d, d) by how much steps are more uncertain than two such ends can be of each other."""
+    """Return the (K - 1, d, d) covariance of steps that exceeds that of their two ends."""
     values, axes = np.linalg.eigh(steps - 2.0 * (ends[:-1] + ends[1:]))
     return np.einsum("kij,kj,klj->kil", axes, np.maximum(values, 0.0), axes)
 
 
 def _along_map(covariances: FloatArray, rotations: scipy.spatial.transform.Rotation) -> FloatArray:
-    """(K, d, d) of a tangent of the base, along the axes of the map."""
+    """Rotate (K, d, d) from the tangent of the base to the axes of the map."""
     turn = np.zeros_like(covariances)
     if covariances.shape[1] == 3:
         turn[:] = rotations.as_matrix()
@@ -194,12 +194,12 @@ def _along_map(covariances: FloatArray, rotations: scipy.spatial.transform.Rotat
 
 
 def _from(trajectory: Trajectory, anchors: NDArray[np.int64]) -> FloatArray:
-    """(N, 3) from an anchor each to every pose, along the axes of the map."""
+    """Return (N, 3) from the anchor of each pose to the pose, along the axes of the map."""
     return trajectory.positions_m - trajectory.positions_m[anchors]
 
 
 def _moved(covariances: FloatArray, shifts: FloatArray) -> FloatArray:
-    """(N, d, d) of what is rigidly joined, at a shift (N, 3) from there: a turn moves it."""
+    """Return (N, d, d) of a rigidly attached point at a shift (N, 3): a rotation moves it."""
     lever = np.zeros_like(covariances)
     lever[:] = np.eye(covariances.shape[1])
     x, y, z = shifts.T

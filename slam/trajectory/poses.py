@@ -16,14 +16,14 @@ from slam.measurements import FloatArray, Pose, spatial
 
 @dataclass(frozen=True, slots=True)
 class Poses:
-    """N poses; those of the plane lie in it.
+    """N poses; planar ones are in the plane.
 
     Attributes
     ----------
     positions_m
-        (N, 3).
+        (N, 3) positions.
     rotations
-        N of them.
+        N rotations.
     """
 
     positions_m: FloatArray
@@ -37,60 +37,60 @@ class Poses:
 
     @classmethod
     def planar(cls, rows: FloatArray) -> Poses:
-        """Of (N, 3) rows of x, y, yaw."""
+        """Create poses from (N, 3) rows of x, y, yaw."""
         positions, turns = np.zeros((len(rows), 3)), np.zeros((len(rows), 3))
         positions[:, :2], turns[:, 2] = rows[:, :2], rows[:, 2]
         return cls(positions, scipy.spatial.transform.Rotation.from_rotvec(turns))
 
     @classmethod
     def of(cls, poses: Sequence[Pose]) -> Poses:
-        """Of GTSAM's, one at least."""
+        """Create poses from at least one pose of GTSAM."""
         matrices = np.array([spatial(pose).matrix() for pose in poses])
         return cls(matrices[:, :3, 3], scipy.spatial.transform.Rotation.from_matrix(matrices[:, :3, :3]))
 
     @classmethod
     def of_trajectory(cls, trajectory: Trajectory) -> Poses:
-        """Of a trajectory."""
+        """Create poses from a trajectory."""
         return cls(
             trajectory.positions_m, scipy.spatial.transform.Rotation.from_quat(trajectory.quaternions_xyzw)
         )
 
     def compose(self, other: Poses) -> Poses:
-        """``self * other``, one by one."""
+        """Return ``self * other``, pose by pose."""
         return Poses(
             self.positions_m + self.rotations.apply(other.positions_m),
             product(self.rotations, other.rotations),
         )
 
     def between(self, other: Poses) -> Poses:
-        """``inverse(self) * other``, one by one."""
+        """Return ``inverse(self) * other``, pose by pose."""
         back = self.rotations.inv()
         return Poses(back.apply(other.positions_m - self.positions_m), product(back, other.rotations))
 
     def offsets(self) -> FloatArray:
-        """(N, 6) positions and rotation vectors."""
+        """Return (N, 6) positions and rotation vectors."""
         return np.hstack([self.positions_m, self.rotations.as_rotvec()])
 
     def moved(self, offsets: FloatArray) -> Poses:
-        """Each with (N, 6) added: to the position, and as a rotation vector, both in the fixed frame."""
+        """Add (N, 6) to each: to the position, and as a rotation vector, both in the fixed frame."""
         turned = product(scipy.spatial.transform.Rotation.from_rotvec(offsets[:, 3:]), self.rotations)
         return Poses(self.positions_m + offsets[:, :3], turned)
 
     def where(self, chosen: NDArray[np.bool_], other: Poses) -> Poses:
-        """These where ``chosen`` (N,), else the other's."""
+        """Return these poses where ``chosen`` (N,), else the other ones."""
         quaternions = np.where(chosen[:, None], self.rotations.as_quat(), other.rotations.as_quat())
         positions = np.where(chosen[:, None], self.positions_m, other.positions_m)
         return Poses(positions, scipy.spatial.transform.Rotation.from_quat(quaternions))
 
     def trajectory(self, stamps_s: FloatArray) -> Trajectory:
-        """With (N,) stamps."""
+        """Return the trajectory with (N,) stamps."""
         return Trajectory(stamps_s, self.positions_m, self.rotations.as_quat(canonical=True))
 
 
 def product(
     first: scipy.spatial.transform.Rotation, second: scipy.spatial.transform.Rotation
 ) -> scipy.spatial.transform.Rotation:
-    """``first * second``, N each, to the bit; SciPy's own takes five times as long."""
+    """Return ``first * second``, N each, equal to the bit; SciPy's own takes five times as long."""
     (ax, ay, az, aw), (bx, by, bz, bw) = first.as_quat().T, second.as_quat().T
     x = aw * bx + bw * ax + (ay * bz - az * by)
     y = aw * by + bw * ay + (az * bx - ax * bz)

@@ -20,12 +20,12 @@ from slam.trajectory.spread import spread_correction, steadied
 
 
 class Readings:
-    """Stamps and motion of every reading; numbers only, so that it stays small on a long log.
+    """Stamps and motion of every reading; only numbers, so that it stays small for a long log.
 
     Attributes
     ----------
     bridged
-        (6, 6) by the numbers of readings: how far an IMU may be off that alone led there, GTSAM's tangent.
+        (6, 6) by reading number: covariance if only an IMU led to this reading, GTSAM's tangent.
     """
 
     def __init__(self) -> None:
@@ -41,11 +41,11 @@ class Readings:
 
     @property
     def scan_count(self) -> int:
-        """Scans, clouds or frames so far that were given a pose."""
+        """Number of scans, clouds or frames so far that have a pose."""
         return len(self._scan_readings)
 
     def add_wheel(self, stamp_s: float, pose: FloatArray | None, told_s: float | None = None) -> None:
-        """A reading with the wheels' pose (3,), odom frame; None if there is none."""
+        """Add a reading with the wheels' pose (3,), odom frame; None if there is none."""
         self._stamps_s.append(stamp_s)
         self._told_s.append(stamp_s if told_s is None else told_s)
         self._wheel_poses.extend((np.nan,) * 3 if pose is None else pose)
@@ -60,14 +60,14 @@ class Readings:
         trusted: bool = True,
         told_s: float | None = None,
     ) -> None:
-        """A scan with its pose in the odometry frame; one that is not trusted is no anchor for others.
+        """Add a scan with its pose in the odometry frame; an untrusted one is no anchor for others.
 
         Parameters
         ----------
         covariance
             (d, d) of the pose against the scans around it, GTSAM's order; None if nothing measured it.
         told_s
-            The stamp that the log has, where that is another than the pose's own.
+            Stamp in the log, if it differs from that of the pose.
         """
         variances = [math.nan] * 6
         if covariance is not None:
@@ -81,19 +81,19 @@ class Readings:
         self.add_wheel(stamp_s, wheel_pose, told_s)
 
     def restamp(self, scans: NDArray[np.int64], stamps_s: FloatArray) -> None:
-        """Scans (M,) were taken at other times (M,) than was thought when they came."""
+        """Correct the times (M,) of scans (M,)."""
         for reading, stamp_s in zip(np.array(self._scan_readings)[scans], stamps_s, strict=True):
             self._stamps_s[reading] = self._told_s[reading] = stamp_s
 
     def read_wheels_at(self, ahead_s: float, scans: NDArray[np.int64] | None = None) -> None:
-        """Ask the wheels anew where each reading was taken: their stamps are ahead by so much.
+        """Read the wheels' pose of each reading again: their stamps are ahead by this offset.
 
-        Stamps of the wheels that run backward begin anew: the order of the log is that of the readings.
+        Wheel stamps that run backward start a new sequence: the log order is that of the readings.
 
         Parameters
         ----------
         scans
-            (M,) the only ones to ask anew for.
+            (M,) the only scans to update.
         """
         stamps_s, poses = np.array(self._stamps_s), np.array(self._wheel_poses).reshape(-1, 3)
         asked = np.arange(len(poses)) if scans is None else np.array(self._scan_readings)[scans]
@@ -109,7 +109,7 @@ class Readings:
         self._wheel_poses = array("d", poses.ravel())
 
     def mark_keyframe(self) -> None:
-        """The newest scan is a keyframe."""
+        """Mark the newest scan as a keyframe."""
         self._keyframe_scans.append(self.scan_count - 1)
 
     def keyframe_scans(self) -> NDArray[np.int64]:
@@ -117,11 +117,11 @@ class Readings:
         return np.array(self._keyframe_scans, dtype=np.int64)
 
     def scan_stamps_s(self) -> FloatArray:
-        """(S,) stamps of the scans, as the log has them."""
+        """(S,) stamps of the scans in the log."""
         return np.array(self._told_s)[np.array(self._scan_readings, dtype=np.int64)]
 
     def keyframe_wheels(self) -> FloatArray:
-        """(K, 3) pose of the wheels at each keyframe, odom frame; NaN where there is none."""
+        """(K, 3) pose of the wheels at each keyframe, odom frame; NaN if there is none."""
         return np.array(self._wheel_poses).reshape(-1, 3)[self.keyframe_readings()]
 
     def keyframe_readings(self) -> NDArray[np.int64]:
@@ -129,7 +129,7 @@ class Readings:
         return np.array(self._scan_readings, dtype=np.int64)[self.keyframe_scans()]
 
     def placed(self) -> NDArray[np.int64]:
-        """Numbers of the readings that a scan has placed; the way between them is the wheels', or a guess."""
+        """Numbers of the readings with a pose from a scan; the path between is by wheels, or a guess."""
         return np.array(self._scan_readings, dtype=np.int64)[self._trusted()]
 
     def wheels(self) -> Poses | None:
@@ -143,7 +143,7 @@ class Readings:
         return Poses.planar(rows)
 
     def trajectory(self, keyframe_poses: Sequence[Pose]) -> Trajectory:
-        """A pose for every reading.
+        """Return the pose of every reading.
 
         Parameters
         ----------
@@ -159,13 +159,13 @@ class Readings:
         return at_stamps(found, np.array(self._told_s))
 
     def _trusted(self) -> BoolArray:
-        """(S,) which scans hold the others: keyframes, and what is trusted."""
+        """Return (S,) which scans are anchors for the others: keyframes, and trusted scans."""
         trusted = np.array(self._scan_trusted, dtype=np.bool_)
         trusted[self.keyframe_scans()] = True
         return trusted
 
     def _scans_of(self, keyframe_poses: Poses, wheels: Poses | None) -> Poses:
-        """Poses of the scans: as matched between keyframes, noise taken out by the wheels' motion."""
+        """Return the poses of the scans: as matched between keyframes, smoothed by the wheel motion."""
         keyframes, variances = self.keyframe_scans(), np.array(self._scan_variances).reshape(-1, 6)
         rows = np.array(self._scan_poses).reshape(-1, 3, 4)
         odometry = Poses(rows[:, :, 3], scipy.spatial.transform.Rotation.from_matrix(rows[:, :, :3]))
@@ -177,10 +177,10 @@ class Readings:
 
 
 def at_stamps(trajectory: Trajectory, stamps_s: FloatArray) -> Trajectory:
-    """A pose for each of other stamps (N,), in the order of the trajectory's own and near them.
+    """Return a pose for each of other stamps (N,), in the order of the trajectory's own and near them.
 
-    On the parabola through a pose and its neighbours: half a turn of a lidar before its middle a car that
-    begins a corner does not look where an even motion has it.
+    It is on the parabola through a pose and its neighbours: at the beginning of a corner, a car half a
+    revolution earlier has another heading than constant motion predicts.
     """
     own_s = trajectory.stamps_s
     if len(own_s) < 2 or np.array_equal(own_s, stamps_s):
@@ -201,7 +201,7 @@ def at_stamps(trajectory: Trajectory, stamps_s: FloatArray) -> Trajectory:
 
 
 def _motion_without_wheels(stamps_s: FloatArray, scans: NDArray[np.int64], poses: Poses) -> Poses:
-    """Motion that only tells how far between two scans, in time, each reading lies."""
+    """Return a motion that only gives the share of time between two scans for each reading."""
     numbers = np.arange(stamps_s.size)
     before = np.clip(np.searchsorted(scans, numbers, side="right") - 1, 0, scans.size - 1)
     after = np.clip(before + 1, 0, scans.size - 1)

@@ -25,7 +25,7 @@ def resettled(
     sessions: Sequence[tuple[int, int, float]],
     told: tuple[FloatArray, FloatArray],
 ) -> tuple[Trajectory, FloatArray]:
-    """A trajectory of one or several sessions and its covariances, carried along with its keyframes.
+    """Update a trajectory of one or more sessions and its covariances after its keyframes moved.
 
     Parameters
     ----------
@@ -34,9 +34,9 @@ def resettled(
     keyframe_stamps_s
         (K,) time of each keyframe.
     before, after
-        K bases at the keyframes, by which the trajectory was made, and where they are now.
+        K base poses at the keyframes, when the trajectory was made and now.
     sessions
-        How many keyframes and poses each has, and by how much its stamps may be off together, as
+        Number of keyframes and poses of each, and the sigma of its common stamp error, as
         `slam.storage.map_contents.parts_of` tells.
     told
         Covariances (K, d, d) of ``after``, and (K - 1, d, d) of the steps, as `carried_covariances` takes
@@ -68,9 +68,9 @@ def resettled(
 
 
 def _readings_of(keyframes_s: FloatArray, stamps_s: FloatArray) -> tuple[Indices, Indices]:
-    """The reading of each keyframe in the order of the log, and which keyframes these are.
+    """Return the reading of each keyframe in log order, and which keyframes these are.
 
-    A log whose clock was set back has stamps twice: a keyframe that would go back is passed over.
+    A log whose clock was set back has stamps twice: a keyframe that would go back is skipped.
     """
     order = np.argsort(stamps_s, kind="stable")
     nearest = np.clip(np.searchsorted(stamps_s[order], keyframes_s), 0, len(stamps_s) - 1)

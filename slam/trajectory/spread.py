@@ -16,7 +16,7 @@ _TURN_M_PER_RAD = 0.3
 def spread_correction(
     motion: Poses, anchors: NDArray[np.int64], anchor_poses: Poses, guessed: BoolArray | None = None
 ) -> Poses:
-    """Carry corrected anchor poses over to all poses of a drifting trajectory.
+    """Distribute the correction of anchor poses over all poses of a drifting trajectory.
 
     Parameters
     ----------
@@ -27,12 +27,12 @@ def spread_correction(
     anchor_poses
         M of them, in the map.
     guessed
-        (N,) which poses nothing measured: the way to and from them is what is wrong, if any is.
+        (N,) which poses nothing measured: any error is assumed in the path to and from them.
 
     Returns
     -------
-    N poses in the map. Between two anchors the drifting motion starts at the first; what it misses the
-    second by is added in proportion to the path. Before the first and after the last anchor the motion is
+    N poses in the map. Between two anchors the drifting motion starts at the first; its error at the second
+    is distributed in proportion to the path. Before the first and after the last anchor the motion is
     attached rigidly.
     """
     numbers = np.arange(len(motion))
@@ -59,16 +59,16 @@ def spread_correction(
 
 
 def steadied(matched: Poses, bridged: Poses, variances: FloatArray, anchors: NDArray[np.int64]) -> Poses:
-    """Take the noise of matches out of the poses between anchors, by a motion that is smoother.
+    """Reduce the noise of matches in the poses between anchors, by a smoother motion.
 
-    Where matches and motion disagree, around a scan, by no more than the matches' noise, the motion is as
-    good and the difference is noise; where they disagree by more, the motion is wrong by the rest: Wiener's
-    share of the difference is kept, in each direction.
+    If matches and motion differ, around a scan, by at most the noise of the matches, the difference is noise.
+    If they differ by more, the motion is wrong by the rest. In each direction, the share of the difference by
+    Wiener's filter is kept.
 
     Parameters
     ----------
     matched, bridged
-        S poses of the scans, and where the motion from anchor to anchor passes; the same at the anchors.
+        S poses of the scans, and those of the motion from anchor to anchor; equal at the anchors.
     variances
         (S, 6) of the matches' position and rotation, along the base's axes; nan where unknown: such a pose
         stays.
@@ -97,7 +97,7 @@ def steadied(matched: Poses, bridged: Poses, variances: FloatArray, anchors: NDA
 
 
 def _around(rows: FloatArray) -> FloatArray:
-    """(S, K) sums over each row and those around it, so many that they are a statistic."""
+    """Return (S, K) sums over each row and enough rows around it for a statistic."""
     beside = FEWEST // 2
     padded = np.pad(rows, ((beside, beside), (0, 0)))
     total = np.zeros_like(rows)
@@ -107,7 +107,7 @@ def _around(rows: FloatArray) -> FloatArray:
 
 
 def path_lengths(motion: Poses) -> FloatArray:
-    """(N - 1,) from each pose to the next, turns included."""
+    """Return (N - 1,) lengths from each pose to the next, including rotations."""
     steps = np.linalg.norm(np.diff(motion.positions_m, axis=0), axis=1)
     turns_rad = product(motion.rotations[:-1].inv(), motion.rotations[1:]).magnitude()
     return steps + _TURN_M_PER_RAD * turns_rad + TINY

@@ -120,13 +120,14 @@ def recording(path: Path | None) -> Iterator[Viewer | None]:
     temporary = path.with_name(f".{path.stem}.{os.getpid()}.tmp.rrd")
     stream = rerun.RecordingStream("scanweave")
     try:
-        stream.save(temporary)
+        try:
+            stream.save(temporary)
+        except RuntimeError as error:
+            raise ScanweaveError(f"cannot write {path}: {error}; give another --record") from error
         yield Viewer(stream)
         stream.flush()
         stream.disconnect()
         temporary.replace(path)
-    except OSError as error:
-        raise ScanweaveError(f"cannot write {path}: {error.strerror or error}") from error
     finally:
         stream.disconnect()
         temporary.unlink(missing_ok=True)

@@ -127,6 +127,13 @@ def test_a_robotlaser_line_brings_its_own_angles_maximum_and_mount(tmp_path: Pat
     assert scan.range_max_m == 25.0
 
 
+def test_beams_that_go_clockwise_are_turned_round(tmp_path: Path) -> None:
+    line = robotlaser("1 2 3 4 5").replace(" -1.0 2.0 0.5 ", " 1.0 2.0 -0.5 ")
+    (scan,) = scans(read(write(tmp_path, line))[0])
+    np.testing.assert_allclose(scan.bearings_rad(), [-1.0, -0.5, 0.0, 0.5, 1.0])
+    np.testing.assert_array_equal(scan.ranges_m, np.float32([5, 4, 3, 2, 1]))
+
+
 def test_the_mount_is_rigid_and_a_straying_laser_pose_is_noted(tmp_path: Path) -> None:
     lines = (robotlaser(), robotlaser(laser="4 2 0"))
     found, dataset = read(write(tmp_path, *lines))
@@ -183,6 +190,13 @@ def test_beam_layout(
     assert bearings[0] == pytest.approx(first)
     assert bearings[-1] == pytest.approx(last)
     assert layout.contradiction is contradiction
+
+
+@pytest.mark.parametrize("fov", [("PARAM laser_front_laser_fov 3.14159 x 0",), ()])
+def test_angles_in_radians_are_known_by_their_size(tmp_path: Path, fov: tuple[str, ...]) -> None:
+    lines = (*fov, "PARAM laser_front_laser_resolution 0.0174533 x 0", flaser(" ".join(["2.0"] * 181)))
+    (scan,) = scans(read(write(tmp_path, *lines))[0])
+    np.testing.assert_allclose(np.degrees([scan.start_angle_rad, scan.step_rad]), [-90.0, 1.0], rtol=1e-4)
 
 
 def test_a_contradicting_param_is_reported_and_the_beam_count_wins(tmp_path: Path) -> None:

@@ -93,7 +93,7 @@ def test_names_in_the_list_win_over_the_order_of_the_folder(tmp_path: Path) -> N
     found, dataset = read(tmp_path)
     assert [m.stamp_s for m in found] == [1.0, 2.0]
     assert isinstance(found[1], PointCloud) and (found[1].points_lidar == VALID).all()
-    assert dropped(dataset) == {MISSING: 1, "index line with too few fields": 1}
+    assert dropped(dataset) == {MISSING: 1, "line with too few fields": 1}
 
 
 @pytest.mark.parametrize(

@@ -13,9 +13,9 @@ from hypothesis import strategies as st
 
 from slam.config import dump_calibration, load_calibration, load_config
 from slam.config.calibration import Calibration, LidarCorrection, WheelCorrection
-from slam.datasets.corrections import Unwound, corrected
+from slam.datasets.corrections import Unwound, corrected, repeats
 from slam.errors import ConfigError, DatasetError
-from slam.measurements import LaserScan, Measurement, WheelOdometry
+from slam.measurements import CameraIntrinsics, LaserScan, Measurement, RgbdFrame, WheelOdometry
 
 
 def scan(stamp_s: float = 0.0, ranges: tuple[float, ...] = (1.0, 2.0, 3.0)) -> LaserScan:
@@ -126,6 +126,24 @@ def test_sensors_are_left_out_and_repeated_readings_dropped() -> None:
     kept = list(corrected(log, Calibration.model_validate({"wheels": {"odometry": {"use": False}}})))
     assert [one.sensor for one in kept] == ["laser"] * 3
     assert [one.stamp_s for one in corrected(log[:1] + log[2:], of_lidar(drop_repeated=True))] == [0.0, 0.2]
+
+
+@pytest.mark.parametrize(
+    ("color", "depth_m", "again"),
+    [(9, 9.0, False), (1, 9.0, True), (9, 1.0, True), (0, 9.0, False), (9, 0.0, False)],
+)
+def test_a_frame_repeats_where_one_half_does_and_shows_something(
+    color: int, depth_m: float, again: bool
+) -> None:
+    lens = CameraIntrinsics(50.0, 50.0, 2.0, 2.0, 4, 4)
+    shown = np.eye(4, dtype=np.uint8)
+
+    def frame(bright: int, far_m: float) -> RgbdFrame:
+        return RgbdFrame(0.0, np.dstack([bright * shown] * 3), (far_m * shown).astype(np.float32), lens)
+
+    # Black, or without any depth, is also the frame that it is compared with.
+    before = frame(min(color, 1), min(depth_m, 1.0))
+    assert repeats(before, frame(color, depth_m)) == again
 
 
 def test_a_calibration_of_what_is_not_there_is_refused() -> None:

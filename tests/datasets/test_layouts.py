@@ -14,6 +14,7 @@ from rgbd_files import color_image, dropped, frames, read
 from slam.datasets import open_dataset
 from slam.datasets.budget import LARGEST_BYTES
 from slam.datasets.corrections_in_space import raised
+from slam.datasets.open3d_folder import NO_NUMBER
 from slam.datasets.record3d import unpacked_bytes
 from slam.datasets.truth_files import read_truth
 from slam.errors import DatasetError
@@ -273,6 +274,16 @@ def test_beams_that_look_too_low_are_raised_about_the_lidar() -> None:
     bearing = np.arctan2(points[:, 1], points[:, 0])
     np.testing.assert_allclose(np.arctan2(got[:, 1], got[:, 0]), bearing, atol=1e-6)
     assert raised(points, 0.0) is points
+
+
+def test_names_that_are_no_numbers_among_many_that_are_cost_no_other(tmp_path: Path) -> None:
+    CAMERAS["open3d"](tmp_path, footage(3))
+    (tmp_path / "color" / "._00000.jpg").write_bytes(b"of macOS")
+    image = next((tmp_path / "depth").iterdir())
+    image.with_name(f"{image.stem} (1){image.suffix}").write_bytes(image.read_bytes())
+    found, dataset = read(tmp_path)
+    assert len(frames(found)) == 3
+    assert {reason: tally.count for reason, tally in dataset.report.dropped.items()} == {NO_NUMBER: 1}
 
 
 def test_folders_of_redwood_may_begin_with_the_name_of_their_scene(tmp_path: Path) -> None:

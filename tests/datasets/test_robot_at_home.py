@@ -253,3 +253,5 @@ def test_another_database_or_a_damaged_one_is_refused_in_one_line(tmp_path: Path
         with pytest.raises(DatasetError, match=words) as caught:
             open_dataset(tmp_path / name)
         assert "\n" not in str(caught.value)
+    with pytest.raises(DatasetError, match="does not exist"):
+        open_dataset(tmp_path / "session")  # and not that another file is damaged

@@ -31,6 +31,7 @@ from slam.datasets.calibration import OTHER_ASPECT
 from slam.datasets.camera_frames import SIZE_CHANGED, SIZES_DIFFER
 from slam.datasets.frame_pairs import NO_DEPTH
 from slam.datasets.image_files import DAMAGED, MISSING, NOT_16_BIT
+from slam.datasets.recording import fewer_frames
 from slam.datasets.stamped_files import BAD_NAME, BAD_POSE, BAD_STAMP, WRONG_FIELDS
 from slam.errors import BadRecordError, DatasetError
 from slam.measurements import CameraIntrinsics, RgbdFrame
@@ -308,3 +309,26 @@ def test_memory_does_not_grow_with_the_log(tmp_path: Path) -> None:
 
     # A frame takes 21 kB, its lines in the lists less than 1.5 kB.
     assert peak(400) - peak(40) < 360 * 1500
+
+
+def test_where_the_frames_that_were_chosen_are_damaged_others_are_read(tmp_path: Path) -> None:
+    dataset = open_dataset(write_tum(tmp_path))
+    for number in (0, 2):
+        (tmp_path / f"depth/{number}.png").write_bytes(b"")
+    with fewer_frames(dataset, lambda _, stamps_s: [number % 2 == 0 for number in range(len(stamps_s))]):
+        assert [frame.stamp_s for frame in frames(list(dataset))] == pytest.approx([100.1, 100.3])
+    for number in (1, 3):
+        (tmp_path / f"depth/{number}.png").write_bytes(b"")
+    with (
+        fewer_frames(dataset, lambda _, stamps_s: [True] * len(stamps_s)),
+        pytest.raises(DatasetError, match=f"4 x {DAMAGED}"),
+    ):
+        list(dataset)
+
+
+def test_lists_may_be_parted_by_commas(tmp_path: Path) -> None:
+    for name in ("rgb", "depth"):
+        file = write_tum(tmp_path) / f"{name}.txt"
+        file.write_text(file.read_text().replace(" ", ",").replace("\n", "\r\n"))
+        found, dataset = read(tmp_path)
+        assert len(frames(found)) == 4 and not dropped(dataset)

@@ -54,6 +54,18 @@ def test_a_mistake_is_named_with_what_mends_it(name: str) -> None:
     assert diagnose(corrected(wrong, mended)) == []
 
 
+@pytest.mark.parametrize(("until_s", "kinds"), [(1025.0, ["repeated scans"]), (1020.3, [])])
+def test_scans_that_hang_are_told_where_the_wheels_drive_on(until_s: float, kinds: list[str]) -> None:
+    last = next(one for one in sound() if isinstance(one, LaserScan) and one.stamp_s > 1020.0)
+    hangs = [
+        replace(one, ranges_m=last.ranges_m)
+        if isinstance(one, LaserScan) and last.stamp_s < one.stamp_s < until_s
+        else one
+        for one in sound()
+    ]
+    assert [one.kind for one in diagnose(hangs)] == kinds
+
+
 def longer(log: Log, factor: float) -> Log:
     """Ranges and wheels."""
     return MISTAKES["odometry scaled"].make(MISTAKES["ranges in mm or cm"].make(log, factor), factor)

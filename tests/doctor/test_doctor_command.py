@@ -38,14 +38,14 @@ def test_the_doctor_tells_writes_and_the_map_takes_it(
     told = scanweave("doctor", in_mm, "--write", file)
     assert told.code == 0
     assert "its lengths are" in told.out and "upside down" in told.out and f"wrote {file}" in told.out
-    assert "# not sure: turns the other way" in file.read_text()
+    assert "# not sure: rotates opposite" in file.read_text()
     found = json.loads(scanweave("doctor", in_mm, "--json").out)
     assert {one["kind"] for one in found["findings"]} == {"scale", "mirrored"} and found["open"] == []
     assert scanweave("doctor", in_mm, "--calibration", file).out == ("no error found in the log\n")
     assert "finding: odometry: its lengths are" in scanweave("inspect", in_mm).out
     # What is sure the mapper uses by itself, and warns of the rest.
     alone = scanweave("map", in_mm, "-o", tmp_path / "alone")
-    assert "warning: FLASER: perhaps turns the other way" in alone.err
+    assert "warning: FLASER: perhaps rotates opposite" in alone.err
     assert "odometry: its lengths are" in alone.out and "(used)" in alone.out
     mended = scanweave("map", in_mm, "-o", tmp_path / "mended", "--calibration", file)
     assert mended.code == 0 and "perhaps" not in mended.err and "(used)" not in mended.out

@@ -25,7 +25,7 @@ from slam.doctor.in_space import (
     seen_by,
 )
 from slam.doctor.lens_fit import lens_fit
-from slam.doctor.paired_motions import BaseTrack
+from slam.doctor.paired_motions import BaseTrack, mended_rows
 from slam.doctor.stretches import Stretches
 from slam.measurements import CameraIntrinsics, FloatArray, PointCloud, RgbdFrame
 from slam.vision.camera_frame import T_BODY_CAMERA
@@ -34,6 +34,7 @@ from tests.room_world import furnished, render, turning_walk
 LENS = CameraIntrinsics(500.0, 500.0, 320.0, 240.0, 640, 480)
 STAMPS = np.arange(0.0, 30.0, 0.1)
 PLACE = (0.2, -0.1, 0.7)
+NO_WHEELS = np.empty((0, 4))
 
 
 def base_rows() -> FloatArray:
@@ -203,12 +204,21 @@ def test_a_lens_is_not_shrunk_by_depths_that_are_noisy(focal: float) -> None:
 
 @pytest.mark.parametrize(
     ("median_m", "scale"),
-    [(1700.0, 0.001), (0.0017, 1000.0), (1.7, None), (7.0, None), (9.5, 0.2), (0.3, 5.0)],
+    [
+        (1700.0, 0.001),
+        (0.0017, 1000.0),
+        (1.7, None),
+        (7.0, None),
+        (9.5, 0.2),
+        (0.3, 5.0),
+        (0.0, None),
+        (-1.0, None),
+    ],
 )
 def test_depth_that_no_camera_sees_is_in_another_unit(median_m: float, scale: float | None) -> None:
     samples = CameraSamples(count=5)
     samples.median_depth.add(median_m)
-    found = camera_findings("camera", samples)
+    found = camera_findings("camera", samples, NO_WHEELS)
     remedies = [one.remedies[0]["cameras"]["camera"]["depth_scale"] for one in found]
     assert remedies == ([] if scale is None else [pytest.approx(scale)])
     assert all(one.sure == (median_m > 30.0 or median_m < 0.1) for one in found)
@@ -229,8 +239,18 @@ def test_what_repeats_itself_is_named() -> None:
     samples = CameraSamples()
     for stamp_s in STAMPS[:60]:
         samples.add(RgbdFrame(float(stamp_s), frame().color, frame().depth_m, LENS), compared=True)
-    assert (samples.count, samples.repeated) == (60, 59)
-    assert [one.kind for one in camera_findings("camera", samples)] == ["repeated frames"]
+    assert (samples.count, samples.repeats.count) == (60, 59)
+    assert [one.kind for one in camera_findings("camera", samples, NO_WHEELS)] == ["repeated frames"]
+
+
+def test_a_few_frames_that_repeat_are_named_where_the_wheels_drive_on() -> None:
+    samples = CameraSamples()
+    for number, stamp_s in enumerate(STAMPS[:60]):
+        color = np.roll(frame().color, min(number, 40), axis=0)
+        samples.add(RgbdFrame(float(stamp_s), color, frame().depth_m, LENS), compared=True)
+    assert samples.repeats.count == 19 and not camera_findings("camera", samples, NO_WHEELS)
+    (found,) = camera_findings("camera", samples, base_rows())
+    assert (found.kind, found.sure) == ("repeated frames", True)
 
 
 @pytest.mark.parametrize(
@@ -333,3 +353,11 @@ def test_motions_that_nothing_is_compared_with_are_not_sought() -> None:
     assert [len(steps) for steps in alone.steps] == [0]
     assert [len(steps) for steps in beside_wheels.steps] == [9]
     assert 0 < len(alone.pairs) == len(beside_wheels.pairs)
+
+
+def test_wheels_that_may_take_left_for_right_judge_no_camera() -> None:
+    wheels, lidar = {"wheels": {"odometry": {"mirrored": True}}}, {"lidars": {"laser": {"upside_down": True}}}
+    for remedies, known in (((lidar, wheels), False), ((wheels,), True), ((lidar,), True)):
+        found = [Finding("laser", "mirrored", "", "", remedies)]
+        rows = mended_rows("odometry", base_rows(), found)
+        assert (rows is not None) == known

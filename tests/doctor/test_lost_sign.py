@@ -68,7 +68,7 @@ def test_wheels_that_roll_back_have_their_sign(to_and_fro: Log) -> None:
 def test_wheels_that_never_roll_back_are_told_of(to_and_fro: Log) -> None:
     (finding,) = diagnose(list(without_sign(to_and_fro)))
     assert finding.kind == "lost sign" and finding.sure and not finding.remedies
-    assert "never rolls back" in finding.line
+    assert "never goes backward" in finding.line
 
 
 def test_the_mapper_is_told_as_well(to_and_fro: Log, tmp_path: Path) -> None:

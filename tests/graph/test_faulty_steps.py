@@ -118,7 +118,7 @@ def test_a_step_is_not_wrong_where_loops_on_both_sides_tell_it() -> None:
     """Were it wrong, so were the second gap."""
     gaps, claimed = (GAP, 60), bent((GAP, 1.2))
     assert squares(gaps, claimed) < 4.0
-    assert squares(gaps, claimed, [(30, 75)]) > 20.0
+    assert squares(gaps, claimed, [(30 - n, 75 - n) for n in range(4)]) > 20.0
     assert squares(gaps, claimed, [(30, 38), (45, 58)]) < 4.0
 
 
@@ -255,6 +255,17 @@ def test_a_heading_that_slips_in_a_gap_bends_the_way_and_does_not_shorten_it(sli
     asked = faulty.explain(5, 70, known, Motion(between(turned[5], turned[70]), SURE))[1]
     assert (asked < 40.0) is slips
     assert slips or asked > 1000.0
+
+
+@pytest.mark.parametrize("count", [1, 4])
+def test_a_loop_alone_makes_no_gap_known(count: int) -> None:
+    """It may be at a place that looks the same; more loops than a pose has numbers may not."""
+    edges = chain()
+    for n in range(count):
+        told = pose2_from_row(between(POSES[GAP - n], POSES[GAP + 5]))
+        edges.append(Edge(GAP - n, GAP + 5, told, SURE, EdgeKind.LOOP, trusted=False, loop=n))
+    known = judge(edges, np.arange(float(COUNT))).known.motion(GAP, GAP + 5, POSES)
+    assert (known.covariance[2, 2] < 0.1 * BY_WHEELS[2, 2]) == (count > 3)
 
 
 def test_a_gap_of_several_steps_is_one_fault() -> None:

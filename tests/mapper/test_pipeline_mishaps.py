@@ -26,6 +26,7 @@ from pipeline_runs import (
 
 from slam.config import Config, load_config
 from slam.datasets import open_dataset
+from slam.datasets.carmen_records import WRONG_COUNT
 from slam.errors import DatasetError
 from slam.estimates import MotionEstimate
 from slam.graph.edge import EdgeKind
@@ -109,6 +110,20 @@ class TestMishaps:
             short_log, tmp_path / "wheels.log", lambda number, fields: [fields] * (fields[0] == "ODOM")
         )
         with pytest.raises(DatasetError, match="wheels contains no scan or frame"):
+            run(log)
+
+    def test_scans_that_cannot_be_read_are_told_with_the_reason(
+        self, short_log: SyntheticLog, tmp_path: Path
+    ) -> None:
+        def cut(number: int, fields: list[str]) -> Iterable[list[str]]:
+            yield fields[:-4] if fields[0] == "FLASER" and (number % 5 or every) else fields
+
+        for every in (False, True):
+            log = edited(short_log, tmp_path / "cut.log", cut)
+            if not every:
+                (told,) = (one for one in run(log).warnings if "are mapped" in one)
+                assert "scans or frames are mapped" in told and f"x {WRONG_COUNT}" in told
+        with pytest.raises(DatasetError, match=rf"can be mapped \(\d+ x {WRONG_COUNT}"):
             run(log)
 
     def test_in_the_open_the_wheels_carry_on(self, short_log: SyntheticLog, tmp_path: Path) -> None:

@@ -288,7 +288,7 @@ class _Reader:
 
 def _nothing_usable(path: Path, report: ReadReport, survey: Survey, layout: Layout) -> str:
     """The message for a bag without a single measurement."""
-    reasons = "; ".join(f"{tally.count} x {reason}" for reason, tally in report.dropped.items())
+    reasons = report.refusals
     shown = list(survey.channels.items())[:8]
     why = {topic: f"; {reason}" for topic, reason in layout.left_out.items()}
     topics = ", ".join(f"{topic} ({one.kind}{why.get(topic, mended(one.kind))})" for topic, one in shown)

@@ -1,7 +1,7 @@
-"""Readings in the order of the bag, frames put where their stamps belong, the wheels asked at each scan.
+"""Readings and frames put where their stamps belong, the wheels asked at each scan.
 
-The recorder writes what arrives; an image arrives later than a scan of the same moment. So readings wait a
-little for the frames that belong before them, as `slam.datasets.recording` merges what lies in folders.
+The recorder writes what arrives, wheels by radio or an image later than a scan of the same moment. So they
+wait a little for what belongs before them, as `slam.datasets.recording` merges what lies in folders.
 """
 
 from __future__ import annotations
@@ -10,7 +10,6 @@ import heapq
 import math
 from collections import deque
 from collections.abc import Iterator
-from dataclasses import dataclass
 from typing import Generic, TypeVar
 
 from slam.datasets.wheels_between import WHEELS_KEPT, wheels_at
@@ -25,21 +24,13 @@ _BACKWARD_S = 1.0  # an older stamp than that beside the newest is a clock that 
 _Frame = TypeVar("_Frame")
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Waiting(Generic[_Frame]):
-    """A frame that is not decoded yet."""
-
-    frame: _Frame
-    size: int
-    recorded_s: float
-
-
 class TimeMerge(Generic[_Frame]):
     """Readings and frames go in as they are recorded, and come out in order."""
 
     def __init__(self) -> None:
-        self._readings: deque[tuple[int, Measurement, float]] = deque()
-        self._frames: list[tuple[float, int, int, _Waiting[_Frame]]] = []
+        self._readings: list[tuple[float, int, int, Measurement, float]] = []
+        self._newest_reading_s: dict[str, float] = {}
+        self._frames: list[tuple[float, int, int, _Frame, int, float]] = []
         self._newest_frame_s: dict[int, float] = {}
         self._wheels: deque[WheelOdometry] = deque(maxlen=WHEELS_KEPT)
         self._newest_s = -math.inf
@@ -47,10 +38,13 @@ class TimeMerge(Generic[_Frame]):
         self._count = 0
 
     def add_reading(self, number: int, reading: Measurement, recorded_s: float) -> None:
-        """A scan, a cloud or odometry, with its place in the bag."""
+        """A scan, a cloud or odometry, with its place in the bag; those of a sensor stay in their order."""
         if isinstance(reading, WheelOdometry):
             self._wheels.append(reading)
-        self._readings.append((number, reading, recorded_s))
+        key_s = max(reading.stamp_s, self._newest_reading_s.get(reading.sensor, -math.inf))
+        self._newest_reading_s[reading.sensor] = key_s
+        self._count += 1
+        heapq.heappush(self._readings, (key_s, self._count, number, reading, recorded_s))
 
     def add_frame(self, place: int, stamp_s: float, frame: _Frame, size: int, recorded_s: float) -> None:
         """A frame of the camera with a place among the cameras; ``size`` is in bytes."""
@@ -59,17 +53,17 @@ class TimeMerge(Generic[_Frame]):
         self._newest_frame_s[place] = max(newest_s, stamp_s)
         self._count += 1
         self._bytes += size
-        heapq.heappush(self._frames, (key_s, place, self._count, _Waiting(frame, size, recorded_s)))
+        heapq.heappush(self._frames, (key_s, place, self._count, frame, size, recorded_s))
 
     def due(self, now_s: float) -> Iterator[tuple[int, Measurement] | _Frame]:
         """What need not wait longer at a time of the recorder's clock."""
         while self._readings and (
-            now_s - self._readings[0][2] > _HOLD_S or len(self._readings) > _MOST_READINGS
+            now_s - self._readings[0][-1] > _HOLD_S or len(self._readings) > _MOST_READINGS
         ):
             yield from self._next_reading()
         while self._frames and (
             self._bytes > _MOST_BYTES
-            or now_s - self._frames[0][3].recorded_s > (_LONGEST_S if self._readings else _HOLD_S)
+            or now_s - self._frames[0][-1] > (_LONGEST_S if self._readings else _HOLD_S)
         ):
             yield self._next_frame()
 
@@ -82,7 +76,7 @@ class TimeMerge(Generic[_Frame]):
 
     def _next_reading(self) -> Iterator[tuple[int, Measurement] | _Frame]:
         """The oldest reading, the wheels before a scan, and the frames up to its stamp."""
-        number, reading, _ = self._readings.popleft()
+        number, reading = heapq.heappop(self._readings)[2:4]
         if isinstance(reading, LaserScan | PointCloud):
             wheels = wheels_at(self._wheels, reading.stamp_s)
             if wheels is not None:
@@ -99,6 +93,6 @@ class TimeMerge(Generic[_Frame]):
 
     def _next_frame(self) -> _Frame:
         """The frame with the oldest stamp."""
-        waiting = heapq.heappop(self._frames)[3]
-        self._bytes -= waiting.size
-        return waiting.frame
+        *_, frame, size, _ = heapq.heappop(self._frames)
+        self._bytes -= size
+        return frame

@@ -54,6 +54,18 @@ def test_a_clock_seconds_off_is_brought_to_the_others(tmp_path: Path, behind_s: 
     assert len(dataset.report.warnings) == 1
 
 
+@pytest.mark.parametrize(("late_wheels_s", "late_scans_s"), [(0.25, 0.0), (0.0, 0.25), (1.25, 0.0)])
+def test_what_arrives_late_comes_in_the_order_of_the_stamps(
+    tmp_path: Path, late_wheels_s: float, late_scans_s: float
+) -> None:
+    sent = [late(odometry(START_S + 0.05 * n, 0.01 * n), late_wheels_s) for n in range(60)]
+    sent += [late(scan(stamp_s=START_S + 0.1 * n), late_scans_s) for n in range(30)]
+    sent.sort(key=lambda one: one.stamp_s + one.late_s)
+    found, _ = read(tmp_path, sent)
+    stamps_s = [one.stamp_s for one in found if one.stamp_s > START_S + 2.0 * late_wheels_s]
+    assert len(stamps_s) > 10 and stamps_s == sorted(stamps_s)
+
+
 def test_a_first_message_that_waited_is_no_other_clock(tmp_path: Path) -> None:
     sent = [late(scan(stamp_s=START_S), 20.0), *[scan(stamp_s=START_S + 20.0 + 0.1 * n) for n in range(3)]]
     found, dataset = read(tmp_path, [odometry(START_S + 20.0), *sent])
