@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slam.comparison.product import StateArray
-from slam.evaluation.figure_parts import BLUE, GREEN, GREY, ORANGE, RED, figure_of, plain, png_of, thinned
+from slam.evaluation.figure_parts import BLUE, GREEN, GREY, ORANGE, RED, figure_of, png_of
 from slam.mapping.occupancy_grid import FREE, OCCUPIED
 from slam.measurements import FloatArray
 
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 COLORS = (BLUE, ORANGE, GREEN, RED, "#7a4fb5", "#0f8b8d", "#b5477a", "#8a6d1d", "#3d5a80", "#94553b")
-_PANEL_PX, _MOST_COLUMNS = 250, 4
+_PANEL_PX, _MOST_COLUMNS, _MAX_POINTS = 250, 4, 4000
 
 
 def trajectories_png(paths_m: Mapping[str, FloatArray], truth_m: FloatArray | None) -> bytes:
@@ -35,17 +35,17 @@ def trajectories_png(paths_m: Mapping[str, FloatArray], truth_m: FloatArray | No
     figure = figure_of(1000, 620)
     axes = figure.add_axes((0.065, 0.085, 0.67, 0.89))
     if truth_m is not None:
-        xy = thinned(truth_m)
+        xy = _thinned(truth_m)
         axes.plot(xy[:, 0], xy[:, 1], color=GREY, linewidth=3.5, alpha=0.45, label="truth")
     for color, (name, path) in zip(_colors(paths_m), paths_m.items(), strict=True):
-        xy = thinned(path)
+        xy = _thinned(path)
         axes.plot(xy[:, 0], xy[:, 1], color=color, linewidth=1.1, label=name)
     low, high = _reach(
         truth_m if truth_m is not None else next(iter(paths_m.values())), 0.67 / 0.89 * 1000 / 620
     )
     axes.set(xlabel="x, m", ylabel="y, m", xlim=(low[0], high[0]), ylim=(low[1], high[1]))
     _legend_beside(figure, axes)
-    plain(axes)
+    _plain(axes)
     return png_of(figure)
 
 
@@ -61,11 +61,11 @@ def errors_png(errors: Mapping[str, tuple[FloatArray, FloatArray]]) -> bytes:
     axes = figure.add_axes((0.075, 0.145, 0.66, 0.82))
     for color, (name, (stamps_s, errors_m)) in zip(_colors(errors), errors.items(), strict=True):
         order = np.argsort(stamps_s, kind="stable")
-        rows = thinned(np.column_stack([stamps_s - stamps_s.min(), errors_m])[order])
+        rows = _thinned(np.column_stack([stamps_s - stamps_s.min(), errors_m])[order])
         axes.plot(rows[:, 0], np.maximum(rows[:, 1], 1e-4), color=color, linewidth=1.0, label=name)
     axes.set(xlabel="time, s", ylabel="error, m", yscale="log")
     _legend_beside(figure, axes)
-    plain(axes)
+    _plain(axes)
     return png_of(figure)
 
 
@@ -90,7 +90,7 @@ def distribution_png(values: Mapping[str, Sequence[float]], title: str) -> bytes
         axes.set_xscale("log")
     axes.set(xlabel=title, yticks=range(len(names)), yticklabels=[_short(name, 25) for name in names])
     axes.set_ylim(len(names) - 0.5, -0.5)
-    plain(axes)
+    _plain(axes)
     return png_of(figure)
 
 
@@ -167,3 +167,19 @@ def _cut(states: StateArray) -> StateArray:
     if not rows.size:
         return states[:1, :1]
     return states[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1]
+
+
+def _plain(axes: Axes) -> None:
+    """Small labels, a faint grid, no box at the right and the top."""
+    axes.tick_params(labelsize=8, colors=GREY)
+    axes.xaxis.label.set(fontsize=9, color=GREY)
+    axes.yaxis.label.set(fontsize=9, color=GREY)
+    axes.grid(True, color=GREY, alpha=0.18, linewidth=0.6)
+    axes.spines[["top", "right"]].set_visible(False)
+    axes.spines[["left", "bottom"]].set_color(GREY)
+
+
+def _thinned(rows: FloatArray) -> FloatArray:
+    """At most _MAX_POINTS rows or so, evenly taken, the last one kept."""
+    step = max(1, len(rows) // _MAX_POINTS)
+    return np.concatenate([rows[:-1:step], rows[-1:]])

@@ -129,10 +129,7 @@ def load_config(
     tree = read_tree(file)
     # The file is judged alone first, so that a message blames the file or the override, not both.
     config = model_of(Config, tree, file.name)
-    if overrides:
-        for override in overrides:
-            _apply_override(tree, override)
-        config = model_of(Config, tree, "override")
+    config = with_settings(config, overrides) if overrides else config
     return config if calibration is None else with_calibration(config, calibration)
 
 

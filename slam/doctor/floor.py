@@ -24,15 +24,9 @@ def floor_below_m(points: FloatArray, up: FloatArray) -> float | None:
     """
     heights = points @ up
     below = -heights[heights < 0.0]
-    if len(below) < FEWEST:
+    if len(below) < FEWEST or len(below) <= _BELOW * len(heights):
         return None
-    lowest = (
-        float(np.quantile(below, 1.0 - _BELOW * len(heights) / len(below)))
-        if len(below) > _BELOW * len(heights)
-        else 0.0
-    )
-    if lowest <= 0.0:
-        return None
+    lowest = float(np.quantile(below, 1.0 - _BELOW * len(heights) / len(below)))
     width = lowest / _BINS
     counts, edges = np.histogram(below, np.arange(0.0, lowest + 4.0 * width, width))
     near = np.flatnonzero(counts >= _SEEN * len(heights))

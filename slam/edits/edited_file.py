@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
 
@@ -71,8 +72,7 @@ def write_undone(known: Known, path: Path) -> list[str]:
 
 def _write(path: Path, source: UneditedFile, contents: MapContents, config: Config | None) -> None:
     """Write an edited map."""
-    file = MapFile.create(path)
-    try:
+    with closing(MapFile.create(path)) as file:
         for key, value in source.rows(META):
             if key != SEAL:
                 told = config is not None and key == CONFIG
@@ -83,5 +83,3 @@ def _write(path: Path, source: UneditedFile, contents: MapContents, config: Conf
         if contents.edits:  # else what this version draws is the map from now on
             append_edits(file, source, contents.edits)
         file.seal()
-    finally:
-        file.close()

@@ -5,8 +5,8 @@ Y. Bar-Shalom, X. R. Li, T. Kirubarajan, "Estimation with Applications to Tracki
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
-from typing import Any, TypeAlias
+from dataclasses import dataclass
+from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -45,10 +45,6 @@ class Coverage:
     nees: float
     position: float
     yaw: float
-
-    def to_dict(self) -> dict[str, Any]:
-        """For JSON."""
-        return asdict(self)
 
 
 def coverage(

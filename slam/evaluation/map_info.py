@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Mapping, Sequence
+from contextlib import closing
 from pathlib import Path
 from typing import Any, cast
 
@@ -35,10 +36,8 @@ def map_info(path: Path) -> dict[str, Any]:
         file = MapFile.read(path)
     except UnfinishedMapError:
         return _begun(map_path(path))
-    try:
+    with closing(file):
         return _finished(file)
-    finally:
-        file.close()
 
 
 def _finished(file: MapFile) -> dict[str, Any]:
@@ -94,7 +93,7 @@ def _begun(path: Path) -> dict[str, Any]:
     file = MapFile.resume(path)
     if file is None:
         raise MapFileError(f"{path} was interrupted before it began; map again")
-    try:
+    with closing(file):
         identity = MapIdentity.from_meta(file.meta(), path)
         return {
             "map": str(path),
@@ -105,8 +104,6 @@ def _begun(path: Path) -> dict[str, Any]:
             **({"clouds": file.count(CLOUDS)} if file.count(CLOUDS) else {}),
             **_origin(identity),
         }
-    finally:
-        file.close()
 
 
 def _origin(identity: MapIdentity) -> dict[str, Any]:

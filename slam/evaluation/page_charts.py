@@ -100,20 +100,11 @@ def _scores(result: MapResult) -> list[dict[str, Any]]:
     if not len(keyframes):
         return []
     since, open_ = _since(scans.stamps_s[keyframes]), scans.degenerate[keyframes] > 0.0
+    shares = _split(scans.inlier_shares[keyframes], open_)
+    residuals_mm = _split(1000.0 * scans.residuals_m[keyframes], open_)
     return [
-        chart(
-            "Share of matching points",
-            "time, s",
-            since,
-            _split(scans.inlier_shares[keyframes], open_),
-            most=1.0,
-        ),
-        chart(
-            "Residual of the points, mm",
-            "time, s",
-            since,
-            _split(1000.0 * scans.residuals_m[keyframes], open_),
-        ),
+        chart("Share of matching points", "time, s", since, shares, most=1.0),
+        chart("Residual of the points, mm", "time, s", since, residuals_mm),
     ]
 
 

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from slam.mapping.cloud_map import by_height, ramp
+from slam.mapping.cloud_map import ramp
 from slam.mapping.dense_map import ColoredCloud
 from slam.matching.local_cloud import moved
 from slam.measurements import AnyFloatArray, FloatArray, spatial
@@ -42,7 +42,7 @@ def cloud_data(found: MapContents, cloud: ColoredCloud | None) -> tuple[dict[str
             up = _upward(cloud.normals_map)
     elif found.clouds is not None and len(found.clouds):
         points, intensities, total = _of_keyframes(found.clouds, found)
-        colors = by_height(points)
+        colors = ramp(points[:, 2])
     else:
         return None, []
     low, high = np.percentile(points, [_OUTSIDE_PERCENT, 100.0 - _OUTSIDE_PERCENT], axis=0)

@@ -281,9 +281,6 @@ def _repairs(found: MapContents) -> dict[str, Any]:
             continue
         was, now = np.isfinite(before.ranges_m), np.isfinite(after.ranges_m) & (after.ranges_m > 0.0)
         changed = now & (after.ranges_m != before.ranges_m)
-        if not changed.any():  # what moved was taken out, no more
-            parts.append(np.zeros((0, 2), np.int16))
-            continue
         chosen = [(after, changed & ~was), (after, changed & was), (before, changed & was)]
         rows = [_centimetres(_points_base(scan, which)[::step]) for scan, which in chosen]
         parts.append(np.vstack(rows))

@@ -97,7 +97,7 @@ def evaluate(
     if covariances is None and isinstance(trajectory, str | Path):
         covariances = _beside(Path(trajectory), poses)
     if covariances is not None:
-        scores["coverage"] = coverage(poses, covariances, truth, limit_s).to_dict()
+        scores["coverage"] = asdict(coverage(poses, covariances, truth, limit_s))
     return scores
 
 

@@ -17,6 +17,7 @@ from slam.evaluation.alignment import align
 from slam.evaluation.association import nearest_indices
 from slam.evaluation.error_statistics import ErrorStatistics
 from slam.measurements import FloatArray
+from slam.trajectory.poses import Poses
 
 # evo's own limits; the figures are to agree with it.
 DEFAULT_MAX_DIFFERENCE_S = 0.01
@@ -186,14 +187,13 @@ def relative_error(
     starts, ends = _pairs_by_path(estimate.positions_m, delta_m)
     if not len(starts):
         return None
-    moved, turned = _motions(estimate, starts, ends)
-    moved_truth, turned_truth = _motions(truth, starts, ends)
+    own, true = (poses[starts].between(poses[ends]) for poses in map(Poses.of_trajectory, (estimate, truth)))
     # E = inverse(reference motion) * estimated motion: its translation is the difference of both, turned.
     return RelativeError(
         count=len(starts),
         delta=float(delta_m),
-        translation_m=ErrorStatistics.of(np.linalg.norm(moved - moved_truth, axis=1)),
-        rotation_rad=ErrorStatistics.of(np.asarray((turned_truth.inv() * turned).magnitude())),
+        translation_m=ErrorStatistics.of(np.linalg.norm(own.positions_m - true.positions_m, axis=1)),
+        rotation_rad=ErrorStatistics.of(np.asarray((true.rotations.inv() * own.rotations).magnitude())),
     )
 
 
@@ -207,11 +207,3 @@ def _pairs_by_path(positions_m: FloatArray, delta_m: float) -> tuple[Any, Any]:
             marks.append(index)
             travelled = 0.0
     return np.array(marks[:-1], dtype=np.intp), np.array(marks[1:], dtype=np.intp)
-
-
-def _motions(trajectory: Trajectory, starts: Any, ends: Any) -> tuple[FloatArray, spatial.transform.Rotation]:
-    """Return inverse(start) * end: translations (N, 3) and N rotations."""
-    rotations = spatial.transform.Rotation.from_quat(trajectory.quaternions_xyzw)
-    back = rotations[starts].inv()
-    moved = trajectory.positions_m[ends] - trajectory.positions_m[starts]
-    return back.apply(moved), back * rotations[ends]

@@ -88,7 +88,7 @@ class CloudTiles:
             normals = surface_normals(points, _NORMAL_VOXELS * self._voxel_m)
             away = np.einsum("ij,ij->i", normals, self._path[rows[:, 3].astype(np.int64)] - points) < 0.0
             normals[away] *= -1.0
-            colors = by_height(points, self._usual)
+            colors = ramp(points[:, 2], self._usual)
             intensities = rows[:, 4].astype(np.float32) if self._columns > 4 else None
             return ColoredCloud(points.astype(np.float32), colors, normals.astype(np.float32), intensities)
 
@@ -154,11 +154,6 @@ def _usual(heights: AnyFloatArray) -> tuple[float, float]:
         return 0.0, 0.0
     low, high = np.percentile(heights, _USUAL_PERCENT)
     return float(low), float(high)
-
-
-def by_height(points: FloatArray, usual: tuple[float, float] | None = None) -> Colors:
-    """(N, 3) RGB of the heights, between the usual ones; by default the usual of these points."""
-    return ramp(points[:, 2], usual)
 
 
 def ramp(values: AnyFloatArray, usual: tuple[float, float] | None = None) -> Colors:

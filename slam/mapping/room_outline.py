@@ -43,6 +43,16 @@ class Face:
     seen: bool
     length_m: float
 
+    @property
+    def tangent(self) -> FloatArray:
+        """(2,) unit vector along it; the room lies on the left on the way back."""
+        x, y = self.normal
+        return np.array([y, -x])
+
+    def along(self, points_m: FloatArray) -> FloatArray:
+        """(N,) places of (N, 2) points along it, from its point."""
+        return np.asarray((points_m - self.point_m) @ self.tangent)
+
     def off(self, points_m: FloatArray) -> FloatArray:
         """(N,) distances of (N, 2) points, positive inside."""
         return np.asarray((points_m - self.point_m) @ self.normal)
@@ -60,10 +70,8 @@ class Outline:
         return self.corners_m[edge], self.corners_m[(edge + 1) % len(self.faces)]
 
     def ends(self, edge: int) -> tuple[float, float]:
-        """Where an edge begins and ends along its face, the lower first, as `wall_fits.along` tells."""
-        x, y = self.faces[edge].normal
-        corners = self.corners_m[[edge, (edge + 1) % len(self.faces)]]
-        low, high = sorted(((corners - self.faces[edge].point_m) @ (y, -x)).tolist())
+        """Where an edge begins and ends along its face, the lower first, as `Face.along` tells."""
+        low, high = sorted(self.faces[edge].along(np.array(self.edge(edge))).tolist())
         return low, high
 
 

@@ -67,7 +67,7 @@ class WallFit:
 
     def places(self, *points_m: FloatArray) -> list[float]:
         """Where along it (2,) points lie."""
-        return along(self.face, np.array(points_m)).tolist()
+        return self.face.along(np.array(points_m)).tolist()
 
     def seen_m(self, begin_m: float, end_m: float, cell_m: float) -> FloatArray:
         """(n, 2) stretches from its begin on which points lie, no farther apart than four cells."""
@@ -87,17 +87,10 @@ class WallFit:
 
     def line(self) -> Face:
         """The face moved and turned onto it."""
-        x, y = self.face.normal
-        along = np.array([y, -x])
+        along = self.face.tangent
         at = self.face.point_m + self.middle_m * along + self.offset_m * self.face.normal
         turned = self.face.normal - self.slope * along
         return replace(self.face, point_m=at, normal=turned / np.hypot(*turned))
-
-
-def along(face: Face, points_m: FloatArray) -> FloatArray:
-    """(N,) places along a face, from its point; the room lies on the left on the way back."""
-    x, y = face.normal
-    return np.asarray((points_m - face.point_m) @ (y, -x))
 
 
 def fit_wall(
@@ -116,7 +109,7 @@ def fit_wall(
     cell_m
         Points twice so far off are none of the wall.
     """
-    at, off = along(face, points.points_map), face.off(points.points_map)
+    at, off = face.along(points.points_map), face.off(points.points_map)
     on = (points.normals_map @ face.normal > np.cos(SAME_DIRECTION_RAD)) & (np.abs(off) < 2.0 * cell_m)
     on &= (at > ends_m[0]) & (at < ends_m[1])
     if np.count_nonzero(on) < FEWEST:

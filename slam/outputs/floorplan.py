@@ -177,15 +177,9 @@ def _between(
         line = fit.line()
         # Where the line has that place across.
         ends.append(
-            line.point_m
-            + (place - line.point_m @ across) / float(_tangent(line.normal) @ across) * _tangent(line.normal)
+            line.point_m + (place - line.point_m @ across) / float(line.tangent @ across) * line.tangent
         )
         weights[at[edge] : at[edge] + 2] = -fit.reach(*fit.places(ends[-1]))
     length = float((ends[1] - ends[0]) @ normal)
     sigma = float(np.sqrt(weights @ covariance @ weights))
     return Length(ends[0], ends[1], length, sigma) if length > 0.0 else None
-
-
-def _tangent(normal: FloatArray) -> FloatArray:
-    """(2,) along a line."""
-    return np.array([normal[1], -normal[0]])

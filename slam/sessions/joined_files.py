@@ -6,7 +6,8 @@ import hashlib
 import json
 import tempfile
 from collections.abc import Callable, Sequence
-from dataclasses import replace
+from contextlib import closing
+from dataclasses import asdict, replace
 from itertools import chain
 from pathlib import Path
 
@@ -29,7 +30,7 @@ from slam.storage.map_facts import write_facts
 from slam.storage.map_file import MAP_NAME, MapFile
 from slam.storage.map_identity import NOTES, WARNINGS, MapIdentity
 from slam.storage.map_places import write_places
-from slam.storage.map_sessions import SESSIONS, MapSession, sessions_to_meta
+from slam.storage.map_sessions import SESSIONS, MapSession
 
 
 def write_joined(folder: Path, known: Map, session: Map, connection: Connection) -> Path:
@@ -72,14 +73,12 @@ def _unedited(known: Map, session: Map, connection: Connection) -> tuple[Map, Ma
 
 def _edit(folder: Path, known: Map, path: Path) -> None:
     """Apply the edits of a map to it and a session joined without them."""
-    joined, entries = load_map(folder), known.contents.edits
-    try:
+    entries = known.contents.edits
+    with load_map(folder) as joined:
         first, parts = len(known.contents.node_poses), joined.parts()
         found, _ = remade(parts.base, entries, parts.before, parts.sessions)
         entries = later_evidence(found, entries, first, known.config)
         write_entries(parts, entries, path)
-    finally:
-        joined.close()
 
 
 def _write(path: Path, known: Map, session: Map, joined: JoinedMap) -> None:
@@ -127,13 +126,12 @@ def write_sessions(
         name, fingerprint = " + ".join(one.log_name for one in sessions), digest.hexdigest()
     else:
         name, fingerprint = sessions[0].log_name, sessions[0].log_fingerprint
-    file = MapFile.create(path)
-    try:
+    with closing(MapFile.create(path)) as file:
         identity = replace(identity, log_name=name, log_fingerprint=fingerprint)
         for key, value in identity.to_meta().items():
             file.add_meta(key, value)
         if len(sessions) > 1:
-            file.add_meta(SESSIONS, sessions_to_meta(sessions))
+            file.add_meta(SESSIONS, json.dumps([asdict(one) for one in sessions]))
         for key, lines in zip((NOTES, WARNINGS), told, strict=True):
             file.add_meta(key, json.dumps(lines))
         contents = copied(file)
@@ -141,8 +139,6 @@ def write_sessions(
         write_facts(file, contents.ground_m, contents.georeference, contents.node_poses[0])
         write_places(file, contents.places, contents.node_poses[0])
         file.seal()
-    finally:
-        file.close()
 
 
 def _depth(known: Map, session: Map, joined: JoinedMap, config: Config) -> OccupancyGrid | None:

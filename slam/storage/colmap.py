@@ -9,12 +9,11 @@ from __future__ import annotations
 import struct
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from slam.mapping.dense_map import ColoredCloud
-from slam.measurements import CameraIntrinsics
+from slam.measurements import CameraIntrinsics, row_from_pose
 from slam.storage.files import make_folder, write_bytes, write_lines
 from slam.storage.posed_images import PosedImage
 
@@ -37,10 +36,10 @@ def write_colmap(folder: Path, images: Sequence[PosedImage], cloud: ColoredCloud
         (number, lens.width, lens.height, [lens.fx, lens.fy, lens.cx + 0.5, lens.cy + 0.5])
         for (_, lens), number in cameras.items()
     ]
-    views = [
-        (number, _world_to_camera(image), cameras[image.sensor, image.intrinsics], image.name)
-        for number, image in enumerate(images, start=1)
-    ]
+    views = []
+    for number, image in enumerate(images, start=1):
+        x, y, z, *axis, w = row_from_pose(image.T_map_camera.inverse())
+        views.append((number, [w, *axis, x, y, z], cameras[image.sensor, image.intrinsics], image.name))
     binary, text = folder / "sparse" / "0", folder / "sparse" / "text"
     for made in (binary, text):
         make_folder(made)
@@ -74,13 +73,6 @@ def write_colmap(folder: Path, images: Sequence[PosedImage], cloud: ColoredCloud
         ),
     )
     return [binary, text]
-
-
-def _world_to_camera(image: PosedImage) -> list[float]:
-    """Quaternion w, x, y, z and translation of ``T_camera_map``."""
-    T_camera_map = image.T_map_camera.inverse()
-    turn: Any = T_camera_map.rotation().toQuaternion()
-    return [turn.w(), turn.x(), turn.y(), turn.z(), *map(float, T_camera_map.translation())]
 
 
 def _points(cloud: ColoredCloud) -> bytes:

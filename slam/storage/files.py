@@ -4,13 +4,11 @@ from __future__ import annotations
 
 import glob
 import gzip
-import io
 import secrets
 import zlib
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TextIO
 
 from slam.datasets.budget import Budget
 from slam.datasets.dataset import RecordFault
@@ -98,9 +96,9 @@ def numbered_fields(
         unpacks to more than any such file.
     """
     path = Path(path)
-    number = 0
+    number, opened = 0, gzip.open if path.suffix == ".gz" else open
     try:
-        with _open_text(path) as stream:
+        with opened(path, "rt", encoding="utf-8") as stream:
             budget = Budget(path.stat().st_size, text=True)
             for number, line in enumerate(iter(lambda: stream.readline(MAX_LINE_BYTES), ""), start=1):
                 budget.take(len(line))
@@ -115,13 +113,6 @@ def numbered_fields(
         raise error(f"{path}: {cause}") from cause
     except OSError as cause:
         raise error(f"cannot read {path}: {cause.strerror or cause}") from cause
-
-
-def _open_text(path: Path) -> TextIO:
-    """The file as text, decompressed where its name ends in ``.gz``."""
-    if path.suffix == ".gz":
-        return io.TextIOWrapper(gzip.GzipFile(path), encoding="utf-8")
-    return path.open(encoding="utf-8")
 
 
 def parse_floats(fields: list[str], where: str, error: type[ScanweaveError] = MapFileError) -> list[float]:

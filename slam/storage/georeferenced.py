@@ -48,27 +48,16 @@ def write_gpx(path: Path, trajectory: Trajectory, earth: Georeference) -> None:
     MapFileError
         If it cannot be written.
     """
-
-    def lines() -> list[str]:
-        found = []
-        for stamp_s, place in zip(trajectory.stamps_s.tolist(), trajectory.positions_m, strict=True):
-            latitude, longitude, altitude = earth.geodetic(place)
-            time = ""
-            if stamp_s > _WORLD_S:
-                time = (
-                    f"<time>{datetime.fromtimestamp(stamp_s, UTC).isoformat(timespec='milliseconds')}</time>"
-                )
-            found.append(
-                f'<trkpt lat="{latitude:.9f}" lon="{longitude:.9f}"><ele>{altitude:.3f}</ele>{time}</trkpt>'
-            )
-        return found
-
-    write_lines(
-        path,
-        [
-            '<?xml version="1.0" encoding="UTF-8"?>',
-            '<gpx version="1.1" creator="Scanweave" xmlns="http://www.topografix.com/GPX/1/1"><trk><trkseg>',
-            *lines(),
-            "</trkseg></trk></gpx>",
-        ],
-    )
+    lines = [
+        '<?xml version="1.0" encoding="UTF-8"?>',
+        '<gpx version="1.1" creator="Scanweave" xmlns="http://www.topografix.com/GPX/1/1"><trk><trkseg>',
+    ]
+    for stamp_s, place in zip(trajectory.stamps_s.tolist(), trajectory.positions_m, strict=True):
+        latitude, longitude, altitude = earth.geodetic(place)
+        time = ""
+        if stamp_s > _WORLD_S:
+            time = f"<time>{datetime.fromtimestamp(stamp_s, UTC).isoformat(timespec='milliseconds')}</time>"
+        lines.append(
+            f'<trkpt lat="{latitude:.9f}" lon="{longitude:.9f}"><ele>{altitude:.3f}</ele>{time}</trkpt>'
+        )
+    write_lines(path, [*lines, "</trkseg></trk></gpx>"])

@@ -7,6 +7,7 @@ form: these, and all unchanged rows, are the unedited map.
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
+from contextlib import closing
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Final, cast
@@ -229,7 +230,7 @@ class UneditedFile(MapFile):
 
     def __init__(self, file: MapFile) -> None:
         super().__init__(file.path, file.connection)
-        self._tables = file.tables
+        self.tables = file.tables
         self._counts = {table.name: file.count(table) for table in file.tables}
         self._counts[EDITS.name] = 0
         self._edited = file
@@ -270,13 +271,10 @@ def copy_unedited(source: MapFile, path: Path) -> None:
         If a row is damaged, or the file cannot be written.
     """
     before = UneditedFile(source)
-    file = MapFile.create(path)
-    try:
+    with closing(MapFile.create(path)) as file:
         for table in (*_KEPT, *_COPIED):
             copy_rows(before, file, table)
         file.seal()
-    finally:
-        file.close()
 
 
 def copy_rows(source: MapFile, file: MapFile, table: Table) -> None:

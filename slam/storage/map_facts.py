@@ -56,8 +56,13 @@ def georeference_of_file(file: MapFile, first: Pose) -> Georeference | None:
         What it tells is none.
     """
     with file.blaming(META, 0):
-        told = file.meta().get(_EARTH)
-        return None if told is None else _georeference(of(dict, from_json(told)), first)
+        if (text := file.meta().get(_EARTH)) is None:
+            return None
+        told = of(dict, from_json(text))
+        T_enu_first = pose_of_rows(told.get("T_enu_first"), "its place on the earth")
+        place = np.array([told.get(name) for name in _PLANE], dtype=np.float64)
+        require(np.isfinite(place).all() and abs(place[0]) <= 90.0, "its place on the earth is none")
+        return Georeference(TangentPlane(*place.tolist()), T_enu_first.compose(spatial(first).inverse()))
 
 
 def pose_of_rows(rows: Any, name: str) -> gtsam.Pose3:
@@ -68,11 +73,3 @@ def pose_of_rows(rows: Any, name: str) -> gtsam.Pose3:
     upright = np.abs(np.asarray(turn.matrix()) @ np.asarray(turn.matrix()).T - np.eye(3)).max()
     require(upright < 1e-6 and np.linalg.det(matrix[:, :3]) > 0.0, f"{name} is no pose")
     return gtsam.Pose3(turn, matrix[:, 3])
-
-
-def _georeference(told: dict[str, Any], first: Pose) -> Georeference:
-    """By its fact."""
-    T_enu_first = pose_of_rows(told.get("T_enu_first"), "its place on the earth")
-    place = np.array([told.get(name) for name in _PLANE], dtype=np.float64)
-    require(np.isfinite(place).all() and abs(place[0]) <= 90.0, "its place on the earth is none")
-    return Georeference(TangentPlane(*place.tolist()), T_enu_first.compose(spatial(first).inverse()))

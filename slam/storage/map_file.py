@@ -64,13 +64,14 @@ def _forget(connection: sqlite3.Connection, folder: TemporaryFolder) -> None:
 class MapFile:
     """An open map; every fault of the file is a `MapFileError` of one line that names table and row.
 
-    Made by `create`, `resume` or `read`.
+    Made by `create`, `resume` or `read`; ``connection`` is that to the database, ``tables`` are those of its
+    schema.
     """
 
     def __init__(self, path: Path, connection: sqlite3.Connection) -> None:
         self.path = path
-        self._connection = connection
-        self._tables: tuple[Table, ...] = TABLES
+        self.connection = connection
+        self.tables: tuple[Table, ...] = TABLES
         self._counts: dict[str, int] = {}
         self._committed_at = time.monotonic()
         self._before_commit: list[Callable[[], None]] = []
@@ -83,7 +84,7 @@ class MapFile:
             for stale in (path, *beside(path)):
                 stale.unlink(missing_ok=True)
             file = cls(path, writer(path))
-            begin(file._connection)
+            begin(file.connection)
             file._counts = dict.fromkeys((table.name for table in TABLES), 0)
         return file
 
@@ -92,7 +93,7 @@ class MapFile:
         """An empty map in a temporary folder that goes with it: for what nobody saves."""
         folder = TemporaryFolder()
         file = cls.create(folder.path / MAP_NAME)
-        weakref.finalize(file, _forget, file._connection, folder)
+        weakref.finalize(file, _forget, file.connection, folder)
         return file
 
     @classmethod
@@ -109,17 +110,17 @@ class MapFile:
         with reported(path, "opened"):
             file = cls(path, writer(path))
             try:
-                if not file._connection.execute("SELECT count(*) FROM sqlite_schema").fetchone()[0]:
-                    file._connection.close()
+                if not file.connection.execute("SELECT count(*) FROM sqlite_schema").fetchone()[0]:
+                    file.connection.close()
                     return None  # it died before its first commit
-                file._tables = check_kind(path, file._connection)
-                file._connection.execute("PRAGMA journal_mode = WAL")
-                file._connection.execute("BEGIN")
-                bound_steps(file._connection, path)
+                file.tables = check_kind(path, file.connection)
+                file.connection.execute("PRAGMA journal_mode = WAL")
+                file.connection.execute("BEGIN")
+                bound_steps(file.connection, path)
                 file._count_rows()
-                free_steps(file._connection)
+                free_steps(file.connection)
             except BaseException:
-                file._connection.close()
+                file.connection.close()
                 raise
         return file
 
@@ -143,7 +144,7 @@ class MapFile:
             connection = reader(path)
             file = cls(path, connection)
             try:
-                file._tables = check_kind(path, connection)
+                file.tables = check_kind(path, connection)
                 file._check_seal()
                 free_steps(connection)
             except BaseException:
@@ -155,16 +156,6 @@ class MapFile:
     def finished(self) -> bool:
         """Whether the map was sealed."""
         return SEAL in self.meta()
-
-    @property
-    def tables(self) -> tuple[Table, ...]:
-        """Those of its schema."""
-        return self._tables
-
-    @property
-    def connection(self) -> sqlite3.Connection:
-        """To the database."""
-        return self._connection
 
     @property
     def size(self) -> int:
@@ -193,7 +184,7 @@ class MapFile:
     def replace(self, table: Table, number: int, *values: Value) -> None:
         """Write a row anew."""
         with reported(self.path, "written"):
-            self._connection.execute(table.replace_sql, (number, table.checksum(number, values), *values))
+            self.connection.execute(table.replace_sql, (number, table.checksum(number, values), *values))
 
     def row(self, table: Table, number: int, *, again: bool = False) -> tuple[Value, ...]:
         """The values of a row; of one that is read again the checksum was found right.
@@ -204,7 +195,7 @@ class MapFile:
             If it is missing or damaged.
         """
         with self.blaming(table, number):
-            found = self._connection.execute(f"SELECT * FROM {table.name} WHERE number = ?", (number,))
+            found = self.connection.execute(f"SELECT * FROM {table.name} WHERE number = ?", (number,))
             return self._checked(table, number, found.fetchone(), again=again)
 
     def rows(self, table: Table) -> Iterator[tuple[Value, ...]]:
@@ -213,7 +204,7 @@ class MapFile:
             return  # the map is older than the table
         number = -1
         with self.blaming(table, 0):
-            found = iter(self._connection.execute(f"SELECT * FROM {table.name} ORDER BY number"))
+            found = iter(self.connection.execute(f"SELECT * FROM {table.name} ORDER BY number"))
         for number in range(self._counts[table.name]):
             with self.blaming(table, number):
                 values = self._checked(table, number, next(found, None))
@@ -235,7 +226,7 @@ class MapFile:
             return Counter()
         names = ", ".join(columns)
         with self.blaming(table, 0):
-            found = self._connection.execute(
+            found = self.connection.execute(
                 f"SELECT {names}, count(*) FROM {table.name} GROUP BY {names} ORDER BY {names}"
             )
             return Counter({values: count for *values, count in found for values in [tuple(values)]})
@@ -243,7 +234,7 @@ class MapFile:
     def clear(self, table: Table) -> None:
         """Remove all rows of a table."""
         with reported(self.path, "written"):
-            self._connection.execute(f"DELETE FROM {table.name}")
+            self.connection.execute(f"DELETE FROM {table.name}")
         self._counts[table.name] = 0
 
     def before_commit(self, flush: Callable[[], None]) -> None:
@@ -260,8 +251,8 @@ class MapFile:
         for flush in self._before_commit:
             flush()
         with reported(self.path, "written"):
-            self._connection.execute("COMMIT")
-            self._connection.execute("BEGIN")
+            self.connection.execute("COMMIT")
+            self.connection.execute("BEGIN")
         self._committed_at = time.monotonic()
 
     def seal(self) -> str:
@@ -282,7 +273,7 @@ class MapFile:
     def compact(self) -> None:
         """Give back the room of what was removed, and leave nothing beside the file; it is closed then."""
         with reported(self.path, "finished"):
-            run = self._connection.execute
+            run = self.connection.execute
             run("COMMIT")
             run("VACUUM")
             run("PRAGMA journal_mode = DELETE")  # last: by it `is_tidy` knows that all is done
@@ -291,7 +282,7 @@ class MapFile:
 
     def close(self) -> None:
         """Close the file; what is not committed is lost."""
-        self._connection.close()
+        self.connection.close()
 
     def discard(self) -> None:
         """Close the file and remove it."""
@@ -312,15 +303,15 @@ class MapFile:
             With the first fault.
         """
         with reported(self.path, "checked"):
-            (verdict,) = self._connection.execute("PRAGMA integrity_check(1)").fetchone()
+            (verdict,) = self.connection.execute("PRAGMA integrity_check(1)").fetchone()
         if verdict != "ok":
             raise MapFileError(f"{self.path} is damaged: {verdict}")
 
     def _count_rows(self) -> None:
         """Rows of every table as they are found."""
-        for table in self._tables:
+        for table in self.tables:
             with self.blaming(table, 0):
-                found = self._connection.execute(f"SELECT count(*), max(number) FROM {table.name}").fetchone()
+                found = self.connection.execute(f"SELECT count(*), max(number) FROM {table.name}").fetchone()
                 if found[0] != (-1 if found[1] is None else found[1]) + 1:
                     raise MapFileError(f"its {found[0]} rows are not numbered without a gap")
             self._counts[table.name] = found[0]
@@ -332,7 +323,7 @@ class MapFile:
         if seal is None:
             raise UnfinishedMapError(_unfinished(self.path))
         with self.blaming(META, self.count(META) - 1):
-            known = list(zip(self._tables, self._digests(), from_json(seal), strict=True))
+            known = list(zip(self.tables, self._digests(), from_json(seal), strict=True))
         for table, found, sealed in known:
             if found != sealed:
                 raise MapFileError(
@@ -343,11 +334,11 @@ class MapFile:
     def _digests(self) -> list[list[int | str]]:
         """Count and digest of every table, the seal itself left out."""
         digests: list[list[int | str]] = []
-        for table in self._tables:
+        for table in self.tables:
             digest, count = hashlib.blake2b(digest_size=16), 0
             seal = " WHERE key != 'seal'" if table is META else ""
             with self.blaming(table, 0):
-                for number, checksum in self._connection.execute(
+                for number, checksum in self.connection.execute(
                     f"SELECT number, checksum FROM {table.name}{seal} ORDER BY number"
                 ):
                     digest.update(f"{number}:{checksum!r};".encode())

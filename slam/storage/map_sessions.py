@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
@@ -37,11 +36,6 @@ class MapSession:
 def session_numbers(sessions: Sequence[MapSession]) -> NDArray[np.int64]:
     """Return (K,) the session number, from 0, of each keyframe of a map."""
     return np.repeat(np.arange(len(sessions)), [session.keyframes for session in sessions])
-
-
-def sessions_to_meta(sessions: Sequence[MapSession]) -> str:
-    """Return sessions as the value of one row of the file."""
-    return json.dumps([asdict(session) for session in sessions])
 
 
 def sessions_of(meta: Mapping[str, str], keyframes: int, poses: int) -> list[MapSession]:

@@ -133,16 +133,8 @@ def _not_negative(value: Any) -> bool:
     return isinstance(value, int | float) and value >= 0.0  # endless too: a window that was never searched
 
 
-def _truth(value: Any) -> bool:
-    return isinstance(value, bool)
-
-
 def _name(value: Any) -> bool:
     return isinstance(value, str) and len(value) <= _LONGEST_NAME
-
-
-def _text(value: Any) -> bool:
-    return isinstance(value, str)
 
 
 def _index(value: Any) -> bool:
@@ -207,8 +199,8 @@ _RULES: dict[type, dict[str, Rule]] = {
         "inlier_share": _number,
         "fit": _number,
         "residual_m": _not_negative,
-        "converged": _truth,
-        "degenerate": _truth,
+        "converged": _either(bool),
+        "degenerate": _either(bool),
         "weak_direction": _array("f8", None),
     },
     LoopCandidate: {
@@ -218,8 +210,8 @@ _RULES: dict[type, dict[str, Rule]] = {
         "half_yaw_rad": _not_negative,
         "score": _number,
         "motion": _either(MotionEstimate, None),
-        "accepted": _truth,
-        "reason": _text,
+        "accepted": _either(bool),
+        "reason": _either(str),
     },
     CameraIntrinsics: {
         **dict.fromkeys(("fx", "fy"), _positive),
@@ -229,14 +221,14 @@ _RULES: dict[type, dict[str, Rule]] = {
     ColorRegistration: {
         **dict.fromkeys(("intrinsics_color", "intrinsics_depth"), _either(CameraIntrinsics)),
         "T_depth_color": _pose3,
-        "accepted": _truth,
-        "reason": _text,
+        "accepted": _either(bool),
+        "reason": _either(str),
         **dict.fromkeys(("inlier_share_before", "inlier_share_after"), _number),
     },
     LearnedCamera: {
         "registration": _either(ColorRegistration, None),
         "T_base_camera": lambda value: value is None or _pose3(value),
-        "mounting_learned": _truth,
+        "mounting_learned": _either(bool),
         **dict.fromkeys(("clock_offset_s", "clock_sigma_s"), _number),
     },
     Features: {

@@ -101,13 +101,7 @@ def write_raw(
     """Write a raw map with the resolution and origin of a trinary one, or those given; -1 becomes 255."""
     image_path, yaml_path = stem.with_name(f"{stem.name}.pgm"), stem.with_name(f"{stem.name}.yaml")
     write_pgm(image_path, percent[::-1].view(np.uint8))
-    lines = trinary_yaml.read_text(encoding="utf-8").splitlines()
-    reported = {"image": image_path.name, "mode": "raw", **dict(line.split(": ", 1) for line in place)}
-    write_lines(yaml_path, [f"# {what}", *(_replaced(line, reported) for line in lines[1:])])
+    lines = [*trinary_yaml.read_text(encoding="utf-8").splitlines()[1:], *place]
+    fields = dict(line.split(": ", 1) for line in lines) | {"image": image_path.name, "mode": "raw"}
+    write_lines(yaml_path, [f"# {what}", *(f"{key}: {value}" for key, value in fields.items())])
     return yaml_path
-
-
-def _replaced(line: str, reported: dict[str, str]) -> str:
-    """A line of the yaml, with another value where there is one."""
-    key = line.split(":", 1)[0]
-    return f"{key}: {reported[key]}" if key in reported else line

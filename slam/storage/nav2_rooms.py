@@ -26,18 +26,15 @@ from slam.storage.plan_geojson import feature
 
 # What drives through a door drives at half its speed.
 _DOOR_PERCENT = 50
+# Of the robot, for the ways of the route graph; as `scanweave plan` has it.
+_RADIUS_M = 0.2
 
 _KEEPOUT = "Keep-out mask (costmap filter type 0): all but rooms and the doors between them."
 _SPEED = "Speed mask (costmap filter type 1): the greatest speed in percent before doors, 0 for no limit."
 
 
-def write_room_zones(folder: Path, plan: FloorPlan, layers: LayeredMap, radius_m: float = 0.2) -> list[Path]:
+def write_room_zones(folder: Path, plan: FloorPlan, layers: LayeredMap) -> list[Path]:
     """Write ``keepout.yaml``, ``speed.yaml``, ``zones.yaml`` and ``route.geojson``.
-
-    Parameters
-    ----------
-    radius_m
-        Of the robot, for the ways of the route graph; as `scanweave plan` has it.
 
     Raises
     ------
@@ -52,7 +49,7 @@ def write_room_zones(folder: Path, plan: FloorPlan, layers: LayeredMap, radius_m
     written = [write_nav2_map(folder / "keepout", keepout, *place, _KEEPOUT)[0]]
     written.append(write_raw(folder / "speed", speed, written[0], _SPEED))
     write_lines(folder / "zones.yaml", _parameters())
-    space = free_space(layers.states("decision"), *place, radius_m)
+    space = free_space(layers.states("decision"), *place, _RADIUS_M)
     write_lines(folder / "route.geojson", [json.dumps(route_graph(plan, space), indent=1)])
     return [*written, folder / "zones.yaml", folder / "route.geojson"]
 

@@ -20,6 +20,7 @@ from slam.matching.local_cloud import moved
 from slam.matching.planar import transform_points
 from slam.measurements import FloatArray, LaserScan, Measurement, PointCloud, Pose, RgbdFrame, row_from_pose2
 from slam.storage.map_contents import MapContents
+from slam.trajectory.poses import Poses
 from slam.viewer.viewer import Viewer
 
 _GRIDS = 10  # moments at which the growing grid is shown
@@ -29,7 +30,7 @@ def record_map(viewer: Viewer, result: MapResult, config: Config) -> None:
     """Show a finished map."""
     found, layers = result.map, result.map.layers(config)
     poses = found.node_poses
-    positions_m = np.array([_position(pose) for pose in poses]).reshape(-1, 3)
+    positions_m = Poses.of(poses).positions_m
     viewer.polyline("trajectory", found.trajectory.positions_m)
     for name, holds in (("graph", True), ("refused edges", False)):
         ends = [
@@ -114,10 +115,3 @@ def _show(viewer: Viewer, stamp_s: float, grid: OccupancyGrid) -> None:
 def _scan_points(scan: LaserScan, T_map_base: gtsam.Pose2) -> FloatArray:
     """(N, 2) points of a scan, map frame."""
     return transform_points(scan.points_laser(), row_from_pose2(T_map_base.compose(scan.T_base_laser)))
-
-
-def _position(pose: Pose) -> FloatArray:
-    """(3,) of a pose."""
-    if isinstance(pose, gtsam.Pose2):
-        return np.array([pose.x(), pose.y(), 0.0])
-    return np.asarray(pose.translation(), dtype=np.float64)

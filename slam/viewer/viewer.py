@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slam.errors import ScanweaveError
-from slam.measurements import ColorImage, Float32Array, FloatArray, Pose
+from slam.measurements import ColorImage, Float32Array, FloatArray, Pose, spatial
 
 _UNKNOWN, _FREE, _OCCUPIED = 205, 254, 0  # nav2's grey values
 _JPEG_QUALITY = 80
@@ -40,8 +40,7 @@ class Viewer:
 
     def pose(self, T_map_base: Pose) -> None:
         """Where the robot is."""
-        pose = gtsam.Pose3(T_map_base) if isinstance(T_map_base, gtsam.Pose2) else T_map_base
-        matrix = pose.matrix()
+        matrix = spatial(T_map_base).matrix()
         self._log("map/robot", self._rr.Transform3D(translation=matrix[:3, 3], mat3x3=matrix[:3, :3]))
 
     def scan(self, points_map: FloatArray) -> None:

@@ -139,9 +139,10 @@ def register_color(
     import cv2
 
     _check_size(depth_m, registration.intrinsics_depth)
-    height, width = color.shape[:2]
     columns, rows = _color_pixels(depth_m, registration.cameras())
-    known = _visible(columns, rows, depth_m, height, width)
+    # A depth buffer of the colour camera, in which each point is a pixel wide.
+    buffer, known = np.full(color.shape[:2], np.inf, np.float32), np.zeros(depth_m.shape, np.bool_)
+    _buffer_depths(columns, rows, depth_m, buffer, known)
     warped = cv2.remap(color, columns, rows, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
     warped[~known] = 0
     return np.asarray(warped, dtype=np.uint8), known
@@ -241,15 +242,6 @@ def _color_pixels(depth_m: Float32Array, cameras: FloatArray) -> tuple[Float32Ar
     columns = ((np.arange(width) - cx_depth) / fx_depth - shift_x / z) * fx + cx
     rows = ((np.arange(height)[:, None] - cy_depth) / fy_depth - shift_y / z) * fy + cy
     return np.where(known, columns, -1.0).astype(np.float32), np.where(known, rows, -1.0).astype(np.float32)
-
-
-def _visible(
-    columns: Float32Array, rows: Float32Array, depth_m: Float32Array, height: int, width: int
-) -> BoolArray:
-    """(H, W) whether the colour camera sees the point: a depth buffer with a pixel's width around each."""
-    buffer, visible = np.full((height, width), np.inf, np.float32), np.zeros(depth_m.shape, np.bool_)
-    _buffer_depths(columns, rows, depth_m, buffer, visible)
-    return visible
 
 
 @kernel

@@ -116,9 +116,7 @@ def gather_matches(pairs: Sequence[FramePair], depth: CameraIntrinsics, seed: in
         np.array(poses).reshape(-1, 3, 4),
         depth,
         float(1.0 / np.median(np.concatenate(inverse))) if used else 1.0,
-        float(min(z.min(where=z > 0.0, initial=np.inf) for depths in used for z in depths))
-        if used
-        else NEAREST_M,
+        float(min((z.min(where=z > 0.0, initial=np.inf) for both in used for z in both), default=NEAREST_M)),
     )
 
 
