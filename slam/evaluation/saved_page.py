@@ -63,7 +63,7 @@ def saved_page(saved: Map, connect: str = "'none'") -> Iterator[str]:
             ("keyframes", f"{len(found.node_poses):,}"),
             ("poses", f"{len(found.trajectory):,}"),
             ("loops accepted", f"{sum(loop.accepted for loop in loops):,} of {len(loops):,}"),
-            ("way", f"{float(found.path_m[-1]):,.1f} m"),
+            ("path", f"{float(found.path_m[-1]):,.1f} m"),
             ("digest", saved.digest[:12]),
         ],
         warnings=list(saved.warnings),
