@@ -127,8 +127,7 @@ class FaultySteps:
         # Too few loops across a step that only wheels measured may be at a place that looks the same.
         ties = tied(edges, kept, self.lone.unseen, poses, 2.0 * loops.reach_m)
         few = {edge.loop for edge, enough in zip(edges, ties, strict=True) if not enough} - {None}
-        sure = (edge for edge in self.held if edge.loop not in few)
-        self.known = graph_of(len(poses), sure, self._numbers)
+        self.known = graph_of(len(poses), (e for e in self.held if e.loop not in few), self._numbers)
         speeds = _moves(seen_from(poses[:-1], poses[1:])) / np.where(took_s > 0.0, took_s, np.inf)[:, None]
         begun, ended = self._ends.T
         time_s = np.abs(stamps_s[ended] - stamps_s[begun])[:, None]

@@ -53,12 +53,11 @@ def drawn_views(
     """What a lidar that sees all around would see from so many places of all that is free, ``T_map_base``."""
     clear = np.argwhere(space.clear) + 0.5
     in_cells = transform_points(drawn.points, between(space.frame, np.zeros(3))) / space.cell_m
-    flat = np.full((len(drawn), 1), 0.5)
     for cell in clear[np.arange(count) * len(clear) // count] if len(clear) else ():
         place = np.array([*transform_points(cell[None] * space.cell_m, space.frame)[0], 0.0])
         away = drawn.points - place[:2]
         faces = (np.hypot(*away.T) < reach_m) & (np.einsum("ij,ij->i", away, drawn.normals) < 0.0)
-        ends = np.column_stack([in_cells, flat])[faces]
+        ends = np.column_stack([in_cells, np.full(len(drawn), 0.5)])[faces]
         met = follow(space.cells, np.array([*cell, 0.5]), ends, END_M / space.cell_m)
         seen = np.flatnonzero(faces)[met != WALL]
         points = ScanPoints(away[seen].astype(np.float32), drawn.normals[seen])

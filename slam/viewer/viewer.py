@@ -128,6 +128,8 @@ def recording(path: Path | None) -> Iterator[Viewer | None]:
         stream.flush()
         stream.disconnect()
         temporary.replace(path)
+    except OSError as error:
+        raise ScanweaveError(f"cannot write {path}: {error.strerror or error}") from error
     finally:
         stream.disconnect()
         temporary.unlink(missing_ok=True)
