@@ -127,11 +127,14 @@ class PlanarRobot(FrontEnd):
 
     def search_again(self, graph: KeyframeGraph, kept: BoolArray) -> list[LoopCandidate]:
         """Places all over the map; mostly there are none, so that the grids may be drawn meanwhile."""
-        if not len(self._drawn[0]) and not self._cameras.cameras:
+        rows, grid = graph.rows(), self._config.grid
+        # The grids of a large map would take as much memory as all else that is there meanwhile.
+        small = 64 * np.ptp(rows[:, :2], axis=0).prod() < grid.greatest_cells * grid.resolution_m**2
+        if small and not len(self._drawn[0]) and not self._cameras.cameras:
             poses, scans = np.array([row_of(pose) for pose in graph.poses()]), self._keyframe_scans
             self._drawn = poses, Begun(lambda: lidar_grids(self._still, poses, self._config, scans))
         stamps_s = self.readings.scan_stamps_s()[self.readings.keyframe_scans()]
-        found = self._places.search(graph.rows(), stamps_s, graph.graph.edges, kept, graph.loops)
+        found = self._places.search(rows, stamps_s, graph.graph.edges, kept, graph.loops)
         if found:
             self._drawn = self._drawn[0], None
         else:
