@@ -161,8 +161,8 @@ class PlaceAnchors:
         outcome, self._laid = anchor(graph, anchors, outcome, inlier_probability, EdgeKind.SURVEY)
         if self._laid is None:
             self.warnings.append(
-                "The surveyed places do not tell how the map lies: survey two that are farther apart, or "
-                "give the start with its yaw_deg"
+                "The surveyed places do not determine the pose of the map: survey two points farther apart, "
+                "or give the start with its yaw_deg"
             )
             return outcome
         self.found = replace(self.found, T_survey_map=self._laid.T_enu_map)
