@@ -48,7 +48,7 @@ def _load(path: Path, account: Account) -> Contents:
 def _imu(path: Path, account: Account) -> ImuFile | None:
     """The IMU that has no part in the truth, else the raw one that has; mounted as the calibration says."""
     if (path / "applanix" / _SMOOTHED).is_file():
-        account.report.ignore(_SMOOTHED, "whether its accelerations hold gravity is not documented")
+        account.report.ignore(_SMOOTHED, "whether its accelerations include gravity is not documented")
     T_applanix_lidar = _calibrated(path / "calib" / "T_applanix_lidar.txt", account)
     T_applanix_imu: gtsam.Pose3 | None = gtsam.Pose3(_R_APPLANIX_RAW, np.zeros(3))
     file, head = first_file(path / "imu" / name for name in _DMU), ""

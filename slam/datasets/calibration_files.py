@@ -120,7 +120,7 @@ def known_beside(path: Path, given: Sequence[Path] = ()) -> KnownCalibration:
             raise DatasetError(f"{file}: {plain(error)}; correct the calibration, or leave it out") from error
     if silent := [file for file in given if file.name not in known.sure]:
         raise DatasetError(
-            f"{silent[0]} tells no lens and no mounting; give a calibration.yaml, a camera_info yaml, a "
+            f"{silent[0]} contains neither lens nor mounting; give a calibration.yaml, a camera_info yaml, a "
             "Kalibr camchain, a URDF, a yaml of tf or what OpenCV wrote"
         )
     for file in _candidates(folder):

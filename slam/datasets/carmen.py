@@ -218,7 +218,7 @@ class _Decoder:
                 layout = BeamLayout(record.start_rad, layout.step_rad)
         if layout.contradiction:
             text = f"{record.kind}: the stated field of view and resolution do not fit {count} beams"
-            self._report.note(f"{text}; the beam count was believed", number)
+            self._report.note(f"{text}; the beam count was used", number)
         return layout
 
     def _mount(self, record: LaserRecord, number: int) -> gtsam.Pose2:

@@ -24,7 +24,7 @@ from slam.datasets.dataset import STAMP_LIMIT_S, RecordFault
 from slam.measurements import FloatArray
 
 WRONG_COUNT = "wrong number of values"
-NOT_A_NUMBER = "not a number where one belongs"
+NOT_A_NUMBER = "not a number where one is expected"
 BAD_POSE = "pose not finite or beyond any robot's reach"
 BAD_STAMP = "stamp not finite or beyond any clock"
 BAD_GEOMETRY = "beam angles not finite"

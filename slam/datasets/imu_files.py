@@ -22,9 +22,9 @@ from slam.datasets.pose_files import by_its_size
 from slam.datasets.recording import Numbered
 from slam.measurements import ImuReading
 
-BAD_ROW = "IMU line without a stamp, turn rate and acceleration"
+BAD_ROW = "IMU line without stamp, angular rate and acceleration"
 
-NO_RATES = "its lines hold no turn rates and accelerations"
+NO_RATES = "its lines hold no angular rates and accelerations"
 
 # Of EuRoC and those after it (TUM-VI), of others; in the folder of the clouds or above it.
 _NAMES = ("imu0/data.csv", "imu/data.csv", "imu.csv", "imu.txt", "imu_data.csv", "ouster_imu.csv")

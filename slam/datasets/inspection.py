@@ -23,7 +23,7 @@ from slam.errors import BadRecordError, DatasetError
 from slam.measurements import Measurement
 
 _SEEING = {"2D lidar", "3D lidar", "RGB-D camera"}
-_BLIND = "nothing that sees is used: neither a scan, nor a cloud, nor colour with depth"
+_BLIND = "no sensor of the surroundings is used: neither a scan, nor a cloud, nor colour with depth"
 
 
 def inspect_dataset(dataset: Dataset, calibration: Calibration | None = None) -> dict[str, Any]:

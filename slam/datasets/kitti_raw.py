@@ -27,7 +27,7 @@ from slam.datasets.stamped_files import BAD_POSE, BAD_STAMP, StampedFile
 from slam.estimates import Trajectory
 from slam.measurements import FloatArray, ImuReading
 
-ONCE_A_CLOUD = "an IMU that is told once a cloud tells nothing of the turn; drives that are not synced do"
+ONCE_A_CLOUD = "one IMU reading per cloud does not resolve the motion within it; unsynced drives do"
 
 _INSIDE, _OXTS = "velodyne_points", "oxts"
 # Places of turn rates and accelerations about the vehicle's own axes, by the publishers' dataformat.txt.

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from slam.datasets.budget import LARGEST_BYTES
 
-NO_LASPY = "clouds in LAS or LAZ, which the extra reads: pip install 'scanweave[las]'"
+NO_LASPY = "clouds in LAS or LAZ; to read them: pip install 'scanweave[las]'"
 
 
 def read_las_points(path: Path) -> dict[str, NDArray[Any]]:

@@ -50,7 +50,7 @@ def _load(path: Path, account: Account) -> Contents:
     if place.name != _LIDARS[0]:
         told = rotation_and_shift(path / _MOUNT_FILE, account) if (path / _MOUNT_FILE).is_file() else None
         if told is None:
-            raise DatasetError(f"{path} has no {_MOUNT_FILE}, which tells how its lidars are tilted; add it")
+            raise DatasetError(f"{path} has no {_MOUNT_FILE}, which contains the tilt of its lidars; add it")
         mounting = told
         account.report.ignore(_OTHER_LIDAR, "one 3D lidar is read")
     clouds = CloudFolder(tuple(files), mounting, with_column_times(KITTI_ROWS))

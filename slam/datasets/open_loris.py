@@ -37,7 +37,7 @@ _MOUNT = ((0.2264837, -0.0511419, 0.916), (-0.4967623, 0.4998796, -0.4951068, 0.
 
 ASSUMED = "the publishers' D435i intrinsics assumed, no sensors.yaml"
 ASSUMED_MOUNT = "the publishers' camera mounting assumed, no trans_matrix.yaml"
-UNALIGNED = "depth taken as registered to colour, no aligned_depth.txt"
+UNALIGNED = "depth assumed to be registered to colour, no aligned_depth.txt"
 
 
 def _camera(folder: Path, account: Account) -> Camera:

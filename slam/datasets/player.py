@@ -62,7 +62,7 @@ class _Words:
             yield from ([b"PARAM", *pair] for pair in zip(_PARAMETERS, data, strict=False))
         elif interface != b"sync":
             other = f"{interface.decode('ascii', 'replace')} {index.decode('ascii', 'replace')}"
-            self._report.ignore(other, "wheels and one flat lidar are read of a log of Player")
+            self._report.ignore(other, "only wheels and one 2D lidar are read from a Player log")
 
 
 def _scan(data: list[bytes], stamp: bytes) -> list[bytes]:

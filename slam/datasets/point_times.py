@@ -53,7 +53,7 @@ class PointTimes:
 
     def told(self, sensor: str) -> list[str]:
         """What people should know, of the lidar of a name."""
-        zero = f"{WARNING}{sensor}: many points tell no time; theirs are by their neighbours in the cloud"
+        zero = f"{WARNING}{sensor}: many points have no time; it is interpolated from their neighbours"
         return [f"{sensor}: {self.choice}"] * bool(self.choice) + [zero] * self._filled
 
     def of(
@@ -105,4 +105,4 @@ class PointTimes:
                 after = "by a clock" if absolute else "after the stamp of the cloud"
                 self.choice = f"times of points from field {found[0]} ({kind}), {unit} {after}"
                 return
-        self.choice = f"times of points in field {found[0]} span {span:g}, which is no turn: not used"
+        self.choice = f"times of points in field {found[0]} span {span:g}, which is no revolution: not used"

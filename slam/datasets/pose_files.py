@@ -19,7 +19,7 @@ from slam.measurements import FloatArray, row_from_pose
 
 # ARKit's camera has x right, y up and looks along -z; an optical frame y down and z forward.
 T_ARKIT_OPTICAL = gtsam.Pose3(gtsam.Rot3(np.diag([1.0, -1.0, -1.0])), np.zeros(3))
-COMPARED = "the phone's own tracking is only compared with"
+COMPARED = "the phone's own tracking is used only for comparison"
 BAD_MATRIX = "pose without a 4 x 4 rigid transform"
 
 # A clock that was ever set tells its unit by its size: seconds until the year 5138, and so on.

@@ -27,8 +27,8 @@ from slam.measurements import pose2_from_row
 
 _SCANS, _WHEELS, _TRUTH = "*SICK_FRONT.csv", "*ODOMETRY_XYT.csv", "*GROUNDTRUTH.csv"
 _OTHERS = ("*SICK_REAR.csv", "*HOKUYO_*.csv")
-_NOT_PLACED = "its place beside SICK_FRONT's is in none of the files"
-_CENTRE = f"{WARNING}SICK_FRONT: where it sits is in none of the files; taken to sit at the robot's centre"
+_NOT_PLACED = "its pose relative to SICK_FRONT is in none of the files"
+_CENTRE = f"{WARNING}SICK_FRONT: its mounting is in none of the files; assumed at the robot's centre"
 # The scanner turns in steps of a degree, its first beam so many quarters of one after -90 degrees.
 _STEP_DEG, _QUARTERS, _GREATEST_M = 1.0, 4.0, b"81.91"
 

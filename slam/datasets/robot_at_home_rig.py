@@ -22,7 +22,7 @@ from slam.vision.camera_frame import T_BODY_CAMERA
 
 LASER = "HOKUYO1"
 BAD_TIME = "observation without a time of this age"
-BAD_SCAN = "scan whose numbers do not fit each other"
+BAD_SCAN = "scan with inconsistent values"
 
 T_BASE_LASER = gtsam.Pose2(0.205, 0.0, 0.0)
 # x, y, z of the optical centres and the yaw of their axes; the cameras lie on their sides.

@@ -38,7 +38,7 @@ from slam.measurements import ColorImage, Float32Array, LaserScan, PointCloud, W
 
 _RUNS = b"DEPTHRVL"
 _LEVEL_RAD, _LEVEL_M = 1e-3, 1e-3  # poses held in the plane are so to the last digit of their floats
-OWN_ODOMETRY = "RTAB-Map's own odometry in space is not used: the cameras are tracked anew"
+OWN_ODOMETRY = "RTAB-Map's own odometry in 3D is not used: the cameras are tracked anew"
 BAD_NODE = "node without a stamp or a pose"
 
 

@@ -127,7 +127,7 @@ class SensorChoice:
             return "sensors.lidar=false leaves it out"
         if kind is LaserScan:
             leader = "a 3D lidar" if self.cloud else "a camera" if self.spatial else ""
-            return leader and f"{leader} leads in space; --set sensors.motion=planar maps by this scanner"
+            return leader and f"{leader} leads in 3D; --set sensors.motion=planar maps by this scanner"
         if self.cloud:
             return ""
         if self.spatial:
@@ -141,7 +141,7 @@ class SensorChoice:
         if not self.cameras:
             return _LATE
         if self.spatial and not self.cloud and sensor != self.cameras[0]:
-            return f"in space only the first camera is used, {self.cameras[0]}; --topics takes others"
+            return f"in 3D only the first camera is used, {self.cameras[0]}; --topics takes others"
         return ""
 
     def _why_not_imu(self, sensor: str) -> str:
@@ -157,7 +157,7 @@ class SensorChoice:
         if not self.config.wheels:
             return "sensors.wheels=false (--no-odometry) leaves it out"
         if self.spatial and not self.cloud:
-            return "a camera leads in space; --set sensors.motion=planar uses wheels"
+            return "a camera leads in 3D; --set sensors.motion=planar uses wheels"
         if self.wheels and sensor != self.wheels:
             return f"one odometry is used, {self.wheels}; --topics takes another"
         return ""

@@ -69,7 +69,7 @@ def _load(path: Path, account: Account) -> Contents:
     """A folder of one scan; depth that ARKit has no trust in is left out."""
     account.report.note(COMPARED, 1)
     if (path / _IMU).is_file():
-        account.report.ignore(_IMU, "nothing tells how it sits beside the camera")
+        account.report.ignore(_IMU, "its pose relative to the camera is unknown")
     rows = _rows(path / _POSES, account)
     depths = numbered_files(path / "depth", r"(\d{1,9})\.(?:png|npy)")
     listed = {number: file for number, file in depths.items() if number in rows}

@@ -24,26 +24,26 @@ from slam.graph.held_graph import held_graph, marginals
 from slam.measurements import IN_PLANE, FloatArray, Pose, motion_between, planar, spatial
 
 _FREEDOM = 3.0
-# Whitened errors settle to that.
+# Tolerance of the iteration, in whitened errors.
 _SETTLED_SIGMAS = 0.01
-# A map that is begun without gravity leans by some degrees; where the earth is nobody knows.
+# A map without gravity tilts by some degrees; the pose of the earth is unknown.
 _LEANS_RAD, NOWHERE_M = 0.05, 1e5
 
 
 @dataclass(frozen=True, slots=True)
 class Anchor:
-    """A place that was measured at a node.
+    """A position measured at a node.
 
     Attributes
     ----------
     node
         Its number.
     place_m, covariance_m2
-        (3,) and (3, 3) east, north, up.
+        (3,) and (3, 3) in east, north, up.
     arm_m
-        (3,) what was measured, an antenna, in the node's frame.
+        (3,) the measured point, such as an antenna, in the node's frame.
     together
-        How many anchors share their error with it, itself among them: so many are one witness.
+        Number of anchors with the same error, itself included: together they count as one.
     """
 
     node: int
@@ -55,20 +55,20 @@ class Anchor:
 
 @dataclass(frozen=True, slots=True)
 class Anchored:
-    """What anchors tell of a map.
+    """A map aligned with its anchors.
 
     Attributes
     ----------
     T_enu_map
-        Where the map lies; of the plane by the median of the heights.
+        Pose of the map; in 2D, its height is the median of the anchors' heights.
     edges
-        From node 0 to those of the anchors that fit, but its own.
+        Edges from node 0 to the nodes of the anchors that fit, without its own.
     from_earth
-        The same from the earth, whose number is that of the nodes, and with those of node 0.
+        The same edges from the earth, the node after the last, including those of node 0.
     scale
-        By how much errors are larger than the anchors claim; 1 where they are not.
+        Factor by which errors are larger than the stated sigmas; 1 if they are not.
     misfits
-        Share of the anchors that do not fit.
+        Share of the anchors rejected.
     """
 
     T_enu_map: gtsam.Pose3
@@ -86,15 +86,15 @@ def anchored(
     Parameters
     ----------
     poses
-        (n,) of the nodes, optimised.
+        (n,) optimised poses of the nodes.
     edges
         That hold.
     kind
-        Of the anchors; those of a receiver may claim too much, and their neighbours show it.
+        Kind of the anchors; the stated sigmas of a receiver are checked against neighbouring fixes.
 
     Returns
     -------
-    None if the way is no longer than the anchors are uncertain: they do not tell how the map is turned.
+    None if the path is no longer than the anchors' sigma: then they do not determine the heading.
     """
     axes = 3 if isinstance(poses[0], gtsam.Pose3) else 2
     places = np.array([one.place_m for one in anchors])
@@ -141,10 +141,9 @@ def anchored(
 
 
 def seen_from_earth(poses: Sequence[Pose], edges: Sequence[Edge], found: Anchored) -> FloatArray:
-    """(n, d, d) covariance of each node where the earth is held, GTSAM's tangent of the node.
+    """Return (n, d, d) covariance of each node with the earth fixed, in GTSAM's tangent of the node.
 
-    ``edges`` are those that hold, and as uncertain as they are together; what is told of the earth from node
-    0 is left out.
+    ``edges`` are the inliers with their joint uncertainty; edges of the earth from node 0 are left out.
     """
     earth = _like(poses[0], found.T_enu_map.inverse())
     kinds = {edge.kind for edge in found.edges}
@@ -158,9 +157,9 @@ def seen_from_earth(poses: Sequence[Pose], edges: Sequence[Edge], found: Anchore
 
 
 def _scale2(seen_m: FloatArray, places_m: FloatArray, spreads: FloatArray, T_map_enu: gtsam.Pose3) -> float:
-    """How much larger squared errors are than claimed: by each anchor and the middle of its neighbours.
+    """Return the factor of the squared errors over the stated ones, from anchors and their neighbours' mean.
 
-    A way that has drifted is off by nearly the same at three places in a row.
+    The drift of a path is nearly the same at three consecutive positions.
     """
     off_m = np.array([T_map_enu.transformFrom(place) for place in places_m])[:, :2] - seen_m[:, :2]
     apart_m = off_m[1:-1] - 0.5 * (off_m[:-2] + off_m[2:])
@@ -172,9 +171,9 @@ def _scale2(seen_m: FloatArray, places_m: FloatArray, spreads: FloatArray, T_map
 
 
 def with_alignment(edges: Sequence[Edge]) -> list[Edge]:
-    """Edges, those of anchors as uncertain as the place of the earth beside: they share its error.
+    """Return edges, those of anchors with the covariance of the earth's pose added: they share its error.
 
-    How it lies was found with all of them, so that their sum tells how well.
+    The pose of the earth is estimated from all of them, so their sum gives its covariance.
     """
     found, groups = list(edges), dict[tuple[int, str], list[int]]()
     for number, edge in enumerate(edges):
@@ -193,7 +192,7 @@ def with_alignment(edges: Sequence[Edge]) -> list[Edge]:
         information = np.einsum("kia,kij,kjb->ab", slopes, np.linalg.inv(spreads), slopes)
         shared = slopes @ np.linalg.inv(information + TINY * np.eye(4)) @ slopes.transpose(0, 2, 1)
         shared = turns.transpose(0, 2, 1) @ shared @ turns
-        if edges[members[0]].kind == EdgeKind.SURVEY:  # few: all share it, as if it were so much larger
+        if edges[members[0]].kind == EdgeKind.SURVEY:  # few: all share it, so it is scaled up
             shared *= len(members)
         for number, more in zip(members, shared, strict=True):
             covariance = edges[number].covariance.copy()
@@ -206,9 +205,9 @@ def with_alignment(edges: Sequence[Edge]) -> list[Edge]:
 
 
 def _of_place(edge: Edge) -> FloatArray:
-    """Covariance (3, 3) of an anchor's place in the node's axes, as if it could not turn.
+    """Return (3, 3) the covariance of an anchor in the node's axes, without rotation.
 
-    In the plane a height of 1 m.
+    In 2D, the height has a sigma of 1 m.
     """
     information = np.linalg.inv(edge.covariance)
     if len(information) == 6:
@@ -219,12 +218,12 @@ def _of_place(edge: Edge) -> FloatArray:
 
 
 def _seen(poses: Sequence[Pose], anchors: Sequence[Anchor]) -> FloatArray:
-    """(k, 3) where what the anchors measured is in the map."""
+    """Return (k, 3) the measured points of the anchors in the map."""
     return np.array([spatial(poses[one.node]).transformFrom(one.arm_m) for one in anchors])
 
 
 def _laid(seen_m: FloatArray, places_m: FloatArray, weights: FloatArray) -> gtsam.Pose3:
-    """``T_map_enu`` that lays places (k, 3) on what was seen, upright; Umeyama 1991, in the plane."""
+    """Return the upright ``T_map_enu`` that aligns positions (k, 3) with the map; Umeyama 1991, in 2D."""
     middles = [np.average(points, axis=0, weights=weights) for points in (seen_m, places_m)]
     (x, y), (east, north) = (
         (points - middle)[:, :2].T for points, middle in zip((seen_m, places_m), middles, strict=True)
@@ -234,7 +233,7 @@ def _laid(seen_m: FloatArray, places_m: FloatArray, weights: FloatArray) -> gtsa
 
 
 def _upright(nodes: Sequence[Pose]) -> Edge:
-    """From node 0 to the earth, the last: that a map hardly leans, and nothing else."""
+    """Return an edge from node 0 to the earth, the last node: it only limits the tilt of the map."""
     nothing, leans = NOWHERE_M**2, _LEANS_RAD**2
     planar = isinstance(nodes[0], gtsam.Pose2)
     variances = [nothing, nothing, math.pi**2] if planar else [leans, leans, math.pi**2, *[nothing] * 3]
@@ -245,9 +244,9 @@ def _upright(nodes: Sequence[Pose]) -> Edge:
 def _edges(
     nodes: Sequence[Pose], source: int, anchors: Sequence[Anchor], scales: FloatArray, kind: EdgeKind
 ) -> list[Edge]:
-    """Each anchor from a node as the earth, the last of the nodes, lies: its place, and no heading.
+    """Return an edge for each anchor, from its node to the earth, the last node: position without heading.
 
-    ``scales`` (k,) is what the covariances are multiplied by.
+    ``scales`` (k,) are factors of the covariances.
     """
     earth, found = nodes[-1], list[Edge]()
     T_source_earth = spatial(motion_between(nodes[source], earth))
@@ -260,7 +259,7 @@ def _edges(
         if isinstance(pose, gtsam.Pose2):
             covariance[:2, :2] = 0.0
         covariance[3:, 3:] = scale * axes.T @ one.covariance_m2 @ axes
-        # It turns about what was measured, not about the node.
+        # The rotation is about the measured point, not about the node.
         adjoint = gtsam.Pose3(gtsam.Rot3(), one.arm_m).AdjointMap()
         covariance = adjoint @ covariance @ adjoint.T
         if isinstance(pose, gtsam.Pose2):
@@ -270,7 +269,7 @@ def _edges(
 
 
 def _like(pose: Pose, other: gtsam.Pose3) -> Pose:
-    """A pose of the plane, seen from above, where the first is one."""
+    """Return a pose projected onto the plane, if the first one is planar."""
     if isinstance(pose, gtsam.Pose3):
         return other
     return planar(other)

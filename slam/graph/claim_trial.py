@@ -21,12 +21,12 @@ from slam.matching.planar import between
 
 
 class ClaimTrial:
-    """Verifies what lies between and beyond the claims of a set.
+    """Verifies the keyframes between and beyond the claims of a set.
 
     Parameters
     ----------
     reach_m
-        Way beyond a set that is tried.
+        Path length beyond a set that is verified.
     """
 
     def __init__(
@@ -38,7 +38,7 @@ class ClaimTrial:
         self._tried: dict[tuple[int, int], LoopCandidate] = {}
 
     def hold(self, members: Sequence[LoopCandidate]) -> tuple[list[LoopCandidate], int]:
-        """Claims that follow from those of a set and fit, too; and how many keyframes fit nowhere."""
+        """Return the matching claims that follow from a set, and the number of keyframes without a match."""
         stretches, way_m = self._stretches, self._submaps.travelled_m
         ways = np.array([way_m(member.keyframe) for member in members])
         more, refused = list[LoopCandidate](), 0
@@ -53,7 +53,7 @@ class ClaimTrial:
         return more, refused
 
     def _verdicts(self, member: LoopCandidate, key: int) -> list[LoopCandidate]:
-        """A keyframe tried at the places where a claim has it, up to the first that it fits."""
+        """Match a keyframe to the places that a claim predicts, up to the first that fits."""
         expected = after(claimed(member), self._sets.way(member.keyframe, key))
         verdicts: list[LoopCandidate] = []
         for place in self._places(member.place, expected, key):
@@ -68,7 +68,7 @@ class ClaimTrial:
         return verdicts
 
     def _places(self, place: int, expected: Motion, key: int) -> list[int]:
-        """Those about a place on the same pass, from which a pose may be seen, nearest first."""
+        """Return places around one on the same pass from which a pose may be visible, nearest first."""
         way_m, config = self._submaps.travelled_m, self._config
         around = self._stretches.between(way_m(place) - self._reach_m, way_m(place) + self._reach_m)
         seen = [between(self._submaps.pose(place), self._submaps.pose(one)) for one in around]

@@ -17,23 +17,23 @@ from slam.measurements import FloatArray, Pose, composed, motion_between
 
 @dataclass(frozen=True, slots=True)
 class Closing:
-    """Loops between the same two stretches of the way.
+    """Loops between the same two sections of the path.
 
     Attributes
     ----------
     place, keyframe
-        Ends of the first of the loops.
+        End nodes of the first of the loops.
     loops
-        How many there are.
+        Number of loops.
     path_m
-        Way from the place to the keyframe.
+        Path length from the place to the keyframe.
     before_m
-        By how much the steps alone miss that loop.
+        Error of that loop by the odometry steps alone.
     after_m, after_sigmas
-        By how much the finished map misses the one of them that it misses most: metres, Mahalanobis distance.
+        Largest residual of the loops in the finished map: metres, Mahalanobis distance.
     without_m
-        Standard deviation of the keyframe seen from the place if these loops were not; infinite where nothing
-        else joins the two.
+        Standard deviation of the keyframe relative to the place without these loops; infinite if nothing else
+        connects the two.
     """
 
     place: int
@@ -47,18 +47,18 @@ class Closing:
 
 
 def closings(held: Sequence[Edge], poses: Sequence[Pose], reach_m: float, most: int) -> list[Closing]:
-    """The loops that closed most, the greatest error of the steps first.
+    """Return the loops that corrected the largest errors of the steps, largest first.
 
     Parameters
     ----------
     held
-        The edges of the graph that the optimisation has kept.
+        The inlier edges of the graph.
     poses
         ``T_map_keyframe`` of all keyframes.
     reach_m
-        Loops belong together where their places, and their keyframes, lie within so much of the way.
+        Loops belong together if their places, and their keyframes, are within this path length.
     most
-        So many at most; those across a break of the steps, as between two sessions, are left out.
+        Largest number returned; loops across a break of the steps, as between sessions, are left out.
     """
     loops = [edge for edge in held if edge.loop is not None]
     if not loops:
@@ -74,7 +74,7 @@ def closings(held: Sequence[Edge], poses: Sequence[Pose], reach_m: float, most: 
             groups.append((_missed(first, tracked)[0], members))
     groups.sort(key=lambda group: -group[0])
     graph = graph_of(len(poses), (edge for edge in held if edge.loop is None))
-    # Those of a group are left out together.
+    # The loops of a group are removed together.
     parts = {_ends(loop): (n, n) for n, (_, members) in enumerate(groups[:most]) for loop in members}
     for ends, motion in together(loops).items():
         graph.add_edge(*ends, motion.pose, motion.covariance, parts.get(ends, (-1, -1)))
@@ -94,7 +94,7 @@ def _ends(loop: Edge) -> tuple[int, int]:
 
 
 def _tracked(edges: Sequence[Edge], poses: Sequence[Pose]) -> tuple[list[Pose], NDArray[np.int64]]:
-    """Where the steps alone lead, and the number of the unbroken piece that each keyframe is in."""
+    """Return the poses by the steps alone, and the unbroken piece of each keyframe."""
     steps = {edge.target: edge for edge in reversed(edges) if edge.source == edge.target - 1}
     tracked, broken = list(poses[:1]), np.zeros(len(poses), np.int64)
     for key in range(1, len(poses)):
@@ -105,7 +105,7 @@ def _tracked(edges: Sequence[Edge], poses: Sequence[Pose]) -> tuple[list[Pose], 
 
 
 def loop_groups(ends: FloatArray, reach: float) -> list[NDArray[np.int64]]:
-    """The loops that belong together, by their numbers: both ends, (n, 2) along the way, within reach."""
+    """Return groups of loops whose ends, (n, 2) along the path, are within reach, by their numbers."""
     from scipy.spatial import cKDTree  # loaded where it is used: that takes 0.1 s
 
     pairs = cKDTree(ends).query_pairs(reach, p=math.inf, output_type="ndarray")
@@ -114,7 +114,7 @@ def loop_groups(ends: FloatArray, reach: float) -> list[NDArray[np.int64]]:
 
 
 def _missed(loop: Edge, poses: Sequence[Pose]) -> tuple[float, float]:
-    """How far poses are from what a loop has measured: metres, and Mahalanobis distance."""
+    """Return the residual of a loop: metres, and Mahalanobis distance."""
     found = motion_between(poses[loop.source], poses[loop.target])
     off = motion_between(loop.T_source_target, found)
     innovation = loop.T_source_target.localCoordinates(found)  # type: ignore[arg-type]

@@ -22,13 +22,13 @@ from slam.measurements import FloatArray, Pose, spatial
 from slam.result_cache import COMPUTED, ResultCache
 from slam.spool import Spool
 
-# How many places of similar rings are compared whole.
+# Number of places with similar ring keys whose full descriptors are compared.
 _SIMILAR_RINGS = 10
 
 
 @dataclass(frozen=True, slots=True)
 class _Guess:
-    """A place to try: where it is expected, how far off that may be, and whether its looks proposed it."""
+    """A candidate place: expected pose, its sigma, and whether it was proposed by appearance."""
 
     place: int
     T_place_base: gtsam.Pose3
@@ -43,9 +43,9 @@ class CloudLoopCloser:
     Parameters
     ----------
     voxel_m
-        Side of a voxel; what the configuration tells in voxels follows the scene.
+        Side of a voxel; settings in voxels scale with the scene.
     clouds
-        Give the points (N, 3) of a keyframe, base frame.
+        Returns the points (N, 3) of a keyframe, base frame.
     """
 
     def __init__(
@@ -64,14 +64,14 @@ class CloudLoopCloser:
         self._travelled_m: list[float] = []
         self._residuals_m: list[float] = []
         self._last_attempt_m, self._last_loop_m = -math.inf, 0.0
-        # A street looks like another for a while.
+        # One street may look like another over some distance.
         self._gaps = UnseenGaps(config.cloud_loops.least_path_voxels * voxel_m)
         self._cache: OrderedDict[int, LocalCloud] = OrderedDict()
 
     def add_keyframe(
         self, points: FloatArray, pose: gtsam.Pose3, residual_m: float = math.nan, *, unseen: bool = False
     ) -> None:
-        """Remember the next keyframe.
+        """Store the next keyframe.
 
         Parameters
         ----------
@@ -82,7 +82,7 @@ class CloudLoopCloser:
         residual_m
             Of its match; NaN where there was none.
         unseen
-            Whether nothing saw the way to it.
+            Whether nothing measured the motion to it.
         """
         if unseen:
             self._gaps.begin(len(self._poses))
@@ -98,7 +98,7 @@ class CloudLoopCloser:
     def close(
         self, key: int, poses: Sequence[Pose], rows: FloatArray, uncertainty: UncertaintyGraph
     ) -> list[LoopCandidate]:
-        """Try the places that a keyframe may have come back to.
+        """Try to close loops with places to which a keyframe may have returned.
 
         Parameters
         ----------
@@ -107,14 +107,14 @@ class CloudLoopCloser:
         poses
             Current estimates of all keyframes, ``T_map_base``.
         rows
-            (n, 3) the same seen from above.
+            (n, 3) the same, projected onto the plane.
         uncertainty
             Gives the relative covariance between the keyframe and the places.
 
         Returns
         -------
-        Every candidate that was tried, accepted or refused; one across ground that nothing saw is kept back
-        until others agree.
+        Every candidate that was tried, accepted or rejected; one across an unobserved gap is withheld until
+        others agree.
         """
         path_m = self._travelled_m[key]
         if not self._loops.enabled or path_m - self._last_attempt_m < self._reach_m:
@@ -123,7 +123,7 @@ class CloudLoopCloser:
         tried: list[LoopCandidate] = []
         for guess in [*self._entailed(key), *self._propose(key, poses, rows, uncertainty)]:
             if tried and tried[-1].accepted:
-                break  # where the robot is, is known
+                break  # the pose of the robot is known
             tried.append(self._verify(key, guess))
         taken = self._gaps.believed(tried, rows, self._travelled_m, uncertainty)
         if any(candidate.accepted for candidate in taken):
@@ -131,7 +131,7 @@ class CloudLoopCloser:
         return taken
 
     def alone(self) -> list[LoopCandidate]:
-        """Those that were kept back to the end, as refused."""
+        """Return the candidates withheld to the end, as rejected."""
         return self._gaps.alone()
 
     def verify(self, place: int, key: int, T_place_base: gtsam.Pose3 | None, sigma_m: float) -> LoopCandidate:
@@ -140,7 +140,7 @@ class CloudLoopCloser:
         Parameters
         ----------
         T_place_base
-            Where it is expected; None for somewhere about the place, turned as it looks the same.
+            Expected pose; None for a pose near the place with the yaw at which it looks the same.
         sigma_m
             Of that.
         """
@@ -153,7 +153,7 @@ class CloudLoopCloser:
     def _propose(
         self, key: int, poses: Sequence[Pose], rows: FloatArray, uncertainty: UncertaintyGraph
     ) -> list[_Guess]:
-        """Places within the uncertainty: the nearest of each pass, then those that look the same."""
+        """Return places within the uncertainty: the nearest of each pass, then those that look the same."""
         loops, config = self._loops, self._config.cloud_loops
         travelled = np.array(self._travelled_m[: key + 1])
         places = np.flatnonzero(travelled[key] - travelled[:key] > config.least_path_voxels * self._voxel_m)
@@ -171,7 +171,7 @@ class CloudLoopCloser:
         chosen: list[_Guess] = []
 
         def apart(place: int) -> bool:
-            """Two places on one pass tell the same."""
+            """Two places on one pass give the same information."""
             return all(abs(travelled[place] - travelled[other.place]) > reach_m for other in chosen)
 
         for n in np.argsort(distances, kind="stable"):
@@ -192,12 +192,12 @@ class CloudLoopCloser:
         return chosen
 
     def _unlike(self, place: int, key: int) -> tuple[float, float]:
-        """`dissimilarity` of the looks of two keyframes."""
+        """Return the `dissimilarity` of the descriptors of two keyframes."""
         one, other = (np.frombuffer(self._contexts[k], np.float32).reshape(RINGS, -1) for k in (place, key))
         return dissimilarity(one, other)
 
     def _entailed(self, key: int) -> list[_Guess]:
-        """Where the newest keyframe is, if loops that wait are true: at the nearest place of then."""
+        """Return the pose of the newest keyframe at the nearest place, if the waiting loops are true."""
         loop = self._gaps.likeliest(key)
         if loop is None or loop.motion is None:
             return []
@@ -215,8 +215,8 @@ class CloudLoopCloser:
         return [_Guess(places[nearest], found[nearest], sigma_m, 1.0, False)]
 
     def _verify(self, key: int, guess: _Guess) -> LoopCandidate:
-        """Register the keyframe to the place, and judge."""
-        # Asked for in any case: what the cache holds must not depend on where the answer comes from.
+        """Register the keyframe to the place, and accept or reject the result."""
+        # Always requested: the content of the cache must not depend on the source of the result.
         local = self._place(guess.place)
         candidate = self._result_cache.cached(
             "cloud loop", float(guess.T_place_base.x()), lambda: self._match(key, guess, local)
@@ -225,7 +225,7 @@ class CloudLoopCloser:
         return candidate
 
     def _match(self, key: int, guess: _Guess, local: LocalCloud) -> LoopCandidate:
-        """Register and judge."""
+        """Register, and accept or reject the result."""
         width_m = self._loops.sigmas * guess.sigma_m + 2.0 * self._voxel_m
         candidate = LoopCandidate(guess.place, key, width_m, 0.0, guess.score, None, False, "")
         scan = thin_evenly(self._clouds(key), self._voxel_m)
@@ -234,12 +234,12 @@ class CloudLoopCloser:
         aligned = local.align(scan, guess.T_place_base, reach_m)
         if aligned is None:
             return candidate.refused("too little fits")
-        # What the wide kernel found, a second start from there makes exact.
+        # A second registration refines the result of the wide kernel.
         again = None if near else local.align(scan, aligned.found.pose)
         return self._judge(candidate, guess, aligned if again is None else again)
 
     def _judge(self, candidate: LoopCandidate, guess: _Guess, aligned: Aligned) -> LoopCandidate:
-        """Accept or refuse a registration."""
+        """Accept or reject a registration."""
         loops, motion = self._loops, aligned.motion
         motion = replace(motion, covariance=motion.covariance * loops.caution)
         candidate = replace(candidate, motion=motion)
@@ -259,7 +259,7 @@ class CloudLoopCloser:
         return replace(candidate, accepted=True)
 
     def _place(self, key: int) -> LocalCloud:
-        """The surroundings of a keyframe in its base frame, by the odometry's short-range accuracy."""
+        """Return the surroundings of a keyframe in its base frame, aligned by the odometry."""
         if key in self._cache:
             self._cache.move_to_end(key)
             return self._cache[key]

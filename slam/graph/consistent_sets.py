@@ -20,7 +20,7 @@ from slam.matching.motion import Motion
 from slam.matching.planar import adjoint, between, compose, rotate_covariance
 from slam.measurements import BoolArray, FloatArray
 
-# What is known of the way from a keyframe to another.
+# Returns the relative covariance of two keyframes.
 Known: TypeAlias = Callable[[int, int], Motion]
 
 
@@ -30,13 +30,13 @@ class ClaimSets:
     Parameters
     ----------
     poses
-        (n, 3) of keyframes by the chain, seen from above.
+        (n, 3) keyframe poses by the chain, projected onto the plane.
     travelled_m
-        (n,) way from the start to each.
+        (n,) path length from the start to each.
     chain
-        How uncertain the poses are of each other.
+        Relative uncertainty of the poses.
     reach_m
-        Claims farther apart along the way do not support each other: that piece of the chain may be bent too.
+        Claims farther apart along the path do not support each other: the chain between may be bent.
     """
 
     def __init__(
@@ -49,7 +49,7 @@ class ClaimSets:
         self._ways: dict[tuple[int, int], Motion] = {}
 
     def add(self, claim: LoopCandidate) -> None:
-        """Take a claim."""
+        """Add a claim."""
         agree = np.array(
             [self.near(claim, other) and self._consistent(claim, other) for other in self._claims]
         )
@@ -58,22 +58,22 @@ class ClaimSets:
         self._claims.append(claim)
 
     def remove(self, claims: Iterable[LoopCandidate]) -> None:
-        """Forget claims."""
+        """Remove claims."""
         gone = {id(claim) for claim in claims}
         left = [n for n, claim in enumerate(self._claims) if id(claim) not in gone]
         self._claims = [self._claims[n] for n in left]
         self._agree = self._agree[np.ix_(left, left)]
 
     def largest(self) -> list[list[LoopCandidate]]:
-        """Disjoint sets of claims that all agree, the largest first."""
+        """Return disjoint sets of claims that all agree, the largest first."""
         return [[self._claims[n] for n in members] for members in largest_cliques(self._agree)]
 
     def entailed(
         self, one: Sequence[LoopCandidate], other: Sequence[LoopCandidate]
     ) -> tuple[int, int, Motion] | None:
-        """A place of one set, an equal or later one of the other, and what both sets say of the way there.
+        """Return a place of each set, the second equal or later, and the motion between them by both.
 
-        None if their keyframes are too far apart to tell.
+        None if their keyframes are too far apart.
         """
         ways = [self._travelled_m[[claim.keyframe for claim in claims]] for claims in (one, other)]
         apart_m = np.abs(np.subtract.outer(*ways))
@@ -86,20 +86,20 @@ class ClaimSets:
         return a.place, b.place, after(onward, back)
 
     def near(self, one: LoopCandidate, other: LoopCandidate) -> bool:
-        """Whether two claims tell of different keyframes not far from each other, and of such places."""
+        """Return whether the keyframes of two claims are different but close, and their places close, too."""
         way_m, ends = self._travelled_m, zip(_ends(one), _ends(other), strict=True)
         apart_m = max(abs(way_m[a] - way_m[b]) for a, b in ends)
         return one.keyframe != other.keyframe and bool(apart_m <= self._reach_m)
 
     def _consistent(self, one: LoopCandidate, other: LoopCandidate) -> bool:
-        """Whether the cycle of two claims and the chain between their places and their keyframes closes."""
+        """Return whether the cycle of two claims and the chain between their ends closes."""
         claims = [claimed(claim) for claim in (one, other)]
         places, keyframes = (self.way(a, b) for a, b in zip(_ends(one), _ends(other), strict=True))
         first = after(claims[0], keyframes)
         return first.agrees(after(places, claims[1]))
 
     def way(self, start: int, end: int) -> Motion:
-        """What the chain says of the way from a keyframe to another."""
+        """Return the motion from one keyframe to another by the chain, with its covariance."""
         if start == end:
             return Motion(np.zeros(3), np.zeros((3, 3)))
         if (start, end) not in self._ways:
@@ -108,11 +108,11 @@ class ClaimSets:
 
 
 def largest_cliques(agree: BoolArray) -> list[list[int]]:
-    """Disjoint sets that all agree, the largest first; (n, n) symmetric, False on its diagonal.
+    """Return disjoint sets that all agree, the largest first; (n, n) symmetric, False on its diagonal.
 
-    Each begins with the one that most others agree with, and takes on those that most of the rest agree with.
+    Each starts with the claim with most agreements, and adds those that agree with most of the rest.
     """
-    left, ones = np.ones(len(agree), np.bool_), agree.astype(np.float32)  # which BLAS counts
+    left, ones = np.ones(len(agree), np.bool_), agree.astype(np.float32)  # counted by BLAS
     cliques = []
     while left.any():
         candidates, members = left.copy(), list[int]()
@@ -130,12 +130,12 @@ def _ends(claim: LoopCandidate) -> tuple[int, int]:
 
 
 def claimed(claim: LoopCandidate) -> Motion:
-    """Pose of the keyframe seen from the place, from above."""
+    """Return the pose of the keyframe in the frame of the place, projected onto the plane."""
     return from_above(claim.edge(0))
 
 
 def after(one: Motion, other: Motion) -> Motion:
-    """Two motions in a row."""
+    """Return the composition of two motions."""
     back = adjoint(between(other.pose, np.zeros(3)))
     covariance = rotate_covariance(back, one.covariance) + other.covariance
     return Motion(compose(one.pose, other.pose), covariance)

@@ -30,7 +30,7 @@ class EdgeKind(StrEnum):
     SURVEY = "survey"
 
 
-# Not one of them has seen where a robot went.
+# None of these has measured the motion of a robot.
 GUESSES = (EdgeKind.WHEEL, EdgeKind.ASSUMED, EdgeKind.IMU)
 
 

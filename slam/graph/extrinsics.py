@@ -20,11 +20,11 @@ from slam.errors import GraphError
 from slam.graph.hand_eye import Fit, Motions, refine, search
 from slam.measurements import IN_PLANE, BoolArray, FloatArray, Pose
 
-# GTSAM's order, seen from the base.
+# GTSAM's order, base frame.
 _NAMES = ("roll", "pitch", "yaw", "x", "y", "height")
-# Sigma of what nothing tells, in units of the vague sigmas.
+# Sigma of undetermined directions, in units of the vague sigmas.
 _UNKNOWN = 100.0
-# An axis is called unobservable when this share of it lies in the space that nothing tells.
+# An axis is called unobservable if this share of it is in the undetermined subspace.
 _UNTOLD_SHARE = 0.05
 _SETTLED = 0.01
 
@@ -62,7 +62,7 @@ class ExtrinsicsSettings:
     tilt_sigma_rad, heave_sigma_m
         How far a planar robot leaves its plane in one step.
     vague_sigma_rad, vague_sigma_m
-        A direction of the mount known worse than this, seen from the base, is called unobservable.
+        A direction of the mounting, base frame, with a larger sigma is called unobservable.
     """
 
     inlier_probability: float = 0.99
@@ -74,24 +74,24 @@ class ExtrinsicsSettings:
 
 @dataclass(frozen=True, slots=True)
 class ExtrinsicsResult:
-    """The mount and its trust.
+    """The mounting and its uncertainty.
 
     Attributes
     ----------
     T_base_camera
-        Unobservable directions are as the start had them; without a start, as a camera at the base's origin
-        that looks forward would.
+        Unobservable directions keep the start values; without a start, those of a forward-looking camera at
+        the base origin.
     covariance
-        (6, 6) in GTSAM's order, in the camera's frame; unobservable directions have a hundred times the sigma
-        that counts as vague.
+        (6, 6) in GTSAM's order, in the camera's frame; unobservable directions have a hundred times the vague
+        sigma.
     unobservable
-        Among roll, pitch, yaw, x, y, height, seen from the base; ``("all",)`` where nothing is reported.
+        Among roll, pitch, yaw, x, y, height in the base frame; ``("all",)`` if nothing is reported.
     inliers
         (N,) pairs that agree.
     inlier_share
         Their share, 0 without a pair.
     converged
-        Whether the iteration settled on something that was reported.
+        Whether the iteration converged to a reported result.
     """
 
     T_base_camera: gtsam.Pose3
@@ -110,7 +110,7 @@ def estimate_extrinsics(pairs: Sequence[MotionPair], start: gtsam.Pose3 | None =
     pairs
         All planar or all spatial; a third of them may be false. Steps should turn by more than their noise.
     start
-        ``T_base_camera`` as believed; it may be wrong, and it may be missing.
+        Assumed ``T_base_camera``; it may be wrong or missing.
 
     Raises
     ------
@@ -132,7 +132,7 @@ def estimate_extrinsics(pairs: Sequence[MotionPair], start: gtsam.Pose3 | None =
     untold = _untold_space(fit, vague)
     mount = _restored(fit, nominal, untold, vague)
     agreeing = [pair for pair, keep in zip(pairs, fit.inliers, strict=True) if keep]
-    # What is held keeps its place; covariances of axes scaled by the vague sigmas, seen from the base.
+    # Held directions keep their values; covariances in the base frame, scaled by the vague sigmas.
     holding = (10 * SETTLED) ** 2 * untold + _UNKNOWN**2 * (np.eye(6) - untold)
     mount, covariance = _solve_graph(agreeing, mount, _from_base(mount, holding, vague), fit.scale, settings)
     covariance = covariance + _from_base(mount, _UNKNOWN**2 * untold, vague)
@@ -142,7 +142,7 @@ def estimate_extrinsics(pairs: Sequence[MotionPair], start: gtsam.Pose3 | None =
 def camera_step_factor(
     keys: tuple[int, int, int], camera_step: gtsam.Pose3, noise: gtsam.noiseModel.Base, planar: bool
 ) -> gtsam.CustomFactor:
-    """A camera step as a factor of two base poses and of the mount.
+    """Return a camera step as a factor of two base poses and the mounting.
 
     Error: Log(inverse(camera_step) inverse(X) inverse(pose_i) pose_j X), in the frame at the step's end.
 
@@ -151,7 +151,7 @@ def camera_step_factor(
     keys
         Of pose_i, pose_j (Pose2 where planar, else Pose3) and X = ``T_base_camera`` (Pose3).
     noise
-        Of the camera step, six dimensions; in the plane it should hold the base's tilt and heave too.
+        Of the camera step, six dimensions; in 2D it should include the base's tilt and heave.
     """
     return gtsam.CustomFactor(noise, list(keys), _step_error(camera_step.inverse(), planar))
 
@@ -159,7 +159,7 @@ def camera_step_factor(
 def _step_error(
     to_camera: gtsam.Pose3, planar: bool
 ) -> Callable[[gtsam.CustomFactor, gtsam.Values, list[FloatArray] | None], FloatArray]:
-    """Error and Jacobians of a camera step, perturbations on the right."""
+    """Return the error and Jacobians of a camera step, perturbations on the right."""
 
     def error(
         factor: gtsam.CustomFactor, values: gtsam.Values, jacobians: list[FloatArray] | None
@@ -190,9 +190,9 @@ def _solve_graph(
     scale: float,
     settings: ExtrinsicsSettings,
 ) -> tuple[gtsam.Pose3, FloatArray]:
-    """Base poses in a chain of the base steps, the mount joined by the camera steps; mount and covariance.
+    """Solve for base poses chained by base steps and the mounting; return the mounting and its covariance.
 
-    Only the steps matter, so that pairs that follow each other in the chain need not do so in time.
+    Only the steps matter, so consecutive pairs in the chain need not be consecutive in time.
     """
     planar = isinstance(pairs[0].base_step, gtsam.Pose2)
     # Pose2 and Pose3 alike.
@@ -219,7 +219,7 @@ def _solve_graph(
 
 
 def _untold_space(fit: Fit, vague: FloatArray) -> FloatArray:
-    """(6, 6) projector on the directions left vague; seen from the base, axes scaled by the vague sigmas."""
+    """Return (6, 6) the projector on undetermined directions; base frame, scaled by the vague sigmas."""
     axes = _base_axes(gtsam.Pose3(gtsam.Rot3(fit.R), fit.t))
     information = np.outer(vague, vague) * (axes @ fit.information @ axes.T) / fit.scale**2
     strengths, directions = np.linalg.eigh(information)
@@ -228,7 +228,7 @@ def _untold_space(fit: Fit, vague: FloatArray) -> FloatArray:
 
 
 def _restored(fit: Fit, nominal: gtsam.Pose3, untold: FloatArray, vague: FloatArray) -> gtsam.Pose3:
-    """The fitted mount, moved to the nominal one where nothing tells."""
+    """Return the fitted mounting, with the nominal values in undetermined directions."""
     rotation = gtsam.Rot3(fit.R)
     apart = gtsam.Rot3.Logmap(nominal.rotation().compose(rotation.inverse()))
     offset = np.concatenate([apart, nominal.translation() - fit.t])
@@ -237,7 +237,7 @@ def _restored(fit: Fit, nominal: gtsam.Pose3, untold: FloatArray, vague: FloatAr
 
 
 def _from_base(mount: gtsam.Pose3, covariance: FloatArray, vague: FloatArray) -> FloatArray:
-    """(6, 6) in the camera's frame of a covariance over scaled axes of the base."""
+    """Return (6, 6) in the camera frame for a covariance over scaled axes of the base."""
     axes = _base_axes(mount)
     turned: FloatArray = axes.T @ (np.outer(vague, vague) * covariance) @ axes
     return turned
@@ -246,7 +246,7 @@ def _from_base(mount: gtsam.Pose3, covariance: FloatArray, vague: FloatArray) ->
 def _result(
     fit: Fit, mount: gtsam.Pose3, covariance: FloatArray, untold: FloatArray, vague: FloatArray
 ) -> ExtrinsicsResult:
-    """Names and trust."""
+    """Return the result with its unobservable directions and covariance."""
     unobservable = np.diag(untold) > _UNTOLD_SHARE
     last_step = _base_axes(mount) @ fit.last_step / vague
     settled = np.abs(last_step - untold @ last_step).max() < _SETTLED
@@ -261,18 +261,18 @@ def _result(
 
 
 def _base_axes(mount: gtsam.Pose3) -> FloatArray:
-    """(6, 6) turns a twist of the mount, camera frame, to the axes of the base."""
+    """Return (6, 6) that rotates a twist of the mounting from the camera frame to the axes of the base."""
     return np.asarray(np.kron(np.eye(2), mount.rotation().matrix()), dtype=np.float64)
 
 
 def _out_of_plane(settings: ExtrinsicsSettings) -> FloatArray:
-    """(6, 6) what the plane hides of a step's noise."""
+    """Return (6, 6) the noise of a step out of the plane."""
     tilt, heave = settings.tilt_sigma_rad**2, settings.heave_sigma_m**2
     return np.diag([tilt, tilt, 0.0, 0.0, 0.0, heave])
 
 
 def _motions(pairs: Sequence[MotionPair], settings: ExtrinsicsSettings) -> Motions:
-    """The pairs as arrays, planar steps lifted into space."""
+    """Return the pairs as arrays, planar steps lifted to 3D."""
     base, base_covariances = [], []
     for pair in pairs:
         if isinstance(pair.base_step, gtsam.Pose2):
@@ -295,7 +295,7 @@ def _motions(pairs: Sequence[MotionPair], settings: ExtrinsicsSettings) -> Motio
 
 
 def _check(pairs: Sequence[MotionPair], start: gtsam.Pose3 | None) -> None:
-    """Refuse what GTSAM would take silently."""
+    """Raise an error for input that GTSAM would accept silently."""
     if start is not None and not np.isfinite(start.matrix()).all():
         raise GraphError("the start of T_base_camera is not finite; leave it out instead")
     if len({isinstance(pair.base_step, gtsam.Pose2) for pair in pairs}) > 1:

@@ -17,7 +17,7 @@ _CAUCHY_SIGMAS = 1.0
 
 
 def mapping_noise(edge: Edge) -> gtsam.noiseModel.Base:
-    """Noise of an edge during mapping: robust where it may be refused."""
+    """Return the noise of an edge during mapping: robust if it may be rejected."""
     noise = gtsam.noiseModel.Gaussian.Covariance(edge.covariance)
     if edge.trusted:
         return noise
@@ -26,35 +26,35 @@ def mapping_noise(edge: Edge) -> gtsam.noiseModel.Base:
 
 
 def between_factor(edge: Edge, noise: gtsam.noiseModel.Base) -> gtsam.NonlinearFactor:
-    """The factor of an edge."""
+    """Return the factor of an edge."""
     if isinstance(edge.T_source_target, gtsam.Pose2):
         return gtsam.BetweenFactorPose2(edge.source, edge.target, edge.T_source_target, noise)
     return gtsam.BetweenFactorPose3(edge.source, edge.target, edge.T_source_target, noise)
 
 
 def weighted(edge: Edge, weight: float) -> gtsam.NonlinearFactor:
-    """The factor of an edge, less certain by a weight, 0..1."""
-    # Next to nothing, for GTSAM knows no weight of zero.
+    """Return the factor of an edge with its information scaled by a weight, 0..1."""
+    # Nearly zero, since GTSAM accepts no weight of zero.
     return between_factor(edge, gtsam.noiseModel.Gaussian.Covariance(edge.covariance / max(weight, TINY)))
 
 
 def gauge(origin: Pose) -> gtsam.NonlinearFactor:
-    """Hold node 0: the gauge, not a measurement."""
+    """Return the prior that fixes node 0: the gauge, not a measurement."""
     dimension = 3 if isinstance(origin, gtsam.Pose2) else 6
     return prior(0, origin, gtsam.noiseModel.Isotropic.Sigma(dimension, 1e-4))
 
 
 def prior(node: int, pose: Pose, noise: gtsam.noiseModel.Base) -> gtsam.NonlinearFactor:
-    """The factor of a node that is known to lie somewhere."""
+    """Return the prior of a node with a known pose."""
     if isinstance(pose, gtsam.Pose2):
         return gtsam.PriorFactorPose2(node, pose, noise)
     return gtsam.PriorFactorPose3(node, pose, noise)
 
 
 def solved(graph: gtsam.NonlinearFactorGraph, start: gtsam.Values, most_steps: int = 100) -> gtsam.Values:
-    """Least squares by damped steps; as many as GTSAM takes, or fewer. One needs no damping if it helps."""
+    """Solve least squares by at most so many damped steps; a single step is undamped if that helps."""
     if most_steps == 1:
-        with suppress(RuntimeError):  # of what the edges leave open
+        with suppress(RuntimeError):  # the graph is singular
             moved = start.retract(graph.linearize(start).optimize())
             if graph.error(moved) <= graph.error(start):
                 return moved
@@ -64,13 +64,13 @@ def solved(graph: gtsam.NonlinearFactorGraph, start: gtsam.Values, most_steps: i
 
 
 def begun(edges: Sequence[Edge], held: gtsam.NonlinearFactor) -> gtsam.Values:
-    """Where nodes are by edges alone: LAGO (Carlone 2014) in the plane, chordal initialisation in space."""
+    """Return initial poses from edges alone: LAGO (Carlone 2014) in 2D, chordal initialisation in 3D."""
     planar = isinstance(held, gtsam.PriorFactorPose2)
     graph = gtsam.NonlinearFactorGraph()
     graph.add(held)
     for edge in edges:
         noise = gtsam.noiseModel.Gaussian.Covariance(edge.covariance)
-        if planar:  # LAGO takes no correlated noise; for a start the variances are enough
+        if planar:  # LAGO accepts no correlated noise; for initialisation, the variances suffice
             noise = gtsam.noiseModel.Diagonal.Variances(np.diag(edge.covariance))
         graph.add(between_factor(edge, noise))
     return gtsam.lago.initialize(graph) if planar else gtsam.InitializePose3.initialize(graph)

@@ -19,23 +19,23 @@ def share_faults(
     claimed: FloatArray,
     covariance: FloatArray,
 ) -> tuple[float, FloatArray]:
-    """Least squares by Gauss and Newton, with whole turns.
+    """Distribute the error by Gauss-Newton with exact rotations.
 
     Parameters
     ----------
     way
-        (n, 3) x, y, yaw of poses in a row.
+        (n, 3) x, y, yaw of consecutive poses.
     parts
-        (k, 2) first and last pose of each step that may be wrong, in their order, none within another.
+        (k, 2) first and last pose of each step that may be wrong, in order, not nested.
     wrong
-        (k, 3, 3) how wrong each may be, in the frame of its last pose.
+        (k, 3, 3) covariance of the error of each, in the frame of its last pose.
     end, claimed, covariance
-        A pose behind them; (3,) it seen from the first as somebody claims; (3, 3) how far it may be off apart
-        from these steps, in its own frame.
+        A later pose; (3,) its claimed pose in the frame of the first; (3, 3) its covariance apart from these
+        steps, in its own frame.
 
     Returns
     -------
-    The squared sigmas that are left, of the steps and of the claim, and the way (n, 3) that they lead.
+    The remaining squared sigmas, of the steps and of the claim, and the resulting path (n, 3).
 
     Examples
     --------
@@ -55,7 +55,7 @@ def share_faults(
     for _ in range(ROUNDS):
         rests = _rests(sure, told, off)
         missed = between(rests[0], claimed)
-        # How far a change of a step, seen from where it ends, changes what it is off.
+        # Derivative of the step's error with respect to a change of the step, in the frame of its end.
         turns = [adjoint(one * [0.0, 0.0, 1.0]) for one in off]
         slopes = np.hstack([adjoint(between(rest, np.zeros(3))) for rest in rests[1:]])
         hessian, pull = slopes.T @ information @ slopes, slopes.T @ information @ missed
@@ -78,7 +78,7 @@ def share_faults(
 
 
 def _rests(sure: list[FloatArray], told: list[FloatArray], off: list[FloatArray]) -> list[FloatArray]:
-    """The end seen from the beginning, and from the end of each wrong step."""
+    """Return the end relative to the beginning, and to the end of each wrong step."""
     rests = [sure[-1]]
     for way, step, one in zip(sure[-2::-1], told[::-1], off[::-1], strict=True):
         rests.insert(0, compose(way, compose(compose(step, one), rests[0])))

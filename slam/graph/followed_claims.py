@@ -28,7 +28,7 @@ from slam.measurements import FloatArray
 
 
 class Claim(NamedTuple):
-    """That a keyframe is at a place; what each scan along both ways says, in nats, and those that fit."""
+    """Claim that a keyframe is at a place; evidence in nats of each scan on both paths, and matches."""
 
     place: int
     keyframe: int
@@ -38,18 +38,18 @@ class Claim(NamedTuple):
 
 
 class FollowedClaims:
-    """Claims, each followed once along the chain, and which of them an estimate lets one believe."""
+    """Claims, each followed once along the chain, and the selection of those plausible by an estimate."""
 
     def __init__(self, submaps: SubmapStore, config: LoopConfig, match: MatchConfig, window_m: float) -> None:
         self._submaps, self._config, self._match = submaps, config, match
-        # As much as tells two hypotheses apart; the most that looks count, for a whole wing may be a copy.
+        # Evidence that separates two hypotheses; limit of appearance, since a whole wing may be a copy.
         self._least, self._most = (share * gate(3, config.inlier_probability) for share in (0.5, 1.0))
         self._window = 2.0 * math.pi * (2.0 * window_m) ** 2
-        # The least that is said of where a way ends.
+        # Lower limit of the evidence on where a path ends.
         self._claims, self._least_nats = list[Claim](), -math.inf
 
     def follow(self, place: int, keyframe: int, pose: FloatArray) -> None:
-        """Take a claim: the pose (3,) of a keyframe in the frame of a place, searched in a window."""
+        """Add a claim: the pose (3,) of a keyframe in the frame of a place, found in a search window."""
         nats, fits = self._judged(place, keyframe, pose)
         told, begun = {keyframe: nats}, found_motion(fits[0]).pose if fits else pose
         for onward in (1, -1):
@@ -67,7 +67,7 @@ class FollowedClaims:
                 told[key], fit = self._judged(at, key, expected)
                 said, expected = said + told[key], found_motion(fit[0]).pose if fit else expected
                 fits += fit
-        # How often unseen steps are wrong will be known when it is asked for.
+        # The error rate of unobserved steps is known only when it is needed.
         if self._looks(told, keyframe, 0.5) > 0.5 * self._least:
             sigma_m = self._match.coarse_cell_m / self._config.sigmas
             covariance = diagonal(sigma_m**2, sigma_m**2, (sigma_m / self._config.reach_m) ** 2)
@@ -76,17 +76,17 @@ class FollowedClaims:
     def believed(
         self, untied: Sequence[int], poses: FloatArray, known: Known, loose: Known, faulty: FaultySteps
     ) -> list[LoopCandidate]:
-        """Loops of the likeliest claims by an estimate, poses (n, 3); else of those that bear out each other.
+        """Return loops of the likeliest claims by an estimate, poses (n, 3); else of those that agree.
 
         Parameters
         ----------
         untied
-            Keyframes that no loop ties to an earlier place.
+            Keyframes that no loop connects to an earlier place.
         known, loose
-            What the estimate says of a way, and what it says where steps that wheels alone tell may be wrong.
+            Relative covariances by the estimate, and those if steps measured only by wheels may be wrong.
         """
         claims = [one for one in self._claims if one.keyframe in untied]
-        # However uncertain the way, it ends on the map.
+        # However uncertain the path, it ends in the map.
         on_map = 2.0 * math.pi * float(np.ptp(poses[:, :2], axis=0).max()) ** 2
         self._least_nats = -math.log(max(on_map / self._window, 1.0))
         looks = [self._looks(one.told, one.keyframe, faulty.lone.share) for one in claims]
@@ -112,9 +112,9 @@ class FollowedClaims:
     def _agreeing(
         self, claims: list[Claim], odds: list[float], known: Known, loose: Known, faulty: FaultySteps
     ) -> list[Claim]:
-        """The likeliest claims that agree on how wrong steps were that wheels alone tell.
+        """Return the likeliest claims that agree on the errors of steps measured only by wheels.
 
-        That is paid for once, and what a scan says counts once.
+        The cost of these errors and the evidence of each scan count once.
         """
         ways = [self._likeliest(one, known, loose, faulty) for one in claims]
         able = [n for n, nats in enumerate(ways) if self._most + nats > 0.0]
@@ -125,7 +125,7 @@ class FollowedClaims:
             told: dict[int, float] = {}
             for key, nats in (item for m in same for item in claims[m].told.items()):
                 told[key] = max(nats, told.get(key, nats))
-            # A whole wing may be a copy; where two have no scan in common less so.
+            # A whole wing may be a copy; less likely if two claims have no scan in common.
             most = self._most + self._least * any(self._apart(one, claims[m]) for m in same)
             sets[n] = min(self._looks(told, one.keyframe, faulty.lone.share), most) + ways[n], same
         for n, (odd, same) in sorted(sets.items(), key=lambda item: -item[1][0]):
@@ -141,7 +141,7 @@ class FollowedClaims:
         return []
 
     def _likeliest(self, one: Claim, known: Known, loose: Known, faulty: FaultySteps) -> float:
-        """What the way says of a claim, in nats: as it is known, or with steps, or one of them, wrong."""
+        """Return the evidence of the path for a claim, in nats: as estimated, or with wrong steps."""
         ends = one.place, one.keyframe
         way = known(*ends)
         return max(
@@ -151,7 +151,7 @@ class FollowedClaims:
         )
 
     def _borne(self, one: Claim, other: Claim, known: Known) -> float:
-        """By how many nats a claim makes another likelier."""
+        """Return by how many nats a claim makes another one likelier."""
         onward = after(one.said, known(one.keyframe, other.keyframe))
         way = after(known(other.place, one.place), onward)
         away_m = math.dist(way.pose[:2], other.said.pose[:2])
@@ -160,7 +160,7 @@ class FollowedClaims:
         return self._expected(way, other)
 
     def _looks(self, told: dict[int, float], keyframe: int, share: float) -> float:
-        """What all scans say; those behind a step that nothing saw no more than that it may be wrong."""
+        """Return the evidence of all scans; after an unobserved step, its error probability limits it."""
         said = {1: 0.0, -1: 0.0}
         for onward in said:
             for key in sorted(told, key=lambda key: -onward * key):
@@ -172,11 +172,11 @@ class FollowedClaims:
         return told[keyframe] + sum(said.values())
 
     def _apart(self, one: Claim, other: Claim) -> bool:
-        """Whether no scan speaks for both of two claims."""
+        """Return whether no scan supports both of two claims."""
         return abs(one.keyframe - other.keyframe) > 2 * self._config.half_keyframes
 
     def _expected(self, way: Motion, claim: Claim) -> float:
-        """By how many nats the way to a claim's keyframe makes it likelier than a pose anywhere in a window.
+        """Return the log likelihood ratio of a claim by the path, against any pose in the window, in nats.
 
         The tails are heavy: steps may be grossly wrong.
         """
@@ -188,7 +188,7 @@ class FollowedClaims:
         return max(nats, self._least_nats) - tail
 
     def _nearest(self, place: int, pose: FloatArray, key: int) -> tuple[int, FloatArray] | None:
-        """The place next to a pose (3,), of those near one on its way, and the pose from there."""
+        """Return the place nearest to a pose (3,), near a place on its path, and the pose in its frame."""
         submaps, nearest = self._submaps, None
         away_m = submaps.wide_m(self._config.reach_m, 2.0)
         for one in range(max(0, place - 3), min(len(submaps), place + 4)):
@@ -199,10 +199,10 @@ class FollowedClaims:
         return nearest
 
     def _judged(self, place: int, key: int, pose: FloatArray) -> tuple[float, list[LoopCandidate]]:
-        """What a scan matched about a pose (3,) says, in nats; and the loop that it is, if it fits.
+        """Return the evidence of a scan matched near a pose (3,), in nats; and the loop, if it fits.
 
-        Of the points at a true place no more than a few contradict it, and few false ones fit so well: for
-        that it is some four times likelier, as measured, and unlikelier the more of them do.
+        At a true place, few points contradict the map, and few false places fit so well: a fit counts as
+        about four times likelier, as measured, and less with more contradictions.
         """
         local_map, scan = self._submaps.surroundings(place), self._submaps.scan(key)
         config, match = self._config, self._match
@@ -212,7 +212,7 @@ class FollowedClaims:
         found = local_map.align(scan, pose)
         contradicted = local_map.contradicted(scan, found.pose)
         if contradicted > few or found.inlier_share < config.least_overlap:
-            # The step before may be off by more than an alignment mends.
+            # The step before may be wrong by more than an alignment corrects.
             window = pose, config.every_m, match.search_half_yaw_rad / 4, match.search_least_score
             better = search_window(self._submaps.field(place), scan.thinned(match.search_points), *window)
             again = local_map.align(scan, better.pose)
@@ -223,7 +223,7 @@ class FollowedClaims:
         nats = max(math.log(4) * (1.0 - contradicted / few), -2)
         if nats <= 0.0 or found.inlier_share < config.least_overlap or key < place:
             return nats, []
-        # What may lie elsewhere told that it fits, but not where the place itself lies.
+        # Surroundings with an uncertain pose show that it fits, but not the pose of the place itself.
         found = self._submaps.surroundings(place, own=True).align(scan, found.pose)
         if found.inlier_share < config.least_overlap:
             return nats, []

@@ -12,7 +12,7 @@ from slam.measurements import FloatArray, Pose, spatial
 
 
 def upright_poses(poses: Sequence[Pose], down: dict[int, Gravity]) -> list[gtsam.Pose3]:
-    """All poses of a map, turned as one so that gravity at its nodes points down on average."""
+    """Rotate all poses of a map together so that gravity at the nodes points down on average."""
     seen = [spatial(poses[key]).rotation().rotate(one.down) / one.sigma_rad**2 for key, one in down.items()]
     mean = np.sum(seen, axis=0)
     turn = gtsam.Pose3(upright_of(mean / np.linalg.norm(mean)), np.zeros(3))
@@ -20,14 +20,14 @@ def upright_poses(poses: Sequence[Pose], down: dict[int, Gravity]) -> list[gtsam
 
 
 def gravity_factors(down: dict[int, Gravity]) -> Iterator[gtsam.NonlinearFactor]:
-    """One for each node at which gravity is known."""
+    """Return one factor for each node with known gravity."""
     for key, one in down.items():
         noise = gtsam.noiseModel.Isotropic.Sigma(2, one.sigma_rad)
         yield gtsam.AttitudeFactorPose3(key, gtsam.Unit3(0.0, 0.0, -1.0), noise, gtsam.Unit3(one.down))
 
 
 def heading_alone(origin: Pose, held: FloatArray) -> FloatArray:
-    """Covariance (6, 6) of a node whose roll and pitch gravity tells: a radian on what holds it else."""
+    """Return (6, 6) the prior of a node whose roll and pitch gravity measures: there 1 rad is added."""
     upright = np.asarray(spatial(origin).rotation().matrix())[2]
     covariance = held.copy()
     covariance[:3, :3] += np.eye(3) - np.outer(upright, upright)

@@ -15,7 +15,7 @@ import numpy as np
 from fusion.estimation import FEWEST, ROUNDS, gate
 from slam.measurements import BoolArray, FloatArray
 
-# How far a camera may sit from the base, for the weights of the search only.
+# Typical distance of a camera from the base, only for the weights of the search.
 _SEARCH_LEVER_M = 0.3
 _LONGEST_TURN_RAD = 0.6
 _LONGEST_SHIFT_M = 1.0
@@ -49,7 +49,7 @@ class Motions:
         variances = np.diagonal(self.covariance_base, axis1=1, axis2=2)
         angles = np.linalg.norm(_rotation_vectors(self.R_base), axis=1)
         lengths = np.linalg.norm(self.t_base, axis=1)
-        # A motion that may be noise must not pass for excitation.
+        # A motion that may be noise must not count as excitation.
         sigmas = math.sqrt(gate())
         turning: BoolArray = angles > sigmas * np.sqrt(variances[:, :3].max(axis=1))
         moving: BoolArray = lengths > sigmas * np.sqrt(variances[:, 3:].max(axis=1))
@@ -58,22 +58,22 @@ class Motions:
 
 @dataclass(frozen=True, slots=True)
 class Fit:
-    """A mount and how the pairs meet it.
+    """A mounting and the residuals of the pairs.
 
     Attributes
     ----------
     R, t
         Rotation (3, 3) and translation (3,) of ``T_base_camera``.
     information
-        (6, 6) in the camera's frame, from significant motions of the inliers; zero where nothing is reported.
+        (6, 6) in the camera's frame, from significant motions of the inliers; zero if nothing is reported.
     errors
-        (N, 6) camera motion as predicted less as measured.
+        (N, 6) predicted minus measured camera motion.
     inliers
         (N,) pairs within the gate.
     scale
         Measured noise over stated noise, standard deviations, from the inliers.
     last_step
-        (6,) the last twist of the iteration, camera's frame; small where it settled.
+        (6,) last twist of the iteration, camera frame; small if it converged.
     """
 
     R: FloatArray
@@ -86,7 +86,7 @@ class Fit:
 
 
 def linearise(motions: Motions, R: FloatArray, t: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Errors and Jacobians for one mount or many.
+    """Return errors and Jacobians for one mounting or many.
 
     Parameters
     ----------
@@ -118,7 +118,7 @@ def linearise(motions: Motions, R: FloatArray, t: FloatArray) -> tuple[FloatArra
 
 
 def covariances(motions: Motions, R: FloatArray, t: FloatArray) -> FloatArray:
-    """(N, 6, 6) of the errors: the camera's, and the base's seen from the mount."""
+    """Return (N, 6, 6) covariances of the errors: the camera's, plus the base's in the camera frame."""
     back = np.zeros((6, 6))
     back[:3, :3] = back[3:, 3:] = R.T
     back[3:, :3] = -R.T @ _cross(t)
@@ -126,10 +126,10 @@ def covariances(motions: Motions, R: FloatArray, t: FloatArray) -> FloatArray:
 
 
 def search(motions: Motions, R_start: FloatArray, t_start: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """A rough mount from a start, right or wrong: Gauss-Newton from it and all right-angled ones at once.
+    """Find a rough mounting by Gauss-Newton from the start and from all right-angled mountings at once.
 
-    Bad pairs bend it, and ``refine`` drops them: annealing them away here too changed no result. One variance
-    a pair for rotation and one for translation, so that no mount is favoured by the noise of its lever arm.
+    Outliers distort it, and ``refine`` rejects them: annealing here as well changed no result. Each pair has
+    one variance for rotation and one for translation, so that the noise of the lever arm favours no mounting.
 
     Returns
     -------
@@ -144,16 +144,16 @@ def search(motions: Motions, R_start: FloatArray, t_start: FloatArray) -> tuple[
         R, t, _ = _moved(R, t, information, np.einsum("snki,snk->si", weighted, errors))
     errors, _ = linearise(motions, R, t)
     cost = np.minimum(np.einsum("snk,nk->sn", errors**2, weights), gate(6)).sum(axis=1)
-    # A seed that costs little more than the best is as good; the earlier one is taken.
+    # Among seeds that cost little more than the best, the first is used.
     best = int(np.flatnonzero(cost <= cost.min() + gate())[0])
     return R[best], t[best]
 
 
 def refine(motions: Motions, R: FloatArray, t: FloatArray, inlier_probability: float) -> Fit:
-    """Gauss-Newton from a rough mount with the full covariances and Geman-McClure's loss.
+    """Refine a rough mounting by Gauss-Newton with the full covariances and the Geman-McClure loss.
 
-    The loss is as wide as the median of the residuals asks: wide from a bad start, narrow at the end, as
-    graduated non-convexity does by a schedule (Yang 2020, Sec. IV).
+    The median of the residuals sets the width of the loss: wide at a bad start, narrow at the end, as in the
+    schedule of graduated non-convexity (Yang 2020, Sec. IV).
     """
     limit = gate(6, inlier_probability)
     step = np.full(6, np.inf)
@@ -161,7 +161,7 @@ def refine(motions: Motions, R: FloatArray, t: FloatArray, inlier_probability: f
         errors, jacobians = linearise(motions, R, t)
         precisions = np.linalg.inv(covariances(motions, R, t))
         distances = np.einsum("ni,nij,nj->n", errors, precisions, errors)
-        # Stated noise may be too small, and then the median tells.
+        # The stated noise may be too small; the median shows it.
         spread = max(float(np.median(distances)) / gate(6, 0.5), 1.0)
         bend = spread * limit
         weighted = np.einsum("n,nki,nkl->nil", (bend / (distances + bend)) ** 2, jacobians, precisions)
@@ -177,7 +177,7 @@ def refine(motions: Motions, R: FloatArray, t: FloatArray, inlier_probability: f
     inliers = distances < bend
     left_over = max(6 * int(inliers.sum()) - 6, 1)
     scale = float(np.sqrt(distances[inliers].sum() / left_over))
-    # Few pairs tell little of their own noise.
+    # Few pairs determine their own noise poorly.
     least = _LEAST_SCALE if inliers.sum() >= FEWEST else 1.0
     return Fit(
         R=R,
@@ -191,7 +191,7 @@ def refine(motions: Motions, R: FloatArray, t: FloatArray, inlier_probability: f
 
 
 def _seeds(R_start: FloatArray, t_start: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """The given start, then the 24 right-angled mounts."""
+    """Return the given start, then the 24 right-angled mountings."""
     mounts = []
     for order in itertools.permutations(range(3)):
         for signs in itertools.product((1.0, -1.0), repeat=3):
@@ -204,7 +204,7 @@ def _seeds(R_start: FloatArray, t_start: FloatArray) -> tuple[FloatArray, FloatA
 
 
 def _search_weights(motions: Motions) -> FloatArray:
-    """(N, 6) inverse variances that do not depend on the mount."""
+    """Return (N, 6) inverse variances that do not depend on the mounting."""
     camera = np.diagonal(motions.covariance_camera, axis1=1, axis2=2)
     base = np.diagonal(motions.covariance_base, axis1=1, axis2=2)
     turn = camera[:, :3].max(axis=1) + base[:, :3].max(axis=1)
@@ -215,7 +215,7 @@ def _search_weights(motions: Motions) -> FloatArray:
 def _moved(
     R: FloatArray, t: FloatArray, information: FloatArray, gradient: FloatArray
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """One damped step of every mount, and its twist; what nothing tells does not move."""
+    """Return every mounting after one damped step, and its twist; undetermined directions do not move."""
     damping = 1e-6 * np.trace(information, axis1=1, axis2=2)[:, None, None] + 1e-9
     step = -np.linalg.solve(information + damping * np.eye(6), gradient[:, :, None])[:, :, 0]
     for part, longest in ((slice(0, 3), _LONGEST_TURN_RAD), (slice(3, 6), _LONGEST_SHIFT_M)):
@@ -227,14 +227,14 @@ def _moved(
     return R @ Rotation.from_rotvec(step[:, :3]).as_matrix(), t, step
 
 
-# SciPy is loaded where a mount is computed: that takes 0.1 s, and most runs know or need none.
+# SciPy takes 0.1 s to load, and most runs need no mounting estimate.
 def _rotation_vectors(matrices: FloatArray) -> FloatArray:
-    """(N, 3) of rotations (N, 3, 3)."""
+    """Return (N, 3) rotation vectors of rotations (N, 3, 3)."""
     from scipy.spatial.transform import Rotation
 
     return np.asarray(Rotation.from_matrix(matrices).as_rotvec())
 
 
 def _cross(vectors: FloatArray) -> FloatArray:
-    """(..., 3, 3) the matrix of the cross product with each vector."""
+    """Return (..., 3, 3) the cross product matrix of each vector."""
     return np.cross(np.eye(3), vectors[..., None, :])

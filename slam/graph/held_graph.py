@@ -15,17 +15,17 @@ from slam.measurements import FloatArray, Pose
 
 
 def marginals(poses: Sequence[Pose], edges: Iterable[Edge]) -> FloatArray:
-    """Covariance of every node where node 0 is held, by QR: what is long and stiff loses no digits.
+    """Return the covariance of every node with node 0 fixed, by QR, accurate for long stiff chains.
 
-    Each clique of the Bayes tree tells its nodes by those of the clique above, so that one pass from the
-    root gives the covariance of all that share a clique (Takahashi, Fagan and Chin 1973, by blocks).
+    Each clique of the Bayes tree conditions its nodes on those of its parent, so that one pass from the root
+    gives the covariance of all nodes that share a clique (Takahashi, Fagan and Chin 1973, by blocks).
 
     Parameters
     ----------
     poses
         (n,) estimates, at which the edges are linearised.
     edges
-        That hold all of them together.
+        Edges that connect all nodes.
 
     Returns
     -------
@@ -37,14 +37,14 @@ def marginals(poses: Sequence[Pose], edges: Iterable[Edge]) -> FloatArray:
         factors: gtsam.GaussianFactorGraph, keys: gtsam.Ordering
     ) -> tuple[gtsam.GaussianConditional, gtsam.GaussianFactor]:
         clique, rest = gtsam.EliminateQR(factors, keys)
-        # What these show is the clique's own memory.
+        # These are views of the clique's own memory.
         told.append((list(clique.keys()), clique.R().copy(), clique.S().copy()))
-        # The tree would keep all the rows that were put together, fifteen times as many as these.
+        # The tree would keep all the rows that were assembled, fifteen times as many as these.
         return gtsam.GaussianConditional(0, nothing, np.diag(nothing)), rest
 
     graph, values = held_graph(poses, edges)
     linear = graph.linearize(values)
-    del graph, values  # as large as what comes now
+    del graph, values  # as large as the following
     give_back()
     linear.eliminateMultifrontal(None, eliminate)
     size = 3 if isinstance(poses[0], gtsam.Pose2) else 6
@@ -52,14 +52,14 @@ def marginals(poses: Sequence[Pose], edges: Iterable[Edge]) -> FloatArray:
     clique_of = {key: n for n, (keys, root, _) in enumerate(told) for key in keys[: len(root) // size]}
     below = defaultdict[int, list[int]](list)
     for n, (keys, root, _) in enumerate(told):
-        # Of what it shares, the first that was eliminated is the clique's above.
+        # Of the separator, the node eliminated first belongs to the parent clique.
         below[min((clique_of[key] for key in keys[len(root) // size :]), default=-1)].append(n)
     waiting = [(n, above, np.zeros((0, 0))) for n in below[-1]]
     while waiting:
         clique, above, known = waiting.pop()
         keys, root, shares = told[clique]
         inverse, own = np.linalg.inv(root), len(root)
-        # R x + S y = noise, with y the nodes that the clique shares with the one above.
+        # R x + S y = noise, with y the separator to the parent clique.
         first = np.array([above[key] for key in keys[own // size :]], np.int64)
         rows = (first[:, None] + range(size)).ravel()
         shared, gain = known[rows[:, None], rows], inverse @ shares
@@ -77,7 +77,7 @@ def marginals(poses: Sequence[Pose], edges: Iterable[Edge]) -> FloatArray:
 def held_graph(
     poses: Sequence[Pose], edges: Iterable[Edge | gtsam.NonlinearFactor]
 ) -> tuple[gtsam.NonlinearFactorGraph, gtsam.Values]:
-    """GTSAM's graph of some edges, or their factors, factor 0 holding node 0, and its values at the poses."""
+    """Return GTSAM's graph of edges or their factors, with node 0 fixed by factor 0, and the values."""
     graph, values = gtsam.NonlinearFactorGraph(), gtsam.Values()
     graph.add(gauge(poses[0]))
     for edge in edges:

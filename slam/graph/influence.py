@@ -36,26 +36,26 @@ from slam.measurements import BoolArray, FloatArray, Pose
 if TYPE_CHECKING:
     from scipy.sparse import csr_array
 
-# Factors that are there already are not made again.
+# Existing factors are reused.
 _Edges: TypeAlias = Sequence[Edge] | Sequence[gtsam.NonlinearFactor]
 
 
 @dataclass(frozen=True, slots=True)
 class Influences:
-    """What some edges do to a map.
+    """Influence of some edges on a map.
 
     Attributes
     ----------
     edges
-        (L,) their numbers.
+        (L,) edge numbers.
     shifts_m
-        (L,) by how much a node moves at most if the edge is left out, or forced in where it is not kept.
+        (L,) largest motion of a node if the edge is removed, or, if it is rejected, forced in.
     nodes
-        (L,) the node that moves so far.
+        (L,) the node with this motion.
     residuals
-        (L,) by how much the map misses the edge, in standard deviations of the edge (the whitened norm).
+        (L,) residual of the edge in the map, in its standard deviations (the whitened norm).
     left_out
-        (L,) by how much the map without the edge misses it, in standard deviations of both.
+        (L,) residual of the edge in the map without it, in standard deviations of both.
     """
 
     edges: NDArray[np.int64]
@@ -66,41 +66,41 @@ class Influences:
 
 
 class LinearMap:
-    """The edges of a finished map as they are where its nodes lie, node 0 held.
+    """The edges of a finished map, linearised at its poses, with node 0 fixed.
 
     Parameters
     ----------
     poses
-        (n,) of the nodes, as the final optimisation left them.
+        (n,) poses of the nodes after the final optimisation.
     edges, kept
-        All that may be asked about, and which of them hold the map.
+        All edges that may be queried, and which are inliers.
 
     Raises
     ------
     GraphError
-        If these do not join all nodes.
+        If the inliers do not connect all nodes.
     """
 
     def __init__(self, poses: Sequence[Pose], edges: _Edges, kept: Sequence[bool] | BoolArray) -> None:
         self._planar = isinstance(poses[0], gtsam.Pose2)
         self._size = 3 if self._planar else 6
         self._kept = np.array(kept, np.bool_)
-        give_back()  # what a solver has left
+        give_back()  # memory freed by the solver
         self._jacobian, self._residuals = linearized(poses, edges)
         give_back()
         self._factor = _Factor(self._jacobian[np.repeat(self._kept, self._size)])
         give_back()
-        # One step to the very solution: optimisers stop a little before.
+        # One step to the exact solution: optimisers stop slightly before it.
         self._residuals += self._jacobian @ self.step()
 
     def step(self) -> FloatArray:
-        """((n - 1) d,) what Gauss and Newton would move nodes 1 to n - 1 by, in their tangents."""
+        """Return ((n - 1) d,) the Gauss-Newton step of nodes 1 to n - 1, in their tangents."""
         rows = np.repeat(self._kept, self._size)
         gradient = self._jacobian[rows].T @ self._residuals[rows]
         return -self._factor.solve(gradient)
 
     def influences(self, asked: Sequence[int] | NDArray[np.int64]) -> Influences:
-        """Of these edges, or of those of each row if switched together."""
+        """Return the influences of these edges, or of the edges of each row switched together."""
         sets, told = np.array(asked, np.int64), list[tuple[NDArray[Any], ...]]()
         for at, pulled, residuals, left_out in self._switched(sets):
             tangents = self._factor.backward(at, pulled).reshape(-1, self._size, len(residuals))
@@ -111,11 +111,11 @@ class LinearMap:
         return Influences(sets, *map(np.concatenate, zip(*told, strict=True)))
 
     def left_out(self, asked: Sequence[int]) -> FloatArray:
-        """By how much the map without each of these edges misses it: see `Influences`."""
+        """Return the residual of each of these edges in the map without it: see `Influences`."""
         return np.concatenate([left_out for *_, left_out in self._switched(np.array(asked, np.int64))])
 
     def _switched(self, sets: NDArray[np.int64], together: int = 24) -> Iterator[tuple[NDArray[Any], ...]]:
-        """Of sets of edges, some at a time: where it pulls at the factor, what is missed, and left out."""
+        """Yield for sets of edges: rows and values of the shift, residuals, and residuals without them."""
         sets, size = sets.reshape(len(sets), -1), self._size
         for some in (sets[first : first + together] for first in range(0, len(sets), together)):
             rows = (some[..., None] * size + np.arange(size)).reshape(len(some), -1)
@@ -126,15 +126,15 @@ class LinearMap:
             pull = np.linalg.solve(signs[..., None] * np.eye(rows.shape[1]) + leverage, residuals[..., None])
             left_out = np.sqrt(np.abs((residuals * pull[..., 0]).sum(axis=1)))
             pulled = (columns @ pull)[..., 0].T
-            del columns, leverage  # as large as all that comes now
+            del columns, leverage  # as large as all of the following
             yield at, pulled, residuals, left_out
 
 
 class _Factor:
-    """The information of all kept edges together as L L', in an order in which it is sparse."""
+    """The information of all inlier edges as L L', in a sparse ordering."""
 
     def __init__(self, held: csr_array) -> None:
-        from scipy.sparse.linalg import splu  # where it is used: that takes 0.1 s
+        from scipy.sparse.linalg import splu  # imported on use: that takes 0.1 s
 
         symmetric = {"SymmetricMode": True}
         information = (held.T @ held).tocsc()
@@ -142,25 +142,25 @@ class _Factor:
             found = splu(information, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options=symmetric)
         except RuntimeError as error:
             raise GraphError("the edges that are kept do not join all keyframes") from error
-        self._order = found.perm_c.copy()  # its own holds all that SuperLU has made
-        # With its diagonal as pivots the other factor is the transpose, but for the pivots.
+        self._order = found.perm_c.copy()  # its own keeps all data of SuperLU
+        # With diagonal pivots, the other factor is the transpose up to the pivots.
         lower, self._roots = found.L.tocsc(), np.sqrt(found.U.diagonal())
         self._lower = lower.indptr, lower.indices, lower.data
         self._room = np.zeros((len(self._roots), 0))
 
     def solve(self, right: FloatArray) -> FloatArray:
-        """(N,) by the information, of (N,); SciPy's own would be kept for it, as large as all the rest."""
+        """Solve with the information for (N,); SciPy's own object would take much more memory."""
         x = np.empty((len(right), 1))
         x[self._order, 0] = right
         _forward(*self._lower, x, np.ones(len(right), np.bool_))
         return self.backward(np.arange(len(right)), x / self._roots[:, None])[:, 0]
 
     def forward(self, jacobian: csr_array, rows: NDArray[np.int64]) -> tuple[NDArray[np.intp], FloatArray]:
-        """L^-1 times each of some rows: (t,) where any is not zero, and (t, m) what is there."""
+        """Return L^-1 times some rows: (t,) indices that are not zero in any, and (t, m) the values."""
         if self._room.shape[1] != len(rows):
             self._room = np.zeros((len(self._roots), len(rows)))
         told = np.zeros(len(self._roots), np.bool_)
-        # By hand: to take rows out of a sparse matrix takes SciPy longer than all the rest.
+        # By hand: slicing rows of a sparse matrix in SciPy takes longer than all the rest.
         for place, row in enumerate(rows.tolist()):
             entries = slice(jacobian.indptr[row], jacobian.indptr[row + 1])
             at = self._order[jacobian.indices[entries]]
@@ -173,7 +173,7 @@ class _Factor:
         return at, found
 
     def backward(self, at: NDArray[np.intp], columns: FloatArray) -> FloatArray:
-        """(N, m) L'^-1 times each of some columns, as `forward` tells them."""
+        """Return (N, m) L'^-1 times some columns, in the form of `forward`."""
         found = np.zeros((len(self._roots), columns.shape[1]))
         found[at] = columns / self._roots[at, None]
         _backward(*self._lower, found)
@@ -184,21 +184,21 @@ class _Factor:
 def _forward(
     first: NDArray[np.int32], below: NDArray[np.int32], lower: FloatArray, x: FloatArray, told: BoolArray
 ) -> None:
-    """Solve by a lower triangle of ones on the diagonal, by columns; told are the rows of x not zero."""
+    """Solve a unit lower triangular system by columns; return the rows of x that are not zero."""
     for column in range(len(x)):
         if told[column]:
             solved = x[column]
             for k in range(first[column], first[column + 1]):
                 if below[k] > column:
                     told[below[k]] = True
-                    other = x[below[k]]  # a row by itself: its loop then runs in vectors
+                    other = x[below[k]]  # one row at a time, so that its loop is vectorised
                     for one in range(len(other)):
                         other[one] -= lower[k] * solved[one]
 
 
 @kernel
 def _backward(first: NDArray[np.int32], below: NDArray[np.int32], lower: FloatArray, x: FloatArray) -> None:
-    """Solve by its transpose, for each column of x (N, m)."""
+    """Solve with its transpose for each column of x (N, m)."""
     for column in range(len(x) - 1, -1, -1):
         solved = x[column]
         for k in range(first[column], first[column + 1]):
@@ -209,14 +209,14 @@ def _backward(first: NDArray[np.int32], below: NDArray[np.int32], lower: FloatAr
 
 
 def influences(poses: Sequence[Pose], edges: Sequence[Edge], kept: Sequence[bool] | BoolArray) -> Influences:
-    """Of all loops among the edges; of none where those that are kept do not join all nodes.
+    """Return the influence of all loops; of none if the inliers do not connect all nodes.
 
     Parameters
     ----------
     poses
-        (n,) of the nodes, as the final optimisation left them.
+        (n,) poses of the nodes after the final optimisation.
     edges, kept
-        All of the graph, and which the optimisation has kept.
+        All edges of the graph, and which are inliers.
     """
     loops = [number for number, edge in enumerate(edges) if edge.loop is not None]
     none, nothing = np.zeros(0, np.int64), np.zeros(0)
@@ -227,14 +227,14 @@ def influences(poses: Sequence[Pose], edges: Sequence[Edge], kept: Sequence[bool
 
 
 def misfits(poses: Sequence[Pose], edges: _Edges, kept: BoolArray, asked: list[int]) -> FloatArray:
-    """See `LinearMap.left_out`; nothing if the edges that are kept do not join all nodes."""
+    """See `LinearMap.left_out`; empty if the inlier edges do not connect all nodes."""
     with suppress(GraphError):
         return LinearMap(poses, edges, kept).left_out(asked) if asked else np.zeros(0)
     return np.zeros(0)
 
 
 def all_edges(edges: Sequence[Edge], loops: Sequence[LoopCandidate]) -> list[Edge]:
-    """The graph's edges, and after them the loops that were matched and refused before they came into it."""
+    """Return the graph's edges, followed by the matched loops that were rejected before entering it."""
     inside = {edge.loop for edge in edges}
     outside = [
         loop.edge(number)
@@ -245,7 +245,7 @@ def all_edges(edges: Sequence[Edge], loops: Sequence[LoopCandidate]) -> list[Edg
 
 
 def elimination_order(nodes: int, edges: Sequence[Edge]) -> NDArray[np.int64]:
-    """(nodes,) their numbers in an order in which the normal equations of all edges stay sparse (COLAMD)."""
+    """Return (nodes,) a node ordering in which the normal equations of all edges stay sparse (COLAMD)."""
     graph = gtsam.SymbolicFactorGraph()
     for node in range(nodes):
         graph.push_factor(node)
@@ -256,12 +256,12 @@ def elimination_order(nodes: int, edges: Sequence[Edge]) -> NDArray[np.int64]:
 
 
 def linearized(poses: Sequence[Pose], edges: _Edges) -> tuple[csr_array, FloatArray]:
-    """Whitened Jacobian (E d, (n - 1) d) and residuals (E d,) of the edges; node 0 does not move."""
+    """Return the whitened Jacobian (E d, (n - 1) d) and residuals (E d,) of the edges; node 0 is fixed."""
     from scipy.sparse import csr_array
 
     graph, values = held_graph(poses, edges)
     size = 3 if isinstance(poses[0], gtsam.Pose2) else 6
-    # Counted from 1; node 0 comes first, and minus the residual last.
+    # Indices from 1; node 0 is first, and minus the residual last.
     rows, columns, entries = graph.linearize(values).sparseJacobian_()
     told = (rows > size) & (columns > size)
     ends = (rows[told].astype(np.int64) - size - 1, columns[told].astype(np.int64) - size - 1)

@@ -16,7 +16,7 @@ from slam.measurements import FloatArray
 def joint_covariance(
     poses: Sequence[gtsam.Pose2], edges: Sequence[Edge], jacobian: sparse.csr_matrix | FloatArray
 ) -> FloatArray:
-    """Covariance of what depends on the poses of a planar graph, by one factorisation of its information.
+    """Return the covariance of functions of planar poses, by one factorisation of the information.
 
     Parameters
     ----------

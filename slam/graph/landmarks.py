@@ -46,22 +46,22 @@ class Sighting:
 
 @dataclass(frozen=True, slots=True)
 class Landmark:
-    """What all sightings of a landmark tell together.
+    """A landmark estimated from all its sightings.
 
     Attributes
     ----------
     node
-        The node that saw it best of those that hold.
+        The inlier node that saw it best.
     T_node_landmark
-        Where it is, seen from there.
+        Its pose in the frame of that node.
     covariance
-        (d, d) of that, in GTSAM's tangent of the landmark.
+        (d, d) of this pose, in GTSAM's tangent of the landmark.
     holds
-        Which of its sightings fit each other and the way.
+        Which of its sightings agree with each other and the path.
     elsewhere
-        How many were of visits that saw it where it is not.
+        Number of sightings in visits that saw it elsewhere.
     edges
-        From the node to the others that saw it.
+        Edges from the node to the others that saw it.
     """
 
     node: int
@@ -77,10 +77,10 @@ def landmarks_of(
 ) -> list[Landmark | None]:
     """Solve a graph with its landmarks.
 
-    What one node after the other sees of a landmark is a visit, and one witness: whoever moves a tag between
-    two visits makes all of the second wrong at once. That a landmark was in one place at its visits is
-    believed as long as it fits all others and the way: of what does not, the visit that all would fit best
-    without is left out, one after the other (Baarda 1968).
+    Sightings of a landmark from consecutive nodes are one visit and count as one: if a tag is moved between
+    two visits, all sightings of the second are wrong together. A landmark is assumed static as long as its
+    visits agree with each other and the path: otherwise the visit whose removal improves the fit most is
+    rejected, one after the other (Baarda 1968).
 
     Parameters
     ----------
@@ -93,7 +93,7 @@ def landmarks_of(
 
     Returns
     -------
-    Of each landmark what was found; None if nothing holds.
+    The estimate of each landmark; None if no sighting is an inlier.
     """
     visits = [visit for sightings in seen for visit in _visits(sightings)]
     of = np.repeat(np.arange(len(seen)), [len(_visits(sightings)) for sightings in seen])
@@ -113,7 +113,7 @@ def landmarks_of(
 def _visited(
     poses: Sequence[Pose], edges: Sequence[Edge], visits: Sequence[Sequence[Sighting]]
 ) -> tuple[list[Pose], list[Edge], list[BoolArray]]:
-    """The graph with a node a visit, what of it holds, and which sightings fit within their visit."""
+    """Return the graph with one node per visit, its inliers, and which sightings agree within their visit."""
     nodes, told = [*poses], [*edges]
     for visit in visits:
         best = min(visit, key=_size)
@@ -122,7 +122,7 @@ def _visited(
             Edge(one.node, len(nodes) - 1, one.T_node_landmark, one.covariance, EdgeKind.TAG, trusted=False)
             for one in visit
         ]
-        # A visit of which nothing holds is somewhere nevertheless.
+        # A visit without inliers still needs a pose.
         far = NOWHERE_M**2 * np.eye(len(best.covariance))
         told.append(Edge(best.node, len(nodes) - 1, best.T_node_landmark, far, EdgeKind.TAG, trusted=True))
     graph = PoseGraph(poses[0])
@@ -140,14 +140,13 @@ def _visited(
 def _still(
     nodes: list[Pose], edges: list[Edge], first: int, of: NDArray[np.int64], holds: Sequence[BoolArray]
 ) -> tuple[list[Pose], BoolArray]:
-    """Which visits saw their landmark where the others did, and where the nodes are then.
+    """Return which visits agree on the pose of their landmark, and the resulting node poses.
 
-    ``of`` (v,) is the landmark of each visit; behind ``first`` nodes come those of the visits, then of the
-    landmarks.
+    ``of`` (v,) is the landmark of each visit; after the ``first`` nodes follow visits, then landmarks.
     """
     still, sizes = np.ones(len(of), np.bool_), np.array([np.count_nonzero(fit) for fit in holds])
     dimension = len(edges[-1].covariance)
-    # It hangs still, to the millimetre.
+    # It is static, to the millimetre.
     same, nothing = (10 * SETTLED) ** 2 * np.eye(dimension), type(nodes[0])()
     while True:
         links = [
@@ -166,13 +165,13 @@ def _still(
         if without.max() ** 2 <= gate(dimension):
             return nodes, still
         worst = links[asked[int(without.argmax())]].source - first
-        if among[worst] == 2:  # each says that the other is wrong
+        if among[worst] == 2:  # each contradicts the other
             worst = int(min(np.flatnonzero((of == of[worst]) & still), key=lambda visit: sizes[visit]))
         still[worst] = False
 
 
 def _visits(sightings: Sequence[Sighting]) -> list[list[Sighting]]:
-    """Sightings by nodes one after the other."""
+    """Group sightings by consecutive nodes."""
     found = [[sightings[0]]]
     for one in sightings[1:]:
         if one.node - found[-1][-1].node > 1:
@@ -184,7 +183,7 @@ def _visits(sightings: Sequence[Sighting]) -> list[list[Sighting]]:
 def _told(
     nodes: Sequence[Pose], landmark: Pose, sightings: Sequence[Sighting], holds: BoolArray, away: int
 ) -> Landmark:
-    """From the node that saw it best."""
+    """Return a landmark relative to the node that saw it best."""
     held = [one for one, keep in zip(sightings, holds.tolist(), strict=True) if keep]
     best = min(held, key=_size)
     T_node_landmark = motion_between(nodes[best.node], landmark)
@@ -195,7 +194,7 @@ def _told(
             continue
         back = one.T_node_landmark.inverse()
         adjoint = one.T_node_landmark.AdjointMap()
-        # All share the error of where it is: as if each had its own, so many times as large.
+        # All share the error of its pose: as independent errors, each is so many times as large.
         covariance = adjoint @ (one.covariance + len(held) * together) @ adjoint.T
         pose = composed(T_node_landmark, back)
         edges.append(Edge(best.node, one.node, pose, covariance, EdgeKind.TAG, trusted=False))
@@ -203,7 +202,7 @@ def _told(
 
 
 def in_plane(sightings: Sequence[Sighting]) -> tuple[list[Sighting], gtsam.Rot3]:
-    """Sightings by a robot on a floor, in the plane, and how the landmark leans: ``R_flat_landmark``."""
+    """Return the sightings of a robot on a floor in 2D, and the tilt of the landmark: ``R_flat_landmark``."""
     best = min(sightings, key=_size)
     assert isinstance(best.T_node_landmark, gtsam.Pose3)
     lean = best.T_node_landmark.rotation()
@@ -214,7 +213,7 @@ def in_plane(sightings: Sequence[Sighting]) -> tuple[list[Sighting], gtsam.Rot3]
         turn = np.asarray(pose.rotation().matrix())
         yaw = pose.rotation().compose(lean.inverse()).yaw()
         flat = np.array([[math.cos(yaw), math.sin(yaw), 0.0], [-math.sin(yaw), math.cos(yaw), 0.0]])
-        # Of x and y along the axes of the flat landmark, and of yaw, by turn and shift of the landmark.
+        # Jacobian of x, y (axes of the flat landmark) and yaw by rotation and translation of the landmark.
         slopes = np.zeros((3, 6))
         slopes[:2, 3:], slopes[2, :3] = flat @ turn, turn[2]
         planar = gtsam.Pose2(pose.x(), pose.y(), yaw)
@@ -223,5 +222,5 @@ def in_plane(sightings: Sequence[Sighting]) -> tuple[list[Sighting], gtsam.Rot3]
 
 
 def _size(one: Sighting) -> float:
-    """How uncertain a sighting is."""
+    """Return a measure of the uncertainty of a sighting."""
     return float(np.trace(one.covariance))

@@ -71,7 +71,7 @@ class LoopCloser:
         if len(self.submaps.scan(key)) < FEWEST:
             return []
         tried = []
-        # Known places all around and none fits: the estimate may be further off than it believes.
+        # If none of the known places around fits, the error may be larger than estimated.
         wide = self._misses >= self._config.misses_until_wide
         for place, covariance in self._propose(key, poses, uncertainty):
             guess = between(poses[place], poses[key])
@@ -104,11 +104,11 @@ class LoopCloser:
                 continue
             last_m = at_m
             for place, covariance in self._propose(key, poses, uncertainty):
-                # What was found so before, and refused by GNC since, is not asked for ever.
+                # Loops found by this search before, and rejected by GNC since, are not tried again.
                 if (place, key) not in self._closed_again:
                     guess = between(poses[place], poses[key])
                     candidate = self.verify(place, key, guess, covariance)
-                    # A window is as wide as the least certain direction: look-alikes lie in it.
+                    # A window is as wide as the least certain direction: it may contain look-alikes.
                     if candidate.accepted and Motion(guess, covariance).agrees(found_motion(candidate)):
                         self._closed_again.add((place, key))
                         found.append(candidate)
@@ -135,7 +135,7 @@ class LoopCloser:
         if wide:
             width, yaw = max(width, 0.5 * config.reach_m), max(yaw, self._match.search_half_yaw_rad)
         begun = LoopCandidate(place, key, width, yaw, 1.0, None, False, "")
-        # Asked for in any case: what the cache holds must not depend on where the answer comes from.
+        # Always requested: the content of the cache must not depend on the source of the result.
         submap = self.submaps.submap(place)
         scan = self.submaps.scan(key)
         candidate = self._result_cache.cached(
@@ -160,12 +160,12 @@ class LoopCloser:
         distance = np.hypot(*(poses[places, :2] - poses[key, :2]).T)
         order = np.argsort(distance)
         chosen: list[tuple[int, FloatArray]] = []
-        # Where a place was seen many times, the nearest of all passes tell enough: the rest is asked seldom.
+        # At a place seen many times, the nearest of all passes suffice: the others are tried rarely.
         for part in (order[: FEWEST * config.near], order[FEWEST * config.near :]):
             if not len(part) or len(chosen) == config.near:
                 break
             covariances = uncertainty.relative_covariances(key, places[part], poses)
-            # In a wider window more than one place may look the same: that is for the search over the map.
+            # In a wider window, several places may look the same: the search over the map handles these.
             slacks = config.sigmas * position_sigmas(covariances)
             for n, covariance, slack_m in zip(part, covariances, slacks, strict=True):
                 if len(chosen) == config.near:
@@ -173,7 +173,7 @@ class LoopCloser:
                 if slack_m > config.greatest_half_width_m or distance[n] > reach_m + slack_m:
                     continue
                 at_m = submaps.travelled_m(places[n])
-                # Two places on one pass by the same spot tell the same: take the nearest of each pass.
+                # Two places on one pass give the same information: take the nearest of each pass.
                 if all(abs(at_m - submaps.travelled_m(p)) > config.least_path_m for p, _ in chosen):
                     chosen.append((int(places[n]), covariance))
         return chosen
@@ -249,7 +249,7 @@ def search_place(
 def _judge(
     candidate: LoopCandidate, motion: MotionEstimate, guess: FloatArray, config: LoopConfig, basin_m: float
 ) -> LoopCandidate:
-    """Accept or refuse a refined match."""
+    """Accept or reject a refined match."""
     moved = between(guess, row_from_pose2(motion.T_reference_base))
     moved_m = math.hypot(moved[0], moved[1])
     if motion.inlier_share < config.least_inlier_share:
@@ -257,7 +257,7 @@ def _judge(
     if moved_m > basin_m:
         return candidate.refused("refinement left the window")
     if motion.degenerate and candidate.half_width_m >= 0.5 * config.reach_m:
-        # One corridor looks like another: it confirms a place that is nearly known, and finds none.
+        # Corridors look alike: a corridor may confirm a nearly known place, but not find one.
         return candidate.refused("one direction undetermined, and the place too uncertain")
     return replace(candidate, accepted=True)
 

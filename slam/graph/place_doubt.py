@@ -14,17 +14,17 @@ from slam.measurements import FloatArray
 
 
 class PlaceDoubt:
-    """Remembers how unsure the last keyframe's place is; of one that begins a local map, not at all."""
+    """Stores the uncertainty of the last keyframe in the local map; zero for the first one in it."""
 
     def __init__(self) -> None:
         self._uncertain: FloatArray | None = None
 
     def begin(self) -> None:
-        """A keyframe begins a local map, and is certain in it."""
+        """Start a local map with a keyframe, which is certain in it."""
         self._uncertain = None
 
     def add(self, step: gtsam.Pose3, motion: MotionEstimate) -> FloatArray:
-        """Covariance (6, 6) of the step to the next keyframe, by its match to the local map."""
+        """Return (6, 6) the covariance of the step to the next keyframe, from its match to the local map."""
         covariance = motion.covariance
         if self._uncertain is not None:
             carried = step.inverse().AdjointMap()

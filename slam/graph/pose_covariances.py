@@ -47,19 +47,19 @@ def pose_covariances(
     kept: Sequence[bool] | BoolArray,
     config: Config,
 ) -> tuple[FloatArray, FloatArray]:
-    """Covariance of the robot at every keyframe, and of every step between two.
+    """Return the covariance of the robot at every keyframe, and of every step between two.
 
     Parameters
     ----------
     poses, bases
-        (n,) of the nodes, optimised, and of the robot's base there.
+        (n,) optimised poses of the nodes, and of the robot's base there.
     edges, kept
-        All of the graph, and whether the optimisation has kept each.
+        All edges of the graph, and whether each is an inlier.
 
     Returns
     -------
     (n, d, d) and (n - 1, d, d), of the motion from each base to the next: GTSAM's tangent of the base where
-    it ends. Node 0 is held: it is the frame in which the others are told.
+    it ends. Node 0 is fixed: the others are relative to it.
     """
     told = told_edges(poses, edges, kept, config)
     information = np.zeros((len(poses) - 1, *_unknown(poses, config).shape))
@@ -78,7 +78,7 @@ def pose_covariances(
 def told_edges(
     poses: Sequence[Pose], edges: Sequence[Edge], kept: Sequence[bool] | BoolArray, config: Config
 ) -> list[Edge]:
-    """What `pose_covariances` rests on: the edges that were kept, as uncertain as they are together."""
+    """Return the edges that `pose_covariances` uses: the inliers with their joint uncertainty."""
     held = [edge for edge, keep in zip(edges, kept, strict=True) if keep and not _may_repeat_a_guess(edge)]
     return _told(poses, with_alignment(held), _slips(edges, kept), config)
 
@@ -86,7 +86,7 @@ def told_edges(
 def _told(
     poses: Sequence[Pose], held: Sequence[Edge], slips: dict[int, FloatArray], config: Config
 ) -> list[Edge]:
-    """The edges that hold, as uncertain as they are together."""
+    """Return the inlier edges with their joint uncertainty."""
     scale = _unit_variance(poses, held, config)
     partners: dict[int, set[int]] = defaultdict(set)
     for edge in held:
@@ -104,13 +104,13 @@ def _told(
 
 
 def _may_repeat_a_guess(edge: Edge) -> bool:
-    """Whether it is a match past a keyframe that was guessed."""
+    """Return whether an edge is a match past a keyframe with a guessed pose."""
     past = edge.kind is EdgeKind.LIDAR and edge.target - edge.source > 1
     return past and not edge.trusted
 
 
 def _slips(edges: Sequence[Edge], kept: Sequence[bool] | BoolArray) -> dict[int, FloatArray]:
-    """Covariance of each step that wheels alone tell, by its source."""
+    """Return the covariance of each step measured only by wheels, by its source."""
     matched = {edge.source for edge in edges if edge.kind in _MATCHES and edge.target == edge.source + 1}
     loose: dict[int, NDArray[np.floating]] = {}
     wheels: dict[int, tuple[FloatArray, bool]] = {}
@@ -128,7 +128,7 @@ def _slips(edges: Sequence[Edge], kept: Sequence[bool] | BoolArray) -> dict[int,
 
 
 def _unit_variance(poses: Sequence[Pose], held: Sequence[Edge], config: Config) -> float:
-    """Variance of unit weight of matches: of steps that are told twice, and of loops to what is far back."""
+    """Return the variance of unit weight of matches: of steps measured twice, and of long loops."""
     far = config.match.local_map_keyframes
     matches = [
         edge for edge in held if edge.kind in _MATCHES and not 1 < abs(edge.target - edge.source) <= far
@@ -147,14 +147,14 @@ def _unit_variance(poses: Sequence[Pose], held: Sequence[Edge], config: Config) 
         if abs(edge.target - edge.source) == 1:
             steps[edge.source].append((square, numbers))
         else:
-            # Between the same two local maps all loops are one witness.
+            # All loops between the same two local maps count as one.
             loops[edge.source // far, edge.target // far].append((square, numbers))
     by_lidar = any(edge.kind is EdgeKind.LIDAR for edge in held)
     total, surplus = (0.5 if by_lidar else 1.0) * FEWEST, FEWEST
     for ones in steps.values():
         total += sum(square for square, _ in ones)
         surplus += sum(numbers for _, numbers in ones) - max(numbers for _, numbers in ones)
-    # A loop past steps that no match tells says how long these are first.
+    # A loop past steps without a match first determines these steps.
     excess = -len(_unknown(poses, config)) * (len(poses) - 1 - len(steps))
     for ones in loops.values():
         total += sum(square for square, _ in ones) / len(ones)
@@ -163,5 +163,5 @@ def _unit_variance(poses: Sequence[Pose], held: Sequence[Edge], config: Config) 
 
 
 def _unknown(poses: Sequence[Pose], config: Config) -> FloatArray:
-    """Covariance (d, d) of a step that nothing measured."""
+    """Return (d, d) the covariance of an unmeasured step."""
     return unmeasured(config.graph, planar=isinstance(poses[0], gtsam.Pose2))

@@ -27,9 +27,9 @@ from slam.matching.upright import Gravity
 from slam.measurements import BoolArray, FloatArray, Pose, composed
 
 # Of GNC: growth of its control parameter a round, twice the library's pace, and its end: only edges within a
-# hundredth of the gate are undecided then. Real logs refuse the same edges.
+# hundredth of the gate are undecided then. Real logs reject the same edges.
 _GNC_STEP, _GREATEST_CONTROL = 2.0, 100.0
-# Nodes that iSAM2 moves before all are solved at once: asking it where they are costs more than a solution.
+# Number of nodes that iSAM2 moves before a batch solution: reading its estimates costs more than that.
 _NODES_A_WINDOW = 3000
 
 
@@ -89,10 +89,10 @@ class PoseGraph:
         self._pending, self._pending_values = gtsam.NonlinearFactorGraph(), gtsam.Values()
         self._estimate = gtsam.Values()
         self._isam: gtsam.ISAM2 | None = None
-        # Nodes that updates leave where they are, and where the last one has put the others.
+        # Nodes that updates keep fixed, and the estimates of the others from the last update.
         self._held, self._moved = 0, gtsam.Values()
         self._count = 0
-        # What the last optimisation has kept of the edges of then, and what error that left.
+        # The inliers of the last optimisation among its edges, and the remaining error.
         self._kept, self._error = np.zeros(0, np.bool_), -math.inf
         self._made: dict[int, tuple[Edge, gtsam.NonlinearFactor]] = {}  # those edges, and their factors
         self.add_node(origin)
@@ -161,7 +161,7 @@ class PoseGraph:
             self._isam.update(self._pending, self._pending_values)
             self._moved = self._isam.calculateEstimate()
             self._estimate.update(self._moved)
-        except RuntimeError:  # nodes that it has let go, or in space edges that nothing measured
+        except RuntimeError:  # for nodes that it has marginalised, or, in 3D, unmeasured edges
             self._start_anew(held=0)
             return 0
         self._pending, self._pending_values = gtsam.NonlinearFactorGraph(), gtsam.Values()
@@ -206,7 +206,7 @@ class PoseGraph:
             other = self._decided(inlier_probability, anew=True)
             found, self._estimate = (other, self._estimate) if other.cost < found.cost else (found, ended)
         self._kept, self._error = found.kept.copy(), found.error
-        # As large as the map, and rarely asked again.
+        # As large as the map, and rarely used again.
         self._isam, self._moved = None, gtsam.Values()
         give_back()
         return found
@@ -347,7 +347,7 @@ class PoseGraph:
         # Remark 5: where the surrogate cost begins to be convex.
         worst = float(np.median(ended[own <= 0.0]) if anew else at_first[own > 0.0].max(initial=0.0))
         control = limit / (2.0 * worst - limit) if 2.0 * worst > limit else math.inf
-        control = min(control, _GREATEST_CONTROL / _GNC_STEP)  # once at least: refused ones are asked, too
+        control = min(control, _GREATEST_CONTROL / _GNC_STEP)  # at least once: rejected edges are tested, too
         while control < _GREATEST_CONTROL:
             shares = limit * control * (control + 1.0) / np.maximum(errors(), TINY)  # Eq. (14)
             before, own = own, np.clip(np.sqrt(shares) - control, 0.0, 1.0)
@@ -363,7 +363,7 @@ class PoseGraph:
     def _graph(self, factors: Iterable[gtsam.NonlinearFactor]) -> gtsam.NonlinearFactorGraph:
         """Build the factor graph of the prior and the edges."""
         graph = gtsam.NonlinearFactorGraph()
-        # Gravity behind the edges, which are found by their place.
+        # Gravity after the edges, which are found by their index.
         for factor in [self._prior(), *factors, *gravity_factors(self._down)]:
             graph.add(factor)
         return graph
@@ -394,5 +394,5 @@ class PoseGraph:
 
 def _check_finite(pose: Pose) -> None:
     """Raise an error for a pose with NaN or infinity."""
-    if not math.isfinite(pose.matrix().sum()):  # a quarter of what asking each number takes
+    if not math.isfinite(pose.matrix().sum()):  # takes a quarter of the time of testing each number
         raise GraphError("a pose that is not finite cannot enter the graph; check the measurement")

@@ -17,13 +17,13 @@ from slam.matching.motion import Motion
 from slam.matching.planar import between
 from slam.measurements import FloatArray
 
-# A yaw error is worth its lever arm: how far from a node its surroundings are matched.
+# Lever arm of a yaw error: the distance from a node over which its surroundings are matched.
 _LEVER_M = 5.0
-# What a search may visit; where the anchors are more, each second one is given up.
+# Limit of the nodes visited by a search; with more anchors, every second one is removed.
 _MOST_ANCHORS = 4096
 
 
-# An uncertain motion is a row: pose of its end in the frame of its beginning (3), its covariance in the end's
+# An uncertain motion is a row: pose of its end in the frame of its start (3), its covariance in the end's
 # frame (9), and the cost by which paths are compared (1).
 _POSE, _COVARIANCE, _COST = slice(3), slice(3, 12), 12
 
@@ -33,7 +33,7 @@ class UncertaintyGraph:
 
     def __init__(self) -> None:
         self._count = 0
-        # Nodes to an anchor, and from its anchor to each node.
+        # Number of nodes per anchor, and motion from its anchor to each node.
         self._stride = 1
         self._inside = np.zeros((64, 13))
         self._ends = np.zeros((256, 2), np.int64)
@@ -41,7 +41,7 @@ class UncertaintyGraph:
         self._edges = 0
         self._heads = np.full(64, -1, np.int64)
         self._next = np.full(256, -1, np.int64)
-        # Of each edge, the first and last part of the way that it crosses and that may be left out.
+        # For each edge, the first and last part of the path that it crosses and that may be left out.
         self._parts = np.full((256, 2), -1, np.int64)
 
     def add_node(self) -> None:
@@ -50,7 +50,7 @@ class UncertaintyGraph:
         self._count += 1
         if self._count > len(self._inside):
             self._inside = np.concatenate([self._inside, np.zeros_like(self._inside)])
-        # Until an edge tells how it lies to its anchor.
+        # Until an edge connects it to its anchor.
         self._inside[node, _COST] = math.inf if node % self._stride else 0.0
         if node // self._stride == _MOST_ANCHORS:
             self._thin()
@@ -71,7 +71,7 @@ class UncertaintyGraph:
         """
         cost = covariance[0, 0] + covariance[1, 1] + _LEVER_M**2 * covariance[2, 2]
         step = np.concatenate([relative, covariance.ravel(), [cost]])[None]
-        # Anchors themselves, in small maps all nodes, need no way there.
+        # Anchors themselves, in small maps all nodes, need no motion.
         if self._inside[source, _COST]:
             step = _then(self._inside[[source]], step)
         if source // self._stride == target // self._stride:
@@ -86,21 +86,21 @@ class UncertaintyGraph:
             self._append(ends[::-1], _back(step)[0], parts)
 
     def motion(self, start: int, end: int, poses: FloatArray) -> Motion:
-        """The pose of a node seen from another; its covariance is infinite where nothing joins them."""
+        """Return the pose of a node relative to another; the covariance is infinite without a path."""
         covariance = self.relative_covariances(end, np.array([start]), poses)[0]
         return Motion(between(poses[start], poses[end]), covariance)
 
     def relative_covariances(
         self, start: int, targets: NDArray[np.int64], poses: FloatArray, without: int = -2
     ) -> FloatArray:
-        """Covariance of ``inverse(pose_target) * pose_start`` in the start's frame, one a target.
+        """Return covariances of ``inverse(pose_target) * pose_start`` in the start's frame, one per target.
 
         Parameters
         ----------
         start
-            The node that is seen.
+            The start node.
         targets
-            (m,) the nodes that see it.
+            (m,) the target nodes.
         poses
             (n, 3) current estimates, map frame.
         without
@@ -108,19 +108,19 @@ class UncertaintyGraph:
 
         Returns
         -------
-        (m, 3, 3); infinite where no path leads.
+        (m, 3, 3); infinite if there is no path.
         """
         anchors = np.ascontiguousarray(poses[: self._count : self._stride])
         distance = np.full(len(anchors), np.inf)
         seen = np.zeros((len(anchors), 6))
         wanted = np.zeros(len(anchors), np.bool_)
         wanted[targets // self._stride] = True
-        # An edge is put into the queue once at most, from its source.
+        # An edge enters the queue at most once, from its source.
         queue = np.empty(self._edges + 1), np.empty(self._edges + 1, np.int64)
         first = start // self._stride
         edges = self._heads, self._next, self._ends, self._steps, self._parts
         _follow(first, wanted, anchors, *edges, without, distance, seen, *queue)
-        # Where the nine elements of a symmetric matrix are in its upper triangle.
+        # Index of the nine elements of a symmetric matrix in its upper triangle.
         anchor = targets // self._stride
         found, far = seen[anchor][:, [0, 1, 2, 1, 3, 4, 2, 4, 5]].reshape(-1, 3, 3), distance[anchor]
         if self._stride > 1:
@@ -133,7 +133,7 @@ class UncertaintyGraph:
         return found
 
     def _append(self, ends: tuple[int, int], step: FloatArray, parts: tuple[int, int]) -> None:
-        """One direction of an edge between two anchors."""
+        """Append one direction of an edge between two anchors."""
         k = self._edges
         if k == self._next.size:
             self._next = np.concatenate([self._next, np.full_like(self._next, -1)])
@@ -147,11 +147,11 @@ class UncertaintyGraph:
         self._edges += 1
 
     def _thin(self) -> None:
-        """Give up each second anchor: what led to it leads by way of the one before."""
+        """Remove every second anchor; its edges go through the one before."""
         ends, steps = self._ends[: self._edges], self._steps[: self._edges]
         parts = self._parts[: self._edges].copy()
         order = np.argsort(steps[:, _COST], kind="stable")
-        # From each anchor that stays to the next one: by the edge of least cost.
+        # From each remaining anchor to the next one: by the edge of least cost.
         aside = np.zeros((2 * (_MOST_ANCHORS // 2 + 1), 13))
         aside[1::2, _COST] = np.inf
         for k in order[(ends[order, 1] - ends[order, 0] == 1) & (ends[order, 1] % 2 == 1)][::-1]:
@@ -163,7 +163,7 @@ class UncertaintyGraph:
         ends = ends // 2
         order = np.argsort(steps[:, _COST], kind="stable")
         order = order[(ends[order, 0] != ends[order, 1]) & np.isfinite(steps[order, _COST])]
-        # Of edges between the same two the least uncertain.
+        # The least uncertain of the edges between the same two.
         _, first = np.unique(ends[order], axis=0, return_index=True)
         kept = order[first]
         self._edges = 0
@@ -173,14 +173,14 @@ class UncertaintyGraph:
 
 
 def _then(a: FloatArray, b: FloatArray) -> FloatArray:
-    """(N, 13) motions, one after the other."""
+    """Return (N, 13) the composition of motions."""
     both = np.empty_like(b)
     _join(a, b, both)
     return both
 
 
 def _back(a: FloatArray) -> FloatArray:
-    """(N, 13) motions from their ends to their beginnings."""
+    """Return (N, 13) the inverse motions."""
     back = np.empty_like(a)
     _turn_round(a, back)
     return back
@@ -188,14 +188,14 @@ def _back(a: FloatArray) -> FloatArray:
 
 @kernel
 def _join(a, b, both):  # type: ignore[no-untyped-def]
-    """Write motions (N, 13), one after the other."""
+    """Write the composition of motions (N, 13)."""
     for n in range(a.shape[0]):
         cos, sin = math.cos(a[n, 2]), math.sin(a[n, 2])
         both[n, 0] = a[n, 0] + cos * b[n, 0] - sin * b[n, 1]
         both[n, 1] = a[n, 1] + sin * b[n, 0] + cos * b[n, 1]
         both[n, 2] = a[n, 2] + b[n, 2]
         both[n, 12] = a[n, 12] + b[n, 12]
-        # The covariance of the first as the end of the second sees it.
+        # The covariance of the first in the frame of the end of the second.
         cos, sin = math.cos(b[n, 2]), math.sin(b[n, 2])
         _move(a, n, -cos * b[n, 0] - sin * b[n, 1], sin * b[n, 0] - cos * b[n, 1], cos, -sin, both)
         for k in range(3, 12):
@@ -204,7 +204,7 @@ def _join(a, b, both):  # type: ignore[no-untyped-def]
 
 @kernel
 def _turn_round(a, back):  # type: ignore[no-untyped-def]
-    """Write motions (N, 13) from their ends to their beginnings."""
+    """Write the inverse of motions (N, 13)."""
     for n in range(a.shape[0]):
         x, y, cos, sin = a[n, 0], a[n, 1], math.cos(a[n, 2]), math.sin(a[n, 2])
         back[n, 0] = -cos * x - sin * y
@@ -216,7 +216,7 @@ def _turn_round(a, back):  # type: ignore[no-untyped-def]
 
 @kernel
 def _move(a, n, x, y, cos, sin, found):  # type: ignore[no-untyped-def]
-    """Write the covariance of a motion (13,) as it is seen through a pose: Ad C Ad^T, see `moved`."""
+    """Write the covariance of a motion (13,) transformed by a pose: Ad C Ad^T, see `moved`."""
     for column in range(3, 6):
         xx, yy, tt = a[n, column], a[n, column + 3], a[n, column + 6]
         found[n, column + 6] = tt
@@ -229,12 +229,12 @@ def _move(a, n, x, y, cos, sin, found):  # type: ignore[no-untyped-def]
 
 
 def _covariance(a: FloatArray) -> FloatArray:
-    """(N, 3, 3) of motions."""
+    """Return (N, 3, 3) covariances of motions."""
     return a[:, _COVARIANCE].reshape(-1, 3, 3)
 
 
 def composed(a: FloatArray, b: FloatArray) -> FloatArray:
-    """(N, 3) poses after poses; one may stand for all."""
+    """Return (N, 3) the composition of poses, with broadcasting."""
     cos, sin = np.cos(a[:, 2]), np.sin(a[:, 2])
     x = a[:, 0] + cos * b[:, 0] - sin * b[:, 1]
     y = a[:, 1] + sin * b[:, 0] + cos * b[:, 1]
@@ -242,20 +242,20 @@ def composed(a: FloatArray, b: FloatArray) -> FloatArray:
 
 
 def inverse(a: FloatArray) -> FloatArray:
-    """(N, 3) poses the other way round."""
+    """Return (N, 3) the inverse poses."""
     cos, sin = np.cos(a[:, 2]), np.sin(a[:, 2])
     return np.stack([-cos * a[:, 0] - sin * a[:, 1], sin * a[:, 0] - cos * a[:, 1], -a[:, 2]], axis=1)
 
 
 def seen_from(told: FloatArray, found: FloatArray) -> FloatArray:
-    """(K, 3) what was found, seen from what was told."""
+    """Return (K, 3) the found poses in the frames of the given ones."""
     off = composed(inverse(told), found)
     off[:, 2] = np.remainder(off[:, 2] + np.pi, 2.0 * np.pi) - np.pi
     return off
 
 
 def moved(covariance: FloatArray, T_a_b: FloatArray) -> FloatArray:
-    """(N, 3, 3) covariances in the tangent space of b, seen in that of a: Ad C Ad^T, GTSAM's order."""
+    """Transform (N, 3, 3) covariances from the tangent space of b to that of a: Ad C Ad^T, GTSAM's order."""
     adjoint = np.zeros((len(T_a_b), 3, 3))
     cos, sin = np.cos(T_a_b[:, 2]), np.sin(T_a_b[:, 2])
     adjoint[:, 0, 0], adjoint[:, 0, 1], adjoint[:, 0, 2] = cos, -sin, T_a_b[:, 1]
@@ -269,7 +269,7 @@ def moved(covariance: FloatArray, T_a_b: FloatArray) -> FloatArray:
 def _follow(  # type: ignore[no-untyped-def]
     start, wanted, poses, heads, following, ends, steps, parts, without, distance, seen, queued, queued_nodes
 ):
-    """Dijkstra until all wanted nodes are reached; what is reached is seen by the sum of its path's edges.
+    """Run Dijkstra until all wanted nodes are reached; the edges of a path are summed.
 
     ``seen`` (n, 6) becomes the upper triangles of the covariances in the start's frame. The queue is a binary
     heap of two arrays: that of a list compiles half a second longer.
@@ -286,7 +286,7 @@ def _follow(  # type: ignore[no-untyped-def]
     while length > 0 and missing > 0:
         reached = queued[0]
         node = queued_nodes[0]
-        # The last of the queue sinks from its top.
+        # The last element moves from the top of the heap down.
         length -= 1
         last = queued[length]
         last_node = queued_nodes[length]
@@ -306,7 +306,7 @@ def _follow(  # type: ignore[no-untyped-def]
             child = 2 * at + 1
         queued[at] = last
         queued_nodes[at] = last_node
-        # Put in once more, at less cost, and done with since.
+        # It entered again at less cost, and is finished already.
         if reached > distance[node]:
             continue
         missing -= wanted[node]
@@ -353,5 +353,5 @@ def _follow(  # type: ignore[no-untyped-def]
 
 @kernel(inline="always")
 def _sooner(cost, node, other_cost, other_node):  # type: ignore[no-untyped-def]
-    """Which of two nodes the queue gives first."""
+    """Return which of two nodes the queue returns first."""
     return cost < other_cost or (cost == other_cost and node < other_node)

@@ -26,13 +26,13 @@ from slam.measurements import FloatArray, pose2_from_row
 def settle_wheels(
     graph: KeyframeGraph, least_m: float, poses: FloatArray, stamps_s: FloatArray, config: GraphConfig
 ) -> None:
-    """Let steps that wheels alone tell be as certain as wheels have proved, unless loops refuse that.
+    """Give steps measured only by wheels the error that wheels have shown, unless loops reject that.
 
-    Then as they claim; where loops refuse that, too, as what nothing measured. Proved on long stretches that
-    matches tell throughout. Where scans lie so far apart that there are hardly any, on single steps of
-    ``least_m`` and more, in the directions that a match tells better; and then along corridors, too.
+    Then the stated error; if loops reject that, too, the error of an unmeasured step. The error is measured
+    on long stretches with matches throughout. If scans are so far apart that these are rare, single steps of
+    ``least_m`` or more count, in directions that a match determines better, also along corridors.
 
-    ``poses`` (n, 3) are where the wheels alone have the keyframes of ``stamps_s`` (n,).
+    ``poses`` (n, 3) are the keyframe poses by wheels alone at ``stamps_s`` (n,).
     """
     edges = graph.graph.edges
     alone = [n for n, edge in enumerate(edges) if edge.kind is EdgeKind.WHEEL and edge.trusted]
@@ -53,7 +53,7 @@ def settle_wheels(
     errors[:, counts < FEWEST] = np.inf
     scale = np.minimum(median_to_sigma() * np.nanmedian(np.abs(errors), axis=0), 1.0)
     for n, edge in enumerate(edges[:-1] if sparse else []):
-        # Of the two in a corridor the first tells the way, and of the turn nothing; the next the turn.
+        # In a corridor, the first of the two measures the translation only, the next one the rotation.
         if edge.kind is EdgeKind.WHEEL and edge.covariance[2, 2] > math.pi**2:
             for k, shares in ((n, [*scale[:2], 1.0]), (n + 1, [1.0, 1.0, scale[2]])):
                 edges[k] = replace(edges[k], covariance=edges[k].covariance * np.outer(shares, shares))
@@ -61,7 +61,7 @@ def settle_wheels(
         edge = edges[n]
         edges[n] = replace(edge, covariance=edge.covariance * np.outer(scale, scale), trusted=False)
         free = unmeasured(config, max(abs(stamps_s[edge.target] - stamps_s[edge.source]), 1.0), planar=True)
-        # Both together are what wheels claim; where scans lie far apart too few loops tell of a step.
+        # Both together have the stated covariance; with distant scans, too few loops test a step.
         claimed = edge.covariance @ np.linalg.solve(free, edge.covariance + free)
         both = [(edge.covariance, True)] if sparse else [(edge.covariance + free, True), (claimed, False)]
         for covariance, trusted in both:
@@ -69,7 +69,7 @@ def settle_wheels(
 
 
 def _errors_of_stretches(graph: KeyframeGraph, longer: Sequence[Edge]) -> FloatArray:
-    """(K, 3) errors of wheels on long stretches, in the sigmas that they claim."""
+    """Return (K, 3) errors of wheels on long stretches, in stated sigmas."""
     rows = graph.rows()
     ends = np.array([(edge.source, edge.target) for edge in longer])
     claimed = np.array([row_of(edge.T_source_target) for edge in longer])
@@ -78,11 +78,11 @@ def _errors_of_stretches(graph: KeyframeGraph, longer: Sequence[Edge]) -> FloatA
 
 
 def _calibrated_by_steps(edges: list[Edge], poses: FloatArray, least_m: float) -> FloatArray:
-    """Let wheels tell what single matched steps have shown: how long a metre is, how much it and a turn turn.
+    """Calibrate wheels by single matched steps: scale, and yaw error per metre and per rotation.
 
-    Radii that differ turn a robot at each metre, a wrong base at each turn: where scans lie far apart that
-    bends a map more than all noise. (K, 3) errors are left on steps of ``least_m`` and more, in the sigmas
-    that wheels claim; not a number where a match is less sure.
+    Unequal radii add yaw with distance, a wrong wheel base with rotation: with distant scans, this bends a
+    map more than all noise. Returns (K, 3) remaining errors on steps of ``least_m`` or more, in stated
+    sigmas; NaN if the match is less certain.
     """
     single = [edge for edge in edges if edge.target == edge.source + 1]
     wheels = together(edge for edge in single if edge.kind is EdgeKind.WHEEL)
@@ -90,7 +90,7 @@ def _calibrated_by_steps(edges: list[Edge], poses: FloatArray, least_m: float) -
     both = [(wheels[ends], match) for ends, match in matches.items() if ends in wheels]
     if sum(math.hypot(*match.pose[:2]) >= least_m for _, match in both) < FEWEST:
         return np.zeros((0, 3))
-    # What was learned on the way changed with it.
+    # Values estimated during mapping have changed with it.
     alone = seen_from(poses[:-1], poses[1:])
     told = alone[[source for source, target in matches if (source, target) in wheels]]
     found = np.array([match.pose for _, match in both])
@@ -100,7 +100,7 @@ def _calibrated_by_steps(edges: list[Edge], poses: FloatArray, least_m: float) -
     ways_m = np.hypot(told[:, 0], told[:, 1])
     longer_m = np.hypot(found[:, 0], found[:, 1]) - ways_m
     (stretch,) = _fitted(ways_m[:, None], longer_m, known[:, :2].sum(axis=1))
-    # By what was found, which is all but certain: noise in what explains would make it explain less.
+    # Regress on the matched motion, which is nearly exact: noise in the regressor would bias the result.
     bend, swell = _fitted(np.column_stack([ways_m, found[:, 2]]), seen_from(found, told)[:, 2], known[:, 2])
 
     def calibrated(steps: FloatArray) -> FloatArray:
@@ -121,14 +121,14 @@ def _calibrated_by_steps(edges: list[Edge], poses: FloatArray, least_m: float) -
 
 
 def _fitted(design: FloatArray, measured: FloatArray, variances: FloatArray) -> FloatArray:
-    """Small shares by least squares, with Cauchy's weights about the scale of the surest residuals."""
+    """Fit small factors by least squares, with Cauchy weights at the scale of the most certain residuals."""
     values: FloatArray = np.zeros(design.shape[1])
     sure = variances <= np.median(variances)
     for _ in range(ROUNDS):
         off = measured - design @ values
         scale = median_to_sigma() * float(np.median(np.abs(off[sure])))
         weighted = design / (scale**2 + off**2 + variances)[:, None]
-        # What the steps leave open is no larger than one in so many.
+        # Undetermined factors have a prior of one in so many.
         information = weighted.T @ design + FEWEST**2 * np.eye(len(values))
         values = np.asarray(np.linalg.solve(information, weighted.T @ measured), np.float64)
     return values

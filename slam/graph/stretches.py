@@ -19,31 +19,31 @@ from slam.measurements import BoolArray, FloatArray
 
 
 class Stretches:
-    """Overlapping stretches, in the order of the way.
+    """Overlapping stretches, in path order.
 
     Attributes
     ----------
     keys
         (K,) the keyframe in the middle of each.
     spacing_m
-        Way from one middle to the next.
+        Path length from one middle to the next.
     """
 
     def __init__(self, submaps: SubmapStore, config: LoopConfig, match: MatchConfig) -> None:
         self._config, self._match, self._submaps = config, match, submaps
         way_m = np.array([submaps.travelled_m(key) for key in range(len(submaps))])
         self.spacing_m = submaps.wide_m(0.5 * config.reach_m, 1.0)
-        # Scans so far apart that each pass sees a place once look alike too often for the likest few.
+        # If each pass sees a place once, scans look alike too often to try only the most similar.
         self._most = config.near * (3 if self.spacing_m > config.reach_m else 1)
         middles_m = np.arange(0.0, way_m[-1] + config.reach_m, self.spacing_m)
         self.keys = np.unique(np.searchsorted(way_m, np.minimum(middles_m, way_m[-1])))
         self._way_m = way_m[self.keys]
-        # Made when one is asked for: where loops tie a map together few are.
+        # Computed on demand: few are needed if loops connect the map.
         self._runs: dict[int, OrientedPoints] = {}
         self._walls = np.full(len(self.keys), -1, np.int8)
 
     def untied(self, loops: Sequence[LoopCandidate]) -> list[int]:
-        """The stretches that no loop ties to an earlier place, and that could tell one."""
+        """Return the stretches that no loop connects to an earlier place, and that are distinctive enough."""
         ends = np.sort([self._submaps.travelled_m(loop.keyframe) for loop in loops if loop.accepted])
         ends = np.concatenate([[-np.inf], ends, [np.inf]])
         after = np.searchsorted(ends, self._way_m)
@@ -51,17 +51,17 @@ class Stretches:
         return np.flatnonzero(self._determined(apart_m > self._config.reach_m)).tolist()
 
     def between(self, first_m: float, last_m: float) -> list[int]:
-        """Keyframes in the middle of those stretches within a part of the way that could tell a place."""
+        """Return middle keyframes of the distinctive stretches within a part of the path."""
         within = (self._way_m >= first_m) & (self._way_m <= last_m)
         return self.keys[self._determined(within)].tolist()
 
     def candidates(self, number: int, possible: BoolArray, apart_m: FloatArray) -> list[int]:
-        """Earlier stretches that may be seen again in one: the likest, and the nearest by the estimate.
+        """Return earlier stretches that may be seen again in one: the most similar, and the nearest.
 
         Parameters
         ----------
         possible
-            (K,) those that are not ruled out.
+            (K,) those that are possible.
         apart_m
             (K,) their distance by the estimate.
         """
@@ -75,7 +75,7 @@ class Stretches:
         return [*dict.fromkeys([*self._of_neighbourhoods(likest), *self._of_neighbourhoods(nearest)])]
 
     def _of_neighbourhoods(self, ordered: NDArray[np.int64]) -> list[int]:
-        """The first of each neighbourhood, as many as are tried."""
+        """Return the first of each neighbourhood, up to the number tried."""
         chosen: list[int] = []
         for other in ordered.tolist():
             if len(chosen) == self._most:
@@ -85,7 +85,7 @@ class Stretches:
         return chosen
 
     def search(self, place: int, number: int) -> SearchResult:
-        """The pose of the middle of a stretch in the frame of that of another, over the full turn."""
+        """Search the pose of the middle of a stretch relative to that of another, over all yaws."""
         match = self._match
         return search_window(
             self._submaps.field(int(self.keys[place])),
@@ -98,19 +98,19 @@ class Stretches:
 
     @property
     def window_m(self) -> float:
-        """Half size of the window of a search: two stretches that overlap."""
+        """Return the half size of the search window: two overlapping stretches."""
         return 2.0 * self._config.reach_m
 
     def _run(self, number: int) -> OrientedPoints:
-        """What is seen along a stretch."""
+        """Return the points seen along a stretch."""
         if number not in self._runs:
             self._runs[number] = self._submaps.run(int(self.keys[number]))
         return self._runs[number]
 
     def _determined(self, asked: BoolArray) -> BoolArray:
-        """(K,) which of those asked for (K,) have walls that face more than one way.
+        """Return (K,) which of the requested (K,) have walls in more than one direction.
 
-        Along a bare corridor all is alike.
+        Along a bare corridor, all places look alike.
         """
         for number in np.flatnonzero(asked & (self._walls < 0)).tolist():
             run = self._run(number)
@@ -121,6 +121,6 @@ class Stretches:
 
     @cached_property
     def _bank(self) -> SpectrumBank:
-        """How all of them look."""
+        """Return the descriptors of all stretches."""
         bin_m, runs = self._match.coarse_cell_m, map(self._run, range(len(self.keys)))
         return SpectrumBank(hough_spectrum(run.points, run.normals, bin_m) for run in runs)

@@ -22,12 +22,12 @@ from slam.measurements import FloatArray
 
 _Key = TypeVar("_Key")
 _Made = TypeVar("_Made")
-# So many scans of a run are enough to draw it, and so far around, in its cells.
+# Number of scans of a run that suffice to draw it, and its radius in cells.
 _RUN_SCANS, _RUN_CELLS = 10, 75
 
 
 class Submap:
-    """The surroundings of one keyframe, in its frame; made when first looked at."""
+    """The surroundings of one keyframe, in its frame; built at first use."""
 
     def __init__(self, build: Callable[[], LocalMap], cell_m: float) -> None:
         self._build = build
@@ -35,23 +35,23 @@ class Submap:
 
     @cached_property
     def local_map(self) -> LocalMap:
-        """The points and surfels."""
+        """Return the points and surfels."""
         return self._build()
 
     @cached_property
     def field(self) -> LikelihoodField:
-        """Likelihood field of the local map."""
+        """Return the likelihood field of the local map."""
         return build_field(self.local_map.points.points, 0.5 * self._cell_m, self._cell_m)
 
 
 class SubmapStore:
     """Keyframe scans with their odometry poses, and the submaps around them.
 
-    A submap rests on odometry-frame poses only, so no later optimisation makes it stale.
+    A submap uses odometry poses only, so later optimisations do not invalidate it.
     """
 
     def __init__(self, loop: LoopConfig, match: MatchConfig) -> None:
-        # What comes later on the way may come back here, and is no part of this place.
+        # Later parts of the path may return here, and are no part of this place.
         self._half, self._path_m, self._reach_m = loop.half_keyframes, loop.least_path_m, loop.reach_m
         self._match, self._near = match, loop.near
         self._scans: list[OrientedPoints] = []
@@ -62,7 +62,7 @@ class SubmapStore:
         self._begun: list[int] = []
         self._places: list[int] = []
         self._cache: OrderedDict[int, Submap] = OrderedDict()
-        # Of each place that is tried, what a claim is followed along.
+        # Points along which a claim is followed, for each place tried.
         self._most = loop.near * (2 * loop.half_keyframes + 1)
         self._surroundings: OrderedDict[tuple[int, int, int], LocalMap] = OrderedDict()
         self._fields: OrderedDict[int, LikelihoodField] = OrderedDict()
@@ -75,13 +75,13 @@ class SubmapStore:
         session: int = 0,
         surface: OrientedPoints | None = None,
     ) -> None:
-        """Take the next keyframe: its scan, its pose (3,) in the odometry frame, the way so far.
+        """Store the next keyframe: its scan, its pose (3,) in the odometry frame, the path length so far.
 
-        ``surface`` is what a map learns of the scan; the scan itself by default.
+        ``surface`` contains the points for a map; the scan itself by default.
 
         Keyframes of different sessions, which have no odometry between them, share no submap.
         """
-        # A place each so many keyframes; where they lie far apart, each as far as a place is seen.
+        # A place every few keyframes; if these are far apart, at each visibility distance.
         number = len(self._scans)
         if number % self._half == 0 or travelled_m - self._travelled_m[self._places[-1]] > self._reach_m:
             self._places.append(number)
@@ -95,19 +95,19 @@ class SubmapStore:
         return len(self._scans)
 
     def places(self, key: int) -> NDArray[np.int64]:
-        """(P,) keyframes before one that stand for their surroundings."""
+        """Return (P,) keyframes before one that represent their surroundings."""
         return np.array(self._places[: bisect_left(self._places, key)], np.int64)
 
     def scan(self, key: int) -> OrientedPoints:
-        """Oriented points of a keyframe, base frame."""
+        """Return the oriented points of a keyframe, base frame."""
         return self._scans[key]
 
     def travelled_m(self, key: int | np.integer[Any]) -> float:
-        """Way from the start to a keyframe."""
+        """Return the path length from the start to a keyframe."""
         return self._travelled_m[key]
 
     def submap(self, key: int) -> Submap:
-        """The surroundings of a keyframe."""
+        """Return the surroundings of a keyframe."""
         half, half_m = self._half, 0.5 * self.least_path_m
         members = [
             k
@@ -115,49 +115,49 @@ class SubmapStore:
             if self._sessions[k] == self._sessions[key]
             and abs(self._travelled_m[k] - self._travelled_m[key]) <= half_m
         ]
-        # It does not hold the store that holds it: at the end of a run all of them go at once.
+        # No reference to the store, which refers to it: at the end of a run, all are freed at once.
         build = partial(_local_map, self._surfaces, self._poses, key, members, self._match)
-        # The next attempt looks at the same places; older ones come too seldom for what they take.
+        # The next attempt uses the same places; older ones are used too rarely for their memory.
         return _newest(self._cache, key, self._near, lambda: Submap(build, self._match.cell_m))
 
     def wide_m(self, least_m: float, scans: float) -> float:
-        """A length that holds so many scans as a rule, but no less than ``least_m``."""
+        """Return a length that usually contains so many scans, but at least ``least_m``."""
         return max(least_m, scans * self._travelled_m[-1] / max(len(self), FEWEST))
 
     @property
     def sparse(self) -> bool:
-        """Whether scans lie so far apart that each pass sees a place once."""
+        """Return whether scans are so far apart that each pass sees a place once."""
         return self.wide_m(0.0, 1.0) > self._reach_m
 
     @property
     def least_path_m(self) -> float:
-        """Way round below which it is no loop: the surroundings of both ends would share scans.
+        """Return the shortest path of a loop: below, the surroundings of both ends would share scans.
 
-        Where scans lie far apart, one alone sees too little of a corridor: each surroundings has a few.
+        If scans are far apart, one alone sees too little of a corridor: surroundings contain a few.
         """
         return self.wide_m(self._path_m, 0.5 * _RUN_SCANS)
 
     def pose(self, key: int | np.integer[Any]) -> FloatArray:
-        """(3,) of a keyframe, odometry frame."""
+        """Return (3,) the pose of a keyframe, odometry frame."""
         return self._poses[key]
 
     def lay(self, poses: FloatArray, begun: Sequence[int]) -> None:
-        """Let all lie as a finished run tells: of scans far apart it knows more than the odometry did.
+        """Use the poses of a finished run: for distant scans, they are better than the odometry.
 
-        Nothing saw the way to the keyframes in ``begun``: what was seen before may lie elsewhere.
+        Nothing measured the motion to the keyframes in ``begun``: earlier points may be misplaced.
         """
         self._poses = list(poses)
         self._begun = list(begun)
         self._cache.clear()
 
     def parted(self, one: int, other: int) -> bool:
-        """Whether nothing saw the way between two keyframes."""
+        """Return whether nothing measured the motion between two keyframes."""
         return bisect_right(self._begun, one) != bisect_right(self._begun, other)
 
     def surroundings(self, key: int, *, own: bool = False) -> LocalMap:
-        """What is seen on the way to a keyframe and on from it, and what those scans have looked through.
+        """Return the points seen before and after a keyframe, and the space that these scans saw as free.
 
-        ``own`` leaves out what may lie elsewhere, for nothing saw the way there.
+        ``own`` leaves out points beyond unobserved motion, which may be misplaced.
         """
         members = [k for k in self._around(key) if not own or not self.parted(key, k)]
 
@@ -172,12 +172,12 @@ class SubmapStore:
         return _newest(self._surroundings, (key, members[0], members[-1]), self._most, seen)
 
     def field(self, key: int) -> LikelihoodField:
-        """Of what is seen on the way to a keyframe and on from it, coarse: for searches in wide windows."""
+        """Return a coarse field of the points seen before and after a keyframe, for wide windows."""
         sizes_m = 2.0 * self._match.cell_m, self._match.coarse_cell_m
         return _newest(self._fields, key, self._most, lambda: build_field(self.run(key).points, *sizes_m))
 
     def _around(self, key: int) -> list[int]:
-        """Keyframes on the way to one and on from it, a few of them."""
+        """Return a few keyframes before and after one."""
         travelled_m = np.array(self._travelled_m)
         reach_m = self.wide_m(self._reach_m, 2.0)
         members = np.flatnonzero(np.abs(travelled_m - travelled_m[key]) <= reach_m)
@@ -185,7 +185,7 @@ class SubmapStore:
         return [k for k in members.tolist() if self._sessions[k] == self._sessions[key]]
 
     def run(self, key: int) -> OrientedPoints:
-        """What is seen on the way to a keyframe and on from it, in its frame: a point a cell."""
+        """Return the points seen before and after a keyframe, in its frame: one per cell."""
         parts = [
             self._surfaces[k].moved(between(self._poses[key], self._poses[k])) for k in self._around(key)
         ]
@@ -199,7 +199,7 @@ class SubmapStore:
 
 
 def _newest(made: OrderedDict[_Key, _Made], key: _Key, most: int, make: Callable[[], _Made]) -> _Made:
-    """What was made for a key, or is made now; so many of the newest stay."""
+    """Return the cached value of a key, or compute it; only the newest stay."""
     made[key] = found = made.pop(key) if key in made else make()
     if len(made) > most:
         made.popitem(last=False)
@@ -213,6 +213,6 @@ def _local_map(
     members: list[int],
     match: MatchConfig,
 ) -> LocalMap:
-    """The scans of some keyframes in the frame of one."""
+    """Return the scans of some keyframes in the frame of one."""
     parts = [surfaces[k].moved(between(poses[key], poses[k])) for k in members]
     return LocalMap.build(parts, match)

@@ -20,29 +20,29 @@ _ALONE = "no other loop across the unobserved gap agrees"
 
 
 class UnseenGaps:
-    """Which stretches of the way are joined, and the loops that wait for others to agree.
+    """Which sections of the path are connected, and the loops that wait for others to agree.
 
     Parameters
     ----------
     least_path_m
-        Way along which the places of a set must lie, and the keyframes that come back to them.
+        Path length that the places of a set must cover, and the keyframes that return to them.
     """
 
     def __init__(self, least_path_m: float) -> None:
         self._least_path_m = least_path_m
         self._begins: list[int] = []
-        # Of each stretch, the first one that it is joined with.
+        # For each section, the first one to which it is connected.
         self._joined = [0]
         self._waiting: list[LoopCandidate] = []
         self._likeliest: LoopCandidate | None = None
 
     def begin(self, key: int) -> None:
-        """Nothing saw the way to a keyframe."""
+        """Start a section: nothing measured the motion to a keyframe."""
         self._begins.append(key)
         self._joined.append(len(self._joined))
 
     def crossed(self, loop: LoopCandidate) -> tuple[int, int] | None:
-        """The two stretches that nothing but a loop joins; None if they are one."""
+        """Return the two sections that only a loop connects; None if they are one."""
         ends = self._stretch(loop.place), self._stretch(loop.keyframe)
         return None if ends[0] == ends[1] else ends
 
@@ -53,18 +53,18 @@ class UnseenGaps:
         travelled_m: Sequence[float],
         chain: UncertaintyGraph,
     ) -> list[LoopCandidate]:
-        """Loops as they may be taken now: those that wait are left out, those that agree by now come along.
+        """Return the loops to use now: without those that wait, with those that now agree.
 
         Parameters
         ----------
         loops
             Verified just now.
         rows
-            (n, 3) current estimates seen from above.
+            (n, 3) current estimates, projected onto the plane.
         travelled_m
-            (n,) way from the start.
+            (n,) path length from the start.
         chain
-            How uncertain keyframes of one stretch are of each other.
+            Relative uncertainty of keyframes of one section.
         """
         taken = list[LoopCandidate]()
         for loop in loops:
@@ -90,20 +90,20 @@ class UnseenGaps:
         return taken
 
     def likeliest(self, key: int) -> LoopCandidate | None:
-        """The newest of the largest set that waits, if it tells where a keyframe is; it may be false."""
+        """Return the newest of the largest waiting set, if it is in the section of a keyframe."""
         loop = self._likeliest
         return loop if loop is not None and self._stretch(loop.keyframe) == self._stretch(key) else None
 
     def alone(self) -> list[LoopCandidate]:
-        """Loops that still wait, as refused."""
+        """Return the loops that still wait, as rejected."""
         return [replace(loop, accepted=False, reason=_ALONE) for loop in self._waiting]
 
     def stretch_of(self, key: int) -> range:
-        """The keyframes around one that nothing unseen parts from it."""
+        """Return the keyframes around one without a gap between."""
         n = int(np.searchsorted(self._begins, key, side="right"))
         ends = [0, *self._begins]
         return range(ends[n], ends[n + 1]) if n + 1 < len(ends) else range(ends[n], key + 1)
 
     def _stretch(self, key: int) -> int:
-        """The first stretch that that of a keyframe is joined with."""
+        """Return the first section to which that of a keyframe is connected."""
         return self._joined[int(np.searchsorted(self._begins, key, side="right"))]

@@ -19,14 +19,14 @@ from slam.vision.visual_match import VisualKeyframe, VisualMatch, dissimilarity
 
 
 class Keyframes(Protocol):
-    """Where keyframes are kept."""
+    """Storage of keyframes."""
 
     def keyframe(self, key: int) -> PreparedFrame:
-        """A keyframe by its number."""
+        """Return a keyframe by its number."""
         ...
 
     def touch(self, key: int) -> None:
-        """Note that a keyframe was asked for."""
+        """Record that a keyframe was requested."""
         ...
 
 
@@ -51,15 +51,15 @@ class VisualLoopCloser:
         self._newest: Descriptors | None = None
 
     def add_keyframe(self, frame: PreparedFrame, *, adrift: bool = False) -> None:
-        """Remember the appearance of the next keyframe.
+        """Store the appearance of the next keyframe.
 
         Parameters
         ----------
         adrift
-            Nothing measured the way to it: where it lies is known only when a loop by appearance has told.
+            Whether nothing measured the motion to it: its pose is known only after a loop by appearance.
         """
         if self._newest is not None:
-            # A place is asked for before it is added, so that its neighbour sets the scale.
+            # A place is queried before it is added, so that its neighbour sets the scale.
             self._places.add(self._newest)
         self._newest = frame.features.descriptors
         self._depths_m.append(frame.median_depth_m)
@@ -67,7 +67,7 @@ class VisualLoopCloser:
         self._segments.append(last + 1 if adrift else last)
 
     def close(self, key: int, poses: Sequence[gtsam.Pose3]) -> list[LoopCandidate]:
-        """Try the places that a keyframe may have come back to.
+        """Try to close loops with places to which a keyframe may have returned.
 
         Parameters
         ----------
@@ -78,7 +78,7 @@ class VisualLoopCloser:
 
         Returns
         -------
-        Every candidate that was tried, accepted or refused.
+        Every candidate that was tried, accepted or rejected.
         """
         config = self._config
         if not self._loops.enabled or key < config.least_gap:
@@ -101,12 +101,12 @@ class VisualLoopCloser:
         camera: gtsam.Pose3,
         depths_m: Sequence[float],
     ) -> list[int]:
-        """Those of places whose cameras should see what one sees, each from another stretch of the way.
+        """Return places whose cameras should see the same as one, each from another stretch of the path.
 
         Parameters
         ----------
         poses, depths_m
-            Of the cameras of all keyframes, and how far away is what they see.
+            Poses of the cameras of all keyframes, and the depths of what they see.
         """
         config = self._config
         scores = np.array([dissimilarity(poses[p], camera, depths_m[p]) for p in places])
@@ -119,18 +119,18 @@ class VisualLoopCloser:
         return chosen
 
     def verify(self, place: int, key: int, guess: gtsam.Pose3 | None) -> LoopCandidate:
-        """Match a keyframe to a place, from a guess (``T_place_camera``) or from anywhere."""
+        """Match a keyframe to a place, from a guess (``T_place_camera``) or without one."""
         return self._verify(place, key, guess, 1.0)
 
     def _join(self, candidate: LoopCandidate) -> None:
-        """A loop tells where a segment lies that was adrift."""
+        """Connect a segment of unknown pose by a loop."""
         ends = {self._segments[candidate.place], self._segments[candidate.keyframe]}
         if candidate.accepted and len(ends) == 2:
             low, high = min(ends), max(ends)
             self._segments = [low if segment == high else segment for segment in self._segments]
 
     def _by_appearance(self, key: int) -> list[tuple[int, float]]:
-        """Places that look the same, with their relative score."""
+        """Return places that look the same, with their relative score."""
         config = self._config
         if self._newest is None:
             return []
@@ -138,8 +138,8 @@ class VisualLoopCloser:
         return [(m.key, m.relative_score) for m in matches if m.relative_score >= config.least_place_score]
 
     def _verify(self, place: int, key: int, guess: gtsam.Pose3 | None, score: float) -> LoopCandidate:
-        """Match the keyframe to the place, and judge."""
-        # What is kept in memory must not depend on where the answer comes from.
+        """Match the keyframe to the place, and accept or reject the result."""
+        # The content of the memory must not depend on the source of the result.
         self._keyframes.touch(key)
         self._keyframes.touch(place)
         return self._result_cache.cached(
@@ -149,7 +149,7 @@ class VisualLoopCloser:
         )
 
     def _match(self, place: int, key: int, guess: gtsam.Pose3 | None, score: float) -> LoopCandidate:
-        """Match and judge."""
+        """Match, and accept or reject the result."""
         config = self._config
         candidate = LoopCandidate(place, key, 0.0, 0.0, score, None, False, "")
         frame = self._keyframes.keyframe(key)
@@ -168,7 +168,7 @@ class VisualLoopCloser:
         if match.overlap < self._loops.least_overlap and match.feature_count < config.least_features:
             return candidate.refused("too little overlap")
         moved = 0.0 if guess is None else dissimilarity(guess, match.pose, frame.median_depth_m)
-        # Any corner of three walls fits any other: without features a match may only confirm a guess.
+        # All corners of three walls look alike: without features, a match may only confirm a guess.
         if moved > self._confirmed and match.feature_count < config.least_features:
             return candidate.refused("geometry alone leads elsewhere")
         if match.motion.degenerate:

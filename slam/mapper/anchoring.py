@@ -17,20 +17,20 @@ from slam.graph.keyframe_graph import KeyframeGraph
 from slam.graph.pose_graph import BatchResult
 from slam.measurements import FloatArray, Pose, spatial
 
-# More anchors than this share are not wrong as a rule.
+# Usually no larger share of the anchors is wrong.
 _WRONG_SHARE = 0.1
 
 
 @dataclass(frozen=True, slots=True)
 class Way:
-    """Where the robot was.
+    """Trajectory of the robot.
 
     Attributes
     ----------
     nodes, bases, stamps_s
-        (K,) poses of the graph's nodes and of the base there, and when that was.
+        (K,) poses of the graph's nodes, of the base at each node, and their stamps.
     readings, trajectory
-        A pose for every reading, by these, in the order of the log, and in that of time.
+        The pose of every reading, interpolated between these; in log order, and sorted by time.
     """
 
     nodes: Sequence[Pose]
@@ -41,21 +41,21 @@ class Way:
 
     @classmethod
     def of(cls, nodes: Sequence[Pose], bases: Sequence[Pose], stamps_s: FloatArray, way: Trajectory) -> Way:
-        """With a trajectory in any order."""
+        """Create it from a trajectory in any order."""
         return cls(nodes, bases, stamps_s, way, way[np.argsort(way.stamps_s, kind="stable")])
 
     def nearest(self, stamps_s: FloatArray) -> NDArray[np.int64]:
-        """(k,) the keyframe nearest in time to each of (k,) stamps."""
+        """Return (k,) the keyframe nearest in time to each of (k,) stamps."""
         in_time = np.argsort(self.stamps_s, kind="stable")
         middles_s = 0.5 * (self.stamps_s[in_time][1:] + self.stamps_s[in_time][:-1])
         return np.asarray(in_time[np.searchsorted(middles_s, stamps_s)])
 
     def seen_from(self, key: int, stamp_s: float) -> gtsam.Pose3 | None:
-        """The base at a time in the frame of a node; None if it is not known."""
+        """Return the pose of the base at a time in the frame of a node; None if unknown."""
         at = _pose_at(self.trajectory, stamp_s)
         if at is None:
             return None
-        # What the odometry says that it moved since the keyframe.
+        # The motion since the keyframe, by odometry.
         moved = spatial(self.bases[key]).between(at)
         return spatial(self.nodes[key]).between(spatial(self.bases[key])).compose(moved)
 
@@ -67,19 +67,18 @@ def anchor(
     inlier_probability: float,
     kind: EdgeKind,
 ) -> tuple[BatchResult, Anchored | None]:
-    """Lay a graph on places and solve it anew.
+    """Align a graph with known positions and solve it again.
 
     Parameters
     ----------
     outcome
-        Of the optimisation so far.
+        The result of the previous optimisation.
     inlier_probability
         See `slam.graph.pose_graph.PoseGraph.optimize`.
 
     Returns
     -------
-    The outcome of the new optimisation, and where the map lies; the old one and None if the places do not
-    tell that.
+    The new result and the pose of the map; the previous result and None if the positions do not determine it.
     """
     edges, kept = graph.graph.edges, outcome.kept
     held = [edge for edge, keep in zip(edges, kept, strict=True) if keep]
@@ -87,7 +86,7 @@ def anchor(
     if found is None:
         return outcome, None
     if found.misfits > _WRONG_SHARE:
-        # A false loop outweighs any place. Where far more fit without loops, those begin refused.
+        # A false loop outweighs any position. If far more fit without loops, loops start rejected.
         chain = [edge for edge in held if edge.loop is None]
         other = anchored(graph.poses(), chain, anchors, kind)
         if other is not None and other.misfits < 0.5 * found.misfits:
@@ -99,7 +98,7 @@ def anchor(
 
 
 def _pose_at(ways: Trajectory, stamp_s: float) -> gtsam.Pose3 | None:
-    """Between two poses of a trajectory in the order of time; None if it is not known."""
+    """Interpolate between two poses of a trajectory sorted by time; None if unknown."""
     after = int(np.searchsorted(ways.stamps_s, stamp_s))
     pair = ways[max(after - 1, 0) : after + 1]
     ends = pair.poses()

@@ -26,7 +26,7 @@ from slam.vision.prepared_frame import PreparedFrame
 
 
 class _Places:
-    """The frames of the leading camera, by their order among themselves."""
+    """Keyframes of the leading camera, numbered consecutively."""
 
     def __init__(self, store: KeyframeStore) -> None:
         self._store = store
@@ -42,16 +42,16 @@ class _Places:
 
 
 class CameraKeyframes:
-    """Frames of a robot's cameras, each belonging to a node of the graph; the leading camera's are places.
+    """Frames of a robot's cameras at the nodes of the graph; those of the leading camera are places.
 
-    Where a frame was taken is known as well as its camera's clock: as that is learned, it is placed anew.
+    The pose of a frame depends on its camera's clock offset: it is recomputed when the offset is estimated.
 
     Parameters
     ----------
     cameras
-        That take them.
+        The cameras.
     registrations
-        Where colour cameras sit that are not registered to depth, by name.
+        Poses of colour cameras that are not registered to depth, by name.
     """
 
     def __init__(
@@ -71,23 +71,23 @@ class CameraKeyframes:
         self._taken: list[tuple[str, float]] = []
         self._T_node_camera: list[gtsam.Pose3] = []
         self._clocks: list[SensorClock] = []
-        # Loops as they were measured between frames, by their nodes.
+        # Loops as measured between frames, by their nodes.
         self._measured: dict[tuple[int, int], LoopCandidate] = {}
 
     def add(self, node: int, stamp_s: float, pictures: Sequence[Picture], *, places: bool) -> None:
-        """Take the frames of the newest node.
+        """Store the frames of the newest node.
 
         Parameters
         ----------
         stamp_s
-            Of the node, by the robot's clock.
+            Stamp of the node, by the robot's clock.
         pictures
-            A frame of each camera, the leading one's first, and where they were taken, seen from the node.
+            A frame of each camera, the leading one's first, with its pose relative to the node.
         places
-            Whether the first of them may be recognised later.
+            Whether the first frame may be recognised later.
         """
         for rank, picture in enumerate(pictures):
-            # Seen from the base at the node, so that who reads the image needs no other pose than the node's.
+            # Relative to the base at the node, so that readers of the image need only the pose of the node.
             frame, mounting = picture.frame, picture.T_base_camera
             registration = self._registrations.get(frame.frame.sensor)
             self._nodes.append(node)
@@ -101,11 +101,11 @@ class CameraKeyframes:
                 self._closer.add_keyframe(frame)
 
     def close(self, poses: Sequence[Pose]) -> list[LoopCandidate]:
-        """Try the places that the newest frame may show, by the current estimates of all nodes.
+        """Try to close loops with places that the newest frame may show, given the current node estimates.
 
         Returns
         -------
-        Every candidate that was tried, its ends being nodes.
+        Every candidate that was tried, between nodes.
         """
         clocks = [camera.clock for camera in self._cameras.cameras.values()]
         if clocks != self._clocks:
@@ -118,16 +118,16 @@ class CameraKeyframes:
 
     @property
     def frames(self) -> MapFrames:
-        """All of them."""
+        """Return all frames."""
         return self._store.images
 
     def settle(self, graph: KeyframeGraph, stamps_s: FloatArray) -> None:
-        """At the end: place frames, and loops between them, as the whole run tells clocks and mountings.
+        """At the end, recompute the poses of frames and loops with the final clock offsets and mountings.
 
         Parameters
         ----------
         stamps_s
-            (K,) of the nodes, by the robot's clock as it is known now.
+            (K,) stamps of the nodes, by the final estimate of the robot's clock.
         """
         self._stamps_s = stamps_s[self._nodes].tolist()
         self._place_anew()
@@ -140,14 +140,14 @@ class CameraKeyframes:
                 graph.loops[edge.loop], graph.graph.edges[n] = told, told.edge(edge.loop)
 
     def _place_anew(self) -> None:
-        """Where frames were taken; one of which it is not known stays where it was."""
+        """Recompute the poses of frames; a frame with an unknown pose keeps its old one."""
         self._T_node_camera = [
             self._cameras.placed_at(*taken, stamp_s) or before
             for taken, stamp_s, before in zip(self._taken, self._stamps_s, self._T_node_camera, strict=True)
         ]
 
     def _of_nodes(self, candidate: LoopCandidate) -> LoopCandidate:
-        """A candidate between frames as one between nodes, projected to the plane."""
+        """Convert a candidate between frames to one between nodes, projected onto the plane."""
         frames = [self._places.keys[candidate.place], self._places.keys[candidate.keyframe]]
         place, keyframe = (self._nodes[key] for key in frames)
         of_frames, candidate = candidate, replace(candidate, place=place, keyframe=keyframe)
@@ -160,7 +160,7 @@ class CameraKeyframes:
         covariance = planar.covariance
         late = [self._cameras.placed_at(*self._taken[key], self._stamps_s[key], 1.0) for key in frames]
         if late[0] is not None and late[1] is not None:
-            # The clock moves both ends, each as the robot moved there.
+            # A clock offset shifts both ends, each by the robot's motion there.
             moved = planar_motion(motion.T_reference_base, motion.covariance, late[1], late[0])
             by_clock = between(planar.motion, moved.motion)
             covariance = covariance + np.outer(by_clock, by_clock)

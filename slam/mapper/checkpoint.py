@@ -26,23 +26,23 @@ T = TypeVar("T")
 
 _LENGTH = struct.Struct("<I")
 _FINDINGS, _REGISTRATIONS, _MOUNTINGS = "findings", "registrations", "mountings"
-# What another process may answer of a run with cameras.
+# Questions of a run with cameras that another process may answer.
 _FORETOLD = frozenset({_REGISTRATIONS, FRAME})
 
 
 class Checkpoint:
-    """Answers to a run's questions, in their order; see `slam.result_cache.ResultCache`.
+    """Stored results of a run, in the order of its queries; see `slam.result_cache.ResultCache`.
 
     Parameters
     ----------
     file
-        Where they are kept, with what an interrupted run has left there; None to remember nothing.
+        File of the results, with those of an interrupted run; None stores nothing.
     """
 
     def __init__(self, file: MapFile | None = None) -> None:
-        # Called after each that was computed: a sign of life.
+        # Called after each computed result, as a sign of life.
         self.on_answer: Callable[[], None] = lambda: None
-        # Where the next answer to what is foretold may have been found already, as `telling` tells it.
+        # Source of results that another process may have computed already, as `telling` sends them.
         self.ahead: Callable[[], bytes | None] | None = None
         self._file = file
         self._count = 0
@@ -56,26 +56,26 @@ class Checkpoint:
 
     @property
     def is_kept(self) -> bool:
-        """Whether there is a file."""
+        """Return whether results are stored in a file."""
         return self._file is not None
 
     @property
     def replaying(self) -> bool:
-        """Whether the next answer is known."""
+        """Return whether the next result is stored."""
         return self._next is not None
 
     @property
     def knows_more(self) -> bool:
-        """Whether the next answer is known, or will have been found ahead."""
+        """Return whether the next result is stored, or computed by another process."""
         return self.replaying or self.ahead is not None
 
     def cached(self, question: str, key: float, compute: Callable[[], T]) -> T:
-        """The answer to a question: as it was, or else computed and remembered.
+        """Return the stored result of a query, or compute and store it.
 
         Raises
         ------
         MapFileError
-            If the interrupted run asked something else at this place.
+            If the interrupted run made another query at this point.
         """
         if self._next is not None:
             return cast(T, self._replayed(question, key))
@@ -89,29 +89,29 @@ class Checkpoint:
         return cast(T, answer)
 
     def keep(self, content: bytes) -> None:
-        """Remember an answer, packed with its question, which another process may have found."""
+        """Store a result, packed with its query; another process may have computed it."""
         if self._file is not None:
             self._remember(content)
             self._file.commit_if_due()
         self.on_answer()
 
     def telling(self, tell: Callable[[bytes], None]) -> Checkpoint:
-        """Of a run that tells what is foretold to another of the same log, and keeps nothing."""
+        """Create one that sends its results to another run of the same log, and stores nothing."""
         return _Telling(self._file, tell)
 
     def findings(self, compute: Callable[[], list[Finding]]) -> list[Finding]:
-        """What is wrong with the sensors: the first question of a run."""
+        """Return the findings about the sensors: the first query of a run."""
         found: list[str] = self.cached(_FINDINGS, 0.0, lambda: _texts(compute()))
         return [Finding.from_plain(json.loads(row)) for row in found]
 
     def registrations(
         self, compute: Callable[[], dict[str, ColorRegistration]]
     ) -> dict[str, ColorRegistration]:
-        """Where colour cameras sit that are not registered to depth: the second question."""
+        """Return the poses of colour cameras that are not registered to depth: the second query."""
         return dict(self.cached(_REGISTRATIONS, 0.0, lambda: list(compute().items())))
 
     def mountings(self) -> dict[str, LearnedMounting]:
-        """Where cameras sit on the robot, learned by a first pass over the log; the third question."""
+        """Return camera mountings estimated by a first pass over the log: the third query."""
         rows: list[tuple[str, Any, str]] = self.cached(_MOUNTINGS, 0.0, list)
         return {name: LearnedMounting(pose, note) for name, pose, note in rows}
 
@@ -121,7 +121,7 @@ class Checkpoint:
         registrations: Mapping[str, ColorRegistration],
         mountings: Mapping[str, LearnedMounting],
     ) -> None:
-        """Forget all but what a first pass over the log has learned."""
+        """Discard everything except what a first pass over the log has estimated."""
         if self._file is None:
             return
         self._waiting.clear()
@@ -135,15 +135,15 @@ class Checkpoint:
         self._file.commit()
 
     def spool(self) -> MapFrames:
-        """Where the camera keyframes of a pass go; a temporary map where nothing is kept."""
+        """Return the store of a pass's camera keyframes; a temporary map if nothing is stored."""
         return MapFrames(self._file or MapFile.temporary(), begun=True)
 
     def cloud_spool(self) -> MapClouds:
-        """Where the clouds of keyframes go; a temporary map where nothing is kept."""
+        """Return the store of the clouds of keyframes; a temporary map if nothing is stored."""
         return MapClouds(self._file or MapFile.temporary(), begun=True)
 
     def _replayed(self, question: str, key: float) -> Any:
-        """The next known answer, if it is one to this question."""
+        """Return the next stored result, if it is for this query."""
         assert self._next is not None and self._file is not None
         asked, about, answer = self._next
         if asked != question or (about != key and about == about):
@@ -158,7 +158,7 @@ class Checkpoint:
         return answer
 
     def _found_ahead(self, question: str, key: float) -> tuple[bytes | None, Any]:
-        """An answer as it is kept, and itself; None if nothing, or another one, was found ahead."""
+        """Return a result, packed and as object; None if the other process has none for this query."""
         assert self.ahead is not None
         content = self.ahead()
         asked, about, answer = (None, None, None) if content is None else unpack(content)
@@ -168,12 +168,12 @@ class Checkpoint:
         return None, None
 
     def _remember(self, content: bytes) -> None:
-        """Gather an answer for the next row."""
+        """Add a result to the next row."""
         self._waiting += _LENGTH.pack(len(content)) + content
         self._count += 1
 
     def _flush(self) -> None:
-        """Write the answers that wait, as one row."""
+        """Write the pending results as one row."""
         if self._file is not None and self._waiting:
             self._file.append(CHECKPOINT, self._first_waiting, bytes(self._waiting))
             self._waiting.clear()
@@ -181,7 +181,7 @@ class Checkpoint:
 
     @staticmethod
     def _read(file: MapFile, rows: int) -> Iterator[tuple[str, float, Any]]:
-        """The answers of the first rows, one row in memory at a time."""
+        """Yield the results of the first rows, with one row in memory at a time."""
         for number in range(rows):
             content = cast(bytes, file.row(CHECKPOINT, number)[1])
             at = 0
@@ -201,7 +201,7 @@ class _Telling(Checkpoint):
         self._file, self._tell = file, tell
 
     def cached(self, question: str, key: float, compute: Callable[[], T]) -> T:
-        """Compute it, and tell."""
+        """Compute the result, and send it."""
         answer = compute()
         if question in _FORETOLD:
             self._tell(pack((question, float(key), answer)))
@@ -209,5 +209,5 @@ class _Telling(Checkpoint):
 
 
 def _texts(findings: Sequence[Finding]) -> list[str]:
-    """Findings as rows of text."""
+    """Return findings as rows of text."""
     return [json.dumps(finding.plain()) for finding in findings]

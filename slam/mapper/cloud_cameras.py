@@ -32,7 +32,7 @@ _RING = "horizon of the 3D lidar"
 
 
 class CloudCameras:
-    """The cameras of a run with a 3D lidar, as far as the log tells where they sit on the robot."""
+    """The cameras of a run with a 3D lidar whose mounting on the robot is in the log."""
 
     def __init__(
         self,
@@ -50,7 +50,7 @@ class CloudCameras:
         self._camera_poses: CameraPoses = {}
 
     def note_cloud(self, stamp_s: float, tracked: TrackedCloud) -> None:
-        """Take the heading of a cloud that matched, by which the cameras' clocks are compared."""
+        """Store the heading of a matched cloud, with which the cameras' clocks are compared."""
         if tracked.motion is not None:
             self._cameras.scan_turns.add(stamp_s, tracked.pose.rotation().yaw())
 
@@ -59,7 +59,7 @@ class CloudCameras:
         self._cameras.add(frame)
 
     def step(self, stamp_s: float) -> tuple[gtsam.Pose3, FloatArray] | None:
-        """Motion of the base since the last keyframe, and its (6, 6), by the first camera that knows it."""
+        """Return the base motion since the last keyframe, and its (6, 6), by the first camera that has it."""
         now = self._cameras.camera_poses(stamp_s)
         for name, camera in self._cameras.cameras.items():
             found = camera_step(self._camera_poses.get(name), now.get(name))
@@ -72,7 +72,7 @@ class CloudCameras:
         return None
 
     def add_keyframe(self, node: int, stamp_s: float, points: FloatArray, T_base_lidar: gtsam.Pose3) -> None:
-        """Take the newest frames for a keyframe of the lidar, whose points are (N, 3) in the base frame."""
+        """Store the newest frames with a lidar keyframe, whose points are (N, 3) in the base frame."""
         self._camera_poses = self._cameras.camera_poses(stamp_s)
         self._cameras.look_for_tags()
         placed = self._cameras.placed_pictures(stamp_s)
@@ -85,19 +85,19 @@ class CloudCameras:
                 self._fusion.add(node, ring, placed)
 
     def settle(self, graph: KeyframeGraph, stamps_s: FloatArray) -> None:
-        """Place the frames of all keyframes, whose stamps are (K,), as the whole run tells the clocks."""
+        """Recompute the frame poses of all keyframes, whose stamps are (K,), with the final clock offsets."""
         self._cameras.settle_clocks()
         self._keyframes.settle(graph, stamps_s)
 
     def repaired(
         self, scans: Sequence[LaserScan | None], *, in_band: bool
     ) -> tuple[Sequence[LaserScan | None], FusionSummary | None]:
-        """The flat scans of all keyframes with what the fusion has found in the way.
+        """Return the 2D scans of all keyframes, with the obstacles that the fusion has found.
 
         Parameters
         ----------
         in_band
-            Whether what the lidar sees at its own height stands in the robot's way.
+            Whether objects at the height of the lidar are obstacles for the robot.
         """
         if self._fusion is None or not any(self._horizons):
             return scans, None
@@ -115,19 +115,19 @@ class CloudCameras:
         return self._keyframes.frames
 
     def records(self) -> dict[str, CameraRecord]:
-        """What became of every camera's frames."""
+        """Return how the frames of every camera were used."""
         return self._cameras.records(self._registrations)
 
     def notes(self) -> list[str]:
-        """Registrations and clocks."""
+        """Return notes on registrations and clock offsets."""
         return [*registration_notes(self._registrations), *self._cameras.notes()]
 
     def warnings(self) -> list[str]:
-        """Cameras that failed, or could not be used."""
+        """Return warnings about cameras that failed or could not be used."""
         lines = [f"{name}: not used; {why}" for name, why in self.unused().items()]
         return [*lines, *self._cameras.warnings()]
 
     def unused(self) -> dict[str, str]:
-        """Why a camera could not be used, by its name."""
+        """Return why a camera could not be used, by its name."""
         why = "with a 3D lidar, the log must contain the mounting of a camera"
         return dict.fromkeys(self._cameras.unplaced(), why)

@@ -38,23 +38,23 @@ T = TypeVar("T")
 
 
 class LostError(Exception):
-    """The copy tells nothing more, or of another scan than asked: the run begins anew, alone."""
+    """The copy ended, or sent another scan than expected: the run starts again without it."""
 
 
 class Ahead:
-    """What a copy finds, asked for in the order of the log; see `slam.mapper.planar_way.Steps`."""
+    """Results of the copy, read in log order; see `slam.mapper.planar_way.Steps`."""
 
     def __init__(self, receive: Callable[[], bytes | None], checkpoint: Checkpoint) -> None:
         self._receive, self._checkpoint = receive, checkpoint
         self._step: Step | None = None
 
     def observe(self, measurement: Any) -> Moment | None:
-        """Take the next measurement; where the robot is then, if it is a scan.
+        """Process the next measurement; return the pose of the robot, if it is a scan.
 
         Raises
         ------
         LostError
-            If the copy does not tell.
+            If the copy does not send it.
         """
         if not isinstance(measurement, LaserScan):
             return None
@@ -67,7 +67,7 @@ class Ahead:
             motion = answers[motion][2]
         if step is not None:
             moved, edges, points, normals, seen = step
-            # Of `_plain` values.
+            # From `_plain` values.
             told = [
                 Edge(a, b, T_a_b, spread, EdgeKind(kind), sure) for a, b, T_a_b, spread, kind, sure in edges
             ]
@@ -75,27 +75,27 @@ class Ahead:
         return Moment(stamp_s, measurement, pose, motion, step is not None)
 
     def step(self, key: int) -> Step:
-        """What the newest moment adds to the map."""
+        """Return what the newest moment adds to the map."""
         assert self._step is not None
         return self._step
 
     def followed_by(self, way: PlanarWay) -> Ahead:
-        """Let a way, whose moments these are, take over in the end what the copy has learned; itself."""
+        """Let the path of these moments adopt at the end what the copy has learned; return self."""
         self._way = way
         return self
 
     def end(self) -> None:
-        """The log has ended.
+        """Finish at the end of the log.
 
         Raises
         ------
         LostError
-            If the copy does not tell.
+            If the copy does not send it.
         """
-        self._way.take_over(pickle.loads(self._next()))  # it is our own copy that has sent it
+        self._way.take_over(pickle.loads(self._next()))  # sent by our own copy
 
     def _next(self) -> bytes:
-        """The next that it has sent."""
+        """Return the next message of the copy."""
         content = self._receive()
         if content is None:
             raise LostError
@@ -103,17 +103,17 @@ class Ahead:
 
 
 class Forerunner:
-    """Tracks scans, or the frames of cameras, ahead of the mapper, where a core is free; no 3D lidars.
+    """Tracks scans or camera frames ahead of the mapper on a free core; not for 3D lidars.
 
     Parameters
     ----------
     checkpoint
-        Of the run, which takes the answers.
+        Checkpoint of the run, which stores the results.
 
     Attributes
     ----------
     ahead
-        What it finds of scans; None if it does not track any.
+        Results for scans; None if it tracks no scans.
     """
 
     def __init__(self, dataset: Dataset, odometries: Odometries, checkpoint: Checkpoint) -> None:
@@ -136,9 +136,9 @@ class Forerunner:
         registrations: Registrations,
         known: Mapping[str, ColorRegistration] | None = None,
     ) -> None:
-        """Run ahead by these settings, if that is of use, and it does not yet.
+        """Start the copy with these settings, if that is useful and it does not run yet.
 
-        Where colour cameras sit is found there, too, unless it is known.
+        The copy also registers colour cameras, unless their pose is known.
         """
         if self._copy is not None or not is_core_free() or not self._checkpoint.is_kept:
             return
@@ -150,7 +150,7 @@ class Forerunner:
             return
 
         def work(tell: Tell) -> None:
-            """What the copy does."""
+            """Run in the copy."""
             checkpoint = self._checkpoint.telling(tell)
             found = known
             if found is None:
@@ -161,11 +161,11 @@ class Forerunner:
         self._checkpoint.ahead = self._copy.receive
 
     def _track_scans(self, config: Config, choice: SensorChoice, tell: Tell) -> None:
-        """Tell the way of a robot that has no cameras."""
+        """Track and send the path of a robot without cameras."""
         answers = _Answers()
         way, key = PlanarWay(config, answers, self._odometries), 0
         for measurement in choice.used(self._dataset):
-            # What a registered sensor takes, the front end never sees.
+            # The front end never gets the measurements of registered sensors.
             moment = None if type(measurement) in SENSORS else way.observe(measurement)
             if moment is None:
                 continue
@@ -176,7 +176,7 @@ class Forerunner:
                 edges = [_plain(edge) for edge in found.edges]
                 step = found.step, edges, found.surface.points, found.surface.normals, found.seen
                 key += 1
-            # A match is told once: as the number of the answer that it is.
+            # A match is sent once, as the number of its result.
             which = (n for n, (_, _, answer) in enumerate(answers.found) if answer is moment.motion)
             motion = None if moment.motion is None else next(which, moment.motion)
             tell(pack((moment.stamp_s, moment.pose, motion, answers.found, step)))
@@ -186,7 +186,7 @@ class Forerunner:
     def _track_frames(
         self, config: Config, choice: SensorChoice, known: Mapping[str, ColorRegistration], cache: ResultCache
     ) -> None:
-        """Track each camera, which depends on nothing else."""
+        """Track each camera, independently of all else."""
         matcher = self._odometries.rgbd(config) if choice.spatial else FrameMatcher(config)
         trackers = dict[str, RgbdTracker]()
         for frame in prefetched(choice.used(self._dataset), FramePreparer(config.rgbd, known)):
@@ -195,14 +195,14 @@ class Forerunner:
             name = frame.frame.sensor
             if name not in trackers:
                 if choice.spatial and trackers:
-                    continue  # in space only the first is used
+                    continue  # in 3D only the first is used
                 trackers[name] = RgbdTracker(matcher, config, cache)
             tracked = trackers[name].track(frame)
             if tracked.new_keyframe:
                 trackers[name].add_keyframe(frame, tracked)
 
     def stop(self) -> None:
-        """Find all else here."""
+        """Stop the copy; this process computes the rest."""
         self._checkpoint.ahead = None
         if self._copy is not None:
             self._copy.close()
@@ -210,18 +210,18 @@ class Forerunner:
 
 
 class _Answers:
-    """What took time, as a checkpoint keeps it; see `slam.result_cache.ResultCache`."""
+    """Computed results, as a checkpoint stores them; see `slam.result_cache.ResultCache`."""
 
     def __init__(self) -> None:
         self.found: list[tuple[str, float, Any]] = []
 
     def cached(self, question: str, key: float, compute: Callable[[], T]) -> T:
-        """Compute it, and note it."""
+        """Compute the result, and store it."""
         answer = compute()
         self.found.append((question, float(key), answer))
         return answer
 
 
 def _plain(edge: Edge) -> tuple[Any, ...]:
-    """An edge as plain values, in the order of its fields."""
+    """Return an edge as plain values, in the order of its fields."""
     return edge.source, edge.target, edge.T_source_target, edge.covariance, edge.kind, edge.trusted

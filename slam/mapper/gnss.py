@@ -16,21 +16,21 @@ from slam.graph.pose_graph import BatchResult
 from slam.mapper.anchoring import Way, anchor
 from slam.measurements import GnssFix, spatial
 
-# Of a receiver that tells none: metres across and up, as receivers without corrections have them.
+# Default sigmas, horizontal and vertical in metres, as receivers without corrections have them.
 _SIGMA_M, _SIGMA_UP_M = 5.0, 10.0
-# Clouds of the sky and mirrored signals stay for a while: what comes within it is one witness.
+# Ionospheric and multipath errors persist for a while: fixes within this time count as one.
 _SHARED_S = 10.0
 
 
 class GnssAnchors:
-    """The fixes of one receiver, and what became of them.
+    """The fixes of one receiver, and how they were used.
 
     Attributes
     ----------
     georeference
-        Where the map lies on the earth, once it was laid there; else None.
+        Pose of the map on the earth, once it is aligned; else None.
     unused
-        Why the fixes could not be used; empty if they are.
+        Why the fixes could not be used; empty if they were.
     """
 
     def __init__(self) -> None:
@@ -44,26 +44,26 @@ class GnssAnchors:
 
     @property
     def sensor(self) -> str:
-        """The name of the receiver."""
+        """Return the name of the receiver."""
         return self._fixes[0].sensor if self._fixes else ""
 
     def observe(self, fix: GnssFix) -> None:
-        """Take the next fix; of several receivers the first to tell one is asked."""
+        """Store the next fix; of several receivers, the first that reports one is used."""
         if fix.sensor == (self.sensor or fix.sensor):
             self._fixes.append(fix)
 
     def notes(self) -> list[str]:
-        """What was found, for people."""
+        """Return notes for the user."""
         return [self._told] if self._told else []
 
     def anchor(
         self, graph: KeyframeGraph, way: Way, outcome: BatchResult, inlier_probability: float
     ) -> BatchResult:
-        """Lay the map on the earth and solve it anew, see `slam.mapper.anchoring.anchor`.
+        """Align the map with the earth and solve it again, see `slam.mapper.anchoring.anchor`.
 
         Returns
         -------
-        Of the new optimisation; the old one where the fixes tell nothing.
+        The new optimisation; the previous one if the fixes do not determine the alignment.
         """
         first = self._fixes[0]
         plane = TangentPlane(first.latitude_deg, first.longitude_deg, first.altitude_m)
@@ -80,7 +80,7 @@ class GnssAnchors:
         return outcome
 
     def _anchors(self, way: Way, plane: TangentPlane) -> list[Anchor]:
-        """The fix nearest in time to each keyframe, where the way between them is known."""
+        """Return the fix nearest in time to each keyframe, if the motion between them is known."""
         fixes_s, stamps_s = np.array([fix.stamp_s for fix in self._fixes]), way.stamps_s
         best: dict[int, int] = {}
         for number, key in enumerate(way.nearest(fixes_s).tolist()):
@@ -93,7 +93,7 @@ class GnssAnchors:
             if T_node_base is None:
                 continue
             fix = self._fixes[number]
-            # The antenna in the node's frame, when the fix was taken.
+            # The antenna in the node's frame at the time of the fix.
             arm_m = T_node_base.transformFrom(np.zeros(3) if fix.antenna_m is None else fix.antenna_m)
             place_m = plane.enu_m(fix.latitude_deg, fix.longitude_deg, fix.altitude_m)
             covariance = fix.covariance_m2
@@ -111,7 +111,7 @@ class GnssAnchors:
     def _tell(
         self, found: Anchored, graph: KeyframeGraph, anchors: Sequence[Anchor], outcome: BatchResult
     ) -> None:
-        """A line on how well the fixes fit."""
+        """Return a line about how well the fixes fit."""
         assert self.georeference is not None
         used = {
             edge.target
@@ -131,5 +131,5 @@ class GnssAnchors:
         all_ = sum(one.node > 0 for one in anchors)
         self._told = (
             f"GNSS: {len(used)} of {all_} keyframes with a fix georeference the map{larger}{rms}; its x "
-            f"axis looks {self.georeference.heading_deg:.1f} degrees east of north"
+            f"axis points {self.georeference.heading_deg:.1f} degrees east of north"
         )

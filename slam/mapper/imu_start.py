@@ -18,12 +18,12 @@ from slam.odometry.cloud_tracker import CloudTracker
 from slam.odometry.cloud_velocity import LONGEST_STEP_S
 from slam.odometry.imu_tracker import ImuStart, ImuTracker, UnfitImuError
 
-# While all of it is within the smoother's lag the first state is improved, too.
+# As long as the lag of the smoother covers all of it, the first state is improved, too.
 _LOOK_S = 2.5
 
 
 def after_readings(log: Iterable[Measurement]) -> Iterator[Measurement]:
-    """A log in its order, but that readings come before the clouds of their time, however late they were."""
+    """Yield a log in its order, with readings before the clouds of their time, however late they arrive."""
     waiting, newest_s = deque[tuple[float, Measurement]](), -math.inf
     for one in log:
         if isinstance(one, ImuReading):
@@ -38,7 +38,7 @@ def after_readings(log: Iterable[Measurement]) -> Iterator[Measurement]:
 
 
 def start_of(log: Iterable[Measurement], config: Config) -> ImuStart | None:
-    """The state at the first cloud; None if the first seconds do not tell it."""
+    """Return the state at the first cloud; None if the first seconds do not determine it."""
     imu = ImuTracker()
     tracker, first_s = CloudTracker(config, None, imu=imu), math.inf
     for measurement in log:
@@ -49,7 +49,7 @@ def start_of(log: Iterable[Measurement], config: Config) -> ImuStart | None:
             first_s = min(first_s, cloud.stamp_s)
             if cloud.stamp_s - first_s > _LOOK_S:
                 break
-            with suppress(UnfitImuError):  # gravity is a guess yet: who follows the way again judges
+            with suppress(UnfitImuError):  # gravity is still a guess: the second pass judges it
                 tracker.follow(cloud)
     start = imu.start()
     return start if start is not None and start.state.stamp_s == first_s else None

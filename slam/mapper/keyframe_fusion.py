@@ -22,14 +22,14 @@ log = logging.getLogger(__name__)
 
 @dataclass(frozen=True, slots=True)
 class FusionPair:
-    """What one keyframe's registration reported.
+    """Registration result of one keyframe.
 
     Attributes
     ----------
     stamp_s
-        Of the scan.
+        Stamp of the scan.
     u, grade
-        Best offset along the lidar curve, and how far the pair can be trusted.
+        Best offset along the lidar curve, and the reliability of the pair.
     repaired
         (5,) beams by `fusion.Provenance`; None if nothing was repaired.
     """
@@ -42,16 +42,16 @@ class FusionPair:
 
 @dataclass(frozen=True, slots=True)
 class FusionSummary:
-    """The fusion of a run.
+    """Fusion result of a run.
 
     Attributes
     ----------
     pairs
         One a keyframe with scan and images.
     estimate
-        What the whole drive tells of the rig; None if nothing could be reported.
+        Estimate of the rig from the whole drive; None if it could not be estimated.
     note
-        In one line, for people.
+        Summary for the user in one line.
     """
 
     pairs: list[FusionPair]
@@ -60,7 +60,7 @@ class FusionSummary:
 
 
 class _DepthSpool:
-    """Depth images of keyframes on disk."""
+    """Depth images of keyframes, stored on disk."""
 
     def __init__(self) -> None:
         self._packed, self._told = Spool(), list[tuple[float, CameraIntrinsics]]()
@@ -69,20 +69,20 @@ class _DepthSpool:
         return len(self._told)
 
     def add(self, frame: RgbdFrame) -> None:
-        """Keep the next image."""
+        """Store the next image."""
         steps_per_m = depth_steps_per_m(frame)
         self._packed.append(packed_depth(frame.depth_m, steps_per_m))
         self._told.append((steps_per_m, frame.intrinsics))
 
     def depth(self, index: int, T_level_camera: FloatArray) -> fusion.DepthImage:
-        """An image as fusion takes it."""
+        """Return an image in the form that fusion takes."""
         steps_per_m, camera = self._told[index]
         depth_m = unpacked_depth(self._packed[index], steps_per_m, camera)
         return fusion.DepthImage(depth_m, camera, T_level_camera)
 
 
 class KeyframeFusion:
-    """Collects the pairs of a run, then repairs every scan by what all pairs together tell of the rig."""
+    """Collects the pairs of a run, then repairs every scan with the rig estimated from all pairs."""
 
     def __init__(self, config: FusionConfig) -> None:
         self._config = config
@@ -93,12 +93,12 @@ class KeyframeFusion:
         self._cameras = 0
 
     def add(self, key: int, scan: LaserScan, pictures: Sequence[Picture]) -> None:
-        """Take the scan of a keyframe with the newest image of every camera."""
+        """Store the scan of a keyframe with the newest image of every camera."""
         near = [p for p in pictures if abs(p.frame.stamp_s - scan.stamp_s) <= self._config.tolerance_s]
         if not near or len(near) < self._cameras:
             return  # a pair is compared by all cameras or not at all
         if len(near) > self._cameras:
-            # Another camera has begun to see: pairs of fewer tell of another rig.
+            # Another camera has started: pairs of fewer cameras belong to another rig.
             self._cameras, self._rig = len(near), fusion.Rig()
             self._pairs.clear()
             self._views.clear()
@@ -107,7 +107,7 @@ class KeyframeFusion:
         try:
             pair = fusion.register(_curve(scan), _depths(frames, turns))
         except ValueError:
-            return  # nothing to compare: no reading in common
+            return  # nothing to compare: no common reading
         self._rig.add(pair)
         first = len(self._images)
         for frame in frames:
@@ -118,7 +118,7 @@ class KeyframeFusion:
     def repair(
         self, scans: Sequence[LaserScan | None]
     ) -> tuple[list[LaserScan | None], FusionSummary | None]:
-        """The scans of all keyframes, repaired where the pairs are enough to tell the rig."""
+        """Return the scans of all keyframes, repaired if the pairs suffice to estimate the rig."""
         if not self._pairs:
             return list(scans), None
         estimate = self._rig.estimate() if len(self._pairs) >= self._config.least_pairs else None
@@ -153,7 +153,7 @@ class KeyframeFusion:
         turns: tuple[FloatArray, ...],
         estimate: fusion.RigEstimate,
     ) -> tuple[NDArray[np.int64] | None, Float32Array | None, str]:
-        """Beams by `fusion.Provenance` and ranges, None if nothing was repaired; why it cannot be."""
+        """Return beams by `fusion.Provenance` and ranges, or None and the reason why nothing was repaired."""
         if scan is None:
             return None, None, ""
         depths = [self._images.depth(image, turn) for image, turn in zip(numbers, turns, strict=True)]
@@ -168,7 +168,7 @@ class KeyframeFusion:
 
 
 def _with_repairs(scan: LaserScan, result: fusion.Denoised) -> Float32Array:
-    """The ranges of a scan, with every beam that the repair gave another reading."""
+    """Return the ranges of a scan, with those beams replaced that the repair has changed."""
     touched = (result.lidar_source != fusion.Provenance.MEASURED) & (
         result.lidar_source != fusion.Provenance.HOLE
     )
@@ -176,12 +176,12 @@ def _with_repairs(scan: LaserScan, result: fusion.Denoised) -> Float32Array:
 
 
 def _curve(scan: LaserScan) -> fusion.LidarCurve:
-    """A scan as fusion takes it."""
+    """Return a scan in the form that fusion takes."""
     return fusion.LidarCurve(scan.ranges_m, scan.start_angle_rad, scan.step_rad, scan.range_max_m)
 
 
 def _depths(frames: Sequence[RgbdFrame], turns: Sequence[FloatArray]) -> list[fusion.DepthImage]:
-    """Depth images as fusion takes them: no position, only which way is up."""
+    """Return depth images in the form that fusion takes: no position, only the direction of up."""
     return [
         fusion.DepthImage(frame.depth_m, frame.intrinsics, turn)
         for frame, turn in zip(frames, turns, strict=True)
@@ -189,7 +189,7 @@ def _depths(frames: Sequence[RgbdFrame], turns: Sequence[FloatArray]) -> list[fu
 
 
 def _note(pairs: Sequence[FusionPair], estimate: fusion.RigEstimate) -> str:
-    """What was found and repaired."""
+    """Return a note on what was found and repaired."""
     counts = np.sum([pair.repaired for pair in pairs if pair.repaired is not None], axis=0)
     high = sum(pair.grade == fusion.Grade.HIGH for pair in pairs)
     height = f", lidar {-estimate.height_m:.2f} m below the camera"

@@ -17,23 +17,23 @@ from slam.vision.prepared_frame import PreparedFrame
 
 
 class KeyframeStore:
-    """Keyframes by number, in the order they came.
+    """Keyframes by number, in the order they were added.
 
     Parameters
     ----------
     config
-        How surfaces are made anew of the images.
+        Settings with which surfaces are rebuilt from the images.
     cached
-        Keyframes that are kept whole.
+        Number of keyframes that are kept in memory.
     spool
-        Where the images go; a temporary map by default.
+        Storage of the images; a temporary map by default.
     """
 
     def __init__(self, config: RgbdConfig, cached: int, spool: MapFrames | None = None) -> None:
         self.images = MapFrames(MapFile.temporary()) if spool is None else spool
         self._config = config
         self._cached = cached
-        # None: what `touch` has asked for, and nobody has looked at yet.
+        # None: requested by `touch`, and not read yet.
         self._cache: OrderedDict[int, PreparedFrame | None] = OrderedDict()
 
     def __len__(self) -> int:
@@ -48,18 +48,18 @@ class KeyframeStore:
         *,
         matched: bool = True,
     ) -> int:
-        """Take the next keyframe; its number.
+        """Store the next keyframe; return its number.
 
         Parameters
         ----------
         registration
-            Where the colour camera sits; the colours are then moved to where the depth camera sees them.
+            Pose of the colour camera; the colours are then projected into the depth image.
         node
-            Of the graph, where that is not the keyframe's own number.
+            Node of the graph, if it is not the keyframe's own number.
         mounting
-            ``T_base_camera`` of the image, where the frame tells another.
+            ``T_base_camera`` of the image, if it differs from that of the frame.
         matched
-            Whether others are matched to it in this run; else it is for the map alone.
+            Whether others are matched to it in this run; else it only serves the map.
         """
         image = replace(frame.frame, T_base_camera=mounting or frame.frame.T_base_camera)
         if registration is not None and registration.accepted:
@@ -72,7 +72,7 @@ class KeyframeStore:
         return key
 
     def keyframe(self, key: int) -> PreparedFrame:
-        """A keyframe, from memory or made anew from its images."""
+        """Return a keyframe, from memory or rebuilt from its images."""
         frame = self._cache.get(key)
         if frame is None:
             frame = PreparedFrame(self.images.frame(key), self._config, None, self.images.features(key))
@@ -80,11 +80,11 @@ class KeyframeStore:
         return frame
 
     def touch(self, key: int) -> None:
-        """Do to the memory what `keyframe` would do, without the work."""
+        """Update the memory as `keyframe` would, without computing anything."""
         self._keep(key, self._cache.get(key))
 
     def _keep(self, key: int, frame: PreparedFrame | None) -> None:
-        """Remember a keyframe as the latest used."""
+        """Mark a keyframe as the most recently used."""
         self._cache[key] = frame
         self._cache.move_to_end(key)
         if len(self._cache) > self._cached:
@@ -92,5 +92,5 @@ class KeyframeStore:
 
 
 def registration_notes(registrations: Mapping[str, ColorRegistration]) -> list[str]:
-    """One line for people about every colour camera that is not registered to its depth camera."""
+    """Return one line for the user on each colour camera that is not registered to its depth camera."""
     return [f"{name}: {found.reason}" for name, found in registrations.items() if found.accepted]

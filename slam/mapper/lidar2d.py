@@ -72,7 +72,7 @@ class PlanarRobot(FrontEnd):
         self._kept = ArraySpool()
         self._travelled_m = 0.0
         self._fused: FusionSummary | None = None
-        # Poses (K, 3) of keyframes that may be the last, and who draws the grids by them.
+        # Poses (K, 3) of keyframes that may be final, and the process that draws the grids from them.
         self._drawn: tuple[FloatArray, Begun | None] = np.zeros((0, 3)), None
 
     def observe(self, measurement: Any) -> Tracked | None:
@@ -102,7 +102,7 @@ class PlanarRobot(FrontEnd):
         moment, found = self._newest, self._step
         assert moment is not None and found is not None
         surface = OrientedPoints(*map(self._kept.keep, (found.surface.points, found.surface.normals)))
-        # What is seen is the first part of the surface: kept once.
+        # The points seen are the first part of the surface: stored once.
         seen = surface.only(slice(found.seen))
         self._closer.add_keyframe(seen, moment.pose, self._travelled_m, surface=surface)
         self._keyframe_scans.append(moment.scan)
@@ -126,9 +126,9 @@ class PlanarRobot(FrontEnd):
         self._pictures.settle(graph, self.readings.scan_stamps_s()[self.readings.keyframe_scans()])
 
     def search_again(self, graph: KeyframeGraph, kept: BoolArray) -> list[LoopCandidate]:
-        """Places all over the map; mostly there are none, so that the grids may be drawn meanwhile."""
+        """Search all over the map; usually nothing is found, so that the grids may be drawn meanwhile."""
         rows, grid = graph.rows(), self._config.grid
-        # The grids of a large map would take as much memory as all else that is there meanwhile.
+        # The grids of a large map would take as much memory as everything else at that time.
         small = 64 * np.ptp(rows[:, :2], axis=0).prod() < grid.greatest_cells * grid.resolution_m**2
         if small and not len(self._drawn[0]) and not self._cameras.cameras:
             poses, scans = np.array([row_of(pose) for pose in graph.poses()]), self._keyframe_scans
@@ -138,12 +138,12 @@ class PlanarRobot(FrontEnd):
         if found:
             self._drawn = self._drawn[0], None
         else:
-            del self._places, self._closer, self._kept  # it was the last search: what they know is large
+            del self._places, self._closer, self._kept  # it was the last search: their data are large
             end_stage()
         return found
 
     def complete(self, result: MapResult) -> None:
-        """The repaired scans, and the grids that scans and images draw."""
+        """Return the repaired scans, and the grids drawn from scans and images."""
         started = time.perf_counter()
         result.notes += [*registration_notes(self._registrations), *self._cameras.notes()]
         self._way.tell(result)
@@ -167,10 +167,10 @@ class PlanarRobot(FrontEnd):
 
     @cached_property
     def _still(self) -> list[LaserScan | None]:
-        """The scans of the keyframes, repaired, without what moves."""
+        """Return the scans of the keyframes, repaired, without moving objects."""
         scans: Sequence[LaserScan | None] = self._keyframe_scans
         if self._fusion is not None:
             scans, self._fused = self._fusion.repair(scans)
         still = self._moving.taken_from(scans)
-        del self._moving  # it knows much of a long log, and nobody asks it any more
+        del self._moving  # it holds much of a long log, and is not used any more
         return still

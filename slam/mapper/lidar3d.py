@@ -53,9 +53,9 @@ from slam.vision.color_registration import ColorRegistration
 from slam.vision.prefetch import prefetched
 from slam.vision.prepared_frame import PreparedFrame
 
-# A kept cloud is as fine as the map, and four times as fine as the matching.
+# A stored cloud is as fine as the map, and four times as fine as the matching.
 _KEPT_SHARE = 0.25
-# A larger share of doubtful matches is worth a warning.
+# A larger share of doubtful matches gives a warning.
 _MOST_DOUBTFUL = 0.02
 
 
@@ -88,7 +88,7 @@ class CloudLidar(FrontEnd):
         self._T_base_lidar = gtsam.Pose3()
         self._matched, self._doubtful, self._unseen = 0, 0, list[str]()
         self._unseen_key: int | None = None
-        # Where the local map has had a cloud since the last keyframe, and (6, 6) of its match.
+        # Pose of a cloud in the local map since the last keyframe, and (6, 6) of its match.
         self._between: tuple[gtsam.Pose3, FloatArray] | None = None
 
     def observe(self, measurement: Any) -> Tracked | None:
@@ -131,7 +131,7 @@ class CloudLidar(FrontEnd):
                 self._unseen.append(
                     f"{tracked.unseen_m:.0f} m before {self._stamp_s - self._stamps_s[0]:.0f} s"
                 )
-                # Any way from none to twice the guess, evenly spread, and any heading.
+                # Any distance from zero to twice the guess, uniformly distributed, and any heading.
                 spread = unmeasured(self._config.graph, planar=False)
                 spread[2, 2] = math.pi**2 / 3.0
                 spread[[3, 4], [3, 4]] = max(spread[3, 3], tracked.unseen_m**2 / 3.0)
@@ -191,7 +191,7 @@ class CloudLidar(FrontEnd):
 
     def complete(self, result: MapResult) -> None:
         """Return the clouds, and the plan of obstacles."""
-        # The looks of all places, and what the final optimisation has left.
+        # The appearance of all places, and what is left of the final optimisation.
         self._closer = None
         end_stage()
         result.map = replace(result.map, clouds=self._clouds)

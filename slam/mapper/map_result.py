@@ -27,7 +27,7 @@ from slam.storage.map_frames import MapFrames
 
 @dataclass(slots=True)
 class MapResult:
-    """A finished map, and what only the run that made it can tell.
+    """A finished map, and what is known only during its run.
 
     Attributes
     ----------
@@ -40,17 +40,17 @@ class MapResult:
     warnings
         One line each, for people.
     notes
-        What was found out on the way, one line each: mountings, registrations, the fusion.
+        Notes of the run, one line each: mountings, registrations, the fusion.
     fused
-        What scans and depth images repaired of each other; None if there were not both.
+        Mutual repair of scans and depth images; None if there were not both.
     cameras
-        What became of every camera's frames, by its name.
+        How the frames of every camera were used, by its name.
     unused
         Why the run could not use a sensor that was chosen, by its name.
     uses
-        What became of everything in the log.
+        How everything in the log was used.
     ground
-        Under a 3D lidar's clouds; None of other maps, and where it was not seen.
+        Ground under the clouds of a 3D lidar; None in other maps, or if it was not seen.
     """
 
     map: MapContents
@@ -65,29 +65,29 @@ class MapResult:
     ground: Elevation | None = None
 
     def add_cameras(self, cameras: Mapping[str, CameraRecord], frames: MapFrames) -> None:
-        """Take what became of cameras, and their keyframes."""
+        """Add the results of cameras, and their keyframes."""
         self.cameras = cameras
         learned = {name: record.learned for name, record in cameras.items()}
         self.map = replace(self.map, cameras=learned, frames=frames if len(frames) else None)
 
     def add_told(self, notes: list[str], unused: dict[str, str]) -> None:
-        """Take what an IMU has to say, and by its name why it was not used."""
+        """Add the notes of an IMU, and, by its name, why it was not used."""
         self.notes += notes
         self.warnings += [f"{name} is not used: {why}" for name, why in unused.items()]
         self.unused |= unused
 
     def draw(self, config: Config, grids: Begun | None = None) -> None:
-        """Draw the grids, see `drawn`; what cannot be drawn is a warning."""
+        """Draw the grids, see `drawn`; a grid that cannot be drawn gives a warning."""
         self.map, warnings = drawn(self.map, config, grids)
         self.warnings += warnings
 
 
 def drawn(found: MapContents, config: Config, grids: Begun | None = None) -> tuple[MapContents, list[str]]:
-    """A map with the `lidar_grids` of its keyframe scans, or ``grids``, and the depth layer of its frames.
+    """Return a map with ``grids``, or the `lidar_grids` of its scans, and the depth layer of its frames.
 
     Returns
     -------
-    The map, and a line on everything that cannot be drawn.
+    The map, and a line on each grid that cannot be drawn.
     """
     settled, warnings = config, list[str]()
     try:
@@ -109,7 +109,7 @@ def drawn(found: MapContents, config: Config, grids: Begun | None = None) -> tup
             depth = depth_grid(found.frames.taken(), found.frame_poses(), settled, found.ground_m)
             of_lidar |= {} if depth is None else {DEPTH: depth}
             if depth is not None and lidar is not None and found.planar:
-                # A camera calls free what it sees through glass.
+                # A camera marks the space behind glass as free.
                 of_lidar[OCCUPANCY] = with_glass(lidar, found.keyframe_scans, found.keyframe_poses, settled)
         except ScanweaveError as error:
             warnings.append(f"No depth layer was drawn; the map is from the lidar only: {error}")
@@ -119,14 +119,14 @@ def drawn(found: MapContents, config: Config, grids: Begun | None = None) -> tup
 def depth_grid(
     frames: Iterable[RgbdFrame], poses: Sequence[gtsam.Pose3], config: Config, ground_m: float | None = None
 ) -> OccupancyGrid | None:
-    """The depth layer of camera keyframes; None if it is not asked for, or they tell nothing.
+    """Return the depth layer of camera keyframes; None if it is switched off, or they have no depth.
 
     Parameters
     ----------
     poses
         ``T_map_camera`` of each.
     ground_m
-        Height of the floor in the base frame of a robot in space, which then counts as level; None of one
+        Height of the floor in the base frame of a robot in 3D, which is then assumed level; None for a robot
         that stays in the plane.
 
     Raises

@@ -13,14 +13,14 @@ from slam.trajectory.carried import grown_covariances
 
 
 def apart(pieces: NDArray[np.int64], stamps_s: FloatArray) -> list[str]:
-    """A warning where nothing but guesses holds parts of the map together; single keyframes are no part.
+    """Warn if only guesses connect parts of the map; single keyframes do not count as parts.
 
     Parameters
     ----------
     pieces
-        (n,) number of each keyframe's piece.
+        (n,) the piece of each keyframe.
     stamps_s
-        (n,) since the start.
+        (n,) seconds since the start.
     """
     counts = np.bincount(pieces)
     (parts,) = np.nonzero(counts > 1)
@@ -38,16 +38,16 @@ def apart(pieces: NDArray[np.int64], stamps_s: FloatArray) -> list[str]:
 def unseen(
     trajectory: Trajectory, placed: NDArray[np.int64], covariances: FloatArray, config: Config
 ) -> list[str]:
-    """A warning where no scan was placed for a while, and poses became more uncertain than a match mends.
+    """Warn if no scan was matched for a while, and poses became more uncertain than a match corrects.
 
     Parameters
     ----------
     placed
-        (S,) numbers of the poses that a scan has placed.
+        (S,) numbers of the poses given by a scan match.
     covariances
-        (N, d, d) of all poses.
+        (N, d, d) covariances of all poses.
     """
-    # As uncertain as that may be what lies so far from the robot.
+    # A point at this distance from the robot may be so uncertain.
     most_m, lever_m = config.match.search_half_width_m, config.loops.reach_m
     found = []
     for gap in np.flatnonzero(np.diff(trajectory.stamps_s[placed]) > GAP_S):

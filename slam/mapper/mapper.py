@@ -65,7 +65,7 @@ class Mapper:
         return {
             "scans": scans - self._keyframes_s,
             "keyframes and loops": self._keyframes_s,
-            "what is between the scans": self._beside_s,
+            "poses between the scans": self._beside_s,
         }
 
     def learned_mountings(self) -> dict[str, LearnedMounting]:
@@ -110,7 +110,7 @@ class Mapper:
         """
         self._front_end.refuse()
         if len(self._keyframes) == 1 and self._last is not None:
-            # Else nothing would tell how well what came after it was matched to it.
+            # Otherwise, nothing would show how well later scans were matched to it.
             self._add_keyframe(self._last)
         graph, front_end, readings = self._keyframes, self._front_end, self._front_end.readings
         clock = [time.perf_counter()]
@@ -158,7 +158,7 @@ class Mapper:
         outcome = graph.optimize(probability)
         if self._places is not None:
             outcome = self._places.join(self._front_end.tags, graph, self._way(graph), outcome, probability)
-        # It ends: nothing is found twice.
+        # It terminates: nothing is found twice.
         while found := self._front_end.search_again(graph, outcome.kept):
             for candidate in found:
                 graph.add_loop(candidate)

@@ -31,7 +31,7 @@ class KeyframeStep:
 
 @dataclass(frozen=True, slots=True)
 class LearnedMounting:
-    """``T_base_camera`` that a whole run has told, and the line that says so."""
+    """``T_base_camera`` estimated from a whole run, and a note for the user."""
 
     T_base_camera: gtsam.Pose3
     note: str
@@ -39,16 +39,16 @@ class LearnedMounting:
 
 @dataclass(slots=True)
 class MountLearner:
-    """Pairs of one camera, and the mounting as soon as it is certain.
+    """Motion pairs of one camera, and its mounting as soon as it is certain.
 
     Attributes
     ----------
     start
-        ``T_base_camera`` as the log tells it, right or wrong; None if it does not.
+        ``T_base_camera`` in the log, right or wrong; None if the log has none.
     steps
-        Every motion of the camera between keyframes, to become edges when the mounting is known.
+        All motions of the camera between keyframes; they become edges when the mounting is known.
     result
-        The newest estimate.
+        The latest estimate.
     """
 
     start: gtsam.Pose3 | None
@@ -58,11 +58,11 @@ class MountLearner:
 
     @property
     def T_base_camera(self) -> gtsam.Pose3 | None:
-        """The mounting, once it is certain; None before."""
+        """Return the mounting, once it is certain; None before."""
         return self.result.T_base_camera if self.result is not None and _confident(self.result) else None
 
     def add(self, step: KeyframeStep, base: Motion | None) -> None:
-        """Take a motion between keyframes, with that of the base where lidar or wheels measured it."""
+        """Add a motion between keyframes, with that of the base if lidar or wheel odometry measured it."""
         self.steps.append(step)
         if base is None:
             return
@@ -73,12 +73,12 @@ class MountLearner:
             self.estimate()
 
     def estimate(self) -> None:
-        """Estimate anew from all pairs so far."""
+        """Estimate again from all pairs so far."""
         if len(self._pairs) >= FEWEST:
             self.result = estimate_extrinsics(self._pairs, self.start)
 
     def note(self, camera: str) -> str:
-        """What was found, in one line for people."""
+        """Return the result in one line for the user."""
         if self.result is None:
             return f"{camera}: mounting unknown; {len(self._pairs)} motions are too few to estimate it"
         body = self.result.T_base_camera.compose(T_BODY_CAMERA.inverse())
@@ -94,13 +94,13 @@ class MountLearner:
 
 
 def _confident(result: ExtrinsicsResult) -> bool:
-    """Whether planar motion may rest on an estimate."""
+    """Return whether an estimate is certain enough for planar motion."""
     if not result.converged or result.inlier_share < 0.5:
         return False
     if any(direction in _PLANAR for direction in result.unobservable):
         return False
     rotation = result.T_base_camera.rotation().matrix()
-    # The covariance is in the camera's frame; limits are for the base's.
+    # The covariance is in the camera frame; the limits are in the base frame.
     turn = rotation @ result.covariance[:3, :3] @ rotation.T
     shift = rotation @ result.covariance[3:, 3:] @ rotation.T
     return bool(turn[2, 2] < _CONFIDENT_RAD**2 and max(shift[0, 0], shift[1, 1]) < _CONFIDENT_M**2)

@@ -120,7 +120,7 @@ class _Run:
             self._on_step("begun", 0)
         mapper, tally = self._whole_way()
         if not self._mountings and (mountings := mapper.learned_mountings()):
-            # The way up to there was mapped without these cameras; now they are known from its beginning.
+            # The path so far was mapped without these cameras; now they are known from its beginning.
             self._clock[2] = time.perf_counter()
             self._mountings = mountings
             self._begin_again()
@@ -142,8 +142,8 @@ class _Run:
         end_stage()
         result = mapper.finish()
         result.stage_seconds = {
-            "sensors looked at": clock[1] - clock[0],
-            **({"a first way, to learn mountings": clock[2] - clock[1]} if clock[2] > clock[1] else {}),
+            "check of the sensors": clock[1] - clock[0],
+            **({"a first pass, to estimate mountings": clock[2] - clock[1]} if clock[2] > clock[1] else {}),
             "reading the log": reading_s,
             **result.stage_seconds,
         }

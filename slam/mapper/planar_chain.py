@@ -22,7 +22,7 @@ from slam.odometry.motion_tracker import MotionTracker
 from slam.odometry.tracked_scan import TrackedScan
 from slam.odometry.wheel_tracker import WheelTracker
 
-# A keyframe that matched nothing was guessed to this share of a step that nothing measured.
+# The guessed pose of a keyframe without a match is uncertain by this share of an unmeasured step.
 _GUESS_SHARE = 0.1
 
 
@@ -145,13 +145,13 @@ class PlanarChain:
         )
         edges += self._long_wheels(key, stamp_s, tracked)
         if (turn := self._tracker.gyro_turn(last, tracked.gyro, chained=True)) is not None:
-            # Of where it went it tells nothing.
+            # It measures no translation.
             told = unmeasured(self._config.graph, FEWEST, planar=True)
             told[2, 2] = turn[1]
             motion = Motion(np.array([step[0], step[1], turn[0]]), told)
             edges.append(_edge(key - 1, key, motion, EdgeKind.IMU, trusted=True))
         if bridge is not None:
-            # Loops may overrule it.
+            # Loops may reject it.
             edges.append(bridge)
         self._camera_edges += [(key, name) for name in by_camera]
         self._cameras.learn(key - 1, key, moved, wheels if doubtful else match)
@@ -234,7 +234,7 @@ def edges_of(
         loose = Motion(step, match.covariance + unmeasured(config, longer * config.loose_share, planar=True))
         edges.append(_edge(key - 1, key, loose, EdgeKind.ASSUMED, trusted=True))
     if wheels is not None and match_open:
-        # How far and how much it turned may be refused one without the other: a heading may jump.
+        # Translation and rotation may be rejected separately: a heading may jump.
         far = wheels.widened(np.diag([0.0, 0.0, math.pi**2]))
         turn = wheels.widened(np.diag([config.lost_sigma_m**2, config.lost_sigma_m**2, 0.0]))
         edges += [_edge(key - 1, key, part, EdgeKind.WHEEL, trusted=False) for part in (far, turn)]
@@ -242,7 +242,7 @@ def edges_of(
         edges.append(_edge(key - 1, key, wheels, EdgeKind.WHEEL, trusted=match is None))
     edges += [_camera_edge(key - 1, key, camera) for camera in cameras]
     if match_open or (match is None and wheels is None):
-        # Someone who walks before the camera takes it along: it may be overruled, and then this holds.
+        # A person in front of the camera distorts its motion: if it is rejected, this edge holds.
         share = config.loose_share if cameras else 1.0
         assumed = Motion(step, unmeasured(config, longer * share, planar=True))
         edges.append(_edge(key - 1, key, assumed, EdgeKind.ASSUMED, trusted=True))

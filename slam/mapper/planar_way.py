@@ -130,7 +130,7 @@ class PlanarWay:
         self._scan_stamp_s = -np.inf
         self._newest: tuple[float, ScanPoints | None, TrackedScan] | None = None
         self._wheels_name = ""
-        # Stamps of keyframes that matched nothing where the wheels say that the robot hardly moved.
+        # Stamps of keyframes without a match although the wheels report hardly any motion.
         self._unexplained_s: list[float] = []
 
     def observe(self, measurement: Any) -> Moment | None:
@@ -158,7 +158,7 @@ class PlanarWay:
             return Step(step, edges, OrientedPoints.none(), 0)
         lost = tracked.motion is None and tracked.wheels and not blind
         near = math.hypot(step[0], step[1]) < self._config.match.search_half_width_m
-        # A camera that sees on was not carried off.
+        # A robot whose camera tracks on was not carried.
         seen = any(edge.kind is EdgeKind.RGBD for edge in edges)
         self._unexplained_s += [stamp_s] if lost and near and last and last.motion and not seen else []
         self._tracker.add_keyframe(points, tracked)
@@ -225,7 +225,7 @@ class PlanarWay:
         """Track a frame; if there was no scan for a while, the leading camera continues the track."""
         self.cameras.add(frame)
         if self._config.sensors.lidar and np.isneginf(self._scan_stamp_s):
-            # The lidar is about to begin: without a scan the first keyframe would leave it nothing to match.
+            # The lidar is about to start: a first keyframe without a scan would leave it nothing to match.
             self._scan_stamp_s = frame.stamp_s
         stamp_s = self.cameras.robot_stamp_s(frame)
         silent = stamp_s - self._scan_stamp_s > self._config.sensors.lidar_silent_s

@@ -57,7 +57,7 @@ class FreeCamera(FrontEnd):
         self._store = KeyframeStore(config.rgbd, config.match.local_map_keyframes, checkpoint.spool())
         self._closer = VisualLoopCloser(config, FrameMatcher(config), self._store, checkpoint)
         self._last: gtsam.Pose3 | None = None
-        # ``T_odom_camera`` as seen, as it is taken to be, and whether the IMU told it since the keyframe.
+        # ``T_odom_camera`` as matched, as used, and whether the IMU has predicted it since the keyframe.
         self._seen, self._placed, self._bridged = gtsam.Pose3(), gtsam.Pose3(), False
         self._newest: tuple[PreparedFrame, TrackedFrame] | None = None
         self._T_base_camera: gtsam.Pose3 | None = None
@@ -154,7 +154,7 @@ class FreeCamera(FrontEnd):
             off = gtsam.Rot3.Logmap(told.rotation().between(self._placed.rotation()))
             chance = spread[:3, :3] + (0.0 if covariance is None else covariance[:3, :3])
             sound = covariance is not None and off @ np.linalg.solve(chance, off) <= gate(3)
-            # A match may be grossly wrong and know it.
+            # A match may be grossly wrong, with a large covariance.
             if not (sound and alike(step, before.between(told))):
                 self._placed, covariance, self._bridged = told, None, True
         self._imu.took(stamp_s, self._placed, covariance)

@@ -27,20 +27,20 @@ from slam.vision.learned_camera import LearnedCamera
 from slam.vision.planar_motion import PlanarMotion, planar_motion
 from slam.vision.prepared_frame import PreparedFrame
 
-# Where every camera was at one moment; None for one that did not know.
+# Pose of every camera at one time; None if unknown.
 CameraPoses = Mapping[str, CameraPose | None]
 
 
 @dataclass(slots=True)
 class RobotCamera:
-    """One camera: its odometry, its mounting and clock, what became of its frames, and its refusals."""
+    """One camera: its odometry, mounting and clock offset, the record of its frames, and rejections."""
 
     odometry: CameraOdometry
     T_base_camera: gtsam.Pose3 | None
     newest: PreparedFrame | None = None
     learner: MountLearner | None = None
     clocks: ClockLearner = field(default_factory=ClockLearner)
-    # Of the frames that carried the robot on: their numbers among the scans, and their own stamps.
+    # Frames that continued the track of the robot: their numbers among the scans, and their stamps.
     led_scans: array[int] = field(default_factory=lambda: array("q"))
     led_s: array[float] = field(default_factory=lambda: array("d"))
     record: ScanRecorder = field(default_factory=ScanRecorder)
@@ -49,15 +49,15 @@ class RobotCamera:
 
     @property
     def clock(self) -> SensorClock:
-        """The clock as far as it is known."""
+        """Return the clock offset as estimated so far."""
         return self.clocks.clock
 
     def at(self, stamp_s: float) -> CameraPose | None:
-        """Where the camera was when the robot's clock showed a stamp."""
+        """Return the pose of the camera at a stamp of the robot's clock."""
         return self.odometry.track.at(stamp_s + self.clock.offset_s, self.clock.sigma_s)
 
     def note_turn(self) -> None:
-        """Take down how fast the newest frames say that the robot turned."""
+        """Store the rotation rate of the robot by the newest frames."""
         motion = self.odometry.track.newest_motion()
         if motion is None or self.T_base_camera is None:
             return
@@ -68,7 +68,7 @@ class RobotCamera:
 
 @dataclass(frozen=True, slots=True)
 class CameraStep:
-    """Motion of a camera between two moments: as measured, and of the robot where the mounting is known."""
+    """Motion of a camera between two times, and of the robot if the mounting is known."""
 
     camera: str
     motion: gtsam.Pose3
@@ -78,7 +78,7 @@ class CameraStep:
 
 @dataclass(frozen=True, slots=True)
 class Picture:
-    """A camera's newest frame, and where it was taken, seen from the base at some moment."""
+    """The newest frame of a camera, and its pose relative to the base at some time."""
 
     frame: PreparedFrame
     T_base_camera: gtsam.Pose3
@@ -119,32 +119,32 @@ class RobotCameras:
         camera.record.add(frame.stamp_s, motion, time.perf_counter() - started, tracked.match)
 
     def _turns(self) -> Turns:
-        """The turns by the robot's own clock: the lidar's where there is one, else the wheels'."""
+        """Return the rotations by the robot's own clock: from the lidar if there is one, else the wheels."""
         return self.scan_turns if len(self.scan_turns) else self.wheel_turns
 
     def settle_clocks(self) -> None:
-        """Estimate every clock from the whole run."""
+        """Estimate every clock offset from the whole run."""
         for camera in self.cameras.values():
             camera.clocks.learn(self._turns(), final=True)
         self.tags.clocks = {name: camera.clock for name, camera in self.cameras.items()}
 
     def look_for_tags(self) -> None:
-        """In the newest frame of every camera of which it is known where it sits."""
+        """Detect tags in the newest frame of every camera with a known mounting."""
         for camera in self.cameras.values():
             if camera.newest is not None and camera.T_base_camera is not None:
                 self.tags.look(camera.newest.frame, camera.T_base_camera)
 
     def robot_stamp_s(self, frame: PreparedFrame) -> float:
-        """What the robot's clock showed when a frame was taken."""
+        """Return the stamp of a frame by the robot's clock."""
         camera = self.cameras.get(frame.frame.sensor)
         return frame.stamp_s if camera is None else frame.stamp_s - camera.clock.offset_s
 
     def camera_poses(self, stamp_s: float) -> CameraPoses:
-        """Where every camera was at a stamp of the robot's clock."""
+        """Return the pose of every camera at a stamp of the robot's clock."""
         return {name: camera.at(stamp_s) for name, camera in self.cameras.items()}
 
     def leads(self, name: str, stamp_s: float) -> bool:
-        """Whether a camera is the first that knows where it is; the first of all where none does."""
+        """Return whether a camera is the first that is tracked, or, if none is, the first of all."""
         knowing = [
             other
             for other, camera in self.cameras.items()
@@ -153,25 +153,25 @@ class RobotCameras:
         return name == (knowing or list(self.cameras))[0]
 
     def led(self) -> tuple[NDArray[np.int64], FloatArray]:
-        """(M,) scans that were a camera's frames, and (M,) what the robot's clock showed then."""
+        """Return (M,) scans that were frames of a camera, and (M,) their stamps by the robot's clock."""
         cameras = self.cameras.values()
         scans = [np.array(camera.led_scans, dtype=np.int64) for camera in cameras]
         stamps_s = [np.array(camera.led_s) - camera.clock.offset_s for camera in cameras]
         return np.concatenate([np.zeros(0, np.int64), *scans]), np.concatenate([np.zeros(0), *stamps_s])
 
     def placed_pictures(self, stamp_s: float) -> list[Picture]:
-        """The newest frame of every camera with a known mounting, the first such camera's first.
+        """Return the newest frame of every camera with a known mounting, that of the first one first.
 
-        One that is lost is left out; where the first is, all are.
+        A lost camera is left out; if the first is lost, all are.
         """
         known = [camera.newest for camera in self.cameras.values() if camera.newest and camera.T_base_camera]
         found = [(frame, self.placed_at(frame.frame.sensor, frame.stamp_s, stamp_s)) for frame in known]
         return [Picture(frame, pose) for frame, pose in found if pose] if found and found[0][1] else []
 
     def placed_at(self, name: str, taken_s: float, stamp_s: float, sigmas: float = 0.0) -> gtsam.Pose3 | None:
-        """Where a camera took a frame, seen from the base at a stamp of the robot's clock; None if not known.
+        """Return the pose of a frame relative to the base at a stamp of the robot's clock; None if unknown.
 
-        By clock and mounting as they are known by now; so many standard deviations of the clock beside.
+        It uses the current clock offset, shifted by some of its standard deviations, and mounting.
         """
         camera = self.cameras[name]
         there = camera.odometry.track.at(taken_s, 0.0)
@@ -181,7 +181,7 @@ class RobotCameras:
         return camera.T_base_camera.compose(base.pose.between(there.pose))
 
     def pictures(self, stamp_s: float) -> list[Picture]:
-        """The newest frame of every camera; one that is lost or not yet placed is taken as it stands."""
+        """Return the newest frame of every camera; an untracked one has the pose of its mounting."""
         found = []
         for name, camera in sorted(self.cameras.items()):
             if (newest := camera.newest) is not None:
@@ -190,7 +190,7 @@ class RobotCameras:
         return found
 
     def steps(self, before: CameraPoses, after: CameraPoses) -> list[CameraStep]:
-        """Motion between two moments by every camera that knows it and stays in the plane."""
+        """Return the motion between two times by every camera that measured it and stays in the plane."""
         found = []
         for name, camera in self.cameras.items():
             step = camera_step(before.get(name), after.get(name))
@@ -207,11 +207,11 @@ class RobotCameras:
         return found
 
     def is_learned(self, name: str) -> bool:
-        """Whether a camera's mounting is not given but learned."""
+        """Return whether the mounting of a camera is estimated, not given."""
         return self.cameras[name].learner is not None
 
     def learn(self, source: int, target: int, steps: list[CameraStep], base: Motion | None) -> None:
-        """Take motions between two keyframes of cameras whose mounting is not given."""
+        """Add motions between two keyframes of cameras without a given mounting."""
         for step in steps:
             camera = self.cameras[step.camera]
             if camera.learner is not None:
@@ -219,7 +219,7 @@ class RobotCameras:
                 camera.T_base_camera = camera.learner.T_base_camera
 
     def learned_mountings(self) -> dict[str, LearnedMounting]:
-        """The mountings that all motions together have told."""
+        """Return the mountings estimated from all motions."""
         found = {}
         for name, camera in self.cameras.items():
             if camera.learner is None:
@@ -230,7 +230,7 @@ class RobotCameras:
         return found
 
     def learned_steps(self) -> list[tuple[int, int, PlanarMotion]]:
-        """All motions between keyframes of cameras whose mounting was learned, by its last estimate."""
+        """Return all motions between keyframes of cameras with an estimated mounting, by the latest."""
         found = []
         for camera in self.cameras.values():
             if camera.learner is None:
@@ -246,7 +246,7 @@ class RobotCameras:
         return found
 
     def records(self, registrations: Mapping[str, ColorRegistration]) -> dict[str, CameraRecord]:
-        """What became of every camera's frames, for the report."""
+        """Return how the frames of every camera were used, for the report."""
         return {
             name: CameraRecord(
                 camera.record.finish(),
@@ -264,7 +264,7 @@ class RobotCameras:
         }
 
     def notes(self) -> list[str]:
-        """The mountings and the clocks that were learned."""
+        """Return notes on the estimated mountings and clock offsets."""
         cameras = self.cameras.items()
         learning = [camera.learner.note(name) for name, camera in cameras if camera.learner is not None]
         clocks = [
@@ -275,11 +275,11 @@ class RobotCameras:
         return [mounting.note for mounting in self.mountings.values()] + learning + clocks
 
     def unplaced(self) -> list[str]:
-        """Cameras of which it is not known where they sit."""
+        """Return the cameras with an unknown mounting."""
         return [name for name, camera in self.cameras.items() if camera.T_base_camera is None]
 
     def warnings(self) -> list[str]:
-        """What a person should know of cameras that failed often: a line for all of them, by what failed."""
+        """Return warnings on cameras that failed often: one line for each kind of failure."""
         lost, refused = list[str](), list[str]()
         for name, camera in self.cameras.items():
             tracked = camera.odometry

@@ -15,19 +15,19 @@ from slam.vision.visual_match import VisualMatch
 
 @dataclass(frozen=True, slots=True)
 class ScanRecord:
-    """What the report tells of every scan or frame, one array entry each.
+    """Data of the report on every scan or frame, one array entry each.
 
     Attributes
     ----------
     stamps_s, seconds
-        Time of the scan and the time that its processing took.
+        Stamp of the scan, and its processing time.
     inlier_shares, residuals_m
-        Of the match; NaN where there was none.
+        Inlier share and residual of the match; NaN if there was none.
     degenerate
-        1 where the match had a weak direction, 0 elsewhere.
+        1 if the match had a degenerate direction, else 0.
     overlaps, feature_counts, residuals_px
-        Of a camera's match, see `slam.vision.visual_match.VisualMatch`; NaN for a scan, where nothing
-        matched, and the residual also where no feature agreed.
+        Of a camera match, see `slam.vision.visual_match.VisualMatch`; NaN for a scan and without a match, and
+        the residual also if no feature agreed.
     """
 
     stamps_s: FloatArray
@@ -41,7 +41,7 @@ class ScanRecord:
 
     @property
     def unmatched(self) -> BoolArray:
-        """(S,) where nothing matched; the first has nothing to be matched with, and is not counted."""
+        """Return (S,) whether nothing matched; False for the first, which has nothing to match."""
         missing = np.isnan(self.inlier_shares)
         missing[:1] = False
         return missing
@@ -49,17 +49,16 @@ class ScanRecord:
 
 @dataclass(frozen=True, slots=True)
 class CameraRecord:
-    """What became of the frames of one camera.
+    """Usage of the frames of one camera.
 
     Attributes
     ----------
     frames
         Every frame.
     motions, refused_motions
-        How many motions a robot's camera reported, and how many of them were refused because they left the
-        floor.
+        Number of motions that a robot's camera reported, and of those rejected because they left the floor.
     learned
-        Where the camera and its colour camera sit, and its clock.
+        Estimated poses of the camera and its colour camera, and its clock offset.
     """
 
     frames: ScanRecord
@@ -69,7 +68,7 @@ class CameraRecord:
 
 
 class ScanRecorder:
-    """Flat, growing columns: numbers only, so that it stays small on a long log."""
+    """Growing columns of numbers only, so that it stays small in long logs."""
 
     def __init__(self) -> None:
         self._columns = [array("d") for _ in fields(ScanRecord)]
@@ -80,7 +79,7 @@ class ScanRecorder:
     def add(
         self, stamp_s: float, motion: MotionEstimate | None, seconds: float, match: VisualMatch | None = None
     ) -> None:
-        """Take one scan, or one frame with its match."""
+        """Add one scan, or one frame with its match."""
         row = (
             stamp_s,
             seconds,
@@ -95,5 +94,5 @@ class ScanRecorder:
             column.append(value)
 
     def finish(self) -> ScanRecord:
-        """As arrays."""
+        """Return the columns as arrays."""
         return ScanRecord(*(np.array(column) for column in self._columns))

@@ -29,7 +29,7 @@ from slam.vision.tags import TagView, find_tags
 
 @dataclass(frozen=True, slots=True)
 class SeenTag:
-    """A tag in an image, which has a number; by the camera's clock, and where its colours are on the base."""
+    """A tag in a numbered image; stamp by the camera's clock, and pose of the colour camera on the base."""
 
     image: int
     stamp_s: float
@@ -40,20 +40,20 @@ class SeenTag:
 
 @dataclass(slots=True)
 class TagFinder:
-    """Looks for tags in the images of keyframes.
+    """Detects tags in the images of keyframes.
 
     Attributes
     ----------
     places
-        What hangs; None if nobody has said that.
+        The installed tags; None if they are not given.
     registrations
-        Where colour cameras sit that are not registered to depth, by name.
+        Poses of colour cameras that are not registered to depth, by name.
     seen
         All tags so far.
     images
-        How many images were looked at.
+        Number of images searched.
     clocks
-        Of the cameras against the robot's, by name; none of one that leads.
+        Clock offsets of the cameras against the robot's clock, by name; none for a leading camera.
     """
 
     places: KnownPlaces | None = None
@@ -64,7 +64,7 @@ class TagFinder:
     _newest_s: dict[str, float] = field(default_factory=dict)
 
     def look(self, frame: RgbdFrame, T_base_camera: gtsam.Pose3) -> None:
-        """Take a frame, and where its depth camera sits on the base; a frame that was seen is passed over."""
+        """Search a frame, given the pose of its depth camera on the base; skip a frame that was searched."""
         if self.places is None or self.places.size_m is None:
             return
         if self._newest_s.get(frame.sensor) == frame.stamp_s:
@@ -81,25 +81,25 @@ class TagFinder:
         ]
 
     def taken_s(self, one: SeenTag) -> tuple[float, float]:
-        """When an image was taken, by the robot's clock, and how sure that is."""
+        """Return the stamp of an image by the robot's clock, and its uncertainty."""
         clock = self.clocks.get(one.sensor)
         return (one.stamp_s, 0.0) if clock is None else (one.stamp_s - clock.offset_s, clock.sigma_s)
 
 
 class PlaceAnchors:
-    """What tags and surveyed places know of a map.
+    """Position constraints of a map from tags and surveyed places.
 
     Parameters
     ----------
     places
-        What a person knows.
+        Places given by the user.
 
     Attributes
     ----------
     found
-        The tags, and where the map lies in the surveyor's frame.
+        The tags, and the pose of the map in the surveyor's frame.
     notes, warnings
-        One line each, for people.
+        One line each, for the user.
     """
 
     def __init__(self, places: KnownPlaces) -> None:
@@ -118,7 +118,7 @@ class PlaceAnchors:
         outcome: BatchResult,
         inlier_probability: float,
     ) -> BatchResult:
-        """Let tags that were seen again close loops, and solve anew; the old outcome without any."""
+        """Close loops by tags that were seen again, and solve again; without any, return the old result."""
         if not finder.seen:
             if finder.images:
                 self.warnings.append(
@@ -127,7 +127,7 @@ class PlaceAnchors:
             return outcome
         sigma_px = _sigma_px([one.view for one in finder.seen])
         self._seen, twice = _by_number(finder, way, sigma_px)
-        # A check is no proof where it has moved the map.
+        # A check proves nothing if it has moved the map.
         checks = {one.tag for one in self._places.surveyed if one.check}
         edges = self._find([number for number in self._seen if number not in checks], graph, outcome)
         for edge in edges:
@@ -145,7 +145,7 @@ class PlaceAnchors:
     def survey(
         self, graph: KeyframeGraph, way: Way, outcome: BatchResult, inlier_probability: float
     ) -> BatchResult:
-        """Lay the map where surveyed places and the start say; the old outcome where they do not tell."""
+        """Align the map with surveyed places and the start; return the old result if they do not suffice."""
         used = [
             (one, seen)
             for one in self._places.surveyed
@@ -161,8 +161,8 @@ class PlaceAnchors:
         outcome, self._laid = anchor(graph, anchors, outcome, inlier_probability, EdgeKind.SURVEY)
         if self._laid is None:
             self.warnings.append(
-                "The surveyed places do not tell how the map lies: survey two that are farther apart, or "
-                "give the start with its yaw_deg"
+                "The surveyed places do not determine the pose of the map: survey two points farther apart, "
+                "or give the start with its yaw_deg"
             )
             return outcome
         self.found = replace(self.found, T_survey_map=self._laid.T_enu_map)
@@ -201,7 +201,7 @@ class PlaceAnchors:
             self.warnings.append(f"survey: not seen by the map: {', '.join(unseen)}")
 
     def _find(self, numbers: Sequence[int], graph: KeyframeGraph, outcome: BatchResult) -> list[Edge]:
-        """Find where tags hang; the edges between nodes that saw the same one."""
+        """Estimate the poses of tags; return the edges between nodes that saw the same one."""
         poses, edges = graph.poses(), graph.graph.edges
         if not numbers:
             return []
@@ -226,7 +226,7 @@ class PlaceAnchors:
         return told
 
     def _tag(self, number: int, spatials: Sequence[Sighting], lean: gtsam.Rot3, found: Landmark) -> MapTag:
-        """What is saved of a tag."""
+        """Return the saved record of a tag."""
         pose, covariance = found.T_node_landmark, found.covariance
         if isinstance(pose, gtsam.Pose2):
             held = [one for one, keep in zip(spatials, found.holds.tolist(), strict=True) if keep]
@@ -244,7 +244,7 @@ class PlaceAnchors:
         return MapTag(number, side_m, found.node, pose, math.sqrt(variance), len(spatials), fit)
 
     def _seen_at(self, one: SurveyedPlace, way: Way) -> tuple[int, FloatArray, float] | None:
-        """Node, (3,) place in its frame and variance of that, of a surveyed place; None if it was not."""
+        """Return node, (3,) position in its frame and its variance for a surveyed place; None if unseen."""
         if one.stamp_s is not None:
             node = int(way.nearest(np.array([one.stamp_s]))[0])
             T_node_base = way.seen_from(node, one.stamp_s)
@@ -255,7 +255,7 @@ class PlaceAnchors:
         return None
 
     def _start(self, way: Way) -> list[Anchor]:
-        """The known start as two places, before and behind the base: both together are as sure as it is."""
+        """Return the known start as two places, before and behind the base, with its covariance."""
         start = self._places.start
         T_node_base = way.seen_from(0, float(way.stamps_s[0]))
         if start is None or T_node_base is None:
@@ -270,7 +270,7 @@ class PlaceAnchors:
 
 
 def _place(at_m: Sequence[float], variance: float) -> tuple[FloatArray, FloatArray]:
-    """(3,) and (3, 3) of a place with so much variance; where its height is not known it may be any."""
+    """Return (3,) and (3, 3) of a place with this variance; an unknown height may have any value."""
     covariance = variance * np.eye(3)
     if len(at_m) == 2:
         covariance[2, 2] = NOWHERE_M**2
@@ -278,7 +278,7 @@ def _place(at_m: Sequence[float], variance: float) -> tuple[FloatArray, FloatArr
 
 
 def _by_number(finder: TagFinder, way: Way, sigma_px: float) -> tuple[dict[int, list[Sighting]], list[int]]:
-    """Sightings of each tag as nodes see it; and the numbers that were seen twice in one image, left out."""
+    """Return sightings of each tag by node, without the numbers seen twice in one image; and those."""
     found, images = defaultdict[int, list[Sighting]](list), Counter[tuple[int, int]]()
     taken_s = np.array([finder.taken_s(one) for one in finder.seen])
     for one, node, (stamp_s, sigma_s) in zip(finder.seen, way.nearest(taken_s[:, 0]), taken_s, strict=True):
@@ -286,7 +286,7 @@ def _by_number(finder: TagFinder, way: Way, sigma_px: float) -> tuple[dict[int, 
         if then is None or later is None:
             continue
         T_base_tag = one.T_base_camera.compose(one.view.T_camera_tag)
-        # What the robot moves in the time that the clock is off.
+        # The motion of the robot during the clock error.
         off = T_base_tag.inverse().AdjointMap() @ gtsam.Pose3.Logmap(then.between(later))
         covariance = one.view.covariance(sigma_px) + np.outer(off, off)
         found[one.view.number].append(Sighting(int(node), then.compose(T_base_tag), covariance))
@@ -297,9 +297,9 @@ def _by_number(finder: TagFinder, way: Way, sigma_px: float) -> tuple[dict[int, 
 
 
 def _sigma_px(views: Sequence[TagView]) -> float:
-    """How far corners are off, by what four of them tell too much; few views count little."""
+    """Return the corner error, from the redundancy of four corners; few views have little weight."""
     misfits = np.array([view.misfit_px2 for view in views])
-    # What is no tag fits badly: the median does not mind.
+    # False detections fit badly: the median is robust to them.
     shown = float(np.median(misfits)) / gate(2, 0.5)
-    # Until a log has shown its own, as if corners were rounded to whole pixels: a variance of a twelfth.
+    # As long as a log shows no error, corners count as rounded to whole pixels: a variance of 1/12.
     return math.sqrt((FEWEST / 12 + len(views) * shown) / (FEWEST + len(views)))

@@ -94,7 +94,7 @@ class FileFacts:
     def unused(self) -> list[str]:
         """Files that were given and from which nothing was taken."""
         return [
-            f"warning: {source} tells of no sensor that is read"
+            f"warning: {source} describes no sensor that is read"
             for source in sorted(self.known.sure - self.used)
         ]
 

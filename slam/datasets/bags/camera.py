@@ -124,7 +124,7 @@ class BagCamera:
             # Without a lens of its own, colour of the same proportions is taken as already registered.
             if not same_aspect(size, (wanted.width, wanted.height)):
                 text = f"{size[0]} x {size[1]} and {wanted.width} x {wanted.height}"
-                raise RecordFault(SIZES_DIFFER, f"{text}; a lens of each by --calibration tells how they see")
+                raise RecordFault(SIZES_DIFFER, f"{text}; give the intrinsics of each by --calibration")
             return None, None
         if float(np.linalg.norm(self.T_depth_color.translation())) > APART_M:
             return lens.maps(), ColorView(wanted, lens.intrinsics, self.T_depth_color)

@@ -29,7 +29,7 @@ def camera_clouds(survey: Survey) -> dict[str, str]:
         elif view.stamp_s in stamps_s:
             found[topic] = f"its stamps are those of {stamps_s[view.stamp_s]}"
         elif view.along == "z" and survey.stamps_s:
-            found[topic] = "it looks along z, the optical axis"
+            found[topic] = "its view is along z, the optical axis"
         elif view.rows > 1 and survey.stamps_s:
             found[topic] = "its points are in the order of an image"
     return found

@@ -19,7 +19,7 @@ from slam.datasets.point_intensity import intensities_of
 from slam.datasets.point_times import LONGEST_TURN_S, PointTimes
 from slam.measurements import Float32Array, Measurement, PointCloud
 
-BAD_LAYOUT = "point cloud with a layout that cannot be"
+BAD_LAYOUT = "point cloud with an impossible layout"
 NO_POINTS = "point cloud without a valid point"
 
 _KINDS = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 8: "f8"}  # sensor_msgs/PointField

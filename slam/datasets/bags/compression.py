@@ -65,7 +65,7 @@ def _unpacked(packed: bytes, compression: str, most: int) -> bytes:
     try:
         return bytes(decompressor.decompress(packed, most + 1))
     except failures as error:
-        raise RecordFault(DAMAGED, f"{compression} data do not unpack: {error}") from error
+        raise RecordFault(DAMAGED, f"{compression} data cannot be decompressed: {error}") from error
 
 
 def _decompressor(compression: str) -> Any:

@@ -61,22 +61,22 @@ def never_read(survey: Survey) -> dict[str, str]:
         elif kind == ODOMETRY and (estimate := _no_wheels(survey, topic)):
             found[topic] = estimate
         elif kind in SCANS and (cloud := _made_of(survey, topic)):
-            found[topic] = f"it is made of {cloud}, which has its frame and stamps and tells more"
+            found[topic] = f"it is made of {cloud}, which has the same frame and stamps, and more data"
         elif kind in SCANS and (unfit := _not_in_plane(survey, frame)):
             found[topic] = unfit
         elif kind in IMAGES and _OF_LIDAR.search(topic) and (cloud := _beside(survey, topic)):
-            found[topic] = f"it is a picture of what the lidar of {cloud} tells"
+            found[topic] = f"it is an image of the lidar data in {cloud}"
         elif kind in CLOUDS and _last(frame) in _WORLDS:
-            found[topic] = f"it stands in {frame}, moved by somebody's estimate already"
+            found[topic] = f"it stands in {frame}, already transformed by an estimated pose"
         elif kind == POINT_CLOUD and (view := survey.clouds.get(topic)) and view.points < LEAST_POINTS:
-            found[topic] = f"its {view.points} points are a sonar's or a bumper's, no lidar's"
+            found[topic] = f"its {view.points} points are from a sonar or a bumper, not from a lidar"
     made = camera_clouds(survey)
     rest = {topic for topic in kinds if topic not in found and topic not in made}
     cameras = {topic for topic in rest & set(survey.depths) if survey.depths[topic]}
     if cameras or any(kinds[topic] in SCANS | CLOUDS for topic in rest):
         # Where nothing else sees, such a cloud is better than none.
         found |= {
-            topic: f"it is no lidar's but a depth camera's cloud ({why})"
+            topic: f"it is the cloud of a depth camera, not of a lidar ({why})"
             for topic, why in made.items()
             if topic not in found
         }
@@ -100,8 +100,8 @@ def _no_wheels(survey: Survey, topic: str) -> str:
     """Why an odometry is none of wheels; empty where it may be."""
     parent = _last(survey.odometry.get(topic, ("", ""))[0])
     if parent in _WORLDS.difference(ODOM_FRAMES):
-        return f"it is somebody's estimate in {parent} and none of wheels"
-    return "by its name it is what was seen of the way and none of wheels" if _NO_WHEELS.search(topic) else ""
+        return f"it is an estimate in {parent}, not wheel odometry"
+    return "by its name it is not wheel odometry" if _NO_WHEELS.search(topic) else ""
 
 
 def _beside(survey: Survey, image: str) -> str | None:

@@ -19,7 +19,7 @@ from slam.datasets.budget import LARGEST_BYTES
 from slam.datasets.dataset import RecordFault
 from slam.foreign import from_json
 
-NO_PROTOBUF = "messages as protobuf, which the extra reads: pip install 'scanweave[foxglove]'"
+NO_PROTOBUF = "messages in protobuf; to read them: pip install 'scanweave[foxglove]'"
 UNDECODED = "message of Foxglove that does not decode as its type"
 WIRES = frozenset({"protobuf", "json"})
 _NUMBERS = (0, 2, 1, 4, 3, 6, 5, 7, 8)  # of PackedElementField as those of sensor_msgs/PointField
@@ -151,7 +151,7 @@ def message_of(content: bytes, own_kind: str, wire: str, definition: str) -> Sim
     try:
         if wire == "json":
             if len(content) > _LONGEST_JSON:
-                raise ValueError(f"{len(content)} letters of JSON")
+                raise ValueError(f"{len(content)} characters of JSON")
             message = _named(from_json(content))
         else:
             message = _class_of(definition, own_kind)()

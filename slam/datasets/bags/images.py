@@ -16,8 +16,8 @@ from slam.datasets.dataset import RecordFault
 from slam.datasets.image_files import decoded, rgb_of
 from slam.measurements import ColorImage, Float32Array
 
-BAD_SIZE = "image with fewer bytes than its size says"
-BAD_ENCODING = "image encoding that is not read"
+BAD_SIZE = "image with fewer bytes than its size requires"
+BAD_ENCODING = "unsupported image encoding"
 
 MILLIMETRES_PER_M = 1000.0  # REP-118
 _CONFIG_BYTES = 12  # of compressedDepth: a format number and two parameters
@@ -92,7 +92,7 @@ def _from_shared_color(message: Any, conversion: str, size: int) -> ColorImage:
     else:
         rows = _pixels(message, np.dtype(np.uint8), size)
     if width % 2 or (size == 1 and height % 2):
-        raise RecordFault(BAD_SIZE, f"{width} x {height} of an encoding that takes pixels by twos")
+        raise RecordFault(BAD_SIZE, f"{width} x {height} of an encoding with pixel pairs")
     return np.ascontiguousarray(cv2.cvtColor(rows, getattr(cv2, conversion)))
 
 
@@ -102,7 +102,7 @@ def _from_mosaic(message: Any, pattern: str, bits: int) -> ColorImage:
 
     pixels = _pixels(message, _order(message, f"u{bits // 8}"), 1)[..., 0]
     if min(pixels.shape) < 2:
-        raise RecordFault(BAD_SIZE, f"{pixels.shape} of an encoding that takes pixels by twos")
+        raise RecordFault(BAD_SIZE, f"{pixels.shape} of an encoding with pixel pairs")
     brightest = pixels if bits == 8 else (pixels >> 8).astype(np.uint8)
     return np.ascontiguousarray(cv2.cvtColor(brightest, getattr(cv2, f"COLOR_Bayer{_MOSAIC[pattern]}2RGB")))
 

@@ -19,9 +19,9 @@ from slam.datasets.imu_units import ForceUnit
 from slam.datasets.wheels_between import WHEELS_KEPT
 from slam.measurements import FloatArray, ImuReading, Measurement
 
-NOT_BOTH = "IMU message without turn rate or without acceleration"
-NO_HALF = "IMU message without the half that its topic tells"
-NO_FORCES = "it tells no accelerations, and no topic beside it does"
+NOT_BOTH = "IMU message without angular rate or acceleration"
+NO_HALF = "IMU message without the quantity that its topic provides"
+NO_FORCES = "it has no accelerations, and no other topic has any"
 
 
 def told_by(message: Any) -> tuple[bool, bool]:
@@ -125,7 +125,7 @@ class JoinedImu:
     def told(self) -> list[str]:
         """What was concluded, for people."""
         alone = self._alone + len(self._rates)
-        rest = f"; {alone} turn rates without accelerations around them are left out" if alone else ""
+        rest = f"; {alone} angular rates without accelerations around them are ignored" if alone else ""
         text = f"joined with {self.forces_topic}, accelerations between its stamps by interpolation{rest}"
         return [f"{self.topic}: {one}" for one in (text, self.unit.choice) if one]
 

@@ -21,8 +21,8 @@ from slam.datasets.laser_geometry import (
 )
 from slam.measurements import FloatArray, LaserScan
 
-BAD_ANGLES = "angles of the scan are none"
-UPRIGHT = "laser not level: its plane stands on edge"
+BAD_ANGLES = "scan with invalid angles"
+UPRIGHT = "laser not level: its plane is nearly vertical"
 
 _LEVEL = math.cos(math.radians(45.0))
 _TURN_RAD = 2.0 * math.pi

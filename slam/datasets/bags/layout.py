@@ -169,12 +169,12 @@ def _read_clocks(survey: Survey, layout: Layout) -> None:
     for topic in sorted({*layout.readers, *layout.images}):
         if topic in survey.late_s and survey.late_s[topic] is None:
             layout.shifts_s[topic] = math.inf
-            layout.notes.append(f"{WARNING}{topic} has no stamps; the recorder's clock is taken")
+            layout.notes.append(f"{WARNING}{topic} has no stamps; the recorder's clock is used")
     for topic, shift_s in clock_shifts(survey).items():
         if topic in layout.readers or topic in layout.images:
             layout.shifts_s[topic] = shift_s
             ahead = f"{abs(shift_s):.1f} s {'ahead of' if shift_s > 0 else 'behind'} the other topics'"
-            layout.notes.append(f"{WARNING}{topic}: its clock is {ahead}; taken off, by when its first came")
+            layout.notes.append(f"{WARNING}{topic}: its clock is {ahead}; corrected by its first arrival")
 
 
 def _choice(bag: Bag, survey: Survey, wanted: tuple[str, ...]) -> Choice:
@@ -227,14 +227,14 @@ def _mount_by_tf(survey: Survey, layout: Layout, topic: str) -> gtsam.Pose3 | No
     frame = survey.frames.get(topic, "")
     if not layout.base:
         layout.notes.append(
-            f"{topic}: no tf in the bag; its mounting is not known, unless --calibration tells"
+            f"{topic}: no tf in the bag; its mounting is unknown, unless given by --calibration"
         )
         return None
     pose = survey.tree.between(layout.base, frame) if frame != layout.base else gtsam.Pose3()
     if pose is None:
         layout.notes.append(f"{topic}: tf does not connect {frame or 'its frame'} with {layout.base}")
     elif survey.tree.moves_between(layout.base, frame):
-        layout.notes.append(f"{topic}: {frame} moves on the robot; it is taken to stay where it was first")
+        layout.notes.append(f"{topic}: {frame} moves on the robot; its first pose is used")
     return pose
 
 
@@ -244,8 +244,8 @@ def _mount_of_lidar(
     """As `_mount`, with a warning where a robot with tf does not tell it."""
     mount = _mount(survey, layout, topic, kind, only=only)
     if mount is None and layout.base:
-        text = f"{topic}: tf does not tell where it sits; taken to sit at {layout.base}"
-        layout.notes.append(f"{WARNING}{text}, unless --calibration tells (a URDF, a yaml of tf)")
+        text = f"{topic}: tf has no mounting for it; assumed at {layout.base}"
+        layout.notes.append(f"{WARNING}{text}, unless --calibration gives it (a URDF, a yaml of tf)")
     return mount
 
 
@@ -259,7 +259,7 @@ def _scan_reader(survey: Survey, layout: Layout, topic: str) -> Callable[[Any], 
         except RecordFault as fault:
             raise DatasetError(f"{topic}: {fault}; name other topics with --topics") from fault
     if mount.inverted:
-        layout.notes.append(f"{topic}: the laser hangs upside down; its beams are turned round")
+        layout.notes.append(f"{topic}: the laser is mounted upside down; its beams are reversed")
     told_alike = ToldAlike()
     return lambda message: scan_from(message, mount, topic, told_alike)
 
@@ -271,7 +271,7 @@ def _cloud_reader(
     reader = CloudReader(topic, _mount_of_lidar(survey, layout, topic, "lidar", only=only) or gtsam.Pose3())
     layout.clouds.append(reader)
     if survey.in_pieces.get(topic):
-        layout.notes.append(f"{topic}: its messages are pieces of a turn; put together")
+        layout.notes.append(f"{topic}: its messages are parts of a revolution; joined")
         return TurnReader(reader).read
     return reader.read
 
@@ -308,7 +308,7 @@ def _camera(survey: Survey, layout: Layout, topics: CameraTopics, *, only: bool)
         tolerance_of(*(np.array(of_one, dtype=np.float64) for of_one in stamps)),
     )
     if unit_m := survey.facts.unit_m(topics.depth):
-        layout.notes.append(f"{topics.name}: a step of depth is {unit_m:g} m, by its option in the bag")
+        layout.notes.append(f"{topics.name}: the depth unit is {unit_m:g} m, by its option in the bag")
     steps = layout.files.depth_steps_per_m(topics.name, 1.0 / unit_m if unit_m else None)
     camera.depth_steps_per_m = steps or camera.depth_steps_per_m
     if camera.assumed:
@@ -326,18 +326,18 @@ def _color_in_depth(survey: Survey, layout: Layout, topics: CameraTopics) -> gts
     if frames[0] != frames[1] and (between := survey.tree.between(*frames)) is not None:
         known.append((between, "tf"))
     if not known:
-        layout.notes.append(f"{topics.name}: nothing tells where colour sits beside depth; taken as one")
+        layout.notes.append(f"{topics.name}: no pose of colour relative to depth; assumed identical")
         return gtsam.Pose3()
     pose, source = known[0]
     values = [np.asarray(one.translation()) for one, _ in known]
     if float(np.abs(values[0] - values[-1]).max()) > APART_M:
         layout.notes.append(
-            f"{WARNING}{topics.name}: colour beside depth at {_xyz(values[0])} m by {source}, at "
+            f"{WARNING}{topics.name}: colour relative to depth at {_xyz(values[0])} m by {source}, at "
             f"{_xyz(values[-1])} m by {known[-1][1]}; that of {source} is used"
         )
     if (apart_m := float(np.linalg.norm(values[0]))) > APART_M:
         layout.notes.append(
-            f"{topics.name}: colour sits {apart_m:.3f} m beside depth by {source}; drawn as depth sees it"
+            f"{topics.name}: colour is {apart_m:.3f} m from depth by {source}; drawn in the depth image"
         )
     return pose
 
@@ -361,7 +361,7 @@ def _lens(survey: Survey, layout: Layout, topic: str) -> Lens | None:
     layout.lenses.add(source)
     if lens.unknown_model:
         layout.notes.append(
-            f"{topic}: distortion model {lens.unknown_model[:32]} is not known; left in the images"
+            f"{topic}: distortion model {lens.unknown_model[:32]} is unknown; it is left in the images"
         )
     elif lens.distortion.size:
         layout.notes.append(f"{topic}: distortion taken out of the images")

@@ -28,8 +28,8 @@ NO_METADATA = (
     "(http://SENSOR/api/v1/sensor/metadata), or record the driver's topic 'metadata'"
 )
 DAMAGED = "damaged packet of an Ouster"
-LATE = "packet of an Ouster's turn that is over"
-NO_RETURN = "turn of an Ouster without a return"
+LATE = "packet of an earlier revolution of an Ouster"
+NO_RETURN = "revolution of an Ouster without a return"
 IMU_BYTES = 48
 # No packet waits so long for its recorder; a sensor without a clock counts from its start.
 _OTHER_CLOCK_S = 60.0
@@ -167,12 +167,12 @@ class Ouster:
         """What was found out, for people."""
         found = []
         if self.lacking:
-            found.append(f"{self.lacking} turns of an Ouster lack columns; read as they came")
+            found.append(f"{self.lacking} revolutions of an Ouster lack columns; read as they are")
         if self.left_out:
-            found.append(f"{self.left_out} turns of an Ouster lack half of their columns or more; left out")
+            found.append(f"{self.left_out} revolutions of an Ouster lack half their columns or more; ignored")
         if self.behind_s:
             text = f"an Ouster's clock is {self.behind_s:.1f} s behind the recorder's"
-            found.append(f"{WARNING}{text}; taken off, by when its first packet came")
+            found.append(f"{WARNING}{text}; corrected by the arrival of its first packet")
         return found
 
 

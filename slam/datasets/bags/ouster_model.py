@@ -164,7 +164,7 @@ def _pose(told: Any) -> gtsam.Pose3:
     """A transform of the metadata: 16 numbers by rows, millimetres."""
     matrix = np.asarray(told, np.float64).reshape(4, 4)
     if not np.isfinite(matrix).all() or abs(np.linalg.det(matrix[:3, :3]) - 1.0) > 0.01:
-        raise ValueError("a transform that is none")
+        raise ValueError("an invalid transform")
     return gtsam.Pose3(gtsam.Rot3.ClosestTo(matrix[:3, :3]), matrix[:3, 3] / 1000.0)
 
 

@@ -14,7 +14,7 @@ from slam.datasets.log_file import OnShare
 
 CUT = "the bag ends in the middle of a record; read up to there"
 DAMAGED = "damaged record of the bag"
-UNKNOWN = "record of a kind that the format does not have, passed over"
+UNKNOWN = "record of an unknown kind, skipped"
 
 
 @dataclass(frozen=True, slots=True)

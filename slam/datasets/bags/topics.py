@@ -97,9 +97,9 @@ class Evidence:
 NO_EVIDENCE = Evidence()
 
 _WHY = {
-    ODOMETRY: "wheels before estimates, what moves the robot's frame before others",
-    **dict.fromkeys(SCANS, "of one place the wider view"),
-    **dict.fromkeys(CLOUDS, "a lidar's own points before what was made of them, then the wider view"),
+    ODOMETRY: "wheel odometry is preferred to estimates, then the frame of the robot",
+    **dict.fromkeys(SCANS, "of two at one place the wider field of view is preferred"),
+    **dict.fromkeys(CLOUDS, "raw points are preferred to processed ones, then the wider view"),
 }
 
 
@@ -144,7 +144,7 @@ def choose(
         if kind in IMAGES:
             left_out[topic] = f"another image topic of its camera is read; --topics {topic} reads it"
         elif any(name in wanted for name in of(kind)):
-            left_out[topic] = "--topics names others of its sort"
+            left_out[topic] = "--topics names others of its kind"
         else:
             instead = ", ".join(other for other in (*scans, *clouds, *odometry) if kinds[other] == kind)
             left_out[topic] = f"{instead} is read, {_WHY[kind]}; --topics {topic} reads this one"

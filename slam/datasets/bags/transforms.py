@@ -14,7 +14,7 @@ from slam.datasets.bags.decoding import frame_name
 from slam.datasets.calibration import pose_from
 from slam.datasets.dataset import RecordFault
 
-BAD_TRANSFORM = "transform that is none"
+BAD_TRANSFORM = "invalid transform"
 BASE_FRAMES = ("base_footprint", "base_link", "base")
 
 _STILL_M, _STILL_RAD = 0.005, math.radians(0.5)  # nearer than that two mountings are the same

@@ -23,7 +23,7 @@ TRUTHS = frozenset({PATH, _POSE, _POSE_COVARIANCE, _TRANSFORM, ODOMETRY})
 _NAME = re.compile(
     r"ground_?truth|(^|[/_])(gt|truth|vicon|vrpn\w*|mocap|optitrack|qualisys|leica)([/_]|$)", re.IGNORECASE
 )
-IS_TRUTH = "by its name it is the truth, which is compared with and not mapped by"
+IS_TRUTH = "by its name it is ground truth, used only for comparison"
 
 
 def is_truth(topic: str, kind: str) -> bool:
@@ -48,7 +48,7 @@ def read_truth(bag: Bag, topic: str, account: Account) -> Trajectory | None:
         if record.channel.topic != topic:
             continue
         damages = (AttributeError, TypeError, ValueError, OverflowError, RuntimeError)
-        with account.refusing(topic, record.number, "pose that is none", *damages):
+        with account.refusing(topic, record.number, "invalid pose", *damages):
             message = decoder.decode(record)
             if record.channel.kind == PATH:
                 found = max(found, [_stamped(pose) for pose in message.poses], key=len)

@@ -10,8 +10,8 @@ import numpy as np
 from slam.datasets.bags.cloud_messages import as_cloud, header_at
 from slam.datasets.dataset import RecordFault
 
-NO_DECODER = "packets of a lidar, which the extra reads: pip install 'scanweave[velodyne]'"
-NOT_DECODED = "packets of a Velodyne that tell no cloud"
+NO_DECODER = "packets of a lidar; to read them: pip install 'scanweave[velodyne]'"
+NOT_DECODED = "packets of a Velodyne without a cloud"
 _FIELDS = ("x", "y", "z", "intensity", "time")
 
 

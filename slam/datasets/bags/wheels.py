@@ -20,7 +20,7 @@ def wheel_reader(survey: Survey, base: str, topic: str, notes: list[str]) -> Cal
     child = survey.odometry.get(topic, ("", ""))[1]
     between = survey.tree.between(child, base) if child != base and base else gtsam.Pose3()
     if between is None:
-        notes.append(f"{topic}: tf does not connect {child or 'its frame'} with {base}; taken as the same")
+        notes.append(f"{topic}: tf does not connect {child or 'its frame'} with {base}; assumed identical")
     T_child_base = between or gtsam.Pose3()
 
     def read(message: Any) -> Measurement:

@@ -115,7 +115,7 @@ def test_a_file_that_was_given_and_helps_nothing_is_told(tmp_path: Path) -> None
     file.parent.mkdir()
     file.write_text(INFO.format(name="depth", focal=50.0))
     _, notes = scan_mount(log, calibration=[file])
-    assert "warning: robot.urdf tells of no sensor that is read" in notes
+    assert "warning: robot.urdf describes no sensor that is read" in notes
     with pytest.raises(DatasetError, match="nowhere"):
         list(open_dataset(log, calibration=[tmp_path / "nowhere.yaml"]))
 
@@ -135,7 +135,7 @@ def test_the_option_takes_either_sort_of_file(tmp_path: Path, text: str, is_fore
 def test_a_scanner_that_tf_leaves_out_is_a_warning_until_a_file_places_it(tmp_path: Path) -> None:
     log = robot(tmp_path, transforms({"camera": gtsam.Pose3()}))
     _, notes = scan_mount(log)
-    assert any(note.startswith("warning: /scan: tf does not tell where it sits") for note in notes)
+    assert any(note.startswith("warning: /scan: tf has no mounting for it") for note in notes)
     (tmp_path / "robot.urdf").write_text(URDF.format(child="laser"))
     mount, notes = scan_mount(log)
     assert mount.x() == pytest.approx(0.3) and not any(note.startswith("warning") for note in notes)

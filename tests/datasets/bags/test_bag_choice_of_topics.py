@@ -62,7 +62,7 @@ def test_of_several_lidars_the_one_with_the_better_view_is_read(tmp_path: Path) 
     found, dataset = read(tmp_path, sent)
     assert {one.sensor for one in found} == {"/velodyne_points"}
     why = {name.split(" (")[0]: text for name, text in dataset.report.reasons.items()}
-    assert "moved by somebody's estimate" in why["/cloud_registered"]
+    assert "already transformed by an estimated pose" in why["/cloud_registered"]
     assert "--topics /livox/points reads this one" in why["/livox/points"]
     found, _ = read(tmp_path, sent, "/livox/points")
     assert {one.sensor for one in found} == {"/livox/points"}
@@ -93,7 +93,7 @@ def test_a_scanner_that_tilts_or_stands_on_edge_gives_way_to_one_that_lies(
     found, dataset = read(tmp_path, sent)
     assert {one.sensor for one in found} == {"/base_scan"}
     (why,) = (text for name, text in dataset.report.reasons.items() if name.startswith("/tilt_scan"))
-    assert ("stands on edge" if upright else "tilts on the robot") in why
+    assert ("nearly vertical" if upright else "tilts on the robot") in why
 
 
 def test_a_lidar_that_pans_lies_in_its_plane(tmp_path: Path) -> None:
@@ -132,7 +132,7 @@ def test_pieces_of_turns_are_put_together(tmp_path: Path, count: int) -> None:
         assert len(one.points_lidar) == 50 * count
         np.testing.assert_allclose(np.unique(one.times_s), 0.1 * np.arange(count) / count, atol=2e-6)
     assert len(list(dataset)) == 2
-    assert any("pieces of a turn" in note for note in dataset.report.notes)
+    assert any("parts of a revolution" in note for note in dataset.report.notes)
 
 
 def test_a_lidar_that_looks_one_way_sends_no_pieces(tmp_path: Path) -> None:

@@ -89,7 +89,7 @@ def test_the_extrinsics_message_places_colour_and_tf_that_says_otherwise_is_told
     T_color_depth = camera.T_depth_color.inverse()
     assert np.allclose(T_color_depth.rotation().matrix(), turned)  # column by column in the message
     assert np.allclose(T_color_depth.translation(), [-0.05, 0.0, 0.0])
-    assert any("0.050 m beside depth by /camera/extrinsics" in note for note in dataset.report.notes)
+    assert any("0.050 m from depth by /camera/extrinsics" in note for note in dataset.report.notes)
     other = transforms({"color": gtsam.Pose3(gtsam.Rot3(), np.array([0.02, 0, 0]))}, parent="depth")
     _, dataset = read(tmp_path, [other, *sent])
     (told,) = [note for note in dataset.report.notes if note.startswith("warning")]
@@ -208,7 +208,7 @@ def test_infrared_of_16_bits_is_no_depth(tmp_path: Path) -> None:
     opened: Any = dataset
     assert set(opened._open()[2].images) == {"/rgb/image_raw", "/depth_to_rgb/image_raw"}
     assert np.allclose(frame.depth_m, 20.0)
-    assert not any("beside depth" in note for note in dataset.report.notes)
+    assert not any("from depth" in note for note in dataset.report.notes)
 
 
 def test_a_grey_png_of_16_bits_is_depth_whatever_its_format_says(tmp_path: Path) -> None:

@@ -232,4 +232,4 @@ def test_colour_of_another_lens_is_brought_into_the_depth_cameras_view(tmp_path:
     inside = seen & (wanted > 2.0) & (wanted < 125.0)
     assert inside.sum() > 40
     assert np.abs(frame.color[20, :, 0] - wanted)[inside].max() <= 1.0
-    assert any("colour sits 0.050 m beside depth" in note for note in dataset.report.notes)
+    assert any("colour is 0.050 m from depth" in note for note in dataset.report.notes)

@@ -42,7 +42,7 @@ def test_of_two_lasers_without_tf_the_wider_view_is_read_and_both_where_they_are
     assert told.startswith("/front is read") and "--topics /rear" in told
     chosen = open_dataset(bag, topics=["/rear"])
     assert {m.sensor for m in chosen} == {"/rear", "/odom"}  # the wheels were no question
-    assert chosen.report.reasons["/front (sensor_msgs/msg/LaserScan)"] == "--topics names others of its sort"
+    assert chosen.report.reasons["/front (sensor_msgs/msg/LaserScan)"] == "--topics names others of its kind"
     assert {m.sensor for m in open_dataset(bag, topics=["/front", "/rear"])} == {"/front", "/rear", "/odom"}
 
 
