@@ -84,12 +84,11 @@ class PlaceSearch:
             return []
         faulty = FaultySteps(edges, kept, poses, stamps_s, self._graph, self._config, self._match)
         settings, sparse = (self._submaps, self._config, self._match), self._submaps.sparse
-        if self._stretches is None and sparse:
-            self._submaps.lay(poses, [key + 1 for key in np.flatnonzero(faulty.lone.unseen).tolist()])
-        if self._stretches is None:
+        if (stretches := self._stretches) is None:
+            if sparse:
+                self._submaps.lay(poses, [key + 1 for key in np.flatnonzero(faulty.lone.unseen).tolist()])
             give_back()
-            self._stretches = Stretches(*settings)
-        stretches = self._stretches
+            self._stretches = stretches = Stretches(*settings)
         if sparse:
             self._followed = self._followed or FollowedClaims(*settings, stretches.window_m)
             return self._follow(stretches, self._followed, poses, faulty, loops)
@@ -109,7 +108,8 @@ class PlaceSearch:
         more, self._kept = bool((kept[: len(self._kept)] >= self._kept).all()), kept
         self._judged = {one: told for one, told in self._judged.items() if more and math.isinf(told[0])}
         if self._corrected:
-            if near := self._closer.close_again(poses, known, loops):
+            # A loop or two across a gap rule out no other place, but tell where to try again.
+            if near := self._closer.close_again(poses, graph_of(len(poses), faulty.held), loops):
                 return near
             self._corrected = False
         if believed := self._believed(poses, known):

@@ -1,5 +1,6 @@
 """What the search over the map asks again."""
 
+import math
 from types import SimpleNamespace
 
 import numpy as np
@@ -9,10 +10,35 @@ from slam.estimates import MotionEstimate
 from slam.graph.edge import Edge, EdgeKind
 from slam.graph.loop_candidate import LoopCandidate
 from slam.graph.place_search import PlaceSearch
+from slam.graph.relative_uncertainty import UncertaintyGraph
 from slam.measurements import pose2_from_row
 
 SURE, BY_WHEELS = np.diag([0.01, 0.01, 0.003]) ** 2, np.diag([0.5, 0.5, 0.8]) ** 2
 COUNT, GAP = 80, 40
+
+
+def test_places_nearby_are_tried_again_from_a_loop_that_rules_out_no_other() -> None:
+    """A single loop across a gap gives the expected pose beyond it; other places remain possible."""
+    step, edges = pose2_from_row(np.array([1.0, 0.0, 0.0])), list[Edge]()
+    for key in range(COUNT - 1):
+        told = (BY_WHEELS, EdgeKind.WHEEL) if key == GAP else (SURE, EdgeKind.LIDAR)
+        edges.append(Edge(key, key + 1, step, *told, trusted=True))
+    across = pose2_from_row(np.array([20.0, 0.0, 0.0]))
+    edges.append(Edge(GAP - 10, GAP + 10, across, SURE, EdgeKind.LOOP, trusted=False, loop=0))
+    known = list[UncertaintyGraph]()
+    closer = SimpleNamespace(
+        submaps=SimpleNamespace(travelled_m=float, sparse=False),
+        close_again=lambda _, uncertainty, loops: known.append(uncertainty) or ["found"],
+    )
+    search = PlaceSearch(closer, LoopConfig(), MatchConfig(), GraphConfig())  # type: ignore[arg-type]
+    search._stretches = SimpleNamespace(spacing_m=1.5)  # type: ignore[assignment]
+    search._sets, search._corrected = SimpleNamespace(), True  # type: ignore[assignment]
+    poses = np.outer(np.arange(float(COUNT)), [1.0, 0.0, 0.0])
+    kept = np.ones(len(edges), np.bool_)
+    assert search.search(poses, np.arange(float(COUNT)), edges, kept, []) == ["found"]
+    assert search._faulty is not None
+    nearby, elsewhere = (one.motion(GAP, GAP + 5, poses) for one in (known[0], search._faulty.known))
+    assert math.sqrt(nearby.covariance[2, 2]) < 0.05 < 0.5 < math.sqrt(elsewhere.covariance[2, 2])
 
 
 def test_what_is_certain_is_judged_once_until_something_is_refused() -> None:
