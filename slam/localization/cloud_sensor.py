@@ -22,7 +22,7 @@ from slam.localization.scan_view import cell_keys
 from slam.localization.sensor import Keyframe, Observation, moved_on
 from slam.localization.whole_map_field import WholeMapField
 from slam.matching.cloud_points import at_middle_of_turn
-from slam.matching.local_cloud import Aligned, moved
+from slam.matching.local_cloud import REACH, Aligned, LocalCloud, moved
 from slam.measurements import FloatArray, PointCloud, Pose, WheelOdometry
 from slam.storage.map_contents import MapContents
 
@@ -138,18 +138,18 @@ class CloudSensor:
     ) -> list[gtsam.Pose3]:
         """See `Sensor`: places that look similar by scan context or plan, and fit best."""
         scan = thin_to_voxels(view.points, COARSENESS * self.voxel_m)
-        arrived: list[tuple[float, gtsam.Pose3]] = []
+        arrived: list[tuple[float, gtsam.Pose3, LocalCloud]] = []
         for guess in self._places.propose(view.points):
             tile = self._tiles.around(guess)
             if tile is None:
                 continue
             aligned = tile.coarse.align(scan, guess)
             ends = [guess, *([] if aligned is None else [aligned.found.pose])]  # large voxels may lead astray
-            arrived.append(max(((self.weigh(pose, view), pose) for pose in ends), key=lambda place: place[0]))
+            arrived.append(max(((self.weigh(at, view), at, tile.local) for at in ends), key=lambda a: a[0]))
         arrived.sort(key=lambda place: -place[0])
         found = []
-        for _, pose in arrived[: self._settings.places]:
-            exact, _ = self._aligned(view, pose)
+        for _, pose, local in arrived[: self._settings.places]:
+            exact = local.align(view.points, pose, REACH * self.voxel_m)  # may be some voxels off
             found.append(pose if exact is None else exact.found.pose)
         return found
 
