@@ -3,7 +3,7 @@
     python tools/odd_rigs.py [--homes 31 32] [--seed 5] [--pairs 40]
 
 A Turtlebot with a lidar of 240 degrees and one camera of 57 in the mounting that each line says; the yaw is
-told to nobody, the tilt is but where the line says otherwise. Of single pairs: how many are of high grade,
+never given, the tilt is unless the line says otherwise. Of single pairs: how many are of high grade,
 and how many of these are more than two samples (2 degrees) off. Of drives: by how much yaw, height and offset
 are off.
 """
@@ -64,15 +64,15 @@ class Mounting:
 MOUNTINGS = (
     Mounting("level, 0.7 m over the lidar"),
     *(Mounting(f"{angle} degrees down", pitch_deg=angle) for angle in (5, 10, 20)),
-    *(Mounting(f"{angle} degrees down, not told", pitch_deg=angle, told=False) for angle in (5, 10, 20)),
+    *(Mounting(f"{angle} degrees down, not given", pitch_deg=angle, told=False) for angle in (5, 10, 20)),
     *(Mounting(f"{angle} degrees up", z_m=0.3, pitch_deg=-angle) for angle in (10, 20)),
-    Mounting("10 degrees about its axis", roll_deg=10),
-    Mounting("10 degrees about its axis, not told", roll_deg=10, told=False),
-    Mounting("0.5 m before", x_m=0.6),
+    Mounting("rolled by 10 degrees", roll_deg=10),
+    Mounting("rolled by 10 degrees, not given", roll_deg=10, told=False),
+    Mounting("0.5 m in front", x_m=0.6),
     Mounting("0.5 m behind", x_m=-0.4),
-    Mounting("0.5 m aside", y_m=0.5),
+    Mounting("0.5 m to the side", y_m=0.5),
     *(Mounting(f"{angle} degrees to the left", yaw_deg=angle) for angle in (30, 60)),
-    Mounting("60 degrees to the left, 0.5 m aside, 20 down", y_m=0.5, yaw_deg=60, pitch_deg=20),
+    Mounting("60 degrees to the left, 0.5 m to the side, 20 down", y_m=0.5, yaw_deg=60, pitch_deg=20),
     Mounting("half of the view outside the lidar's", yaw_deg=120),
     Mounting("nearly all of the view outside", yaw_deg=140),
 )
