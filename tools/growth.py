@@ -1,4 +1,4 @@
-"""Measure how the cost of a map grows with the length of its log: the law of growth.
+"""Measure how the cost of a map grows with the length of its log.
 
     python tools/growth.py LOG [--scans 960] [--times 1 3 10 30] [--sparse]
 
