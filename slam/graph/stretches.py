@@ -31,7 +31,7 @@ class Stretches:
 
     def __init__(self, submaps: SubmapStore, config: LoopConfig, match: MatchConfig) -> None:
         self._config, self._match, self._submaps = config, match, submaps
-        way_m = np.array([submaps.travelled_m(key) for key in range(len(submaps))])
+        way_m = submaps.ways_m()
         self.spacing_m = submaps.wide_m(0.5 * config.reach_m, 1.0)
         # Scans so far apart that each pass sees a place once look alike too often for the likest few.
         self._most = config.near * (3 if self.spacing_m > config.reach_m else 1)
