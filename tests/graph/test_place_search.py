@@ -58,7 +58,7 @@ def test_faults_are_looked_for_only_where_they_may_decide(
     sets = [
         [
             LoopCandidate(key - away, key, 0.0, 0.0, 1.0, motion_of(ahead_m), True, "")
-            for key in range(first, first + 2 * members, 2)
+            for key in range(first, first + 3 * members, 3)
         ]
         for first, members, away, ahead_m in ((42, 5, 12, 12.0), (60, count, 50, 0.0))
     ]
