@@ -85,15 +85,16 @@ class Stretches:
         return chosen
 
     def search(self, place: int, number: int) -> SearchResult:
-        """The pose of the middle of a stretch in the frame of that of another, over the full turn."""
-        match = self._match
+        """The pose of the middle of a stretch in the frame of that of another, where its walls run alike."""
+        match, (turns, half_yaw_rad) = self._match, self._bank.turns(number, place)
         return search_window(
             self._submaps.field(int(self.keys[place])),
             self._run(number).thinned(match.search_points),
             np.zeros(3),
             self.window_m,
-            np.pi,
+            half_yaw_rad,
             match.search_least_score,
+            turns,
         )
 
     @property
