@@ -30,7 +30,7 @@ class ClaimSets:
     Parameters
     ----------
     poses
-        (n, 3) of keyframes by the chain, seen from above.
+        (n, 3) of keyframes, seen from above, by the first optimisation.
     travelled_m
         (n,) way from the start to each.
     chain

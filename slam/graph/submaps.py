@@ -47,7 +47,7 @@ class Submap:
 class SubmapStore:
     """Keyframe scans with their odometry poses, and the submaps around them.
 
-    A submap rests on odometry-frame poses only, so no later optimisation makes it stale.
+    While mapping, odometry places the scans of a submap, so no optimisation makes it stale; see also `lay`.
     """
 
     def __init__(self, loop: LoopConfig, match: MatchConfig) -> None:
@@ -142,7 +142,7 @@ class SubmapStore:
         return self._poses[key]
 
     def lay(self, poses: FloatArray, begun: Sequence[int]) -> None:
-        """Let all lie as a finished run tells: of scans far apart it knows more than the odometry did.
+        """Place all scans by the estimate of a finished run: loops may have corrected wrong steps.
 
         Nothing saw the way to the keyframes in ``begun``: what was seen before may lie elsewhere.
         """
