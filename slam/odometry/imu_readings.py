@@ -86,8 +86,9 @@ class ImuReadings:
         return bool(self._steps_s) and step_s > _GAP * self._usual_s
 
     def mean(self, begin_s: float, end_s: float) -> FloatArray:
-        """(6,) mean turn rate and force, IMU frame."""
-        return np.asarray(self._between(begin_s, end_s)[1].mean(axis=0))
+        """(6,) mean turn rate and force, IMU frame; in a gap those at its ends."""
+        told = self._between(begin_s, end_s)[1]
+        return np.asarray((told if len(told) else self._with_ends(begin_s, end_s)[1]).mean(axis=0))
 
     def parameters(self) -> gtsam.PreintegrationCombinedParams:
         """Of GTSAM's preintegration, the noise by what neighbouring readings show."""
