@@ -30,7 +30,7 @@ class ClaimSets:
     Parameters
     ----------
     poses
-        (n, 3) keyframe poses by the chain, projected onto the plane.
+        (n, 3) keyframe poses by the first optimisation, projected onto the plane.
     travelled_m
         (n,) path length from the start to each.
     chain

@@ -84,9 +84,9 @@ class PlaceSearch:
             return []
         faulty = FaultySteps(edges, kept, poses, stamps_s, self._graph, self._config, self._match)
         settings, sparse = (self._submaps, self._config, self._match), self._submaps.sparse
+        if self._stretches is None or not sparse:
+            self._submaps.lay(poses, [key + 1 for key in np.flatnonzero(faulty.lone.unseen).tolist()])
         if (stretches := self._stretches) is None:
-            if sparse:
-                self._submaps.lay(poses, [key + 1 for key in np.flatnonzero(faulty.lone.unseen).tolist()])
             give_back()
             self._stretches = stretches = Stretches(*settings)
         if sparse:
@@ -99,9 +99,8 @@ class PlaceSearch:
             measured = {edge.source for edge in faulty.held if edge.kind not in GUESSES}
             sure = (edge for edge in faulty.held if edge.trusted or edge.source in measured)
             chain = graph_of(len(poses), (edge for edge in sure if edge.loop is None))
-            odometry = np.array([self._submaps.pose(key) for key in range(len(poses))])
             ways_m = np.array([self._submaps.travelled_m(key) for key in range(len(poses))])
-            self._sets = ClaimSets(odometry, ways_m, chain, self._reach_m)
+            self._sets = ClaimSets(poses.copy(), ways_m, chain, self._reach_m)
             self._trial = ClaimTrial(self._closer, stretches, self._sets, self._config, self._reach_m)
         self._faulty, known = faulty, faulty.known
         # More loops make no way less certain.

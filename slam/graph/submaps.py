@@ -47,7 +47,7 @@ class Submap:
 class SubmapStore:
     """Keyframe scans with their odometry poses, and the submaps around them.
 
-    A submap uses odometry poses only, so later optimisations do not invalidate it.
+    Until `lay`, a submap uses odometry poses only, so later optimisations do not invalidate it.
     """
 
     def __init__(self, loop: LoopConfig, match: MatchConfig) -> None:
@@ -142,7 +142,7 @@ class SubmapStore:
         return self._poses[key]
 
     def lay(self, poses: FloatArray, begun: Sequence[int]) -> None:
-        """Use the poses of a finished run: for distant scans, they are better than the odometry.
+        """Use the poses of a finished run for all scans: loops may have corrected wrong steps.
 
         Nothing measured the motion to the keyframes in ``begun``: earlier points may be misplaced.
         """

@@ -11,23 +11,27 @@ from slam.graph.edge import Edge, EdgeKind
 from slam.graph.loop_candidate import LoopCandidate
 from slam.graph.place_search import PlaceSearch
 from slam.graph.relative_uncertainty import UncertaintyGraph
-from slam.measurements import pose2_from_row
+from slam.measurements import FloatArray, pose2_from_row
 
 SURE, BY_WHEELS = np.diag([0.01, 0.01, 0.003]) ** 2, np.diag([0.5, 0.5, 0.8]) ** 2
 COUNT, GAP = 80, 40
 
 
 def test_places_nearby_are_tried_again_from_a_loop_that_rules_out_no_other() -> None:
-    """A single loop across a gap gives the expected pose beyond it; other places remain possible."""
+    """A single loop across a gap gives the expected pose beyond it; other places remain possible.
+
+    The surroundings are drawn by the new estimate: odometry may have been wrong within them.
+    """
     step, edges = pose2_from_row(np.array([1.0, 0.0, 0.0])), list[Edge]()
     for key in range(COUNT - 1):
         told = (BY_WHEELS, EdgeKind.WHEEL) if key == GAP else (SURE, EdgeKind.LIDAR)
         edges.append(Edge(key, key + 1, step, *told, trusted=True))
     across = pose2_from_row(np.array([20.0, 0.0, 0.0]))
     edges.append(Edge(GAP - 10, GAP + 10, across, SURE, EdgeKind.LOOP, trusted=False, loop=0))
-    known = list[UncertaintyGraph]()
+    known, drawn = list[UncertaintyGraph](), list[FloatArray]()
+    lay = lambda poses, _: drawn.append(poses.copy())  # noqa: E731
     closer = SimpleNamespace(
-        submaps=SimpleNamespace(travelled_m=float, sparse=False),
+        submaps=SimpleNamespace(travelled_m=float, sparse=False, lay=lay),
         close_again=lambda _, uncertainty, loops: known.append(uncertainty) or ["found"],
     )
     search = PlaceSearch(closer, LoopConfig(), MatchConfig(), GraphConfig())  # type: ignore[arg-type]
@@ -36,6 +40,7 @@ def test_places_nearby_are_tried_again_from_a_loop_that_rules_out_no_other() -> 
     poses = np.outer(np.arange(float(COUNT)), [1.0, 0.0, 0.0])
     kept = np.ones(len(edges), np.bool_)
     assert search.search(poses, np.arange(float(COUNT)), edges, kept, []) == ["found"]
+    assert len(drawn) == 1 and np.array_equal(drawn[0], poses)
     assert search._faulty is not None
     nearby, elsewhere = (one.motion(GAP, GAP + 5, poses) for one in (known[0], search._faulty.known))
     assert math.sqrt(nearby.covariance[2, 2]) < 0.05 < 0.5 < math.sqrt(elsewhere.covariance[2, 2])
@@ -53,7 +58,7 @@ def test_what_is_certain_is_judged_once_until_something_is_refused() -> None:
         [LoopCandidate(key - 6, key, 0.0, 0.0, 1.0, motion, True, "") for key in keys]
         for keys in (range(10, 20), range(42, 46))
     ]
-    submaps = SimpleNamespace(travelled_m=float, sparse=False)
+    submaps = SimpleNamespace(travelled_m=float, sparse=False, lay=lambda *_: None)
     search = PlaceSearch(SimpleNamespace(submaps=submaps), LoopConfig(), MatchConfig(), GraphConfig())  # type: ignore[arg-type]
     search._stretches = SimpleNamespace(spacing_m=1.5, untied=lambda _: [])  # type: ignore[assignment]
     search._sets = SimpleNamespace(largest=lambda: sets, entailed=lambda *_: None)  # type: ignore[assignment]
