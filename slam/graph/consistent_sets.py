@@ -50,9 +50,9 @@ class ClaimSets:
 
     def add(self, claim: LoopCandidate) -> None:
         """Add a claim."""
-        agree = np.array(
-            [self.near(claim, other) and self._consistent(claim, other) for other in self._claims]
-        )
+        agree = self.near(claim, self._claims)
+        for n in np.flatnonzero(agree).tolist():
+            agree[n] = self._consistent(claim, self._claims[n])
         self._agree = np.pad(self._agree, ((0, 1), (0, 1)))
         self._agree[-1, :-1] = self._agree[:-1, -1] = agree
         self._claims.append(claim)
@@ -85,11 +85,12 @@ class ClaimSets:
         back = from_above(b.edge(0).turned())
         return a.place, b.place, after(onward, back)
 
-    def near(self, one: LoopCandidate, other: LoopCandidate) -> bool:
-        """Return whether the keyframes of two claims are different but close, and their places close, too."""
-        way_m, ends = self._travelled_m, zip(_ends(one), _ends(other), strict=True)
-        apart_m = max(abs(way_m[a] - way_m[b]) for a, b in ends)
-        return one.keyframe != other.keyframe and bool(apart_m <= self._reach_m)
+    def near(self, one: LoopCandidate, others: Sequence[LoopCandidate]) -> BoolArray:
+        """Return (n,) which claims have another keyframe close to that of one, and a close place."""
+        ends = np.array([*map(_ends, others)], np.int64).reshape(-1, 2)
+        apart_m = np.abs(self._travelled_m[ends] - self._travelled_m[[*_ends(one)]]).max(axis=1)
+        near: BoolArray = (ends[:, 1] != one.keyframe) & (apart_m <= self._reach_m)
+        return near
 
     def _consistent(self, one: LoopCandidate, other: LoopCandidate) -> bool:
         """Return whether the cycle of two claims and the chain between their ends closes."""

@@ -149,18 +149,26 @@ class KeyframeGraph:
 
 def together(edges: Iterable[Edge]) -> dict[tuple[int, int], Motion]:
     """Combine all edges between the same two nodes, source and target, into one in the ground plane."""
-    same: dict[tuple[int, int], list[Edge]] = {}
-    for edge in edges:
-        same.setdefault((edge.source, edge.target), []).append(edge)
-    covariances = {ends: _in_plane(ones[0]) for ends, ones in same.items()}
-    if several := {ends: ones for ends, ones in same.items() if len(ones) > 1}:
-        each = np.linalg.inv([_in_plane(one) for ones in several.values() for one in ones])
-        begun = np.cumsum([0, *map(len, several.values())])[:-1]
-        covariances |= zip(several, np.linalg.inv(np.add.reduceat(each, begun)), strict=True)
-    return {
-        ends: Motion(np.array(row_of(ones[0].T_source_target)), covariances[ends])
-        for ends, ones in same.items()
-    }
+    ends, rows, covariances = combined(edges)
+    return dict(zip(map(tuple, ends.tolist()), map(Motion, rows, covariances), strict=True))
+
+
+def combined(edges: Iterable[Edge]) -> tuple[NDArray[np.int64], FloatArray, FloatArray]:
+    """Return the same as arrays: ends (M, 2), motions (M, 3), covariances (M, 3, 3)."""
+    edges = list(edges)
+    ends = np.array([(edge.source, edge.target) for edge in edges], np.int64).reshape(-1, 2)
+    keys = ends @ [ends.max(initial=0) + 1, 1]
+    first, which, counts = np.unique(keys, return_index=True, return_inverse=True, return_counts=True)[1:]
+    each = np.array([_in_plane(edge) for edge in edges]).reshape(-1, 3, 3)
+    covariances = each[first]
+    if (several := counts > 1).any():
+        order = np.argsort(which, kind="stable")
+        order = order[several[which[order]]]
+        begun = np.cumsum([0, *counts[several]])[:-1]
+        covariances[several] = np.linalg.inv(np.add.reduceat(np.linalg.inv(each[order]), begun))
+    order = np.argsort(first)
+    rows = np.array([row_of(edges[n].T_source_target) for n in first[order].tolist()]).reshape(-1, 3)
+    return ends[first[order]], rows, covariances[order]
 
 
 class LoneSteps(NamedTuple):
@@ -187,13 +195,12 @@ def lone_steps(edges: Sequence[Edge], kept: BoolArray, nodes: int, lost_sigma_m:
     seen = {edge.source for edge, keep in single if keep and edge.kind not in GUESSES}
     right = {edge.source: True for edge, _ in single if edge.kind is EdgeKind.WHEEL}
     right |= {edge.source: False for edge, keep in single if edge.kind is EdgeKind.WHEEL and not keep}
-    lone, motions = sorted(right.keys() - seen), together(held)
-    spreads = np.array([motion.covariance[:2, :2] for motion in motions.values()]).reshape(-1, 2, 2)
-    sure = np.linalg.eigvalsh(spreads)[:, -1] < lost_sigma_m**2
-    known = {ends for ends, enough in zip(motions, sure, strict=True) if enough}
+    lone, (ends, _, covariances) = sorted(right.keys() - seen), combined(held)
+    sure = np.linalg.eigvalsh(covariances[:, :2, :2])[:, -1] < lost_sigma_m**2
+    sure &= ~np.isin(ends[:, 0], lone) | (np.diff(ends)[:, 0] != 1)
     # A fix may be off by metres, and yet is no guess.
     fixes = [(edge.source, edge.target) for edge in held if edge.kind in _PLACES]
-    pieces = joined(nodes, [*sorted(known - {(step, step + 1) for step in lone}), *fixes])
+    pieces = joined(nodes, [*ends[sure].tolist(), *fixes])
     apart = {step for step in lone if pieces[step] != pieces[step + 1]}
     tried = [right[step] for step in lone if not right[step] or step not in apart]
     matched = [right[step] for step in right.keys() & seen]
@@ -256,14 +263,15 @@ def graph_of(nodes: int, edges: Iterable[Edge], parts: NDArray[np.int64] | None 
     graph, edges = UncertaintyGraph(), list(edges)
     for _ in range(nodes):
         graph.add_node()
-    crossing: dict[tuple[int, int], tuple[int, int]] = {}
+    ends, rows, covariances = combined(edges)
+    crossing = np.full_like(ends, -1)
     if parts is not None:
-        for ends in {(edge.source, edge.target) for edge in edges if edge.loop is None}:
-            crossed = parts[min(ends) : max(ends)]
-            if (crossed := crossed[crossed >= 0]).size:
-                crossing[ends] = int(crossed[0]), int(crossed[-1])
-    for ends, motion in together(edges).items():
-        graph.add_edge(*ends, motion.pose, motion.covariance, crossing.get(ends, (-1, -1)))
+        steps = {(edge.source, edge.target) for edge in edges if edge.loop is None}
+        at = np.flatnonzero(parts >= 0)
+        first, last = np.searchsorted(at, np.sort(ends)).T - [[0], [1]]
+        crossed = np.array([one in steps for one in map(tuple, ends.tolist())], np.bool_) & (first <= last)
+        crossing[crossed] = parts[at[np.column_stack([first, last])[crossed]]]
+    graph.add_edges(ends, rows, covariances, crossing)
     return graph
 
 

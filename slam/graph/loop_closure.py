@@ -155,9 +155,9 @@ class LoopCloser:
         places = submaps.places(key)
         distance = np.hypot(*(poses[places, :2] - poses[key, :2]).T)
         reach_m = submaps.wide_m(config.reach_m, 1.0)
-        places = places[distance <= reach_m + config.greatest_half_width_m]
-        places = places[[travelled - submaps.travelled_m(p) > least_path_m for p in places.tolist()]]
-        distance = np.hypot(*(poses[places, :2] - poses[key, :2]).T)
+        able = distance <= reach_m + config.greatest_half_width_m
+        able &= travelled - submaps.ways_m()[places] > least_path_m
+        places, distance = places[able], distance[able]
         order = np.argsort(distance)
         chosen: list[tuple[int, FloatArray]] = []
         # At a place seen many times, the nearest of all passes suffice: the others are tried rarely.

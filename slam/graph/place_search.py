@@ -9,8 +9,9 @@ and that one fault of the chain explains, or several faults if the set is much l
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from functools import partial
+from typing import NamedTuple
 
 import numpy as np
 
@@ -30,6 +31,17 @@ from slam.heap import give_back
 from slam.matching.motion import Motion
 from slam.measurements import BoolArray, FloatArray
 from slam.result_cache import COMPUTED, ResultCache
+
+
+class _Judged(NamedTuple):
+    """What a set costs: squared sigmas of the bend that it asks of what is known, and a gate for each fault.
+
+    And how uncertain what is known is, in metres; and the poses (n, 3), of several faults as they have them.
+    """
+
+    cost: float
+    sigma_m: float
+    poses: FloatArray | None
 
 
 class PlaceSearch:
@@ -52,7 +64,7 @@ class PlaceSearch:
         self._trial: ClaimTrial | None = None
         self._tried: set[tuple[int, int]] = set()
         # What sets cost by this estimate; infinite by an earlier one, if nothing was refused since.
-        self._judged: dict[tuple[tuple[int, int], ...], tuple[float, float, FloatArray]] = {}
+        self._judged: dict[tuple[tuple[int, int], ...], _Judged] = {}
         self._kept = np.zeros(0, np.bool_)
         # Whether the estimate is another than the one that places nearby were tried from.
         self._corrected = False
@@ -99,13 +111,12 @@ class PlaceSearch:
             measured = {edge.source for edge in faulty.held if edge.kind not in GUESSES}
             sure = (edge for edge in faulty.held if edge.trusted or edge.source in measured)
             chain = graph_of(len(poses), (edge for edge in sure if edge.loop is None))
-            ways_m = np.array([self._submaps.travelled_m(key) for key in range(len(poses))])
-            self._sets = ClaimSets(poses.copy(), ways_m, chain, self._reach_m)
+            self._sets = ClaimSets(poses.copy(), self._submaps.ways_m(), chain, self._reach_m)
             self._trial = ClaimTrial(self._closer, stretches, self._sets, self._config, self._reach_m)
         self._faulty, known = faulty, faulty.known
         # More loops make no way less certain.
         more, self._kept = bool((kept[: len(self._kept)] >= self._kept).all()), kept
-        self._judged = {one: told for one, told in self._judged.items() if more and math.isinf(told[0])}
+        self._judged = {one: told for one, told in self._judged.items() if more and math.isinf(told.cost)}
         if self._corrected:
             # A loop or two across a gap rule out no other place, but tell where to try again.
             if near := self._closer.close_again(poses, graph_of(len(poses), faulty.held), loops):
@@ -194,8 +205,8 @@ class PlaceSearch:
 
     def _believed(self, poses: FloatArray, known: UncertaintyGraph) -> list[LoopCandidate]:
         """The most plausible set; the estimate that it leads to judges the next."""
-        sets, trial, stretches = self._sets, self._trial, self._stretches
-        assert sets is not None and trial is not None and stretches is not None
+        sets = self._sets
+        assert sets is not None
         seen, reach_m = partial(known.motion, poses=poses), self._config.reach_m
         ways_m = self._submaps.travelled_m  # from the start to the keyframes of a set
         found = [one for one in sets.largest() if np.ptp([ways_m(m.keyframe) for m in one]) >= reach_m]
@@ -203,35 +214,62 @@ class PlaceSearch:
         for name, one in zip(names, found, strict=True):
             if name not in self._judged:
                 self._judged[name] = self._cost(one, seen)
-        judged = [self._judged[name] for name in names]
-        costs = np.array([cost for cost, _, _ in judged])
-        gains = self._gate * np.array([len(one) for one in found]) - costs
-        # Plausible sets first, of them the nearest: there chance has the least room.
-        order = [(cost > self._gate, sigma_m if cost <= self._gate else cost) for cost, sigma_m, _ in judged]
-        for n in sorted(range(len(found)), key=order.__getitem__):
-            # What contradicts more than one fault explains must be so many times as long.
-            longer = max(1.0, costs[n] / self._gate - 1.0)
-            if longer > 1.0 and gains[n] <= 0.0:
+        plain = np.array([self._judged[name].cost for name in names])
+
+        def judged(n: int) -> _Judged:
+            if self._judged[names[n]].poses is None:
+                self._judged[names[n]] = self._with_faults(found[n], seen, self._judged[names[n]])
+            return self._judged[names[n]]
+
+        def gain(n: int) -> float:
+            return self._gate * len(found[n]) - judged(n).cost
+
+        def order() -> Iterator[int]:
+            # Plausible sets first, of them the nearest: there chance has the least room.
+            yield from sorted(np.flatnonzero(plain <= self._gate).tolist(), key=lambda n: judged(n).sigma_m)
+            yield from sorted(np.flatnonzero(plain > self._gate).tolist(), key=lambda n: judged(n).cost)
+
+        # Faults cost a gate at least: they are looked for only where that decides.
+        most = self._gate * np.array([len(one) for one in found]) - np.minimum(plain, self._gate)
+        for n in order():
+            gained = gain(n)
+            if judged(n).cost > 2.0 * self._gate and gained <= 0.0:
                 continue
-            rivals = (m for m in np.flatnonzero(2.0 * gains > gains[n]).tolist() if m != n)
-            if any(self._contradiction(sets.entailed(found[n], found[m]), seen) > gains[m] for m in rivals):
+            rivals = (m for m in np.flatnonzero(2.0 * most > gained).tolist() if m != n)
+            offs = ((m, self._contradiction(sets.entailed(found[n], found[m]), seen)) for m in rivals)
+            if any(2.0 * off > gained and gained < 2.0 * gain(m) < 2.0 * off for m, off in offs):
                 continue
-            fits, refused = trial.hold(found[n])
-            # One that fits where it cannot be shows that these places look alike.
-            more = [one for one in fits if self._follows(one, known, judged[n][2], costs[n] + self._gate)]
-            held = len(found[n]) + 2 * len(more) - len(fits) - refused
-            if longer > 1.0:
-                held += self._borne_out(found[n], found, seen)
-            net_m = held * stretches.spacing_m
-            # As long as it is seen from either end; where all of the map would pass, as a loop must be.
-            map_m = float(np.ptp(poses[:, :2], axis=0).max())
-            anywhere = math.sqrt(self._gate) * judged[n][1] > map_m
-            if net_m >= longer * (self._config.least_path_m if anywhere else 2.0 * reach_m):
-                believed = [*found[n], *more]
-                sets.remove(believed)
+            if more := self._confirmed(found[n], found, judged(n), poses, known):
+                sets.remove(more)
                 self._corrected = True
-                return believed
+                return more
         return []
+
+    def _confirmed(
+        self,
+        members: list[LoopCandidate],
+        found: Sequence[list[LoopCandidate]],
+        judged: _Judged,
+        poses: FloatArray,
+        known: UncertaintyGraph,
+    ) -> list[LoopCandidate]:
+        """A set with the claims that follow from it, if enough of its surroundings fit; else nothing."""
+        trial, stretches, reach_m = self._trial, self._stretches, self._config.reach_m
+        assert trial is not None and stretches is not None
+        # What contradicts more than one fault explains must be so many times as long.
+        longer = max(1.0, judged.cost / self._gate - 1.0)
+        fits, refused = trial.hold(members)
+        # One that fits where it cannot be shows that these places look alike.
+        more = [one for one in fits if self._follows(one, known, judged)]
+        held = len(members) + 2 * len(more) - len(fits) - refused
+        if longer > 1.0:
+            held += self._borne_out(members, found, partial(known.motion, poses=poses))
+        net_m = held * stretches.spacing_m
+        # As long as it is seen from either end; where all of the map would pass, as a loop must be.
+        map_m = float(np.ptp(poses[:, :2], axis=0).max())
+        anywhere = math.sqrt(self._gate) * judged.sigma_m > map_m
+        enough = net_m >= longer * (self._config.least_path_m if anywhere else 2.0 * reach_m)
+        return [*members, *more] if enough else []
 
     def _borne_out(
         self, members: Sequence[LoopCandidate], found: Sequence[list[LoopCandidate]], known: Known
@@ -256,23 +294,27 @@ class PlaceSearch:
                 same |= {claim.keyframe for claim in other}
         return len(same - {claim.keyframe for claim in members}) - otherwise
 
-    def _cost(self, members: Sequence[LoopCandidate], known: Known) -> tuple[float, float, FloatArray]:
-        """Squared sigmas of the bend that a set asks of what is known, and how uncertain that is in metres.
+    def _cost(self, members: Sequence[LoopCandidate], known: Known) -> _Judged:
+        """What a set asks of what is known; infinite where nothing can be learned.
 
-        Where faults explain it better, each costs a gate. Infinite where nothing can be learned: what is
-        known is as certain as a search would be. And the poses (n, 3), of several faults as they have them.
+        That is where what is known is as certain as a search would be. No poses where faults may explain it.
         """
         assert self._faulty is not None
         expected = [known(one.place, one.keyframe) for one in members]
         sigma_m = float(np.median(position_sigmas(np.array([way.covariance for way in expected]))))
         if self._config.sigmas * sigma_m < self._match.coarse_cell_m:
-            return math.inf, sigma_m, self._faulty.poses
+            return _Judged(math.inf, sigma_m, self._faulty.poses)
         if not math.isfinite(sigma_m):
-            return 0.0, sigma_m, self._faulty.poses
+            return _Judged(0.0, sigma_m, self._faulty.poses)
         both = zip(expected, map(claimed, members), strict=True)
         plain = [way.widened(said.covariance).squared_mahalanobis(said.pose) for way, said in both]
-        if (cost := float(np.median(plain))) <= self._gate:
-            return cost, sigma_m, self._faulty.poses
+        cost = float(np.median(plain))
+        return _Judged(cost, sigma_m, self._faulty.poses if cost <= self._gate else None)
+
+    def _with_faults(self, members: Sequence[LoopCandidate], known: Known, plain: _Judged) -> _Judged:
+        """The same where faults of the way explain it better: each costs a gate."""
+        assert self._faulty is not None
+        expected = [known(one.place, one.keyframe) for one in members]
         asked = [self._bend(one, way) for one, way in zip(members, expected, strict=True)]
         cost = self._explained(*np.median(asked, axis=0).tolist())
         if cost > 2.0 * self._gate:
@@ -282,16 +324,17 @@ class PlaceSearch:
             most = min(cost, self._gate * len(members))
             together, led = self._faulty.shared(*ends, expected[n], claimed(members[n]), most)
             if together < cost:
-                return together, sigma_m, led
-        return cost, sigma_m, self._faulty.poses
+                return _Judged(together, plain.sigma_m, led)
+        return _Judged(cost, plain.sigma_m, self._faulty.poses)
 
-    def _follows(self, one: LoopCandidate, known: UncertaintyGraph, poses: FloatArray, most: float) -> bool:
+    def _follows(self, one: LoopCandidate, known: UncertaintyGraph, judged: _Judged) -> bool:
         """Whether a claim asks no more than a set; of several faults, where they have moved the poses to."""
-        assert self._faulty is not None
-        if poses is not self._faulty.poses:
-            return known.motion(one.place, one.keyframe, poses).agrees(claimed(one))
-        bend = self._bend(one, known.motion(one.place, one.keyframe, poses))
-        return min(bend[0], bend[2]) <= most
+        assert self._faulty is not None and judged.poses is not None
+        way = known.motion(one.place, one.keyframe, judged.poses)
+        if judged.poses is not self._faulty.poses:
+            return way.agrees(claimed(one))
+        bend = self._bend(one, way)
+        return min(bend[0], bend[2]) <= judged.cost + self._gate
 
     def _contradiction(self, entailed: tuple[int, int, Motion] | None, known: Known) -> float:
         """Squared sigmas by which what is known must be wrong for both of two sets to be true, as `_cost`."""

@@ -85,6 +85,32 @@ class UncertaintyGraph:
             self._append(ends, step[0], parts)
             self._append(ends[::-1], _back(step)[0], parts)
 
+    def add_edges(
+        self,
+        ends: NDArray[np.int64],
+        relatives: FloatArray,
+        covariances: FloatArray,
+        parts: NDArray[np.int64],
+    ) -> None:
+        """Join pairs of nodes (M, 2) of a graph without edges; see `add_edge`."""
+        if self._stride > 1 or not len(ends):
+            for n, (source, target) in enumerate(ends.tolist()):
+                crossed = int(parts[n, 0]), int(parts[n, 1])
+                self.add_edge(source, target, relatives[n], covariances[n], crossed)
+            return
+        costs = covariances[:, 0, 0] + covariances[:, 1, 1] + _LEVER_M**2 * covariances[:, 2, 2]
+        steps = np.column_stack([relatives, covariances.reshape(-1, 9), costs])
+        self._steps = np.stack([steps, _back(steps)], axis=1).reshape(-1, 13)
+        self._ends = np.stack([ends, ends[:, ::-1]], axis=1).reshape(-1, 2)
+        self._parts, self._edges = np.repeat(parts, 2, axis=0), len(self._ends)
+        self._next = np.full(self._edges, -1)
+        order = np.argsort(self._ends[:, 0], kind="stable")
+        sources = self._ends[order, 0]
+        same = sources[1:] == sources[:-1]
+        self._next[order[1:][same]] = order[:-1][same]
+        last = np.append(~same, True)
+        self._heads[sources[last]] = order[last]
+
     def motion(self, start: int, end: int, poses: FloatArray) -> Motion:
         """Return the pose of a node relative to another; the covariance is infinite without a path."""
         covariance = self.relative_covariances(end, np.array([start]), poses)[0]

@@ -31,7 +31,7 @@ class Stretches:
 
     def __init__(self, submaps: SubmapStore, config: LoopConfig, match: MatchConfig) -> None:
         self._config, self._match, self._submaps = config, match, submaps
-        way_m = np.array([submaps.travelled_m(key) for key in range(len(submaps))])
+        way_m = submaps.ways_m()
         self.spacing_m = submaps.wide_m(0.5 * config.reach_m, 1.0)
         # If each pass sees a place once, scans look alike too often to try only the most similar.
         self._most = config.near * (3 if self.spacing_m > config.reach_m else 1)
@@ -85,15 +85,16 @@ class Stretches:
         return chosen
 
     def search(self, place: int, number: int) -> SearchResult:
-        """Search the pose of the middle of a stretch relative to that of another, over all yaws."""
-        match = self._match
+        """Search the pose of the middle of a stretch relative to that of another, with walls parallel."""
+        match, (turns, half_yaw_rad) = self._match, self._bank.turns(number, place)
         return search_window(
             self._submaps.field(int(self.keys[place])),
             self._run(number).thinned(match.search_points),
             np.zeros(3),
             self.window_m,
-            np.pi,
+            half_yaw_rad,
             match.search_least_score,
+            turns,
         )
 
     @property

@@ -58,6 +58,7 @@ class SubmapStore:
         self._surfaces: list[OrientedPoints] = []
         self._poses: list[FloatArray] = []
         self._travelled_m: list[float] = []
+        self._ways_m = np.zeros(64)
         self._sessions: list[int] = []
         self._begun: list[int] = []
         self._places: list[int] = []
@@ -89,6 +90,9 @@ class SubmapStore:
         self._surfaces.append(scan if surface is None else surface)
         self._poses.append(pose)
         self._travelled_m.append(travelled_m)
+        if number == len(self._ways_m):
+            self._ways_m = np.concatenate([self._ways_m, np.zeros_like(self._ways_m)])
+        self._ways_m[number] = travelled_m
         self._sessions.append(session)
 
     def __len__(self) -> int:
@@ -105,6 +109,10 @@ class SubmapStore:
     def travelled_m(self, key: int | np.integer[Any]) -> float:
         """Return the path length from the start to a keyframe."""
         return self._travelled_m[key]
+
+    def ways_m(self) -> FloatArray:
+        """Return (n,) the path lengths from the start to all keyframes."""
+        return self._ways_m[: len(self._scans)]
 
     def submap(self, key: int) -> Submap:
         """Return the surroundings of a keyframe."""
@@ -178,9 +186,8 @@ class SubmapStore:
 
     def _around(self, key: int) -> list[int]:
         """Return a few keyframes before and after one."""
-        travelled_m = np.array(self._travelled_m)
         reach_m = self.wide_m(self._reach_m, 2.0)
-        members = np.flatnonzero(np.abs(travelled_m - travelled_m[key]) <= reach_m)
+        members = np.flatnonzero(np.abs(self.ways_m() - self._travelled_m[key]) <= reach_m)
         members = members[:: 1 + len(members) // _RUN_SCANS]
         return [k for k in members.tolist() if self._sessions[k] == self._sessions[key]]
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
+from itertools import compress
 
 import numpy as np
 
@@ -74,9 +75,9 @@ class UnseenGaps:
                 continue
             self._waiting.append(loop)
             sets = ClaimSets(rows, np.array(travelled_m), chain, 2.0 * self._least_path_m)
-            for one in self._waiting:
-                if self.crossed(one) == crossed and sets.near(one, loop):
-                    sets.add(one)
+            same = [one for one in self._waiting if self.crossed(one) == crossed]
+            for one in compress(same, sets.near(loop, same)):
+                sets.add(one)
             sets.add(loop)
             agreeing = sets.largest()[0]
             self._likeliest = agreeing[-1] if len(agreeing) > 1 else None

@@ -104,6 +104,7 @@ def search_window(
     half_width_m: float,
     half_yaw_rad: float,
     least_score: float,
+    turns: FloatArray | None = None,
 ) -> SearchResult:
     """Find the pose with the highest score within a window around a guess.
 
@@ -119,35 +120,39 @@ def search_window(
         Half size of the window in x and y, and in yaw.
     least_score
         Poses at or below this score are not looked for; a higher value makes the search faster.
+    turns
+        (k,) further yaws of the guess, each of which has a window of its own; none by default.
     """
     reach_m = max(1.0, float(np.percentile(np.hypot(points[:, 0], points[:, 1]), 90)))
     step_rad = field.cell_m / reach_m
     yaw_steps = math.ceil(half_yaw_rad / step_rad)
     width_steps = math.ceil(half_width_m / field.cell_m)
-    turns, least = (yaw_steps, step_rad), int(least_score * 255.0 * len(points))
-    best, dx, dy, turn = _branch_and_bound(field, points, guess, turns, width_steps, least)
+    steps = np.arange(-yaw_steps, yaw_steps + 1) * step_rad
+    yaws = guess[2] + (steps if turns is None else (turns[:, None] + steps).ravel())
+    least = int(least_score * 255.0 * len(points))
+    best, dx, dy, turn = _branch_and_bound(field, points, guess, yaws, width_steps, least)
     if turn < 0:
         return SearchResult(guess.copy(), least_score, False)
-    offset = np.array([dx * field.cell_m, dy * field.cell_m, (turn - yaw_steps) * step_rad])
-    return SearchResult(guess + offset, best / (255.0 * len(points)), True)
+    pose = np.array([guess[0] + dx * field.cell_m, guess[1] + dy * field.cell_m, yaws[turn]])
+    return SearchResult(pose, best / (255.0 * len(points)), True)
 
 
 def _branch_and_bound(
     field: LikelihoodField,
     points: AnyFloatArray,
     guess: FloatArray,
-    turns: tuple[int, float],
+    yaws: FloatArray,
     width_steps: int,
     least: int,
 ) -> tuple[int, int, int, int]:
-    """Best score sum, its x and y offset in pixels and its turn (-1 when none is above ``least``)."""
+    """Best score sum, its x and y offset in pixels and its yaw's number (-1 if none is above ``least``)."""
     levels, top = field.levels, len(field.levels) - 1
     while top > 0 and (1 << top) > 2 * width_steps + 1:
         top -= 1
     side = (2 * width_steps + (1 << top)) // (1 << top)
-    columns, rows = np.empty((2, 2 * turns[0] + 1, len(points)), np.int32)
-    bounds = np.empty(len(columns) * side * side, np.int64)
-    _bound_all(*field, points, guess, turns[1], columns, rows, width_steps, top, side, bounds)
+    columns, rows = np.empty((2, len(yaws), len(points)), np.int32)
+    bounds = np.empty(len(yaws) * side * side, np.int64)
+    _bound_all(*field, points, guess, yaws, columns, rows, width_steps, top, side, bounds)
     (above,) = np.nonzero(bounds > least)
     order = above[np.argsort(-bounds[above], kind="stable")]
     stack = np.empty((4 * (top + 1), 4), np.int64)
@@ -156,13 +161,11 @@ def _branch_and_bound(
 
 @kernel(error_model="numpy")
 def _bound_all(  # type: ignore[no-untyped-def]
-    levels, origin_x, origin_y, cell_m, points, guess, step_rad, columns, rows, width, top, side, bounds
+    levels, origin_x, origin_y, cell_m, points, guess, yaws, columns, rows, width, top, side, bounds
 ):
     """Write each point's pixel (turns, M), and each block's bound, (turns * side * side,), x fastest."""
-    half = columns.shape[0] // 2
-    for turn in range(columns.shape[0]):
-        yaw = guess[2] + (turn - half) * step_rad
-        cos, sin = math.cos(yaw), math.sin(yaw)
+    for turn in range(yaws.size):
+        cos, sin = math.cos(yaws[turn]), math.sin(yaws[turn])
         for i in range(columns.shape[1]):
             x, y = points[i, 0], points[i, 1]
             columns[turn, i] = math.floor((cos * x - sin * y + guess[0] - origin_x) / cell_m)

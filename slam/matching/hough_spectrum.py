@@ -57,5 +57,20 @@ class SpectrumBank:
 
     def likeness(self, number: int, others: NDArray[np.int64]) -> FloatArray:
         """Greatest correlation, 0..1 over all turns, of a spectrum with each of some others."""
+        return np.asarray(self._correlations(number, others).max(axis=1, initial=0.0))
+
+    def turns(self, number: int, other: int) -> tuple[FloatArray, float]:
+        """(k,) yaws, 4 at most, at which a spectrum looks most like another, and how exact they are.
+
+        These are the two highest peaks of the correlation: walls run along two directions as a rule, and half
+        a turn more looks the same.
+        """
+        (likeness,) = self._correlations(number, np.array([other]))
+        (peaks,) = np.nonzero(likeness >= np.maximum(np.roll(likeness, 1), np.roll(likeness, -1)))
+        step_rad, likest = np.pi / _DIRECTIONS, peaks[np.argsort(-likeness[peaks], kind="stable")][:2]
+        return np.concatenate([likest, likest + _DIRECTIONS]) * step_rad, 2 * step_rad
+
+    def _correlations(self, number: int, others: NDArray[np.int64]) -> FloatArray:
+        """(K, directions) of a spectrum with others, by its turn in their frames."""
         products = np.einsum("kft,ft->kt", self._turned[others], np.conj(self._turned[number]))
-        return np.asarray(np.fft.irfft(products, _DIRECTIONS).max(axis=1, initial=0.0))
+        return np.fft.irfft(products, _DIRECTIONS)

@@ -4,6 +4,7 @@ import math
 from types import SimpleNamespace
 
 import numpy as np
+import pytest
 
 from slam.config.stages import GraphConfig, LoopConfig, MatchConfig
 from slam.estimates import MotionEstimate
@@ -11,6 +12,7 @@ from slam.graph.edge import Edge, EdgeKind
 from slam.graph.loop_candidate import LoopCandidate
 from slam.graph.place_search import PlaceSearch
 from slam.graph.relative_uncertainty import UncertaintyGraph
+from slam.matching.motion import Motion
 from slam.measurements import FloatArray, pose2_from_row
 
 SURE, BY_WHEELS = np.diag([0.01, 0.01, 0.003]) ** 2, np.diag([0.5, 0.5, 0.8]) ** 2
@@ -53,12 +55,13 @@ def test_what_is_certain_is_judged_once_until_something_is_refused() -> None:
         told = (BY_WHEELS, EdgeKind.WHEEL) if key == GAP else (SURE, EdgeKind.LIDAR)
         edges.append(Edge(key, key + 1, step, *told, trusted=True))
     edges.append(Edge(0, 2, step.compose(step), SURE, EdgeKind.LOOP, trusted=False, loop=0))
-    motion = MotionEstimate(pose2_from_row(np.zeros(3)), SURE, 0.9, 0.9, 0.01, True, False, np.zeros(3))
     sets = [
-        [LoopCandidate(key - 6, key, 0.0, 0.0, 1.0, motion, True, "") for key in keys]
+        [LoopCandidate(key - 6, key, 0.0, 0.0, 1.0, motion_of(0.0), True, "") for key in keys]
         for keys in (range(10, 20), range(42, 46))
     ]
-    submaps = SimpleNamespace(travelled_m=float, sparse=False, lay=lambda *_: None)
+    submaps = SimpleNamespace(
+        travelled_m=float, ways_m=lambda: np.arange(float(COUNT)), sparse=False, lay=lambda *_: None
+    )
     search = PlaceSearch(SimpleNamespace(submaps=submaps), LoopConfig(), MatchConfig(), GraphConfig())  # type: ignore[arg-type]
     search._stretches = SimpleNamespace(spacing_m=1.5, untied=lambda _: [])  # type: ignore[assignment]
     search._sets = SimpleNamespace(largest=lambda: sets, entailed=lambda *_: None)  # type: ignore[assignment]
@@ -71,3 +74,38 @@ def test_what_is_certain_is_judged_once_until_something_is_refused() -> None:
         judged.clear()
         assert search.search(poses, stamps_s, edges, np.arange(len(edges)) < COUNT - 1 + keep, []) == []
         assert judged == expected
+
+
+AWAY = 0, 60, Motion(np.zeros(3), SURE)
+
+
+@pytest.mark.parametrize(("count", "way", "expected"), [(2, AWAY, []), (4, None, []), (4, AWAY, [60])])
+def test_faults_are_looked_for_only_where_they_may_decide(
+    count: int, way: tuple[int, int, Motion] | None, expected: list[int]
+) -> None:
+    """A plausible set across a gap, and another that only faults could explain: short, or a rival of it."""
+    step = pose2_from_row(np.array([1.0, 0.0, 0.0]))
+    told = [(BY_WHEELS, EdgeKind.WHEEL) if key == GAP else (SURE, EdgeKind.LIDAR) for key in range(COUNT - 1)]
+    edges = [Edge(key, key + 1, step, *told[key], trusted=True) for key in range(COUNT - 1)]
+    poses, stamps_s = np.outer(np.arange(float(COUNT)), [1.0, 0.0, 0.0]), np.arange(float(COUNT))
+    sets = [
+        [
+            LoopCandidate(key - away, key, 0.0, 0.0, 1.0, motion_of(ahead_m), True, "")
+            for key in range(first, first + 3 * members, 3)
+        ]
+        for first, members, away, ahead_m in ((42, 5, 12, 12.0), (60, count, 50, 0.0))
+    ]
+    submaps = SimpleNamespace(travelled_m=float, ways_m=lambda: stamps_s, sparse=False, lay=lambda *_: None)
+    search = PlaceSearch(SimpleNamespace(submaps=submaps), LoopConfig(), MatchConfig(), GraphConfig())  # type: ignore[arg-type]
+    search._stretches = SimpleNamespace(spacing_m=1.5, untied=lambda _: [])  # type: ignore[assignment]
+    search._sets = SimpleNamespace(largest=lambda: sets, entailed=lambda *_: way, remove=lambda _: None)  # type: ignore[assignment]
+    search._trial = SimpleNamespace(hold=lambda _: ([], 0))  # type: ignore[assignment]
+    asked, cost = list[int](), search._with_faults
+    search._with_faults = lambda one, *rest: (asked.append(one[0].keyframe), cost(one, *rest))[1]  # type: ignore[method-assign]
+    assert search.search(poses, stamps_s, edges, np.ones(COUNT - 1, np.bool_), []) == sets[0]
+    assert asked == expected
+
+
+def motion_of(ahead_m: float) -> MotionEstimate:
+    pose = pose2_from_row(np.array([ahead_m, 0.0, 0.0]))
+    return MotionEstimate(pose, SURE, 0.9, 0.9, 0.01, True, False, np.zeros(3))

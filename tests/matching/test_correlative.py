@@ -116,6 +116,18 @@ def test_nothing_outside_the_window_is_found(half_width_m: float) -> None:
             assert not result.found, f"found {result.pose - guess} from the guess"
 
 
+@pytest.mark.parametrize(("turns", "finds"), [(None, False), ([0.0, 1.5], False), ([-2.0, 0.5, 2.0], True)])
+def test_each_further_yaw_of_a_guess_has_its_own_window(turns: list[float] | None, finds: bool) -> None:
+    points = np.array([[0.0, 0.0], [1.2, 0.1], [0.1, 0.9], [-1.6, -0.4]])
+    truth, step_rad = np.array([0.3, -0.2, 2.1]), yaw_step_rad(points)
+    field = build_field(transform_points(points, truth), CELL_M, SIGMA_M)
+    further = None if turns is None else np.array(turns)
+    result = search_window(field, points, np.zeros(3), 0.5, 3.0 * step_rad, 0.7, further)
+    assert result.found == finds
+    if finds:
+        assert np.abs(result.pose - truth) == pytest.approx(0.0, abs=max(CELL_M, step_rad))
+
+
 @pytest.mark.parametrize("frame", [(0.0, 0.0, 0.0), (-35.0, 80.0, -1.9)])
 @pytest.mark.parametrize("sign", [1.0, -1.0])
 def test_finds_a_wide_offset_in_a_room(frame: tuple[float, ...], sign: float) -> None:

@@ -30,6 +30,16 @@ def test_neither_a_shift_nor_a_turn_matters(yaw_rad: float) -> None:
     assert likeness[0] > likeness[1:].max() + 0.05
 
 
+@pytest.mark.parametrize("yaw_rad", [0.0, 0.7, 2.0, np.pi])
+def test_the_turn_of_a_place_seen_again_is_among_the_likest(yaw_rad: float) -> None:
+    place = seen(1.0, 4.0)
+    bank = SpectrumBank([spectrum(place), spectrum(place.moved(np.array([2.15, -1.4, yaw_rad])))])
+    turns, exact_rad = bank.turns(0, 1)
+    off_rad = np.abs((turns - yaw_rad + np.pi) % (2.0 * np.pi) - np.pi)
+    assert len(turns) <= 4
+    assert off_rad.min() <= 0.5 * exact_rad
+
+
 def test_the_likeness_is_a_correlation() -> None:
     bank = SpectrumBank([spectrum(seen(1.0, 4.0)), spectrum(OrientedPoints.none())])
     assert bank.likeness(0, np.arange(2)) == pytest.approx([1.0, 0.0])
