@@ -7,7 +7,6 @@ from pathlib import Path
 import gtsam
 import numpy as np
 
-from slam.measurements import Float32Array
 from slam.simulation.events import CloudEvent
 from slam.simulation.ordered_pool import OrderedPool
 from slam.simulation.tum_writer import transform_fields, write_yaml
@@ -40,9 +39,4 @@ class CloudWriter:
         name = f"points/{event.stamp_s:.6f}.bin"
         self._index.write(f"{event.stamp_s:.6f} {name}\n")
         rows = np.column_stack([event.points_laser, event.ring.astype(np.float32)])
-        self._pool.submit(_write_floats, self._folder / name, rows)
-
-
-def _write_floats(path: Path, rows: Float32Array) -> None:
-    """The floats as they are."""
-    path.write_bytes(rows.astype("<f4").tobytes())
+        self._pool.submit(rows.astype("<f4").tofile, self._folder / name)
