@@ -17,12 +17,12 @@ from numpy.typing import NDArray
 from fusion.estimation import TINY
 from slam.measurements import AnyFloatArray, FloatArray
 
-# Directions over half a turn, bins of a projection, and the lowest of its frequencies but the mean.
+# Directions over 180 degrees, bins of a projection, and number of its lowest frequencies, without mean.
 _DIRECTIONS, _BINS, _FREQUENCIES = 60, 96, 24
 
 
 def hough_spectrum(points: AnyFloatArray, normals: AnyFloatArray, bin_m: float) -> FloatArray:
-    """(frequencies, directions) magnitudes, of norm 1.
+    """Return (frequencies, directions) magnitudes, of norm 1.
 
     Parameters
     ----------
@@ -34,7 +34,7 @@ def hough_spectrum(points: AnyFloatArray, normals: AnyFloatArray, bin_m: float) 
     angles = np.arange(_DIRECTIONS) * (np.pi / _DIRECTIONS)
     axes = np.array([np.cos(angles), np.sin(angles)])
     bins = np.floor(points @ axes / bin_m).astype(np.int64) % _BINS
-    # A wall counts where it is seen edge on.
+    # A wall counts in the direction of its normal.
     weights = np.square(normals @ axes)
     cells = bins + _BINS * np.arange(_DIRECTIONS)
     heights = np.bincount(cells.ravel(), weights.ravel(), _BINS * _DIRECTIONS).reshape(_DIRECTIONS, _BINS)
@@ -43,19 +43,19 @@ def hough_spectrum(points: AnyFloatArray, normals: AnyFloatArray, bin_m: float) 
 
 
 class SpectrumBank:
-    """Many spectra, each compared with all of them at once.
+    """Many spectra, for comparison with all of them at once.
 
     Parameters
     ----------
     spectra
-        At least one, as of `hough_spectrum`.
+        At least one result of `hough_spectrum`.
     """
 
     def __init__(self, spectra: Iterable[FloatArray]) -> None:
-        # A circular correlation over the turns, all frequencies together; no spectrum is there twice.
+        # A circular correlation over the yaws, all frequencies together; no spectrum is stored twice.
         self._turned = np.array([np.fft.rfft(one, axis=1).astype(np.complex64) for one in spectra])
 
     def likeness(self, number: int, others: NDArray[np.int64]) -> FloatArray:
-        """Greatest correlation, 0..1 over all turns, of a spectrum with each of some others."""
+        """Return the largest correlation, 0..1 over all yaws, of a spectrum with each of some others."""
         products = np.einsum("kft,ft->kt", self._turned[others], np.conj(self._turned[number]))
         return np.asarray(np.fft.irfft(products, _DIRECTIONS).max(axis=1, initial=0.0))
