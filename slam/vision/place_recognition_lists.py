@@ -56,8 +56,7 @@ class WordLists:
         return keys[order], rows[order]
 
     def scores(self, words: Words, rows: BitRows) -> FloatArray:
-        """Return (K,) scores of keyframes: mean nearness of (N, 4) descriptors to the nearest of their
-        word."""
+        """Return (K,) keyframe scores: mean nearness of (N, 4) descriptors to the nearest of their word."""
         file = (self._heads, self._fills, self._nexts, self._owners, self._rows)
         # The last contribution to a keyframe's score, and its descriptor.
         scores, given, giver = np.zeros(self.keys), np.zeros(self.keys), np.full(self.keys, -1)
