@@ -114,7 +114,7 @@ def score_text(scores: dict[str, Any]) -> str:
 
 
 def _lines(values: dict[str, Any], indent: str) -> list[str]:
-    """Yield one line for each group of statistics."""
+    """Return one line for each group of statistics."""
     lines = []
     for name, value in values.items():
         if isinstance(value, dict) and "mean" in value:

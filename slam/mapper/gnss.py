@@ -111,7 +111,7 @@ class GnssAnchors:
     def _tell(
         self, found: Anchored, graph: KeyframeGraph, anchors: Sequence[Anchor], outcome: BatchResult
     ) -> None:
-        """Return a line about how well the fixes fit."""
+        """Write a line about how well the fixes fit."""
         assert self.georeference is not None
         used = {
             edge.target
