@@ -149,7 +149,7 @@ def _poses(source: Trajectory | Map | Path | str) -> Trajectory:
 
 
 def _truth(source: Trajectory | Map | Path | str) -> Trajectory:
-    """As `_poses`, also the ground truth that a data set publishes or a recording contains."""
+    """Return `_poses`, or the ground truth that a data set publishes or a recording contains."""
     if isinstance(source, Trajectory | Map):
         return _poses(source)
     if Path(source).is_file():
