@@ -15,8 +15,8 @@ from slam.simulation.tum_writer import transform_fields, write_yaml
 class CloudWriter:
     """``points/`` with its index ``points.txt`` beside it; use it as a context manager.
 
-    A point is x, y, z in the frame of the lidar, and its ring where KITTI has the intensity. Where the lidar
-    sits is in ``points/calibration.yaml``.
+    A point is x, y, z in the frame of the lidar, and its ring where KITTI has the intensity. The mounting of
+    the lidar is in ``points/calibration.yaml``.
     """
 
     def __init__(self, folder: Path, T_base_lidar: gtsam.Pose3, pool: OrderedPool) -> None:
@@ -35,7 +35,7 @@ class CloudWriter:
         self._index.close()
 
     def write(self, event: CloudEvent) -> None:
-        """Queue one turn."""
+        """Queue one revolution."""
         name = f"points/{event.stamp_s:.6f}.bin"
         self._index.write(f"{event.stamp_s:.6f} {name}\n")
         rows = np.column_stack([event.points_laser, event.ring.astype(np.float32)])
