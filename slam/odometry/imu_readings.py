@@ -18,8 +18,7 @@ _KEPT_S = 30.0
 _GYRO_DENSITY, _FORCE_DENSITY = 2e-5, 1e-3
 # Random walk of biases: ten times that of a tactical unit (Forster 2017, Sec. VIII).
 GYRO_WALK, FORCE_WALK = 1e-4, 1e-3
-# Prior sigmas of a gyroscope: bias in rad/s, scale error (of
-# cheap ones, by their data sheets).
+# Prior sigmas of a gyroscope: bias in rad/s, scale error (of cheap ones, by their data sheets).
 GYRO_UNKNOWN = np.diag([0.1, 0.03])
 
 
