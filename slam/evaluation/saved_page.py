@@ -25,17 +25,17 @@ from slam.storage.map_edits import regions_of
 from slam.storage.ply import read_cloud_ply
 from slam.storage.whole_folder import REPORT
 
-# Of regions that a person has drawn, as the page shows them.
+# Names of user regions, as the page shows them.
 _KINDS = ("erase", "keep_out", "slow", "crop", "place")
 
 
 def saved_page(saved: Map, connect: str = "'none'") -> Iterator[str]:
-    """The page, part after part.
+    """Yield the page part by part.
 
     Parameters
     ----------
     connect
-        What its scripts may connect to, see `slam.evaluation.pages.page_parts`.
+        Permitted connections of its scripts, see `slam.evaluation.pages.page_parts`.
     """
     found, config = saved.contents, saved.config
     title = saved.path.parent.name if len(saved.sessions) > 1 else saved.sessions[0].log_name
@@ -91,7 +91,7 @@ def write_saved_page(saved: Map) -> Path:
 def map_work_page(
     head: dict[str, Any], found: MapContents, config: Config, cloud: ColoredCloud | None = None
 ) -> WorkPage:
-    """The plan of a map's data, with its cloud and images put in."""
+    """Return the plan of a map's data, with its cloud and images."""
     for name, (part, told) in (("cloud", cloud_data(found, cloud)), ("images", image_data(found))):
         head[name] = part
         head["limits"] += told
@@ -103,7 +103,7 @@ def map_work_page(
 
 
 def _legend(layers: LayeredMap | None) -> str:
-    """What the greys mean, and how much of the floor is free; of what only the lidar saw free, how much."""
+    """Return the legend of greys, the free area, and the area that only the lidar saw as free."""
     if layers is None:
         return ""
     free_m2, lidar_m2 = areas_m2(layers)
@@ -117,7 +117,7 @@ def _legend(layers: LayeredMap | None) -> str:
 
 
 def _applied(found: MapContents) -> dict[str, Any]:
-    """The texts of the edits, and their zones and places where they are now: points in the map."""
+    """Return the texts of the edits, and the current positions of their zones and places in the map."""
     regions = [
         {
             "kind": kind,

@@ -116,7 +116,7 @@ def score_text(scores: dict[str, Any]) -> str:
 
 
 def _lines(values: dict[str, Any], indent: str) -> list[str]:
-    """Yield one line for each group of statistics."""
+    """Return one line for each group of statistics."""
     lines = []
     for name, value in values.items():
         if isinstance(value, dict) and "mean" in value:
@@ -151,7 +151,7 @@ def _poses(source: Trajectory | Map | Path | str) -> Trajectory:
 
 
 def _truth(source: Trajectory | Map | Path | str) -> Trajectory:
-    """As `_poses`, also the ground truth that a data set publishes or a recording contains."""
+    """Return `_poses`, or the ground truth that a data set publishes or a recording contains."""
     if isinstance(source, Trajectory | Map):
         return _poses(source)
     if path_of(source, "groundtruth").is_file():

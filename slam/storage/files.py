@@ -50,7 +50,7 @@ def replacing(path: Path, *, map_too: bool = False) -> Iterator[Path]:
 
 
 def make_folder(path: Path) -> None:
-    """Make a folder and its parents where they are missing.
+    """Create a folder and its parents if missing.
 
     Raises
     ------
@@ -92,13 +92,13 @@ def numbered_fields(
 ) -> Iterator[tuple[int, list[str]]]:
     """Yield (line number from 1, blank-separated fields) of a text file, plain or ``.gz``.
 
-    Empty lines and whole-line comments (``#``) are passed over, but counted.
+    Empty lines and whole-line comments (``#``) are skipped, but counted.
 
     Raises
     ------
     ScanweaveError
-        Of the type ``error``, where the file cannot be opened, is not text, its compression is damaged, or it
-        unpacks to more than any such file.
+        Of the type ``error``, if the file cannot be opened, is not text, its compression is damaged, or it
+        decompresses to more than any such file.
     """
     path = Path(path)
     number, opened = 0, gzip.open if path.suffix == ".gz" else open
@@ -121,7 +121,7 @@ def numbered_fields(
 
 
 def parse_floats(fields: list[str], where: str, error: type[ScanweaveError] = MapFileError) -> list[float]:
-    """Finite floats of ``fields``; ``where`` (file and line) opens the message of ``error`` otherwise."""
+    """Parse finite floats from ``fields``; ``where`` (file and line) begins the message of ``error``."""
     try:
         values = [float(text) for text in fields]
     except ValueError as cause:

@@ -52,16 +52,16 @@ def write_results_bag(
     Parameters
     ----------
     folder
-        Must not be there yet.
+        Must not exist yet.
     mounts
-        Where each sensor sits on the base, for ``/tf_static``.
+        Mounting of each sensor on the base, for ``/tf_static``.
     points
         Stamp, (N, 3) in the map frame, and (N, 3) RGB and (N,) intensities of each cloud, if it has any.
 
     Raises
     ------
     MapFileError
-        If the folder is there, or cannot be written.
+        If the folder exists, or cannot be written.
     """
     from rosbags.rosbag2 import StoragePlugin, Writer, WriterError
 
@@ -112,7 +112,7 @@ def write_results_bag(
 
 
 def _grid(plan: Plan, stamp_s: float) -> Any:
-    """The navigation map."""
+    """Return the message of the navigation map."""
     header = ros.header(stamp_s, _MAP)
     rows, columns = plan.states.shape
     about = ros.new(
@@ -129,7 +129,7 @@ def _grid(plan: Plan, stamp_s: float) -> Any:
 def _rows(
     points: FloatArray, colors: NDArray[np.uint8] | None, intensities: Float32Array | None
 ) -> NDArray[np.void]:
-    """Points with intensities, and their colours as viewers take them: 0x00RRGGBB."""
+    """Return points with intensities, and their colours in the viewers' format: 0x00RRGGBB."""
     names = [(name, "<f4") for name in "xyz"]
     names += [] if colors is None else [("rgb", "<u4")]
     rows = np.zeros(len(points), names if intensities is None else [*names, ("intensity", "<f4")])
