@@ -81,7 +81,8 @@ def doctor(
         tell(json.dumps({"findings": found, "open": diagnosis.open}, indent=2))
     else:
         tell("\n".join(finding.line for finding in findings) or "no error found in the log")
-        for line in diagnosis.open:
+        refused = [f"records that cannot be read ({dataset.report.refusals})"]
+        for line in [*diagnosis.open, *(refused if dataset.report.dropped_count else [])]:
             tell(f"not judged: {line}")
     if write is not None:
         mended = remedied(sensors.calibration, findings, only_sure=False)

@@ -26,19 +26,10 @@ from slam.errors import DatasetError
 from slam.estimates import Trajectory
 from slam.measurements import CameraIntrinsics
 
-_COLORS, _DEPTHS, _LENSES, _POSES = (
-    "lowres_wide",
-    "lowres_depth",
-    "lowres_wide_intrinsics",
-    "lowres_wide.traj",
-)
+_COLORS, _DEPTHS = "lowres_wide", "lowres_depth"
+_LENSES, _POSES = "lowres_wide_intrinsics", "lowres_wide.traj"
 _TABLE = PoseTable(position=4, rotation=1, order="xyz")
 _NAME = re.compile(r"(?:.*_)?(\d+\.\d+)\.(?:png|pincam)")  # VIDEO_SECONDS.png
-
-
-def looks_like_arkitscenes(path: Path, head: bytes) -> bool:
-    """Whether a path is a folder of one video with depth."""
-    return (path / _COLORS).is_dir() and (path / _DEPTHS).is_dir()
 
 
 def _load(path: Path, account: Account) -> Contents:
@@ -82,4 +73,9 @@ def _groundtruth(folder: Path, account: Account) -> Trajectory | None:
     return trajectory_of((stamp_s, pose.inverse()) for _, stamp_s, pose in rows)
 
 
-FORMAT = recorded("ARKitScenes video", looks_like_arkitscenes, _load, _groundtruth)
+FORMAT = recorded(
+    "ARKitScenes video",
+    lambda path, head: (path / _COLORS).is_dir() and (path / _DEPTHS).is_dir(),
+    _load,
+    _groundtruth,
+)

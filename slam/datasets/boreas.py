@@ -16,7 +16,6 @@ from slam.datasets.clouds_over_time import CloudFolder, clouds_by_name
 from slam.datasets.dataset_format import recorded
 from slam.datasets.imu_files import ImuFile, beside_imu
 from slam.datasets.log_file import first_file
-from slam.datasets.mulran import NAMED_BY_CLOCK, stamp_of_clock
 from slam.datasets.pose_files import PoseTable, pose_file, trajectory_of
 from slam.datasets.recording import Contents
 from slam.estimates import Trajectory
@@ -33,14 +32,9 @@ _R_APPLANIX_RAW = gtsam.Rot3(np.array([[0.0, -1.0, 0.0], [-1.0, 0.0, 0.0], [0.0,
 _SMOOTHED = "imu.csv"
 
 
-def looks_like_boreas(path: Path, head: bytes) -> bool:
-    """Whether a path is the folder of one drive with clouds."""
-    return (path / _INSIDE).is_dir() and ((path / "applanix").is_dir() or (path / "calib").is_dir())
-
-
 def _load(path: Path, account: Account) -> Contents:
     """A folder of one drive; the lidar is the robot's frame."""
-    files = clouds_by_name(path / _INSIDE, NAMED_BY_CLOCK, account, stamp_of_clock)
+    files = clouds_by_name(path / _INSIDE, account)
     clouds = CloudFolder(tuple(files), parse=_ROWS).numbered(account)
     return Contents(log=beside_imu(clouds, _imu(path, account), account))
 
@@ -79,5 +73,10 @@ def read_poses(path: Path, account: Account) -> Trajectory | None:
 
 
 FORMAT = recorded(
-    "Boreas drive", looks_like_boreas, _load, lambda path, account: read_poses(path / _POSES_FILE, account)
+    "Boreas drive",
+    lambda path, head: (
+        (path / _INSIDE).is_dir() and ((path / "applanix").is_dir() or (path / "calib").is_dir())
+    ),
+    _load,
+    lambda path, account: read_poses(path / _POSES_FILE, account),
 )

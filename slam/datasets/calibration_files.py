@@ -27,6 +27,7 @@ from slam.measurements import CameraIntrinsics
 _SUFFIXES = {".yaml", ".yml", ".urdf", ".xml"}
 _NO_CALIBRATION = {"metadata.yaml"}  # the index of a bag
 _INSIDE = ("calibration", "calib")
+_IMAGE_LIST = "rgb.txt"
 _MOST_FILES = 64  # of a folder that may hold anything
 _APART_SHARE = 0.005  # of focal lengths and of the width: no two calibrations of one lens agree better
 _ROLES = {
@@ -112,7 +113,9 @@ def known_beside(path: Path, given: Sequence[Path] = ()) -> KnownCalibration:
     """
     known = KnownCalibration()
     folder = path if path.is_dir() else path.parent
-    own = [folder / FILE_NAME] if (folder / FILE_NAME).is_file() else []
+    # Beside a bag and a list of images, as in a simulated drive, our own file is that of the images.
+    of_images = path.is_file() and (folder / _IMAGE_LIST).is_file()
+    own = [folder / FILE_NAME] if (folder / FILE_NAME).is_file() and not of_images else []
     for file in [*given, *own]:
         try:
             _add(known, file, sure=True)
@@ -124,7 +127,7 @@ def known_beside(path: Path, given: Sequence[Path] = ()) -> KnownCalibration:
             "Kalibr camchain, a URDF, a yaml of tf or what OpenCV wrote"
         )
     for file in _candidates(folder):
-        if file in own or file in given:
+        if file in own or file in given or (of_images and file.name == FILE_NAME):
             continue
         try:
             _add(known, file, sure=False)

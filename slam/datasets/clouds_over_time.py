@@ -15,8 +15,8 @@ from slam.datasets.bin_rows import is_bin, rows_of
 from slam.datasets.cloud_files import CLOUD_SUFFIXES, KITTI_ROWS, CloudFile, Parsed, read_cloud
 from slam.datasets.dataset import RecordFault
 from slam.datasets.log_file import files_inside, first_file
-from slam.datasets.point_intensity import intensities_of
-from slam.datasets.point_times import PointTimes
+from slam.datasets.point_times import PointTimes, intensities_of
+from slam.datasets.pose_files import by_its_size
 from slam.datasets.recording import Numbered
 from slam.datasets.stamped_files import BAD_STAMP, StampedFile, fields_of, read_image_list, stamp_of
 from slam.datasets.wheels_between import WHEELS_KEPT, wheels_at
@@ -111,7 +111,10 @@ def stamped_clouds(times: Path, folder: Path, account: Account) -> list[StampedF
 
 
 def clouds_by_name(
-    folder: Path, pattern: str, account: Account, stamp_of_name: Callable[[re.Match[str]], float]
+    folder: Path,
+    account: Account,
+    pattern: str = r"(\d{9,19})\.bin",
+    stamp_of_name: Callable[[re.Match[str]], float] = lambda match: by_its_size(int(match[1])),
 ) -> list[StampedFile]:
     """The clouds whose names match a pattern, by the stamps that the names tell, in the order of time."""
     name, found = re.compile(pattern), []

@@ -29,6 +29,7 @@ _LINES_KEPT = 3  # examples kept of each kind of event
 MOST_TOPICS = 2000  # a robot has some dozens; damaged names must not fill the memory
 _KEYS_KEPT = 32  # kinds of event; the rest share one key, so that garbage cannot grow the report
 _OTHER = "(others)"
+READ_TO_THERE = "read up to there"  # ends the reason of a damage that ended the reading
 WARNING = "warning: "  # begins a note that is one
 
 
@@ -152,7 +153,7 @@ class ReadReport:
         back_s = {name: tally.largest for name, tally in self.backward_steps.items() if tally.largest > GAP_S}
         if back_s:
             found.append(f"stamps of {', '.join(back_s)} go back by up to {max(back_s.values()):.1f} s")
-        return sorted(found)
+        return sorted([*found, *(reason for reason in self.dropped if reason.endswith(READ_TO_THERE))])
 
     def accept(self, kind: str) -> None:
         """Count an accepted record."""

@@ -36,7 +36,7 @@ def recorded(
     description: str,
     recognises: Callable[[Path, bytes], bool],
     load: Callable[[Path, Account], Contents],
-    truth: Callable[[Path, Account], Trajectory | None],
+    truth: Callable[[Path, Account], Trajectory | None] = lambda path, account: None,
     check: Callable[[Path], object] = Path.exists,
 ) -> DatasetFormat:
     """The format of a `Recording`, by functions of its path; ``check`` refuses one before it is read."""

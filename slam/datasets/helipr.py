@@ -14,7 +14,7 @@ from slam.datasets.clouds_over_time import CloudFolder, clouds_by_name
 from slam.datasets.dataset_format import recorded
 from slam.datasets.imu_files import beside_imu
 from slam.datasets.log_file import first_file
-from slam.datasets.mulran import NAMED_BY_CLOCK, stamp_of_clock, xsens
+from slam.datasets.mulran import xsens
 from slam.datasets.pose_files import PoseTable
 from slam.datasets.recording import Contents
 from slam.estimates import Trajectory
@@ -40,7 +40,7 @@ def _load(path: Path, account: Account) -> Contents:
     name, folder = next(iter(places.items()))
     for other in list(places)[1:]:
         account.report.ignore(other, f"one lidar of several is read; give {places[other]} for it")
-    files = clouds_by_name(folder, NAMED_BY_CLOCK, account, stamp_of_clock)
+    files = clouds_by_name(folder, account)
     clouds = CloudFolder(tuple(files), parse=_row(name, folder)).numbered(account)
     imu = xsens(place / "Inertial_data" for place in _above(path, folder))
     return Contents(log=beside_imu(clouds, imu, account))

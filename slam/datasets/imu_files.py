@@ -16,11 +16,10 @@ from fusion.time_alignment import GAP_S
 from slam.datasets.account import Account
 from slam.datasets.calibration import read_mounting
 from slam.datasets.dataset import RecordFault
-from slam.datasets.imu_units import ForceUnit
 from slam.datasets.log_file import first_file, numbered_lines
 from slam.datasets.pose_files import by_its_size
 from slam.datasets.recording import Numbered
-from slam.measurements import ImuReading
+from slam.measurements import GRAVITY_M_S2, FloatArray, ImuReading
 
 BAD_ROW = "IMU line without stamp, angular rate and acceleration"
 
@@ -41,6 +40,29 @@ _REST = frozenset({"nsec", "nsecs", "nanosec", "nanoseconds"})
 # EuRoC's order, for files without a head.
 _PLAIN = (0, 1, 2, 3, 4, 5, 6)
 _UNITS = {"ns": 1e-9, "us": 1e-6, "ms": 1e-3, "s": 1.0}
+
+
+class ForceUnit:
+    """Metres a second squared or g, by the first reading: what is carried or driven feels little but gravity.
+
+    Attributes
+    ----------
+    choice
+        What was concluded, for people; empty where it is metres a second squared, as it should be.
+    """
+
+    def __init__(self) -> None:
+        self.choice = ""
+        self._scale: float | None = None
+
+    def m_s2(self, force: FloatArray) -> FloatArray:
+        """A specific force (3,) as written, in metres a second squared."""
+        if self._scale is None:
+            # Halfway between one and gravity, as factors go.
+            in_g = float(np.linalg.norm(force)) < np.sqrt(GRAVITY_M_S2)
+            self._scale = GRAVITY_M_S2 if in_g else 1.0
+            self.choice = "accelerations are in g, not m/s^2; read as such" if in_g else ""
+        return force * self._scale
 
 
 @dataclass(frozen=True, slots=True)

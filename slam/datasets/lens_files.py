@@ -80,14 +80,12 @@ def lens_of_json(path: Path, fields: dict[str, Any], width: str = "width", heigh
 def open3d_lens(path: Path) -> CameraIntrinsics:
     """Open3D's ``intrinsic_matrix`` of nine numbers, column by column; DatasetError where there is none."""
     content = json_object(path)
-    if not isinstance(content.get("intrinsic_matrix"), list):
-        if "fx" in content:
-            return lens_of_json(path, content)
-        raise DatasetError(f"{path} has no intrinsic_matrix; correct it, or give a calibration.yaml")
+    if "fx" in content:
+        return lens_of_json(path, content)
     try:
         matrix = np.array(content["intrinsic_matrix"], dtype=np.float64).reshape(3, 3).T
         size = int(content.get("width") or 0), int(content.get("height") or 0)
-    except (TypeError, ValueError, OverflowError) as error:
+    except (KeyError, TypeError, ValueError, OverflowError) as error:
         raise DatasetError(f"{path}: {error}; correct it, or give a calibration.yaml") from error
     return checked(path, matrix, *size)
 

@@ -23,7 +23,7 @@ _GZIP_MAGIC = b"\x1f\x8b"
 _BYTE_ORDER_MARK = b"\xef\xbb\xbf"
 
 LINE_TOO_LONG = "line too long"
-STREAM_DAMAGED = "compressed data damaged or cut short"
+STREAM_DAMAGED = "compressed data damaged or cut short; read up to there"
 
 OnShare = Callable[[float], None]
 _LINES_A_SHARE = 64

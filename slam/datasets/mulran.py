@@ -6,7 +6,6 @@ Urban Dataset with Multi-level Sensors from Highly Diverse Urban Environments".
 
 from __future__ import annotations
 
-import re
 from collections.abc import Iterable, Iterator
 from pathlib import Path
 
@@ -33,7 +32,6 @@ from slam.estimates import Trajectory
 
 _LIDARS, _POSES, _SENSORS = ("Ouster", "VLP_left"), "global_pose.csv", "sensor_data"
 _OTHER_LIDAR, _MOUNT_FILE = "VLP_right", "calibration/Vehicle2LeftVLP.txt"
-NAMED_BY_CLOCK = r"(\d{9,19})\.bin"
 # By the publishers' file player; lines of the first recordings end behind the angles.
 _XSENS = "time [ns],qx,qy,qz,qw,roll,pitch,yaw,gx,gy,gz,ax,ay,az,magnetic x,magnetic y,magnetic z"
 # calib_base2ouster.txt, which is published beside all sequences: metres, then roll, pitch and yaw in degrees.
@@ -44,7 +42,7 @@ def _load(path: Path, account: Account) -> Contents:
     """A folder of one sequence; the lidar sits where the publishers say."""
     place = _clouds_folder(path)
     assert place is not None
-    files = clouds_by_name(place, NAMED_BY_CLOCK, account, stamp_of_clock)
+    files = clouds_by_name(place, account)
     roll, pitch, yaw = np.radians(_TURN_DEG).tolist()
     mounting = gtsam.Pose3(gtsam.Rot3.Ypr(yaw, pitch, roll), np.array(_SHIFT_M))
     if place.name != _LIDARS[0]:
@@ -67,11 +65,6 @@ def xsens(folders: Iterable[Path]) -> ImuFile | None:
     """The IMU whose file is in one of several folders; its mounting is not published."""
     file = first_file(folder / "xsens_imu.csv" for folder in folders)
     return ImuFile(file, _XSENS) if file else None
-
-
-def stamp_of_clock(match: re.Match[str]) -> float:
-    """Seconds of a name whose first group is a clock's."""
-    return by_its_size(int(match[1]))
 
 
 def read_poses(path: Path, account: Account) -> Trajectory | None:

@@ -38,7 +38,7 @@ _T_DOWN_UP = gtsam.Pose3(gtsam.Rot3(np.diag([1.0, -1.0, -1.0])), np.zeros(3))
 def _load(path: Path, account: Account) -> Contents:
     """A folder of one day, the robot's frame that of the clouds; they are free of the robot's motion."""
     files = clouds_by_name(
-        path / _INSIDE, r"(\d{10,17})\.bin", account, lambda match: int(match[1]) * _TICK_S
+        path / _INSIDE, account, r"(\d{10,17})\.bin", lambda match: int(match[1]) * _TICK_S
     )
     clouds = CloudFolder(tuple(files), parse=_parse).numbered(account)
     found = first_file(path / name for name in _ODOMETRY)

@@ -31,16 +31,11 @@ _T_TRUTH_LIDAR = gtsam.Pose3(
 )
 
 
-def looks_like_newer_college(path: Path, head: bytes) -> bool:
-    """Whether a path is the folder of one walk, or of its clouds."""
-    return path.is_dir() and _clouds_folder(path) is not None
-
-
 def _load(path: Path, account: Account) -> Contents:
     """A folder of one walk; the lidar is the robot's frame."""
     folder = _clouds_folder(path)
     assert folder is not None
-    files = clouds_by_name(folder, _CLOUDS, account, lambda match: int(match[1]) + int(match[2]) * 1e-9)
+    files = clouds_by_name(folder, account, _CLOUDS, lambda match: int(match[1]) + int(match[2]) * 1e-9)
     clouds = CloudFolder(tuple(files), parse=with_column_times(read_fields))
     beside = [*sorted((folder.parent / _IMU).glob("*.csv")), folder.parent / f"{_IMU}.csv"]
     file = first_file([*beside, folder / f"{_IMU}.csv"])
@@ -68,4 +63,9 @@ def read_poses(file: Path, account: Account) -> Trajectory | None:
     return trajectory_of((stamp_s, pose.compose(_T_TRUTH_LIDAR)) for _, stamp_s, pose in rows)
 
 
-FORMAT = recorded("Newer College walk (folders)", looks_like_newer_college, _load, _groundtruth)
+FORMAT = recorded(
+    "Newer College walk (folders)",
+    lambda path, head: path.is_dir() and _clouds_folder(path) is not None,
+    _load,
+    _groundtruth,
+)

@@ -25,11 +25,6 @@ _NAME = rf"{_DRIVE}(\d{{16}})\.pcd\.bin"
 _ROWS = Rows(row_of("x f4, y f4, z f4, intensity f4, ring f4"))
 
 
-def looks_like_nuscenes(path: Path, head: bytes) -> bool:
-    """Whether a path is the folder of the sweeps, or one that holds it."""
-    return path.is_dir() and bool(_places(path))
-
-
 def _places(path: Path) -> list[Path]:
     """Folders of clouds: of the key frames of a drive are in one, all others in another."""
     inside = (path, *(path / kind / _LIDAR for kind in ("samples", "sweeps")), path / _LIDAR)
@@ -45,7 +40,7 @@ def _load(path: Path, account: Account) -> Contents:
     """The clouds of the first drive by its name; the lidar is the robot's frame."""
     files: list[StampedFile] = []
     for place in _places(path):
-        files += clouds_by_name(place, _NAME, account, lambda match: by_its_size(int(match[2])))
+        files += clouds_by_name(place, account, _NAME, lambda match: by_its_size(int(match[2])))
     files.sort(key=lambda file: file.stamp_s)
     drives = sorted({_drive(file) for file in files})
     if len(drives) > 1:
@@ -60,4 +55,8 @@ def _drive(file: StampedFile) -> str:
     return file.path.name.partition("__")[0]
 
 
-FORMAT = recorded("nuScenes sweeps", looks_like_nuscenes, _load, lambda path, account: None)
+FORMAT = recorded(
+    "nuScenes sweeps",
+    lambda path, head: path.is_dir() and bool(_places(path)),
+    _load,
+)

@@ -53,11 +53,6 @@ def T_depth_color() -> gtsam.Pose3:
     return pose_from_matrix(matrix)
 
 
-def looks_like_nyu_dumps(path: Path, head: bytes) -> bool:
-    """Whether a path is the folder of one scene."""
-    return path.is_dir() and any(path.glob("d-*-*.pgm")) and any(path.glob("r-*-*.ppm"))
-
-
 def _load(path: Path, account: Account) -> Contents:
     """Colour and depth that are nearest in time."""
     colors, depths = (_images(path, f"{kind}-*-*.p[gp]m", account) for kind in "rd")
@@ -99,4 +94,8 @@ class _Dumps:
         return self._camera.fitted(FILES.color(file, budget), self._latest, intrinsics)
 
 
-FORMAT = recorded("NYU raw dumps", looks_like_nyu_dumps, _load, lambda path, account: None)
+FORMAT = recorded(
+    "NYU raw dumps",
+    lambda path, head: path.is_dir() and any(path.glob("d-*-*.pgm")) and any(path.glob("r-*-*.ppm")),
+    _load,
+)

@@ -31,11 +31,11 @@ _UNREAD = (
     (r"oni", "is of OpenNI; play it by openni2_launch, and record a bag"),
     (r"rawlog", "is a log of MRPT; play it by mrpt_rawlog's rawlog_play_node, and record a bag"),
     (
-        r"pcd|ply|la[sz]|e57|obj|bin",
-        "is a single cloud; give a folder of clouds with their stamps in times.txt",
+        r"pcd|ply|la[sz]|e57|obj|bin|glb|gltf|stl|usd[az]?|usdz",
+        "is a single cloud or mesh; give a folder of clouds with their stamps in times.txt",
     ),
     (
-        r"posegraph|pbstream|g2o|pgm|ya?ml",
+        r"posegraph|pbstream|g2o|graph|toro|pgm|ya?ml",
         "is a map or a setting; give the recording that it was made from, the bag",
     ),
 )

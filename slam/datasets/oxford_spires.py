@@ -41,7 +41,7 @@ def _load(path: Path, account: Account) -> Contents:
     place = _place(path)
     assert place is not None
     account.report.note(STAMPS_IN_NAMES.format(place=place.name), 1)
-    files = clouds_by_name(place, _NAME, account, _stamp)
+    files = clouds_by_name(place, account, _NAME, _stamp)
     clouds, imu = CloudFolder(tuple(files)).numbered(account), imu_file(path) or imu_file(place)
     return Contents(log=beside_imu(clouds, imu, account))
 

@@ -81,6 +81,4 @@ def _scan(data: list[bytes], stamp: bytes) -> list[bytes]:
     raise RecordFault(WRONG_COUNT, f"{len(data)} values of a scan")
 
 
-FORMAT = recorded(
-    "log of Player", lambda path, head: head.startswith(_HEAD), _load, lambda path, account: None
-)
+FORMAT = recorded("log of Player", lambda path, head: head.startswith(_HEAD), _load)

@@ -1,4 +1,4 @@
-"""The time of each point of a cloud, whatever the driver called it and in which unit."""
+"""Time and intensity of each point of a cloud, whatever the driver called them and in which unit."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from fusion.estimation import FEWEST
 from slam.datasets.dataset import WARNING
-from slam.measurements import FloatArray
+from slam.measurements import Float32Array, FloatArray
 
 # Ouster, Velodyne, Hesai and RoboSense, Livox, and what their users call it.
 _NAMES = (
@@ -24,6 +24,8 @@ _NAMES = (
     "time_stamp",
     "times",
 )
+# Drivers, PCL, CloudCompare; a reflectivity is one whose range is reckoned out.
+_INTENSITIES = "intensity", "intensities", "i", "scalar_intensity", "reflectivity", "reflectance", "remission"
 _UNITS_S = {"seconds": 1.0, "milliseconds": 1e-3, "microseconds": 1e-6, "nanoseconds": 1e-9}
 # A turn of any lidar takes longer than the first and less than the second; they lie one unit apart.
 _SHORTEST_TURN_S, LONGEST_TURN_S = 0.002, 2.0
@@ -106,3 +108,20 @@ class PointTimes:
                 self.choice = f"times of points from field {found[0]} ({kind}), {unit} {after}"
                 return
         self.choice = f"times of points in field {found[0]} span {span:g}, which is no revolution: not used"
+
+
+def intensities_of(names: Iterable[str], column: Callable[[str], NDArray[Any]]) -> Float32Array | None:
+    """Return (N,) in the sensor's own steps; None if the cloud has none, or only zeros.
+
+    Parameters
+    ----------
+    names
+        The fields of its points.
+    column
+        The values of a field, (N,).
+    """
+    own = {name.lower(): name for name in names}
+    found = next((own[name] for name in _INTENSITIES if name in own), None)
+    values = np.zeros(0) if found is None else column(found)
+    with np.errstate(invalid="ignore", over="ignore"):
+        return values.astype(np.float32) if values.any() else None

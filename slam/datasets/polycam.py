@@ -12,20 +12,15 @@ from slam.datasets.calibration import Calibration, pose_from_matrix, read_calibr
 from slam.datasets.dataset_format import recorded
 from slam.datasets.image_files import ImageFiles
 from slam.datasets.lens_files import json_object, lens_of_json, median_lens
-from slam.datasets.numbered_frames import numbered_camera, numbered_files
+from slam.datasets.numbered_frames import at_rate, numbered_camera, numbered_files
 from slam.datasets.pose_files import BAD_MATRIX, COMPARED, T_ARKIT_OPTICAL, trajectory_of
 from slam.datasets.recording import Contents
 from slam.errors import DatasetError
 from slam.estimates import Trajectory
 from slam.measurements import CameraIntrinsics
 
-_TICK_S = 1e-6  # names of files are microseconds since the phone started
+_stamp = at_rate(1e6)  # names of files are microseconds since the phone started
 _STAMPED = r"(\d{1,18})\.%s"
-
-
-def looks_like_polycam(path: Path, head: bytes) -> bool:
-    """Whether a path is the folder of one scan, or its ``keyframes``."""
-    return all((_keyframes(path) / name).is_dir() for name in ("cameras", "images"))
 
 
 def _check(path: Path) -> None:
@@ -46,11 +41,6 @@ def _load(path: Path, account: Account) -> Contents:
     depths = numbered_files(inside / "depth", _STAMPED % "png")
     source = ImageFiles(inside / "confidence")
     return Contents([numbered_camera(colors, depths, calibration, account, _stamp, source)])
-
-
-def _stamp(number: int) -> float:
-    """Seconds."""
-    return number * _TICK_S
 
 
 def _keyframes(path: Path) -> Path:
@@ -90,4 +80,10 @@ def _truth(path: Path, account: Account) -> Trajectory | None:
     return trajectory_of(found)
 
 
-FORMAT = recorded("Polycam raw data", looks_like_polycam, _load, _truth, _check)
+FORMAT = recorded(
+    "Polycam raw data",
+    lambda path, head: all((_keyframes(path) / name).is_dir() for name in ("cameras", "images")),
+    _load,
+    _truth,
+    _check,
+)

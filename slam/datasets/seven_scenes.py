@@ -8,7 +8,7 @@ Learning for 3D Scene Labeling" (RGB-D Scenes v2).
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -41,36 +41,25 @@ _SEVEN = Calibration(
 )
 
 
-@dataclass(frozen=True, slots=True)
-class _Names:
-    """How colour and depth files are called, and the camera that the publishers tell."""
-
-    pattern: str
-    calibration: Calibration
-
-
-_KNOWN = (
-    _Names(r"frame-(\d{1,9})\.%s\.(?:png|jpe?g|pgm)", _SEVEN),
-    _Names(
-        r"(\d{1,9})-%s\.png", Calibration(CameraIntrinsics(570.3, 570.3, 320.0, 240.0, 640, 480), 10_000.0)
-    ),
-)
+# The names of colour and depth files, and the camera that the publishers specify.
+_KNOWN = {
+    r"frame-(\d{1,9})\.%s\.(?:png|jpe?g|pgm)": _SEVEN,
+    r"(\d{1,9})-%s\.png": Calibration(CameraIntrinsics(570.3, 570.3, 320.0, 240.0, 640, 480), 10_000.0),
+}
 
 
-def _names(folder: Path) -> _Names | None:
+def _names(folder: Path) -> str | None:
     """How the frames of a folder are called."""
     kinds = ("color", "depth")
-    return next(
-        (one for one in _KNOWN if any(numbered_files(folder, one.pattern % kind) for kind in kinds)), None
-    )
+    return next((one for one in _KNOWN if any(numbered_files(folder, one % kind) for kind in kinds)), None)
 
 
 def _camera(folder: Path, account: Account) -> Camera:
     """Colour and depth of the same number are a pair; frame N is N / 30 s old."""
     names = _names(folder)
     assert names is not None
-    colors, depths = (numbered_files(folder, names.pattern % kind) for kind in ("color", "depth"))
-    calibration = with_own_calibration(folder, _calibration(folder, names.calibration))
+    colors, depths = (numbered_files(folder, names % kind) for kind in ("color", "depth"))
+    calibration = with_own_calibration(folder, _calibration(folder, _KNOWN[names]))
     return numbered_camera(colors, depths, calibration, account, at_rate())
 
 

@@ -60,11 +60,6 @@ class _VideoAndDepth:
         return self.depths.depth(file, calibration, budget)
 
 
-def looks_like_stray_scanner(path: Path, head: bytes) -> bool:
-    """Whether a path is a folder of one scan."""
-    return all((path / name).is_file() for name in (_VIDEO, _POSES)) and (path / "depth").is_dir()
-
-
 def _load(path: Path, account: Account) -> Contents:
     """A folder of one scan; depth that ARKit has no trust in is left out."""
     account.report.note(COMPARED, 1)
@@ -142,4 +137,11 @@ def _truth(path: Path, account: Account) -> Trajectory | None:
     return trajectory_of((row.stamp_s, row.T_world_optical) for row in _rows(path / _POSES, account).values())
 
 
-FORMAT = recorded("Stray Scanner scan", looks_like_stray_scanner, _load, _truth)
+FORMAT = recorded(
+    "Stray Scanner scan",
+    lambda path, head: (
+        all((path / name).is_file() for name in (_VIDEO, _POSES)) and (path / "depth").is_dir()
+    ),
+    _load,
+    _truth,
+)

@@ -5,7 +5,6 @@ Wang et al. 2020, "TartanAir: A Dataset to Push the Limits of Visual SLAM".
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from pathlib import Path
 
 import gtsam
@@ -27,27 +26,11 @@ _T_NED_OPTICAL = gtsam.Pose3(gtsam.Rot3(np.array([[0.0, 0, 1], [1, 0, 0], [0, 1,
 _POSES = PoseTable(stamp_units_s=(), position=0, rotation=3)
 
 
-@dataclass(frozen=True, slots=True)
-class _Release:
-    """Where one of the two has its files; both have a field of view of 90 degrees across."""
-
-    colors: str
-    depths: str
-    poses: str
-    lens: CameraIntrinsics
-
-
-_RELEASES = (
-    _Release(
-        "image_left", "depth_left", "pose_left.txt", CameraIntrinsics(320.0, 320.0, 320.0, 240.0, 640, 480)
-    ),
-    _Release(
-        "image_lcam_front",
-        "depth_lcam_front",
-        "pose_lcam_front.txt",
-        CameraIntrinsics(320.0, 320.0, 320.0, 320.0, 640, 640),
-    ),
-)
+# The camera in the names of files of both releases, and its lens of 90 degrees across.
+_RELEASES = {
+    "left": CameraIntrinsics(320.0, 320.0, 320.0, 240.0, 640, 480),
+    "lcam_front": CameraIntrinsics(320.0, 320.0, 320.0, 320.0, 640, 640),
+}
 
 
 def _load(path: Path, account: Account) -> Contents:
@@ -55,23 +38,23 @@ def _load(path: Path, account: Account) -> Contents:
     release = _release(path)
     assert release is not None
     account.report.note(NO_STAMPS.format(rate=_RATE_HZ), 1)
-    colors = numbered_files(path / release.colors, r"(\d{1,9})_\w+\.(?:png|jpe?g)")
-    depths = numbered_files(path / release.depths, r"(\d{1,9})_\w+\.(?:npy|png)")
-    calibration = read_calibration(path, Calibration(release.lens, 1.0))
+    colors = numbered_files(path / f"image_{release}", r"(\d{1,9})_\w+\.(?:png|jpe?g)")
+    depths = numbered_files(path / f"depth_{release}", r"(\d{1,9})_\w+\.(?:npy|png)")
+    calibration = read_calibration(path, Calibration(_RELEASES[release], 1.0))
     source = ImageFiles(float_png=True)
     return Contents([numbered_camera(colors, depths, calibration, account, at_rate(_RATE_HZ), source)])
 
 
-def _release(path: Path) -> _Release | None:
+def _release(path: Path) -> str | None:
     """Which of the two it is."""
-    places = ((path / one.colors, path / one.depths, one) for one in _RELEASES)
-    return next((one for colors, depths, one in places if colors.is_dir() and depths.is_dir()), None)
+    kinds = ("image", "depth")
+    return next((one for one in _RELEASES if all((path / f"{kind}_{one}").is_dir() for kind in kinds)), None)
 
 
 def _groundtruth(path: Path, account: Account) -> Trajectory | None:
     """Of the optical frame; the world stays north-east-down."""
     release = _release(path)
-    file = path / release.poses if release else path
+    file = path / f"pose_{release}.txt" if release else path
     rows = _POSES.rows(file, account) if file.is_file() else ()
     return trajectory_of((k / _RATE_HZ, pose.compose(_T_NED_OPTICAL)) for k, (_, _, pose) in enumerate(rows))
 

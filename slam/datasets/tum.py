@@ -34,7 +34,8 @@ _PUBLISHED = {
     "rgbd_bonn": CameraIntrinsics(542.822841, 542.576870, 315.593520, 237.756098, 640, 480),
 }
 ASSUMED = (
-    "intrinsics assumed (525 525 319.5 239.5 at 640 x 480); give a calibration.yaml, or --calibration FILE"
+    "intrinsics assumed (525 525 319.5 239.5 at 640 x 480), and 5000 depth steps per metre; give a "
+    "calibration.yaml, or --calibration FILE"
 )
 
 

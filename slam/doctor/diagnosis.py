@@ -89,6 +89,7 @@ def examine(log: Iterable[Measurement], registrations: Registrations | None = No
         samples = Samples.of(log)
     findings, unknown = _stamps(samples), list[str]()
     vouched_for = False  # the IMUs, by a 2D lidar
+    agrees = False  # the wheel odometry, with one of several 2D lidars
     wheels = max(samples.wheels.items(), key=lambda item: item[1].count, default=None)
     for name, lidar in samples.lidars.items():
         hangs = wheels is not None and lidar.repeats.driven(wheels[1].rows())
@@ -105,6 +106,7 @@ def examine(log: Iterable[Measurement], registrations: Registrations | None = No
         side = 0.0 if by_imus is None else handed(by_imus)
         pair = Pair(wheels[0], name, wheels[1].rows(), alone.stretches, alone.scale, side)
         found, left_open = _beside_wheels(log, pair, alone, lidar.interval_s.median() or 0.0, config)
+        agrees = agrees or not (found or left_open)
         findings += found
         unknown += left_open
         own = [
@@ -114,6 +116,8 @@ def examine(log: Iterable[Measurement], registrations: Registrations | None = No
             # What contradicts the IMU is the lidar's own mistake.
             by_imus = _by_imus(samples, track_stretches(_mended(alone.stretches, own), config), config)
         findings += by_imus or []
+    if agrees:
+        findings = [_of_the_lidar(one) for one in findings]
     vouched = any(lidar.stretches for lidar in samples.lidars.values()) and not unknown
     findings += _in_space(samples, wheels, findings, vouched=vouched)
     lenses = [one.sensor for one in findings if one.kind == "lens"]
@@ -236,6 +240,24 @@ def _mended(stretches: list[list[LaserScan]], findings: list[Finding]) -> list[l
     """Scans as findings have them."""
     by = remedied(Calibration(), findings, only_sure=False)
     return [cast(list[LaserScan], list(corrected(scans, by))) for scans in stretches]
+
+
+def _of_the_lidar(finding: Finding) -> Finding:
+    """A clock that wheel odometry and a lidar disagree on, if another lidar agrees with the wheels."""
+    if finding.kind != "clock" or len(finding.remedies) < 2:
+        return finding
+    (name,) = finding.remedies[1]["lidars"]
+    ahead_s, (low_s, high_s) = -(finding.value or 0.0), finding.interval or (0.0, 0.0)
+    return replace(
+        finding,
+        sensor=name,
+        text=f"its clock is ahead of {finding.sensor}'s by {ahead_s:+.2f} s (95 %: {-high_s:+.2f} to "
+        f"{-low_s:+.2f}); another lidar agrees with {finding.sensor}",
+        effect="its scans are placed where the robot was at another time",
+        remedies=finding.remedies[1:],
+        value=ahead_s,
+        interval=(-high_s, -low_s),
+    )
 
 
 def _or_upside_down(finding: Finding, lidar: str) -> Finding:

@@ -85,8 +85,9 @@ class ImuReadings:
         return bool(self._steps_s) and step_s > _GAP * self._usual_s
 
     def mean(self, begin_s: float, end_s: float) -> FloatArray:
-        """Return (6,) the mean angular rate and force, IMU frame."""
-        return np.asarray(self._between(begin_s, end_s)[1].mean(axis=0))
+        """Return (6,) the mean angular rate and force, IMU frame; in a gap, those at its ends."""
+        told = self._between(begin_s, end_s)[1]
+        return np.asarray((told if len(told) else self._with_ends(begin_s, end_s)[1]).mean(axis=0))
 
     def parameters(self) -> gtsam.PreintegrationCombinedParams:
         """Return the parameters of GTSAM's preintegration, with noise from neighbouring readings."""

@@ -21,6 +21,8 @@ from tools.pack_layouts import put
         ("room.svo2", "svo_path"),
         ("day.rawlog", "rawlog_play_node"),
         ("scan.ply", "a single cloud"),
+        ("room.usdz", "a single cloud or mesh"),
+        ("poses.graph", "a map or a setting"),
         ("map.pbstream", "a map or a setting"),
         ("what.xyz", "no known format"),
     ],

@@ -54,6 +54,21 @@ def test_a_mistake_is_named_with_what_mends_it(name: str) -> None:
     assert diagnose(corrected(wrong, mended)) == []
 
 
+@pytest.mark.parametrize("late", ["FRONT", "FLASER"])
+def test_of_two_lidars_the_one_that_the_wheels_contradict_has_the_wrong_clock(late: str) -> None:
+    """Until then the wheel odometry was moved, and half of the poses were wrong without a word."""
+    front = [replace(one, sensor="FRONT") for one in sound() if isinstance(one, LaserScan)]
+    both = sorted([*sound(), *front], key=lambda one: one.stamp_s)
+    (finding,) = diagnose(
+        [replace(one, stamp_s=one.stamp_s + 0.4) if one.sensor == late else one for one in both]
+    )
+    assert finding.kind == "clock" and finding.sensor == late and finding.sure
+    ((kind, entries),) = finding.remedies[0].items()
+    assert kind == "lidars" and entries[late]["clock_offset_s"] == pytest.approx(0.4, abs=0.06)
+    low, high = finding.interval or (0.0, 0.0)
+    assert low < 0.4 < high
+
+
 @pytest.mark.parametrize(("until_s", "kinds"), [(1025.0, ["repeated scans"]), (1020.3, [])])
 def test_scans_that_hang_are_told_where_the_wheels_drive_on(until_s: float, kinds: list[str]) -> None:
     last = next(one for one in sound() if isinstance(one, LaserScan) and one.stamp_s > 1020.0)

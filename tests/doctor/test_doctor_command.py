@@ -51,6 +51,15 @@ def test_the_doctor_tells_writes_and_the_map_takes_it(
     assert mended.code == 0 and "perhaps" not in mended.err and "(used)" not in mended.out
 
 
+def test_records_that_cannot_be_read_are_no_clean_log(
+    scanweave: Scanweave, in_mm: Path, tmp_path: Path
+) -> None:
+    """The doctor found no error in a log of which no scan could be read."""
+    log = tmp_path / "damaged.log"
+    log.write_text(in_mm.read_text().replace("FLASER ", "FLASER -"))
+    assert "not judged: records that cannot be read" in scanweave("doctor", log).out
+
+
 def test_a_wrong_calibration_ends_in_a_line(scanweave: Scanweave, in_mm: Path, tmp_path: Path) -> None:
     file = tmp_path / "wrong.yaml"
     file.write_text("lidars: {REAR: {upside_down: true}}\n")

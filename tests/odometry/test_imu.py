@@ -207,6 +207,7 @@ def test_a_reading_that_is_not_later_is_left_out() -> None:
     for stamp_s in (0.0, 0.01, 0.01, 0.005, 0.02):
         held.add(ImuReading(stamp_s, np.zeros(3), -9.8 * DOWN))
     assert held.newest_s == 0.02 and held.covers(0.0, 0.02) and not held.covers(0.0, 5.0)
+    assert np.allclose(held.mean(0.021, 0.023)[3:], -9.8 * DOWN)  # a mean of nothing was no number
 
 
 def test_where_a_clock_is_set_back_it_begins_anew() -> None:

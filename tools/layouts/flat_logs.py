@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from backports import zstd
 
 from tools.layouts import messages as ros
 from tools.layouts.camera_bags import LENS, looked_at, mm
@@ -244,24 +244,20 @@ def _split_bag(folder: Path) -> Sample:
     return Sample(place, scans=(truth,), wheels=COUNT)
 
 
-@layout("rosbag2, zstd by file", "2D robots", "github.com/ros2/rosbag2 README: compression mode file")
-def _zstd_file(folder: Path) -> Sample:
-    said: list[Sent] = []
-    truth = _basic(said)
-    place = ros.ros2(folder / "z", said, packed="FILE")
+def _zstd(by: str) -> Callable[[Path], Sample]:
+    """A bag that its recorder compressed, by file or by message."""
 
-    def unpack() -> None:
-        (file,) = place.glob("*.zstd")
-        file.with_suffix("").write_bytes(zstd.decompress(file.read_bytes()))
+    def write(folder: Path) -> Sample:
+        said: list[Sent] = []
+        truth = _basic(said)
+        return Sample(ros.ros2(folder / "z", said, packed=by), scans=(truth,), wheels=COUNT)
 
-    return Sample(place, scans=(truth,), wheels=COUNT, by_hand=("zstd -d", unpack))
+    return write
 
 
-@layout("rosbag2, zstd by message", "2D robots", "github.com/ros2/rosbag2 README: compression mode message")
-def _zstd_message(folder: Path) -> Sample:
-    said: list[Sent] = []
-    truth = _basic(said)
-    return Sample(ros.ros2(folder / "z", said, packed="MESSAGE"), scans=(truth,), wheels=COUNT)
+for _by in ("file", "message"):
+    _source = f"github.com/ros2/rosbag2 README: compression mode {_by}"
+    layout(f"rosbag2, zstd by {_by}", "2D robots", _source)(_zstd(_by.upper()))
 
 
 def _carmen(kind: str) -> str:

@@ -15,8 +15,7 @@ from slam.datasets.bags.decoding import stamp_of
 from slam.datasets.budget import LARGEST_BYTES
 from slam.datasets.cloud_files import is_return
 from slam.datasets.dataset import RecordFault
-from slam.datasets.point_intensity import intensities_of
-from slam.datasets.point_times import LONGEST_TURN_S, PointTimes
+from slam.datasets.point_times import LONGEST_TURN_S, PointTimes, intensities_of
 from slam.measurements import Float32Array, Measurement, PointCloud
 
 BAD_LAYOUT = "point cloud with an impossible layout"

@@ -3,13 +3,46 @@
 from __future__ import annotations
 
 import bz2
+from contextlib import suppress
+from pathlib import Path
 from typing import Any
 
 from slam.datasets.bags.records import DAMAGED, Channel
 from slam.datasets.budget import LARGEST_BYTES, Budget
 from slam.datasets.dataset import RecordFault
+from slam.errors import DatasetError
+from slam.foreign import plain
 
+PACKED = (".zstd", ".zst")  # endings of files that the recorder compressed as a whole
+_PIECE_BYTES = 1 << 20
 _ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"  # no serialised message begins so: CDR with 0, ROS 1 with a count
+
+
+def unpacked_file(path: Path, folder: Path) -> Path:
+    """A file that was compressed as a whole, unpacked into a folder, up to where it is cut off or damaged.
+
+    Raises
+    ------
+    DatasetError
+        It cannot be read or written, or unpacks to more than any log.
+    """
+    if path.suffix.lower() not in PACKED:
+        return path
+    from slam.zstandard import zstd
+
+    unpacked = folder / path.stem
+    try:
+        budget = Budget(path.stat().st_size)
+        with zstd.open(path) as packed, unpacked.open("wb") as file, suppress(EOFError, zstd.ZstdError):
+            while chunk := packed.read1(_PIECE_BYTES):
+                budget.take(len(chunk), 0)
+                file.write(chunk)
+    except (OSError, RecordFault) as error:
+        raise DatasetError(
+            f"cannot unpack {path} into {folder.parent}: {plain(error)}; set TMPDIR to a folder with "
+            f"free space, or unpack it by hand: zstd -d {path}"
+        ) from error
+    return unpacked
 
 
 def unpacked_chunk(packed: bytes, compression: str, size: int, budget: Budget, *, cut: bool = False) -> bytes:

@@ -15,13 +15,12 @@ from slam.datasets.bags.figures import BagFigures
 from slam.datasets.bags.files import Bag, find_bag
 from slam.datasets.bags.imu import JoinedImu
 from slam.datasets.bags.layout import Layout, frames_of, layout_of
-from slam.datasets.bags.mending import mended
 from slam.datasets.bags.ouster import Ousters
 from slam.datasets.bags.pairing import ImagePair, PairStream, StampedImage
 from slam.datasets.bags.records import BagRecord
 from slam.datasets.bags.survey import Survey, restamp, survey_bag
 from slam.datasets.bags.time_merge import TimeMerge
-from slam.datasets.bags.topics import IMAGES, OUSTER, TRANSFORMS
+from slam.datasets.bags.topics import IMAGES, OUSTER, TRANSFORMS, mended
 from slam.datasets.bags.truth import read_truth, truth_topic
 from slam.datasets.budget import Budget
 from slam.datasets.calibration_files import known_beside
@@ -32,7 +31,7 @@ from slam.foreign import plain
 from slam.measurements import Measurement, RgbdFrame
 from slam.vision.prefetch import prefetched
 
-NO_FIELD = "message without a field of its type"
+NO_FIELD = "a field of the message is missing or has an impossible value"
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -126,9 +126,11 @@ def _made_of(survey: Survey, scan: str) -> str | None:
 
 
 def _scan_rank(survey: Survey, topic: str) -> tuple[Any, ...]:
-    """The wider view first, then the farther."""
+    """Those whose mounting tf tells first, then the wider view, then the farther."""
+    base, frame = survey.base_frame(), survey.frames.get(topic, "")
+    lost = base is not None and survey.tree.between(base, frame) is None and frame != base
     span_rad, range_m = survey.scans.get(topic, (0.0, 0.0))
-    return -round(math.degrees(span_rad)), -range_m, topic
+    return lost, -round(math.degrees(span_rad)), -range_m, topic
 
 
 def _cloud_rank(survey: Survey, topic: str) -> tuple[Any, ...]:

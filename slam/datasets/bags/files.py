@@ -10,7 +10,7 @@ from pathlib import Path
 
 from slam.datasets.account import Account
 from slam.datasets.bags import mcap, rosbag1, sqlite
-from slam.datasets.bags.compression import unpacked_message
+from slam.datasets.bags.compression import PACKED, unpacked_file, unpacked_message
 from slam.datasets.bags.records import BagRecord, Channel, Container
 from slam.datasets.bags.topics import IMU, OUSTER
 from slam.datasets.budget import Budget
@@ -18,6 +18,7 @@ from slam.datasets.log_file import files_inside
 from slam.datasets.sqlite_reading import SQLITE_MAGIC
 from slam.errors import DatasetError
 from slam.foreign import from_yaml
+from slam.temporary import TemporaryFolder
 
 _INDEX = "metadata.yaml"
 _INDEX_TITLE = "rosbag2_bagfile_information"
@@ -33,6 +34,7 @@ class Bag:
     path: Path
     parts: tuple[Path, ...]
     containers: tuple[Container, ...]
+    unpacked: TemporaryFolder | None = None  # holds the parts if they were compressed as whole files
 
     def announced(self) -> list[Channel] | None:
         """All channels by the files' indexes; None where one of them has none, as a cut-off file."""
@@ -83,7 +85,7 @@ def looks_like_bag(path: Path, head: bytes) -> bool:
     """Whether a path is a ROS bag: a file by its first bytes (or its name), a folder by its files."""
     if path.is_dir():
         return bool(_parts_inside(path) or _listed(path / _INDEX))
-    packed = path.suffix.lower() in (".zstd", ".zst") and Path(path.stem).suffix in _SUFFIXES
+    packed = path.suffix.lower() in PACKED and Path(path.stem).suffix in _SUFFIXES
     return _container_of(path) is not None or path.suffix.lower() in _SUFFIXES or packed
 
 
@@ -95,23 +97,19 @@ def find_bag(path: Path) -> Bag:
     DatasetError
         Files are missing, of no known kind, or of several recordings.
     """
-    parts = [path] if path.is_file() else _parts_of_one(path)
+    files = [path] if path.is_file() else _parts_of_one(path)
+    folder = TemporaryFolder() if any(file.suffix.lower() in PACKED for file in files) else None
+    parts = [unpacked_file(file, folder.path) if folder else file for file in files]
     containers = []
-    for part in parts:
+    for file, part in zip(files, parts, strict=True):
         container = _container_of(part)
         if container is None:
             raise DatasetError(
-                f"{part} does not begin as a bag (ROS 1 .bag 2.0, .db3 or .mcap); copy it again, "
-                f"and unpack it where it is compressed as a whole{_unpacking(part)}"
+                f"{file} does not begin as a bag (ROS 1 .bag 2.0, .db3 or .mcap); copy it again, "
+                "or unpack it if it is compressed as a whole"
             )
         containers.append(container)
-    return Bag(path, tuple(parts), tuple(containers))
-
-
-def _unpacking(path: Path) -> str:
-    """The command that unpacks a file, by its name."""
-    tool = {".zstd": "zstd -d", ".zst": "zstd -d", ".gz": "gunzip", ".bz2": "bunzip2", ".xz": "unxz"}
-    return f": {tool[path.suffix]} {path}" if path.suffix in tool else ""
+    return Bag(path, tuple(parts), tuple(containers), folder)
 
 
 def _container_of(path: Path) -> Container | None:

@@ -15,7 +15,7 @@ from fusion.time_alignment import GAP_S
 from slam.datasets.bags.decoding import stamp_of
 from slam.datasets.bags.topics import shared
 from slam.datasets.dataset import RecordFault
-from slam.datasets.imu_units import ForceUnit
+from slam.datasets.imu_files import ForceUnit
 from slam.datasets.wheels_between import WHEELS_KEPT
 from slam.measurements import FloatArray, ImuReading, Measurement
 

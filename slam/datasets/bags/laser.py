@@ -21,20 +21,21 @@ from slam.datasets.laser_geometry import (
 )
 from slam.measurements import FloatArray, LaserScan
 
-BAD_ANGLES = "scan with invalid angles"
+BAD_ANGLES = "angles of the scan are impossible (in degrees, or without an increment)"
 UPRIGHT = "laser not level: its plane is nearly vertical"
 
 _LEVEL = math.cos(math.radians(45.0))
 _TURN_RAD = 2.0 * math.pi
-_ANGLE_TOLERANCE_RAD = 0.1
+ANGLE_TOLERANCE_RAD = 0.1
 
 
 @dataclass(frozen=True, slots=True)
 class LaserMount:
-    """How a laser sits: on the robot's plane, and whether it hangs upside down."""
+    """How a laser sits: on the robot's plane, whether it hangs upside down, and how far it is tilted."""
 
     T_base_laser: gtsam.Pose2
     inverted: bool = False
+    tilt_rad: float = 0.0
 
     @classmethod
     def of(cls, pose: gtsam.Pose3) -> LaserMount:
@@ -49,7 +50,7 @@ class LaserMount:
         if abs(axes[2, 2]) < _LEVEL:
             raise RecordFault(UPRIGHT, f"tilted by {math.degrees(math.acos(abs(axes[2, 2]))):.0f} degrees")
         flat = gtsam.Pose2(pose.x(), pose.y(), math.atan2(axes[1, 0], axes[0, 0]))
-        return cls(flat, bool(axes[2, 2] < 0.0))
+        return cls(flat, bool(axes[2, 2] < 0.0), math.acos(min(abs(axes[2, 2]), 1.0)))
 
 
 def scan_from(message: Any, mount: LaserMount, topic: str, told_alike: ToldAlike) -> LaserScan:
@@ -70,7 +71,7 @@ def scan_from(message: Any, mount: LaserMount, topic: str, told_alike: ToldAlike
     if not ranges_m.size:
         raise RecordFault(ZERO_BEAMS, topic)
     span = abs(step_rad) * (ranges_m.size - 1)
-    wide = span <= _TURN_RAD + _ANGLE_TOLERANCE_RAD and (span > 0.0 or ranges_m.size == 1)
+    wide = span <= _TURN_RAD + ANGLE_TOLERANCE_RAD and (span > 0.0 or ranges_m.size == 1)
     if not (abs(start_rad) <= 2.0 * _TURN_RAD and wide):
         raise RecordFault(BAD_ANGLES, f"{start_rad} and {step_rad} for {ranges_m.size} beams")
     stated_m, least_m = _as_meant(message.range_max), _as_meant(message.range_min)

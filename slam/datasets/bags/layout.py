@@ -17,9 +17,8 @@ from slam.datasets.bags.evidence import evidence_of, never_read
 from slam.datasets.bags.files import Bag
 from slam.datasets.bags.gnss import gnss_reader
 from slam.datasets.bags.imu import NO_FORCES, ImuReader, JoinedImu, paired_halves
-from slam.datasets.bags.laser import LaserMount, scan_from
+from slam.datasets.bags.laser import ANGLE_TOLERANCE_RAD, LaserMount, scan_from
 from slam.datasets.bags.lens import Lens, lens_of
-from slam.datasets.bags.mending import mended
 from slam.datasets.bags.ouster_model import OusterModel
 from slam.datasets.bags.survey import Survey, clock_shifts, count_messages
 from slam.datasets.bags.topics import (
@@ -31,6 +30,7 @@ from slam.datasets.bags.topics import (
     choose,
     is_rectified,
     is_registered,
+    mended,
 )
 from slam.datasets.bags.truth import IS_TRUTH, TRUTHS, is_truth
 from slam.datasets.bags.wheels import wheel_reader, wheels_from_tf
@@ -258,6 +258,12 @@ def _scan_reader(survey: Survey, layout: Layout, topic: str) -> Callable[[Any], 
             mount = LaserMount.of(pose)
         except RecordFault as fault:
             raise DatasetError(f"{topic}: {fault}; name other topics with --topics") from fault
+    if mount.tilt_rad > ANGLE_TOLERANCE_RAD:
+        long = 1.0 / math.cos(mount.tilt_rad) - 1.0
+        text = (
+            f"{topic}: by tf the laser is tilted by {math.degrees(mount.tilt_rad):.0f} degrees; it is taken"
+        )
+        layout.notes.append(f"{WARNING}{text} as level: ranges are up to {long:.0%} too long")
     if mount.inverted:
         layout.notes.append(f"{topic}: the laser is mounted upside down; its beams are reversed")
     told_alike = ToldAlike()

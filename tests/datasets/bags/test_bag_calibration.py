@@ -71,6 +71,15 @@ def test_our_own_file_places_the_camera_and_tells_its_unit(tmp_path: Path) -> No
     assert not any("not known" in note for note in notes)
 
 
+def test_the_calibration_of_images_is_not_that_of_the_bag_beside_them(tmp_path: Path) -> None:
+    """A simulated drive has both; by the unit of its images the depth of its bag was a fifth."""
+    log = write_bag(tmp_path / "log", "mcap", CAMERA)
+    for name in ("rgb.txt", "depth.txt"):
+        (tmp_path / name).write_text("")
+    (tmp_path / "calibration.yaml").write_text("depth_steps_per_m: 5000\n")
+    assert np.allclose(frame_of(log)[0].depth_m, 2.0)
+
+
 def scan_mount(log: Path, **more: Any) -> tuple[gtsam.Pose2, list[str]]:
     dataset = open_dataset(log, **more)
     (found,) = dataset

@@ -13,6 +13,7 @@ from slam.datasets import open_dataset
 from slam.datasets.bags.decoding import _built_in
 from slam.errors import DatasetError
 from slam.measurements import LaserScan, PointCloud, RgbdFrame
+from slam.zstandard import zstd
 
 
 def read(tmp_path: Path, sent: list[Sent], *topics: str) -> tuple[list[Any], Any]:
@@ -115,10 +116,25 @@ def test_drivers_messages_are_known_without_a_definition_in_the_bag(kind: str) -
     assert _built_in("cdr", kind) is not None
 
 
-def test_a_bag_that_is_packed_as_a_whole_has_its_command(tmp_path: Path) -> None:
+@pytest.mark.parametrize("kept", [1.0, 0.9])
+def test_a_bag_that_was_compressed_as_a_whole_is_read_up_to_a_cut(tmp_path: Path, kept: float) -> None:
+    noise = np.random.default_rng(0).uniform(1.0, 2.0, (200, 900))
+    sent = [scan(stamp_s=START_S + k, angle_increment=0.002, ranges=row) for k, row in enumerate(noise)]
+    file = write_bag(tmp_path / "log", "mcap", sent)
+    packed = zstd.compress(file.read_bytes())
+    file.unlink()
+    file = tmp_path / "log.mcap.zstd"
+    file.write_bytes(packed[: int(kept * len(packed))])
+    log = open_dataset(file)
+    count = len(list(log))
+    assert count == len(sent) if kept == 1.0 else len(sent) / 2 < count < len(sent)
+    assert (log.report.dropped_count > 0) == (kept < 1.0)
+
+
+def test_a_file_that_is_not_compressed_although_its_name_says_so_is_refused(tmp_path: Path) -> None:
     packed = tmp_path / "log_0.mcap.zstd"
     packed.write_bytes(b"\x28\xb5\x2f\xfd" + bytes(100))
-    with pytest.raises(DatasetError, match="zstd -d"):
+    with pytest.raises(DatasetError, match=r"mcap\.zstd does not begin as a bag"):
         list(open_dataset(packed))
 
 

@@ -49,6 +49,7 @@ def test_a_cut_bag_is_read_up_to_the_cut_and_says_so(
     count, dataset = scans(tmp_path / "cut", content[: int(share * len(content))])
     assert 0.3 * share * COUNT < count <= COUNT
     assert dataset.report.dropped[CUT].count == 1
+    assert CUT in dataset.report.warnings
     with pytest.raises(BadRecordError, match="ends in the middle"):
         list(open_dataset(tmp_path / "cut", strict=True))
 

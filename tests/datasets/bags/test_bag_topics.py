@@ -46,6 +46,12 @@ def test_of_two_lasers_without_tf_the_wider_view_is_read_and_both_where_they_are
     assert {m.sensor for m in open_dataset(bag, topics=["/front", "/rear"])} == {"/front", "/rear", "/odom"}
 
 
+def test_of_two_lasers_the_one_whose_mounting_tf_tells_is_read(tmp_path: Path) -> None:
+    mount = transforms({"rear_laser": gtsam.Pose3()})
+    sent = [scan("/front"), scan("/rear", frame="rear_laser", ranges=[1.0, 2.0]), mount]
+    assert [m.sensor for m in open_dataset(write_bag(tmp_path / "log", "mcap", sent))] == ["/rear"]
+
+
 def test_topics_that_are_not_there_or_not_read_are_told(tmp_path: Path) -> None:
     bag = write_bag(tmp_path / "log", "db3", [*two_lasers(), transforms({"laser": gtsam.Pose3()})])
     with pytest.raises(DatasetError, match=r"no topic /scan; it holds /front \(LaserScan, 3 messages\)"):
