@@ -30,6 +30,8 @@ class Measured:
     """
 
     def __init__(self, measurements: Iterable[Measurement], name: str = "measurements") -> None:
+        if not isinstance(measurements, Iterable) or isinstance(measurements, str):
+            raise DatasetError(f"{measurements!r} is no list of measurements; slam.map_log maps a log")
         once = iter(measurements) is measurements
         self._measurements = list(measurements) if once else measurements
         # It lies in no file, whatever files there are.

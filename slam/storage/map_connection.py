@@ -98,7 +98,7 @@ def reported(path: Path, done: str) -> Iterator[None]:
     try:
         yield
     except (sqlite3.Error, OSError, UnicodeError) as error:
-        reason = "another run is writing it" if "locked" in str(error) else error
+        reason = "another run is writing it" if "locked" in str(error) else getattr(error, "strerror", error)
         outside = isinstance(error, sqlite3.OperationalError | OSError)
         remedy = "check the folder and its free space" if outside else "copy it again, or map its log anew"
         raise MapFileError(f"{path} cannot be {done}: {reason}; {remedy}") from error

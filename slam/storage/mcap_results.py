@@ -16,6 +16,8 @@ from slam.estimates import Trajectory
 from slam.mapping.occupancy_grid import StateArray
 from slam.measurements import Float32Array, FloatArray
 from slam.storage import ros_messages as ros
+from slam.storage.files import make_folder
+from slam.temporary import TemporaryFolder
 
 _MAP, _BASE = "map", "base_link"
 _GRID, _PATH, _POSE = "nav_msgs/msg/OccupancyGrid", "nav_msgs/msg/Path", "geometry_msgs/msg/PoseStamped"
@@ -66,8 +68,13 @@ def write_results_bag(
     store = ros.typestore()
     poses, stamps_s = trajectory.poses(), trajectory.stamps_s.tolist()
     begin_s = min(stamps_s)
+    if folder.exists():
+        raise MapFileError(f"cannot write {folder}: it exists; give a folder that is not there yet")
+    make_folder(folder.parent)
     try:
-        with Writer(folder, version=ros.BAG_VERSION, storage_plugin=StoragePlugin.MCAP) as bag:
+        kept_in = TemporaryFolder(folder.parent)
+        whole = kept_in.path / folder.name
+        with Writer(whole, version=ros.BAG_VERSION, storage_plugin=StoragePlugin.MCAP) as bag:
             connections = {
                 topic: bag.add_connection(
                     topic,
@@ -96,8 +103,11 @@ def write_results_bag(
             for stamp_s, placed, colors, intensities in points:
                 rows = _rows(placed, colors, intensities)
                 send("/points", stamp_s, ros.cloud_message(rows, stamp_s, _MAP))
+        whole.rename(folder)
+        kept_in.remove()
     except (WriterError, OSError) as error:
-        raise MapFileError(f"cannot write {folder}: {error}; give a folder that is not there yet") from error
+        why = getattr(error, "strerror", error)
+        raise MapFileError(f"cannot write {folder}: {why}; check the folder and its free space") from error
     return folder / f"{folder.name}.mcap"
 
 
