@@ -181,3 +181,15 @@ def test_a_log_is_diagnosed_by_its_path(log: SyntheticLog) -> None:
     assert slam.diagnose(log.log_path) == slam.diagnose(slam.open_dataset(log.log_path))
     with pytest.raises(ScanweaveError):
         slam.diagnose("no.log")
+
+
+def test_a_scan_of_lists_is_matched_and_one_of_nothing_is_refused() -> None:
+    def scan(ranges_m: Any) -> slam.LaserScan:
+        return slam.LaserScan(0.0, ranges_m, -3.14, 3.14 / 180, 20.0)
+
+    assert slam.match_scans(scan([3.0] * 360), scan([3.0] * 360)).converged
+    for wrong in (None, "x", [["a"]]):
+        with pytest.raises(ScanweaveError, match="ranges_m is"):
+            slam.match_scans(scan(wrong), scan([3.0] * 360))
+    with pytest.raises(ScanweaveError, match="points_lidar is"):
+        slam.build_map([slam.PointCloud(0.0, None)])  # type: ignore[arg-type]

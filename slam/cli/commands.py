@@ -15,7 +15,6 @@ from slam.errors import ScanweaveError
 __all__ = ["app", "compare", "demo", "edit", "localize", "map_log", "queries", "run", "saved", "simulate"]
 
 _OBJECTS_A_COLLECTION = 500_000
-
 # Help lists the commands as somebody meets them: a log, its map, what is done with a map, and the rest.
 _ORDER = "demo inspect doctor map localize info view edit remap merge diff floorplan plan export check"
 _BY_ORDER = {name: number for number, name in enumerate(_ORDER.split())}

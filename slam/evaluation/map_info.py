@@ -58,7 +58,7 @@ def _finished(file: MapFile) -> dict[str, Any]:
         "keyframes": file.count(KEYFRAMES),
         **({"clouds": file.count(CLOUDS)} if file.count(CLOUDS) else {}),
         "poses": len(trajectory),
-        **_extent(trajectory, sessions),
+        **extent_of(trajectory, sessions),
         "factors": {str(kind): count for (kept, kind), count in factors if kept},
         "factors_refused": {str(kind): count for (kept, kind), count in factors if not kept},
         "loops": file.count(LOOPS),
@@ -76,7 +76,7 @@ def _is_planar(file: MapFile) -> bool:
         return is_in_plane(cast(bytes, file.row(KEYFRAMES, 0)[2]))
 
 
-def _extent(trajectory: Trajectory, sessions: Sequence[MapSession]) -> dict[str, float]:
+def extent_of(trajectory: Trajectory, sessions: Sequence[MapSession]) -> dict[str, float]:
     """Return path length and duration of all sessions."""
     ends = np.cumsum([session.poses for session in sessions])[:-1]
     tracks, times = np.split(trajectory.positions_m, ends), np.split(trajectory.stamps_s, ends)

@@ -8,6 +8,7 @@ from typing import Any
 
 from slam.config import Config, dump_config
 from slam.errors import ScanweaveError
+from slam.evaluation.map_info import extent_of
 from slam.evaluation.map_report import CLOUD_FILE
 from slam.evaluation.page_charts import sigma_charts
 from slam.evaluation.page_cloud import cloud_data, image_data
@@ -63,7 +64,7 @@ def saved_page(saved: Map, connect: str = "'none'") -> Iterator[str]:
             ("keyframes", f"{len(found.node_poses):,}"),
             ("poses", f"{len(found.trajectory):,}"),
             ("loops accepted", f"{sum(loop.accepted for loop in loops):,} of {len(loops):,}"),
-            ("path", f"{float(found.path_m[-1]):,.1f} m"),
+            ("path", f"{extent_of(found.trajectory, saved.sessions)['path_length_m']:,.1f} m"),
             ("digest", saved.digest[:12]),
         ],
         warnings=list(saved.warnings),
