@@ -161,6 +161,7 @@ class DepthImage:
     def __post_init__(self) -> None:
         if np.ndim(self.depth_m) != 2 or min(np.shape(self.depth_m)) < 2:
             raise ValueError(f"depth_m has shape {np.shape(self.depth_m)}; give (H, W) with both above 1")
+        object.__setattr__(self, "depth_m", np.asarray(self.depth_m))
         R = np.asarray(self.R_level_camera)
         if R.shape != (3, 3) or not np.allclose(R @ R.T, np.eye(3), atol=1e-6):
             raise ValueError("R_level_camera is not a (3, 3) rotation")

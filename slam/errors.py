@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+from typing import Any
+
 from slam.foreign import plain
 
 
@@ -54,3 +57,15 @@ class LibraryError(ScanweaveError):
 
 class EvaluationError(ScanweaveError):
     """A reference that does not match the trajectory to be scored."""
+
+
+def path_of(given: Any, what: str, error: type[ScanweaveError] = MapFileError) -> Path:
+    """Return a path that a caller gave; an error of the given type if it is none, or not possible."""
+    try:
+        path = Path(given)
+        if not path.exists() and "\0" in str(path):
+            raise ValueError("it contains a NUL character")
+    except (TypeError, ValueError, OSError) as cause:
+        why = getattr(cause, "strerror", "") or "" if isinstance(cause, OSError) else f"{cause}"
+        raise error(f"{what} is {plain(repr(given), 80)}; give a path: {why}") from cause
+    return path

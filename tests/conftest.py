@@ -40,7 +40,7 @@ def open3d() -> Any:
 def _nobodys_own_process() -> Iterator[None]:
     """A command that a test calls here does not give up the code that the next test wants."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("slam.cli.heap", SimpleNamespace())
+        patch.setattr("slam.cli.commands.heap", SimpleNamespace())
         yield
 
 

@@ -14,7 +14,7 @@ import typer
 from test_layering import FLOORS
 
 import slam
-from slam.cli import app
+from slam.cli.commands import app
 from slam.comparison.experiment import load_experiment
 from slam.config import Config, load_config
 from slam.datasets.calibration import Calibration, read_calibration

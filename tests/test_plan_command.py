@@ -2,7 +2,7 @@ import gtsam
 import numpy as np
 from typer.testing import CliRunner
 
-from slam.cli import app
+from slam.cli.commands import app
 from slam.errors import ScanweaveError
 from slam.storage.nav2 import write_nav2_map
 

@@ -1,4 +1,4 @@
-"""One recording packed as each layout of a camera: each must give the trajectory of the original.
+"""One recording packed as each layout of a camera, and as bags: each must give the original's trajectory.
 
     PYTHONPATH=. python tools/layout_equivalence.py ../shared/data/rgbd/redkitchen -o DIR [NAME ...]
 
@@ -11,20 +11,34 @@ from __future__ import annotations
 
 import argparse
 import shutil
+from functools import partial
 from itertools import islice
 from pathlib import Path
 
 import cv2
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 import slam
 from slam.datasets import open_dataset
 from slam.estimates import Trajectory
-from slam.measurements import FloatArray, RgbdFrame
+from slam.measurements import RgbdFrame
 from tools.pack_layouts import CAMERAS, Footage, packed
 from tools.pack_scenes import SCENES
+from tools.rgbd_bags import PACKINGS, write_rgbd_bag
 
-LAYOUTS = CAMERAS | SCENES
+
+def bag(folder: Path, footage: Footage, packing: str) -> Path:
+    """Footage as a bag."""
+    frames = [
+        RgbdFrame(stamp_s, color, depth_mm.astype(np.float32) / 1000.0, footage.lens)
+        for stamp_s, color, depth_mm in zip(footage.stamps_s, footage.colors, footage.depths_mm, strict=True)
+    ]
+    folder.mkdir(parents=True)
+    return write_rgbd_bag(folder, packing, frames)
+
+
+LAYOUTS = CAMERAS | SCENES | {packing: partial(bag, packing=packing) for packing in PACKINGS}
 JPEG = frozenset(
     {"three_r_scan", "scannet", "scannet_sens", "replica", "open3d", "sun3d", "record3d", "polycam"}
 )
@@ -36,26 +50,12 @@ def footage_of(path: Path, count: int) -> Footage:
     frames = list(islice((one for one in dataset if isinstance(one, RgbdFrame)), count))
     truth = dataset.groundtruth()
     assert truth is not None
-    poses = []
-    for position, (x, y, z, w) in zip(truth.positions_m[:count], truth.quaternions_xyzw[:count], strict=True):
-        pose = np.eye(4)
-        pose[:3, :3] = _turn(x, y, z, w)
-        pose[:3, 3] = position
-        poses.append(pose)
+    poses = np.tile(np.eye(4), (len(frames), 1, 1))
+    poses[:, :3, :3] = Rotation.from_quat(truth.quaternions_xyzw[: len(frames)]).as_matrix()
+    poses[:, :3, 3] = truth.positions_m[: len(frames)]
     depths = [np.rint(frame.depth_m * 1000.0).astype(np.uint16) for frame in frames]
     stamps = [frame.stamp_s for frame in frames]
-    return Footage(stamps, [frame.color for frame in frames], depths, poses, frames[0].intrinsics)
-
-
-def _turn(x: float, y: float, z: float, w: float) -> FloatArray:
-    """The rotation of a unit quaternion."""
-    return np.array(
-        [
-            [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
-            [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
-            [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
-        ]
-    )
+    return Footage(stamps, [frame.color for frame in frames], depths, list(poses), frames[0].intrinsics)
 
 
 def through_jpeg(footage: Footage) -> Footage:
@@ -80,12 +80,9 @@ def apart(first: Trajectory, second: Trajectory) -> tuple[float, float]:
     """
     assert len(first) == len(second), f"{len(first)} and {len(second)} poses"
     distance_m = float(np.abs(first.positions_m - second.positions_m).max())
-    turns = (
-        [_turn(*row) @ _turn(*way.quaternions_xyzw[0]).T for row in way.quaternions_xyzw]
-        for way in (first, second)
-    )
-    cosines = [0.5 * (np.trace(a.T @ b) - 1.0) for a, b in zip(*turns, strict=True)]
-    return distance_m, float(np.arccos(np.clip(cosines, -1.0, 1.0)).max())
+    turns = [Rotation.from_quat(way.quaternions_xyzw) for way in (first, second)]
+    since_first = [turn * turn[0].inv() for turn in turns]
+    return distance_m, float((since_first[0].inv() * since_first[1]).magnitude().max())
 
 
 def main() -> None:

@@ -49,7 +49,7 @@ _LIBRARIES = (
     "slam.app slam.mapper.pipeline slam.mapper.mapper"
 )
 _ASSUMED = re.compile(
-    r"assum|warning|not known|taken as|taken to|no tf|no CameraInfo|nothing tells|left in the images",
+    r"assum|warning|unknown|no tf|no CameraInfo|taken as|no mounting|first pose|left in the images",
     re.IGNORECASE,
 )
 _APART_M, _APART_RAD = 0.06, 0.03

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from fusion.showing import one_line, with_pictures
-from slam.errors import ScanweaveError
+from slam.errors import ScanweaveError, path_of
 from slam.localization.known_map import has_walls
 from slam.outputs.finished_map import Map, load_map
 from slam.sessions.changes import Comparison, Visit, compare, spread_between
@@ -85,7 +85,7 @@ def diff_maps(
     []
     """
     before = before if isinstance(before, Map) else load_map(before)
-    after = load_map(after) if isinstance(after, str | Path) else after
+    after = after if isinstance(after, Map | None) else load_map(after)
     for one in (before, after):
         if one is not None:
             _refuse_unfit(one)
@@ -109,7 +109,7 @@ def diff_maps(
     if out is None:
         return difference
     names = [before.path, after.path] if after else [before.path] * 2
-    written = write_difference(Path(out), things, passing, found, [str(name) for name in names])
+    written = write_difference(path_of(out, "out"), things, passing, found, [str(name) for name in names])
     return Difference(things, passing, found, tuple(written))
 
 
@@ -125,10 +125,10 @@ def _refuse_unfit(saved: Map) -> None:
 def _keyframes_of(saved: Map, sessions: tuple[int, int]) -> list[np.ndarray]:
     """Return the keyframes of two sessions."""
     count = len(saved.sessions)
-    if not all(1 <= number <= count for number in sessions) or sessions[0] == sessions[1]:
-        raise ScanweaveError(
-            f"{saved.path} has sessions 1 to {count}; name two of them, not {sessions[0]} and {sessions[1]}"
-        )
+    found = [number for number in sessions if number in range(1, count + 1)]
+    if len(found) != 2 or found[0] == found[1] or len(sessions) != 2:
+        told = " and ".join(map(str, sessions))
+        raise ScanweaveError(f"{saved.path} has sessions 1 to {count}; name two of them, not {told}")
     ends = list(accumulate(session.keyframes for session in saved.sessions))
     return [np.arange(ends[n - 1] - saved.sessions[n - 1].keyframes, ends[n - 1]) for n in sessions]
 

@@ -12,7 +12,7 @@ from slam.app.progress import OnProgress, Progress, silent
 from slam.config import Config
 from slam.datasets.dataset import Dataset
 from slam.datasets.opening import opened_by
-from slam.errors import MapFileError, ScanweaveError
+from slam.errors import MapFileError, ScanweaveError, path_of
 from slam.evaluation.saved_page import write_saved_page
 from slam.localization.known_map import has_walls
 from slam.outputs.finished_map import Map, load_map
@@ -21,7 +21,7 @@ from slam.sessions.joined_files import write_joined
 from slam.storage.files import make_folder, write_bytes
 from slam.storage.map_file import MAP_NAME
 from slam.storage.map_identity import identity_of
-from slam.storage.whole_folder import keep_report, move_into, only_one_in
+from slam.storage.whole_folder import holds, keep_report, move_into, only_one_in
 
 # Where the session is mapped and the joined map is written until it is whole.
 WORK = "joining"
@@ -98,7 +98,9 @@ def join(
     """
     known = known if isinstance(known, Map) else load_map(known)
     kind_of(known, str(known.path))
-    if out is None and (known.in_memory or known.path.name != MAP_NAME):
+    if out is not None:
+        holds(path_of(out, "out"), known.path, "give another --out (out=)")
+    elif known.in_memory or known.path.name != MAP_NAME:
         why = "lies in a temporary folder" if known.in_memory else f"is not named {MAP_NAME}"
         raise MapFileError(f"{known.path} {why}; give --out (out=) for the joined map")
     log = opened_by((config or Config()).sensors, log, strict=strict)

@@ -18,7 +18,7 @@ from slam.datasets.opening import opened_by
 from slam.datasets.sensor_choice import SensorChoice, UsedMeasurements
 from slam.doctor.finding import Finding
 from slam.doctor.registration_pairs import registrations_of
-from slam.errors import ConfigError, DatasetError
+from slam.errors import ConfigError, DatasetError, path_of
 from slam.estimates import Trajectory
 from slam.evaluation.localization_report import write_localization_report
 from slam.localization.drive_log import DriveLog
@@ -138,7 +138,7 @@ def localize_log(
         )
     warning = localizer.warning()
     warnings = () if warning is None else (warning,)
-    written = () if out is None else _written(Path(out), drive, saved, log, findings, warnings)
+    written = () if out is None else _written(path_of(out, "out"), drive, saved, log, findings, warnings)
     return Localization(drive, written, warnings)
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterator
 from contextlib import contextmanager
 from enum import Enum
@@ -43,7 +44,7 @@ def finished_map(folder: Path, identity: MapIdentity) -> bool:
         assert left is not None
         left.compact()
         MapFile.read(path).close()  # which refuses a damaged one
-    elif finished:
+    elif finished and os.access(path, os.W_OK):
         settle_counts(path)
     return finished
 

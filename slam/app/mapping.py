@@ -15,7 +15,7 @@ from slam.config import Config, config_of, holds_places, with_places
 from slam.config.tags import FILE_NAME as TAGS_FILE
 from slam.datasets.dataset import Dataset
 from slam.datasets.opening import opened_by
-from slam.errors import MapFileError
+from slam.errors import MapFileError, path_of
 from slam.measurements import Measurement
 from slam.storage.map_file import MAP_NAME
 from slam.storage.map_identity import MapIdentity, identity_of
@@ -102,7 +102,7 @@ def run_log(
     identity = identity_of(dataset, config)
     if out is None:
         return _in_memory(dataset, identity, on_progress)
-    folder = Path(out)
+    folder = path_of(out, "out")
     left = left_in(folder)
     if left in (Left.FINISHED, Left.DAMAGED) and not (resume or overwrite):
         raise MapFileError(

@@ -30,6 +30,8 @@ class Measured:
     """
 
     def __init__(self, measurements: Iterable[Measurement], name: str = "measurements") -> None:
+        if not isinstance(measurements, Iterable) or isinstance(measurements, str):
+            raise DatasetError(f"{measurements!r} is no list of measurements; slam.map_log maps a log")
         once = iter(measurements) is measurements
         self._measurements = list(measurements) if once else measurements
         # It lies in no file, whatever files there are.
@@ -50,7 +52,7 @@ class Measured:
             if not isinstance(measurement, Measurement) and type(measurement) not in SENSORS:
                 kind = type(measurement).__name__
                 raise DatasetError(f"number {number} is a {kind}; give scans, wheels, clouds or frames")
-            measurement = _checked(_with_arrays(measurement, number), number)
+            measurement = checked(measurement, number)
             report.observe(measurement, number)
             if count:
                 report.note_share(number / count)
@@ -76,7 +78,10 @@ def _with_arrays(measurement: Any, number: int) -> Any:
     kinds = ((np.float32, singles), (np.float64, doubles), (np.uint8, (("color", 3),)))
     for kind, name, axes in ((kind, *one) for kind, names in kinds for one in names):
         given = getattr(measurement, name, None)
-        if given is None or (isinstance(given, np.ndarray) and given.dtype == kind and given.ndim == axes):
+        needed = name in ("ranges_m", "points_lidar", "depth_m") and hasattr(measurement, name)
+        if (given is None and not needed) or (
+            isinstance(given, np.ndarray) and given.dtype == kind and given.ndim == axes
+        ):
             continue
         found = np.asarray(given)
         if found.dtype.kind not in ("iu" if kind == np.uint8 else "iuf") or found.ndim != axes:
@@ -86,8 +91,9 @@ def _with_arrays(measurement: Any, number: int) -> Any:
     return replace(measurement, **changed) if changed else measurement
 
 
-def _checked(measurement: Any, number: int) -> Any:
-    """The measurement, if its values are such as sensors give."""
+def checked(measurement: Any, number: int) -> Any:
+    """The measurement with such arrays, if its values are such as sensors give."""
+    measurement = _with_arrays(measurement, number)
     try:
         sound_stamp(measurement.stamp_s)
         if isinstance(measurement, LaserScan):

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from fusion.showing import one_line
 from slam.app.joining import kind_of
-from slam.errors import MapFileError, ScanweaveError
+from slam.errors import MapFileError, ScanweaveError, path_of
 from slam.evaluation.saved_page import write_saved_page
 from slam.outputs.finished_map import Map, load_map
 from slam.sessions.connection import connect
@@ -69,9 +69,9 @@ def merge(
     >>> len(merged.map.sessions), dict(merged.refused)
     (2, {})
     """
-    if len(maps) < 2:
+    if not isinstance(maps, Sequence) or len(maps) < 2:
         raise ScanweaveError("merge needs at least two maps")
-    folder = Path(out)
+    folder = path_of(out, "out")
     if (folder / MAP_NAME).exists() and not overwrite:
         raise MapFileError(f"{folder / MAP_NAME} is a map; --force (overwrite=True) replaces it")
     whole, *waiting = (one if isinstance(one, Map) else load_map(one) for one in maps)

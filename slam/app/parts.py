@@ -11,6 +11,7 @@ from typing import TypeAlias
 import numpy as np
 from numpy.typing import ArrayLike
 
+from slam.app.measured import checked
 from slam.config import Config
 from slam.errors import ScanweaveError
 from slam.estimates import MotionEstimate
@@ -229,7 +230,7 @@ def _oriented(scan: Scan, config: Config) -> OrientedPoints:
     """Return the points of a scan that have a normal, base frame."""
     limits = config.scan.range_min_m, config.scan.range_max_m, config.scan.neighbours
     if isinstance(scan, LaserScan):
-        return OrientedPoints.from_scan(extract_points(scan, *limits))
+        return OrientedPoints.from_scan(extract_points(checked(scan, 1), *limits))
     points = np.asarray(scan, dtype=np.float64)
     return OrientedPoints.from_scan(orient_points(_rows(points, (*points.shape[:1], 2), "a scan"), *limits))
 

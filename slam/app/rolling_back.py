@@ -39,7 +39,7 @@ def roll_back(saved: Map | Path | str, sessions: int, *, out: Path | str | None 
     """
     saved = saved if isinstance(saved, Map) else load_map(saved)
     before = len(saved.sessions)
-    if not 1 <= sessions < before:
+    if sessions not in range(1, before):
         if before < 2:
             raise MapFileError(f"{saved.path} has only one session: there is none to remove")
         raise MapFileError(

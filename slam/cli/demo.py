@@ -23,12 +23,16 @@ def demo(
 ) -> None:
     """Simulate a robot with a lidar and four depth cameras in a furnished home, and map its log."""
     from slam.config import load_config
+    from slam.errors import MapFileError
     from slam.simulation.drive_faults import FAULT_PRESETS
     from slam.simulation.home import generate_home
     from slam.simulation.rigs import RIGS
+    from slam.storage.map_file import MAP_NAME
 
-    say(f"simulates {_DURATION_S:.0f} s of a robot in a furnished home, and maps its log: a minute or two")
     log = out / f"simulated-{seed}"
+    if (out / MAP_NAME).exists() and not any(out.glob("simulated-*")):
+        raise MapFileError(f"{out / MAP_NAME} is another map; give another --out")
+    say(f"simulates {_DURATION_S:.0f} s of a robot in a furnished home, and maps its log: a minute or two")
     # The same seed gives the same log: what an earlier demo left is used again.
     if not (log / "scans.log").is_file():
         home = generate_home(seed, rooms=_ROOMS)

@@ -66,6 +66,8 @@ def doctor(
     calibration: CalibrationOption = None,
 ) -> None:
     """Check the sensors of a log against each other, and show how to correct what is wrong."""
+    if write is not None and write.suffix not in (".yaml", ".yml"):
+        raise typer.BadParameter(f"--write is {write}; give a file that ends in .yaml")
     from slam.datasets.sensor_choice import UsedMeasurements
     from slam.doctor.diagnosis import examine
     from slam.doctor.finding import calibration_text, remedied

@@ -121,11 +121,10 @@ def load_config(
     (0.3, 0.05)
     """
     overrides = [overrides] if isinstance(overrides, str) else overrides
-    preset_or_path = preset_or_path or DEFAULT_PRESET
-    if not isinstance(preset_or_path, str | Path):
+    if not isinstance(preset_or_path, str | Path | None):
         given = type(preset_or_path).__name__
         raise ConfigError(f"a {given} is no configuration; give one by slam.load_config, or a preset or file")
-    file = find_file(preset_or_path, _PRESET_FOLDER, "preset")
+    file = find_file(preset_or_path or DEFAULT_PRESET, _PRESET_FOLDER, "preset")
     tree = read_tree(file)
     # The file is judged alone first, so that a message blames the file or the override, not both.
     config = model_of(Config, tree, file.name)
@@ -233,7 +232,7 @@ def dump_config(config: StrictModel) -> str:
 
 def _apply_override(tree: dict[str, Any], override: str) -> None:
     """Set one ``a.b=value`` in the tree."""
-    dotted, equals, text = override.partition("=")
+    dotted, equals, text = str(override).partition("=")
     names = [name.strip() for name in dotted.split(".")]
     if not equals or not all(names):
         raise ConfigError(f"override '{override}' is not of the form section.field=value")

@@ -7,13 +7,14 @@ from collections.abc import Iterator, Sequence
 from difflib import get_close_matches
 from itertools import islice
 from pathlib import Path
+from typing import cast
 
 from slam.config.stages import SensorsConfig
 from slam.datasets.carmen import HEAD_BYTES, looks_like_carmen, open_carmen
 from slam.datasets.dataset import Dataset
 from slam.datasets.dataset_format import DatasetFormat
 from slam.datasets.log_file import read_head
-from slam.errors import DatasetError
+from slam.errors import DatasetError, path_of
 
 _LOOKED_AT = 64  # names in a folder that is no dataset, to say what it lacks
 _LEVELS = 3  # a recording of KITTI lies two folders below what is unpacked
@@ -97,7 +98,7 @@ def open_dataset(
     >>> sorted({measurement.sensor for measurement in log}), log.report.dropped_count
     (['FLASER', 'odometry'], 0)
     """
-    path = Path(path)
+    path = path_of(path, "the log", DatasetError)
     if not path.exists():
         from slam.datasets.robot_at_home2 import looks_like_robot_at_home2, open_robot_at_home2
 
@@ -134,10 +135,12 @@ def open_dataset(
 
 def opened_by(sensors: SensorsConfig, log: Path | str | Dataset, *, strict: bool) -> Dataset:
     """A log, opened as settings say, where it is a path; errors as in `open_dataset`."""
-    if not isinstance(log, str | Path):
+    if not isinstance(log, str | Path) and hasattr(log, "groundtruth"):
         return log
     files = sensors.calibration_files
-    return open_dataset(log, strict=strict, topics=sensors.topics, images=sensors.rgbd, calibration=files)
+    return open_dataset(
+        cast(Path, log), strict=strict, topics=sensors.topics, images=sensors.rgbd, calibration=files
+    )
 
 
 def _opened(known: DatasetFormat, path: Path, strict: bool, topics: tuple[str, ...]) -> Dataset:

@@ -111,7 +111,7 @@ class PointTimes:
 
 
 def intensities_of(names: Iterable[str], column: Callable[[str], NDArray[Any]]) -> Float32Array | None:
-    """(N,) in the sensor's own steps; None where the cloud does not tell them, or nothing but zeros.
+    """Return (N,) in the sensor's own steps; None if the cloud has none, or only zeros.
 
     Parameters
     ----------

@@ -80,7 +80,7 @@ class CloudSamples:
         self._newest, self.T_base_lidar = cloud, cloud.T_base_lidar
         if not self._stretches.wants(cloud.stamp_s):
             return
-        step = -(-len(cloud.points_lidar) // _MOST_POINTS)
+        step = max(-(-len(cloud.points_lidar) // _MOST_POINTS), 1)  # an empty cloud, too
         points = cloud.points_lidar[::step].copy()  # not a view, which would keep the whole
         times_s = None if cloud.times_s is None else cloud.times_s[::step]
         thinned = PointCloud(cloud.stamp_s, points, times_s, sensor=cloud.sensor)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import TypeAlias, cast
 
 import numpy as np
@@ -14,6 +15,7 @@ from fusion.time_alignment import GAP_S
 from slam.config import Config
 from slam.config.calibration import Calibration
 from slam.datasets.corrections import corrected
+from slam.datasets.opening import open_dataset
 from slam.datasets.recording import fewer_frames
 from slam.datasets.spinning_scans import middle_s
 from slam.doctor import in_space
@@ -37,7 +39,9 @@ from slam.vision.color_registration import ColorRegistration
 Registrations: TypeAlias = Callable[[Sequence[str]], dict[str, ColorRegistration]]
 
 
-def diagnose(log: Iterable[Measurement], registrations: Registrations | None = None) -> list[Finding]:
+def diagnose(
+    log: Iterable[Measurement] | Path | str, registrations: Registrations | None = None
+) -> list[Finding]:
     """What the sensors of a log say of each other that cannot be.
 
     What is matched is a bounded number of stretches spread over the log.
@@ -45,7 +49,7 @@ def diagnose(log: Iterable[Measurement], registrations: Registrations | None = N
     Parameters
     ----------
     log
-        A dataset, or a list of measurements in the order in which they came: it is read more than once.
+        A dataset or its path, or a list of measurements in the order in which they came.
     registrations
         Tells where colour cameras sit, for who asks for them again; None for `registrations_of` the log.
 
@@ -65,6 +69,8 @@ def diagnose(log: Iterable[Measurement], registrations: Registrations | None = N
     >>> slam.diagnose(slam.open_dataset(write_synthetic_log("monday", duration_s=20.0).log_path))
     []
     """
+    if isinstance(log, str | Path) or not isinstance(log, Iterable):
+        log = open_dataset(log)
     return examine(log, registrations).findings
 
 

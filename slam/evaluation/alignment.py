@@ -13,9 +13,9 @@ from slam.errors import EvaluationError
 from slam.estimates import Trajectory
 from slam.measurements import FloatArray
 
-# Of the greatest spread: what is less is rounding, and the points lie on a line.
+# Share of the largest spread: a smaller one is rounding, and the points are on a line.
 _OPEN_SHARE = 1e-12
-# Length of the mean of the up axes of a robot that stays upright: it leans by 18 degrees on average.
+# Length of the mean up axis of an upright robot: it tilts by 18 degrees on average.
 _UPRIGHT = 0.95
 
 

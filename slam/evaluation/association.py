@@ -9,7 +9,7 @@ from slam.measurements import FloatArray
 
 
 def nearest_indices(stamps_s: FloatArray, queries_s: FloatArray) -> NDArray[np.intp]:
-    """Index of the stamp nearest in time to each query; the earlier of two equally near.
+    """Return the index of the stamp nearest in time to each query; the earlier of two equally near.
 
     The stamps are put in order first, equal ones staying as they stand; of equal stamps the one that is
     adjacent to the query in that order is taken. It is evo's rule for sorted stamps. In real logs with a
@@ -39,6 +39,6 @@ def nearest_indices(stamps_s: FloatArray, queries_s: FloatArray) -> NDArray[np.i
     ordered = stamps_s[order]
     after = np.minimum(np.searchsorted(ordered, queries_s, side="right"), ordered.size - 1)
     before = np.maximum(after - 1, 0)
-    # Past the last stamp the first difference is negative, and the last stamp wins, as it must.
+    # After the last stamp, the first difference is negative, and the last stamp is chosen.
     take_after = ordered[after] - queries_s < queries_s - ordered[before]
     return order[np.where(take_after, after, before)]

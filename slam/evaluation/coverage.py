@@ -20,7 +20,7 @@ from slam.measurements import FloatArray
 
 Indices: TypeAlias = NDArray[np.intp]
 _SHARE = 0.95
-# An angle below which the series above has no digit more.
+# Below this angle, the series above has full precision.
 _SMALLEST = 1e-4
 
 
@@ -89,12 +89,12 @@ def coverage(
 
 
 def _within(errors: FloatArray, covariances: FloatArray) -> float:
-    """Share of errors (N, k) inside their ellipses (N, k, k)."""
+    """Return the share of errors (N, k) inside their ellipses (N, k, k)."""
     return float(np.mean(_squares(errors, covariances) <= gate(errors.shape[1], _SHARE)))
 
 
 def _squares(errors: FloatArray, covariances: FloatArray) -> FloatArray:
-    """(N,) squared Mahalanobis distances."""
+    """Return (N,) squared Mahalanobis distances."""
     try:
         whitened = np.linalg.solve(np.linalg.cholesky(covariances), errors[..., None])[..., 0]
     except np.linalg.LinAlgError as error:

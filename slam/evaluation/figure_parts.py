@@ -15,18 +15,18 @@ DPI = 100
 
 
 def figure_of(width_px: int, height_px: int) -> Figure:
-    """A figure without pyplot: no global state, no window system."""
+    """Create a figure without pyplot: no global state, no window system."""
     from matplotlib.figure import Figure
 
     return Figure(figsize=(width_px / DPI, height_px / DPI), dpi=DPI, facecolor="white")
 
 
 def png_of(figure: Figure) -> bytes:
-    """The figure rendered by Agg."""
+    """Render the figure by Agg as PNG."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from PIL import Image
 
-    canvas: Any = FigureCanvasAgg(figure)  # its methods bear no types
+    canvas: Any = FigureCanvasAgg(figure)  # its methods have no types
     canvas.draw()
     buffer = io.BytesIO()
     Image.fromarray(np.asarray(canvas.buffer_rgba())[..., :3]).save(buffer, format="png")

@@ -18,7 +18,7 @@ from slam.localization.output import State
 from slam.mapping.layered_map import LayeredMap
 from slam.measurements import FloatArray
 
-# Of the states: searching, tracking, lost.
+# Colours of the states: searching, tracking, lost.
 _COLORS = ("soft", "blue", "red")
 
 
@@ -65,7 +65,7 @@ def write_localization_report(
 
 
 def _page(title: str, drive: DriveLog, layers: LayeredMap | None) -> WorkPage:
-    """The plan with the way in it."""
+    """Return the data of the plan with the path."""
     sigmas = drive.sigmas()
     positions, yaws = (drive.of_trajectory(values).astype(np.float32) for values in sigmas)
     way, told, chosen = way_data(drive.trajectory(), (positions, yaws))
@@ -102,7 +102,7 @@ def _page(title: str, drive: DriveLog, layers: LayeredMap | None) -> WorkPage:
 
 
 def _charts(drive: DriveLog, sigmas: tuple[FloatArray, FloatArray]) -> list[dict[str, Any]]:
-    """Confidence by state, support, sigma and cost over time."""
+    """Return charts of confidence by state, support, sigma and cost over time."""
     if not len(drive):
         return []
     since = drive.stamps_s - drive.stamps_s.min()
@@ -123,7 +123,7 @@ def _charts(drive: DriveLog, sigmas: tuple[FloatArray, FloatArray]) -> list[dict
 
 
 def _shares(drive: DriveLog) -> list[tuple[str, str]]:
-    """Share of the measurements in every state, and the poses that were filled in later."""
+    """Return the share of measurements in every state, and the poses recovered later."""
     rows = [(state.value, f"{100.0 * drive.share_of(state):.1f} %") for state in STATES]
     tracked = int(np.count_nonzero(drive.states == STATES.index(State.TRACKING)))
     later = len(drive.trajectory()) - tracked
@@ -131,7 +131,7 @@ def _shares(drive: DriveLog) -> list[tuple[str, str]]:
 
 
 def _cost(drive: DriveLog) -> str:
-    """Time a measurement, and of the slowest."""
+    """Return the time per measurement, and that of the slowest."""
     if not len(drive):
         return "Nothing was localised."
     median, greatest = 1000.0 * np.median(drive.seconds), 1000.0 * drive.seconds.max()

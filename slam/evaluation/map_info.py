@@ -25,12 +25,12 @@ from slam.storage.packing import Unpacker, is_in_plane, last_text
 
 
 def map_info(path: Path) -> dict[str, Any]:
-    """The facts about a map, as plain values; of one that is not finished, those that it has.
+    """Return the facts about a map as plain values; of an unfinished one, those available.
 
     Raises
     ------
     MapFileError
-        If there is none, it is damaged, or a run is writing it.
+        If there is no map, it is damaged, or a run is writing it.
     """
     try:
         file = MapFile.read(path)
@@ -41,7 +41,7 @@ def map_info(path: Path) -> dict[str, Any]:
 
 
 def _finished(file: MapFile) -> dict[str, Any]:
-    """What a finished map holds: counted where that will do, for a map is large."""
+    """Return the content of a finished map: by counting if possible, since a map is large."""
     meta, small = file.meta(), Unpacker(file.size)
     identity, trajectory = MapIdentity.from_meta(meta, file.path), read_trajectory(file, small)
     sessions = sessions_of(meta, file.count(KEYFRAMES), len(trajectory))
@@ -58,7 +58,7 @@ def _finished(file: MapFile) -> dict[str, Any]:
         "keyframes": file.count(KEYFRAMES),
         **({"clouds": file.count(CLOUDS)} if file.count(CLOUDS) else {}),
         "poses": len(trajectory),
-        **_extent(trajectory, sessions),
+        **extent_of(trajectory, sessions),
         "factors": {str(kind): count for (kept, kind), count in factors if kept},
         "factors_refused": {str(kind): count for (kept, kind), count in factors if not kept},
         "loops": file.count(LOOPS),
@@ -71,13 +71,13 @@ def _finished(file: MapFile) -> dict[str, Any]:
 
 
 def _is_planar(file: MapFile) -> bool:
-    """Whether the robot stays on a floor."""
+    """Return whether the robot stays on a floor."""
     with file.blaming(KEYFRAMES, 0):
         return is_in_plane(cast(bytes, file.row(KEYFRAMES, 0)[2]))
 
 
-def _extent(trajectory: Trajectory, sessions: Sequence[MapSession]) -> dict[str, float]:
-    """Way and time of all sessions."""
+def extent_of(trajectory: Trajectory, sessions: Sequence[MapSession]) -> dict[str, float]:
+    """Return path length and duration of all sessions."""
     ends = np.cumsum([session.poses for session in sessions])[:-1]
     tracks, times = np.split(trajectory.positions_m, ends), np.split(trajectory.stamps_s, ends)
     return {
@@ -89,7 +89,7 @@ def _extent(trajectory: Trajectory, sessions: Sequence[MapSession]) -> dict[str,
 
 
 def _begun(path: Path) -> dict[str, Any]:
-    """What an interrupted run has left."""
+    """Return the content of an interrupted run."""
     file = MapFile.resume(path)
     if file is None:
         raise MapFileError(f"{path} was interrupted before it began; map again")
@@ -107,7 +107,7 @@ def _begun(path: Path) -> dict[str, Any]:
 
 
 def _origin(identity: MapIdentity) -> dict[str, Any]:
-    """Seed, settings that are not the defaults, versions."""
+    """Return seed, settings other than the defaults, and versions."""
     settings = identity.config.model_dump(mode="json", exclude_defaults=True)
     return {
         "seed": identity.config.seed,
@@ -117,7 +117,7 @@ def _origin(identity: MapIdentity) -> dict[str, Any]:
 
 
 def render_info(found: Mapping[str, Any]) -> str:
-    """The same for people: a line a fact."""
+    """Format the facts for the user, one per line."""
     lines = []
     for name, value in found.items():
         if isinstance(value, Mapping):
@@ -127,14 +127,14 @@ def render_info(found: Mapping[str, Any]) -> str:
 
 
 def _text(value: Any) -> str:
-    """A plain value in words."""
+    """Format a plain value as text."""
     if isinstance(value, Mapping):
         return " ".join(f"{key}={part}" for key, part in value.items())
     return plain(value)
 
 
 def _sensors(file: MapFile, small: Unpacker) -> dict[str, int]:
-    """How many keyframes each sensor gave."""
+    """Return the number of keyframes of each sensor."""
     scans = Counter(
         file.parsed(
             KEYFRAMES, lambda row: str(small(scan, last_text)) if (scan := row[-1] or row[-2]) else ""
@@ -145,7 +145,7 @@ def _sensors(file: MapFile, small: Unpacker) -> dict[str, int]:
 
 
 def _grids(file: MapFile, small: Unpacker, config: Config) -> dict[str, Any]:
-    """Every grid, and what they decide where there are two."""
+    """Return every grid, and the decision if there are two."""
     both = (DEPTH,) in file.tally(GRIDS, "name")
     grids = read_grids(file, small, placed=both)
     found = {name: _grid(grid.states(), grid.resolution_m) for name, grid in grids.items()}
@@ -160,7 +160,7 @@ def _grids(file: MapFile, small: Unpacker, config: Config) -> dict[str, Any]:
 
 
 def _grid(states: StateArray, resolution_m: float) -> dict[str, Any]:
-    """Size and content of a grid."""
+    """Return size and content of a grid."""
     rows, cols = states.shape
     cell_m2 = resolution_m**2
     return {

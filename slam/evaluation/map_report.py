@@ -29,29 +29,29 @@ from slam.storage.map_sessions import MapSession
 from slam.storage.ply import read_cloud_ply
 
 CLOUD_FILE = "cloud.ply"
-# More unmatched scans than this share deserve a line at the top of the page.
+# A larger share of unmatched scans gives a warning at the top of the page.
 _UNMATCHED_SHARE = 0.01
-# And fewer places of a camera that fit; of sound recordings 0.3 to 0.8 do: docs/figures/input.md.
+# A smaller share of matching places of a camera, too; good recordings have 0.3 to 0.8: docs/figures/input.md.
 _FITTING_SHARE = 0.2
 
 
 @dataclass(frozen=True, slots=True)
 class RunCost:
-    """What a run cost up to the report."""
+    """Cost of a run up to the report."""
 
     wall_s: float
     cpu_s: float
 
     @staticmethod
     def peak_memory_mb() -> float:
-        """Greatest resident size of this process so far."""
+        """Return the peak resident memory of this process so far."""
         peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
         return peak / (1024.0**2 if sys.platform == "darwin" else 1024.0)
 
 
 @dataclass(frozen=True, slots=True)
 class Beside:
-    """What a report can show beside the map itself: the true trajectory, the coloured cloud."""
+    """Additional data of a report: the ground truth trajectory, the coloured cloud."""
 
     truth: TruthComparison | None = None
     cloud: ColoredCloud | None = None
@@ -61,16 +61,14 @@ class Beside:
 def beside_of(
     dataset: Dataset, result: MapResult, written: Iterable[Path], warnings: Iterable[str] = ()
 ) -> Beside:
-    """Gather what lies beside a map.
-
-    What cannot be had is a warning: the map itself is made.
+    """Collect additional data of a report. Missing data give a warning, since the map itself is finished.
 
     Parameters
     ----------
     written
         The files of the run; the cloud of the images is read from there, not fused again.
     warnings
-        Of what could not be written.
+        Warnings about files that could not be written.
     """
     truth, cloud, lines = None, None, list(warnings)
     try:
@@ -92,16 +90,16 @@ def beside_of(
 
 @dataclass(frozen=True, slots=True)
 class ReportData:
-    """A run, as its report tells of it.
+    """Data of a run for its report.
 
     Attributes
     ----------
     reading
-        What the reader has met.
+        Report of the reader.
     beside
-        What can be shown beside the map.
+        Additional data to show.
     sessions, digest
-        Of the saved map, see `slam.Map`.
+        Sessions and digest of the saved map, see `slam.Map`.
     """
 
     log_name: str
@@ -115,53 +113,53 @@ class ReportData:
 
     @property
     def unit(self) -> Literal["scan", "frame"]:
-        """What the map was made of: ``frame`` where there were only cameras."""
+        """Return the kind of readings of the map: ``frame`` if there were only cameras."""
         return "scan" if any(scan is not None for scan in self.result.map.keyframe_scans) else "frame"
 
     @property
     def path_length_m(self) -> float:
-        """Travel."""
+        """Return the path length."""
         return float(np.linalg.norm(np.diff(self.result.map.trajectory.positions_m, axis=0), axis=1).sum())
 
     @property
     def duration_s(self) -> float:
-        """From the first to the last stamp."""
+        """Return the time from the first to the last stamp."""
         stamps_s = self.result.map.trajectory.stamps_s
         return float(np.ptp(stamps_s)) if stamps_s.size else 0.0
 
     @property
     def warnings(self) -> list[str]:
-        """What a person should know before trusting the map, one line each."""
+        """Return the warnings about the map, one line each."""
         return [*self.result.warnings, *_warnings(self), *self.beside.warnings]
 
     @property
     def notes(self) -> list[tuple[str, str]]:
-        """What the reader met, what the graph is made of, what was found out: what, and how much."""
+        """Return notes of the reader, the graph and the run: subject and value."""
         told = use_lines(self.result.uses)
         found = [("note", note) for note in self.result.notes if note not in told]
         return _reader_notes(self.reading) + _edge_notes(self.result.map.factors) + found
 
     @property
     def sensors(self) -> list[tuple[str, str, str, str]]:
-        """What became of everything in the log: name, what it is, readings, and whether it is used."""
+        """Return the use of everything in the log: name, kind, readings, and whether it is used."""
         return [
             (use.sensor, use.kind, f"{use.readings:,}", f"no: {use.why_not}" if use.why_not else "yes")
             for use in self.result.uses
         ]
 
     def registrations(self) -> list[tuple[str, str]]:
-        """Of every camera: whether its colour is registered to its depth, in a line with the reason."""
+        """Return for every camera whether colour is registered to depth, in a line with the reason."""
         cameras = self.result.cameras
         return [(name, _registration_text(record, self.config)) for name, record in cameras.items()]
 
     @staticmethod
     def versions() -> list[tuple[str, str]]:
-        """Version by library, and the digest of Scanweave's own source."""
+        """Return versions by library, and the digest of Scanweave's own source."""
         return list(current_versions().items())
 
 
 def _reader_notes(reading: ReadReport) -> list[tuple[str, str]]:
-    """What the reader met, as rows."""
+    """Return notes of the reader as rows."""
     rows = [(f"read: {name}", f"{count:,}") for name, count in sorted(reading.records.items())]
     for reason, tally in sorted(reading.dropped.items()):
         rows.append((f"dropped: {reason}", f"{tally.count:,} (first at line {tally.lines[0]})"))
@@ -173,7 +171,7 @@ def _reader_notes(reading: ReadReport) -> list[tuple[str, str]]:
 
 
 def _edge_notes(factors: Sequence[SavedFactor]) -> list[tuple[str, str]]:
-    """Edges of the graph by provenance, and how many were refused."""
+    """Return the edges of the graph by source, and the number of rejected ones."""
     kinds = Counter(factor.edge.kind for factor in factors)
     refused = Counter(factor.edge.kind for factor in factors if not factor.kept)
     return [
@@ -183,7 +181,7 @@ def _edge_notes(factors: Sequence[SavedFactor]) -> list[tuple[str, str]]:
 
 
 def _registration_text(record: CameraRecord, config: Config) -> str:
-    """Whether a camera's colour is registered to its depth, and by what evidence."""
+    """Return whether a camera's colour is registered to its depth, with the evidence."""
     registration = record.learned.registration
     if registration is None:
         asked = config.rgbd.registration == "auto"
@@ -193,7 +191,7 @@ def _registration_text(record: CameraRecord, config: Config) -> str:
 
 
 def _warnings(data: ReportData) -> list[str]:
-    """What the scores of the scans or frames give cause for."""
+    """Return warnings from the scores of the scans or frames."""
     lines = list[str]()
     scans, unit = data.result.scans, data.unit
     count, carried = scans.stamps_s.size, _carried_by_cameras(data.result)
@@ -221,9 +219,9 @@ def _warnings(data: ReportData) -> list[str]:
 
 
 def _carried_by_cameras(result: MapResult) -> BoolArray:
-    """(S,) whether a robot's cameras reported the step between the keyframes around each moment.
+    """Return (S,) whether a robot's cameras measured the step between the keyframes around each time.
 
-    Where the frames themselves made the map, a lost one is lost.
+    If the map is made of frames, a lost frame stays lost.
     """
     count, keyframes = result.scans.stamps_s.size, result.map.readings
     reported = np.zeros(len(keyframes), dtype=np.bool_)
@@ -231,5 +229,5 @@ def _carried_by_cameras(result: MapResult) -> BoolArray:
         edge = factor.edge
         if factor.kept and edge.kind is EdgeKind.RGBD and edge.target == edge.source + 1:
             reported[edge.target] = True
-    # After the last keyframe the robot has hardly moved: what held before it holds on.
+    # After the last keyframe, the robot has hardly moved: the value before stays valid.
     return reported[np.minimum(np.searchsorted(keyframes, np.arange(count)), len(keyframes) - 1)]

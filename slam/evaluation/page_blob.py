@@ -24,14 +24,14 @@ _ALIGNED = 8
 
 
 def packed(head: Mapping[str, Any]) -> str:
-    """Texts, numbers and numpy arrays in mappings and sequences, as base64 of gzip; the same each time.
+    """Pack texts, numbers and numpy arrays in mappings and sequences as base64 of gzip, deterministically.
 
     Texts are made plain, see `slam.foreign`; a float that is not finite becomes null, in an array it stays.
     """
     parts: list[NDArray[Any]] = []
     text = json.dumps(_told(head, parts), ensure_ascii=False, allow_nan=False, separators=(",", ":")).encode()
     filled = text + b" " * (-(4 + len(text)) % _ALIGNED)
-    # Packed part after part: all of them at once would be there twice more.
+    # Packed part by part: all at once would need twice the memory more.
     packer = zlib.compressobj(4, zlib.DEFLATED, 16 + zlib.MAX_WBITS)
     pieces = [packer.compress(struct.pack("<I", len(filled)) + filled)]
     for part in parts:
@@ -40,7 +40,7 @@ def packed(head: Mapping[str, Any]) -> str:
 
 
 def _told(value: Any, parts: list[NDArray[Any]]) -> Any:
-    """A value as JSON can tell it; arrays are appended to the parts."""
+    """Convert a value for JSON; arrays are appended to the parts."""
     if isinstance(value, np.ndarray):
         offset = sum(part.nbytes + -part.nbytes % _ALIGNED for part in parts)
         parts.append(np.ascontiguousarray(value, value.dtype.newbyteorder("<")).reshape(-1).view(np.uint8))

@@ -15,7 +15,7 @@ from slam.mapper.scan_record import ScanRecord
 from slam.measurements import BoolArray, FloatArray
 
 _POINTS = 4000
-# Over the 95th percentile that much is shown; a greatest value farther off leaves the chart.
+# Range shown above the 95th percentile; larger values are outside the chart.
 _ABOVE, _FLATTENS = 1.25, 2.0
 _STRETCHES = 250
 _COLORS = ("blue", "orange", "green", "red", "soft", "mark")
@@ -24,7 +24,7 @@ _COLORS = ("blue", "orange", "green", "red", "soft", "mark")
 def chart(
     title: str, across: str, x: FloatArray, series: Mapping[str, FloatArray], **more: Any
 ) -> dict[str, Any]:
-    """A chart for the head of a page's data.
+    """Return a chart for the header of a page's data.
 
     Parameters
     ----------
@@ -37,7 +37,7 @@ def chart(
         series are the edges of a band; ``colors``: of the series.
     """
     if "most" not in more:
-        # A few large values do not flatten all others.
+        # So a few large values do not flatten all others.
         known = np.concatenate([*(values[np.isfinite(values)] for values in series.values()), np.zeros(1)])
         top = _ABOVE * float(np.percentile(known, 95.0))
         if known.max() > _FLATTENS * top:
@@ -62,7 +62,7 @@ def chart(
 
 
 def map_charts(result: MapResult, unit: str, truth: TruthComparison | None) -> list[dict[str, Any]]:
-    """Of a run: how well scans fitted, how certain poses are, what time was needed, what cameras saw."""
+    """Return the charts of a run: fit of scans, certainty of poses, time, cameras."""
     found = []
     if unit == "scan":
         found += _scores(result)
@@ -81,21 +81,21 @@ def map_charts(result: MapResult, unit: str, truth: TruthComparison | None) -> l
 
 
 def sigma_charts(stamps_s: FloatArray, covariances: FloatArray) -> list[dict[str, Any]]:
-    """Sigma of the position where it is greatest, and of the yaw; of covariances as in `slam.Map`."""
+    """Return charts of the largest position sigma and the yaw sigma, from covariances as in `slam.Map`."""
     positions, yaws = sigmas_of(covariances)
     rows = (("Sigma of the position, cm", 100.0 * positions), ("Sigma of the yaw, degrees", np.degrees(yaws)))
     return [chart(title, "time, s", _since(stamps_s), {title: values}) for title, values in rows]
 
 
 def sigmas_of(covariances: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """(N,) sigma of each position where it is greatest, and of the yaw; metres, radians."""
+    """Return (N,) the largest sigma of each position, and of the yaw; metres, radians."""
     axes = 2 if covariances.shape[1] == 3 else 3
     positions = np.sqrt(np.linalg.eigvalsh(covariances[:, :axes, :axes])[:, -1])
     return positions, np.sqrt(covariances[:, -1, -1])
 
 
 def _scores(result: MapResult) -> list[dict[str, Any]]:
-    """How the keyframes' scans fitted; matches with an open direction in a colour of their own."""
+    """Return charts of the fit of scans; matches with an undetermined direction have their own colour."""
     scans, keyframes = result.scans, result.map.readings
     if not len(keyframes):
         return []
@@ -109,13 +109,13 @@ def _scores(result: MapResult) -> list[dict[str, Any]]:
 
 
 def _split(values: FloatArray, open_: BoolArray) -> dict[str, FloatArray]:
-    """Values of all matches, and of those that left a direction open."""
+    """Split values of all matches, and of those with an undetermined direction."""
     series = {"match": np.where(open_, np.nan, values)}
     return series | ({"a direction is undetermined": np.where(open_, values, np.nan)} if open_.any() else {})
 
 
 def _tracking(name: str, frames: ScanRecord) -> list[dict[str, Any]]:
-    """How well the frames of a camera fitted; a lost frame is a point at zero."""
+    """Return charts of the fit of a camera's frames; a lost frame is a point at zero."""
     rows = {
         "share of matching points": frames.inlier_shares,
         "overlap": frames.overlaps,
@@ -133,7 +133,7 @@ def _tracking(name: str, frames: ScanRecord) -> list[dict[str, Any]]:
 
 
 def _fusion(fused: FusionSummary) -> list[dict[str, Any]]:
-    """The offset of every pair by its grade, and which share of each scan was repaired."""
+    """Return charts of the offset of every pair by grade, and of the repaired share of each scan."""
     found = []
     if fused.pairs:
         since = _since(np.array([pair.stamp_s for pair in fused.pairs]))
@@ -156,19 +156,19 @@ def _fusion(fused: FusionSummary) -> list[dict[str, Any]]:
 
 
 def _times(seconds: FloatArray, unit: str) -> dict[str, Any]:
-    """Median and range of the time a scan in stretches of the log: a flat line is a flat cost."""
+    """Return a chart of median and range of the time per scan along the log: a flat line is constant cost."""
     size = -(-seconds.size // _STRETCHES)
     count = -(-seconds.size // size)
     padding = np.full(count * size - seconds.size, np.nan)
     stretches = 1000.0 * np.concatenate([seconds, padding]).reshape(count, size)
     middle = np.minimum((np.arange(count) + 0.5) * size, seconds.size)
     high = np.nanpercentile(stretches, 95.0, axis=1)
-    # The first of all loads compiled code: it may leave the picture rather than flatten all others.
+    # The first one loads compiled code: it may be outside the chart rather than flatten all others.
     top = max(min(1.15 * float(high.max()), 4.0 * float(np.percentile(high, 95.0))), 1e-3)
     series = {"95 %": high, "least": np.nanmin(stretches, axis=1), "median": np.nanmedian(stretches, axis=1)}
     return chart(f"Time per {unit}, ms", unit, middle, series, lines=True, band=True, most=top)
 
 
 def _since(stamps_s: FloatArray) -> FloatArray:
-    """Seconds since the first."""
+    """Return seconds since the first."""
     return stamps_s - stamps_s.min() if stamps_s.size else stamps_s

@@ -15,9 +15,9 @@ from slam.measurements import AnyFloatArray, FloatArray, spatial
 from slam.storage.map_clouds import MapClouds
 from slam.storage.map_contents import MapContents
 
-# A page holds no more: points of the cloud, images or keyframes' clouds, pixels along an image's longer side.
+# Limits of a page: points of the cloud, images or keyframe clouds, pixels along an image's longer side.
 _POINTS, _IMAGES, _SIDE_PX = 200_000, 120, 200
-# Stray points far off would shrink everything else.
+# Distant outliers would shrink everything else.
 _OUTSIDE_PERCENT = 0.1
 _STEPS = np.iinfo(np.uint16).max
 # Cosines between a normal and the upward direction: ever narrower cones around the floors and tables.
@@ -26,7 +26,7 @@ _LEAST_SHARE = 0.02
 
 
 def cloud_data(found: MapContents, cloud: ColoredCloud | None) -> tuple[dict[str, Any] | None, list[str]]:
-    """The coloured cloud of the images, or else of the 3D lidar, and a line that tells of its size.
+    """Return the coloured cloud of the images, or else of the 3D lidar, and a line about its size.
 
     Points are (N, 3) in steps of ``step_m`` from ``low``, map frame; ``up`` is the upward direction. A
     hand-held camera does not know it, yet most of what faces up is a floor or a table. ``by_intensity`` are
@@ -56,7 +56,7 @@ def cloud_data(found: MapContents, cloud: ColoredCloud | None) -> tuple[dict[str
 
 
 def _of_keyframes(clouds: MapClouds, found: MapContents) -> tuple[FloatArray, FloatArray | None, str]:
-    """(N, 3) points of keyframes in the map, evenly taken, their intensities (N,), and of how many in all."""
+    """Return (N, 3) sampled points of keyframes in the map, their intensities (N,), and the total number."""
     keys, total, parts, told = _even(len(clouds)), 0, list[FloatArray](), list[FloatArray]()
     share = _POINTS // len(keys) + 1
     for key in keys:
@@ -64,19 +64,19 @@ def _of_keyframes(clouds: MapClouds, found: MapContents) -> tuple[FloatArray, Fl
         total += len(rows)
         rows = rows[:: max(1, -(-len(rows) // share))]
         parts.append(moved(rows, spatial(found.node_poses[key])))
-        # A view would keep the whole keyframe.
+        # A view would keep the whole keyframe in memory.
         told.append(rows[:, 3].copy() if rows.shape[1] > 3 else np.full(len(rows), np.nan))
     intensities, of = np.concatenate(told), f"{total:,} points of {len(keys):,} keyframes"
     return np.vstack(parts), None if np.isnan(intensities).all() else intensities, of
 
 
 def _even(count: int) -> list[int]:
-    """Keyframes evenly taken of so many: more than a page holds images of tell nearly the same."""
+    """Return evenly sampled keyframes, up to the limit of a page."""
     return np.unique(np.linspace(0, count - 1, min(_IMAGES, count)).astype(int)).tolist()
 
 
 def _upward(normals: NDArray[np.float32]) -> FloatArray:
-    """(3,) the direction that most surfaces near z face."""
+    """Return (3,) the direction that most surfaces near z face."""
     up = np.array([0.0, 0.0, 1.0])
     for cosine in _CONES:
         around = normals[normals @ up > cosine]
@@ -88,7 +88,7 @@ def _upward(normals: NDArray[np.float32]) -> FloatArray:
 
 
 def image_data(found: MapContents) -> tuple[dict[str, Any] | None, list[str]]:
-    """Images of camera keyframes, small, one JPEG after the other; a line that tells of their size."""
+    """Return small images of camera keyframes, one JPEG after the other, and a line about their size."""
     from PIL import Image
 
     frames = found.frames

@@ -26,7 +26,7 @@ from slam.storage.covariances import upper_triangles
 from slam.storage.map_contents import MapContents, SavedFactor
 from slam.storage.map_sessions import MapSession, session_numbers
 
-# A page holds no more: points of scans, poses of the way. What is left out is evenly so, and told.
+# Limits of a page: points of scans, poses of the path. The rest is thinned evenly, and reported.
 _SCAN_POINTS, _POSES = 1_000_000, 20_000
 _CM_A_METRE = 100.0
 _FARTHEST_CM = np.iinfo(np.int16).max
@@ -35,14 +35,14 @@ _FARTHEST_CM = np.iinfo(np.int16).max
 def map_data(
     found: MapContents, config: Config, *, title: str, sessions: Sequence[MapSession] = (), digest: str = ""
 ) -> dict[str, Any]:
-    """What the page of a map works with, see `slam.evaluation.page_blob.packed`.
+    """Return the data of a map's page, see `slam.evaluation.page_blob.packed`.
 
     Parameters
     ----------
     sessions
         The logs of the map, in order; none for a map of one.
     digest
-        Of the map, so that edits can tell what they were made for.
+        Digest of the map, so that edits refer to it.
     """
     rows = _rows_of_nodes(found, sessions)
     sigmas = _sigmas(found)
@@ -80,7 +80,7 @@ def map_data(
 
 
 def _what_if(found: MapContents, config: Config) -> dict[str, Any]:
-    """Influence and order of elimination, see `slam.graph.influence`.
+    """Return influences and elimination order, see `slam.graph.influence`.
 
     Edges are those of the graph, and after them the matched loop candidates that never came into it, in
     order: so they are numbered in the page, too.
@@ -98,9 +98,9 @@ def _what_if(found: MapContents, config: Config) -> dict[str, Any]:
             "node": told.nodes.astype(np.int32),
             "residual": told.residuals.astype(np.float32),
             "left_out": told.left_out.astype(np.float32),
-            # Squared sigmas that one in a thousand true loops is beyond: of one loop, of two and so on.
+            # Squared sigmas exceeded by one in a thousand true loops: for one loop, two and so on.
             "gates": np.array([gate(size * n) for n in range(1, max(len(told.edges), 1) + 1)], np.float32),
-            # Loops that lie within a local map of each other at both ends are one claim.
+            # Loops within a local map of each other at both ends are one claim.
             "reach": config.match.local_map_keyframes,
         },
         "order": elimination_order(len(found.node_poses), edges).astype(np.int32),
@@ -108,7 +108,7 @@ def _what_if(found: MapContents, config: Config) -> dict[str, Any]:
 
 
 def pose_rows(poses: Sequence[Pose]) -> FloatArray:
-    """(N, 3) x, y, yaw of poses in the plane; (N, 7) x, y, z and a quaternion (x, y, z, w) in space."""
+    """Return (N, 3) x, y, yaw of planar poses; (N, 7) x, y, z and a quaternion (x, y, z, w) in 3D."""
     if poses and isinstance(poses[0], gtsam.Pose2):
         return np.array([row_from_pose2(pose) for pose in poses])
     return np.array([row_from_pose(pose) for pose in poses], np.float64).reshape(-1, 7)
@@ -117,7 +117,7 @@ def pose_rows(poses: Sequence[Pose]) -> FloatArray:
 def way_data(
     trajectory: Trajectory, sigmas: tuple[NDArray[np.float32], NDArray[np.float32]]
 ) -> tuple[dict[str, Any], list[str], slice]:
-    """Where the robot was over time, thinned; lines that tell of it, and which poses are there."""
+    """Return the thinned path over time, lines about it, and the indices of its poses."""
     count = len(trajectory)
     chosen = slice(None, None, max(1, -(-count // _POSES)))
     part = trajectory[chosen]
@@ -143,7 +143,7 @@ def way_data(
 def _way(
     found: MapContents, rows: NDArray[np.intp], sigmas: tuple[NDArray[np.float32], NDArray[np.float32]]
 ) -> tuple[dict[str, Any], list[str]]:
-    """The way of the map, and what told each step: the surest kept edge from the keyframe before."""
+    """Return the path of the map, and the source of each step: the most certain inlier edge to it."""
     data, told, chosen = way_data(found.trajectory, sigmas)
     kinds = sorted({str(factor.edge.kind) for factor in found.factors if factor.edge.loop is None})
     sources, spread = np.full(len(found.node_poses), len(kinds), np.uint8), dict[int, float]()
@@ -164,7 +164,7 @@ def _way(
 
 
 def _rows_of_nodes(found: MapContents, sessions: Sequence[MapSession]) -> NDArray[np.intp]:
-    """(K,) the pose of the trajectory that is each node's: the nearest stamp of its session."""
+    """Return (K,) the trajectory pose of each node: the nearest stamp of its session."""
     stamps_s = found.trajectory.stamps_s
     if not len(stamps_s):
         return np.zeros(0, np.intp)
@@ -179,7 +179,7 @@ def _rows_of_nodes(found: MapContents, sessions: Sequence[MapSession]) -> NDArra
 
 
 def _sigmas(found: MapContents) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """(N,) sigma of each position where it is greatest, and of the yaw, radians; nan where unknown."""
+    """Return (N,) the largest sigma of each position, and of the yaw, radians; NaN if unknown."""
     covariances = found.covariances
     if covariances is None:
         unknown = np.full(len(found.trajectory), np.nan, np.float32)
@@ -189,7 +189,7 @@ def _sigmas(found: MapContents) -> tuple[NDArray[np.float32], NDArray[np.float32
 
 
 def _plane_covariances(covariances: FloatArray | None, rows: NDArray[np.intp]) -> NDArray[np.float32]:
-    """(K, 3) xx, xy, yy of the nodes' positions, none where nothing is told."""
+    """Return (K, 3) xx, xy, yy of the nodes' positions; empty if unknown."""
     if covariances is None or not len(rows):
         return np.zeros((0, 3), np.float32)
     found = covariances[rows]
@@ -197,7 +197,7 @@ def _plane_covariances(covariances: FloatArray | None, rows: NDArray[np.intp]) -
 
 
 def _edges(factors: Sequence[SavedFactor], planar: bool) -> dict[str, Any]:
-    """The graph's edges."""
+    """Return the graph's edges."""
     edges = [factor.edge for factor in factors]
     kinds = sorted({str(edge.kind) for edge in edges})
     return {
@@ -214,7 +214,7 @@ def _edges(factors: Sequence[SavedFactor], planar: bool) -> dict[str, Any]:
 
 
 def _loops(loops: Sequence[LoopCandidate], factors: Sequence[SavedFactor], planar: bool) -> dict[str, Any]:
-    """Every loop candidate; what has no match is nan."""
+    """Return every loop candidate; NaN without a match."""
     reasons = sorted({loop.reason for loop in loops})
     numbers = {reason: number for number, reason in enumerate(reasons)}
     edges = np.full(len(loops), -1, np.int32)
@@ -234,7 +234,7 @@ def _loops(loops: Sequence[LoopCandidate], factors: Sequence[SavedFactor], plana
         "reason": np.array([numbers[loop.reason] for loop in loops], np.uint16),
         "reasons": reasons,
         "edge": edges,
-        # Of those that were matched: which, the pose of the keyframe seen from the place, its covariance.
+        # Of matched candidates: index, pose of the keyframe relative to the place, covariance.
         "matched": np.array(matched, np.int32),
         "measured": _rows_of([motion.T_reference_base for motion in motions], planar),
         "covariance": _triangles([motion.covariance for motion in motions], planar),
@@ -242,24 +242,24 @@ def _loops(loops: Sequence[LoopCandidate], factors: Sequence[SavedFactor], plana
 
 
 def _of_loops(loops: Sequence[LoopCandidate], name: str) -> NDArray[np.float32]:
-    """A number of the loops' matches; nan where there is none."""
+    """Return a number of the loops' matches; NaN if there is none."""
     values = [np.nan if loop.motion is None else getattr(loop.motion, name) for loop in loops]
     return np.array(values, np.float32)
 
 
 def _rows_of(poses: Sequence[Pose], planar: bool) -> FloatArray:
-    """As `pose_rows`, of the right width where there are none."""
+    """Return `pose_rows`, with the correct width if empty."""
     return pose_rows(poses).reshape(-1, 3 if planar else 7)
 
 
 def _triangles(covariances: Sequence[FloatArray], planar: bool) -> FloatArray:
-    """(N, 6) or (N, 21) upper triangles."""
+    """Return (N, 6) or (N, 21) upper triangles."""
     size = 3 if planar else 6
     return upper_triangles(np.array(covariances, np.float64).reshape(-1, size, size))
 
 
 def _scans(scans: Sequence[LaserScan | None], count: int) -> tuple[dict[str, Any], list[str]]:
-    """Points of the keyframes' scans, base frame, thinned; a line that tells of it."""
+    """Return thinned points of the keyframes' scans, base frame, and a line about it."""
     total = sum(scan.ranges_m.size for scan in scans if scan is not None)
     step = max(1, -(-total // _SCAN_POINTS))
     parts = [
@@ -271,7 +271,7 @@ def _scans(scans: Sequence[LaserScan | None], count: int) -> tuple[dict[str, Any
 
 
 def _repairs(found: MapContents) -> dict[str, Any]:
-    """What fusion changed of the scans, base frame: kind 0 is new, 1 now elsewhere, 2 where it was."""
+    """Return the changes of the scans by fusion, base frame: kind 0 new, 1 moved, 2 old position."""
     parts, kinds = [], []
     total = sum(scan.ranges_m.size for scan in found.keyframe_scans if scan is not None)
     step = max(1, -(-total // _SCAN_POINTS))
@@ -290,18 +290,18 @@ def _repairs(found: MapContents) -> dict[str, Any]:
 
 
 def _points_base(scan: LaserScan, which: NDArray[np.bool_] | None = None) -> FloatArray:
-    """(N, 2) points of a scan, or of some of its beams, base frame."""
+    """Return (N, 2) points of a scan, or of some of its beams, base frame."""
     if which is not None:
         scan = replace(scan, ranges_m=np.where(which, scan.ranges_m, np.float32(np.nan)))
     return transform_points(scan.points_laser(), row_from_pose2(scan.T_base_laser))
 
 
 def _centimetres(points: FloatArray) -> NDArray[np.int16]:
-    """Rounded; a point beyond 327 m stays at that."""
+    """Round to centimetres; points are clipped at 327 m."""
     return np.clip(np.rint(_CM_A_METRE * points), -_FARTHEST_CM, _FARTHEST_CM).astype(np.int16)
 
 
 def _stacked(parts: Sequence[NDArray[np.int16]]) -> dict[str, Any]:
-    """Points of all keyframes, and where those of each begin."""
+    """Return points of all keyframes, and the start index of each."""
     first = np.concatenate([[0], np.cumsum([len(part) for part in parts])]).astype(np.int32)
     return {"first": first, "points": np.vstack(parts) if parts else np.zeros((0, 2), np.int16)}

@@ -16,10 +16,10 @@ from slam.mapping.layered_map import LayeredMap, LayerName
 from slam.mapping.occupancy_grid import FREE, OCCUPIED, THRESHOLDS, OccupancyGrid
 from slam.measurements import BoolArray
 
-# A browser draws pictures of this size smoothly; larger maps are shown in coarser cells.
+# A browser draws images of this size smoothly; larger maps are shown in coarser cells.
 _LONGEST_SIDE_PX = 4096
-_MARGIN_CELLS = 8  # of what is shown around all that is known
-# What a cell is, so ordered that the greater hides the lesser where cells are joined.
+_MARGIN_CELLS = 8  # margin around the known cells
+# Kinds of cells, in ascending priority when cells are joined.
 _UNSEEN, _FREE, _LIDAR_HEIGHT, _WALL = range(4)
 _SHADES = ((205, 205, 205), (254, 254, 254), (232, 232, 232), (0, 0, 0))
 _CONFLICT = ((0, 0, 0), (217, 115, 13), (147, 51, 234))
@@ -43,7 +43,7 @@ class Picture:
     Attributes
     ----------
     kinds
-        (rows, cols) index into the shades; 0 is seen through. Row 0 at the lowest y, as in a grid.
+        (rows, cols) index into the shades; 0 is transparent. Row 0 at the lowest y, as in a grid.
     shades
         Colour of each kind.
     """
@@ -53,11 +53,11 @@ class Picture:
     shades: Sequence[tuple[int, int, int]]
 
     def known(self) -> tuple[BoolArray, BoolArray]:
-        """(rows,) and (cols,) that have anything to show."""
+        """Return (rows,) and (cols,) with visible cells."""
         return np.asarray(self.kinds.any(axis=1)), np.asarray(self.kinds.any(axis=0))
 
     def png(self, window: tuple[slice, slice]) -> bytes:
-        """A part of it, row 0 at the top."""
+        """Return a part of it as PNG, row 0 at the top."""
         from PIL import Image
 
         kinds = _joined(self.kinds[window])
@@ -69,7 +69,7 @@ class Picture:
 
 
 def layer_pictures(layers: LayeredMap | None, passed_by: OccupancyGrid | None = None) -> list[dict[str, Any]]:
-    """The map first, and what it was made of, for the head of the page's data; nothing without a map.
+    """Return the map and then its layers for the header of the page's data; empty without a map.
 
     Each tells its name, what its colours mean, the PNG as a data address, whether it lies over another that
     stays, the side of a pixel, and the pose ``T_map_corner`` (x, y, yaw) of its lower-left corner.
@@ -95,13 +95,13 @@ def layer_pictures(layers: LayeredMap | None, passed_by: OccupancyGrid | None = 
             "cols": -(-columns // _step((rows, columns))),
         }
 
-    # A loop would hold a picture until it has the next one.
+    # A loop would keep an image until it has the next one.
     return [*map(told, _pictures(layers, passed_by))]
 
 
 def areas_m2(layers: LayeredMap) -> tuple[float, float]:
-    """How much of the floor is free, and how much more at the height of the lidar only."""
-    # Row by row: it counts numbers of eight bytes.
+    """Return the free floor area, and the additional area free only at the height of the lidar."""
+    # Row by row, since it counts 8-byte integers.
     counts = np.zeros(len(_SHADES), np.int64)
     for row in _map(layers).kinds:
         counts += np.bincount(row, minlength=len(_SHADES))
@@ -109,7 +109,7 @@ def areas_m2(layers: LayeredMap) -> tuple[float, float]:
 
 
 def _map(layers: LayeredMap) -> Picture:
-    """The navigation map, what only the lidar saw free in a kind of its own."""
+    """Return the navigation map, with a separate kind for cells that only the lidar saw as free."""
     kinds = _kinds(layers, "decision")
     if layers.names:
         kinds[layers.free_at_lidar_height() & (kinds == _UNSEEN)] = _LIDAR_HEIGHT
@@ -117,7 +117,7 @@ def _map(layers: LayeredMap) -> Picture:
 
 
 def _pictures(layers: LayeredMap, passed_by: OccupancyGrid | None) -> Iterator[Picture]:
-    """The map, what it was made of and what has gone; one in memory at a time."""
+    """Yield the map, its layers and removed objects; one in memory at a time."""
     yield _map(layers)
     percent = layers.percent()
     grey = np.rint(np.linspace(254.0, 0.0, 101)).astype(int).tolist()
@@ -139,7 +139,7 @@ def _pictures(layers: LayeredMap, passed_by: OccupancyGrid | None) -> Iterator[P
 
 
 def _gone(layers: LayeredMap, passed_by: OccupancyGrid) -> Picture:
-    """What stood for a while, over the map; both lie on one lattice."""
+    """Return temporary objects over the map; both have aligned cells."""
     rows, columns = np.nonzero(THRESHOLDS.occupied(passed_by.steps))
     kinds = _kinds(layers, "decision")
     apart = layers.T_map_grid.between(passed_by.T_map_grid)
@@ -149,14 +149,14 @@ def _gone(layers: LayeredMap, passed_by: OccupancyGrid) -> Picture:
 
 
 def _kinds(layers: LayeredMap, name: LayerName) -> NDArray[np.uint8]:
-    """States of a layer as kinds."""
+    """Convert the states of a layer to kinds."""
     kinds = layers.states(name).view(np.uint8)
     kinds += 1  # from unknown, free and occupied to 0, 1 and more than any kind, in place
     return np.minimum(kinds, _WALL, out=kinds)
 
 
 def _known(pictures: Iterable[Picture]) -> tuple[slice, slice]:
-    """Rows and columns that hold all that is known, with a margin; all where nothing is."""
+    """Return the rows and columns of known cells, with a margin; all if nothing is known."""
     windows = []
     for lines in zip(*map(Picture.known, pictures), strict=True):
         (there,) = np.nonzero(np.any(lines, axis=0))
@@ -167,12 +167,12 @@ def _known(pictures: Iterable[Picture]) -> tuple[slice, slice]:
 
 
 def _step(shape: tuple[int, int]) -> int:
-    """Cells along the side of a pixel."""
+    """Return the number of cells along the side of a pixel."""
     return max(1, -(-max(shape) // _LONGEST_SIDE_PX))
 
 
 def _joined(kinds: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """In coarser cells where it is large: the greatest kind stays, so that thin walls do."""
+    """Join cells of a large image: the highest kind remains, and so do thin walls."""
     step = _step((kinds.shape[0], kinds.shape[1]))
     if step > 1:
         for axis in (0, 1):

@@ -21,7 +21,7 @@ from slam.foreign import plain_lines
 from slam.storage.files import replacing
 
 TEMPLATES = Path(__file__).parent / "templates"
-_TELLING_S = 0.02  # medians of two clocks that are nearer to each other than that tell nothing
+_TELLING_S = 0.02  # smaller differences of two median times are not significant
 
 
 def write_page(path: Path, template: str, **values: Any) -> None:
@@ -44,14 +44,14 @@ def page_parts(
     connect: str = "'none'",
     **values: Any,
 ) -> Iterator[str]:
-    """A page, part after part; every text is escaped, a picture is bytes of PNG.
+    """Yield a page part by part; every text is escaped, an image is PNG bytes.
 
     A policy in its head lets the browser run these scripts and no others, and ask for nothing.
 
     Parameters
     ----------
     scripts, styles
-        Names of templates that go in as they are.
+        Names of templates that are included unchanged.
     connect
         What scripts may connect to, as a Content-Security-Policy names it.
     """
@@ -71,24 +71,24 @@ def page_parts(
 
 
 def render(template: str, **values: Any) -> Markup:
-    """A template filled in, as a piece of a page."""
+    """Render a template as a piece of a page."""
     return Markup(_environment().get_template(template).render(**values))
 
 
 def inspection_text(log: dict[str, Any]) -> str:
-    """What a log holds, see `slam.datasets.inspection.inspect_dataset`, as plain text."""
+    """Return the content of a log, see `slam.datasets.inspection.inspect_dataset`, as plain text."""
     uses = use_lines(SensorUse(**use) for use in log["uses"])
     return str(render("inspection.txt", log=log, uses=uses, telling_s=_TELLING_S)).rstrip("\n")
 
 
 def parts() -> Any:
-    """The pieces of a page, by name: ``parts().table(head, rows)``."""
+    """Return the macros of a page: ``parts().table(head, rows)``."""
     return _environment().get_template("parts.html").module
 
 
 @cache
 def _environment() -> Environment:
-    """Templates that make plain and escape what they are given, and fail on what they are not given."""
+    """Create templates that sanitise and escape their values, and fail on missing ones."""
     environment = Environment(
         loader=FileSystemLoader(TEMPLATES),
         autoescape=lambda name: name is None or not name.endswith(".txt"),
@@ -97,7 +97,7 @@ def _environment() -> Environment:
         undefined=StrictUndefined,
         finalize=lambda value: plain_lines(value) if type(value) is str else value,
     )
-    # No minus zero.
+    # No negative zero.
     environment.filters["degrees"] = lambda angle, decimals=9: round(math.degrees(angle), decimals) + 0.0
     environment.filters["base64"] = lambda png: base64.b64encode(png).decode("ascii")
     return environment

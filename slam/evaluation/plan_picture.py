@@ -14,7 +14,7 @@ _MARGIN_M = 1.0
 
 
 def plan_picture(states: StateArray, space: FreeSpace, path: Path) -> bytes:
-    """PNG: the map, cells in which the robot's centre may not be in grey, the path, green start, red goal."""
+    """Draw a PNG: map, grey cells forbidden for the robot's centre, path, green start, red goal."""
     shade = np.full((*states.shape, 3), 205, dtype=np.uint8)
     shade[states == FREE] = (232, 226, 218)
     shade[space.allowed] = 254
@@ -35,7 +35,7 @@ def plan_picture(states: StateArray, space: FreeSpace, path: Path) -> bytes:
 
 
 def _window(states: StateArray, cells: NDArray[np.int64], margin: int) -> tuple[slice, slice]:
-    """The part of the map that holds the path and everything known."""
+    """Return the part of the map that contains the path and all known cells."""
     known = np.argwhere(states >= FREE)
     low = np.minimum(known.min(axis=0), cells.min(axis=0)) - margin
     high = np.maximum(known.max(axis=0), cells.max(axis=0)) + margin + 1

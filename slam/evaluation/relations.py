@@ -171,7 +171,7 @@ def _look_up(trajectory: Trajectory, stamps_s: FloatArray) -> tuple[NDArray[np.i
 
 
 def _group(translation_m: FloatArray, rotation_rad: FloatArray) -> RelationGroupScore:
-    """Statistics of at least one relation."""
+    """Return the statistics of at least one relation."""
     return RelationGroupScore(
         used=int(translation_m.size),
         translation_m=ErrorStatistics.of(translation_m),
@@ -180,5 +180,5 @@ def _group(translation_m: FloatArray, rotation_rad: FloatArray) -> RelationGroup
 
 
 def _span(name: str, stamps_s: FloatArray) -> str:
-    """First and last time of a set of stamps, for a message."""
+    """Return first and last time of a set of stamps, for a message."""
     return f"{name} {stamps_s.min():.3f} to {stamps_s.max():.3f} s"

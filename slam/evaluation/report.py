@@ -61,7 +61,7 @@ def write_report(path: Path, data: ReportData, head: Callable[[], Any] = lambda:
 
 
 def _headline(data: ReportData) -> list[tuple[str, str]]:
-    """The run in a few numbers."""
+    """Return the main figures of a run."""
     loops, cost = data.result.map.loops, data.cost
     seconds = data.result.scans.seconds
     facts = [
@@ -85,7 +85,7 @@ def _headline(data: ReportData) -> list[tuple[str, str]]:
 
 
 def _stages(data: ReportData) -> list[tuple[str, str, float]]:
-    """Where the wall time went: stage, seconds, percent of the longest; the rest, so that they add up."""
+    """Return the wall time by stage: seconds, percent of the longest; with the rest, to sum up."""
     stages = dict(data.result.stage_seconds)
     if not stages:
         return []
@@ -96,13 +96,13 @@ def _stages(data: ReportData) -> list[tuple[str, str, float]]:
 
 
 def _duration(seconds: float) -> str:
-    """Minutes and seconds, as a person says it."""
+    """Format minutes and seconds."""
     minutes, rest = divmod(round(seconds), 60)
     return f"{minutes} min {rest:02d} s" if minutes else f"{seconds:.1f} s"
 
 
 def _page(data: ReportData, head: dict[str, Any] | None) -> WorkPage:
-    """The plan to work in."""
+    """Return the interactive plan."""
     found, truth = data.result.map, data.beside.truth
     if head is None:
         head = map_data(found, data.config, title=data.log_name, sessions=data.sessions)
@@ -114,7 +114,7 @@ def _page(data: ReportData, head: dict[str, Any] | None) -> WorkPage:
 
 
 def fusion_section(fused: FusionSummary) -> str:
-    """What the pairs told of the rig, and what was repaired, as HTML."""
+    """Return the rig estimate of the pairs, and the repairs, as HTML."""
     return render(
         "fusion.html",
         fused=fused,
@@ -124,7 +124,7 @@ def fusion_section(fused: FusionSummary) -> str:
 
 
 def _grade_rows(fused: FusionSummary) -> list[tuple[str, ...]]:
-    """Pairs by grade, and how far they are from what all of them tell together."""
+    """Return pairs by grade, and their distance from the joint estimate."""
     rows: list[tuple[str, ...]] = []
     for grade in sorted(Grade, reverse=True):
         offsets = np.array([pair.u for pair in fused.pairs if pair.grade == grade])
@@ -137,7 +137,7 @@ def _grade_rows(fused: FusionSummary) -> list[tuple[str, ...]]:
 
 
 def _camera_cells(name: str, record: CameraRecord) -> tuple[str, ...]:
-    """The numbers of a camera as text; what was never measured is a dash."""
+    """Return the numbers of a camera as text; a dash if never measured."""
     frames = record.frames
     medians = [
         (frames.overlaps, "{:.2f}"),
@@ -157,6 +157,6 @@ def _camera_cells(name: str, record: CameraRecord) -> tuple[str, ...]:
 
 
 def _median(values: FloatArray, style: str) -> str:
-    """Median of what was measured."""
+    """Return the median of measured values."""
     known = values[np.isfinite(values)]
     return style.format(float(np.median(known))) if known.size else "–"

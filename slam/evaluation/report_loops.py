@@ -11,13 +11,13 @@ from slam.graph.closings import closings
 from slam.graph.loop_candidate import LoopCandidate
 from slam.storage.map_contents import MapContents
 
-# Beyond this many rows the accepted loops are folded too, so that the page stays readable.
+# With more rows than this, accepted loops are folded, too, so that the page stays readable.
 _MOST_OPEN_ROWS = 40
 _MOST_CLOSINGS = 10
 
 
 def loop_section(found: MapContents, config: Config, degenerate: int = 0) -> str:
-    """As HTML; ``degenerate`` counts the keyframes whose match left a direction open."""
+    """Return HTML; ``degenerate`` counts keyframes whose match has an undetermined direction."""
     accepted = [_score_cells(loop, found, config) for loop in found.loops if loop.accepted]
     refused = [(*_score_cells(loop, found, config), loop.reason) for loop in found.loops if not loop.accepted]
     return render(
@@ -33,9 +33,9 @@ def loop_section(found: MapContents, config: Config, degenerate: int = 0) -> str
 
 
 def _closings(found: MapContents, config: Config) -> list[tuple[str, ...]]:
-    """The loops that closed most, one row each."""
+    """Return the loops that corrected the largest errors, one row each."""
     held = [factor.edge for factor in found.factors if factor.kept]
-    # Claims about places support each other over as much of the way.
+    # Place claims support each other over this path length.
     reach_m = 2.0 * config.loops.least_path_m
     rows = closings(held, found.node_poses, reach_m, _MOST_CLOSINGS)
     return [
@@ -53,7 +53,7 @@ def _closings(found: MapContents, config: Config) -> list[tuple[str, ...]]:
 
 
 def _score_cells(loop: LoopCandidate, found: MapContents, config: Config) -> tuple[str, ...]:
-    """The numbers of one loop as text; a loop that was refused before it was scored has a dash."""
+    """Return the numbers of one loop as text; a loop that was rejected before scoring has a dash."""
     poses = found.keyframe_poses
     x, y = (poses[loop.keyframe] - poses[loop.place])[:2]
     score = "–" if loop.motion is None else f"{loop.motion.inlier_share:.3f}"

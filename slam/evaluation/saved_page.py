@@ -8,6 +8,7 @@ from typing import Any
 
 from slam.config import Config, dump_config
 from slam.errors import ScanweaveError
+from slam.evaluation.map_info import extent_of
 from slam.evaluation.map_report import CLOUD_FILE
 from slam.evaluation.page_charts import sigma_charts
 from slam.evaluation.page_cloud import cloud_data, image_data
@@ -25,17 +26,17 @@ from slam.storage.map_edits import regions_of
 from slam.storage.ply import read_cloud_ply
 from slam.storage.whole_folder import REPORT
 
-# Of regions that a person has drawn, as the page shows them.
+# Names of user regions, as the page shows them.
 _KINDS = ("erase", "keep_out", "slow", "crop", "place")
 
 
 def saved_page(saved: Map, connect: str = "'none'") -> Iterator[str]:
-    """The page, part after part.
+    """Yield the page part by part.
 
     Parameters
     ----------
     connect
-        What its scripts may connect to, see `slam.evaluation.pages.page_parts`.
+        Permitted connections of its scripts, see `slam.evaluation.pages.page_parts`.
     """
     found, config = saved.contents, saved.config
     title = saved.path.parent.name if len(saved.sessions) > 1 else saved.sessions[0].log_name
@@ -63,7 +64,7 @@ def saved_page(saved: Map, connect: str = "'none'") -> Iterator[str]:
             ("keyframes", f"{len(found.node_poses):,}"),
             ("poses", f"{len(found.trajectory):,}"),
             ("loops accepted", f"{sum(loop.accepted for loop in loops):,} of {len(loops):,}"),
-            ("path", f"{float(found.path_m[-1]):,.1f} m"),
+            ("path", f"{extent_of(found.trajectory, saved.sessions)['path_length_m']:,.1f} m"),
             ("digest", saved.digest[:12]),
         ],
         warnings=list(saved.warnings),
@@ -91,7 +92,7 @@ def write_saved_page(saved: Map) -> Path:
 def map_work_page(
     head: dict[str, Any], found: MapContents, config: Config, cloud: ColoredCloud | None = None
 ) -> WorkPage:
-    """The plan of a map's data, with its cloud and images put in."""
+    """Return the plan of a map's data, with its cloud and images."""
     for name, (part, told) in (("cloud", cloud_data(found, cloud)), ("images", image_data(found))):
         head[name] = part
         head["limits"] += told
@@ -103,7 +104,7 @@ def map_work_page(
 
 
 def _legend(layers: LayeredMap | None) -> str:
-    """What the greys mean, and how much of the floor is free; of what only the lidar saw free, how much."""
+    """Return the legend of greys, the free area, and the area that only the lidar saw as free."""
     if layers is None:
         return ""
     free_m2, lidar_m2 = areas_m2(layers)
@@ -117,7 +118,7 @@ def _legend(layers: LayeredMap | None) -> str:
 
 
 def _applied(found: MapContents) -> dict[str, Any]:
-    """The texts of the edits, and their zones and places where they are now: points in the map."""
+    """Return the texts of the edits, and the current positions of their zones and places in the map."""
     regions = [
         {
             "kind": kind,

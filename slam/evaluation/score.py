@@ -11,7 +11,7 @@ import numpy as np
 
 from slam.datasets import open_dataset
 from slam.datasets.truth_files import read_truth
-from slam.errors import EvaluationError
+from slam.errors import EvaluationError, path_of
 from slam.estimates import Trajectory
 from slam.evaluation.coverage import coverage
 from slam.evaluation.relations import Relations, read_relations, score_relations
@@ -82,7 +82,9 @@ def evaluate(
         given = "none" if relations is None else "both"
         raise EvaluationError(f"a trajectory is scored by groundtruth or by relations: give one, not {given}")
     if relations is not None:
-        checked = relations if isinstance(relations, Relations) else read_relations(Path(relations))
+        checked = (
+            relations if isinstance(relations, Relations) else read_relations(path_of(relations, "relations"))
+        )
         return {"relations": score_relations(poses, checked).to_dict()}
     assert groundtruth is not None
     truth = _truth(groundtruth)
@@ -114,7 +116,7 @@ def score_text(scores: dict[str, Any]) -> str:
 
 
 def _lines(values: dict[str, Any], indent: str) -> list[str]:
-    """Yield one line for each group of statistics."""
+    """Return one line for each group of statistics."""
     lines = []
     for name, value in values.items():
         if isinstance(value, dict) and "mean" in value:
@@ -145,14 +147,14 @@ def _beside(path: Path, poses: Trajectory) -> FloatArray | None:
 def _poses(source: Trajectory | Map | Path | str) -> Trajectory:
     """Return a trajectory, or that of a map or a TUM file."""
     source = source.trajectory if isinstance(source, Map) else source
-    return source if isinstance(source, Trajectory) else read_tum(Path(source))
+    return source if isinstance(source, Trajectory) else read_tum(path_of(source, "the trajectory"))
 
 
 def _truth(source: Trajectory | Map | Path | str) -> Trajectory:
-    """As `_poses`, also the ground truth that a data set publishes or a recording contains."""
+    """Return `_poses`, or the ground truth that a data set publishes or a recording contains."""
     if isinstance(source, Trajectory | Map):
         return _poses(source)
-    if Path(source).is_file():
+    if path_of(source, "groundtruth").is_file():
         return read_truth(Path(source)) or read_tum(Path(source))
     truth = open_dataset(source).groundtruth()
     if truth is None:

@@ -19,7 +19,7 @@ from slam.evaluation.error_statistics import ErrorStatistics
 from slam.measurements import FloatArray
 from slam.trajectory.poses import Poses
 
-# evo's own limits; the figures are to agree with it.
+# evo's limits, so that the figures agree.
 DEFAULT_MAX_DIFFERENCE_S = 0.01
 
 
@@ -49,7 +49,7 @@ class AbsoluteError:
     mirrored: str | None = None
 
     def to_dict(self) -> dict[str, Any]:
-        """For JSON."""
+        """Return values for JSON."""
         return asdict(self) | {"T_reference_map": self.T_reference_map.tolist()}
 
 
@@ -188,7 +188,7 @@ def relative_error(
     if not len(starts):
         return None
     own, true = (poses[starts].between(poses[ends]) for poses in map(Poses.of_trajectory, (estimate, truth)))
-    # E = inverse(reference motion) * estimated motion: its translation is the difference of both, turned.
+    # E = inverse(reference motion) * estimated motion: its translation is the rotated difference.
     return RelativeError(
         count=len(starts),
         delta=float(delta_m),

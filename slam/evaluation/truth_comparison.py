@@ -10,13 +10,13 @@ from slam.estimates import Trajectory
 from slam.evaluation.trajectory_error import AbsoluteError, absolute_error, associate
 from slam.measurements import FloatArray
 
-# As `scanweave evaluate`: poses of the truth and of the log rarely share a stamp.
+# As in `scanweave evaluate`: poses of ground truth and log rarely share a stamp.
 MAX_DIFFERENCE_S = 0.05
 
 
 @dataclass(frozen=True, slots=True)
 class TruthComparison:
-    """A trajectory and its truth, associated and rigidly aligned.
+    """A trajectory and its ground truth, associated and rigidly aligned.
 
     Attributes
     ----------

@@ -86,7 +86,7 @@ class ClaimSets:
         return a.place, b.place, after(onward, back)
 
     def near(self, one: LoopCandidate, others: Sequence[LoopCandidate]) -> BoolArray:
-        """Return which claims (n,) have a different but close keyframe, and a close place, too."""
+        """Return (n,) which claims have another keyframe close to that of one, and a close place."""
         ends = np.array([*map(_ends, others)], np.int64).reshape(-1, 2)
         apart_m = np.abs(self._travelled_m[ends] - self._travelled_m[[*_ends(one)]]).max(axis=1)
         near: BoolArray = (ends[:, 1] != one.keyframe) & (apart_m <= self._reach_m)

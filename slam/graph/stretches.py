@@ -85,7 +85,7 @@ class Stretches:
         return chosen
 
     def search(self, place: int, number: int) -> SearchResult:
-        """Search the pose of the middle of a stretch relative to that of another, over all yaws."""
+        """Search the pose of the middle of a stretch relative to that of another, with walls parallel."""
         match, (turns, half_yaw_rad) = self._match, self._bank.turns(number, place)
         return search_window(
             self._submaps.field(int(self.keys[place])),

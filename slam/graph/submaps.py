@@ -47,7 +47,7 @@ class Submap:
 class SubmapStore:
     """Keyframe scans with their odometry poses, and the submaps around them.
 
-    While mapping, a submap uses odometry poses only, so no optimisation invalidates it; see also `lay`.
+    Until `lay`, a submap uses odometry poses only, so later optimisations do not invalidate it.
     """
 
     def __init__(self, loop: LoopConfig, match: MatchConfig) -> None:
@@ -111,7 +111,7 @@ class SubmapStore:
         return self._travelled_m[key]
 
     def ways_m(self) -> FloatArray:
-        """Return the path length from the start to each keyframe, (n,)."""
+        """Return (n,) the path lengths from the start to all keyframes."""
         return self._ways_m[: len(self._scans)]
 
     def submap(self, key: int) -> Submap:
@@ -150,7 +150,7 @@ class SubmapStore:
         return self._poses[key]
 
     def lay(self, poses: FloatArray, begun: Sequence[int]) -> None:
-        """Place all scans by the estimate of a finished run: loops may have corrected wrong steps.
+        """Use the poses of a finished run for all scans: loops may have corrected wrong steps.
 
         Nothing measured the motion to the keyframes in ``begun``: earlier points may be misplaced.
         """

@@ -16,14 +16,13 @@ from slam.matching.planar import between, transform_points
 from slam.matching.surfel_map import SurfelMap, nearest_surfel
 from slam.measurements import AnyFloatArray, BoolArray, FloatArray, row_from_pose2
 
-# Probability below which a cell is surely free: some five beams passed it, not the one or two that a door let
-# through.
+# Probability below which a cell is certainly free: about five beams passed it, not one or two through a door.
 _SURELY_FREE = 0.12
-# Farther than this from a wall a return is not explained by it.
+# A wall does not explain a return farther away than this.
 _WALL_REACH_M = 0.1
-# Of a point so far from every wall no small error of the pose makes a wall's.
+# A point this far from every wall is not on a wall by a small pose error.
 _CLEAR_M = 0.2
-# The last stretch of a beam may lie in the wall it ends in, at a small angle and with a little error.
+# The last part of a beam may be in its wall, at a small angle and with a small error.
 END_M = 0.4
 
 
@@ -72,7 +71,7 @@ class BeamCounts(NamedTuple):
 def known_space(grid: OccupancyGrid) -> KnownSpace:
     """Prepare a grid for `check_beams`."""
     walls = grid.states() == OCCUPIED
-    # A wall that long beams have brushed past, and none has met, stands where free space ends.
+    # A wall that long beams grazed without a hit is where free space ends.
     brushed = np.pad(grid.probabilities() >= _SURELY_FREE, 1, constant_values=True)
     free = ~_within(brushed, _WALL_REACH_M / grid.resolution_m)[1:-1, 1:-1]
     cells = np.where(free, np.uint8(FREE), np.uint8(UNKNOWN))
@@ -80,13 +79,13 @@ def known_space(grid: OccupancyGrid) -> KnownSpace:
     cells[walls] = WALL
     clear = (cells == FREE) & ~_within(walls, _CLEAR_M / grid.resolution_m)
     cells, clear = cells.T, np.ascontiguousarray(clear.T)
-    # In one piece: beams are followed through it as it lies in memory, and a large map is copied no more.
+    # Contiguous: beams are traced through it in memory order, and a large map is not copied again.
     cells = np.ascontiguousarray(cells[:, :, None])
     return KnownSpace(cells, clear, row_from_pose2(grid.T_map_grid), grid.resolution_m)
 
 
 def _within(cells: BoolArray, reach_cells: float) -> BoolArray:
-    """Which cells lie so near the middle of one of these; a reach of a few, or distances would cost less."""
+    """Return which cells are near the centre of one of these; for a reach of a few cells only."""
     reach = int(reach_cells)
     wide, near = np.pad(cells, reach), cells.copy()
     for row, column in np.ndindex(2 * reach + 1, 2 * reach + 1):

@@ -8,23 +8,23 @@ from numpy.typing import NDArray
 from fusion.kernel import kernel
 from slam.measurements import FloatArray
 
-# What a cell is: of NEAR, within reach of a surface, it is not known whether something small moved it there.
+# States of cells: NEAR is within reach of a surface, where a small error may have put it.
 UNKNOWN, FREE, NEAR, WALL = 0, 1, 2, 3
-# A beam that is in a wall for so many steps on end is not one that grazes its edge.
+# A beam in a wall for so many consecutive steps does not just graze its edge.
 _THROUGH, _STEP_CELLS = 2, 0.4
 
 
 def follow(
     cells: NDArray[np.uint8], origin: FloatArray, ends: FloatArray, end_cells: float
 ) -> NDArray[np.uint8]:
-    """What (N,) beams meet: FREE where one ends in free space, WALL where it passes a wall, else UNKNOWN.
+    """Return what (N,) beams hit: FREE if it ends in free space, WALL if it passes a wall, else UNKNOWN.
 
     Parameters
     ----------
     origin, ends
         (3,) and (N, 3), in cells.
     end_cells
-        The last stretch of a beam: it lies in the wall that it meets, and grazes what is beside that.
+        Length of the last part of a beam, which is in its wall, and grazes adjacent cells.
     """
     found = np.zeros(len(ends), np.uint8)
     _follow(cells.ravel(), cells.shape, origin, ends, end_cells, found)
@@ -32,7 +32,7 @@ def follow(
 
 
 def count_passes(passes: NDArray[np.uint16], origin: FloatArray, ends: FloatArray, end_cells: float) -> None:
-    """Add the beams through each cell, all but their last stretch; see `follow`."""
+    """Count the beams through each cell, without their last part; see `follow`."""
     _count_passes(passes.ravel(), passes.shape, origin, ends, end_cells)
 
 
@@ -69,7 +69,7 @@ def _count_passes(passes, shape, origin, ends, end_cells):  # type: ignore[no-un
 
 @kernel
 def _length(origin, ends, i):  # type: ignore[no-untyped-def]
-    """Length of a beam, in cells."""
+    """Return the length of a beam, in cells."""
     x = ends[i, 0] - origin[0]
     y = ends[i, 1] - origin[1]
     z = ends[i, 2] - origin[2]
@@ -78,7 +78,7 @@ def _length(origin, ends, i):  # type: ignore[no-untyped-def]
 
 @kernel
 def _index(shape, origin, ends, i, share):  # type: ignore[no-untyped-def]
-    """Number of the cell at a share of a beam; -1 beyond the picture."""
+    """Return the index of the cell at a share of a beam; -1 outside the grid."""
     x = int(np.floor(origin[0] + share * (ends[i, 0] - origin[0])))
     y = int(np.floor(origin[1] + share * (ends[i, 1] - origin[1])))
     z = int(np.floor(origin[2] + share * (ends[i, 2] - origin[2])))
@@ -89,6 +89,6 @@ def _index(shape, origin, ends, i, share):  # type: ignore[no-untyped-def]
 
 @kernel
 def _at(cells, shape, origin, ends, i, share):  # type: ignore[no-untyped-def]
-    """What the cell at a share of a beam is; unknown beyond the picture."""
+    """Return the state of the cell at a share of a beam; unknown outside the grid."""
     cell = _index(shape, origin, ends, i, share)
     return cells[cell] if cell >= 0 else UNKNOWN

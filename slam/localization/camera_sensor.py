@@ -19,15 +19,15 @@ from slam.odometry.rgbd_tracker import RgbdTracker
 from slam.vision.frame_matcher import FrameMatcher
 from slam.vision.prepared_frame import PreparedFrame
 
-# Evidence of a frame against a pose where it should have matched, nats: often it does not all the same.
+# Evidence of an unmatched frame against a pose, nats: true poses often do not match either.
 _UNMATCHED_NATS = -0.5
 
 
 class CameraSensor:
-    """A `Sensor`; of a keyframe it keeps the median depth, m. It looks for the place in every keyframe."""
+    """A `Sensor`; it stores the median depth of a keyframe, m, and searches the place in every keyframe."""
 
     search_every_m = 0.0
-    # No image is kept to ask what it says of a new pose.
+    # No image is stored to judge later poses.
     weighs_back = 0
     least_keyframes = 2
 
@@ -85,7 +85,7 @@ class CameraSensor:
         return [motion.T_reference_base for motion in self._locator.anywhere(view)]
 
     def _tracked(self, frame: PreparedFrame) -> CameraPose | None:
-        """Where the odometry saw the camera; None if it is lost."""
+        """Return the pose of the camera by its odometry; None if it is lost."""
         tracked = self._odometry.track(frame)
         self._segment += tracked.restarted
         if tracked.new_keyframe:

@@ -24,7 +24,7 @@ from slam.matching.scan_points import extract_points
 from slam.measurements import Float32Array, FloatArray, spatial
 from slam.storage.map_contents import MapContents
 
-# An alignment makes the same of guesses in one tile, nearer than this in heading.
+# Guesses in one tile with headings within this angle converge to the same alignment.
 _SAME_RAD = 0.5
 
 
@@ -34,7 +34,7 @@ class CloudPlaces:
     Parameters
     ----------
     field
-        Of the plan; None if the map has none.
+        Likelihood field of the plan; None if the map has none.
     known
         A map of a 3D lidar.
     voxel_m
@@ -57,14 +57,14 @@ class CloudPlaces:
         self._ground_m = None if ground is None else ground.height_m
 
     def propose(self, points: FloatArray) -> list[gtsam.Pose3]:
-        """``T_map_base`` of places like that of a thinned scan (N, 3), base frame, by the plan first."""
+        """Return ``T_map_base`` of places similar to a thinned scan (N, 3), base frame, by the plan first."""
         return self._apart([*self._by_plan(points), *self._by_appearance(points)])
 
     def _by_appearance(self, points: FloatArray) -> list[gtsam.Pose3]:
-        """The likest first.
+        """Return places by appearance, the most similar first.
 
-        A context changes with the place that it is seen from, and the robot may be beside the path that was
-        mapped: the scan is looked at from beside the robot as well.
+        A context depends on the viewpoint, and the robot may be beside the mapped path: so contexts beside
+        the robot are compared, too.
         """
         steps_m = np.array([-self._apart_m, 0.0, self._apart_m])
         beside_m = np.array([(x, y, 0.0) for x in steps_m for y in steps_m])
@@ -76,13 +76,13 @@ class CloudPlaces:
                 break
             side, key = divmod(flat, len(self._poses))
             turn = gtsam.Rot3.Yaw(2.0 * math.pi * float(turns[side, key]) / SECTORS)
-            # The lidar of the keyframe stands where the offset is.
+            # The keyframe's lidar is at the offset.
             pose = self._poses[key].compose(gtsam.Pose3(turn, -turn.rotate(beside_m[side])))
             chosen = self._apart([*chosen, pose])
         return chosen
 
     def _by_plan(self, points: FloatArray) -> list[gtsam.Pose3]:
-        """The best first, each at the height of the nearest keyframe."""
+        """Return places by the plan, the best first, each at the height of the nearest keyframe."""
         seen = self._flat(points)
         if self._field is None or not len(seen):
             return []
@@ -91,18 +91,18 @@ class CloudPlaces:
         return [self._lifted(place.pose) for place in found]
 
     def _lifted(self, pose: FloatArray) -> gtsam.Pose3:
-        """A pose (3,) of the plan at the height of the nearest keyframe."""
+        """Return a pose (3,) of the plan at the height of the nearest keyframe."""
         nearest = int(np.hypot(*(self._positions[:, :2] - pose[:2]).T).argmin())
         at = np.array([pose[0], pose[1], self._positions[nearest, 2]])
         return gtsam.Pose3(gtsam.Rot3.Yaw(float(pose[2])), at)
 
     def _flat(self, points: FloatArray) -> FloatArray:
-        """(M, 2) what a flat lidar would see of a scan, one point a cell."""
+        """Return (M, 2) the virtual 2D scan of a cloud, one point per cell."""
         layers, limits = self._config.layers, self._config.scan
         if self._ground_m is None:
             return np.zeros((0, 2))
         band = HeightBand(0.0, layers.robot_height_m, layers.climb_m)
-        # A thinned scan has no second point in a cell.
+        # A thinned scan has one point per cell.
         config = self._config.cloud_map.model_copy(update={"least_points": 1})
         scan = band_scan(points, 0.0, self._T_base_lidar, band, self._ground_m, config)
         flat = extract_points(scan, limits.range_min_m, limits.range_max_m, limits.neighbours).points_base
@@ -110,11 +110,11 @@ class CloudPlaces:
         return np.asarray(flat[first_in_cells(flat, cell_m)[0]], np.float64)
 
     def _context(self, points: FloatArray) -> Float32Array:
-        """The scan context of a thinned cloud (N, 3)."""
+        """Return the scan context of a thinned cloud (N, 3)."""
         return scan_context(points, self._voxel_m)
 
     def _apart(self, guesses: Sequence[gtsam.Pose3]) -> list[gtsam.Pose3]:
-        """Those of poses from which an alignment does not find the same as from an earlier one."""
+        """Return poses whose alignment does not converge to that of an earlier one."""
         kept: list[gtsam.Pose3] = []
         for guess in guesses:
             steps = [guess.between(other) for other in kept]

@@ -31,7 +31,7 @@ from slam.storage.map_contents import MapContents
 _EXPLAINED_NATS = math.log(0.40 / 0.20)
 _IN_FREE_NATS = math.log(0.01 / 0.06)
 _CROSSING_NATS = math.log(0.03 / 0.18)
-# Beams that are followed: more tell the same.
+# Number of traced beams: more add no information.
 _MOST_BEAMS = 6000
 # A point so near to a plane, in voxels, is explained by it.
 _ON_PLANE = 0.5
@@ -72,7 +72,7 @@ class CloudSensor:
         Likelihood field of its plan; None if it has none.
     """
 
-    # Those before cost time, and drift bends the path.
+    # Earlier keyframes cost time, and drift bends the path.
     weighs_back = 5
     least_keyframes = 3
 
@@ -107,7 +107,7 @@ class CloudSensor:
         aligned, agreement = self._aligned(view, guess)
         if aligned is None or agreement < self._settings.least_agreement:
             return None
-        # Where only a part is known, that part is seen at its edges.
+        # If only a part is known, it is seen at its edges.
         doubt = 1.0 / min(agreement, 1.0) ** 2
         return replace(aligned.motion, covariance=doubt * aligned.motion.covariance)
 
@@ -144,7 +144,7 @@ class CloudSensor:
             if tile is None:
                 continue
             aligned = tile.coarse.align(scan, guess)
-            ends = [guess, *([] if aligned is None else [aligned.found.pose])]  # large voxels may lead astray
+            ends = [guess, *([] if aligned is None else [aligned.found.pose])]  # large voxels may mislead
             arrived.append(max(((self.weigh(at, view), at, tile.local) for at in ends), key=lambda a: a[0]))
         arrived.sort(key=lambda place: -place[0])
         found = []

@@ -13,16 +13,16 @@ from slam.localization.beams import FREE, NEAR, UNKNOWN, WALL, count_passes, fol
 from slam.localization.plane_sides import LEAST_SEEN, SidedPlanes
 from slam.measurements import BoolArray, FloatArray
 
-# A cell is a wall where few more beams have passed than so many for each that ended.
+# A cell is a wall if at most about so many beams passed it for each that ended.
 _PASSES_A_HIT = 4
 # The end of a beam, in cells.
 _END_CELLS = 3.0
-# A picture of more cells is made of larger ones.
+# A grid with more cells gets larger ones.
 _MOST_CELLS = 16_000_000
 
 
 class CloudSpace(NamedTuple):
-    """Known space as a picture of cells.
+    """Known space as a grid of cells.
 
     Attributes
     ----------
@@ -40,14 +40,14 @@ class CloudSpace(NamedTuple):
 
 
 class BeamVerdicts(NamedTuple):
-    """What each of N beams says; one that is nothing of it says nothing.
+    """Verdict of each of N beams; a beam without any of these gives no evidence.
 
     Attributes
     ----------
     explained
-        (N,) ends on a known wall. Floors and ceilings explain beams at any pose: they say nothing.
+        (N,) ends on a known wall. Floors and ceilings explain beams at any pose, and give no evidence.
     in_free
-        (N,) ends where there was nothing.
+        (N,) ends in free space.
     crossing
         (N,) passes through a known wall.
     """
@@ -60,20 +60,20 @@ class BeamVerdicts(NamedTuple):
 def cloud_space(
     lidars: FloatArray, clouds: Sequence[FloatArray], planes: SidedPlanes, cell_m: float, reach_m: float
 ) -> CloudSpace:
-    """Follow the beams of clouds.
+    """Build known space from the beams of clouds.
 
     Parameters
     ----------
     lidars
-        (K, 3) where the beams of each cloud begin, map frame.
+        (K, 3) origins of the beams of each cloud, map frame.
     clouds
-        K of (N, 3) where they end.
+        K arrays (N, 3) of end points.
     planes
-        Of all of them.
+        Planes of all clouds.
     cell_m
         Side of a cell.
     reach_m
-        How far from the middle of the lidars the picture goes.
+        Extent of the grid from the centre of the lidars.
     """
     middle = 0.5 * (lidars.min(axis=0) + lidars.max(axis=0))
     points = np.vstack(clouds)
@@ -100,16 +100,16 @@ def cloud_space(
 def judge_beams(
     space: CloudSpace, planes: SidedPlanes, lidar: FloatArray, points: FloatArray, reach_m: float
 ) -> BeamVerdicts:
-    """Follow every beam through known space.
+    """Trace every beam through known space.
 
     Parameters
     ----------
     lidar
-        (3,) where the beams begin, map frame.
+        (3,) origin of the beams, map frame.
     points
-        (N, 3) where they end.
+        (N, 3) end points.
     reach_m
-        A point so near to a plane lies on it.
+        A point within this distance of a plane is on it.
     """
     found = planes.judge(lidar, points, reach_m)
     open_, against = ~found.on, np.zeros(len(points), np.uint8)
@@ -119,5 +119,5 @@ def judge_beams(
 
 
 def _cells(points: FloatArray, corner: FloatArray, cell_m: float) -> tuple[NDArray[np.int64], ...]:
-    """Indices of the cells that points (N, 3) lie in."""
+    """Return the indices of the cells of points (N, 3)."""
     return tuple(np.floor((points - corner) / cell_m).astype(np.int64).T)

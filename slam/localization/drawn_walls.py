@@ -20,14 +20,14 @@ from slam.measurements import Float32Array, Pose, pose2_from_row, row_from_pose2
 
 
 def drawn_walls(grid: OccupancyGrid) -> OrientedPoints:
-    """A point in the middle of each wall cell for every side on which it is free there, map frame.
+    """Return a point at the centre of each wall cell for every free side, map frame.
 
-    Normals point away from what is occupied around the free cell: what a scan from there would see. A wall of
+    Normals point away from the occupied cells around the free cell, as seen by a scan from there. A wall of
     one cell between two rooms has both.
     """
     states = grid.states()
     wall = states == OCCUPIED
-    # So wide that the steps of a slanted wall are smoothed away.
+    # Wide enough to smooth the steps of a slanted wall.
     filled = np.pad(ndimage.gaussian_filter(wall.astype(np.float32), BLUR, mode="nearest"), 1, "edge")
     walls, free = np.pad(wall, 1), np.pad(states == FREE, 1)
     slope_y, slope_x = (np.gradient(filled, axis=axis) for axis in (0, 1))
@@ -50,7 +50,7 @@ def drawn_walls(grid: OccupancyGrid) -> OrientedPoints:
 def drawn_views(
     drawn: OrientedPoints, space: KnownSpace, reach_m: float, count: int
 ) -> Iterator[tuple[Pose, ScanView]]:
-    """What a lidar that sees all around would see from so many places of all that is free, ``T_map_base``."""
+    """Return virtual 360 degree scans from so many places of free space, with ``T_map_base``."""
     clear = np.argwhere(space.clear) + 0.5
     in_cells = transform_points(drawn.points, between(space.frame, np.zeros(3))) / space.cell_m
     for cell in clear[np.arange(count) * len(clear) // count] if len(clear) else ():

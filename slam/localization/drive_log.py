@@ -47,7 +47,7 @@ class DriveLog:
 
     @property
     def stamps_s(self) -> FloatArray:
-        """(N,) of the measurements."""
+        """Return (N,) values of the measurements."""
         return self._columns()[:, 0]
 
     @property
@@ -57,7 +57,7 @@ class DriveLog:
 
     @property
     def confidences(self) -> FloatArray:
-        """(N,) of the measurements."""
+        """Return (N,) values of the measurements."""
         return self._columns()[:, 2]
 
     @property

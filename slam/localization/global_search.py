@@ -20,30 +20,30 @@ from slam.localization.poses import SAME_M, SAME_RAD, Measured
 from slam.localization.whole_map_field import WholeMapField
 from slam.measurements import AnyFloatArray, FloatArray, row_from_pose2
 
-# Points in a search: more tell the same.
+# Points in a search: more add no information.
 _POINTS = 150
-# Blocks whose best eighths are looked at first, level by level, to know what is worth looking at.
+# Blocks whose best eighths are evaluated first, level by level, to get a lower bound.
 _DIVE = 64
-# Blocks of a level that are looked at, those in the best eighth as many: where there are more, too little is
-# seen, and the best find as much. No reading waits for more of a search.
+# Largest number of blocks evaluated per level, and in the best eighth: if there are more, the scan is
+# ambiguous, and the best blocks suffice. It limits the delay of a reading.
 _MOST_BLOCKS = 1 << 16
 
 T = TypeVar("T")
 Pixels: TypeAlias = NDArray[np.int32]
 Nodes: TypeAlias = NDArray[np.int64]
-# Work that halts where a reading has waited enough, and what it comes to.
+# Work that yields when a reading has waited enough, and its result.
 Steps: TypeAlias = Generator[None, None, T]
 
 
 class Place(NamedTuple):
-    """A pose from which the points may have been seen: (3,) x, y, yaw in the map, and its mean likelihood."""
+    """A candidate pose: (3,) x, y, yaw in the map, and its mean likelihood."""
 
     pose: FloatArray
     score: float
 
 
 class Window(NamedTuple):
-    """Where to search: (2,) lowest and highest x and y, metres, and a yaw give or take a half, radians."""
+    """Search window: (2,) lowest and highest x and y, metres, and a yaw with half width, radians."""
 
     lowest: FloatArray
     highest: FloatArray
@@ -52,7 +52,7 @@ class Window(NamedTuple):
 
     @classmethod
     def of(cls, known: Measured, sigmas: float) -> Window:
-        """So many standard deviations around a pose in the plane, and what is one place on top."""
+        """Create it from so many standard deviations around a planar pose, plus the size of one place."""
         pose = row_from_pose2(known.pose)
         cos, sin = np.cos(pose[2]), np.sin(pose[2])
         turned = np.array([[cos, -sin], [sin, cos]])
@@ -69,7 +69,7 @@ def search_map(
     most: int,
     window: Window | None = None,
 ) -> Steps[list[Place]]:
-    """`search_everywhere` for points (M, 2), base frame, as it is set; of so many of them as matter."""
+    """Run `search_everywhere` for points (M, 2), base frame, by the settings, with a sample of them."""
     if len(points) == 0:
         return []
     return (
@@ -86,7 +86,7 @@ def search_map(
 
 
 def at_once(steps: Steps[T]) -> T:
-    """What work in steps comes to."""
+    """Return the result of stepwise work."""
     while True:
         try:
             next(steps)
@@ -104,7 +104,7 @@ def search_everywhere(
     threads: int = 1,
     window: Window | None = None,
 ) -> Steps[list[Place]]:
-    """Every place with a score near the best, best first; the same for any number of threads.
+    """Return every place with a score near the best, best first, independent of the number of threads.
 
     Parameters
     ----------
@@ -113,21 +113,21 @@ def search_everywhere(
     points
         (M, 2) points as seen from the base, M > 0.
     least_score
-        Poses below this mean likelihood are not looked for.
+        Poses below this mean likelihood are not searched.
     keep_share
         Poses with at least this share of the best score are reported too.
     most
-        How many places at most.
+        Largest number of places.
     threads
-        Yaws are shared out among so many.
+        Number of threads, which share the yaws.
     window
-        Where to look; None looks everywhere.
+        Search window; None searches everywhere.
     """
     reach_m = max(1.0, float(np.percentile(np.hypot(points[:, 0], points[:, 1]), 90)))
     turns = math.ceil(2.0 * math.pi * reach_m / field.cell_m)
     yaws: FloatArray = np.arange(turns, dtype=np.float64) * (2.0 * math.pi / turns)
     if window is not None:
-        # One after the other, for they are searched in blocks.
+        # In order, since they are searched in blocks.
         away = (yaws - window.yaw + np.pi) % (2.0 * np.pi) - np.pi
         order = np.argsort(away)
         yaws = yaws[order[np.abs(away[order]) <= window.half_yaw]]
@@ -135,7 +135,7 @@ def search_everywhere(
     with ThreadPoolExecutor(threads) as pool:
         search = _Search(field, columns, rows, pool, threads, window)
         nodes, scores = yield from search.descend(math.ceil(least_score * 255.0 * len(points)), keep_share)
-    # By score, then place and yaw: the order does not depend on who found it.
+    # By score, then position and yaw: independent of the thread.
     order = np.lexsort((nodes[:, 0], nodes[:, 2], nodes[:, 1], -scores))
     nodes, scores = nodes[order], scores[order]
     poses = np.column_stack(
@@ -150,7 +150,7 @@ def search_everywhere(
 
 
 def _apart(poses: FloatArray, most: int) -> list[int]:
-    """The first of every group of poses that are near each other, (n, 3) in order of preference."""
+    """Return the first of every group of close poses, (n, 3) in order of preference."""
     chosen: list[int] = []
     left = np.ones(len(poses), np.bool_)
     while len(chosen) < most and left.any():
@@ -163,7 +163,7 @@ def _apart(poses: FloatArray, most: int) -> list[int]:
 
 
 def _rotated_pixels(points: FloatArray, yaws: FloatArray, cell_m: float) -> tuple[Pixels, Pixels]:
-    """Pixels from the robot's own to that of every point, for every yaw: (turns, M) columns and rows."""
+    """Return the pixel offsets of all points from the robot, for every yaw: (turns, M) columns and rows."""
     cos, sin = np.cos(yaws)[:, None], np.sin(yaws)[:, None]
     x, y = points.T
     columns, rows = cos * x - sin * y, sin * x + cos * y
@@ -174,14 +174,14 @@ def _rotated_pixels(points: FloatArray, yaws: FloatArray, cell_m: float) -> tupl
 
 
 class _Seen(NamedTuple):
-    """Where the points are in blocks of turns.
+    """Pixel offsets of the points in blocks of yaws.
 
     Attributes
     ----------
     columns, rows
-        (blocks, M) the least pixels from the robot's own, of all turns of a block.
+        (blocks, M) the least pixel offsets from the robot over all yaws of a block.
     pooled
-        The level of the map that is pooled as wide as the blocks are, by the farthest point's way in them.
+        Level of the map pooled as wide as the blocks, by the motion of the farthest point in them.
     """
 
     columns: Pixels
@@ -190,7 +190,7 @@ class _Seen(NamedTuple):
 
 
 class _Search:
-    """Bounds of blocks of poses; a block (turns, x, y) of level k is of 2^k turns and 2^k pixels a side."""
+    """Bounds of blocks of poses; a block (yaws, x, y) of level k has 2^k yaws and 2^k pixels per side."""
 
     def __init__(
         self,
@@ -202,7 +202,7 @@ class _Search:
         window: Window | None,
     ) -> None:
         self._field, self._seen = field, [_Seen(columns, rows, 0)]
-        # Pixels x and y, lowest and highest.
+        # Lowest and highest pixels x and y.
         self._lowest, self._highest = np.zeros(2, np.int64), np.array(field.levels[0].shape[::-1]) - 1
         if window is not None:
             origin = np.array([field.origin_x, field.origin_y])
@@ -213,8 +213,8 @@ class _Search:
         self._room = _MOST_BLOCKS
 
     def descend(self, bar: int, keep_share: float) -> Steps[tuple[Nodes, Nodes]]:
-        """All poses with a score sum of at least the bar, and of the share of the best: (n, 3) and (n,)."""
-        # The least blocks all of which can be looked at.
+        """Find all poses with a score sum above the bar and the share of the best: (n, 3) and (n,)."""
+        # The smallest block size at which all blocks can be evaluated.
         level, standing = 0, self._field.standing
         while standing[level].sum() * len(self._seen[level].columns) > _MOST_BLOCKS and self._widen():
             level += 1
@@ -233,7 +233,7 @@ class _Search:
         return nodes[kept], bounds[kept]
 
     def _widen(self) -> bool:
-        """Prepare the next level; False where no picture is pooled as wide as its blocks are."""
+        """Prepare the next level; return False if no image is pooled as wide as its blocks."""
         level = len(self._seen)
         turns = len(self._seen[0].columns)
         first = np.arange(0, turns, 1 << level)
@@ -247,26 +247,26 @@ class _Search:
         return True
 
     def _dive(self, level: int, nodes: Nodes) -> Steps[int]:
-        """A score that some pose of the blocks has: that of the best, if the likeliest blocks lead to it."""
+        """Return the score of a pose in the blocks: the best one, if the likeliest blocks contain it."""
         for below in range(level - 1, -1, -1):
             nodes, bounds = yield from self._bounded(below, self._eighths(below, nodes[:_DIVE]), 0)
         return int(bounds.max(initial=0))
 
     def _eighths(self, level: int, nodes: Nodes) -> Nodes:
-        """The eighths, of a level, of blocks of the next."""
+        """Return the eighths of blocks, one level down."""
         halves = np.indices((2, 2, 2)).reshape(3, -1).T * np.array([1, 1 << level, 1 << level])
         parts: Nodes = nodes[:, None, :] * np.array([2, 1, 1]) + halves
         return self._inside(level, parts.reshape(-1, 3))
 
     def _inside(self, level: int, nodes: Nodes) -> Nodes:
-        """Those of blocks of a level that have a turn, and a pixel where to look."""
+        """Return the blocks of a level with a yaw and a pixel in the search window."""
         corner = nodes[:, 1:]
         inside = ((corner <= self._highest) & (corner + (1 << level) > self._lowest)).all(axis=1)
         inside &= nodes[:, 0] < len(self._seen[level].columns)
         return np.ascontiguousarray(nodes[inside])
 
     def _bounded(self, level: int, nodes: Nodes, bar: int) -> Steps[tuple[Nodes, Nodes]]:
-        """Those of blocks that can hold a score of at least the bar, and upper bounds of it; best first."""
+        """Return the blocks that can reach the bar, and upper bounds of their scores; best first."""
         bounds, seen = np.empty(len(nodes), np.int64), self._seen[level]
 
         def part(first: int) -> None:
@@ -289,9 +289,9 @@ class _Search:
 
 @kernel(nogil=True)
 def _bound(picture, standing, unknown, level, columns, rows, pooled, nodes, bar, bounds):  # type: ignore[no-untyped-def]
-    """Upper bound of the score sum over all poses of each block.
+    """Return an upper bound of the score sum over all poses of each block.
 
-    -1 where the robot cannot stand in any of them, or the sum will not reach ``bar``.
+    -1 if the robot cannot be in any of them, or the sum does not reach ``bar``.
     """
     width = 1 << pooled
     count = columns.shape[1]

@@ -76,7 +76,7 @@ class KeyframeLog(Generic[V, N]):
         self.keyframes: list[Keyframe[N]] = []
 
     def due(self, view: V, pose: Pose) -> bool:
-        """Whether a reading at ``T_odom_base`` should be weighed."""
+        """Return whether a reading at ``T_odom_base`` should be weighted."""
         return self._sensor.sees_anew(view, self.keyframes[-1].pose if self.keyframes else None, pose)
 
     def add(self, view: V, pose: Pose) -> int:
@@ -111,7 +111,7 @@ class HypothesisSet(Generic[V, N]):
         self._search, self._search_at_m = None, 0.0
 
     def due(self, view: V, pose: Pose) -> bool:
-        """Whether a reading at ``T_odom_base`` should be weighed."""
+        """Return whether a reading at ``T_odom_base`` should be weighted."""
         return self._log.due(view, pose)
 
     def add_keyframe(

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from slam.config import Config, config_of
-from slam.errors import MapFileError
+from slam.errors import DatasetError, MapFileError
 from slam.localization.camera_sensor import CameraSensor
 from slam.localization.cloud_sensor import CloudSensor
 from slam.localization.known_map import Walls, has_walls
@@ -108,6 +108,10 @@ class Localizer:
         >>> localizer.add(wheels) is None, localizer.add(scan).stamp_s == scan.stamp_s
         (True, True)
         """
+        if not hasattr(measurement, "stamp_s"):
+            raise DatasetError(
+                f"a {type(measurement).__name__} is no measurement; give scans, wheels or frames"
+            )
         if self._lidar is None:
             assert self._camera is not None
             return self._camera.add(measurement)

@@ -13,10 +13,10 @@ from slam.measurements import pose2_from_row
 
 
 def look_alikes(walls: Walls, sensor: PlanarSensor, settings: LocalizationConfig) -> float:
-    """Share of a map's own scans, taken from all of its way, that fit somewhere else in it, too.
+    """Return the share of a map's own scans, sampled along its path, that also fit elsewhere in it.
 
-    Such a scan has more evidence there than a place needs to be likelier than being nowhere. 0 for a map
-    without scans, and where no more than one in ten do: something looks alike in most maps.
+    Such a scan has more evidence there than a place needs to exceed the outside of the map. 0 for a map
+    without scans, and if at most one in ten do: some places look alike in most maps.
     """
     asked = list(walls.sampled(FEWEST))
     elsewhere = 0

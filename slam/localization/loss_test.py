@@ -6,12 +6,12 @@ import math
 
 from slam.config.localization import LocalizationConfig
 
-# One reading counts for so many nats at most: somebody may stand in front of the sensor.
+# Evidence of one reading is at most so many nats: a person may be in front of the sensor.
 _GREATEST_NATS = 2.0
 
 
 class LossTest:
-    """Log-odds of the pose: a sum of evidence that never exceeds a bound, so that doubt is not late."""
+    """Log-odds of the pose: a bounded sum of evidence, so that doubt is not delayed."""
 
     def __init__(self, config: LocalizationConfig) -> None:
         self._bound = config.lost_nats
@@ -21,41 +21,41 @@ class LossTest:
 
     @property
     def lost(self) -> bool:
-        """Whether the pose is contradicted, for long enough."""
+        """Return whether the pose has been contradicted for long enough."""
         return self._log_odds <= 0.0 and abs(self._stamp_s - self._sound_s) >= self._lost_after_s
 
     @property
     def confidence(self) -> float:
-        """Probability of the pose; one reading that contradicts it is enough to doubt, though not to be lost.
+        """Return the probability of the pose; one contradicting reading causes doubt, but not loss.
 
-        A pose that was right a moment ago has a prior in its favour against the newest reading.
+        A recently correct pose has a prior in its favour against the newest reading.
         """
         return 0.5 + 0.5 * math.tanh(0.5 * self._balance)
 
     @property
     def doubted(self) -> bool:
-        """Whether the pose is rather wrong than right."""
+        """Return whether the pose is more likely wrong than correct."""
         return self._balance < 0.0
 
     @property
     def _balance(self) -> float:
-        """Nats for the pose."""
+        """Return the evidence for the pose in nats."""
         return min(self._log_odds, self._newest + self._moment_nats)
 
     def reset(self, log_odds: float) -> None:
-        """The pose has just been found, or told: so likely it is."""
+        """Restart with a pose that was just found or given, with this probability."""
         self._log_odds = min(self._bound, log_odds)
         self._newest = self._bound
         self._sound_s = math.nan
         self._stamp_s = math.nan
 
     def add(self, stamp_s: float, evidence: float, anew: float = 1.0) -> None:
-        """Take the evidence of a reading for the pose, nats.
+        """Add the evidence of a reading for the pose, nats.
 
         Parameters
         ----------
         anew
-            Share of it that the reading before has not told: seen twice from one place is one witness.
+            Share of it that is new compared with the last reading: two readings from one place count once.
         """
         self._stamp_s, self._newest = stamp_s, evidence
         told = min(max(anew * evidence, -_GREATEST_NATS), _GREATEST_NATS)

@@ -75,7 +75,7 @@ class StateMachine(Generic[V, N]):
             self._contradicted = True
         predicted = None
         if self._known is not None:
-            # Not even dead reckoning leads on from the last pose where nobody knows the motion.
+            # If the motion is unknown, not even dead reckoning continues from the last pose.
             predicted = None if observed.moved is None else after(self._known, observed.moved)
             self._state = State.LOST if predicted is None else self._state
         if self._start is not None:

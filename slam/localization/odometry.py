@@ -30,9 +30,9 @@ from slam.odometry.surfel_odometry import SurfelOdometry
 from slam.odometry.tracked_scan import TrackedScan
 from slam.odometry.wheel_tracker import WheelTracker
 
-# So many readings in a row that match nothing cut the thread: wheels do not tell that a robot is kidnapped.
+# So many consecutive unmatched readings end the odometry: wheels do not detect kidnapping.
 _LOST_READINGS = 3
-# A longer time between two readings is a gap in which anything may have happened.
+# A longer time between two readings is a gap with unknown motion.
 _LONG_GAP_S = 5.0
 
 
@@ -64,12 +64,12 @@ class ScanOdometry:
         self._stamp_s = self._wheels_s = 0.0
         self._silent_s = 0.0
         self._step, self._step_s = Measured(gtsam.Pose2(), np.zeros((3, 3))), 0.0
-        # Sums of squared ways, turns and times of the steps that matches told: how it moves as a rule.
+        # Sums of squared distances, rotations and times of matched steps, for the usual speed.
         self._squares = np.zeros(3)
         self._turns = Turns()
 
     def add_wheels(self, reading: WheelOdometry) -> None:
-        """Take a wheel reading."""
+        """Add a wheel reading."""
         if self._wheels is not None:
             self._wheels.add(reading)
             self._silent_s = max(self._silent_s, abs(reading.stamp_s - self._wheels_s))
@@ -101,7 +101,7 @@ class ScanOdometry:
         return Measured(pose2_from_row(motion.pose), motion.covariance + unknown)
 
     def add(self, view: ScanView) -> OdometryStep:
-        """Take a scan."""
+        """Add a scan."""
         expected = self.expected_step(view.stamp_s)
         tracked = self._tracker.track(view.points, view.stamp_s)
         last, begun_s = self._last, self._stamp_s
@@ -130,7 +130,7 @@ class ScanOdometry:
         return OdometryStep(pose2_from_row(tracked.pose), moved)
 
     def _new_tracker(self) -> MotionTracker:
-        """A new odometry frame."""
+        """Start a new odometry frame."""
         config = self._config
         odometry = SurfelOdometry(config)
         return MotionTracker(odometry, self._wheels, config.prediction, config.match)
@@ -145,7 +145,7 @@ class ScanOdometry:
             return True
         told = self._wheels.motion(last.wheels, tracked.wheels, elapsed_s) is not None
         silent_s = max(self._silent_s, abs(self._stamp_s - self._wheels_s))
-        # A way that the wheels left out is a guess, with the covariance of one.
+        # A path that the wheels did not measure is a guess, with its covariance.
         guessed = tracked.wheels.guessed_m > last.wheels.guessed_m
         gap = min(elapsed_s, silent_s) > _LONG_GAP_S and not guessed
         return not told or gap or self._unmatched >= _LOST_READINGS
@@ -186,7 +186,7 @@ class CloudOdometry:
         self._stamp_s = 0.0
 
     def add_wheels(self, reading: WheelOdometry) -> None:
-        """Take a wheel reading."""
+        """Add a wheel reading."""
         if self._wheels is not None:
             self._wheels.add(reading)
 

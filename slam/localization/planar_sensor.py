@@ -65,7 +65,7 @@ class PlanarSensor:
 
     def __init__(self, walls: Walls, config: Config) -> None:
         self._walls, self._config, self._settings = walls, config, config.localization
-        # Made here: no reading waits for them.
+        # Created here, so that no reading is delayed.
         self._field, self._space = walls.field, walls.space
         self._noise = config.match
         self._odometry = ScanOdometry(config)
@@ -94,7 +94,7 @@ class PlanarSensor:
         points = transform_points(view.oriented.points, row_from_pose2(pose))
         first, cells = first_in_cells(points, self._settings.novel_cell_m)
         seen: frozenset[int] = frozenset().union(*(one.novel.keys for one in before or ()))
-        # A cell beside a known one may be the same surface, a little off.
+        # A cell beside a known one may be the same surface with a small error.
         beside = (cells[:, None, :] + _AROUND).reshape(-1, 2)
         known = np.array([key in seen for key in cell_keys(beside).tolist()], np.bool_)
         new = ~known.reshape(-1, len(_AROUND)).any(axis=1)

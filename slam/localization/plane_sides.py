@@ -10,23 +10,23 @@ import numpy as np
 from slam.matching.plane_voxels import PlaneVoxels
 from slam.measurements import BoolArray, FloatArray
 
-# One beam through a door, or a point on an edge, is no view of a wall.
+# One beam through a door, or a point on an edge, is no observation of a wall.
 LEAST_SEEN = 3
-# Of a plane whose normal is nearer to level than this: a wall, not a floor.
+# A plane with a normal closer to horizontal than this is a wall, not a floor.
 _LEVEL = 0.5
 
 
 class OnPlanes(NamedTuple):
-    """What each of N points has to do with the planes.
+    """Relation of each of N points to the planes.
 
     Attributes
     ----------
     on
-        Whether it lies on a plane.
+        Whether it is on a plane.
     upright
-        Whether it lies on one that stands upright.
+        Whether it is on a vertical one.
     strange
-        Whether it lies in the voxel of a plane that was seen from the other side only.
+        Whether it is in the voxel of a plane that was seen only from the other side.
     """
 
     on: BoolArray
@@ -35,16 +35,16 @@ class OnPlanes(NamedTuple):
 
 
 class SidedPlanes:
-    """Planes that know from where they were seen.
+    """Planes with the sides from which they were seen.
 
     Parameters
     ----------
     planes
         Of the clouds.
     lidars
-        (K, 3) where the beams of each cloud begin, map frame.
+        (K, 3) origins of the beams of each cloud, map frame.
     clouds
-        K of (N, 3) where they end.
+        K arrays (N, 3) of end points.
     """
 
     def __init__(self, planes: PlaneVoxels, lidars: FloatArray, clouds: Sequence[FloatArray]) -> None:
@@ -58,12 +58,12 @@ class SidedPlanes:
         self._seen = seen >= LEAST_SEEN
 
     def judge(self, lidar: FloatArray, points: FloatArray, reach_m: float) -> OnPlanes:
-        """See `OnPlanes`; of points (N, 3) seen from a lidar (3,), map frame.
+        """See `OnPlanes`; for points (N, 3) seen from a lidar (3,), map frame.
 
         Parameters
         ----------
         reach_m
-            A point so near to a plane lies on it.
+            A point within this distance of a plane is on it.
         """
         pairs = self._planes.pairs(points)
         placed = points[pairs.found]

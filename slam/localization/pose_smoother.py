@@ -12,7 +12,7 @@ import numpy as np
 from slam.localization.poses import SAME_M, Measured, position_sigma_m
 from slam.measurements import Pose, composed
 
-# Only the newest pose is reported, and a longer lag tells it with the same bits.
+# Only the newest pose is reported, and a longer lag gives the same bits.
 _LAG_NODES = 2.0
 
 

@@ -22,8 +22,8 @@ _WRONG_SHARE = 0.1
 
 
 @dataclass(frozen=True, slots=True)
-class Way:
-    """Trajectory of the robot.
+class Track:
+    """Track of the robot: its trajectory, and its poses at the nodes.
 
     Attributes
     ----------
@@ -40,9 +40,13 @@ class Way:
     trajectory: Trajectory
 
     @classmethod
-    def of(cls, nodes: Sequence[Pose], bases: Sequence[Pose], stamps_s: FloatArray, way: Trajectory) -> Way:
+    def of(
+        cls, nodes: Sequence[Pose], bases: Sequence[Pose], stamps_s: FloatArray, trajectory: Trajectory
+    ) -> Track:
         """Create it from a trajectory in any order."""
-        return cls(nodes, bases, stamps_s, way, way[np.argsort(way.stamps_s, kind="stable")])
+        return cls(
+            nodes, bases, stamps_s, trajectory, trajectory[np.argsort(trajectory.stamps_s, kind="stable")]
+        )
 
     def nearest(self, stamps_s: FloatArray) -> NDArray[np.int64]:
         """Return (k,) the keyframe nearest in time to each of (k,) stamps."""

@@ -13,7 +13,7 @@ from slam.graph.anchors import Anchor, Anchored
 from slam.graph.edge import EdgeKind
 from slam.graph.keyframe_graph import KeyframeGraph
 from slam.graph.pose_graph import BatchResult
-from slam.mapper.anchoring import Way, anchor
+from slam.mapper.anchoring import Track, anchor
 from slam.measurements import GnssFix, spatial
 
 # Default sigmas, horizontal and vertical in metres, as receivers without corrections have them.
@@ -57,7 +57,7 @@ class GnssAnchors:
         return [self._told] if self._told else []
 
     def anchor(
-        self, graph: KeyframeGraph, way: Way, outcome: BatchResult, inlier_probability: float
+        self, graph: KeyframeGraph, track: Track, outcome: BatchResult, inlier_probability: float
     ) -> BatchResult:
         """Align the map with the earth and solve it again, see `slam.mapper.anchoring.anchor`.
 
@@ -67,7 +67,7 @@ class GnssAnchors:
         """
         first = self._fixes[0]
         plane = TangentPlane(first.latitude_deg, first.longitude_deg, first.altitude_m)
-        anchors = self._anchors(way, plane)
+        anchors = self._anchors(track, plane)
         if len(anchors) < FEWEST:
             self.unused = f"only {len(anchors)} keyframes have a fix"
             return outcome
@@ -79,17 +79,17 @@ class GnssAnchors:
         self._tell(found, graph, anchors, outcome)
         return outcome
 
-    def _anchors(self, way: Way, plane: TangentPlane) -> list[Anchor]:
+    def _anchors(self, track: Track, plane: TangentPlane) -> list[Anchor]:
         """Return the fix nearest in time to each keyframe, if the motion between them is known."""
-        fixes_s, stamps_s = np.array([fix.stamp_s for fix in self._fixes]), way.stamps_s
+        fixes_s, stamps_s = np.array([fix.stamp_s for fix in self._fixes]), track.stamps_s
         best: dict[int, int] = {}
-        for number, key in enumerate(way.nearest(fixes_s).tolist()):
+        for number, key in enumerate(track.nearest(fixes_s).tolist()):
             other = best.get(key)
             if other is None or abs(fixes_s[number] - stamps_s[key]) < abs(fixes_s[other] - stamps_s[key]):
                 best[key] = number
         anchors = list[Anchor]()
         for key, number in sorted(best.items()):
-            T_node_base = way.seen_from(key, float(fixes_s[number]))
+            T_node_base = track.seen_from(key, float(fixes_s[number]))
             if T_node_base is None:
                 continue
             fix = self._fixes[number]
@@ -111,7 +111,7 @@ class GnssAnchors:
     def _tell(
         self, found: Anchored, graph: KeyframeGraph, anchors: Sequence[Anchor], outcome: BatchResult
     ) -> None:
-        """Return a line about how well the fixes fit."""
+        """Write a line about how well the fixes fit."""
         assert self.georeference is not None
         used = {
             edge.target

@@ -143,7 +143,7 @@ class PlanarRobot(FrontEnd):
         return found
 
     def complete(self, result: MapResult) -> None:
-        """Return the repaired scans, and the grids drawn from scans and images."""
+        """Add the repaired scans, and the grids drawn from scans and images."""
         started = time.perf_counter()
         result.notes += [*registration_notes(self._registrations), *self._cameras.notes()]
         self._way.tell(result)

@@ -190,7 +190,7 @@ class CloudLidar(FrontEnd):
             graph.graph.level(apart_in_time(self._down))
 
     def complete(self, result: MapResult) -> None:
-        """Return the clouds, and the plan of obstacles."""
+        """Add the clouds, and the plan of obstacles."""
         # The appearance of all places, and what is left of the final optimisation.
         self._closer = None
         end_stage()
@@ -245,7 +245,7 @@ class CloudLidar(FrontEnd):
         return doubts
 
     def _draw_plan(self, result: MapResult) -> None:
-        """Return the 2D scan of each keyframe, and the grids."""
+        """Draw the 2D scan of each keyframe, and the grids."""
         layers = self._config.layers
         thickness_m = self._config.cloud_odometry.thickness_m
         ground = ground_of(self._clouds, self._T_base_lidar, self._tracker.voxel_m, thickness_m)

@@ -15,7 +15,7 @@ from slam.graph.loop_candidate import LoopCandidate
 from slam.graph.pose_covariances import pose_covariances
 from slam.graph.pose_graph import BatchResult
 from slam.heap import end_stage, give_back
-from slam.mapper.anchoring import Way
+from slam.mapper.anchoring import Track
 from slam.mapper.gnss import GnssAnchors
 from slam.mapper.map_result import MapResult
 from slam.mapper.map_warnings import apart, unseen
@@ -116,18 +116,18 @@ class Mapper:
         clock = [time.perf_counter()]
         front_end.settle(graph)
         outcome = self._optimised(graph)
-        way, edges = self._way(graph), graph.graph.edges
+        track, edges = self._track(graph), graph.graph.edges
         clock.append(time.perf_counter())
-        told = Begun(lambda: pose_covariances(way.nodes, way.bases, edges, outcome.kept, self._config))
+        told = Begun(lambda: pose_covariances(track.nodes, track.bases, edges, outcome.kept, self._config))
         if self._places is not None:
-            self._places.check(graph, way, outcome, self._config)
+            self._places.check(graph, track, outcome, self._config)
         factors = zip(edges, outcome.kept.tolist(), strict=True)
         result = MapResult(
             MapContents(
-                node_poses=list(way.nodes),
-                stamps_s=way.stamps_s,
+                node_poses=list(track.nodes),
+                stamps_s=track.stamps_s,
                 readings=readings.keyframe_scans(),
-                trajectory=way.readings,
+                trajectory=track.readings,
                 factors=[SavedFactor(edge, kept) for edge, kept in factors],
                 loops=graph.loops,
                 georeference=self._gnss.georeference,
@@ -148,7 +148,7 @@ class Mapper:
         result.stage_seconds["map"] = clock[2] - clock[1] - result.stage_seconds.get("fusion", 0.0)
         result.stage_seconds["full trajectory"] = time.perf_counter() - clock[2]
         self._tell(result)
-        result.warnings += apart(pieces, way.stamps_s - result.scans.stamps_s[0])
+        result.warnings += apart(pieces, track.stamps_s - result.scans.stamps_s[0])
         result.warnings += unseen(result.map.trajectory, readings.placed(), covariances, self._config)
         return result
 
@@ -157,24 +157,24 @@ class Mapper:
         probability = self._config.loops.inlier_probability
         outcome = graph.optimize(probability)
         if self._places is not None:
-            outcome = self._places.join(self._front_end.tags, graph, self._way(graph), outcome, probability)
+            outcome = self._places.join(self._front_end.tags, graph, self._track(graph), outcome, probability)
         # It terminates: nothing is found twice.
         while found := self._front_end.search_again(graph, outcome.kept):
             for candidate in found:
                 graph.add_loop(candidate)
             outcome = graph.optimize(probability)
         if self._gnss:
-            outcome = self._gnss.anchor(graph, self._way(graph), outcome, probability)
+            outcome = self._gnss.anchor(graph, self._track(graph), outcome, probability)
         if self._places is not None:
-            outcome = self._places.survey(graph, self._way(graph), outcome, probability)
+            outcome = self._places.survey(graph, self._track(graph), outcome, probability)
         return outcome
 
-    def _way(self, graph: KeyframeGraph) -> Way:
+    def _track(self, graph: KeyframeGraph) -> Track:
         """Return the trajectory by the current graph."""
         readings, nodes = self._front_end.readings, graph.poses()
         bases = self._front_end.bases(nodes)
         stamps_s = readings.scan_stamps_s()[readings.keyframe_scans()]
-        return Way.of(nodes, bases, stamps_s, readings.trajectory(bases))
+        return Track.of(nodes, bases, stamps_s, readings.trajectory(bases))
 
     def _covariances(self, found: MapContents, *of_keyframes: FloatArray) -> FloatArray:
         """Return the covariance of every pose, from those of the keyframes."""

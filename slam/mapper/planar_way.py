@@ -191,7 +191,7 @@ class PlanarWay:
         vars(self.readings).update(vars(readings))
 
     def tell(self, result: MapResult) -> None:
-        """Return notes about the wheels and the gyroscope for the user."""
+        """Add notes about the wheels and the gyroscope for the user."""
         if self._wheels is not None and self._wheels.clock.known:
             result.notes.append(self._wheels.clock.note("wheels", "lidar"))
         if self._wheels is not None and self._wheels.dead and self._wheels_name:

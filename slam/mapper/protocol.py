@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import Any, Protocol
 
 from slam.config import Config
+from slam.errors import ScanweaveError
 from slam.estimates import MotionEstimate
 from slam.graph.edge import Edge
 from slam.graph.keyframe_graph import KeyframeGraph
@@ -150,4 +151,8 @@ def register_sensor(kind: type, make: Callable[[Config], Sensor]) -> None:
     ...         return [f"{self.bumps} bumps"]
     >>> slam.register_sensor(Bump, Bumper)
     """
+    if not isinstance(kind, type) or not callable(make):
+        raise ScanweaveError(
+            f"{kind!r} and {make!r}: give the class of the measurements, and one of the sensor"
+        )
     SENSORS[kind] = make

@@ -133,7 +133,7 @@ class FreeCamera(FrontEnd):
         return [spatial(pose).compose(self._T_camera_base) for pose in poses]
 
     def complete(self, result: MapResult) -> None:
-        """Return the images of the keyframes."""
+        """Add the images of the keyframes."""
         assert self._camera is not None
         learned = LearnedCamera(self._registrations.get(self._camera), self._T_base_camera)
         result.add_cameras({self._camera: CameraRecord(result.scans, learned=learned)}, self._store.images)

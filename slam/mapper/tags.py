@@ -19,7 +19,7 @@ from slam.graph.keyframe_graph import KeyframeGraph
 from slam.graph.landmarks import Landmark, Sighting, in_plane, landmarks_of
 from slam.graph.pose_covariances import told_edges
 from slam.graph.pose_graph import BatchResult
-from slam.mapper.anchoring import Way, anchor
+from slam.mapper.anchoring import Track, anchor
 from slam.measurements import IN_PLANE, FloatArray, RgbdFrame, spatial
 from slam.odometry.clock_learner import SensorClock
 from slam.storage.map_places import MapPlaces, MapTag
@@ -114,7 +114,7 @@ class PlaceAnchors:
         self,
         finder: TagFinder,
         graph: KeyframeGraph,
-        way: Way,
+        track: Track,
         outcome: BatchResult,
         inlier_probability: float,
     ) -> BatchResult:
@@ -126,7 +126,7 @@ class PlaceAnchors:
                 )
             return outcome
         sigma_px = _sigma_px([one.view for one in finder.seen])
-        self._seen, twice = _by_number(finder, way, sigma_px)
+        self._seen, twice = _by_number(finder, track, sigma_px)
         # A check proves nothing if it has moved the map.
         checks = {one.tag for one in self._places.surveyed if one.check}
         edges = self._find([number for number in self._seen if number not in checks], graph, outcome)
@@ -143,19 +143,19 @@ class PlaceAnchors:
         return graph.optimize(inlier_probability)
 
     def survey(
-        self, graph: KeyframeGraph, way: Way, outcome: BatchResult, inlier_probability: float
+        self, graph: KeyframeGraph, track: Track, outcome: BatchResult, inlier_probability: float
     ) -> BatchResult:
         """Align the map with surveyed places and the start; return the old result if they do not suffice."""
         used = [
             (one, seen)
             for one in self._places.surveyed
-            if not one.check and (seen := self._seen_at(one, way)) is not None
+            if not one.check and (seen := self._seen_at(one, track)) is not None
         ]
         anchors = [
             Anchor(node, *_place(one.at_m, one.sigma_m**2 + variance), arm_m)
             for one, (node, arm_m, variance) in used
         ]
-        anchors += self._start(way)
+        anchors += self._start(track)
         if not anchors:
             return outcome
         outcome, self._laid = anchor(graph, anchors, outcome, inlier_probability, EdgeKind.SURVEY)
@@ -168,7 +168,7 @@ class PlaceAnchors:
         self.found = replace(self.found, T_survey_map=self._laid.T_enu_map)
         return outcome
 
-    def check(self, graph: KeyframeGraph, way: Way, outcome: BatchResult, config: Config) -> None:
+    def check(self, graph: KeyframeGraph, track: Track, outcome: BatchResult, config: Config) -> None:
         """Compare the finished map with surveyed places."""
         checks = [one for one in self._places.surveyed if one.check]
         self._find([one.tag for one in checks if one.tag in self._seen], graph, outcome)
@@ -180,7 +180,7 @@ class PlaceAnchors:
         unseen = list[str]()
         for one in self._places.surveyed:
             name = f"tag {one.tag}" if one.stamp_s is None else f"the place at {one.stamp_s:.1f} s"
-            if (seen := self._seen_at(one, way)) is None:
+            if (seen := self._seen_at(one, track)) is None:
                 unseen.append(name)
                 continue
             node, arm_m, variance = seen
@@ -243,21 +243,21 @@ class PlaceAnchors:
         fit = int(np.count_nonzero(found.holds))
         return MapTag(number, side_m, found.node, pose, math.sqrt(variance), len(spatials), fit)
 
-    def _seen_at(self, one: SurveyedPlace, way: Way) -> tuple[int, FloatArray, float] | None:
+    def _seen_at(self, one: SurveyedPlace, track: Track) -> tuple[int, FloatArray, float] | None:
         """Return node, (3,) position in its frame and its variance for a surveyed place; None if unseen."""
         if one.stamp_s is not None:
-            node = int(way.nearest(np.array([one.stamp_s]))[0])
-            T_node_base = way.seen_from(node, one.stamp_s)
+            node = int(track.nearest(np.array([one.stamp_s]))[0])
+            T_node_base = track.seen_from(node, one.stamp_s)
             return None if T_node_base is None else (node, np.asarray(T_node_base.translation()), 0.0)
         for tag in self.found.tags:
             if tag.number == one.tag:
                 return tag.node, np.asarray(tag.T_node_tag.translation()), tag.sigma_m**2
         return None
 
-    def _start(self, way: Way) -> list[Anchor]:
+    def _start(self, track: Track) -> list[Anchor]:
         """Return the known start as two places, before and behind the base, with its covariance."""
         start = self._places.start
-        T_node_base = way.seen_from(0, float(way.stamps_s[0]))
+        T_node_base = track.seen_from(0, float(track.stamps_s[0]))
         if start is None or T_node_base is None:
             return []
         yaw, arm_m = math.radians(start.yaw_deg), start.sigma_m / math.radians(start.sigma_deg)
@@ -277,12 +277,14 @@ def _place(at_m: Sequence[float], variance: float) -> tuple[FloatArray, FloatArr
     return np.array([*at_m, 0.0][:3]), covariance
 
 
-def _by_number(finder: TagFinder, way: Way, sigma_px: float) -> tuple[dict[int, list[Sighting]], list[int]]:
+def _by_number(
+    finder: TagFinder, track: Track, sigma_px: float
+) -> tuple[dict[int, list[Sighting]], list[int]]:
     """Return sightings of each tag by node, without the numbers seen twice in one image; and those."""
     found, images = defaultdict[int, list[Sighting]](list), Counter[tuple[int, int]]()
     taken_s = np.array([finder.taken_s(one) for one in finder.seen])
-    for one, node, (stamp_s, sigma_s) in zip(finder.seen, way.nearest(taken_s[:, 0]), taken_s, strict=True):
-        then, later = (way.seen_from(int(node), float(at_s)) for at_s in (stamp_s, stamp_s + sigma_s))
+    for one, node, (stamp_s, sigma_s) in zip(finder.seen, track.nearest(taken_s[:, 0]), taken_s, strict=True):
+        then, later = (track.seen_from(int(node), float(at_s)) for at_s in (stamp_s, stamp_s + sigma_s))
         if then is None or later is None:
             continue
         T_base_tag = one.T_base_camera.compose(one.view.T_camera_tag)

@@ -20,7 +20,7 @@ from slam.matching.plane_voxels import PlaneVoxels
 from slam.measurements import FloatArray, LaserScan
 
 _LEVEL_COS = 0.97
-# A level with this share of the points of the fullest is one; a few points are noise or reflections.
+# A level needs this share of the points of the fullest; fewer points are noise or reflections.
 LEVEL_SHARE = 0.2
 _CELL_M = 0.05
 
@@ -35,30 +35,30 @@ def band_scan(
     *,
     clears: bool = False,
 ) -> LaserScan:
-    """What a flat lidar would see that stops at every obstacle.
+    """Return the scan of a virtual 2D lidar that hits every obstacle.
 
     Parameters
     ----------
     points
         (N, 3), base frame.
     T_base_lidar
-        Where the rays come from.
+        Origin of the rays.
     ground_m
         Height of the ground in the base frame; one for all points or (N,).
     clears
-        Whether ground that is seen is known to be free.
+        Whether visible ground counts as free.
 
     Returns
     -------
-    A bearing without obstacle is no reading, for nobody knows how far it is free; or where ground clears what
-    it covers, minus the distance of the farthest: free so far, and nothing stands there.
+    A bearing without obstacle is no reading, since its free range is unknown; if ground clears it, it is
+    minus the distance of the farthest ground: free up to there, without an obstacle.
     """
     origin = T_base_lidar.translation()
     x, y = points[:, 0] - origin[0], points[:, 1] - origin[1]
     distance = np.sqrt(x * x + y * y)
     (near,) = np.nonzero(distance < config.plan_range_m)
     x, y, distance, over_m = x[near], y[near], distance[near], (points[:, 2] - ground_m)[near]
-    # By so many sigmas heights are noisy at most, or thousands of floor points would stand in the way.
+    # Heights within so many sigmas are noise, or thousands of floor points would be obstacles.
     margin_m = math.sqrt(gate()) * config.ground_share * (2.0 + distance)
     stops = band.holds(over_m, margin_m)
     step_rad = 2.0 * math.pi / config.bearings
@@ -72,7 +72,7 @@ def band_scan(
     order = np.lexsort((distance, bearing))
     bearing, distance = bearing[order], distance[order]
     if len(bearing):
-        # One stray point stops nothing: the n-th of a bearing must lie within a cell of it.
+        # A single point is no obstacle: the n-th of a bearing must be within a cell of it.
         after = np.arange(len(bearing)) + config.least_points - 1
         within = after < len(bearing)
         after = np.minimum(after, len(bearing) - 1)
@@ -91,9 +91,9 @@ class Ground:
     Attributes
     ----------
     height_m
-        In the base frame.
+        Height in the base frame.
     by_mounting
-        Whether the base stands on it, as the lidar's mounting tells; else it was seen.
+        Whether the base is on it, by the lidar's mounting; else it was seen.
     """
 
     height_m: float
@@ -103,18 +103,18 @@ class Ground:
 def ground_of(
     clouds: Iterable[FloatArray], T_base_lidar: gtsam.Pose3, voxel_m: float, thickness_m: float
 ) -> Ground | None:
-    """Where the ground is: where it is seen, if the mounting does not tell as well that it is at the base.
+    """Return the ground as seen, or at the base if the mounting of the lidar agrees with that.
 
     Parameters
     ----------
     clouds
-        (N, 3) points of all keyframes, base frame; the first of them are looked at.
+        (N, 3) points of all keyframes, base frame; the first ones are used.
     voxel_m, thickness_m
         As of `ground_height`.
 
     Returns
     -------
-    None if it is not seen, and no mounting tells it.
+    None if it is not seen, and the mounting does not give it.
     """
     first = islice(clouds, FEWEST)
     seen_m = ground_height(first, float(T_base_lidar.z()), voxel_m, thickness_m)
@@ -127,7 +127,7 @@ def ground_of(
 def ground_height(
     clouds: Iterable[FloatArray], lidar_m: float, voxel_m: float, thickness_m: float
 ) -> float | None:
-    """Height of the ground in the base frame: of level surfaces below the lidar the lowest that is large.
+    """Return the ground height in the base frame: the lowest large level surface below the lidar.
 
     Parameters
     ----------

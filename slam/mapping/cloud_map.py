@@ -19,9 +19,9 @@ from slam.matching.plane_voxels import surface_normals
 from slam.measurements import AnyFloatArray, BoolArray, Float32Array, FloatArray
 from slam.vision.prefetch import prefetched
 
-_Span: TypeAlias = tuple[int, int, int]  # where rows begin in a file, how many they are and their columns
+_Span: TypeAlias = tuple[int, int, int]  # offset of rows in a file, their number and columns
 
-# Side of a tile in voxels; of a cell of neighbours: wider than what a lidar is off by.
+# Side of a tile in voxels; side of a neighbourhood cell: larger than the error of a lidar.
 _TILE_VOXELS, _NORMAL_VOXELS = 256.0, 1.5
 # Blue, green, yellow, red from the lowest to the highest usual height.
 _RAMP = np.array([[40, 60, 160], [40, 160, 120], [230, 210, 60], [200, 60, 40]], dtype=np.float64)
@@ -29,7 +29,7 @@ _USUAL_PERCENT = (1.0, 99.0)
 
 
 class CloudTiles:
-    """The points of a map's clouds, one a voxel, in tiles on disk: the clouds are read once.
+    """The points of a map's clouds, one per voxel, in tiles on disk: the clouds are read once.
 
     Parameters
     ----------
@@ -38,7 +38,7 @@ class CloudTiles:
     poses
         ``T_map_base`` of each.
     file
-        An empty one for what is kept.
+        Empty file for the stored points.
 
     Raises
     ------
@@ -72,15 +72,15 @@ class CloudTiles:
         self._usual = _usual(np.concatenate(heights))
 
     def points(self) -> Iterator[FloatArray]:
-        """(N, 3) of one tile after the other, map frame."""
+        """Yield (N, 3) points of one tile after the other, map frame."""
         return self._points(self._tiles)
 
     def seen(self) -> Iterator[FloatArray]:
-        """(N, 3) of one keyframe after the other, map frame."""
+        """Yield (N, 3) points of one keyframe after the other, map frame."""
         return self._points(self._seen)
 
     def cloud(self, chosen: Callable[[FloatArray], BoolArray] | None = None) -> Iterator[ColoredCloud]:
-        """Those that are chosen of points (N, 3), or all, with normals towards the keyframe that saw them."""
+        """Return the chosen points, or all, with normals towards the keyframe that saw them."""
 
         def colored(rows: FloatArray) -> ColoredCloud:
             rows = rows if chosen is None else rows[chosen(rows[:, :3])]
@@ -95,17 +95,17 @@ class CloudTiles:
         return prefetched((self._rows(tile) for tile in self._tiles), colored, most_waiting=1)
 
     def _keep(self, rows: AnyFloatArray) -> _Span:
-        """Write rows: points, the number of their keyframe, maybe their intensity; where they are."""
+        """Write rows (points, keyframe number, and intensity, if any); return their location."""
         span = self._file.seek(0, os.SEEK_END), len(rows), rows.shape[1]
         self._file.write(rows.astype(np.float32, copy=False).data)
         return span
 
     def _points(self, spans: Iterable[_Span]) -> Iterator[FloatArray]:
-        """(N, 3) of what was written, one after the other."""
+        """Yield (N, 3) of the written points, one block after the other."""
         return (np.ascontiguousarray(self._rows(span)[:, :3]) for span in spans)
 
     def _rows(self, span: _Span) -> FloatArray:
-        """Rows that were written; an intensity that others have and these do not is NaN."""
+        """Return written rows; an intensity that only others have is NaN."""
         begin, count, columns = span
         rows = np.empty((count, self._columns))
         self._file.seek(begin)
@@ -114,7 +114,7 @@ class CloudTiles:
         return rows
 
     def _thinned(self, spans: Sequence[_Span]) -> FloatArray:
-        """Rows of a tile, the first of each voxel; many more are never held."""
+        """Return the rows of a tile, the first of each voxel; few more are ever in memory."""
         kept, waiting, most = np.zeros((0, self._columns)), list[FloatArray](), 0
         for span in spans:
             waiting.append(self._rows(span))
@@ -127,9 +127,9 @@ class CloudTiles:
 def _by_tile(
     number: int, points: FloatArray, T_map_base: gtsam.Pose3, voxel_m: float
 ) -> tuple[Float32Array, NDArray[np.int64]]:
-    """Rows of `CloudTiles` of points (N, 3 or 4), base frame, one a voxel of the map, tile by tile.
+    """Return rows of `CloudTiles` for points (N, 3 or 4), base frame, one per voxel, tile by tile.
 
-    With them (T, 3) place of each tile, and how many rows it has.
+    Also (T, 3) the index of each tile, and its number of rows.
     """
     points = thin_to_voxels(np.column_stack([moved(points, T_map_base), points[:, 3:]]), voxel_m)
     rows = np.empty((len(points), 1 + points.shape[1]), np.float32)
@@ -149,7 +149,7 @@ def _by_tile(
 
 
 def _usual(heights: AnyFloatArray) -> tuple[float, float]:
-    """The lowest and the highest usual one."""
+    """Return the lowest and the highest usual value."""
     if not len(heights):
         return 0.0, 0.0
     low, high = np.percentile(heights, _USUAL_PERCENT)
@@ -157,7 +157,7 @@ def _usual(heights: AnyFloatArray) -> tuple[float, float]:
 
 
 def ramp(values: AnyFloatArray, usual: tuple[float, float] | None = None) -> Colors:
-    """(N, 3) RGB of values (N,), from blue to red between the usual ones."""
+    """Return (N, 3) RGB of values (N,), from blue to red between the usual ones."""
     low, high = _usual(values) if usual is None else usual
     share = np.clip((values - low) / max(high - low, 1e-6), 0.0, 1.0) * (len(_RAMP) - 1)
     channels = [np.interp(share, np.arange(len(_RAMP)), _RAMP[:, channel]) for channel in range(3)]

@@ -24,7 +24,7 @@ _ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
 
 
 def packed_cloud(rows: FloatArray) -> bytes:
-    """Points (N, 3), rounded to steps of `STEP_M`, in their order; a fourth column is their intensities.
+    """Pack points (N, 3), rounded to steps of `STEP_M`, in order; a fourth column contains intensities.
 
     Raises
     ------
@@ -41,12 +41,12 @@ def packed_cloud(rows: FloatArray) -> bytes:
 
 
 def unpacked_cloud(content: bytes, *, intensities: bool = True) -> FloatArray:
-    """Points (N, 3) of packed bytes, or (N, 4) with their intensities where they are asked for.
+    """Unpack points (N, 3), or (N, 4) with their intensities if requested.
 
     Raises
     ------
     ValueError
-        If they are not what `packed_cloud` gives; no more is unpacked than they say.
+        If they are not the output of `packed_cloud`; no more than the stated size is unpacked.
     """
     if len(content) < _HEAD.size:
         raise ValueError("a cloud that ends too soon")
@@ -72,12 +72,12 @@ def unpacked_cloud(content: bytes, *, intensities: bool = True) -> FloatArray:
 
 @kernel
 def _ways(points, step_m, planes):  # type: ignore[no-untyped-def]
-    """Write the bytes (4, 3, N) of the ways, in steps, from each point (N, 3 or 4) to the next."""
+    """Write the bytes (4, 3, N) of the differences, in steps, from each point (N, 3 or 4) to the next."""
     for axis in range(3):
         before = ZERO
         for i in range(points.shape[0]):
             step = np.int64(np.rint(points[i, axis] / step_m))
-            # The sign goes to the lowest bit: upper bytes of short ways are all zero, whichever way they go.
+            # The sign is the lowest bit: the upper bytes of small differences are zero for either sign.
             signless = ((step - before) << 1) ^ ((step - before) >> 63)
             before = step
             for byte in range(4):
@@ -86,13 +86,13 @@ def _ways(points, step_m, planes):  # type: ignore[no-untyped-def]
 
 @kernel(nogil=True)
 def _added_up(planes, step_m, points):  # type: ignore[no-untyped-def]
-    """Points (N, 3 or 4) of the bytes (4, 3, N) of the ways from each to the next."""
+    """Sum points (N, 3 or 4) from the bytes (4, 3, N) of their differences."""
     for axis in range(3):
         steps = ZERO
         for i in range(points.shape[0]):
             signless = np.int64(planes[0, axis, i]) | (np.int64(planes[1, axis, i]) << 8)
             signless |= (np.int64(planes[2, axis, i]) << 16) | (np.int64(planes[3, axis, i]) << 24)
             steps += (signless >> 1) ^ -(signless & 1)
-            # As whole numbers of 32 bits, which a damaged cloud may leave.
+            # As 32-bit integers, which a damaged cloud may exceed.
             steps = ((steps + (1 << 31)) & ((1 << 32) - 1)) - (1 << 31)
             points[i, axis] = steps * step_m

@@ -23,12 +23,12 @@ from slam.vision.prefetch import prefetched
 
 IntArray = NDArray[np.int64]
 
-_PIXEL_RAD = math.radians(0.5)  # of the picture in which a cloud tells how far it sees
+_PIXEL_RAD = math.radians(0.5)  # of the range image of a cloud
 
 
 @dataclass(frozen=True, slots=True)
 class PassedBy:
-    """Voxels of the map that were looked through.
+    """Voxels of the map that beams have passed.
 
     Attributes
     ----------
@@ -42,7 +42,7 @@ class PassedBy:
     voxel_m: float
 
     def holds(self, points_map: FloatArray) -> BoolArray:
-        """(N,) whether points (N, 3) have gone."""
+        """Return (N,) whether points (N, 3) were removed."""
         entries = np.empty(len(points_map), np.int64)
         points = np.ascontiguousarray(points_map, np.float64)
         entries_at(points, self.voxel_m, _indexed(self.keys), self.keys, entries)
@@ -57,7 +57,7 @@ def passed_by(
     ground: Elevation,
     reach_m: float,
 ) -> PassedBy:
-    """Find them; asked is only what stands on the ground.
+    """Find passed voxels; only objects above the ground are tested.
 
     A keyframe hits a voxel that holds a point of it, or where the beam through its middle ends; it passes one
     where all beams through it, and those above and below, end behind by more than a pixel is wide: along a
@@ -113,7 +113,7 @@ def passed_by(
 
 
 def _pixels(points_lidar: FloatArray) -> tuple[NDArray[np.int32], NDArray[np.int32], Float32Array]:
-    """Rows, columns and ranges (N,) of points (N, 3) in the picture of a cloud: of single precision."""
+    """Return rows, columns and ranges (N,) of points (N, 3) in the range image of a cloud (float32)."""
     x, y, z = np.ascontiguousarray(points_lidar.T, np.float32)
     level_m = np.sqrt(x * x + y * y)
     row = (np.arctan2(z, level_m) + 0.5 * math.pi) / _PIXEL_RAD + 0.5
@@ -123,19 +123,19 @@ def _pixels(points_lidar: FloatArray) -> tuple[NDArray[np.int32], NDArray[np.int
 
 
 def _keys(points: FloatArray, voxel_m: float) -> IntArray:
-    """(V,) keys of the voxels that hold points (N, 3), each once."""
+    """Return (V,) unique keys of the voxels that contain points (N, 3)."""
     keys, first = np.empty(len(points), np.int64), np.empty(len(points), np.int64)
     return keys[: first_in_voxels(points, voxel_m, 1, table_for(len(points)), keys, first)]
 
 
 def _indexed(keys: IntArray) -> NDArray[np.int32]:
-    """Slots of keys (V,)."""
+    """Build a hash table of keys (V,)."""
     table = table_for(len(keys))
     index_keys(keys, table)
     return table
 
 
 def _middles(keys: IntArray, voxel_m: float) -> FloatArray:
-    """(V, 3) middles of voxels."""
+    """Return (V, 3) centres of voxels."""
     cells = (np.column_stack([keys >> 2 * AXIS_BITS, keys >> AXIS_BITS, keys]) & AXIS) - HALF
     return np.asarray((cells + 0.5) * voxel_m)

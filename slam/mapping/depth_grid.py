@@ -33,13 +33,13 @@ class DepthModel:
     Attributes
     ----------
     band
-        Heights in which a thing is an obstacle.
+        Heights at which an object is an obstacle.
     depth_max_m, depth_min_m
-        Farther and nearer readings mark nothing; farther ones free up to the limit.
+        Readings outside mark nothing; farther ones free cells up to the limit.
     noise
-        Of a depth reading.
+        Noise of a depth reading.
     p_hit, p_miss
-        Probability that a cell is occupied in which a keyframe saw points, or saw through at all heights.
+        Probability that a cell is occupied if a keyframe saw points in it, or saw it free at all heights.
     margin_sigmas
         By so many standard deviations a point must be above the band's lower end, and a ray frees nothing
         so near to its end.
@@ -67,18 +67,18 @@ class DepthModel:
 
     @property
     def bins(self) -> int:
-        """Heights of the band that are told apart."""
-        most = np.iinfo(np.uint64).bits // 2 - 1  # two bits each, and one for the floor
+        """Return the number of height bins of the band."""
+        most = np.iinfo(np.uint64).bits // 2 - 1  # two bits per bin, and one for the floor
         return min(most, max(1, math.ceil((self.band.high_m - self.band.low_m) / (2.0 * HEIGHT_STEP_M))))
 
 
 def depth_board(
     frame: RgbdFrame, T_grid_camera: FloatArray, model: DepthModel, cell_m: float
 ) -> Board | None:
-    """The evidence of one depth image, height by height; None if it has no reading within reach.
+    """Return the evidence of one depth image by height; None if it has no reading within reach.
 
-    A negative depth is a reading that an edit has taken away: its ray frees as before, and the cell where it
-    ends is not marked.
+    A negative depth is a reading removed by an edit: its ray frees cells, and the cell at its end is not
+    marked.
 
     Each cell has the floor and `DepthModel.bins` heights above it. What is seen through is freed there, and
     what is met is marked there: many images together tell of all heights of a cell, and of those where
@@ -106,7 +106,7 @@ def depth_board(
     if not (depth_m > 0.0).any():
         return None
     matrix = np.ascontiguousarray(T_grid_camera, dtype=np.float64)
-    # Of the image's axes the one that points down; the other is followed less closely.
+    # The image axis that points down; the other one is sampled less densely.
     upright = abs(matrix[2, 1]) >= abs(matrix[2, 0])
     stride = (1, 2 * model.pixel_stride)
     if upright:
@@ -137,10 +137,10 @@ def depth_board(
 def _hit_voxels(
     depth_m: Float32Array, rays: Rays, T_grid_camera: FloatArray, model: DepthModel, cell_m: float
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """(M, 2) columns and rows, (M,) heights from 1 above the floor, where a cell holds enough points."""
+    """Return (M, 2) columns and rows, (M,) height bins from 1 above the floor, with enough points."""
     usable = np.where((depth_m >= model.depth_min_m) & (depth_m <= model.depth_max_m), depth_m, 0.0)
     points = back_project(usable, rays)
-    # How far noise along the ray lifts a point.
+    # Height error due to noise along the ray.
     lift = np.abs(T_grid_camera[2, :3] @ (points / points[:, 2:]).T) if len(points) else np.zeros(0)
     margin_m = model.margin_sigmas * lift * model.noise.sigma_m(points[:, 2])
     left = obstacle_points(
@@ -165,13 +165,13 @@ def _hit_voxels(
 def _cells_taken(
     told_m: Float32Array, rays: Rays, T_grid_camera: FloatArray, cell_m: float
 ) -> NDArray[np.int64]:
-    """(M, 2) columns and rows of cells in which a reading was taken away."""
+    """Return (M, 2) columns and rows of cells with a removed reading."""
     points = to_frame(back_project(np.maximum(-told_m, np.float32(0.0)), rays), T_grid_camera)
     return np.unique(np.floor(points[:, :2] / cell_m).astype(np.int64), axis=0)
 
 
 def _among(cells: NDArray[np.int64], others: NDArray[np.int64]) -> NDArray[np.bool_]:
-    """(N,) which of (N, 2) cells are among (M, 2) others."""
+    """Return (N,) which of (N, 2) cells are among (M, 2) others."""
     both = np.concatenate([cells, others])
     number = np.unique(both, axis=0, return_inverse=True)[1].reshape(-1)
     return np.isin(number[: len(cells)], number[len(cells) :])
@@ -179,12 +179,12 @@ def _among(cells: NDArray[np.int64], others: NDArray[np.int64]) -> NDArray[np.bo
 
 @lru_cache(maxsize=8)
 def _hits_by_range(model: DepthModel, cell_m: float) -> Steps:
-    """Evidence of a hit, long enough for the corners of the view."""
+    """Return the evidence of a hit by range, up to the corners of the view."""
     return hit_evidence(model.noise, model.p_hit, cell_m, 3.0 * model.depth_max_m + cell_m)
 
 
 @lru_cache(maxsize=8)
 def _rays_of(shape: tuple[int, int], camera: CameraIntrinsics) -> tuple[Rays, Float32Array]:
-    """Where the pixels look, in both precisions."""
+    """Return the rays of the pixels, in both precisions."""
     rays = pixel_rays(shape, camera)
     return rays, rays.astype(np.float32)

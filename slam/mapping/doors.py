@@ -16,16 +16,16 @@ from slam.measurements import BoolArray, FloatArray
 def find_doors(
     rooms: Sequence[Room], grid: OccupancyGrid, points: WallPoints, way_map: FloatArray
 ) -> list[Door]:
-    """The openings between neighbouring rooms, as wide as a wall may be thick, at least.
+    """Find openings between neighbouring rooms that are at least as wide as a wall may be thick.
 
     Parameters
     ----------
     grid
-        What is free.
+        Free cells.
     points
-        Of all that is straight: an opening with some in it, and not driven through, is glass.
+        Points on straight objects: an opening that contains some, and was not driven through, is glass.
     way_map
-        (N, 2) where the robot has been.
+        (N, 2) positions of the robot.
     """
     free = grid.states() == FREE
     found: list[Door] = []
@@ -46,7 +46,7 @@ def find_doors(
 def _between(
     one: tuple[FloatArray, FloatArray], other: tuple[FloatArray, FloatArray]
 ) -> tuple[FloatArray, FloatArray, FloatArray] | None:
-    """Begin and end of what two walls have in common, halfway between, and from there to the first."""
+    """Return the ends of the overlap of two walls, halfway between, and the vector to the first."""
     if min(np.hypot(*(one[1] - one[0])), np.hypot(*(other[1] - other[0]))) < THICKEST_WALL_M:
         return None
     along = (one[1] - one[0]) / np.hypot(*(one[1] - one[0]))
@@ -58,7 +58,7 @@ def _between(
     low, high = max(float(reach[0]), 0.0), min(float(reach[1]), float((one[1] - one[0]) @ along))
     if high - low < THICKEST_WALL_M:
         return None
-    # How far the other wall is behind, at both ends of the common part.
+    # Distance to the other wall at both ends of the overlap.
     slope = float(back @ normal) / float(back @ along)
     behind = np.array(
         [(other[0] - one[0]) @ normal + slope * (at - (other[0] - one[0]) @ along) for at in (low, high)]
@@ -74,7 +74,7 @@ def _between(
 def _open(
     begin_m: FloatArray, end_m: FloatArray, half_m: FloatArray, free: BoolArray, grid: OccupancyGrid
 ) -> list[tuple[FloatArray, FloatArray]]:
-    """Stretches of a line through which one can see, from a cell before it to a cell behind."""
+    """Return the stretches of a line that are free from a cell before it to a cell behind it."""
     cell_m = grid.resolution_m
     length = float(np.hypot(*(end_m - begin_m)))
     shares = np.linspace(0.0, 1.0, max(2, int(2.0 * length / cell_m)))
@@ -84,7 +84,7 @@ def _open(
     middles = begin_m + shares[:, None] * (end_m - begin_m)
     across = middles[:, None, :] + steps[:, None] * normal
     seen = looked_up(free, grid.cells_of(across.reshape(-1, 2))).reshape(len(shares), -1).all(axis=1)
-    # A cell that is not free is noise, where its neighbours are.
+    # A single cell that is not free is noise if its neighbours are free.
     edges = np.flatnonzero(np.diff(np.concatenate([[False], seen, [False]]).astype(np.int8)))
     runs: list[list[int]] = []
     for low, high in zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True):
@@ -92,7 +92,7 @@ def _open(
             runs[-1][1] = high
         else:
             runs.append([low, high])
-    # The sides of the door lie in the cells that are not free.
+    # The sides of the door are in the cells that are not free.
     side = (end_m - begin_m) / length * cell_m
     return [
         (middles[low] - side, middles[high - 1] + side)
@@ -102,7 +102,7 @@ def _open(
 
 
 def _met(begin_m: FloatArray, end_m: FloatArray, points: WallPoints) -> bool:
-    """Whether something flat was met within an opening, but at its sides."""
+    """Return whether beams hit something flat in an opening, apart from its sides."""
     length = float(np.hypot(*(end_m - begin_m)))
     along = (end_m - begin_m) / length
     normal = np.array([-along[1], along[0]])
@@ -115,7 +115,7 @@ def _met(begin_m: FloatArray, end_m: FloatArray, points: WallPoints) -> bool:
 
 
 def crossed(begin_m: FloatArray, end_m: FloatArray, way_map: FloatArray) -> bool:
-    """Whether a way leads through a line."""
+    """Return whether a path crosses a line."""
     step = np.diff(way_map, axis=0)
     line, to = end_m - begin_m, begin_m - way_map[:-1]
     cross = step[:, 0] * line[1] - step[:, 1] * line[0]

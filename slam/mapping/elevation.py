@@ -24,13 +24,13 @@ from slam.vision.prefetch import prefetched
 
 Keys = NDArray[np.int64]
 
-BATCH = 32  # clouds before what they share is counted once
+BATCH = 32  # clouds before their common cells are merged
 _CELL_M = 0.4
 # A cell and a height in one number, which sorts ten times as fast: 21 bits each, heights in steps of clouds.
 _BITS = 21
 _MIDDLE = 1 << _BITS - 1
-_STEEPEST = 0.5  # of the ground, kerbs included; what rises faster stands on it
-_BESIDE_CELLS = 5.0  # ground is looked for so near to where the robot stood
+_STEEPEST = 0.5  # of the ground, kerbs included; steeper surfaces are objects on it
+_BESIDE_CELLS = 5.0  # ground is searched within this distance of the robot
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,9 +40,9 @@ class Elevation:
     Attributes
     ----------
     height_m
-        (rows, cols) in the map; where none was seen, that of the nearest.
+        (rows, cols) in the map; unseen cells have the height of the nearest seen one.
     seen
-        (rows, cols) where it was.
+        (rows, cols) whether it was seen.
     cell_m, origin_xy
         Side of a cell, and the lower left corner of cell (0, 0) in the map.
     """
@@ -53,20 +53,20 @@ class Elevation:
     origin_xy: FloatArray
 
     def above_m(self, points_map: FloatArray) -> FloatArray:
-        """(N,) heights of points (N, 3) over the ground."""
+        """Return (N,) heights of points (N, 3) above the ground."""
         above_m = np.empty(len(points_map))
         _above(points_map, self.height_m, self.cell_m, self.origin_xy, above_m)
         return above_m
 
     def seen_at(self, points_map: AnyFloatArray) -> BoolArray:
-        """(N,) whether ground was seen under points (N, 3)."""
+        """Return (N,) whether ground was seen under points (N, 3)."""
         at = np.floor((points_map[:, 1::-1] - self.origin_xy[::-1]) / self.cell_m).astype(np.int64)
         inside = ((at >= 0) & (at < self.seen.shape)).all(axis=1)
         at[~inside] = 0
         return np.asarray(inside & self.seen[at[:, 0], at[:, 1]])
 
     def slope(self) -> FloatArray:
-        """(rows, cols) rise of the ground a metre, the steepest way."""
+        """Return (rows, cols) the gradient of the ground."""
         if min(self.height_m.shape) < 2:
             return np.zeros_like(self.height_m)
         rise: FloatArray = np.hypot(*np.gradient(self.height_m, self.cell_m))
@@ -76,7 +76,7 @@ class Elevation:
 def elevation(
     clouds: Iterable[FloatArray], poses: Sequence[gtsam.Pose3], ground_m: float, reach_m: float
 ) -> Elevation | None:
-    """The ground of a map.
+    """Estimate the ground of a map.
 
     Parameters
     ----------
@@ -85,13 +85,13 @@ def elevation(
     poses
         ``T_map_base`` of each.
     ground_m
-        Height of the ground in the base frame, where the robot stands.
+        Height of the ground in the base frame, at the robot.
     reach_m
-        Points farther from the robot are too few to tell.
+        Points farther from the robot are too sparse.
 
     Returns
     -------
-    None if no ground hangs together with the robot's way.
+    None if no ground is connected to the robot's path.
     """
     batches, waiting = list[Keys](), list[Keys]()
     seen = zip(clouds, poses, strict=True)
@@ -119,7 +119,7 @@ def elevation(
 
 @kernel(nogil=True)
 def _above(points, height_m, cell_m, origin_xy, above_m):  # type: ignore[no-untyped-def]
-    """Heights (N,) of points (N, 3) over the ground, between the middles of its cells by their lines."""
+    """Return heights (N,) of points (N, 3) above the ground, interpolated between cell centres."""
     last_row = height_m.shape[0] - 1
     last_col = height_m.shape[1] - 1
     for i in range(points.shape[0]):
@@ -137,7 +137,7 @@ def _above(points, height_m, cell_m, origin_xy, above_m):  # type: ignore[no-unt
 
 
 def _lows(points_map: FloatArray, position: FloatArray, reach_m: float) -> Keys:
-    """(C,) the cells that one cloud tells of, with their heights."""
+    """Return (C,) the cells of one cloud, with their heights."""
     x, y, z = np.ascontiguousarray(points_map.T)
     (near,) = np.nonzero((x - position[0]) ** 2 + (y - position[1]) ** 2 < reach_m**2)
     row, col = (np.floor(axis[near] / _CELL_M).astype(np.int64) + _MIDDLE for axis in (y, x))
@@ -146,7 +146,7 @@ def _lows(points_map: FloatArray, position: FloatArray, reach_m: float) -> Keys:
 
 
 def _quantiles(keys: Keys, share: float) -> Keys:
-    """(C,) of keys (N,): one a cell, of its heights that above a share."""
+    """Return (C,) of keys (N,): one per cell, with a quantile of its heights."""
     keys = np.sort(keys)
     cells = keys >> _BITS
     starts = np.flatnonzero(np.diff(cells, prepend=-1))
@@ -155,7 +155,7 @@ def _quantiles(keys: Keys, share: float) -> Keys:
 
 
 def _hanging_together(low: FloatArray, feet: FloatArray, origin_yx: FloatArray) -> BoolArray:
-    """(rows, cols) cells that one may reach from where the robot stood without too high a step."""
+    """Return (rows, cols) cells that are reachable from the robot's positions without too high a step."""
     from scipy.spatial import cKDTree
 
     known, step_m = np.isfinite(low), _STEEPEST * _CELL_M

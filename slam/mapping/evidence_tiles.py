@@ -29,9 +29,9 @@ TILE_BYTES = SIDE * SIDE * np.dtype(np.int32).itemsize
 
 
 class Board(NamedTuple):
-    """What one reading says about a rectangle of cells: steps of evidence, its first row and column.
+    """Evidence of one reading for a rectangle of cells: log-odds steps, first row and column.
 
-    The steps are (rows, cols), or (rows, cols, heights) where the heights of a cell are told apart.
+    The steps are (rows, cols), or (rows, cols, heights) if the cells have height bins.
     """
 
     steps: Steps
@@ -39,7 +39,7 @@ class Board(NamedTuple):
     col: int
 
     def box(self) -> Box:
-        """First row, first col, rows, cols."""
+        """Return first row, first col, rows, cols."""
         return self.row, self.col, self.steps.shape[0], self.steps.shape[1]
 
 
@@ -56,7 +56,7 @@ class EvidenceTiles:
 
     def __init__(self, memory_mb: float = 128.0, heights: int = 1) -> None:
         self._held: OrderedDict[tuple[int, int], Tile] = OrderedDict()
-        # A tile takes about the same memory however many heights there are.
+        # A tile uses about the same memory for any number of height bins.
         self._side = max(1, math.isqrt(SIDE * SIDE // heights))
         self._shape = (self._side, self._side, heights)
         self._most = max(4, int(memory_mb * 1e6 / TILE_BYTES))
@@ -65,16 +65,16 @@ class EvidenceTiles:
         self.used: Box | None = None
 
     def add(self, board: Board) -> None:
-        """Li2020 Eq. (8) for every cell of a board."""
+        """Add a board, Li2020 Eq. (8) for every cell."""
         box = board.box()
         heights = self._shape[2]
         steps = board.steps if board.steps.ndim == 3 else board.steps[:, :, None]
         if steps.shape[2] < heights:
             steps = np.repeat(steps, heights, axis=2)
-        # The heights of a cell lie side by side.
+        # The height bins of a cell are adjacent.
         flat = steps.reshape(len(steps), -1)
         for key, tile_part, board_part in _parts(box, self._side):
-            # Boards are mostly empty at their rims: no tile for nothing.
+            # Boards are mostly empty at their borders: create no tile without evidence.
             if self._holds(key) or steps[board_part].any():
                 (row, col), (first_row, first_col) = (
                     (part[0].start, heights * part[1].start) for part in (tile_part, board_part)
@@ -85,9 +85,9 @@ class EvidenceTiles:
         self.used = box if self.used is None else union(self.used, box)
 
     def clipped(self, box: Box, low: int, high: int) -> Steps:
-        """(rows, cols) of the sums in a box, between two bounds: of each cell its height likeliest taken.
+        """Return (rows, cols) of the sums in a box, clamped: for each cell its most occupied height.
 
-        Nothing is known of a height that nothing told of: a cell is free where all of them are.
+        A height without evidence is unknown: a cell is free only if all its heights are.
         """
         steps = np.zeros(box[2:], dtype=np.int16)
         for key, tile_part, part in _parts(box, self._side):
@@ -96,10 +96,10 @@ class EvidenceTiles:
         return steps
 
     def coarse(self, box: Box, low: int, high: int, side: int) -> Steps:
-        """`clipped` in cells of ``side`` times ``side`` of the lattice's, each as its likeliest one.
+        """Return `clipped` in cells of ``side`` times ``side``, each with its most occupied one.
 
-        So what is free or unknown in part is not free, and every obstacle stays. The box begins and ends with
-        such cells; one row of tiles is in memory at a time.
+        So a partly unknown cell is not free, and every obstacle stays. The box is aligned with such cells;
+        one row of tiles is in memory at a time.
         """
         row, col, rows, cols = box
         steps = np.empty((rows // side, cols // side), dtype=np.int16)
@@ -110,11 +110,11 @@ class EvidenceTiles:
         return steps
 
     def _holds(self, key: tuple[int, int]) -> bool:
-        """Whether the tile is there, in memory or on disk."""
+        """Return whether the tile exists, in memory or on disk."""
         return key in self._held or key in self._spilled
 
     def _tile(self, key: tuple[int, int]) -> Tile:
-        """A tile, from memory, from disk, or new; now the last one used."""
+        """Return a tile from memory, from disk, or new; mark it as most recently used."""
         tile = self._held.get(key)
         if tile is None:
             tile = self._load(key) if key in self._spilled else np.zeros(self._shape, dtype=np.int32)
@@ -126,7 +126,7 @@ class EvidenceTiles:
         return tile
 
     def _spill(self, key: tuple[int, int], tile: Tile) -> None:
-        """Put a tile on disk."""
+        """Write a tile to disk."""
         try:
             if self._folder is None:
                 self._folder = TemporaryFolder()
@@ -139,7 +139,7 @@ class EvidenceTiles:
         self._spilled.add(key)
 
     def _load(self, key: tuple[int, int]) -> Tile:
-        """Take a tile back from disk."""
+        """Read a tile from disk."""
         self._spilled.discard(key)
         try:
             return np.fromfile(self._path(key), dtype=np.int32).reshape(self._shape)
@@ -152,17 +152,17 @@ class EvidenceTiles:
 
 
 def union(a: Box, b: Box) -> Box:
-    """The smallest (first row, first col, rows, cols) that holds both."""
+    """Return the smallest box (first row, first col, rows, cols) that contains both."""
     row, col = min(a[0], b[0]), min(a[1], b[1])
     return row, col, max(a[0] + a[2], b[0] + b[2]) - row, max(a[1] + a[3], b[1] + b[3]) - col
 
 
 @kernel
 def _add(sums, steps, row, col, first_row, first_col, rows, cols):  # type: ignore[no-untyped-def]
-    """Add a part of the steps to a part of the sums in place; numpy would go by way of a copy.
+    """Add a part of the steps to a part of the sums in place; numpy would make a copy.
 
-    Whole arrays and corners: parts of arrays would be other types, and another compilation each. Numbers
-    without a sign cannot count from an array's end, and vector instructions take them.
+    Whole arrays and corners: parts of arrays would be other types, and another compilation each. Unsigned
+    indices need no check for negative values, so the loop is vectorised.
     """
     for i in range(rows):
         into, of = np.uint64(row + i), np.uint64(first_row + i)
@@ -171,7 +171,7 @@ def _add(sums, steps, row, col, first_row, first_col, rows, cols):  # type: igno
 
 
 def _parts(box: Box, side: int) -> Iterator[tuple[tuple[int, int], tuple[slice, slice], tuple[slice, slice]]]:
-    """The tiles that a box meets: key, the part of the tile, and the part of the box."""
+    """Yield the tiles that overlap a box: key, part of the tile, and part of the box."""
     row, col, rows, cols = box
     for i in range(row // side, (row + rows - 1) // side + 1):
         for j in range(col // side, (col + cols - 1) // side + 1):

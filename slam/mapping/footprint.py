@@ -13,12 +13,12 @@ _UNDER_ROBOT = 0.2
 
 
 def footprint_board(pose: gtsam.Pose2, radius_m: float, cell_m: float) -> Board | None:
-    """The evidence of a keyframe's pose, in the lattice's axes; None if no whole cell is under the robot.
+    """Return the evidence of a keyframe's pose on the lattice; None if no whole cell is under the robot.
 
     Parameters
     ----------
     radius_m
-        Of a disc around the base that the robot covers.
+        Radius of the disc around the base that the robot covers.
     """
     x, y, reach = pose.x() / cell_m, pose.y() / cell_m, radius_m / cell_m - 0.5 * np.sqrt(2.0)
     if reach <= 0.0:

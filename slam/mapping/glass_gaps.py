@@ -30,16 +30,16 @@ from slam.measurements import BoolArray, FloatArray, LaserScan, pose2_from_row
 
 
 class _Beams(NamedTuple):
-    """Beams that met a thing, and those that should have.
+    """Beams that hit an object, and those that should have.
 
     Attributes
     ----------
     from_m, along
-        (N, 2) where each begins in the map, and its direction.
+        (N, 2) origin of each in the map, and its direction.
     end_m
-        (N,) how far it went, or should have gone.
+        (N,) range of each, or its expected range.
     thing, scan
-        (N,) number of the thing, and of the scan.
+        (N,) number of the object, and of the scan.
     lost
         (N,) no return.
     """
@@ -52,7 +52,7 @@ class _Beams(NamedTuple):
     lost: BoolArray
 
     def chosen(self, which: BoolArray) -> _Beams:
-        """Some of them."""
+        """Return some of the beams."""
         from_m, along, end_m, thing, scan, lost = self
         return _Beams(from_m[which], along[which], end_m[which], thing[which], scan[which], lost[which])
 
@@ -60,7 +60,7 @@ class _Beams(NamedTuple):
 def with_glass(
     grid: OccupancyGrid, scans: Sequence[LaserScan | None], poses: FloatArray, config: Config
 ) -> OccupancyGrid:
-    """The grid with the gaps closed in which there is glass.
+    """Return the grid with its glass gaps closed.
 
     Parameters
     ----------
@@ -82,11 +82,11 @@ def with_glass(
 def glass_gaps(
     grid: OccupancyGrid, scans: Sequence[LaserScan | None], poses: FloatArray, config: Config
 ) -> list[Line]:
-    """Gaps in walls in which there is glass; see `with_glass`.
+    """Find gaps in walls that contain glass; see `with_glass`.
 
-    None that the robot drove through, and none that is shorter than the least pane.
+    Gaps that the robot drove through, or that are shorter than the smallest pane, are excluded.
     """
-    # Of the beams through what stands there, the grid's own model lets no more pass than so many.
+    # By the model of the grid, no more beams than this pass an object in the gap.
     least = 1.0 - config.grid.miss_probability / (1.0 - config.grid.miss_probability)
     scan, cell_m = config.scan, grid.resolution_m
     beams = _beams(grid, scans, poses)
@@ -145,7 +145,7 @@ def _loss(
 
 
 def _crossings(gap: Line, beams: _Beams) -> tuple[FloatArray, BoolArray]:
-    """Where beams that end half a wall's thickness behind a gap cross it, and which pass its wall there.
+    """Find where beams that end half a wall's thickness behind a gap cross it, and which pass its wall.
 
     Returns
     -------
@@ -165,9 +165,9 @@ def _crossings(gap: Line, beams: _Beams) -> tuple[FloatArray, BoolArray]:
 
 
 def _beams(grid: OccupancyGrid, scans: Sequence[LaserScan | None], poses: FloatArray) -> _Beams:
-    """All that met a thing, and all that are lost though one is on their way.
+    """Return all beams that hit an object, and all that are lost although one is in their path.
 
-    A thing is the obstacles of a square as wide as the least pane.
+    An object is all obstacles in a square as wide as the smallest pane.
     """
     parts = []
     for scan_number, (scan, pose) in enumerate(zip(scans, poses, strict=True)):
@@ -180,7 +180,7 @@ def _beams(grid: OccupancyGrid, scans: Sequence[LaserScan | None], poses: FloatA
         parts.append((from_m, along, scan.ranges_m, np.full(angles.size, scan_number)))
     from_m, along, ranges_m, number = (np.concatenate(column) for column in zip(*parts, strict=True))
     met, lost = np.isfinite(ranges_m) & (ranges_m > 0.0), np.isposinf(ranges_m)
-    # From farther away than nearly all returns none can be expected.
+    # Beyond the range of nearly all returns, none is expected.
     reach_m = float(np.quantile(ranges_m[met], CONFIDENCE)) if met.any() else 0.0
     end_m = np.where(met, ranges_m, 0.0).astype(np.float64)
     end_m[lost] = _first_met(grid, from_m[lost], along[lost], reach_m)
@@ -193,7 +193,7 @@ def _beams(grid: OccupancyGrid, scans: Sequence[LaserScan | None], poses: FloatA
 
 
 def _first_met(grid: OccupancyGrid, from_m: FloatArray, along: FloatArray, reach_m: float) -> FloatArray:
-    """(N,) how far it is to the first obstacle on each way; 0 where there is none."""
+    """Return (N,) the range of the first obstacle on each beam; 0 if there is none."""
     obstacle, step_m = grid.steps > 0, 0.5 * grid.resolution_m
     found, left = np.zeros(len(from_m)), np.arange(len(from_m))
     for at_m in np.arange(step_m, reach_m, step_m):

@@ -16,25 +16,25 @@ from fusion.kernel import kernel
 from slam.mapping.evidence_tiles import SIDE
 from slam.measurements import BoolArray, Float32Array, LaserScan
 
-# So far from the right angle a pane still returns a beam.
+# Deviation from the right angle at which a pane still returns a beam.
 _LOBE_RAD = np.radians(8.0)
-# What is shorter is a person, or a cabinet that somebody moved.
+# Shorter objects are persons, or cabinets that were moved.
 SHORTEST_M = 0.4
 
 
 def head_on(scan: LaserScan, noise: RangeNoise, cell_m: float) -> LaserScan:
-    """The beams that met something flat at a right angle; the others are invalid.
+    """Keep the beams that hit a flat object at a right angle; the others become invalid.
 
     Parameters
     ----------
     noise
         Of a range: neighbours within twice its standard deviation of a line are flat.
     cell_m
-        Side of a cell; where the noise is as wide, nothing is told.
+        Side of a cell; if the noise is as large, no beam is kept.
     """
     half = max(2, round(0.5 * _LOBE_RAD / abs(scan.step_rad)))
     limits = np.tan(_LOBE_RAD), 2.0 * noise.floor_m, 2.0 * noise.share, cell_m
-    # What was taken away has been as flat as it was.
+    # Removed readings count as flat as they were.
     ranges_m = np.abs(np.asarray(scan.ranges_m, dtype=np.float32))
     met = np.zeros(ranges_m.size, np.bool_)
     _flat(ranges_m, half, abs(float(scan.step_rad)), limits, met)
@@ -49,12 +49,12 @@ def _flat(
     limits: tuple[float, float, float, float],
     found: BoolArray,
 ) -> None:
-    """Mark (N,) beams in a window that fits a line across them: by its slope, and by what is left."""
+    """Mark (N,) beams whose window fits a line across them, by its slope and residuals."""
     turns = step_rad**2 * half * (half + 1) * (2 * half + 1) / 3
     for middle in range(half, ranges_m.size - half):
         total = squares = moment = 0.0
         for beam in range(-half, half + 1):
-            # Invalid and infinite ranges make everything so, and no comparison true.
+            # Invalid and infinite ranges propagate, and all comparisons are then false.
             reading = np.float64(ranges_m[middle + beam])
             total += reading
             squares += reading * reading
@@ -69,7 +69,7 @@ def _flat(
 
 
 def straight_runs(cells: BoolArray, resolution_m: float) -> BoolArray:
-    """Those of (rows, cols) cells that lie in a straight row as long as the least pane."""
+    """Return the (rows, cols) cells in a straight row at least as long as the smallest pane."""
     length = max(3, round(SHORTEST_M / resolution_m))
     (rows, cols), room = cells.shape, np.pad(cells, length)
 
@@ -81,7 +81,7 @@ def straight_runs(cells: BoolArray, resolution_m: float) -> BoolArray:
         at = np.linspace(-0.5, 0.5, 4 * length) * (length - 1)
         offsets = np.rint(np.column_stack([np.sin(angle) * at, np.cos(angle) * at])).astype(int)
         row = set(map(tuple, offsets.tolist()))
-        # Cells of a slanted row may lie beside the line.
+        # Cells of a slanted row may be beside the line.
         down, right = (1, 0) if abs(np.cos(angle)) > abs(np.sin(angle)) else (0, 1)
         seen(wide, 0, 0)[:] = cells | seen(room, down, right) | seen(room, -down, -right)
         seen(whole, 0, 0)[:] = np.all([seen(wide, *cell) for cell in row], axis=0)
@@ -90,9 +90,9 @@ def straight_runs(cells: BoolArray, resolution_m: float) -> BoolArray:
 
 
 def in_straight_runs(cells: NDArray[np.intp], shape: tuple[int, int], resolution_m: float) -> BoolArray:
-    """(C,) which cells of a grid, by their ascending numbers, are among its `straight_runs`.
+    """Return (C,) which cells of a grid, by ascending index, are among its `straight_runs`.
 
-    A band of rows after the other, with as much around it as decides: a large grid is never there as a whole.
+    Works in bands of rows with enough margin: a large grid is never in memory as a whole.
     """
     margin = max(3, round(SHORTEST_M / resolution_m)) + 2
     rows, cols = np.divmod(cells, shape[1])

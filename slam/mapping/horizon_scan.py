@@ -14,21 +14,21 @@ from slam.measurements import Float32Array, FloatArray, LaserScan
 
 # Elevations within one bin are one ring.
 _BIN_RAD = math.radians(0.25)
-# A ring farther from the horizon leaves the height at which it began.
+# A ring farther from the horizon does not stay at the height of the lidar.
 _STEEPEST_RAD = math.radians(5.0)
 
 
 def horizon_scan(
     points: FloatArray, stamp_s: float, T_base_lidar: gtsam.Pose3, config: CloudMapConfig, sensor: str
 ) -> LaserScan | None:
-    """What the ring sees, on the bearings of `slam.mapping.band_scan.band_scan`.
+    """Return the ranges of the ring, at the bearings of `slam.mapping.band_scan.band_scan`.
 
     Parameters
     ----------
     points
         (N, 3), base frame.
     T_base_lidar
-        Where the rays come from; ranges are level ones from there.
+        Origin of the rays; ranges are horizontal from there.
 
     Returns
     -------
@@ -55,7 +55,7 @@ def horizon_scan(
 
 
 def with_repairs(plan: LaserScan, measured: LaserScan, repaired: LaserScan) -> LaserScan:
-    """A flat scan of the height band, with what the repair of the ring has found nearer.
+    """Return the 2D scan of the height band, with nearer obstacles that the repair of the ring found.
 
     The three share their bearings.
     """

@@ -16,7 +16,7 @@ _PNG_HEAD = b"\x89PNG\r\n\x1a\n\0\0\0\rIHDR"
 
 
 def depth_steps_per_m(frame: RgbdFrame) -> float:
-    """Steps of a metre in which a frame's depth is kept.
+    """Return the steps per metre of a frame's stored depth.
 
     Raises
     ------
@@ -32,7 +32,7 @@ def depth_steps_per_m(frame: RgbdFrame) -> float:
 
 
 def packed_color(color: ColorImage) -> bytes:
-    """An (H, W, 3) RGB image as JPEG of OpenCV's quality, 95, which alters it by a few grey levels."""
+    """Encode an (H, W, 3) RGB image as JPEG (quality 95), which changes it by a few grey levels."""
     import cv2
 
     bgr = cv2.cvtColor(np.ascontiguousarray(color), cv2.COLOR_RGB2BGR)
@@ -40,11 +40,11 @@ def packed_color(color: ColorImage) -> bytes:
 
 
 def packed_depth(depth_m: Float32Array, steps_per_m: float) -> bytes:
-    """An (H, W) depth image, rounded to steps, as PNG."""
+    """Encode an (H, W) depth image, rounded to steps, as PNG."""
     import cv2
 
     steps = cv2.multiply(np.ascontiguousarray(depth_m), steps_per_m, dtype=cv2.CV_16U)
-    # Differences to the row above, packed by run length: on a Kinect's frame 4 ms instead of the 11 of plain
+    # Differences to the row above, run-length encoded: on a Kinect frame 4 ms instead of the 11 of plain
     # level 1, on a noisy one 8 instead of 13, and the files are smaller.
     options = [cv2.IMWRITE_PNG_COMPRESSION, 1, cv2.IMWRITE_PNG_FILTER, cv2.IMWRITE_PNG_FILTER_UP]
     options += [cv2.IMWRITE_PNG_STRATEGY, cv2.IMWRITE_PNG_STRATEGY_RLE]
@@ -54,12 +54,12 @@ def packed_depth(depth_m: Float32Array, steps_per_m: float) -> bytes:
 def unpacked_images(
     color: bytes, depth: bytes, steps_per_m: float, camera: CameraIntrinsics
 ) -> tuple[ColorImage, Float32Array]:
-    """Colour (H, W, 3) and depth (H, W) in metres.
+    """Decode colour (H, W, 3) and depth (H, W) in metres.
 
     Raises
     ------
     ValueError
-        If the bytes are no images, or not of the camera's size; the size is looked at before decoding.
+        If the bytes are no images, or not of the camera's size, which is checked before decoding.
     """
     import cv2
 
@@ -71,7 +71,7 @@ def unpacked_images(
 
 
 def unpacked_depth(depth: bytes, steps_per_m: float, camera: CameraIntrinsics) -> Float32Array:
-    """Depth (H, W) in metres; errors as in `unpacked_images`."""
+    """Decode depth (H, W) in metres; errors as in `unpacked_images`."""
     import cv2
 
     _check_size(_png_size(depth), camera)
@@ -82,14 +82,14 @@ def unpacked_depth(depth: bytes, steps_per_m: float, camera: CameraIntrinsics) -
 
 
 def _check_size(found: tuple[int, int] | None, camera: CameraIntrinsics) -> None:
-    """Refuse an image that is not of the camera."""
+    """Reject an image that does not have the camera's size."""
     size = (camera.width, camera.height)
     if found != size:
         raise ValueError(f"an image of {found} pixels, the camera has {size}")
 
 
 def _png_size(content: bytes) -> tuple[int, int] | None:
-    """Width and height that a PNG names."""
+    """Return width and height of a PNG."""
     if not content.startswith(_PNG_HEAD) or len(content) < len(_PNG_HEAD) + 8:
         return None
     width, height = struct.unpack_from(">2I", content, len(_PNG_HEAD))
@@ -97,7 +97,7 @@ def _png_size(content: bytes) -> tuple[int, int] | None:
 
 
 def _jpeg_size(content: bytes) -> tuple[int, int] | None:
-    """Width and height that a JPEG names in its frame header (markers C0 to C2)."""
+    """Return width and height of a JPEG from its frame header (markers C0 to C2)."""
     at = 2
     while content[:2] == b"\xff\xd8" and at + 9 <= len(content) and content[at] == 0xFF:
         if 0xC0 <= content[at + 1] <= 0xC2:

@@ -22,7 +22,7 @@ from slam.measurements import FloatArray, LaserScan, pose2_from_row
 
 
 def layer_settings(config: Config) -> LayerSettings:
-    """What the configuration says of the grids."""
+    """Return the settings of the grids from the configuration."""
     grid, layers = config.grid, config.layers
     return LayerSettings(
         resolution_m=grid.resolution_m,
@@ -44,20 +44,20 @@ def lidar_grids(
     config: Config,
     measured: Sequence[LaserScan | None] = (),
 ) -> dict[str, OccupancyGrid]:
-    """The lidar's grid of keyframe scans at their poses, and what moved or stood there for a while.
+    """Draw the lidar grid from keyframe scans at their poses, and the grid of moving or temporary objects.
 
     Parameters
     ----------
     scans
-        In the order of time.
+        Sorted by time.
     poses
         (K, 3) map frame.
     measured
-        The same as they were measured: what is negative in the scans alone was taken out as moving.
+        The scans as measured: readings that are negative only in ``scans`` were removed as moving.
 
     Returns
     -------
-    `OCCUPANCY`; nothing if no keyframe has a scan. `PASSED_BY` where something has gone.
+    `OCCUPANCY`; nothing if no keyframe has a scan. `PASSED_BY` if something was removed.
 
     Raises
     ------
@@ -74,7 +74,7 @@ def lidar_grids(
     for scan, T_map_base in placed():
         builder.add(scan, T_map_base)
     grid = builder.grid("lidar")
-    del builder  # its tiles are as large
+    del builder  # its tiles are equally large
     give_back()
     if grid is None:
         return {}
@@ -95,8 +95,8 @@ def _moved(
     grid: OccupancyGrid,
     settings: LayerSettings,
 ) -> Steps:
-    """Evidence of what was taken out of measured scans as moving, in the cells of their grid."""
-    # Memory is taken where something is put in alone.
+    """Return the evidence of removed moving objects in the cells of the grid of measured scans."""
+    # Memory is allocated only where something is added.
     steps, cell_m, most = np.zeros(grid.shape, np.int16), grid.resolution_m, evidence_steps(settings.p_max)
     corner = round(grid.T_map_grid.y() / cell_m), round(grid.T_map_grid.x() / cell_m)
     for scan, was, pose in zip(scans, measured, poses, strict=False):
@@ -117,19 +117,19 @@ def _moved(
 def grid_of_keyframes(
     scans: Sequence[LaserScan | None], poses: FloatArray, config: Config
 ) -> OccupancyGrid | None:
-    """The first of `lidar_grids`; None if no keyframe has a scan."""
+    """Return the first of `lidar_grids`; None if no keyframe has a scan."""
     return lidar_grids(scans, poses, config).get(OCCUPANCY)
 
 
 def layers_of_grids(
     lidar: OccupancyGrid | None, depth: OccupancyGrid | None, config: Config
 ) -> LayeredMap | None:
-    """What the grids of both sensors decide together; None if there is neither.
+    """Combine the grids of both sensors; None if there is neither.
 
     Raises
     ------
     ScanweaveError
-        If they do not lie on one lattice.
+        If their cells are not aligned.
     """
     if lidar is None and depth is None:
         return None

@@ -29,13 +29,13 @@ from slam.measurements import LaserScan, Pose, RgbdFrame, planar, row_from_pose2
 Reading: TypeAlias = LaserScan | RgbdFrame
 
 _MAX_POSITION_M = 1e6
-# A map too large for its cells gets larger ones: so many of them in one at most.
+# A map that is too large gets larger cells: at most so many cells are merged into one.
 _MOST_CELLS_IN_ONE = 256
 
 
 @dataclass(frozen=True, slots=True)
 class LayerSettings:
-    """How keyframes become grids.
+    """Settings for drawing keyframes into grids.
 
     Attributes
     ----------
@@ -44,13 +44,13 @@ class LayerSettings:
     lidar, depth
         The inverse sensor models.
     p_min, p_max
-        Bounds of each sensor's finished grid; they leave the other a say in Li2020 Eq. (10).
+        Bounds of each sensor's finished grid, so that the other one has an effect in Li2020 Eq. (10).
     robot_radius_m
-        Of a disc around the base that the robot covers: what stood there has gone.
+        Radius of the disc around the base that the robot covers: objects there have gone.
     memory_mb
         Memory for the tiles of each layer while building, 10^6 bytes; the rest waits on disk.
     max_cells
-        Of a finished grid; a larger map gets larger cells.
+        Largest number of cells of a finished grid; a larger map gets larger cells.
     """
 
     resolution_m: float
@@ -64,7 +64,7 @@ class LayerSettings:
 
 
 class LayerBuilder:
-    """Grids that grow with the readings put into them; each is seen once and not kept."""
+    """Grids that grow with the readings added; each reading is used once and not stored."""
 
     def __init__(self, settings: LayerSettings) -> None:
         self._settings = settings
@@ -72,20 +72,20 @@ class LayerBuilder:
         self._seen: set[tuple[str, float, bytes]] = set()
 
     def add(self, reading: Reading, T_map_base: Pose) -> bool:
-        """Add one keyframe's scan or depth image; False where it was added before.
+        """Add the scan or depth image of a keyframe; return False if it was added before.
 
         Parameters
         ----------
         reading
-            Known by its sensor, stamp and pose: the clocks of two logs in one map may agree.
+            Identified by sensor, stamp and pose, since the clocks of two logs in one map may agree.
         T_map_base
-            The robot when the reading was taken; the map's z = 0 is the floor.
+            Pose of the robot at the reading; the map's z = 0 is the floor.
 
         Raises
         ------
         ScanweaveError
-            If the pose is not finite or too far away, the map would be far too large, or a frame does not
-            tell where its camera sits; the map is as it was then.
+            If the pose is not finite or too far away, the map would be far too large, or a frame has no
+            mounting of its camera; the map stays unchanged.
         """
         if not (np.abs(T_map_base.matrix()) < _MAX_POSITION_M).all():
             raise ScanweaveError(f"cannot map the reading at {reading.stamp_s:.6f} s: its pose is lost")
@@ -106,9 +106,8 @@ class LayerBuilder:
         return True
 
     def grid(self, name: str) -> OccupancyGrid | None:
-        """The grid of ``lidar`` or ``depth`` so far, clamped; None if it told nothing.
-
-        Where it would have too many cells, they are larger, by a whole number.
+        """Return the grid of ``lidar`` or ``depth`` so far, clamped; None without evidence. If it has too
+        many cells, they become larger by an integer factor.
         """
         tiles, settings = self._tiles.get(name), self._settings
         if tiles is None or tiles.used is None:
@@ -127,9 +126,9 @@ class LayerBuilder:
         return OccupancyGrid(steps, side * settings.resolution_m, corner)
 
     def _hold_panes(self, steps: Steps, box: Box, low: int, high: int) -> None:
-        """Put back into the steps of a box what head-on beams say of panes, and all beams together refute.
+        """Restore the evidence of head-on beams for panes in a box, where all beams together contradict it.
 
-        To head-on beams they are twice as likely there as not. They are few, and kept by their numbers.
+        To head-on beams they are twice as likely there as not. They are few, and stored by their indices.
         """
         row, col, rows, cols = box
         numbers, values = [np.zeros(0, np.intp)], [np.zeros(0, np.int16)]
@@ -144,7 +143,7 @@ class LayerBuilder:
         steps.ravel()[held[straight]] = np.concatenate(values)[straight]
 
     def _boards(self, reading: Reading, T_map_base: Pose) -> Iterator[tuple[str, Board]]:
-        """What the reading says, by layer; of a scan also what its head-on beams alone say."""
+        """Yield the evidence of a reading by layer; for a scan also that of its head-on beams."""
         settings = self._settings
         if isinstance(reading, LaserScan):
             cell_m, model = settings.resolution_m, settings.lidar
@@ -153,7 +152,7 @@ class LayerBuilder:
             return
         if reading.T_base_camera is None:
             raise ScanweaveError(
-                f"camera {reading.sensor} does not tell where it sits on the robot; give its mount"
+                f"camera {reading.sensor} has no known mounting on the robot; give its mounting"
             )
         T_map_camera = spatial(T_map_base).compose(reading.T_base_camera)  # Yang2021 Eq. (15)-(16)
         matrix = np.asarray(T_map_camera.matrix())
@@ -162,7 +161,7 @@ class LayerBuilder:
             yield "depth", board
 
     def _check_room(self, box: Box) -> None:
-        """Refuse to grow to what only a lost pose can mean."""
+        """Raise an error if the map would grow as only a lost pose can explain."""
         rows, cols = self._extent(box)[2:]
         if rows * cols > _MOST_CELLS_IN_ONE * self._settings.max_cells:
             raise ScanweaveError(
@@ -172,6 +171,6 @@ class LayerBuilder:
             )
 
     def _extent(self, *boxes: Box) -> Box:
-        """What holds all layers so far, and other boxes."""
+        """Return the box of all layers so far, and other boxes."""
         used = [tiles.used for tiles in self._tiles.values() if tiles.used is not None]
         return reduce(union, [*used, *boxes])

@@ -17,7 +17,7 @@ from slam.mapping.occupancy_grid import THRESHOLDS, OccupancyGrid, StateArray, S
 from slam.mapping.ray_tracing import Box
 from slam.measurements import BoolArray, FloatArray
 
-# Names of grids in a map: the lidar's of what stays, what has gone, the depth cameras'.
+# Names of grids in a map: the lidar's static grid, removed objects, and the depth cameras' grid.
 OCCUPANCY, PASSED_BY, DEPTH = "occupancy", "passed by", "depth layer"
 
 LayerName: TypeAlias = Literal["lidar", "depth", "fused", "decision"]
@@ -80,7 +80,7 @@ class LayeredMap:
             turned = abs(grid.T_map_grid.theta() - self.yaw_rad)
             if grid.resolution_m != self.resolution_m or max(apart.max(), turned) > TINY:
                 raise ScanweaveError(
-                    f"the grids of lidar and depth do not lie on one lattice: cells of {grid.resolution_m:g} "
+                    f"the grids of lidar and depth have misaligned cells: cells of {grid.resolution_m:g} "
                     f"and {self.resolution_m:g} m, {apart.max():.3f} of a cell apart; make the map anew"
                 )
 
@@ -132,7 +132,7 @@ class LayeredMap:
         The decision shows what the robot must not hit.
         """
         states = np.empty(self.shape, dtype=np.int8)
-        # Where no camera helped, the lidar's height and its every hit are all that there is.
+        # Without a camera, only the lidar's height and its hits are known.
         rule = self.rule if self.depth is not None else DecisionRule("corrected", Thresholds())
         for part in _blocks(self.shape):
             if name == "decision":
@@ -167,24 +167,24 @@ class LayeredMap:
         return percent
 
     def _grids(self) -> list[OccupancyGrid]:
-        """Those that there are."""
+        """Return the existing grids."""
         return [grid for grid in (self.lidar, self.depth) if grid is not None]
 
     @property
     def _phase(self) -> FloatArray:
-        """(2,) part of a cell by which the lattice misses the map's origin: a map of another program may."""
+        """Return (2,) the offset of the lattice from the map's origin, in cells."""
         corner = _corner(self._grids()[0], self.resolution_m)
         apart = corner - np.round(corner)
         return np.where(np.abs(apart) > TINY, apart, 0.0)
 
     def _box(self, grid: OccupancyGrid) -> Box:
-        """First row, first col, rows, cols of a grid on the lattice."""
+        """Return first row, first col, rows, cols of a grid on the lattice."""
         corner = _corner(grid, grid.resolution_m) - self._phase
         row, col = np.round(corner).astype(int).tolist()
         return row, col, *grid.shape
 
     def _steps(self, name: LayerName, part: slice) -> Steps:
-        """Some rows of a layer; a missing sensor is unknown everywhere."""
+        """Return some rows of a layer; a missing sensor is unknown everywhere."""
         chosen = {"lidar": (self.lidar,), "depth": (self.depth,)}.get(name, (self.lidar, self.depth))
         first_row, first_col, _, cols = self.box
         total = np.zeros((part.stop - part.start, cols), dtype=np.int16)
@@ -202,12 +202,12 @@ class LayeredMap:
 
 
 def _corner(grid: OccupancyGrid, resolution_m: float) -> FloatArray:
-    """(2,) row and column of a grid's corner, in cells from the map's origin."""
+    """Return (2,) row and column of a grid's corner, in cells from the map's origin."""
     at = gtsam.Pose2(0.0, 0.0, grid.T_map_grid.theta()).between(grid.T_map_grid)
     return np.array([at.y(), at.x()]) / resolution_m
 
 
 def _blocks(shape: tuple[int, int]) -> Iterator[slice]:
-    """Rows in pieces that are small against the map."""
+    """Yield blocks of rows that are small compared with the map."""
     most = max(1, SIDE * SIDE // max(shape[1], 1))
     return (slice(first, min(first + most, shape[0])) for first in range(0, shape[0], most))

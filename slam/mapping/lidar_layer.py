@@ -27,11 +27,11 @@ class LidarModel:
     p_hit, p_miss
         Probability that a cell is occupied when a beam of the scan ended in it, or passed it.
     max_hit_range_m
-        A return from farther away is taken as no return.
+        A return from farther away counts as no return.
     max_clear_range_m
-        A beam without return clears up to here: black and mirroring things give no return either.
+        A beam without return clears up to here: black and reflecting objects give no return either.
     noise
-        Of a range. A hit weighs the less the more of it belongs to the neighbouring cells.
+        Of a range. A hit has less weight the more of it is in the neighbouring cells.
     margin_sigmas
         A beam clears nothing nearer to its end than so many standard deviations.
     """
@@ -45,12 +45,12 @@ class LidarModel:
 
 
 def lidar_board(scan: LaserScan, T_grid_base: gtsam.Pose2, model: LidarModel, cell_m: float) -> Board:
-    """The evidence of one scan.
+    """Return the evidence of one scan.
 
     Parameters
     ----------
     T_grid_base
-        The robot in the lattice's axes.
+        Pose of the robot on the lattice.
     cell_m
         Side of a cell.
     """
@@ -83,10 +83,10 @@ def weigh_beams(
     hit_steps: Steps,
     miss_step: int,
 ) -> Steps:
-    """Steps of evidence of a scan's box: lines up to the margin first, then the ends on top.
+    """Return the evidence of a scan's box: first lines up to the margin, then the ends on top.
 
-    So a cell in which a beam ended is never cleared by the neighbour that passes it. A beam whose end was
-    taken away clears as far as before, and marks nothing.
+    So a cell in which a beam ended is never cleared by a neighbouring beam. A beam whose end was removed
+    clears as before, and marks nothing.
 
     Parameters
     ----------
@@ -97,7 +97,7 @@ def weigh_beams(
     hit_steps
         (N,) evidence of a hit by range, `_BINS_A_M` to a metre.
     miss_step
-        Evidence of being passed.
+        Evidence of a passing beam.
 
     Returns
     -------
@@ -113,7 +113,7 @@ def weigh_beams(
 def _weigh(  # type: ignore[no-untyped-def]
     ends, kinds, box, laser, cell_m, sigma_m, margin_sigmas, hit_steps, miss_step, short, steps
 ):
-    """Write the steps of `weigh_beams`, row after row; ``short`` is room for where beams clear no more."""
+    """Write the steps of `weigh_beams`, row by row; ``short`` is a buffer for ends of cleared lines."""
     for beam in range(kinds.size):
         away_x, away_y = ends[beam, 0] - laser[0], ends[beam, 1] - laser[1]
         range_m = math.sqrt(away_x * away_x + away_y * away_y) * cell_m
@@ -136,5 +136,5 @@ def _weigh(  # type: ignore[no-untyped-def]
 
 @lru_cache(maxsize=8)
 def _hits_by_range(model: LidarModel, cell_m: float) -> Steps:
-    """Evidence of a hit by range."""
+    """Return the evidence of a hit by range."""
     return hit_evidence(model.noise, model.p_hit, cell_m, min(model.max_hit_range_m, 200.0))

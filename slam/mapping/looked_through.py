@@ -12,7 +12,7 @@ from fusion.voxel_hash import AXIS_BITS, entry_of, key_of
 
 @kernel(nogil=True)
 def look(points, size_m, table, keys, number, newest, rows, cols, ranges_m, picture):  # type: ignore[no-untyped-def]
-    """Draw how far a cloud (N, 3) sees, and note its number for the voxels that hold its points.
+    """Draw the range image of a cloud (N, 3), and store its number in the voxels that contain its points.
 
     Parameters
     ----------
@@ -23,7 +23,7 @@ def look(points, size_m, table, keys, number, newest, rows, cols, ranges_m, pict
     newest
         (V,) the newest cloud that has a point in each voxel.
     rows, cols, ranges_m
-        (N,) where the lidar sees each point.
+        (N,) pixel and range of each point.
     picture
         (rows, cols) of ranges, infinite before.
     """
@@ -42,7 +42,7 @@ def look(points, size_m, table, keys, number, newest, rows, cols, ranges_m, pict
 
 @kernel(nogil=True)
 def count_looks(which, half_m, pixel_rad, number, newest, pixels_row, pixels_col, aways_m, picture, counts):  # type: ignore[no-untyped-def]
-    """Count for the voxels near a lidar what its picture says of each.
+    """Count hits and passes of the voxels near a lidar by its range image.
 
     Parameters
     ----------
@@ -55,7 +55,7 @@ def count_looks(which, half_m, pixel_rad, number, newest, pixels_row, pixels_col
     number, newest, picture
         As of `look`.
     pixels_row, pixels_col, aways_m
-        (M,) where the lidar would see their middles.
+        (M,) pixel and range of their centres.
     counts
         (V, 4) hits, passes between hits, passes since the newest hit, passes before the first.
     """
@@ -74,11 +74,11 @@ def count_looks(which, half_m, pixel_rad, number, newest, pixels_row, pixels_col
         if away_m <= half_m:
             continue
         behind_m = away_m * (1.0 + pixel_rad) + half_m
-        if picture[row, col] <= behind_m:  # most are hidden, and their own pixel tells
+        if picture[row, col] <= behind_m:  # most are hidden, which their own pixel shows
             continue
         span = math.ceil(half_m / (away_m * pixel_rad))
         wide = min(math.ceil(span / max(math.sin(row * pixel_rad), pixel_rad)), cols // 2)
-        # Between rings far apart nobody knows what the beams beside would have met.
+        # Between distant rings, it is unknown what beams between them would have hit.
         beside = max(span, 2)
         behind = True
         above = below = False
@@ -97,7 +97,7 @@ def count_looks(which, half_m, pixel_rad, number, newest, pixels_row, pixels_col
                     break
                 above = above or level < row
                 below = below or level > row
-                if not near:  # one beam tells that it was looked there
+                if not near:  # one beam shows that the direction was observed
                     break
             if not behind:
                 break
@@ -107,7 +107,7 @@ def count_looks(which, half_m, pixel_rad, number, newest, pixels_row, pixels_col
 
 @kernel
 def means_around(keys, table, values, means):  # type: ignore[no-untyped-def]
-    """Means (V, D) of the values (V, D) of voxels with these keys (V,) and of those that they touch."""
+    """Return means (V, D) of the values (V, D) of voxels with keys (V,) and their neighbours."""
     for i in range(keys.shape[0]):
         for column in range(values.shape[1]):
             means[i, column] = 0.0
@@ -124,7 +124,7 @@ def means_around(keys, table, values, means):  # type: ignore[no-untyped-def]
 
 @kernel
 def spread(keys, table, may, chosen):  # type: ignore[no-untyped-def]
-    """Choose of the voxels with these keys (V,) that ``may`` be (V,) those that touch a chosen one, too."""
+    """Also choose voxels with keys (V,) that ``may`` be chosen (V,) and touch a chosen one."""
     queue = np.empty(keys.shape[0], np.int64)
     done = end = ZERO
     for k in range(keys.shape[0]):
@@ -143,5 +143,5 @@ def spread(keys, table, may, chosen):  # type: ignore[no-untyped-def]
 
 @kernel
 def _away(near):  # type: ignore[no-untyped-def]
-    """From the key of a voxel to that of one of the 27 in and around it."""
+    """Return the key offset to one of the 27 voxels in and around a voxel."""
     return ((near // 9 - 1) << 2 * AXIS_BITS) + ((near // 3 % 3 - 1) << AXIS_BITS) + near % 3 - 1

@@ -24,12 +24,12 @@ from slam.spool import ArraySpool
 
 
 class _Sweep(NamedTuple):
-    """The small things of a scan.
+    """The small objects of a scan.
 
     Attributes
     ----------
     scan, laser, reach_m
-        The scan, (3,) where its laser was in the odometry frame, and how far it sees.
+        The scan, (3,) pose of its laser in the odometry frame, and its range.
     beams, points, begun
         (M,) the beams that met them, (M, 2) where, odometry frame, and (T + 1,) where each thing begins.
     moves
@@ -47,7 +47,7 @@ class _Sweep(NamedTuple):
 
     @classmethod
     def of(cls, scan: LaserScan, pose: FloatArray, reach_m: float) -> _Sweep:
-        """Of a scan whose base was at a pose (3,)."""
+        """Create it from a scan with the base at a pose (3,)."""
         laser, size = compose(pose, row_from_pose2(scan.T_base_laser)), scan.ranges_m.size
         beams, points, begun = np.empty(size, np.int32), np.empty((size, 2)), np.zeros(size + 1, np.int32)
         seen = scan.ranges_m, scan.start_angle_rad, scan.step_rad, reach_m
@@ -57,20 +57,20 @@ class _Sweep(NamedTuple):
         return cls(scan, laser, reach_m, *small, moves)
 
     def free_in(self, other: _Sweep, free: BoolArray) -> bool:
-        """Take out of ``free`` (M,) what another scan did not see through; whether any is left."""
+        """Clear ``free`` (M,) where another scan did not see free space; return whether any is left."""
         scan = other.scan
         seen = scan.ranges_m, scan.start_angle_rad, scan.step_rad, other.reach_m
         return bool(_seen_free(self.points, other.laser, *seen, GAP_M / 2, free))
 
     def follow(self, other: _Sweep, side: int, free: BoolArray | None = None) -> bool:
-        """Tell what moves, by what does in a scan beside, and was ``free`` (M,); whether any is new."""
+        """Mark moving objects, by those of an adjacent scan and ``free`` (M,); return whether any is new."""
         free = np.zeros(len(self.beams), np.bool_) if free is None else free
         theirs = other.points, other.begun, other.moves[side]
         return bool(_follow(self.points, self.begun, free, *theirs, GAP_M, self.moves[side]))
 
 
 class MovingThings:
-    """Finds them while the scans of a run come.
+    """Tracks moving objects in the scans of a run.
 
     A thing hangs together and is small. It moves where a third of it was seen free at both of two moments
     before, or after, and so was what is there in the scan before; or where that has something that moves: who
@@ -92,7 +92,7 @@ class MovingThings:
         self._kept = ArraySpool()
 
     def add(self, scan: LaserScan, pose: FloatArray) -> None:
-        """Take the next scan, whose base was at a pose (3,) in the odometry frame."""
+        """Add the next scan, with the base at a pose (3,) in the odometry frame."""
         if self._sweeps and not 0.0 < scan.stamp_s - self._stamps_s[-1] <= GAP_S:
             self.lose()
         self._sweeps.append(_Sweep.of(scan, pose, min(self._range_max_m, scan.range_max_m)))
@@ -104,13 +104,13 @@ class MovingThings:
         self._judged -= old
 
     def lose(self) -> None:
-        """Nobody knows how the next scan lies to those before."""
+        """Restart: the pose of the next scan relative to the previous ones is unknown."""
         while self._judged < len(self._sweeps):
             self._judge()
         self._sweeps, self._stamps_s, self._judged = [], [], 0
 
     def keep(self, scan: LaserScan | None) -> None:
-        """The newest scan is a keyframe's; nothing is known of another."""
+        """Mark the newest scan as a keyframe; for another scan, nothing is known."""
         newest = self._sweeps[-1] if self._sweeps else None
         if newest is None or newest.scan is not scan:
             self._keyframes.append(None)
@@ -125,7 +125,7 @@ class MovingThings:
         self._keyframes.append(self._sweeps[-1])
 
     def taken_from(self, scans: Sequence[LaserScan | None]) -> list[LaserScan | None]:
-        """The keyframes' scans, repaired or not, without what moves: its beams are negative."""
+        """Return the keyframe scans, repaired or not; the beams of moving objects become negative."""
         self.lose()
         left = list(scans)
         for key, (scan, sweep) in enumerate(zip(scans, self._keyframes, strict=True)):
@@ -138,12 +138,12 @@ class MovingThings:
         return left
 
     def _judge(self) -> None:
-        """Tell what moves in the next scan that nobody has judged."""
+        """Find the moving objects in the next scan that is not judged yet."""
         sweeps, number = self._sweeps, self._judged
         sweep, now_s = sweeps[number], self._stamps_s[number]
         self._judged += 1
         beside = sweeps[max(number - 1, 0)]
-        # Who walks leaves the place where he stood in the longer time, and in part in the shorter one.
+        # A walking person leaves the old place completely in the longer time, partly in the shorter one.
         away_s = GAP_S, 2 * GAP_S
         before = [bisect_right(self._stamps_s, now_s - ago_s) - 1 for ago_s in away_s]
         after = [bisect_left(self._stamps_s, now_s + in_s) for in_s in away_s]
@@ -168,7 +168,7 @@ class MovingThings:
 def _small_things(  # type: ignore[no-untyped-def]
     laser, ranges_m, start_rad, step_rad, reach_m, apart_m, widest_m, beams, points, begun
 ):
-    """Write the beams and points of the small things of `_Sweep`, where each begins; how many there are."""
+    """Write the beams, points and starts of the small objects of `_Sweep`; return their number."""
     things, count, small = ZERO, ZERO, True
     cos, sin = math.cos(laser[2] + start_rad), math.sin(laser[2] + start_rad)
     turn_cos, turn_sin = math.cos(step_rad), math.sin(step_rad)
@@ -203,7 +203,7 @@ def _small_things(  # type: ignore[no-untyped-def]
 def _seen_free(  # type: ignore[no-untyped-def]
     points, laser, ranges_m, start_rad, step_rad, reach_m, margin_m, free
 ):
-    """Take out of ``free`` which of points (M, 2) a scan did not see through, nor with the beams beside.
+    """Clear ``free`` for points (M, 2) that a scan, by its beams there and beside, did not see as free.
 
     Returns whether any is left.
     """
@@ -228,7 +228,7 @@ def _seen_free(  # type: ignore[no-untyped-def]
 def _follow(  # type: ignore[no-untyped-def]
     points, begun, free, others, others_begun, others_move, apart_m, moves
 ):
-    """Write `_Sweep.moves`, by which points (M, 2) were free and the things of a scan beside."""
+    """Write `_Sweep.moves`, by which points (M, 2) were free, and the objects of an adjacent scan."""
     new = False
     for thing in range(moves.size):
         first, last = begun[thing], begun[thing + 1]

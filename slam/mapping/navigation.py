@@ -23,7 +23,7 @@ Cell: TypeAlias = tuple[int, int]
 
 @dataclass(frozen=True, slots=True)
 class FreeSpace:
-    """Where the robot's centre may be.
+    """Cells where the robot's centre may be.
 
     Attributes
     ----------
@@ -50,12 +50,12 @@ class FreeSpace:
     T_map_grid: gtsam.Pose2
 
     def cell_of(self, xy: tuple[float, float]) -> Cell:
-        """Row and column of a point of the map; it may lie outside."""
+        """Return row and column of a point, which may be outside the map."""
         point = self.T_map_grid.transformTo(np.array(xy, dtype=np.float64))
         return math.floor(point[1] / self.resolution_m), math.floor(point[0] / self.resolution_m)
 
     def middle_of(self, cells: NDArray[np.int64]) -> FloatArray:
-        """(N, 2) x, y in the map of the middles of (N, 2) rows and columns."""
+        """Return (N, 2) x, y in the map of the centres of (N, 2) rows and columns."""
         points = (cells[:, ::-1] + 0.5) * self.resolution_m
         moved: FloatArray = points @ self.T_map_grid.rotation().matrix().T + self.T_map_grid.translation()
         return moved
@@ -63,7 +63,7 @@ class FreeSpace:
 
 @dataclass(frozen=True, slots=True)
 class Path:
-    """A way for the robot's centre.
+    """A path of the robot's centre.
 
     Attributes
     ----------
@@ -122,7 +122,7 @@ def free_space(
 def shortest_path(
     space: FreeSpace, start_xy: tuple[float, float], goal_xy: tuple[float, float]
 ) -> Path | None:
-    """The shortest way by price, also diagonally where both neighbours are free; None if there is none.
+    """Find the cheapest path, also diagonal if both neighbours are free; None if there is none.
 
     Parameters
     ----------
@@ -150,9 +150,9 @@ def shortest_path(
 
 @kernel
 def _searched(allowed: BoolArray, price: FloatArray, start: Cell, goal: Cell) -> NDArray[np.int64]:
-    """(cells,) number of the cell before each on the way from the start, -1 for none: A* until the goal.
+    """Return (cells,) the predecessor of each cell from the start, -1 for none: A* until the goal.
 
-    What is left from a cell is at least the way over an open, known floor.
+    The heuristic is the path over an open, known floor.
     """
     rows, columns = allowed.shape
     cost = np.full(allowed.size, np.inf)
@@ -181,7 +181,7 @@ def _searched(allowed: BoolArray, price: FloatArray, start: Cell, goal: Cell) ->
 
 
 def _free_cell(space: FreeSpace, xy: tuple[float, float], what: str) -> Cell:
-    """The cell of an end, in which the robot must have room."""
+    """Return the cell of an end point, in which the robot must fit."""
     row, col = space.cell_of(xy)
     rows, cols = space.allowed.shape
     if not (0 <= row < rows and 0 <= col < cols):

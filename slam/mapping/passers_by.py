@@ -26,7 +26,7 @@ from slam.measurements import FloatArray, LaserScan
 
 
 class StaticGrid(NamedTuple):
-    """A grid of what stays, and another of what has gone; None if nothing has."""
+    """A static grid, and a grid of removed objects; None if nothing was removed."""
 
     static: OccupancyGrid
     passed_by: OccupancyGrid | None
@@ -76,9 +76,9 @@ def without_passers_by(
 
 
 def things_of(cells: NDArray[np.intp], cols: int) -> NDArray[np.intp]:
-    """(C,) number of the thing of each cell: what hangs together of cells, by their ascending numbers.
+    """Return (C,) the connected component of each cell, given by ascending indices.
 
-    A picture of labels would take twice the memory of the grid.
+    A label image would take twice the memory of the grid.
     """
     from scipy.sparse import coo_array
     from scipy.sparse.csgraph import connected_components
@@ -97,7 +97,7 @@ def things_of(cells: NDArray[np.intp], cols: int) -> NDArray[np.intp]:
 def _not_there(
     of_cell: NDArray[np.intp], passes: NDArray[np.int32], missed: FloatArray, enough: int
 ) -> NDArray[np.intp]:
-    """Numbers of the things that were passed too often to have been there.
+    """Return the numbers of the objects that beams passed too often for a fixed object.
 
     ``of_cell`` (C,) is the number of each cell's thing, the others are as of `_passes`.
     """
@@ -113,7 +113,7 @@ def _passes(
     scans: Iterable[tuple[LaserScan, gtsam.Pose2]],
     model: LidarModel,
 ) -> tuple[NDArray[np.int32], NDArray[np.int32], FloatArray]:
-    """Of occupied cells (C,), rising, how often each was passed while nothing was in it or beside it.
+    """Count how often occupied cells (C,), ascending, were passed while nothing was in or beside them.
 
     Returns
     -------
@@ -122,7 +122,7 @@ def _passes(
     """
     cell_m, cols = grid.resolution_m, grid.shape[1]
     corner = round(grid.T_map_grid.y() / cell_m), round(grid.T_map_grid.x() / cell_m)
-    # What gives no return may be dark, and passes nothing.
+    # Without a return, the object may be dark: such a beam passes nothing.
     model = replace(model, max_clear_range_m=0.0)
     hits, between, since, before = np.zeros((4, cells.size), np.int32)
     for scan, T_map_base in scans:
@@ -135,13 +135,13 @@ def _passes(
 
 @kernel
 def _pass(steps, begun, cols, dense, cells, hits, between, since, before):  # type: ignore[no-untyped-def]
-    """Count what a board, whose corner is ``begun`` of a grid of so many columns, says of occupied cells.
+    """Count the evidence of a board, at corner ``begun`` of a grid with so many columns, for occupied cells.
 
     ``dense`` are the first and last row and column of the part of the board that counts.
     """
     for i in range(dense[0], dense[1]):
         first = begun + i * cols
-        # The first occupied cell of the row, by halves.
+        # The first occupied cell of the row, by bisection.
         k, last = ZERO, np.int64(cells.size)
         while k < last:
             middle = (k + last) >> 1
@@ -167,7 +167,7 @@ def _pass(steps, begun, cols, dense, cells, hits, between, since, before):  # ty
 
 
 def _where_dense(board: Board, scan: LaserScan, T_map_base: gtsam.Pose2, cell_m: float) -> tuple[int, ...]:
-    """The part of a board where neighbouring beams are no farther apart than a cell is wide.
+    """Return the part of a board where neighbouring beams are at most a cell apart.
 
     Returns
     -------
@@ -181,7 +181,7 @@ def _where_dense(board: Board, scan: LaserScan, T_map_base: gtsam.Pose2, cell_m:
 
 
 def _may_be_a_pane(points_m: FloatArray, cell_m: float) -> bool:
-    """Whether (N, 2) middles of cells lie within a cell of a line as long as the least pane."""
+    """Return whether (N, 2) cell centres are within a cell of a line as long as the smallest pane."""
     away = points_m - points_m.mean(axis=0)
     along, across = (away @ np.linalg.svd(away)[2].T).T
     return bool(np.ptp(along) >= SHORTEST_M and np.abs(across).max() <= cell_m)

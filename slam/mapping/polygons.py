@@ -11,7 +11,7 @@ from slam.measurements import BoolArray, FloatArray
 
 
 def inside(points: FloatArray, polygon: FloatArray) -> BoolArray:
-    """(N,) whether points (N, 2) lie in a polygon of (M, 2) corners, the last joined to the first.
+    """Return (N,) whether points (N, 2) are in a closed polygon of (M, 2) corners.
 
     Examples
     --------
@@ -31,7 +31,7 @@ def inside(points: FloatArray, polygon: FloatArray) -> BoolArray:
 def cells_inside(
     polygon: FloatArray, shape: tuple[int, ...], resolution_m: float, T_map_grid: gtsam.Pose2
 ) -> BoolArray:
-    """(rows, cols) whether the middles of a grid's cells lie in a polygon of the map."""
+    """Return (rows, cols) whether the cell centres of a grid are in a polygon of the map."""
     row, col = np.mgrid[: shape[0], : shape[1]]
     middles = (np.column_stack([col.reshape(-1), row.reshape(-1)]) + 0.5) * resolution_m
     turn = T_map_grid.rotation().matrix()
@@ -40,7 +40,7 @@ def cells_inside(
 
 @kernel
 def _odd(points, polygon):  # type: ignore[no-untyped-def]
-    """Whether a ray from each point along x crosses the outline an odd number of times."""
+    """Return whether a ray from each point along x crosses the outline an odd number of times."""
     found = np.zeros(len(points), np.bool_)
     for n in range(len(points)):
         x, y = points[n, 0], points[n, 1]

@@ -19,14 +19,14 @@ def posed_frames(
     Raises
     ------
     ScanweaveError
-        Before the first pair where a pose is not finite.
+        Before the first pair, if a pose is not finite.
     """
     refuse_lost(poses)
     yield from zip(frames, poses, strict=True)
 
 
 def refuse_lost(poses: Sequence[gtsam.Pose3]) -> None:
-    """Refuse poses of keyframes of which one is not finite, with a `ScanweaveError`."""
+    """Raise a `ScanweaveError` if a keyframe pose is not finite."""
     for index, pose in enumerate(poses):
         if not np.isfinite(pose.matrix()).all():
             raise ScanweaveError(f"pose {index} of {len(poses)} keyframes is not finite; see the report")

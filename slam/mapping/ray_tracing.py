@@ -24,7 +24,7 @@ Box: TypeAlias = tuple[int, int, int, int]
 
 
 class _Kind(IntEnum):
-    """What a beam says of where it ends."""
+    """Evidence of a beam at its end."""
 
     NOTHING = 0
     FREE = 1
@@ -34,7 +34,7 @@ class _Kind(IntEnum):
 
 NOTHING, FREE, HIT, TAKEN = (np.uint8(kind) for kind in _Kind)
 
-# Lines are followed in fixed point: an addition and a shift a cell, no rounding call.
+# Lines use fixed-point numbers: one addition and shift per cell, no rounding call.
 _FRACTION_BITS = np.iinfo(np.int32).bits
 
 
@@ -48,7 +48,7 @@ def beam_ends(
     hit_limit_m: float,
     clear_limit_m: float,
 ) -> tuple[FloatArray, Evidence, Box]:
-    """Where the beams end, Li2020 Eq. (1), and what they say there.
+    """Return where the beams end, Li2020 Eq. (1), and their evidence there.
 
     Parameters
     ----------
@@ -77,7 +77,7 @@ def beam_ends(
 def _shoot(  # type: ignore[no-untyped-def]
     ranges_m, x_cells, y_cells, start_rad, step_rad, cells_per_m, hit_limit_m, clear_limit_m, ends, kinds
 ):
-    """Write the ends and kinds of `beam_ends`; the box."""
+    """Write the ends and kinds of `beam_ends`; return the box."""
     low_x = high_x = x_cells
     low_y = high_y = y_cells
     cosine, sine = math.cos(start_rad), math.sin(start_rad)
@@ -103,7 +103,7 @@ def _shoot(  # type: ignore[no-untyped-def]
         high_x = max(high_x, end_x)
         low_y = min(low_y, end_y)
         high_y = max(high_y, end_y)
-        # The next bearing by one rotation: a sine and a cosine a beam cost as much as its line.
+        # The next bearing by one rotation: sine and cosine would cost as much as the line of a beam.
         cosine, sine = cosine * turn_cosine - sine * turn_sine, sine * turn_cosine + cosine * turn_sine
     row, col = math.floor(low_y), math.floor(low_x)
     return row, col, math.floor(high_y) + 1 - row, math.floor(high_x) + 1 - col
@@ -111,13 +111,13 @@ def _shoot(  # type: ignore[no-untyped-def]
 
 @kernel(error_model="numpy")
 def mark_lines(ends, kinds, box, x_cells, y_cells, mark, board):  # type: ignore[no-untyped-def]
-    """Put a mark into the cells that beams pass, those of their ends included: one a step of the longer axis.
+    """Mark the cells that beams pass, including their ends: one per step of the longer axis.
 
     ``board`` (rows * cols,) is the box of `beam_ends`, row after row, the lowest y first; the ends may be
     nearer to the laser than there.
     """
     first_row, first_col, rows, cols = box
-    # A place a hair below a border may be rounded onto it when the corner is taken off.
+    # A position just below a border may be rounded onto it when the corner is subtracted.
     last_x, last_y = cols - TINY, rows - TINY
     x, y = min(x_cells - first_col, last_x), min(y_cells - first_row, last_y)
     for beam in range(kinds.size):
@@ -134,7 +134,7 @@ def mark_lines(ends, kinds, box, x_cells, y_cells, mark, board):  # type: ignore
         start = math.floor(major)
         steps = abs(math.floor(end) - start)
         slope = across / abs(along)
-        # From the laser to the middle of the next cell along the axis: there the line is looked at first.
+        # From the laser to the centre of the next cell along the axis, the first sample of the line.
         offset = major - start + 0.5
         forward = -stride
         if along > 0.0:

@@ -24,18 +24,18 @@ from slam.measurements import BoolArray, FloatArray
 
 @dataclass(frozen=True, slots=True)
 class Face:
-    """An infinite line with a room before it.
+    """An infinite line with a room in front of it.
 
     Attributes
     ----------
     point_m
-        (2,) of it, map frame.
+        (2,) point on it, map frame.
     normal
         (2,) unit vector into the room.
     seen
-        Whether anything was met on it; else it is where what was seen ends.
+        Whether beams hit it; otherwise it is the border of the visible area.
     length_m
-        How much of it was seen.
+        Visible length.
     """
 
     point_m: FloatArray
@@ -45,16 +45,16 @@ class Face:
 
     @property
     def tangent(self) -> FloatArray:
-        """(2,) unit vector along it; the room lies on the left on the way back."""
+        """Return (2,) the unit vector along it; the room is on the left in the opposite direction."""
         x, y = self.normal
         return np.array([y, -x])
 
     def along(self, points_m: FloatArray) -> FloatArray:
-        """(N,) places of (N, 2) points along it, from its point."""
+        """Return (N,) positions of (N, 2) points along it, from its point."""
         return np.asarray((points_m - self.point_m) @ self.tangent)
 
     def off(self, points_m: FloatArray) -> FloatArray:
-        """(N,) distances of (N, 2) points, positive inside."""
+        """Return (N,) distances of (N, 2) points, positive inside."""
         return np.asarray((points_m - self.point_m) @ self.normal)
 
 
@@ -66,17 +66,17 @@ class Outline:
     faces: tuple[Face, ...]
 
     def edge(self, edge: int) -> tuple[FloatArray, FloatArray]:
-        """(2,) the corner where an edge begins, and where it ends."""
+        """Return (2,) the start and end corners of an edge."""
         return self.corners_m[edge], self.corners_m[(edge + 1) % len(self.faces)]
 
     def ends(self, edge: int) -> tuple[float, float]:
-        """Where an edge begins and ends along its face, the lower first, as `Face.along` tells."""
+        """Return the ends of an edge along its face, by `Face.along`, the lower first."""
         low, high = sorted(self.faces[edge].along(np.array(self.edge(edge))).tolist())
         return low, high
 
 
 def corners_of(faces: Sequence[Face]) -> FloatArray:
-    """(n, 2) where each face meets the one before."""
+    """Return (n, 2) the intersections of each face with the previous one."""
     normals = np.array([[face.normal for face in (faces[k - 1], face)] for k, face in enumerate(faces)])
     offsets = np.array([face.normal @ face.point_m for face in faces])
     return np.asarray(
@@ -85,7 +85,7 @@ def corners_of(faces: Sequence[Face]) -> FloatArray:
 
 
 def area_m2(corners_m: FloatArray) -> float:
-    """Of a polygon, positive where it is counter-clockwise.
+    """Return the area of a polygon, positive if counter-clockwise.
 
     Examples
     --------
@@ -99,7 +99,7 @@ def area_m2(corners_m: FloatArray) -> float:
 
 
 def seen_from(rooms: RoomMap, points: WallPoints) -> NDArray[np.int32]:
-    """(2, N) the rooms that points were seen from: two cells before each, and three."""
+    """Return (2, N) the rooms from which points were seen: two cells in front of each, and three."""
     cell = rooms.resolution_m
     return np.array([rooms.at(points.points_map + far * cell * points.normals_map) for far in (2, 3)])
 
@@ -107,9 +107,9 @@ def seen_from(rooms: RoomMap, points: WallPoints) -> NDArray[np.int32]:
 def room_outline(
     rooms: RoomMap, label: int, points: WallPoints, others: Sequence[Outline] = ()
 ) -> Outline | None:
-    """The outline of a room by the points that were seen from inside it; None if they make none.
+    """Return the outline of a room from the points seen from inside; None if they form none.
 
-    It stays out of others.
+    It does not overlap others.
     """
     cell = rooms.resolution_m
     of_room = rooms.labels == label
@@ -138,7 +138,7 @@ def room_outline(
 
 
 def _axes(segments: list[Segment]) -> FloatArray:
-    """(4, 2) unit vectors along and across most of the walls."""
+    """Return (4, 2) unit vectors along and across most of the walls."""
     if not segments:
         return np.array([(1.0, 0.0), (-1.0, 0.0), (0.0, 1.0), (0.0, -1.0)])
     lengths = np.array([segment.length_m for segment in segments])
@@ -151,18 +151,18 @@ def _axes(segments: list[Segment]) -> FloatArray:
 
 
 def _direction(fourfold: complex) -> tuple[float, float]:
-    """A unit vector at a quarter of a number's angle."""
+    """Return a unit vector at a quarter of a complex number's angle."""
     angle = math.atan2(fourfold.imag, fourfold.real) / 4
     return math.cos(angle), math.sin(angle)
 
 
 def _faces(segments: list[Segment], axes: FloatArray, cell_m: float) -> list[Face]:
-    """One for all segments on a line, the longest first, along an axis where they may be."""
+    """Return one face for all segments on a line, longest first, aligned with an axis if possible."""
     faces: list[Face] = []
     for segment in segments:
         middle, normal = 0.5 * (segment.begin_m + segment.end_m), segment.normal
         nearest = axes[np.argmax(axes @ normal)]
-        # The ends of a segment lie within a cell of its line.
+        # The ends of a segment are within a cell of its line.
         if abs(nearest[0] * normal[1] - nearest[1] * normal[0]) < 2.0 * cell_m / segment.length_m:
             normal = nearest
         elif segment.length_m < 0.5 * WIDEST_DOOR_M:
@@ -180,7 +180,7 @@ def _faces(segments: list[Segment], axes: FloatArray, cell_m: float) -> list[Fac
 
 
 def _ends(faces: list[Face], axes: FloatArray, middles_m: FloatArray, cell_m: float) -> list[Face]:
-    """Where what was seen ends without a wall."""
+    """Return faces where the visible area ends without a wall."""
     found = []
     for inward in axes:
         at = float(np.percentile(middles_m @ inward, 1)) - 0.5 * cell_m
@@ -196,8 +196,8 @@ def _ends(faces: list[Face], axes: FloatArray, middles_m: FloatArray, cell_m: fl
 
 
 def _inside(labels: NDArray[np.int32], label: int, before: BoolArray, cell_m: float) -> BoolArray:
-    """(rows, cols) what lies in the room."""
-    # Cells before and behind the same lines make a face.
+    """Return (rows, cols) the cells in the room."""
+    # Cells on the same sides of all lines form a face of the arrangement.
     keys = np.zeros(labels.shape, np.uint64)
     for index, side in enumerate(before):
         keys ^= np.where(side, np.random.default_rng(index).integers(1 << 63, dtype=np.uint64), np.uint64(0))
@@ -222,7 +222,7 @@ def _inside(labels: NDArray[np.int32], label: int, before: BoolArray, cell_m: fl
 
 
 def _largest(mask: BoolArray, free: BoolArray) -> BoolArray:
-    """(rows, cols) the part that has most of what is free, without holes."""
+    """Return (rows, cols) the part with most of the free cells, without holes."""
     parts, _ = scipy.ndimage.label(mask)
     most = np.bincount(parts[free], minlength=parts.max() + 1)
     most[0] = 0
@@ -230,19 +230,19 @@ def _largest(mask: BoolArray, free: BoolArray) -> BoolArray:
 
 
 def _traced(mask: BoolArray, faces: list[Face], middles_m: FloatArray, cell_m: float) -> Outline | None:
-    """The border of cells as a polygon of the lines that made it."""
+    """Return the border of cells as a polygon of the lines that formed it."""
     import cv2
 
     contours, _ = cv2.findContours(mask.astype(np.uint8), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
     border = max(contours, key=len)[:, 0, ::-1]
     points = middles_m[tuple(border.T)]
     off = np.array([face.off(points) for face in faces])
-    # The middle of a cell inside the border lies half a cell, at most its diagonal, before the line.
+    # The centre of a cell inside the border is half a cell, at most half its diagonal, from the line.
     off = np.where((off > -0.5 * cell_m) & (off < 3 * cell_m / 2), np.abs(off - 0.5 * cell_m), np.inf)
     nearest = np.where(np.isfinite(off.min(axis=0)), np.argmin(off, axis=0), -1)
-    # At corners a cell lies at two lines: it goes to the one of its neighbours.
+    # A corner cell is at two lines: it belongs to that of its neighbours.
     owners = _runs(nearest, 3)
-    # Of two parallel lines in a row the step between is too short to be told.
+    # Between two consecutive parallel lines, the step is too short to be detected.
     owners = [
         one
         for index, one in enumerate(owners)
@@ -262,7 +262,7 @@ def _traced(mask: BoolArray, faces: list[Face], middles_m: FloatArray, cell_m: f
 
 
 def _boxed(middles_m: FloatArray, axes: FloatArray) -> Outline:
-    """What holds a room whose walls make no polygon."""
+    """Return the bounding box of a room whose walls form no polygon."""
     faces = [
         Face(float((middles_m @ inward).min()) * inward, inward, False, 0.0) for inward in axes[[2, 1, 3, 0]]
     ]
@@ -273,7 +273,7 @@ def _boxed(middles_m: FloatArray, axes: FloatArray) -> Outline:
 
 
 def _runs(nearest: NDArray[np.int64], shortest: int) -> list[int]:
-    """The lines along a closed border in their order, without short stretches and parallel neighbours."""
+    """Return the lines along a closed border in order, without short runs and parallel neighbours."""
     count = len(nearest)
     starts = np.flatnonzero(nearest != np.roll(nearest, 1))
     if not len(starts):

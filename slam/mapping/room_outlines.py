@@ -16,7 +16,7 @@ from slam.mapping.wall_segments import WallPoints
 def room_outlines(
     rooms: RoomMap, own: Mapping[int, WallPoints], entered: Container[int]
 ) -> dict[int, Outline]:
-    """The outline of each room by its label, the largest first.
+    """Return the outline of each room by its label, the largest first.
 
     Parameters
     ----------
@@ -30,7 +30,7 @@ def room_outlines(
         return room_outline(rooms, label, own[label], others)
 
     found = {label: drawn(label) for label in own}
-    # What nobody was in, and has no walls, lies behind a window.
+    # A room without walls that the robot did not enter is behind a window.
     outlines = {
         label: outline
         for label, outline in found.items()
@@ -42,7 +42,7 @@ def room_outlines(
 def _apart(
     rooms: RoomMap, outlines: dict[int, Outline], drawn: Callable[..., Outline | None]
 ) -> dict[int, Outline]:
-    """Of two outlines that overlap the one with less of what both have is drawn anew, outside the other."""
+    """Of two overlapping outlines, redraw the one with less of the overlap, outside the other."""
     apart = dict(outlines)
     kept_out: dict[int, list[int]] = {label: [] for label in outlines}
     pairs = list(combinations(apart, 2))
@@ -56,7 +56,7 @@ def _apart(
 
 
 def _loser(rooms: RoomMap, outlines: dict[int, Outline], one: int, other: int) -> tuple[int, int]:
-    """Of two rooms that overlap the one with less of what both have, and the other; 0 where they do not."""
+    """Return the room with less of the overlap of two rooms, and the other; 0 without overlap."""
     corners = [outlines[label].corners_m for label in (one, other)]
     low = np.max([corner.min(axis=0) for corner in corners], axis=0)
     high = np.min([corner.max(axis=0) for corner in corners], axis=0)

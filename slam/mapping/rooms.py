@@ -22,13 +22,13 @@ from slam.measurements import BoolArray, FloatArray
 
 Labels = NDArray[np.int32]
 
-# A double bed.
+# The size of a double bed.
 LARGEST_FURNITURE_M2 = 4.0
 
 
 @dataclass(frozen=True, slots=True)
 class RoomMap:
-    """Which room each free cell belongs to.
+    """The room of each free cell.
 
     Attributes
     ----------
@@ -43,31 +43,30 @@ class RoomMap:
     T_map_grid: gtsam.Pose2
 
     def middles(self, rows: NDArray[np.int64], cols: NDArray[np.int64]) -> FloatArray:
-        """(N, 2) middles of cells, map frame; they may lie outside."""
+        """Return (N, 2) cell centres, map frame; they may be outside the map."""
         points = (np.column_stack([cols, rows]) + 0.5) * self.resolution_m
         turned: FloatArray = points @ self.T_map_grid.rotation().matrix().T + self.T_map_grid.translation()
         return turned
 
     def at(self, points_map: FloatArray) -> Labels:
-        """(N,) the room of (N, 2) points; 0 outside."""
+        """Return (N,) the room of (N, 2) points; 0 outside."""
         frame = OccupancyGrid(np.zeros((0, 0), np.int16), self.resolution_m, self.T_map_grid)
         return looked_up(self.labels, frame.cells_of(points_map))
 
 
 def segment_rooms(grid: OccupancyGrid, segments: Sequence[Segment], way_map: FloatArray) -> RoomMap:
-    """Part the free cells of a grid into rooms.
+    """Divide the free cells of a grid into rooms.
 
     Parameters
     ----------
     segments
-        Of the walls, and of all that is straight.
+        Segments of walls and other straight objects.
     way_map
         (N, 2) where the robot has been.
 
     Returns
     -------
-    Rooms in the order of their size. Free space that was seen through glass or a gap and that has no walls of
-    its own is none.
+    Rooms sorted by size. Free space seen through glass or a gap, without walls of its own, is no room.
     """
     free = grid.states() == FREE
     gaps, walls = wall_gaps(segments, grid)
@@ -80,7 +79,7 @@ def segment_rooms(grid: OccupancyGrid, segments: Sequence[Segment], way_map: Flo
 def _regions(
     free: BoolArray, lines: Sequence[Line], grid: OccupancyGrid, way_map: FloatArray
 ) -> tuple[Labels, BoolArray]:
-    """What lines leave of free space, in parts, and (parts + 1,) which are indoors; what is none, is, too."""
+    """Return the parts of free space between lines, and (parts + 1,) which are indoors; label 0 is, too."""
     labels = _wide_parts(free & ~_drawn(lines, grid), int(0.25 * THICKEST_WALL_M / grid.resolution_m))
     real = _closed(labels, grid.states())
     real[looked_up(labels, grid.cells_of(way_map))] = True
@@ -89,9 +88,9 @@ def _regions(
 
 
 def _wide_parts(free: BoolArray, radius: int) -> Labels:
-    """Parts of free space that hang together by more than a slit, such as beams leave between two panes.
+    """Return parts of free space connected by more than a slit, as beams leave between two panes.
 
-    A slit is up to twice the radius wide, in cells; it goes to one of the parts that it joins.
+    A slit is up to twice the radius wide, in cells; it is assigned to one of the parts it connects.
     """
     block = np.ones((3, 3), np.bool_)
     core = scipy.ndimage.binary_erosion(free, block, iterations=radius) if radius else free
@@ -100,14 +99,14 @@ def _wide_parts(free: BoolArray, radius: int) -> Labels:
     for _ in range(4 * radius):
         grown = scipy.ndimage.maximum_filter(labels, footprint=cross)
         labels = np.where(free & (labels == 0), grown, labels)
-    # What lies between two lines that are close together is a part, too.
+    # The area between two close lines is a part, too.
     parts, count = scipy.ndimage.label(free)
     strips = np.bincount(parts.ravel(), core.ravel(), count + 1) == 0.0
     return np.where(strips[parts] & free, parts + labels.max(initial=0), labels).astype(np.int32)
 
 
 def _drawn(lines: Sequence[Line], grid: OccupancyGrid) -> BoolArray:
-    """(rows, cols) cells of lines, without holes over the corners of cells."""
+    """Return (rows, cols) the cells of lines, 4-connected."""
     drawn = np.zeros(grid.shape, np.bool_)
     for line in lines:
         cells = grid.cells_of(line.points(grid.resolution_m / 4))
@@ -117,7 +116,7 @@ def _drawn(lines: Sequence[Line], grid: OccupancyGrid) -> BoolArray:
 
 
 def _closed(labels: Labels, states: NDArray[np.int8]) -> BoolArray:
-    """(labels + 1,) whether a region ends at what is known rather than in the unknown."""
+    """Return (labels + 1,) whether a region is bounded by known cells rather than unknown ones."""
     unknown, known = (np.zeros(labels.max() + 1) for _ in range(2))
     for axis in (0, 1):
         for shift in (1, -1):
@@ -129,7 +128,7 @@ def _closed(labels: Labels, states: NDArray[np.int8]) -> BoolArray:
 
 
 def _merged(labels: Labels, gaps: Sequence[Line], real: BoolArray, grid: OccupancyGrid) -> Labels:
-    """Join what no wall parts, drop what is no room, number the rest by size.
+    """Merge parts without a wall between them, drop those that are no rooms, number the rest by size.
 
     Two rooms have wall between them, in line with their openings, two thirds as long as these are wide:
     across a corridor, or from one piece of furniture to another, there is none.
@@ -137,7 +136,7 @@ def _merged(labels: Labels, gaps: Sequence[Line], real: BoolArray, grid: Occupan
     free = grid.states() == FREE
     areas = np.asarray(np.bincount(labels.ravel(), minlength=len(real)) * grid.resolution_m**2, np.float64)
     areas[0] = 0.0
-    # What is no larger than a doorway is none.
+    # Parts no larger than a doorway are no rooms.
     smallest = THICKEST_WALL_M * WIDEST_DOOR_M
     owner = np.arange(len(real))
     for one, other in _touching(labels):
@@ -164,7 +163,7 @@ def _merged(labels: Labels, gaps: Sequence[Line], real: BoolArray, grid: Occupan
 
 
 def _touching(labels: Labels) -> NDArray[np.int32]:
-    """(n, 2) parts that lie side by side."""
+    """Return (n, 2) adjacent parts."""
     pairs = [
         np.column_stack([ahead[beside], behind[beside]])
         for ahead, behind in ((labels[1:], labels[:-1]), (labels[:, 1:], labels[:, :-1]))
@@ -180,11 +179,11 @@ class _Opening:
     Attributes
     ----------
     one, other
-        The part on its left and the one on its right.
+        Parts on its left and right.
     cells
-        (n,) where along its line, so that a gap seen from both sides counts once.
+        (n,) positions along its line, so that a gap seen from both sides counts once.
     wall
-        What is in line with it; None if no wall can part the two.
+        Objects in line with it; None if no wall can separate the two.
     """
 
     one: int
@@ -195,16 +194,16 @@ class _Opening:
 
 @dataclass(frozen=True, slots=True)
 class _InLine:
-    """What stands in line with a gap.
+    """Objects in line with a gap.
 
     Attributes
     ----------
     cells
-        (n,) where, as those of the gap.
+        (n,) positions, as those of the gap.
     beside
-        (2, n) which part lies on the left and on the right; 0 where none is seen.
+        (2, n) parts on the left and on the right; 0 if none is seen.
     near
-        (n,) whether so near to an end of the gap that it is the side of a door, if the gap is one.
+        (n,) whether it is so near to an end of the gap that it would be the side of a door.
     """
 
     cells: NDArray[np.int64]
@@ -212,19 +211,19 @@ class _InLine:
     near: BoolArray
 
     def between(self, owner: NDArray[np.int64], one: int, other: int) -> BoolArray:
-        """(n,) where what the two parts belong to lies beside it."""
+        """Return (n,) where the owners of the two parts are beside it."""
         sides = np.array([[owner[one]], [owner[other]]])
         seen, of_them = self.beside > 0, owner[self.beside] == sides
         both = of_them.all(axis=0)
-        # Of a wall that is no thicker than one beside the gap, furniture may hide one side farther on.
+        # Furniture may hide one side of a wall that is no thicker than one beside the gap.
         hidden = (of_them & ~seen[::-1]).any(axis=0) & both[self.near].any()
         return np.asarray(both | hidden)
 
 
 def _join(owner: NDArray[np.int64], areas: FloatArray, openings: Sequence[_Opening], smallest: float) -> None:
-    """Give neighbours one owner where one is smaller than that, or where there is too little wall between.
+    """Merge neighbours if one is too small, or if there is too little wall between them.
 
-    The smallest go first, over the widest opening. What was joined counts as one when the next are asked.
+    The smallest are merged first, over the widest opening. Merged parts count as one for the next.
     """
     while True:
         sizes = np.bincount(owner, areas, len(owner))
@@ -250,14 +249,14 @@ def _join(owner: NDArray[np.int64], areas: FloatArray, openings: Sequence[_Openi
 
 
 def _places(points_m: FloatArray, gap: Line, grid: OccupancyGrid) -> NDArray[np.int64]:
-    """(n,) points along a gap's line in cells, whatever side of the wall the line is on."""
+    """Return (n,) points along a gap's line in cells, independent of the side of the wall."""
     way = gap.end_m - gap.begin_m
     along = way * np.sign(way[np.argmax(np.abs(way))]) / max(gap.length_m, grid.resolution_m)
     return np.asarray(np.floor(points_m @ along / grid.resolution_m), dtype=np.int64)
 
 
 def _in_line(labels: Labels, free: BoolArray, gap: Line, grid: OccupancyGrid) -> _InLine:
-    """What stands in line with a gap, up to a door's width past each end."""
+    """Return the objects in line with a gap, up to a door's width past each end."""
     step_m, cells, found, near = grid.resolution_m, [], [], []
     asides = np.arange(2.0 * step_m, THICKEST_WALL_M, step_m)
     for end_m, begin_m in ((gap.end_m, gap.begin_m), (gap.begin_m, gap.end_m)):
@@ -267,7 +266,7 @@ def _in_line(labels: Labels, free: BoolArray, gap: Line, grid: OccupancyGrid) ->
         for side in (1.0, -1.0) if begin_m is gap.begin_m else (-1.0, 1.0):
             points = np.array([beyond.points(step_m, side * far) for far in asides])
             seen = looked_up(labels, grid.cells_of(points.reshape(-1, 2))).reshape(len(asides), -1)
-            # What is nearest to the wall stands beside it.
+            # The nearest label to the wall is beside it.
             sides.append(seen[np.argmax(seen > 0, axis=0), np.arange(len(seen.T))])
         stands = ~_open(free, beyond, grid)
         found.append(np.array(sides)[:, stands])
@@ -277,14 +276,14 @@ def _in_line(labels: Labels, free: BoolArray, gap: Line, grid: OccupancyGrid) ->
 
 
 def _open(free: BoolArray, line: Line, grid: OccupancyGrid) -> BoolArray:
-    """(n,) where on a line one can see across: there is no wall, seen or hidden."""
+    """Return (n,) where a line is open: there is no wall, seen or hidden."""
     step_m = grid.resolution_m
     across = np.array([line.points(step_m, side * step_m) for side in (-1.0, 0.0, 1.0)])
     return np.asarray(looked_up(free, grid.cells_of(across.reshape(-1, 2))).reshape(3, -1).all(axis=0))
 
 
 def _sides(labels: Labels, gap: Line, open_: BoolArray, grid: OccupancyGrid) -> list[int]:
-    """The label that most cells have on its left and on its right, where it is open; 0 where none has any."""
+    """Return the most frequent labels on the left and right of its open cells; 0 if there is none."""
     found = []
     for side in (1.0, -1.0):
         points = [gap.points(grid.resolution_m, side * far * grid.resolution_m)[open_] for far in (2.0, 3.0)]

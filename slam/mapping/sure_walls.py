@@ -27,11 +27,11 @@ class Side:
     Attributes
     ----------
     label
-        Of the room, as `RoomMap` has it.
+        Label of the room in `RoomMap`.
     begin_m, end_m
         (2,) map frame.
     fit
-        The line through its points; None if there is none.
+        Line fit through its points; None if there is none.
     ends_seen
         Whether the sides before and after it were seen; else it may go on there.
     odd
@@ -47,7 +47,7 @@ class Side:
     odd: bool
 
     def seen_whole(self, cell_m: float) -> bool:
-        """Whether it was seen from corner to corner, or on both sides of what stands before it."""
+        """Return whether it was seen from corner to corner, or on both sides of an object in front of it."""
         if self.fit is None:
             return False
         begin, end = self.fit.places(self.begin_m, self.end_m)
@@ -59,7 +59,7 @@ class Side:
 
 
 def sides_of(outlines: dict[int, Outline], fits: Sequence[Sequence[WallFit | None]]) -> list[Side]:
-    """All edges of all outlines, by the labels of their rooms."""
+    """Return all edges of all outlines, by the labels of their rooms."""
     sides = []
     for (label, outline), ones in zip(outlines.items(), fits, strict=True):
         normals = np.array([face.normal for face in outline.faces])
@@ -104,7 +104,7 @@ def sure_walls(sides: Sequence[Side], segments: Sequence[Segment], rooms: RoomMa
 
 
 def _behind(ends_m: FloatArray, others_m: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """(n, m) how far behind n sides m others lie, along how much of it, the cosine of their directions."""
+    """Return (n, m) distances of m sides behind n others, their overlap, and cosines of the directions."""
     way = ends_m[:, 1] - ends_m[:, 0]
     length = np.maximum(np.hypot(*way.T), TINY)
     along = way / length[:, None]
@@ -118,7 +118,7 @@ def _behind(ends_m: FloatArray, others_m: FloatArray) -> tuple[FloatArray, Float
 
 
 def _usual(thickness_m: FloatArray, back: BoolArray, cell_m: float) -> BoolArray:
-    """(n, n) whether what is between two sides is as thick as between two others; alone it is."""
+    """Return (n, n) whether the thickness between two sides is that of other pairs; True for a single one."""
     one, other = np.nonzero(np.triu(back | back.T))
     thick = thickness_m[one, other]
     like = (np.abs(thick - thick[:, None]) < 0.5 * cell_m).sum(axis=1) > min(len(thick) - 1, 1)
@@ -128,7 +128,7 @@ def _usual(thickness_m: FloatArray, back: BoolArray, cell_m: float) -> BoolArray
 
 
 def _hidden(ends_m: FloatArray, labels: FloatArray, segments: Sequence[Segment], rooms: RoomMap) -> BoolArray:
-    """(n,) whether a piece of wall, or of a front, lies behind a side and belongs to no other room."""
+    """Return (n,) whether a piece of wall or front is behind a side and belongs to no other room."""
     if not segments:
         return np.zeros(len(ends_m), np.bool_)
     pieces = np.array([(piece.begin_m, piece.end_m) for piece in segments])

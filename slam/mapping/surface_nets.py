@@ -20,14 +20,14 @@ Mesh = tuple[Float32Array, NDArray[np.uint8], Float32Array, NDArray[np.int32]]
 
 
 def surface_of_blocks(blocks: VoxelBlocks, least_views: int) -> Mesh:
-    """Where the field is zero between voxels that enough frames told of; the blocks forget it.
+    """Extract the zero level of the field between voxels seen by enough frames; the blocks are cleared.
 
     Returns
     -------
     Vertices (V, 3) in metres, their RGB (V, 3) and unit normals (V, 3) towards where the surface was seen
     from, and faces (F, 3), counter-clockwise from that side.
     """
-    # Corners of a cell by three bits, those of x, y and z; and the ends of its edges along them.
+    # Corners of a cell by three bits (x, y, z), and the ends of its edges.
     bits, corners = (4, 2, 1), range(8)
     edges = np.array([(corner, corner | bit) for bit in bits for corner in corners if not corner & bit])
     offsets = np.array([[(corner // bit) % 2 for bit in bits] for corner in corners])
@@ -61,9 +61,9 @@ def surface_of_blocks(blocks: VoxelBlocks, least_views: int) -> Mesh:
 def _vertices(  # type: ignore[no-untyped-def]
     first, places, above, distance, weight, color, least, voxel_m, edges, tile, corners, *room
 ):
-    """Vertices of the blocks from number ``first`` on into ``room``; how many there are.
+    """Write vertices of the blocks from number ``first`` on into ``room``; return their number.
 
-    Room is for places, colours, normals, numbers of their cells, and the signs of a cell's corners.
+    It has arrays for positions, colours, normals, cell numbers, and the signs of a cell's corners.
     """
     vertices, colors, normals, cells, signs = room
     unknown = 2.0 * BAND_STEPS
@@ -104,7 +104,7 @@ def _vertices(  # type: ignore[no-untyped-def]
 
 @kernel(nogil=True, inline="always")
 def _cell(place, x, y, z, above, color, edges, corners, rgb, vertex):  # type: ignore[no-untyped-def]
-    """Mean place, in voxels, and colour of where the surface cuts the edges of a cell."""
+    """Return mean position, in voxels, and colour of the surface's intersections with a cell's edges."""
     cut = ZERO
     px = py = pz = red = green = blue = 0.0
     for edge in range(edges.shape[0]):
@@ -137,7 +137,7 @@ def _cell(place, x, y, z, above, color, edges, corners, rgb, vertex):  # type: i
 def _faces(  # type: ignore[no-untyped-def]
     first, stop, vertices, cells, signs, starts, below, around, triangles
 ):
-    """Triangles about the three edges at the first corner of each cell that are cut; how many there are."""
+    """Write triangles around the cut edges at the first corner of each cell; return their number."""
     count = ZERO
     for vertex in range(first, stop):
         for axis in range(3):
@@ -153,7 +153,7 @@ def _faces(  # type: ignore[no-untyped-def]
             around[3] = _at(cells, starts, below, cells[vertex], one)
             if around[0] < 0 or around[1] < 0 or around[3] < 0:
                 continue
-            # Cut along the shorter diagonal: where the surface bends, the other may fold it over.
+            # Divide along the shorter diagonal: on a curved surface, the other one may fold it.
             across = along = 0.0
             for i in range(3):
                 across += (vertices[around[0], i] - vertices[around[2], i]) ** 2
@@ -170,7 +170,7 @@ def _faces(  # type: ignore[no-untyped-def]
 
 @kernel(nogil=True)
 def _at(cells: NDArray[Any], starts: NDArray[Any], below: NDArray[Any], cell: int, back: int) -> int:
-    """Number of the vertex in the cell one back along the axes of some bits; -1 where there is none."""
+    """Return the vertex of the cell one step back along the axes of the bits; -1 if there is none."""
     x, y, z = ((cell >> 6) & 7) - (back >> 2), ((cell >> 3) & 7) - ((back >> 1) & 1), (cell & 7) - (back & 1)
     block = below[cell // VOXELS, 4 * (x < 0) + 2 * (y < 0) + (z < 0)]
     if block < 0:

@@ -24,7 +24,7 @@ Box: TypeAlias = tuple[int, int, int, int]
 def view_box(
     depth_m: Float32Array, rays: Float32Array, T_grid_camera: FloatArray, reach_m: float, cell_m: float
 ) -> Box:
-    """(first row, first col, rows, cols) of the cells that hold the camera and all readings.
+    """Return (first row, first col, rows, cols) of the cells that contain the camera and all readings.
 
     Parameters
     ----------
@@ -62,11 +62,11 @@ def view_box(
 
 @kernel
 def holes_cleared(depth_m: Float32Array) -> Float32Array:
-    """A depth image for what is free: a hole is, as far as the nearer of the readings below and above it.
+    """Fill holes of a depth image for free space: up to the nearer of the readings below and above.
 
-    What makes a hole is farther than the camera measures, nearer, dark or of glass. What stands on the floor
-    before the reading below would hide it, and what hangs before the reading above would hide that. A hole
-    that ends at the border of the image stays one.
+    The surface in a hole is too far, too near, dark or of glass. An object on the floor in front of the
+    reading below would occlude it, and a hanging one the reading above. A hole at the border of the image
+    remains.
 
     Parameters
     ----------
@@ -100,7 +100,7 @@ def heights_seen(
     margin_sigmas: float,
     strides: tuple[int, int],
 ) -> HeightMask:
-    """At which heights each cell was seen through.
+    """Return the heights at which each cell was seen as free.
 
     Parameters
     ----------

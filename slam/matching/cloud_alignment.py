@@ -17,15 +17,15 @@ from slam.matching.plane_voxels import PlaneVoxels
 from slam.measurements import FloatArray
 
 _LEAST_KERNEL_M, _LEAST_ARM_M = 0.02, 1e-3
-# A point this share of the widest kernel from its plane lies on it.
+# A point within this share of the widest kernel of its plane is on it.
 _ON_PLANE = 0.2
-# A share of the reach: what is nearer need not be drawn nearer.
+# A coarse step below this share of the reach ends the iteration.
 _ARRIVED = 0.004
 
 
 @dataclass(frozen=True, slots=True)
 class CloudAlignment:
-    """The outcome of an alignment.
+    """Result of an alignment.
 
     Attributes
     ----------
@@ -34,7 +34,7 @@ class CloudAlignment:
     hessian
         (6, 6) of the weighted squared distances, GTSAM's tangent of the base.
     spread
-        (6, 6) of its gradient, as the residuals tell it: points of one plane share their errors.
+        (6, 6) covariance of its gradient from the residuals: points of one plane share their errors.
     weight
         Sum of the robust weights.
     arms_m
@@ -50,7 +50,7 @@ class CloudAlignment:
     residual_m
         Root mean square distance of those that agree.
     converged
-        Whether the iteration settled.
+        Whether the iteration converged.
     agreement
         Share of all points that lie on a plane, by a measure that is the same for every pose of a scan.
     roughness
@@ -99,7 +99,7 @@ def align_cloud(
             return None
         step = _step(found.hessian, found.gradient)
         pose = pose.compose(gtsam.Pose3.Expmap(step))
-        # What is left to gain is less than a hundredth of a point's worth: no more than noise.
+        # The remaining gain is less than a hundredth of a point: only noise.
         if -(found.gradient @ step) < LEAST_EIGENVALUE * found.kernel_m**2 or np.abs(step).max() < SETTLED:
             converged = True
             break
@@ -128,10 +128,10 @@ def align_cloud(
 def drawn_near(
     points: FloatArray, planes: PlaneVoxels, guess: gtsam.Pose3, iterations: int, reach_m: float
 ) -> gtsam.Pose3:
-    """Roughly where points (N, 3), base frame, lie from ``T_map_base``, drawn to the middles of large voxels.
+    """Roughly align points (N, 3), base frame, from ``T_map_base``, to the centres of large voxels.
 
-    Where planes hold on to what they meet first, middles of voxels pull along streets and through walls. A
-    plane with a wide kernel then has what they leave.
+    Planes hold a pose at the first match; centres of voxels pull along streets and through walls. A plane
+    with a wide kernel then aligns the rest.
     """
     pose = guess
     for _ in range(iterations):
@@ -145,13 +145,13 @@ def drawn_near(
 
 
 def share_on_planes(residuals: FloatArray, kernel_m: float, point_count: int) -> float:
-    """Share of all points near their planes; 0 where fewer than six have one. See `CloudAlignment`."""
+    """Return the share of points near their planes; 0 if fewer than six have one. See `CloudAlignment`."""
     near = np.count_nonzero(np.abs(residuals) <= _ON_PLANE * kernel_m)
     return near / point_count if len(residuals) >= 6 else 0.0
 
 
 def arms_of(points: FloatArray) -> FloatArray:
-    """(3, 3) of points (N, 3): a small turn by a vector w moves them by ``|arms @ w|``, root mean square.
+    """Return (3, 3) for points (N, 3): a small rotation w moves them by ``|arms @ w|``, root mean square.
 
     The root of their inertia: about the axis of a street points have short arms, about the vertical long.
     """
@@ -161,7 +161,7 @@ def arms_of(points: FloatArray) -> FloatArray:
 
 
 def levers(arms_m: FloatArray) -> FloatArray:
-    """(6, 6) that makes metres of a twist, GTSAM's tangent: what turns move the points by, and the way."""
+    """Return (6, 6) that converts a twist, GTSAM's tangent, to the motion of points, metres."""
     found = np.eye(6)
     found[:3, :3] = arms_m
     return found
@@ -184,15 +184,15 @@ def motion_of(alignment: CloudAlignment, config: Config, guess: gtsam.Pose3) -> 
     weak = vectors[:, values < 0.5 * config.match.degenerate_share * max(alignment.weight, 1.0) * ways]
     least_m = config.match.minimal_residual_m
     scale = max(alignment.residual_m, least_m) if np.isfinite(alignment.residual_m) else 1.0
-    # Points that fit nothing are a doubt about all the others, and noise along rays leans all rough planes.
+    # Points without a fit reduce the trust in all others, and noise along rays tilts all rough planes.
     doubt = alignment.roughness / max(alignment.inlier_share, 0.1) ** 2
     root = turns @ vectors / np.sqrt(np.maximum(values, LEAST_EIGENVALUE))
-    # How many times the spread is that of independent residuals, by direction.
+    # Ratio of the spread to that of independent residuals, by direction.
     shared, directions = np.linalg.eigh(root.T @ alignment.spread @ root / scale**2)
     widened = root @ directions * np.sqrt(np.maximum(shared, config.cloud_odometry.correlated_points))
     # An edge ends at two keyframes, and the one that it starts from was itself matched as well as this one.
     covariance = 2.0 * doubt * scale**2 * (widened @ widened.T)
-    covariance += config.match.floor_m**2 * (turns @ turns)  # a turn by what it moves the points
+    covariance += config.match.floor_m**2 * (turns @ turns)  # a rotation by the motion of the points
     pose, weakest = alignment.pose, np.zeros(6)
     if weak.shape[1]:
         away = lever @ gtsam.Pose3.Logmap(pose.between(guess))
@@ -214,7 +214,7 @@ def motion_of(alignment: CloudAlignment, config: Config, guess: gtsam.Pose3) -> 
 
 @dataclass(frozen=True, slots=True)
 class _Linear:
-    """The least squares at a pose."""
+    """The linear least squares at a pose."""
 
     hessian: FloatArray
     gradient: FloatArray
@@ -234,19 +234,19 @@ class _Linear:
 
 
 def _step(hessian: FloatArray, gradient: FloatArray) -> FloatArray:
-    """Gauss and Newton's, (6,)."""
+    """Return the Gauss-Newton step, (6,)."""
     damping = np.diag(np.maximum(np.diag(hessian), LEAST_EIGENVALUE)) * TINY
     return np.asarray(-np.linalg.solve(hessian + damping, gradient))
 
 
 def _linearise(points: FloatArray, planes: PlaneVoxels, pose: gtsam.Pose3, kernel_m: float) -> _Linear | None:
-    """Hessian and gradient for a motion of the base in its own frame."""
+    """Return Hessian and gradient for a motion of the base in its own frame."""
     T_map_base = pose.matrix()
     found = planes.residuals(points, T_map_base)
     residuals = found.distances_m
     if len(residuals) < 6:
         return None
-    # What `numpy.median` gives, in a third of its time.
+    # As `numpy.median`, in a third of its time.
     distances_m, half = np.abs(residuals), len(residuals) // 2
     distances_m.partition((half - 1, half))
     median_m = distances_m[half] if len(residuals) % 2 else 0.5 * (distances_m[half - 1] + distances_m[half])

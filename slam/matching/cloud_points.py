@@ -12,20 +12,19 @@ from fusion.kernel import ZERO, kernel
 from slam.config.clouds import CloudOdometryConfig
 from slam.measurements import Float32Array, FloatArray, PointCloud
 
-# Times that span less than the first are no turn, more than the second are by no clock of a lidar.
+# Shortest and longest time span of a revolution.
 _SHORTEST_TURN_S, _LONGEST_TURN_S = 2e-3, 2.0
-# A turn is cut into so many slices; within one the robot stands.
+# A revolution has so many slices; within one the pose is constant.
 SLICES = 64
 
 
 def base_points(cloud: PointCloud, twist: FloatArray, config: CloudOdometryConfig) -> FloatArray:
-    """(M, 3) usable points in the base frame at the cloud's stamp.
+    """Return (M, 3) usable points in the base frame at the cloud's stamp.
 
     Parameters
     ----------
     twist
-        (6,) motion of the base a second, GTSAM's tangent, by which the turn is deskewed where the points'
-        times are known.
+        (6,) motion of the base per second, GTSAM's tangent, for deskewing if the points' times are known.
     """
     placed, numbers = _usable(cloud, config)
     if len(placed) and cloud.times_s is not None and deskewed(cloud, config) and twist.any():
@@ -34,20 +33,20 @@ def base_points(cloud: PointCloud, twist: FloatArray, config: CloudOdometryConfi
 
 
 def usable_intensities(cloud: PointCloud, config: CloudOdometryConfig) -> Float32Array | None:
-    """(M,) of the points of `base_points`; None if the cloud does not tell them."""
+    """Return (M,) intensities of the points of `base_points`; None if the cloud has none."""
     return None if cloud.intensities is None else cloud.intensities[_usable(cloud, config)[1]]
 
 
 def deskewed(cloud: PointCloud, config: CloudOdometryConfig) -> bool:
-    """Whether the motion within a turn is undone."""
+    """Return whether the motion within a revolution is corrected."""
     return config.deskew and cloud.times_s is not None and turn_known(cloud.times_s)
 
 
 def at_middle_of_turn(cloud: PointCloud, config: CloudOdometryConfig) -> PointCloud:
-    """The same points, stamped in the middle of the turn where it is deskewed.
+    """Return the same points, stamped at the middle of the revolution if it is deskewed.
 
-    There a twist that is a bit off moves nothing to first order. At the beginning it moves the pose, the next
-    twist is off by as much the other way, and so on, without end.
+    There, a small error of the twist has no first-order effect. At the start, it shifts the pose, the next
+    twist is wrong by as much in the other direction, and so on.
     """
     if not deskewed(cloud, config) or cloud.times_s is None:
         return cloud
@@ -56,7 +55,7 @@ def at_middle_of_turn(cloud: PointCloud, config: CloudOdometryConfig) -> PointCl
 
 
 def turn_known(times_s: FloatArray) -> bool:
-    """Whether the times of points are those of a turn, not all the same or by some other clock."""
+    """Return whether the times of points span a revolution: not all the same, nor of another clock."""
     if not len(times_s) or not np.isfinite(times_s).all():
         return False
     span_s = float(np.ptp(times_s))
@@ -64,7 +63,7 @@ def turn_known(times_s: FloatArray) -> bool:
 
 
 def voxel_of(points: FloatArray, config: CloudOdometryConfig) -> float:
-    """The side of a voxel: as configured, else a share of the median range."""
+    """Return the side of a voxel: as configured, else a share of the median range."""
     if config.voxel_m is not None:
         return config.voxel_m
     median_m = float(np.median(np.linalg.norm(points, axis=1)))
@@ -72,7 +71,7 @@ def voxel_of(points: FloatArray, config: CloudOdometryConfig) -> float:
 
 
 def _usable(cloud: PointCloud, config: CloudOdometryConfig) -> tuple[FloatArray, NDArray[np.int64]]:
-    """(M, 3) points that are neither too near nor too far, base frame, and their numbers (M,)."""
+    """Return (M, 3) points that are neither too near nor too far, base frame, and their indices (M,)."""
     points = np.asarray(cloud.points_lidar).reshape(-1, 3)
     T = cloud.T_base_lidar
     placed, numbers = np.empty((len(points), 3)), np.empty(len(points), np.int64)
@@ -82,7 +81,7 @@ def _usable(cloud: PointCloud, config: CloudOdometryConfig) -> tuple[FloatArray,
 
 
 def _straighten(points: FloatArray, times_s: FloatArray, twist: FloatArray) -> None:
-    """Move points to where they would be seen at the stamp, by a constant twist."""
+    """Deskew points to the stamp with a constant twist."""
     first_s, last_s = float(times_s.min()), float(times_s.max())
     if last_s <= first_s:
         return
@@ -95,7 +94,7 @@ def _straighten(points: FloatArray, times_s: FloatArray, twist: FloatArray) -> N
 
 @kernel
 def _within(points, rotation, shift, least, most, placed, numbers):  # type: ignore[no-untyped-def]
-    """Points (N, 3) between two squared distances, turned and shifted, and their numbers; how many."""
+    """Write transformed points (N, 3) between two squared distances, and indices; return their number."""
     count = ZERO
     for i in range(points.shape[0]):
         x = np.float64(points[i, 0])
@@ -112,7 +111,7 @@ def _within(points, rotation, shift, least, most, placed, numbers):  # type: ign
 
 @kernel
 def _move(points, slices, rotations, shifts):  # type: ignore[no-untyped-def]
-    """Turn and shift each point (N, 3), in place, as its slice (N,) of the turn asks."""
+    """Transform each point (N, 3), in place, by the pose of its slice (N,)."""
     last = rotations.shape[0] - 1
     for i in range(points.shape[0]):
         n = min(int(slices[i]), last)

@@ -25,9 +25,9 @@ def align_coarse_to_fine(
 ) -> Alignment:
     """As `slam.matching.point_to_line.align`, twice, and `slam.matching.score_spread.score_spread`.
 
-    Both alignments are held by the prior at the guess, where the first begins. Each has a map and the width
-    of its kernel, metres. The coarse one has ``settled`` where a step is below so many metres and radians:
-    the fine one goes on from there.
+    Both alignments have the prior at the guess, where the first one starts. Each has a map and the width
+    of its kernel, metres. The coarse one has ``settled`` if a step is below so many metres and radians: the
+    fine one continues from there.
     """
     pose, hessian, spread = np.empty(3), np.empty((3, 3)), np.empty((3, 3))
     terms, sums = np.zeros((len(points), 5)), np.empty((len(points) + 1, 3))
@@ -41,7 +41,7 @@ def align_coarse_to_fine(
 def _align(  # type: ignore[no-untyped-def]
     points, normals, guess, coarse, fine, iterations, settled, prior, lags, terms, sums, pose, hessian, spread
 ):
-    """Write the pose, its Hessian and its spread; ``terms`` (M, 5) are zeros, ``sums`` (M + 1, 3) room."""
+    """Write the pose, its Hessian and spread; ``terms`` (M, 5) are zeros, ``sums`` (M + 1, 3) a buffer."""
     pose[0], pose[1], pose[2] = guess[0], guess[1], guess[2]
     exactly = SETTLED, SETTLED
     align_into(points, normals, guess, *coarse, iterations, settled, prior, terms, pose, hessian)

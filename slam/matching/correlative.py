@@ -73,7 +73,7 @@ def build_field(points: AnyFloatArray, cell_m: float, sigma_m: float) -> Likelih
 
 
 def blurred(points: AnyFloatArray, cell_m: float, sigma_m: float) -> tuple[NDArray[np.uint8], float, float]:
-    """A picture of (M, 2) points, M > 0, each a Gaussian blob, and the x and y of its lower-left corner.
+    """Return an image of (M, 2) points, M > 0, each a Gaussian blob, and x, y of its lower-left corner.
 
     Where blobs overlap, the higher one counts.
     """
@@ -89,7 +89,7 @@ def blurred(points: AnyFloatArray, cell_m: float, sigma_m: float) -> tuple[NDArr
     met = np.flatnonzero(level)
     dy, dx = np.indices((2 * radius + 1, 2 * radius + 1)) - radius
     squared = dx * dx + dy * dy
-    # From the rim of the blobs to their middles: what is drawn last is the highest.
+    # From the border of the blobs to their centres: the last value drawn is the highest.
     for distance in np.unique(squared)[::-1].tolist():
         height = int(255.0 * math.exp(-0.5 * (distance * cell_m * cell_m) / (sigma_m * sigma_m)))
         ring = (dy * level.shape[1] + dx)[squared == distance]
@@ -145,7 +145,7 @@ def _branch_and_bound(
     width_steps: int,
     least: int,
 ) -> tuple[int, int, int, int]:
-    """Best score sum, its x and y offset in pixels and its yaw's number (-1 if none is above ``least``)."""
+    """Return the best score sum, its x, y offset in pixels and its yaw index (-1 if not above ``least``)."""
     levels, top = field.levels, len(field.levels) - 1
     while top > 0 and (1 << top) > 2 * width_steps + 1:
         top -= 1
@@ -179,7 +179,7 @@ def _bound_all(  # type: ignore[no-untyped-def]
 
 @kernel
 def _descend(levels, columns, rows, width_steps, least, top, side, bounds, order, stack):  # type: ignore[no-untyped-def]
-    """Depth first through the blocks, in the order of their bounds.
+    """Search the blocks depth first, in the order of their bounds.
 
     A row of ``stack`` names one quarter of a block that was cut: its bound times four and which quarter, its
     level, and the first x and y of the block.
@@ -213,13 +213,13 @@ def _descend(levels, columns, rows, width_steps, least, top, side, bounds, order
             for quarter in range(4):
                 x = dx + ((quarter & 1) << level)
                 y = dy + ((quarter >> 1) << level)
-                # The last block of a row reaches beyond the window.
+                # The last block of a row extends beyond the window.
                 if x > width_steps or y > width_steps:
                     continue
                 bound = _score(levels, level, columns, rows, turn, x, y)
                 if bound <= best:
                     continue
-                # The quarter of the highest bound on top.
+                # The quarter with the highest bound on top.
                 key = 4 * bound + quarter
                 place = depth
                 while place > first and stack[place - 1, 0] > key:
@@ -235,7 +235,7 @@ def _descend(levels, columns, rows, width_steps, least, top, side, bounds, order
 
 @kernel(inline="always")
 def _score(levels, level, columns, rows, turn, dx, dy):  # type: ignore[no-untyped-def]
-    """Upper bound of the score sum over a block of 2^level x 2^level offsets that starts at (dx, dy)."""
+    """Return an upper bound of the score sum over a block of 2^level x 2^level offsets from (dx, dy)."""
     total = ZERO
     reach = (1 << level) - 1
     for i in range(columns.shape[1]):

@@ -17,12 +17,12 @@ from numpy.typing import NDArray
 from fusion.estimation import TINY
 from slam.measurements import AnyFloatArray, FloatArray
 
-# Directions over half a turn, bins of a projection, and the lowest of its frequencies but the mean.
+# Directions over 180 degrees, bins of a projection, and number of its lowest frequencies, without mean.
 _DIRECTIONS, _BINS, _FREQUENCIES = 60, 96, 24
 
 
 def hough_spectrum(points: AnyFloatArray, normals: AnyFloatArray, bin_m: float) -> FloatArray:
-    """(frequencies, directions) magnitudes, of norm 1.
+    """Return (frequencies, directions) magnitudes, of norm 1.
 
     Parameters
     ----------
@@ -34,7 +34,7 @@ def hough_spectrum(points: AnyFloatArray, normals: AnyFloatArray, bin_m: float) 
     angles = np.arange(_DIRECTIONS) * (np.pi / _DIRECTIONS)
     axes = np.array([np.cos(angles), np.sin(angles)])
     bins = np.floor(points @ axes / bin_m).astype(np.int64) % _BINS
-    # A wall counts where it is seen edge on.
+    # A wall counts in the direction of its normal.
     weights = np.square(normals @ axes)
     cells = bins + _BINS * np.arange(_DIRECTIONS)
     heights = np.bincount(cells.ravel(), weights.ravel(), _BINS * _DIRECTIONS).reshape(_DIRECTIONS, _BINS)
@@ -43,27 +43,27 @@ def hough_spectrum(points: AnyFloatArray, normals: AnyFloatArray, bin_m: float) 
 
 
 class SpectrumBank:
-    """Many spectra, each compared with all of them at once.
+    """Many spectra, for comparison with all of them at once.
 
     Parameters
     ----------
     spectra
-        At least one, as of `hough_spectrum`.
+        At least one result of `hough_spectrum`.
     """
 
     def __init__(self, spectra: Iterable[FloatArray]) -> None:
-        # A circular correlation over the turns, all frequencies together; no spectrum is there twice.
+        # A circular correlation over the yaws, all frequencies together; no spectrum is stored twice.
         self._turned = np.array([np.fft.rfft(one, axis=1).astype(np.complex64) for one in spectra])
 
     def likeness(self, number: int, others: NDArray[np.int64]) -> FloatArray:
-        """Greatest correlation, 0..1 over all turns, of a spectrum with each of some others."""
+        """Return the highest correlation, 0..1 over all yaws, of a spectrum with each of some others."""
         return np.asarray(self._correlations(number, others).max(axis=1, initial=0.0))
 
     def turns(self, number: int, other: int) -> tuple[FloatArray, float]:
-        """(k,) yaws, 4 at most, at which a spectrum looks most like another, and how exact they are.
+        """Return (k,) yaws, 4 at most, at which a spectrum is most similar to another, and their tolerance.
 
-        These are the two highest peaks of the correlation: walls run along two directions as a rule, and half
-        a turn more looks the same.
+        These are the two highest peaks of the correlation: walls usually run along two directions, and half a
+        turn more looks the same.
         """
         (likeness,) = self._correlations(number, np.array([other]))
         (peaks,) = np.nonzero(likeness >= np.maximum(np.roll(likeness, 1), np.roll(likeness, -1)))
@@ -71,6 +71,6 @@ class SpectrumBank:
         return np.concatenate([likest, likest + _DIRECTIONS]) * step_rad, 2 * step_rad
 
     def _correlations(self, number: int, others: NDArray[np.int64]) -> FloatArray:
-        """(K, directions) of a spectrum with others, by its turn in their frames."""
+        """Return (K, directions) the correlations of a spectrum with others, by its yaw in their frames."""
         products = np.einsum("kft,ft->kt", self._turned[others], np.conj(self._turned[number]))
         return np.fft.irfft(products, _DIRECTIONS)

@@ -27,22 +27,22 @@ from slam.matching.cloud_alignment import (
 from slam.matching.plane_voxels import PlaneVoxels
 from slam.measurements import FloatArray
 
-# In voxels: how far a pose may be off that is looked for from afar.
+# In voxels: largest error of a pose for the search with a wide reach.
 REACH = 5.0
-# Points that find the way: what follows takes them all.
+# Number of points of the coarse search; the next step uses all.
 _ARRIVING_POINTS = 1500
-# Points that know nothing of the planes lie evenly within the kernel; so many voxels RMS are nearly that.
+# Points unrelated to the planes are uniform within the kernel; so many voxels RMS are nearly that.
 _CHANCE = 0.45
 
 
 @dataclass(frozen=True, slots=True)
 class Aligned:
-    """An alignment with the motion made of it.
+    """An alignment and its motion.
 
     Attributes
     ----------
     near
-        Whether it settled where it was expected, and nearly all points agree: no other guess is needed.
+        Whether it converged as expected, and nearly all points agree: no other guess is needed.
     """
 
     found: CloudAlignment
@@ -51,12 +51,12 @@ class Aligned:
 
 
 class LocalCloud:
-    """A map to match to.
+    """Map for matching.
 
     Parameters
     ----------
     planes
-        Of its clouds.
+        Planes of its clouds.
     voxel_m
         Side of a voxel.
     """
@@ -67,7 +67,7 @@ class LocalCloud:
 
     @classmethod
     def of(cls, points: FloatArray, voxel_m: float, config: Config) -> LocalCloud:
-        """The map of a cloud (N, 3), with rough planes."""
+        """Create the map of a cloud (N, 3), with rough planes."""
         return cls(PlaneVoxels.build(points, voxel_m, config.cloud_odometry.thickness_m, 1), voxel_m, config)
 
     def align(
@@ -84,9 +84,9 @@ class LocalCloud:
         guess
             ``T_map_base``.
         reach_m
-            How far the guess may be off; None if it is expected to be right within a voxel.
+            Largest error of the guess; None if it is expected to be correct within a voxel.
         least_agreement
-            Share of points on planes with which planes alone are believed.
+            Share of points on planes at which planes alone are trusted.
         """
         if len(scan) < FEWEST or not len(self.planes):
             return None
@@ -100,12 +100,12 @@ class LocalCloud:
         return self._aligned(found, guess, near=near)
 
     def refine(self, scan: FloatArray, guess: gtsam.Pose3) -> Aligned | None:
-        """The same from a guess that is right within a voxel, by the planes alone."""
+        """Align from a guess that is correct within a voxel, by the planes alone."""
         found = self._by_planes(scan, guess) if len(scan) >= FEWEST and len(self.planes) else None
         return self._aligned(found, guess, near=found is not None and self._is_near(found, guess))
 
     def _aligned(self, found: CloudAlignment | None, guess: gtsam.Pose3, *, near: bool) -> Aligned | None:
-        """An alignment, if enough points fit better than by chance."""
+        """Return an alignment if enough points fit better than by chance."""
         if found is None or found.pair_count < self._config.cloud_odometry.least_pairs:
             return None
         if not found.residual_m < _CHANCE * self._voxel_m:
@@ -113,10 +113,10 @@ class LocalCloud:
         return Aligned(found, motion_of(found, self._config, guess), near)
 
     def settled(self, scan: FloatArray, one: Aligned) -> Aligned:
-        """A match of a scan (N, 3) that leaves a direction open, at where it settles along it, if it does.
+        """Return a match of a scan (N, 3) with an undetermined direction where it converges along it, if so.
 
-        Along a street with few walls it comes there from a voxel to either side; in a tunnel it stays where
-        it is begun. It claims no more for that.
+        On a street with few walls, it converges from a voxel to either side; in a tunnel it stays at its
+        start. Its covariance stays the same.
         """
         if not one.motion.degenerate:
             return one
@@ -130,33 +130,33 @@ class LocalCloud:
         return replace(one, motion=replace(one.motion, T_reference_base=pose))
 
     def best_of(self, scan: FloatArray, starts: Sequence[gtsam.Pose3]) -> gtsam.Pose3:
-        """The start ``T_map_base`` that leads a part of the scan to most points on planes, moved there."""
+        """Return the aligned start ``T_map_base`` with most points of a part of the scan on planes."""
         part = _part(scan, _ARRIVING_POINTS)
         found = [self._by_planes(part, start) for start in starts]
         best = max(found, key=lambda one: 0.0 if one is None else one.agreement)
         return starts[0] if best is None else best.pose
 
     def agreement(self, scan: FloatArray, pose: gtsam.Pose3) -> float:
-        """Share of a thinned scan (N, 3), base frame, that lies on planes from ``T_map_base``."""
+        """Return the share of a thinned scan (N, 3), base frame, on planes at ``T_map_base``."""
         residuals = self.planes.residuals(scan, pose.matrix()).distances_m
         return share_on_planes(residuals, self._voxel_m, len(scan))
 
     def _by_planes(self, scan: FloatArray, start: gtsam.Pose3) -> CloudAlignment | None:
-        """The point-to-plane alignment."""
+        """Return the point-to-plane alignment."""
         return align_cloud(scan, self.planes, start, self._config.match.iterations, self._voxel_m)
 
     def _is_near(self, found: CloudAlignment, guess: gtsam.Pose3) -> bool:
-        """Whether an alignment settled where it was expected."""
+        """Return whether an alignment converged near its expected pose."""
         moved_m = np.abs(levers(found.arms_m) @ gtsam.Pose3.Logmap(guess.between(found.pose)))
         confident = found.converged and found.inlier_share >= self._config.match.confident_inlier_share
         return bool(confident and moved_m.max() <= self._voxel_m)
 
 
 def _part(scan: FloatArray, count: int) -> FloatArray:
-    """About so many points, evenly taken."""
+    """Return about so many points, evenly sampled."""
     return scan[:: -(-len(scan) // count)]
 
 
 def moved(points: FloatArray, pose: gtsam.Pose3) -> FloatArray:
-    """Points (N, 3) of frame b in frame a by ``T_a_b``."""
+    """Transform points (N, 3) from frame b to frame a by ``T_a_b``."""
     return to_frame(points, pose.matrix())

@@ -25,13 +25,13 @@ from slam.matching.visibility import RangeImage, RangeImages, standing_before
 from slam.measurements import BoolArray, Float32Array, FloatArray
 
 Seen: TypeAlias = Sequence[Callable[[], RangeImage]]
-# Enough to hold a direction that the points determine badly against their noise.
+# Enough to fix a poorly determined direction against the noise of the points.
 _HELD_POINTS = 300.0
 
 
 @dataclass(frozen=True, slots=True)
 class OrientedPoints:
-    """Points that all have a normal: (M, 2) each, float32, in one frame."""
+    """Points with normals: (M, 2) each, float32, in one frame."""
 
     points: Float32Array
     normals: Float32Array
@@ -41,12 +41,12 @@ class OrientedPoints:
 
     @classmethod
     def from_scan(cls, scan: ScanPoints) -> OrientedPoints:
-        """The oriented part of a scan, base frame."""
+        """Return the oriented part of a scan, base frame."""
         return cls(*scan.oriented())
 
     @classmethod
     def surface(cls, scan: ScanPoints) -> OrientedPoints:
-        """What a map learns of a scan, base frame: its oriented part, and the walls between far readings."""
+        """Return the surface of a scan, base frame: its oriented part, and walls between far readings."""
         points, normals = scan.oriented()
         if not len(scan.walls_base):
             return cls(points, normals)
@@ -56,11 +56,11 @@ class OrientedPoints:
 
     @classmethod
     def none(cls) -> OrientedPoints:
-        """No points."""
+        """Return no points."""
         return cls(np.zeros((0, 2), np.float32), np.zeros((0, 2), np.float32))
 
     def moved(self, pose: FloatArray) -> OrientedPoints:
-        """The same points seen from the frame in which ``pose`` (3,) is the pose of theirs."""
+        """Transform the points to the frame in which ``pose`` (3,) is the pose of their frame."""
         points = np.empty_like(self.points)
         normals = np.empty_like(self.normals)
         transform_into(self.points, pose, points, False)
@@ -68,17 +68,17 @@ class OrientedPoints:
         return OrientedPoints(points, normals)
 
     def only(self, chosen: BoolArray | NDArray[np.intp] | slice) -> OrientedPoints:
-        """Some of the points."""
+        """Return some of the points."""
         return OrientedPoints(self.points[chosen], self.normals[chosen])
 
     def thinned(self, count: int) -> Float32Array:
-        """About ``count`` of the points, evenly taken in beam order, (K, 2)."""
+        """Return about ``count`` of the points, evenly sampled in beam order, (K, 2)."""
         return np.ascontiguousarray(self.points[:: max(1, -(-len(self) // count))])
 
 
 @dataclass(frozen=True)
 class LocalMap:
-    """Points of some keyframes in one frame, their surfels, and what those keyframes have looked through."""
+    """Points of some keyframes in one frame, their surfels, and the free space seen by those keyframes."""
 
     points: OrientedPoints
     coarse: SurfelMap
@@ -88,12 +88,12 @@ class LocalMap:
 
     @cached_property
     def _images(self) -> RangeImages:
-        """What the keyframes have looked through, joined when first asked for."""
+        """Return the free space seen by the keyframes, joined at first use."""
         return RangeImages.of(image() for image in self.images)
 
     @classmethod
     def build(cls, parts: list[OrientedPoints], config: MatchConfig, images: Seen = ()) -> LocalMap:
-        """Join scans that are already in the map's frame; `evidence` asks for their range images."""
+        """Join scans that are already in the map's frame; `evidence` uses their range images."""
         points = OrientedPoints(
             np.concatenate([part.points for part in parts]), np.concatenate([part.normals for part in parts])
         )
@@ -104,10 +104,10 @@ class LocalMap:
     def align(self, scan: OrientedPoints, guess: FloatArray) -> Alignment:
         """Align a scan (base frame) from a guess (3,), coarse first, then fine.
 
-        Where the scan leaves a direction open (a corridor), the guess keeps it: the noise of the normals
-        would otherwise decide (solution remapping, Zhang 2016).
+        If a direction is undetermined (a corridor), the guess is kept there: otherwise the noise of the
+        normals would decide (solution remapping, Zhang 2016).
         """
-        # In points: far below any wall, enough to hold what no point determines.
+        # In points: far below any wall, enough to fix an undetermined direction.
         loose = np.eye(3)
         result = self._align(scan, guess, loose)
         weak = weak_direction(result, self.config.degenerate_share)
@@ -120,7 +120,7 @@ class LocalMap:
         return self._align(scan, guess, _HELD_POINTS * diagonal(1.0, 1.0, 0.0))
 
     def judge(self, scan: OrientedPoints, pose: FloatArray) -> Alignment:
-        """Hessian, residual and inlier share of a scan (base frame) at a pose (3,), without moving it."""
+        """Return Hessian, residual and inlier share of a scan (base frame) at a fixed pose (3,)."""
         config = self.config
         kernel_m = 0.5 * config.cell_m
         judged = align(scan.points, scan.normals, pose, pose, self.fine, kernel_m, 1, np.eye(3) / TINY)
@@ -128,12 +128,12 @@ class LocalMap:
         return judged._replace(pose=pose, converged=True, spread=spread)
 
     def evidence(self, scan: OrientedPoints, pose: FloatArray, other: Motion) -> FloatArray:
-        """What every object of a scan (base frame) says for a pose (3,) over another, in independent points.
+        """Return the evidence of each object of a scan (base frame) for a pose (3,) over another, in points.
 
         Returns
         -------
-        (2, K) where points fit, or contradict what the scans that made the map have seen; and where they fit
-        while the map knows nothing of the other pose's ground.
+        (2, K) independent points that fit, or contradict the scans of the map; and that fit while the area at
+        the other pose is unknown.
         """
         judged = self.judge(scan, pose)
         usual = judged.fit / max(judged.inlier_share, TINY)
@@ -146,16 +146,15 @@ class LocalMap:
         return np.stack([known, whole - known]) / points_a_witness(judged)
 
     def contradicted(self, scan: OrientedPoints, pose: FloatArray) -> float:
-        """Share of a scan's points (base frame) that contradict the map at a pose (3,)."""
+        """Return the share of a scan's points (base frame) that contradict the map at a pose (3,)."""
         weights, contradicts = self._fits(scan, Motion(pose, np.zeros((3, 3))))
         return float((1.0 - weights) @ contradicts) / len(scan)
 
     def _fits(self, scan: OrientedPoints, at: Motion) -> tuple[FloatArray, BoolArray]:
-        """(M,) robust weights of a scan's points, and whether they contradict the map.
+        """Return (M,) robust weights of a scan's points, and whether they contradict the map.
 
-        A point contradicts it where a scan has looked through, and where it was seen through what
-        stands in the map; farther from there than a surfel reaches, and than the covariance of
-        the pose may have put it.
+        A point contradicts it if a scan saw free space there, or if it was seen through an object of the map;
+        farther away than a surfel reaches, and than the covariance of the pose explains.
         """
         weights = terms_at(scan.points, scan.normals, at.pose, self.fine, 0.5 * self.config.cell_m)[:, 3]
         x, y = scan.points.astype(np.float64).T
@@ -163,7 +162,7 @@ class LocalMap:
         variance = xx + yy + 2.0 * (yt * x - xt * y) + tt * (x * x + y * y)
         margins_m = 0.5 * self.config.coarse_cell_m + np.sqrt(variance)
         passed = self._images.less_far(transform_points(scan.points, at.pose), margins_m, 1)
-        # All but what scans have looked through since: who walks leaves a trail in the map.
+        # Without points that later scans saw as free: a walking person leaves a trail in the map.
         reach_m = 0.5 * self.config.coarse_cell_m
         map_points = self.points.points
         standing = standing_before(map_points, self._images, reach_m, at.pose, scan.points, margins_m)
@@ -171,7 +170,7 @@ class LocalMap:
         return weights, passed | crossed
 
     def _align(self, scan: OrientedPoints, guess: FloatArray, prior: FloatArray) -> Alignment:
-        """Coarse, then fine, both tied to the same guess."""
+        """Align coarse, then fine, both with a prior at the same guess."""
         config = self.config
         levels = (self.coarse, config.cell_m), (self.fine, 0.5 * config.cell_m)
         lags, settled = config.correlated_beams, (config.floor_m, config.floor_rad)

@@ -14,9 +14,9 @@ from slam.matching.planar import diagonal
 from slam.matching.point_to_line import Alignment
 from slam.measurements import FloatArray, pose2_from_row
 
-# In points: no direction is infinitely uncertain.
+# In points: limits the uncertainty of any direction.
 LEAST_EIGENVALUE = 0.01
-# Sigma of a direction that is not determined: no information, and a covariance still.
+# Sigma of an undetermined direction: practically no information.
 OPEN_M = 30.0
 
 
@@ -25,14 +25,14 @@ def motion_from_alignment(alignment: Alignment, noise: MatchConfig) -> MotionEst
 
     The covariance is H^-1 S H^-1 with the spread S of the gradient, in which neighbouring beams share their
     errors as much as the residuals show (Newey and West 1987). With independent residuals that is s^2 H^-1
-    (Censi 2007 shows when this is right). Of a direction that the scan does not determine nothing is said: it
-    gets a variance beside which that of whatever else measures it counts alone.
+    (Censi 2007 shows when this is right). An undetermined direction gets a variance so large that only other
+    measurements of it count.
     """
     weak = weak_direction(alignment, noise.degenerate_share)
     scale = (
         max(alignment.residual_m, noise.minimal_residual_m) if math.isfinite(alignment.residual_m) else 1.0
     )
-    # Points that fit nothing are a doubt about all the others.
+    # Points without a fit reduce the trust in all others.
     doubt = 1.0 / max(alignment.inlier_share, 0.1) ** 2
     # An edge ends at two keyframes, and the one that it starts from was itself matched as well as this one.
     covariance = 2.0 * doubt * scale**2 * _widened(alignment)[0]
@@ -52,18 +52,18 @@ def motion_from_alignment(alignment: Alignment, noise: MatchConfig) -> MotionEst
 
 
 def weak_direction(alignment: Alignment, degenerate_share: float) -> FloatArray | None:
-    """Unit tangent (3,) of the translation that a match does not determine; None if all is determined.
+    """Return the unit tangent (3,) of an undetermined translation; None if all is determined.
 
     The rotation is eliminated first (Schur complement): what counts is the information on a direction when
     the yaw is free. It is compared with the number of points, so it does not depend on the beam count.
     """
-    # Less than one point's worth determines nothing.
+    # Less than the information of one point determines nothing.
     least = degenerate_share * max(alignment.weight, 1.0)
     (xx, xy, xt), (_, yy, yt), (_, _, tt) = alignment.hessian.tolist()
     xx, yy, tt = xx + TINY, yy + TINY, tt + TINY
     xx, xy, yy = xx - xt * xt / tt, xy - xt * yt / tt, yy - yt * yt / tt
     lower = 0.5 * (xx + yy) - math.hypot(0.5 * (xx - yy), xy)
-    # Clearly determined, as nearly always: rounding leaves no doubt of that.
+    # Clearly determined, as nearly always, regardless of rounding.
     if lower - TINY * (xx + yy) > least:
         return None
     eigenvalues, eigenvectors = np.linalg.eigh(np.array([[xx, xy], [xy, yy]]))
@@ -73,15 +73,15 @@ def weak_direction(alignment: Alignment, degenerate_share: float) -> FloatArray 
 
 
 def points_a_witness(alignment: Alignment) -> float:
-    """How many neighbouring points share their errors, as the residuals show: 1 where all are independent."""
+    """Return how many neighbouring points share their errors, by the residuals: 1 if all are independent."""
     return _widened(alignment)[1]
 
 
 def _widened(alignment: Alignment) -> tuple[FloatArray, float]:
-    """H^-1 widened by what residuals share, (3, 3), for one of 1; by how much, in the mean of its axes.
+    """Return H^-1 widened for correlated residuals, (3, 3), at unit variance; and the mean factor.
 
-    Eigenvalues of the Hessian are held above a hundredth of a point: no direction is infinitely uncertain.
-    Residuals that seem to share less than nothing do so by chance.
+    Eigenvalues of the Hessian are at least a hundredth of a point: no direction is infinitely uncertain.
+    Negatively correlated residuals are so by chance.
     """
     spread, squared = alignment.spread, alignment.residual_m**2
     if spread is None or not 0.0 < squared < math.inf:
@@ -93,7 +93,7 @@ def _widened(alignment: Alignment) -> tuple[FloatArray, float]:
 
 @kernel(error_model="numpy")
 def _widen(hessian, spread, squared, axes, whitened, directions, covariance):  # type: ignore[no-untyped-def]
-    """Write the covariance of `_widened`; the mean of what the residuals share. All (3, 3)."""
+    """Write the covariance of `_widened`; return the mean factor. All (3, 3)."""
     _diagonalize(hessian, axes)
     for k in range(3):
         root = 1.0 / math.sqrt(max(hessian[k, k], LEAST_EIGENVALUE))
@@ -125,7 +125,7 @@ def _widen(hessian, spread, squared, axes, whitened, directions, covariance):  #
 
 @kernel
 def _diagonalize(matrix, axes):  # type: ignore[no-untyped-def]
-    """Turn a symmetric (3, 3) matrix until it is diagonal, by Jacobi's rotations; its axes are columns."""
+    """Diagonalise a symmetric (3, 3) matrix by Jacobi rotations; its axes are columns."""
     for i in range(3):
         for j in range(3):
             axes[i, j] = 1.0 if i == j else 0.0

@@ -6,16 +6,16 @@ from fusion.kernel import ZERO, kernel
 from fusion.voxel_hash import AXIS_BITS
 from slam.matching.plane_kernels import across
 
-# A cell so much of its side off a plane is hardly of it.
+# A cell farther from a plane than this share of its side hardly belongs to it.
 _OFF = 0.125
 
 
 @kernel(nogil=True)
 def smooth_normals(keys, sums, size_m, begun, around, normals):  # type: ignore[no-untyped-def]
-    """Normals (V, 3) across the points in each cell and in the 26 around it; else upright.
+    """Return normals (V, 3) of the points in each cell and the 26 around it; vertical if undetermined.
 
-    Fitted twice: the second time a cell whose middle lies off the first plane counts less, so that normals
-    near an edge are those of one side.
+    Fitted twice: in the second fit, a cell with its centre off the first plane has less weight, so that
+    normals near an edge are those of one side.
 
     Parameters
     ----------

@@ -13,13 +13,13 @@ import numpy as np
 from fusion.kernel import NONE, kernel
 from slam.measurements import AnyFloatArray, FloatArray
 
-# Neighbouring points further apart than this are on different objects; a wall is cut at every metre.
+# Neighbouring points farther apart than this are on different objects; a wall is divided at every metre.
 GAP_M = 0.2
 LONGEST_M = 1.0
 
 
 def object_evidence(points: AnyFloatArray, gain: FloatArray) -> FloatArray:
-    """Sums (K,), an object each, of what each of (M, 2) points in beam order says, (M,)."""
+    """Return sums (K,) per object of the evidence (M,) of points (M, 2) in beam order."""
     objects = np.empty(points.shape[0], np.int64)
     _number_objects(points, objects)
     return np.asarray(np.bincount(objects, gain), np.float64)
@@ -27,7 +27,7 @@ def object_evidence(points: AnyFloatArray, gain: FloatArray) -> FloatArray:
 
 @kernel
 def _number_objects(points, objects):  # type: ignore[no-untyped-def]
-    """Write the number of the object of each point: runs of neighbouring points."""
+    """Write the object number of each point: runs of neighbouring points."""
     number = NONE
     first_x = first_y = before_x = before_y = 0.0
     for i in range(points.shape[0]):

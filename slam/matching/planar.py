@@ -11,7 +11,7 @@ from slam.measurements import AnyFloatArray, FloatArray
 
 
 def compose(a: FloatArray, b: FloatArray) -> FloatArray:
-    """T_a * T_b for two rows (3,).
+    """Return T_a * T_b for two rows (3,).
 
     Examples
     --------
@@ -27,7 +27,7 @@ def compose(a: FloatArray, b: FloatArray) -> FloatArray:
 
 
 def between(a: FloatArray, b: FloatArray) -> FloatArray:
-    """inverse(T_a) * T_b for two rows (3,).
+    """Return inverse(T_a) * T_b for two rows (3,).
 
     Examples
     --------
@@ -44,7 +44,7 @@ def between(a: FloatArray, b: FloatArray) -> FloatArray:
 
 
 def wrap(angle_rad: float) -> float:
-    """The same angle in [-pi, pi).
+    """Return the same angle in [-pi, pi).
 
     Examples
     --------
@@ -58,7 +58,7 @@ def wrap(angle_rad: float) -> float:
 
 @kernel
 def transform_into(rows, pose, out, rotate_only):  # type: ignore[no-untyped-def]
-    """Write the (M, 2) rows, moved by a pose (3,), into ``out``; directions are only rotated."""
+    """Write (M, 2) rows, transformed by a pose (3,), into ``out``; directions are only rotated."""
     cos = math.cos(pose[2])
     sin = math.sin(pose[2])
     tx = 0.0 if rotate_only else pose[0]
@@ -71,7 +71,7 @@ def transform_into(rows, pose, out, rotate_only):  # type: ignore[no-untyped-def
 
 
 def transform_points(points: AnyFloatArray, pose: FloatArray) -> FloatArray:
-    """(M, 2) points moved by a pose row (3,), float64.
+    """Return (M, 2) points transformed by a pose row (3,), float64.
 
     Examples
     --------
@@ -87,17 +87,17 @@ def transform_points(points: AnyFloatArray, pose: FloatArray) -> FloatArray:
 
 
 def diagonal(x: float, y: float, yaw: float) -> FloatArray:
-    """A diagonal matrix (3, 3); `numpy.diag` takes three times as long."""
+    """Return a diagonal matrix (3, 3); `numpy.diag` takes three times as long."""
     return np.array([[x, 0.0, 0.0], [0.0, y, 0.0], [0.0, 0.0, yaw]])
 
 
 def adjoint(pose: FloatArray) -> FloatArray:
-    """Adjoint of SE(2) in GTSAM's order (x, y, theta), (3, 3): covariance_a = Ad covariance_b Ad^T."""
+    """Return the SE(2) adjoint (3, 3), GTSAM's order (x, y, theta): covariance_a = Ad covariance_b Ad^T."""
     x, y, yaw = pose.tolist()
     cos, sin = math.cos(yaw), math.sin(yaw)
     return np.array([[cos, -sin, y], [sin, cos, -x], [0.0, 0.0, 1.0]])
 
 
 def rotate_covariance(adjoint_a_b: FloatArray, covariance_b: FloatArray) -> FloatArray:
-    """Ad covariance Ad^T, (3, 3): a covariance in the tangent space of b, seen in that of a."""
+    """Return Ad covariance Ad^T, (3, 3): a covariance of the tangent space of b in that of a."""
     return adjoint_a_b @ covariance_b @ adjoint_a_b.T

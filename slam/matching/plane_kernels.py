@@ -9,7 +9,7 @@ import numpy as np
 from fusion.kernel import NONE, ZERO, kernel
 from fusion.voxel_hash import AXIS, AXIS_BITS, HALF, entry_of, key_of, key_of_cell, slot_of
 
-# A ring of the lidar alone is a line: its second extent is noise, which tells no plane.
+# A single ring of the lidar is a line: its second extent is noise, and determines no plane.
 _LEAST_EXTENT = 0.12
 _LEAST_FLATNESS = 9.0
 _LEAST_POINTS = 6
@@ -17,7 +17,7 @@ _LEAST_POINTS = 6
 
 @kernel(nogil=True)
 def count_points(points, sign, sizes, known, table, keys, sums, marks, touched):  # type: ignore[no-untyped-def]
-    """Count points (N, 3) into moments of their voxels of every size, or out; how many, how many touched.
+    """Add points (N, 3) to the moments of their voxels of every size, or remove them; return both counts.
 
     Parameters
     ----------
@@ -60,7 +60,7 @@ def count_points(points, sign, sizes, known, table, keys, sums, marks, touched):
                 marks[k] = True
                 touched[changed] = k
                 changed += 1
-            # About the corner of its voxel a moment loses no digits.
+            # Relative to the corner of its voxel, a moment loses no digits.
             u = x - a * sizes[level]
             v = y - b * sizes[level]
             w = z - c * sizes[level]
@@ -100,7 +100,7 @@ def across(xx, xy, xz, yy, yz, zz):  # type: ignore[no-untyped-def]
     a = xx - least
     b = yy - least
     c = zz - least
-    # The longest cross product of two rows of what is left of the matrix.
+    # The longest cross product of two rows of the shifted matrix.
     nx = xy * yz - xz * b
     ny = xz * xy - a * yz
     nz = a * b - xy * xy
@@ -129,7 +129,7 @@ def across(xx, xy, xz, yy, yz, zz):  # type: ignore[no-untyped-def]
 
 @kernel
 def fit_planes(keys, sums, sizes, thickness_m, rough, lidar, least_sine, marks, touched, flat, planes):  # type: ignore[no-untyped-def]
-    """What each touched voxel holds: a plane (2), a rough one (1) or none; their marks are taken off.
+    """Fit each touched voxel: a plane (2), a rough one (1) or none; their marks are cleared.
 
     Into ``planes`` (V, 6) go center and normal; of rough ones, which count where ``rough`` is 1 and not 0,
     it is shorter by as much as they are thicker than ``thickness_m``. A ring that meets several walls is
@@ -176,7 +176,7 @@ def fit_planes(keys, sums, sizes, thickness_m, rough, lidar, least_sine, marks, 
 
 @kernel
 def pair_up(points, pose, sizes, table, keys, flat, planes, which, plane, residuals):  # type: ignore[no-untyped-def]
-    """The plane of the largest voxel around each point (N, 3) that has one, else a rough one; of how many.
+    """Find the plane of the largest voxel with one around each point (N, 3), or a rough one; count them.
 
     Parameters
     ----------
@@ -224,10 +224,10 @@ def pair_up(points, pose, sizes, table, keys, flat, planes, which, plane, residu
 
 @kernel
 def pull(points, pose, size_m, table, keys, sums, reach_m, pulls):  # type: ignore[no-untyped-def]
-    """Sums (16,) of what the middles of the largest voxels pull points (N, 3) by, seen from the base.
+    """Return sums (16,) of the pulls of the largest voxels' centres on points (N, 3), base frame.
 
-    Of weights, points, their products, and the pulls that turn and shift. The nearest middle pulls of those
-    in the voxel of a point and in the 26 around it; weights are Geman and McClure's, as wide as a voxel.
+    Of weights, points, their products, and the pulls that turn and shift. The nearest centre in the voxel of
+    a point and the 26 around it pulls; the weights are Geman-McClure, as wide as a voxel.
     """
     for i in range(points.shape[0]):
         a = points[i, 0]
@@ -237,7 +237,7 @@ def pull(points, pose, size_m, table, keys, sums, reach_m, pulls):  # type: igno
         y = pose[1, 0] * a + pose[1, 1] * b + pose[1, 2] * c + pose[1, 3]
         z = pose[2, 0] * a + pose[2, 1] * b + pose[2, 2] * c + pose[2, 3]
         own = key_of(x, y, z, size_m)
-        # From here on about the corner of the voxel.
+        # From here on relative to the corner of the voxel.
         x -= math.floor(x / size_m) * size_m
         y -= math.floor(y / size_m) * size_m
         z -= math.floor(z / size_m) * size_m
@@ -287,9 +287,9 @@ def pull(points, pose, size_m, table, keys, sums, reach_m, pulls):  # type: igno
 
 @kernel
 def normal_equations(points, pose, planes, which, plane, residuals, kernel_m, weights, gradients, sums):  # type: ignore[no-untyped-def]
-    """Weights (M,) and gradients (M, 6) of squared distances, for a motion of the base.
+    """Write weights (M,) and gradients (M, 6) of squared distances for a motion of the base.
 
-    Cauchy's weights; none beyond two kernels. Into ``sums`` (7, 6) go the Hessian and the gradients' sum.
+    Cauchy weights, zero beyond two kernels. Into ``sums`` (7, 6) go the Hessian and the gradients' sum.
     """
     for n in range(residuals.shape[0]):
         i = which[n]

@@ -26,9 +26,9 @@ class PlanePairs:
     Attributes
     ----------
     found
-        (N,) whether a point lies in a voxel with a plane.
+        (N,) whether a point is in a voxel with a plane.
     centers, normals
-        (M, 3) of those, in their order.
+        (M, 3) centres and normals of these planes, in order.
     planes
         (M,) number of the plane of each.
     """
@@ -57,18 +57,18 @@ class Residuals:
 
 
 class PlaneVoxels:
-    """Voxels in which clouds are counted, and the planes that they hold.
+    """Voxels with the moments of clouds, and their planes.
 
     Parameters
     ----------
     voxel_m
         Side of the smallest voxels.
     thickness_m
-        Standard deviation across a plane, at most.
+        Largest standard deviation across a plane.
     rough
-        1 where thicker ones count, too, by their thickness.
+        1 if thicker ones count, too, by their thickness.
     least_sine
-        Of the angle between a plane and the ray that tells it, by where a cloud was seen from.
+        Least sine of the angle between a plane and the rays that saw it.
     """
 
     def __init__(self, voxel_m: float, thickness_m: float, least_sine: float = 0.0, rough: int = 0) -> None:
@@ -80,7 +80,7 @@ class PlaneVoxels:
 
     @classmethod
     def build(cls, points: FloatArray, voxel_m: float, thickness_m: float, rough: int = 0) -> PlaneVoxels:
-        """The planes of a cloud (N, 3); the rest as above."""
+        """Create the planes of a cloud (N, 3); other parameters as above."""
         made = cls(voxel_m, thickness_m, rough=rough)
         made.add(points)
         return made
@@ -91,7 +91,7 @@ class PlaneVoxels:
     def add(
         self, points: FloatArray, gone: FloatArray | None = None, lidar: FloatArray | None = None
     ) -> None:
-        """Count a cloud (N, 3), seen from (3,), in and another out, and fit what they touch anew."""
+        """Add a cloud (N, 3), seen from (3,), remove another, and fit the touched voxels again."""
         points = np.ascontiguousarray(points, dtype=np.float64)
         gone = np.empty((0, 3)) if gone is None else np.ascontiguousarray(gone, dtype=np.float64)
         touched = np.empty((len(points) + len(gone)) * len(self._sizes_m), np.int64)
@@ -122,13 +122,13 @@ class PlaneVoxels:
             self._store(len(kept), kept)
 
     def settle(self) -> None:
-        """Keep what points are matched and drawn to, in as little room: no cloud is counted any more."""
+        """Compact the planes and centres for matching; no cloud can be added afterwards."""
         largest = self._keys[: self._count] >> 3 * AXIS_BITS == 0
         kept = np.flatnonzero((self._flat[: self._count] > 0) | largest)
         self._store(len(kept), kept)
 
     def residuals(self, points: FloatArray, T_map_base: FloatArray) -> Residuals:
-        """Of points (N, 3), base frame, from a pose (4, 4)."""
+        """Return the residuals of points (N, 3), base frame, at a pose (4, 4)."""
         which, voxels = np.empty(len(points), np.int64), np.empty(len(points), np.int64)
         distances_m = np.empty(len(points))
         known = self._sizes_m, self._table, self._keys, self._flat, self._planes
@@ -138,7 +138,7 @@ class PlaneVoxels:
     def normal_equations(
         self, points: FloatArray, T_map_base: FloatArray, residuals: Residuals, kernel_m: float
     ) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Robust weights (M,), weighted gradients (M, 6), and Hessian over their sum (7, 6).
+        """Return robust weights (M,), weighted gradients (M, 6), and Hessian over their sum (7, 6).
 
         In GTSAM's tangent of the base.
         """
@@ -149,13 +149,13 @@ class PlaneVoxels:
         return weights, gradients, sums
 
     def roughness(self, voxels: NDArray[np.int64]) -> float:
-        """Mean square thickness of the planes in voxels (M,) over the greatest that is none, at least 1."""
+        """Return the mean square thickness of planes in voxels (M,) over that of plain ones, at least 1."""
         return float(np.mean(1.0 / np.square(self._planes[voxels, 3:]).sum(axis=1)))
 
     def pulls(
         self, points: FloatArray, T_map_base: FloatArray, reach_m: float
     ) -> tuple[FloatArray, FloatArray]:
-        """Hessian (6, 6) and gradient (6,) of squared distances to the nearest middles of largest voxels."""
+        """Return Hessian (6, 6) and gradient (6,) of squared distances to the nearest voxel centres."""
         sums = np.zeros(16)
         pull(points, T_map_base, self._sizes_m[0], self._table, self._keys, self._sums, reach_m, sums)
         weight, (x, y, z), hessian = sums[0], sums[1:4], np.zeros((6, 6))
@@ -167,7 +167,7 @@ class PlaneVoxels:
         return hessian, sums[10:]
 
     def pairs(self, points: FloatArray) -> PlanePairs:
-        """The plane of the largest voxel around each point (N, 3), map frame, that has one."""
+        """Return the plane of the largest voxel with one around each point (N, 3), map frame."""
         residuals, flat = self.residuals(points, np.eye(4)), self._flat[: self._count] == 2
         voxels, found = residuals.voxels[flat[residuals.voxels]], np.zeros(len(points), dtype=np.bool_)
         found[residuals.which[flat[residuals.voxels]]] = True
@@ -175,7 +175,7 @@ class PlaneVoxels:
         return PlanePairs(found, planes[:, :3], planes[:, 3:], numbers)
 
     def _store(self, room: int, kept: NDArray[np.int64]) -> None:
-        """Make room for so many voxels, of which some are those of before."""
+        """Allocate arrays for so many voxels, and copy the existing ones."""
         count = self._count = len(kept)
         room = max(room, 1)
         keys, sums, planes = np.empty(room, np.int64), np.empty((room, 10)), np.empty((room, 6))
@@ -188,13 +188,13 @@ class PlaneVoxels:
 
 
 def surface_normals(points: FloatArray, size_m: float) -> FloatArray:
-    """Normals (N, 3), either way, across the points in the cell of each and in those around; else upright."""
+    """Return unoriented normals (N, 3) from the points in and around each cell, else vertical ones."""
     points = np.ascontiguousarray(points, dtype=np.float64)
     count, table = len(points), table_for(len(points))
     keys, sums, marks = np.empty(count, np.int64), np.empty((count, 10)), np.zeros(count, np.bool_)
     entries = np.empty(count, np.int64)
     cells, _ = count_points(points, 1.0, np.array([size_m]), 0, table, keys, sums, marks, entries)
-    # In the order of their keys all neighbours are found on the way.
+    # In the order of their keys, all neighbours are found in one pass.
     order = np.argsort(keys[:cells])
     of_cells, normals = np.empty((cells, 3)), np.empty((cells, 3))
     begun = np.zeros(9, np.int64)

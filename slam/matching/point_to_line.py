@@ -37,8 +37,8 @@ class Alignment(NamedTuple):
     converged
         Whether the last step was below a tenth of a millimetre and of a milliradian.
     spread
-        (3, 3) covariance of the gradient at the pose, see `slam.matching.score_spread`; None if nobody
-        asked for it.
+        (3, 3) covariance of the gradient at the pose, see `slam.matching.score_spread`; None if not
+        requested.
     """
 
     pose: FloatArray
@@ -61,7 +61,7 @@ def align(
     iterations: int,
     prior: FloatArray,
 ) -> Alignment:
-    """Move a scan so that its points lie on the surfels.
+    """Align a scan so that its points are on the surfels.
 
     Parameters
     ----------
@@ -94,7 +94,7 @@ def alignment_of(
     count: int,
     spread: FloatArray | None = None,
 ) -> Alignment:
-    """What `align_into` has found of so many points."""
+    """Return the result of `align_into` for so many points."""
     weight, squares, inliers, converged = found
     residual_m = math.sqrt(squares / weight) if weight > 0.0 else math.inf
     count = max(count, 1)
@@ -104,10 +104,10 @@ def alignment_of(
 def terms_at(
     points: AnyFloatArray, normals: AnyFloatArray, pose: FloatArray, surfel_map: SurfelMap, kernel_m: float
 ) -> FloatArray:
-    """What each oriented point (M, 2) brings into an alignment at a pose (3,), (M, 5); zero without a surfel.
+    """Return terms (M, 5) of oriented points (M, 2) in an alignment at a pose (3,); zero without a surfel.
 
     The gradient of its robust cost, tangent order x, y, theta of the base frame; its robust weight; and the
-    bend of its cost, the second derivative by the residual.
+    second derivative of its cost by the residual.
     """
     terms = np.zeros((points.shape[0], 5))
     square = np.zeros((3, 3))
@@ -135,7 +135,7 @@ def align_into(  # type: ignore[no-untyped-def]
     pose,
     hessian,
 ):
-    """Move ``pose`` (3,) by Gauss and Newton's steps; without iterations, only write its ``terms`` (M, 5).
+    """Refine ``pose`` (3,) by Gauss-Newton steps; without iterations, only write its ``terms`` (M, 5).
 
     Writes the Hessian (3, 3) too. Returns the sum of the weights, that of the weighted squares, the inliers
     and whether it has converged.

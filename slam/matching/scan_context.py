@@ -21,7 +21,7 @@ _LOWEST_PERCENT = 2.0
 
 
 def scan_context(points: FloatArray, voxel_m: float) -> Float32Array:
-    """(RINGS, SECTORS) greatest height in each part of the surroundings, 0 where nothing is.
+    """Return (RINGS, SECTORS) the largest height in each part of the surroundings, 0 if it is empty.
 
     Parameters
     ----------
@@ -46,11 +46,11 @@ def scan_context(points: FloatArray, voxel_m: float) -> Float32Array:
 
 
 def dissimilarity(one: Float32Array, other: Float32Array) -> tuple[float, float]:
-    """Distance of two contexts 0..1, least over all turns (Kim 2018 Eq. (6)-(7)), and that turn.
+    """Return the distance of two contexts 0..1, least over all yaws (Kim 2018 Eq. (6)-(7)), and that yaw.
 
     Returns
     -------
-    The distance, and the yaw in radians of the other's base seen from the one's.
+    The distance, and the yaw in radians of the other's base in the frame of the first.
     """
     distances = ContextBank([one]).dissimilarity(other)[0]
     best = int(np.argmin(distances))
@@ -58,7 +58,7 @@ def dissimilarity(one: Float32Array, other: Float32Array) -> tuple[float, float]
 
 
 class ContextBank:
-    """Many contexts, compared all at once.
+    """Many contexts, for comparison with all of them at once.
 
     Parameters
     ----------
@@ -67,12 +67,12 @@ class ContextBank:
     """
 
     def __init__(self, contexts: Sequence[Float32Array]) -> None:
-        # A circular correlation over the turns, all rings together.
+        # A circular correlation over the yaws, all rings together.
         self._columns = np.array([_spectrum(_unit_columns(context)) for context in contexts])
         self._seen = np.array([np.fft.rfft(_seen(context)) for context in contexts])
 
     def dissimilarity(self, context: Float32Array) -> FloatArray:
-        """(K, SECTORS) distance 0..1 of a context to each, turned by so many sectors; see `dissimilarity`."""
+        """Return (K, SECTORS) distances 0..1 of a context to each, rotated by so many sectors."""
         products = (self._columns * np.conj(_spectrum(_unit_columns(context)))).sum(axis=1)
         seen = _seen(context)
         counts = np.fft.irfft(self._seen * np.conj(np.fft.rfft(seen)), SECTORS).round()
@@ -82,21 +82,21 @@ class ContextBank:
 
 
 def ring_key(context: Float32Array) -> FloatArray:
-    """(RINGS,) mean of each ring: the same however the robot is turned."""
+    """Return (RINGS,) the mean of each ring, independent of the robot's yaw."""
     return np.asarray(context.mean(axis=1, dtype=np.float64))
 
 
 def _unit_columns(context: Float32Array) -> FloatArray:
-    """Each sector as a unit vector."""
+    """Return each sector as a unit vector."""
     values = context.astype(np.float64)
     return np.asarray(values / np.maximum(np.linalg.norm(values, axis=0), TINY))
 
 
 def _seen(context: Float32Array) -> FloatArray:
-    """(SECTORS,) 1 where anything is seen."""
+    """Return (SECTORS,) 1 where anything is seen."""
     return np.asarray((context > 0.0).any(axis=0), dtype=np.float64)
 
 
 def _spectrum(columns: FloatArray) -> NDArray[np.complex128]:
-    """Of each ring around."""
+    """Return the spectrum of each ring."""
     return np.fft.rfft(columns, axis=1)

@@ -14,9 +14,9 @@ from slam.measurements import BoolArray, Float32Array, FloatArray, LaserScan
 
 # A surface patch is a line when its thickness is below this: floor [m2] plus share of its length squared.
 _LINE_THICKNESS = 0.02
-# As far apart as the surfels that a point is matched to may be.
+# The largest distance of surfels to which a point is matched.
 _WALL_SPACING_M = 0.2
-# A line whose direction is less certain than this is fitted again over more neighbours.
+# A line with a less certain direction is fitted again over more neighbours.
 _GREATEST_NORMAL_SIGMA_RAD = 0.06
 
 
@@ -35,8 +35,8 @@ class ScanPoints:
     normals_base
         (M, 2) unit normals that face the sensor; zero where the neighbourhood is no line.
     walls_base, wall_normals_base
-        (K, 2) each: points between readings, on a wall that is seen at so flat an angle that they lie far
-        apart. A map knows them; a scan that is matched has not read them.
+        (K, 2) each: points between readings that are far apart on a wall seen at a flat angle. They belong to
+        a map, but not to a scan that is matched.
     """
 
     points_base: Float32Array
@@ -46,20 +46,20 @@ class ScanPoints:
 
     @classmethod
     def none(cls) -> ScanPoints:
-        """Nothing seen."""
+        """Return no points."""
         return cls(_no_points(), _no_points())
 
     def __len__(self) -> int:
         return int(self.points_base.shape[0])
 
     def oriented(self) -> tuple[Float32Array, Float32Array]:
-        """Only the points that have a normal: (K, 2) points and (K, 2) normals."""
+        """Return the points with a normal: (K, 2) points and (K, 2) normals."""
         return self._oriented
 
     @cached_property
     def _oriented(self) -> tuple[Float32Array, Float32Array]:
-        """Found once: a scan is asked several times."""
-        # By numbers: a mask of rows takes numpy twice as long.
+        """Computed once: a scan is queried several times."""
+        # By indices: a mask of rows takes numpy twice as long.
         known = ((self.normals_base[:, 0] != 0.0) | (self.normals_base[:, 1] != 0.0)).nonzero()[0]
         return self.points_base.take(known, axis=0), self.normals_base.take(known, axis=0)
 
@@ -90,7 +90,7 @@ def extract_points(scan: LaserScan, range_min_m: float, range_max_m: float, neig
 
 
 def points_by(settings: ScanConfig, scan: LaserScan) -> ScanPoints:
-    """`extract_points` by the configuration."""
+    """Return `extract_points` with the configuration."""
     return extract_points(scan, settings.range_min_m, settings.range_max_m, settings.neighbours)
 
 

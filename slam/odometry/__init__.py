@@ -14,7 +14,7 @@ from slam.vision.frame_matcher import FrameMatcher
 
 @dataclass(frozen=True)
 class Odometries:
-    """What makes the odometries of a run; a comparison puts other methods in their place."""
+    """Factories of a run's odometries; a comparison replaces them by other methods."""
 
     lidar: Callable[[Config], LidarOdometry] = SurfelOdometry
     rgbd: Callable[[Config], RgbdOdometry] = FrameMatcher

@@ -15,7 +15,7 @@ from slam.vision.prepared_frame import PreparedFrame
 
 
 class CameraOdometry:
-    """Tracks a camera's frames and remembers where they were taken."""
+    """Tracks a camera's frames and stores their poses."""
 
     def __init__(self, config: Config, result_cache: ResultCache = COMPUTED) -> None:
         self._tracker = RgbdTracker(FrameMatcher(config), config, result_cache)
@@ -41,15 +41,15 @@ class CameraOdometry:
 
 
 def pose_in_segment(tracked: TrackedFrame, segment: int) -> CameraPose | None:
-    """Where a frame was taken; None if the odometry was lost."""
+    """Return the pose of a frame; None if the odometry was lost."""
     if tracked.match is not None:
         return CameraPose(tracked.pose, tracked.match.motion.covariance, segment)
-    # The beginning of a segment is its origin, and exact.
+    # The first frame of a segment is its origin, without error.
     return CameraPose(tracked.pose, np.zeros((6, 6)), segment) if tracked.new_keyframe else None
 
 
 def camera_step(before: CameraPose | None, after: CameraPose | None) -> tuple[gtsam.Pose3, FloatArray] | None:
-    """Motion of a camera between two moments with its covariance (6, 6); None if it is not known."""
+    """Return the motion of a camera between two times with its covariance (6, 6); None if unknown."""
     if before is None or after is None or before.segment != after.segment:
         return None
     motion = before.pose.between(after.pose)

@@ -12,18 +12,18 @@ import numpy as np
 from fusion.time_alignment import GAP_S
 from slam.measurements import FloatArray
 
-# Between frames further apart than this, or so long after the newest one, a pose is not known.
+# Between frames farther apart than this, or so long after the newest one, the pose is unknown.
 _LONGEST_GAP_S = 0.25
-# A pose carried on is uncertain by this share of what it was carried, one between two frames by less.
+# Sigma of an extrapolated pose as a share of the extrapolation; of an interpolated one it is less.
 _EXTRAPOLATION_SHARE = 0.2
 _INTERPOLATION_SHARE = 0.05
-# Sigma of the speed of a camera that was matched but once: radians and metres a second.
+# Sigma of the velocity of a camera that was matched only once: radians and metres per second.
 _UNKNOWN_SPEED = 0.5
 
 
 @dataclass(frozen=True, slots=True)
 class CameraPose:
-    """Where a camera was at some moment.
+    """Pose of a camera at some time.
 
     Attributes
     ----------
@@ -41,7 +41,7 @@ class CameraPose:
 
 
 class CameraTrack:
-    """Flat, growing columns: numbers only, so that it stays small on a long log."""
+    """Growing columns of numbers only, so that it stays small in long logs."""
 
     def __init__(self) -> None:
         self._stamps = array("d")
@@ -51,7 +51,7 @@ class CameraTrack:
         self._lost = False
 
     def add(self, stamp_s: float, pose: CameraPose) -> None:
-        """Take the next frame; a stamp that does not rise begins the track anew."""
+        """Add the next frame; a stamp that does not increase restarts the track."""
         if self._stamps and stamp_s <= self._stamps[-1]:
             for column in (self._stamps, self._poses, self._covariances, self._segments):
                 del column[:]
@@ -62,16 +62,16 @@ class CameraTrack:
         self._lost = False
 
     def lose(self) -> None:
-        """A frame has matched nothing: the newest pose is not carried on."""
+        """A frame has matched nothing: do not extrapolate the newest pose."""
         self._lost = True
 
     def newest_motion(self) -> tuple[float, float, FloatArray] | None:
-        """Stamps of the last two frames and the speed (6,) between them, camera frame; None if not known."""
+        """Return stamps of the last two frames and the twist (6,) between, camera frame; None if unknown."""
         twist = self._twist(len(self._stamps) - 2, GAP_S)
         return None if twist is None else (self._stamps[-2], self._stamps[-1], twist)
 
     def at(self, stamp_s: float, clock_sigma_s: float) -> CameraPose | None:
-        """The camera at a stamp between its frames or shortly outside them; None if that is not known.
+        """Return the camera pose at a stamp between its frames or shortly outside; None if unknown.
 
         Parameters
         ----------
@@ -101,7 +101,7 @@ class CameraTrack:
         return CameraPose(pose, self._covariance(before) + np.diag(sigmas**2), self._segments[before])
 
     def _between(self, before: int, elapsed_s: float, clock_sigma_s: float) -> CameraPose | None:
-        """At constant speed from one frame to the next."""
+        """Interpolate at constant velocity between two frames."""
         twist = self._twist(before)
         if twist is None:
             return None
@@ -113,7 +113,7 @@ class CameraTrack:
         return CameraPose(pose, self._covariance(nearer) + np.diag(sigmas**2), self._segments[before])
 
     def _twist(self, before: int, longest_s: float = _LONGEST_GAP_S) -> FloatArray | None:
-        """Speed (6,) from a frame to the next; None without a known motion."""
+        """Return the twist (6,) from a frame to the next; None without a known motion."""
         if before < 0 or self._segments[before] != self._segments[before + 1]:
             return None
         step_s = self._stamps[before + 1] - self._stamps[before]
@@ -122,10 +122,10 @@ class CameraTrack:
         return np.asarray(gtsam.Pose3.Logmap(self._pose(before).between(self._pose(before + 1))) / step_s)
 
     def _pose(self, number: int) -> gtsam.Pose3:
-        """``T_odom_camera`` at a frame."""
+        """Return ``T_odom_camera`` at a frame."""
         row = self._poses[16 * number : 16 * (number + 1)]
         return gtsam.Pose3(np.array(row).reshape(4, 4))
 
     def _covariance(self, number: int) -> FloatArray:
-        """(6, 6) at a frame."""
+        """Return the covariance (6, 6) at a frame."""
         return np.array(self._covariances[36 * number : 36 * (number + 1)], dtype=np.float64).reshape(6, 6)

@@ -16,20 +16,19 @@ from fusion.time_alignment import GAP_S, clock_offset, turns_between
 from slam.matching.planar import wrap
 from slam.measurements import FloatArray
 
-# Offsets of up to this are tried: more is no clock, but two logs.
+# Largest offset tried: a larger one means two different logs.
 _MOST_S = 0.25
 # The offset is estimated from stretches of this length.
 _STRETCH_S = 60.0
-# A stretch tells an offset where the turns are as alike as this; together they are to be as certain as this.
+# Least correlation of rotations for an offset from a stretch; required sigma of all together.
 _LEAST_CORRELATION = 0.9
 _GREATEST_SIGMA_S = 0.02
-# A rate that the robot did not turn with anywhere near, by more than this, is a wrong match.
+# A rate that differs by more than this from all rates of the robot nearby is a wrong match.
 _SLACK_RAD_S = 0.2
-# No estimate is more certain than the stamps themselves; and without one, clocks are taken to agree this
-# well.
+# No estimate is more certain than the stamps; without an estimate, clocks are assumed to agree this well.
 _JITTER_S = 0.003
 _UNKNOWN_S = 0.01
-# The offset is estimated when so much is recorded, and anew whenever the run has grown by this factor.
+# The offset is estimated after so much data, and again whenever the run has grown by this factor.
 _FIRST_S = 10.0
 _GROWTH = 1.25
 
@@ -41,11 +40,11 @@ class SensorClock:
     Attributes
     ----------
     offset_s
-        The sensor's stamp less the robot's, for the same instant; 0 where it is not known.
+        The sensor's stamp minus the robot's, for the same instant; 0 if unknown.
     sigma_s
-        Standard deviation of the time between two of their stamps once the offset is taken off.
+        Standard deviation of the time between two of their stamps after correction.
     stretches
-        How many stretches of the run told the offset.
+        Number of stretches of the run that determined the offset.
     """
 
     offset_s: float = 0.0
@@ -54,26 +53,26 @@ class SensorClock:
 
     @property
     def known(self) -> bool:
-        """Whether the motions told the offset."""
+        """Return whether the motions determined the offset."""
         return self.stretches > 0
 
     @property
     def significant_s(self) -> float:
-        """The offset; 0 where the interval holds none: Student's, for few stretches tell little of noise."""
+        """Return the offset; 0 if its interval contains 0 (Student's t, for few stretches)."""
         if self.stretches < 2:
             return 0.0
         limit_s = float(special.stdtrit(self.stretches - 1, 0.5 + 0.5 * CONFIDENCE)) * self.sigma_s
         return self.offset_s if abs(self.offset_s) > limit_s else 0.0
 
     def note(self, name: str, other: str) -> str:
-        """What a person should know of it."""
+        """Return a note for the user."""
         half_ms = 1e3 * half_interval(self.sigma_s)
         clock = f"{name}: its clock is {1e3 * self.offset_s:+.0f} +- {half_ms:.0f} ms (95 %)"
         return f"{clock} against the {other}'s"
 
 
 class Turns:
-    """By how much something turned from one stamp to the next: flat columns."""
+    """Rotations from one stamp to the next, in columns."""
 
     def __init__(self) -> None:
         self._spans = array("d")
@@ -86,16 +85,16 @@ class Turns:
 
     @property
     def newest_s(self) -> float:
-        """When the newest turn ended; minus infinity without any."""
+        """Return the end of the newest rotation; minus infinity without any."""
         return self._spans[-1] if self._spans else -np.inf
 
     @property
     def oldest_s(self) -> float:
-        """When the oldest turn began; minus infinity without any."""
+        """Return the start of the oldest rotation; minus infinity without any."""
         return self._spans[0] if self._spans else -np.inf
 
     def add(self, stamp_s: float, yaw_rad: float) -> None:
-        """Take a heading; one whose stamp does not rise is left out."""
+        """Add a heading; ignore one whose stamp does not increase."""
         if stamp_s <= self._stamp_s:
             return
         if math.isfinite(self._stamp_s):
@@ -103,20 +102,20 @@ class Turns:
         self._stamp_s, self._yaw_rad = stamp_s, yaw_rad
 
     def add_turn(self, begun_s: float, ended_s: float, turn_rad: float) -> None:
-        """Take a turn; one whose stamps do not rise, or that began before the last one ended, is left out."""
+        """Add a rotation; ignore one whose stamps do not increase, or that overlaps the last one."""
         if self.newest_s <= begun_s < ended_s:
             self._spans.extend((begun_s, ended_s))
             self._turns.append(turn_rad)
 
     def between(self, first_s: float, last_s: float) -> tuple[FloatArray, FloatArray]:
-        """(N, 2) stamps and (N,) turns of a stretch."""
+        """Return (N, 2) stamps and (N,) rotations of a stretch."""
         spans = np.array(self._spans).reshape(-1, 2)
         inside = (spans[:, 0] >= first_s) & (spans[:, 1] <= last_s)
         return spans[inside], np.array(self._turns)[inside]
 
 
 class ClockLearner:
-    """Collects a sensor's turns and says what its clock is."""
+    """Collects the rotations of a sensor and estimates its clock offset."""
 
     def __init__(self) -> None:
         self.turns = Turns()
@@ -124,7 +123,7 @@ class ClockLearner:
         self._due_s = _FIRST_S
 
     def learn(self, robot: Turns, *, final: bool = False) -> None:
-        """Estimate the offset anew where enough has been recorded since the last time."""
+        """Estimate the offset again if there are enough new data."""
         if not len(self.turns) or not len(robot):
             return
         recorded_s = self.turns.newest_s - self.turns.oldest_s
@@ -140,20 +139,20 @@ class ClockLearner:
         offsets, sigmas = np.array(found).T
         weights = 1.0 / sigmas**2
         offset_s = float(weights @ offsets / weights.sum())
-        # Stretches that differ by more than they claim are less certain, all of them.
+        # If stretches differ by more than their sigmas, all of them are less certain.
         scatter = float(weights @ (offsets - offset_s) ** 2) / max(1, len(found) - 1)
         sigma_s = math.sqrt(max(1.0, scatter) / weights.sum())
         if sigma_s < _GREATEST_SIGMA_S:
             self.clock = SensorClock(offset_s, math.hypot(sigma_s, _JITTER_S), len(found))
 
     def _stretches(self, turns: int) -> list[tuple[float, float]]:
-        """Where to look, evenly over a run of so many turns; in each are enough to compare."""
+        """Choose stretches evenly over a run of so many rotations, each with enough to compare."""
         first_s, last_s = self.turns.oldest_s, self.turns.newest_s
         count = max(1, min(int((last_s - first_s) / _STRETCH_S), 2 * turns // (3 * FEWEST)))
         return list(pairwise(np.linspace(first_s, last_s, count + 1).tolist()))
 
     def _offset(self, robot: Turns, first_s: float, last_s: float) -> tuple[float, float] | None:
-        """Offset and sigma of one stretch; None if it does not tell."""
+        """Return offset and sigma of one stretch; None if it does not determine them."""
         spans, turned = robot.between(first_s, last_s)
         own_spans, own_turned = self.turns.between(first_s - 2.0 * _MOST_S, last_s + 2.0 * _MOST_S)
         if not turned.size or not own_turned.size:
@@ -161,7 +160,7 @@ class ClockLearner:
         right = _plausible(own_spans, own_turned, spans, turned)
         if not right.any():
             return None
-        # A wrong match, or a jump of the wheels: what came before and after goes on.
+        # A wrong match, or a jump of the wheels: the data before and after remain valid.
         middles, lasted_s = own_spans.mean(axis=1), own_spans[:, 1] - own_spans[:, 0]
         smooth = np.interp(middles, middles[right], (own_turned / lasted_s)[right])
         own_turned = np.where(right, own_turned, smooth * lasted_s)
@@ -175,7 +174,7 @@ class ClockLearner:
 def _plausible(
     spans_s: FloatArray, turned: FloatArray, other_s: FloatArray, other_turned: FloatArray
 ) -> NDArray[np.bool_]:
-    """(N,) whether another sensor has seen about such turns at some time within the greatest offset."""
+    """Return (N,) whether another sensor has measured a similar rotation within the largest offset."""
     near = np.linspace(-_MOST_S, _MOST_S, 11)
     expected = turns_between(other_s, other_turned, spans_s + near[:, None, None])
     there = np.clip(np.searchsorted(other_s[:, 1], spans_s.mean(axis=1)), 0, len(other_s) - 1)

@@ -19,7 +19,7 @@ from slam.matching.local_cloud import REACH, Aligned, LocalCloud, moved
 from slam.matching.plane_voxels import SIZES, PlaneVoxels
 from slam.measurements import FloatArray
 
-# This share of the points on planes is nearly as many; of what is expected a smaller one is no match at all.
+# Share of points on planes that counts as nearly equal; below this share of the expected one, no match.
 _NEARLY, _HARDLY = 0.85, 0.4
 # How many points of a keyframe lie on the planes of those before it, as a share of those on its own too: by
 # so many keyframes, and at least this share.
@@ -37,28 +37,28 @@ class CloudOdometry:
     Attributes
     ----------
     settles
-        Whether the newest match left a way open and settled along it.
+        Whether the newest match had an undetermined direction and converged along it.
     """
 
     def __init__(self, config: Config, voxel_m: float) -> None:
         self._config, self._voxel_m = config, voxel_m
         self._expected, self.settles = 0.0, False
-        # Along a street with few walls nearly all that leave it open do, in a tunnel some by chance.
+        # On a street with few walls, nearly all open matches converge so; in a tunnel, some by chance.
         self._settled = deque([True] * (FEWEST // 2), maxlen=FEWEST // 2)
         self.restart()
 
     def restart(self) -> None:
-        """Forget the local map."""
-        self._newest: deque[FloatArray] = deque()  # clouds that the map's planes hold
+        """Discard the local map."""
+        self._newest: deque[FloatArray] = deque()  # clouds in the planes of the map
         self._known: deque[float] = deque(maxlen=_KNOWN_KEYFRAMES)
         turns = self._config.cloud_odometry
-        # A ray that stays within a plane's thickness right across the largest voxel is along it.
+        # A ray within a plane's thickness across the largest voxel is parallel to it.
         least_sine = turns.thickness_m / (SIZES[0] * turns.greatest_voxel_m)
         planes = PlaneVoxels(self._voxel_m, turns.thickness_m, least_sine, rough=1)
         self._map = LocalCloud(planes, self._voxel_m, self._config)
 
     def add_keyframe(self, points: FloatArray, pose: gtsam.Pose3, lidar_base: FloatArray) -> None:
-        """Take points (N, 3), seen from (3,), both base frame, at ``T_odom_base`` into the local map."""
+        """Add points (N, 3), seen from (3,), both base frame, at ``T_odom_base`` to the local map."""
         if not len(points):
             return
         half = thin_evenly(points, 0.5 * self._voxel_m)
@@ -79,7 +79,7 @@ class CloudOdometry:
         before: gtsam.Pose3 | None = None,
         turned_rad: float = 0.0,
     ) -> MotionEstimate | None:
-        """Pose of a scan (N, 3), base frame, in the odometry frame; None if nothing fits.
+        """Return the pose of a scan (N, 3), base frame, in the odometry frame; None if nothing fits.
 
         Parameters
         ----------
@@ -120,45 +120,45 @@ class CloudOdometry:
         return self._motion(settled if by_most else best, poses, guesses, turned_rad)
 
     def note_open(self, *, settles: bool) -> None:
-        """Take down of a match that left a way open whether it settled; it is followed where most do."""
+        """Record whether an open match converged; such matches are used if most do."""
         self._settled.append(settles)
 
     def nearby(self, points: FloatArray, start: gtsam.Pose3) -> gtsam.Pose3:
-        """Roughly where a scan (N, 3) fits near ``T_odom_base``."""
+        """Return roughly where a scan (N, 3) fits near ``T_odom_base``."""
         return self._map.best_of(thin_evenly(points, self._voxel_m), [start])
 
     def agreement(self, points: FloatArray, pose: gtsam.Pose3) -> float:
-        """Share of a scan (N, 3), base frame, that lies on planes from ``T_odom_base``."""
+        """Return the share of a scan (N, 3), base frame, on planes at ``T_odom_base``."""
         return self._map.agreement(thin_evenly(points, self._voxel_m), pose)
 
     @property
     def _usual(self) -> float:
-        """The least share of points on planes that is usual."""
+        """Return the lower limit of the usual share of points on planes."""
         return _NEARLY * self._expected
 
     def _around(self, pose: gtsam.Pose3, turned_rad: float) -> list[gtsam.Pose3]:
-        """Places ahead, behind and beside a pose, and turns there about the axes of a cube."""
+        """Return poses ahead, behind and beside a pose, with rotations about the axes of a cube."""
         paths_m = self._voxel_m * np.arange(1.0, REACH + 1.0)
         ways = [
             [0, 0, 0, x, y, 0] for path in paths_m for x, y in ((path, 0), (-path, 0), (0, path), (0, -path))
         ]
-        turn_rad = 2.0 * self._config.keyframes.angle_rad  # as far as a match finds, either way
+        turn_rad = 2.0 * self._config.keyframes.angle_rad  # the range of a match, in both directions
         turns_rad = np.arange(turn_rad, min(turned_rad, 0.5 * np.pi), turn_rad)
         axes = [np.array(axis) / np.linalg.norm(axis) for axis in product((-1, 0, 1), repeat=3) if any(axis)]
         turns = [[*(turn * axis), 0, 0, 0] for turn in turns_rad for axis in axes]
         return [pose, *(pose.compose(gtsam.Pose3.Expmap(np.array(step))) for step in ways + turns)]
 
     def _best(self, found: Sequence[Aligned | None]) -> Aligned | None:
-        """The match with most points on planes; None if none fits."""
+        """Return the match with most points on planes; None if none fits."""
         least = self._config.match.least_inlier_share
         fitting = [one for one in found if one is not None and one.motion.inlier_share >= least]
         best = max(fitting, key=lambda one: one.found.agreement, default=None)
         return None if best is None or best.found.agreement < _HARDLY * self._expected else best
 
     def _by_last(self, scan: FloatArray, best: Aligned) -> gtsam.Pose3:
-        """Where the last cloud alone leads a match that settled far from its guess.
+        """Match to the last cloud alone, from a match that converged far from its guess.
 
-        In a wrong place, where all clouds together fit as usual, it leads elsewhere.
+        At a wrong place where all clouds together fit as usual, it converges elsewhere.
         """
         if best.near:
             return best.found.pose
@@ -169,10 +169,9 @@ class CloudOdometry:
     def _motion(
         self, best: Aligned, rivals: list[gtsam.Pose3], guesses: Sequence[gtsam.Pose3], turned_rad: float
     ) -> MotionEstimate:
-        """The motion of the best match, as unsure as its rivals are far.
+        """Return the motion of the best match, with a covariance that covers its rivals.
 
-        One with fewer points on planes than usual is as unsure as the guess is far, too; without a guess as
-        the search is wide.
+        With fewer points on planes than usual, it also covers the guess; without a guess, the search range.
         """
         doubt, unusual = np.zeros((6, 6)), best.found.agreement < self._usual
         for rival in rivals + list(guesses[:1] if unusual else []):

@@ -25,7 +25,7 @@ from slam.odometry.turn_matcher import DeskewedCloud, TurnMatcher, pose_of
 from slam.odometry.wheel_tracker import WheelMoment, WheelTracker
 from slam.result_cache import COMPUTED, ResultCache
 
-# A direction in which nothing was seen, for the IMU: it must not take its own guess for a measurement.
+# Sigma of a direction without measurement, for the IMU: its own guess is no measurement.
 _UNSEEN_M = 100.0
 
 
@@ -79,7 +79,7 @@ class CloudTracker:
         self._odometry: CloudOdometry | None = None
         self._matcher: TurnMatcher | None = None
         self._velocity = CloudVelocity(twist)
-        # Without wheels or an IMU nobody knows the way along a tunnel.
+        # Without wheels or an IMU, the motion along a tunnel is unknown.
         self._open = OpenWay(config.wheels.greatest_speed_m_s)
         self._cloud: PointCloud | None = None
         self._pose = gtsam.Pose3()
@@ -116,7 +116,7 @@ class CloudTracker:
             return self._begun(cloud, seen)
         unseen_m = 0.0 if guesses or step_s < LONGEST_STEP_S else self._velocity.speed_m_s * step_s
         if unseen_m > REACH * self.voxel_m:
-            # What fits around the place of before is another place that looks like it.
+            # A fit around the previous place would be another place that looks like it.
             self._lost = self._config.match.lost_after
             ahead = gtsam.Pose3(gtsam.Rot3(), step_s * self._velocity.twist[3:])
             guessed = self._guessed(seen.points, before.compose(ahead), new_keyframe=True)
@@ -131,7 +131,7 @@ class CloudTracker:
                 odometry.settles,
             ),
         )
-        # An IMU's guess comes from no such match.
+        # The guess of an IMU does not depend on such a match.
         if told is None and motion is not None and motion.degenerate:
             odometry.note_open(settles=settles)
         if motion is None or not self._believed(motion, told):
@@ -155,7 +155,7 @@ class CloudTracker:
     def roll(self, stamp_s: float, pose: FloatArray) -> None:
         """Add a pose of the wheels, (3,) in their odom frame."""
         self._rolls.append((stamp_s, pose))
-        # More than the longest time between two states of the IMU.
+        # Longer than the longest time between two states of the IMU.
         while stamp_s - self._rolls[0][0] > 4.0 * LONGEST_STEP_S:
             self._rolls.popleft()
 
@@ -185,14 +185,14 @@ class CloudTracker:
         guesses = [] if told is None else [told]
         if self._wheels is not None:
             self.by_wheels.guesses.clear()
-            # The middle of a turn is no moment of the log.
+            # The middle of a revolution is no time of the log.
             now = self._wheels.moment(cloud.stamp_s, in_order=cloud.times_s is None)
             before, self._wheel_pose = self._wheel_pose, now
             moved = self._wheels.motion(before, self._wheel_pose, step_s)
             if moved is not None:
                 self.by_wheels.predict(moved, self._wheels.covariance(moved))
                 guesses.append(self._pose.compose(spatial(gtsam.Pose2(*moved))))
-        # Nobody knows how long a robot that sees nothing goes on.
+        # It is unknown how long a robot without measurements moves on.
         if (
             told is None
             and self._velocity.known
@@ -255,7 +255,7 @@ class CloudTracker:
         def agrees(covariance: FloatArray) -> bool:
             return bool(apart @ np.linalg.solve(covariance, apart) <= gate(6))
 
-        # What agrees without the spread, which is slow to tell, agrees all the more with it.
+        # A match that agrees without the spread, which is slow to compute, also agrees with it.
         if agrees(covariance):
             return True
         return (spread := self._imu.spread()) is not None and agrees(covariance + spread)
@@ -290,7 +290,7 @@ class CloudTracker:
         if moved is None:
             return None
         planar = self.by_wheels.rescaled(moved, self._wheels.covariance(moved)).covariance
-        # Wheels know nothing of roll and pitch; up and down they move as little as aside.
+        # Wheels do not measure roll and pitch; vertical motion is as small as lateral motion.
         covariance = np.diag([1.0, 1.0, planar[2, 2], planar[0, 0], planar[1, 1], planar[1, 1]])
         return spatial(gtsam.Pose2(*moved)), covariance
 

@@ -10,19 +10,19 @@ from slam.estimates import MotionEstimate
 from slam.matching.cloud_alignment import levers
 from slam.measurements import FloatArray
 
-# Beyond this no velocity of before tells where the robot is now.
+# After this time, the previous velocity no longer predicts the pose.
 LONGEST_STEP_S = 1.0
 
 
 class CloudVelocity:
-    """The newest twist (6,), GTSAM's tangent a second, of the base.
+    """The newest twist (6,) of the base, GTSAM's tangent per second.
 
     Attributes
     ----------
     twist
-        As last measured; before as given, or zero.
+        Last measured twist; before that as given, or zero.
     known
-        Whether it was measured since the local map began, or given.
+        Whether it was measured in this local map, or given.
     """
 
     def __init__(self, twist: FloatArray | None = None) -> None:
@@ -32,40 +32,40 @@ class CloudVelocity:
 
     @property
     def speed_m_s(self) -> float:
-        """Speed by the last sure matches; 0 where there were none in this local map."""
+        """Return the speed from the last certain matches; 0 without any in this local map."""
         return float(np.linalg.norm(self.twist[3:])) if self.known else 0.0
 
     def begin(self, stamp_s: float) -> None:
-        """The first cloud, at the origin."""
+        """Start with the first cloud, at the origin."""
         self._stamp_s = stamp_s
 
     def to(self, pose: gtsam.Pose3, stamp_s: float) -> FloatArray:
-        """The twist (6,) from the last sure pose to another, ``T_odom_base``; after a gap that of before."""
+        """Return the twist (6,) from the last certain pose to ``T_odom_base``; after a gap, the old one."""
         step_s = stamp_s - self._stamp_s
         if not 0.0 < step_s < LONGEST_STEP_S:
             return self.twist
         return np.asarray(gtsam.Pose3.Logmap(self._pose.between(pose)) / step_s)
 
     def at(self, pose: gtsam.Pose3, stamp_s: float) -> FloatArray:
-        """The twist (6,) at the moment of a pose.
+        """Return the twist (6,) at the time of a pose.
 
-        As if it changed evenly: the mean of the way there is that of half a step ago.
+        It assumes constant acceleration: the mean of a step is the twist half a step ago.
         """
         mean, step_s = self.to(pose, stamp_s), stamp_s - self._stamp_s
         share = step_s / (step_s + self._step_s) if 0.0 < step_s < LONGEST_STEP_S else 0.0
         return np.asarray(mean + share * (mean - self.twist))
 
     def carry_on(self, twist: FloatArray, stamp_s: float) -> gtsam.Pose3 | None:
-        """Where a twist (6,) leads from the last sure pose; None after a gap."""
+        """Extrapolate the last certain pose with a twist (6,); None after a gap."""
         step_s = stamp_s - self._stamp_s
         if not 0.0 < step_s < LONGEST_STEP_S:
             return None
         return self._pose.compose(gtsam.Pose3.Expmap(twist * step_s))
 
     def learn(self, pose: gtsam.Pose3, stamp_s: float, arms_m: FloatArray, motion: MotionEstimate) -> None:
-        """Take a certain match.
+        """Learn from a certain match.
 
-        Along a direction that it leaves open the twist changes slowly: noise would else lead on.
+        Along an undetermined direction, the twist changes slowly, or noise would be extrapolated.
 
         Parameters
         ----------
@@ -74,7 +74,7 @@ class CloudVelocity:
         """
         step_s = stamp_s - self._stamp_s
         if -LONGEST_STEP_S < step_s <= 0.0:
-            # One that comes twice, late, or by a clock set back tells no speed; the next step begins there.
+            # A repeated or late stamp, or a clock set back, gives no speed; the next step starts there.
             self._pose, self._stamp_s = pose, stamp_s
             return
         twist = self.to(pose, stamp_s)

@@ -10,12 +10,12 @@ from slam.matching.motion import Motion
 from slam.matching.planar import diagonal
 from slam.measurements import FloatArray
 
-# A velocity is carried over at most this many times the step that it was measured over.
+# A velocity is extrapolated over at most this many times the step of its measurement.
 _GREATEST_STRETCH = 3.0
 
 
 def stretch(step_s: float, measured_s: float) -> float:
-    """How many times a step that took ``measured_s`` is repeated in ``step_s``; once where no time passed."""
+    """Return how often a step of ``measured_s`` is repeated in ``step_s``; once if no time passed."""
     if step_s <= 0.0 or measured_s <= 0.0:
         return 1.0
     return min(step_s / measured_s, _GREATEST_STRETCH)
@@ -30,11 +30,10 @@ def repeated(
     alone: bool = False,
     steady_s: float = GAP_S,
 ) -> Motion:
-    """A motion (3,) that was measured over one time, expected over another.
+    """Scale a motion (3,) measured over one time to another time.
 
-    Nobody knows how the robot speeds up, and by that the way goes wrong with the square of the time beyond
-    ``steady_s``. Where it is all there is to go by, ``alone``, it ends with a gap: what turns has turned
-    another way by then.
+    The acceleration is unknown, so the error grows with the square of the time beyond ``steady_s``. If it is
+    the only prediction, ``alone``, it ends with a gap: by then, the rotation has changed.
     """
     ends_s = max(GAP_S, measured_s) if alone else step_s
     step = step * stretch(min(step_s, ends_s), measured_s)

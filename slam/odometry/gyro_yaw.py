@@ -23,18 +23,18 @@ from slam.odometry.imu_readings import GYRO_UNKNOWN, GYRO_WALK, ImuReadings
 
 @dataclass(frozen=True, slots=True)
 class GyroMoment:
-    """How far a gyroscope has turned by a stamp.
+    """Rotation of a gyroscope up to a stamp.
 
     Attributes
     ----------
     stamp_s
-        By its own clock.
+        Stamp by its own clock.
     turned_rad
-        Its rates about the vertical, integrated.
+        Integral of its rates about the vertical.
     rate_rad_s
-        The rate then.
+        Rate at that time.
     piece
-        Between moments of one number there are readings all the way.
+        Moments of the same piece have no gap between them.
     """
 
     stamp_s: float
@@ -44,7 +44,7 @@ class GyroMoment:
 
 
 class YawGyro:
-    """The readings of one IMU about the vertical, and how far they are to be believed."""
+    """The rotation of one IMU about the vertical, with its uncertainty."""
 
     def __init__(self) -> None:
         self.sensor = ""
@@ -52,15 +52,15 @@ class YawGyro:
         self._clocks = ClockLearner()
         self._ahead_s = 0.0
         self._force = np.zeros(3)
-        # Of the last while, the newest last.
+        # Recent readings, the newest last.
         self._recent: deque[GyroMoment] = deque()
-        # Where what is being compared with the lidar began, its heading and the variance of that.
+        # Start of the comparison with the lidar, its heading and variance.
         self._begun: tuple[GyroMoment, float, float] | None = None
         self._known, self._spread = np.zeros(2), GYRO_UNKNOWN**2
         self._compared_s, self._doubt = 0.0, 1.0
 
     def add(self, reading: ImuReading) -> None:
-        """Take the next reading; one that is not later than the one before is left out."""
+        """Add the next reading; ignore one that is not later than the previous one."""
         begun, self.sensor = self._recent[-1] if self._recent else None, reading.sensor
         if begun is not None and reading.stamp_s <= begun.stamp_s:
             return
@@ -78,11 +78,11 @@ class YawGyro:
 
     @property
     def unfit(self) -> bool:
-        """Whether it turns as matches do not, again and again: a wrong sign, axis or unit."""
+        """Return whether it contradicts matches repeatedly: a wrong sign, axis or unit."""
         return self._doubt > gate()
 
     def moment(self, stamp_s: float) -> GyroMoment | None:
-        """How far it has turned by a stamp of the lidar's clock; None if it does not tell."""
+        """Return its rotation at a stamp of the lidar's clock; None if unknown."""
         at_s = stamp_s + self._ahead_s
         before = next((one for one in reversed(self._recent) if one.stamp_s <= at_s), None)
         if before is None or self._readings.is_gap(at_s - before.stamp_s):
@@ -93,15 +93,15 @@ class YawGyro:
     def turn(
         self, begun: GyroMoment | None, ended: GyroMoment | None, *, chained: bool = False
     ) -> tuple[float, float] | None:
-        """Turn between two moments and its variance; None if it is unfit, or does not tell.
+        """Return the rotation between two moments and its variance; None if it is unfit or unknown.
 
-        That is where readings are missing, and where a scan comes after what is stamped later.
+        It is unknown if readings are missing, or if a scan arrives after later stamps.
 
         Parameters
         ----------
         chained
-            Whether it is one of many, end to end, that are taken to err each by itself: their bias is the
-            same for as long as it takes to wander off by what it is uncertain of.
+            Whether it is one of many consecutive ones with errors treated as independent: their bias stays
+            the same until it has drifted by its uncertainty.
         """
         if begun is None or ended is None or begun.piece != ended.piece or self.unfit:
             return None
@@ -115,7 +115,7 @@ class YawGyro:
         return float(told[1] - self._known @ told), self._doubt * variance
 
     def learn(self, moment: GyroMoment | None, heading_rad: float, variance: float) -> None:
-        """Compare with where a matched scan says that the robot looks, once in a while."""
+        """Compare with the heading of a matched scan, from time to time."""
         begun, self._begun = self._begun, None if moment is None else (moment, heading_rad, variance)
         if begun is None or moment is None or begun[0].piece != moment.piece:
             return
@@ -128,18 +128,18 @@ class YawGyro:
         off = wrap(float(told[1] - self._known @ told) - (heading_rad - begun[1]))
         expected = float(told @ self._spread @ told) + self._noise(begun[0], moment) + begun[2] + variance
         squares = off**2 / expected
-        # A match may be wrong: what is off by more than chance counts less. Again and again it is no match.
+        # A match may be wrong: outliers have less weight. If they repeat, it is not the match.
         self._doubt = max(1.0, 0.5 * (self._doubt + min(squares, self._doubt * gate())))
         gain = self._spread @ told / (expected * max(1.0, squares / gate()))
         self._known = self._known + gain * off
         self._spread = self._spread - np.outer(gain, told @ self._spread)
 
     def learn_clock(self, lidar: Turns, *, final: bool = False) -> None:
-        """Estimate the clock anew where that is due."""
+        """Estimate the clock offset again if due."""
         self._clocks.learn(lidar, final=final)
         if self._clocks.clock.significant_s != self._ahead_s:
             self._ahead_s = self._clocks.clock.significant_s
-            # What was asked for by another clock is not compared with what comes.
+            # Values read with another clock offset are not compared with later ones.
             self._recent = deque(replace(one, piece=one.piece + 1) for one in self._recent)
 
     def notes(self) -> list[str]:
@@ -156,18 +156,18 @@ class YawGyro:
         return [known, *([clock.note(self.sensor, "lidar")] if clock.known else [])]
 
     def _up(self) -> FloatArray:
-        """(3,) away from the ground, IMU frame: the mean force, and by the mounting where it feels none."""
+        """Return (3,) the up direction, IMU frame, from the mean force, or else from the mounting."""
         up = self._force
         if not up.any():
             up = np.asarray(self._readings.T_base_imu.rotation().unrotate(np.array([0.0, 0.0, 1.0])))
         return np.asarray(up / np.linalg.norm(up))
 
     def _noise(self, begun: GyroMoment, ended: GyroMoment) -> float:
-        """Variance of a turn by the noise of the rates, and by the clock where the rate changes."""
+        """Return the variance of a rotation from the rate noise, and from the clock if the rate changes."""
         passed_s, faster = ended.stamp_s - begun.stamp_s, ended.rate_rad_s - begun.rate_rad_s
         return self._readings.gyro_density**2 * passed_s + (self._clocks.clock.sigma_s * faster) ** 2
 
 
 def _told(begun: GyroMoment, ended: GyroMoment) -> FloatArray:
-    """(2,) time and turn between two moments."""
+    """Return (2,) time and rotation between two moments."""
     return np.array([ended.stamp_s - begun.stamp_s, ended.turned_rad - begun.turned_rad])

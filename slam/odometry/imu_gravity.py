@@ -12,10 +12,10 @@ from slam.odometry.imu_readings import FORCE_WALK
 
 
 def apart_in_time(told: dict[int, Gravity]) -> dict[int, Gravity]:
-    """Directions by keyframe, less certain by as many as share one error.
+    """Return directions by keyframe, with covariances scaled by the number that shares one error.
 
-    What bends gravity is the accelerometer's bias, and that stays for as long as it takes to wander off by
-    what it is uncertain of: the directions of that time count as one.
+    The accelerometer's bias tilts gravity, and stays the same until it has drifted by its uncertainty: the
+    directions of that time count as one.
     """
     stamps_s = np.array([one.stamp_s for one in told.values()])
     found = {}

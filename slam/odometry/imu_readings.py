@@ -11,27 +11,26 @@ import numpy as np
 from fusion.estimation import FEWEST, median_to_sigma
 from slam.measurements import GRAVITY_M_S2, FloatArray, ImuReading
 
-# A step from reading to reading that is so many times the usual one is a gap.
+# A step between readings of so many times the usual one is a gap.
 _GAP = 10.0
 _KEPT_S = 30.0
-# No gyroscope and no accelerometer is taken to be better than a tenth of a phone's (Woodman 2007).
+# Lower limit of the noise: a tenth of that of a phone's sensors (Woodman 2007).
 _GYRO_DENSITY, _FORCE_DENSITY = 2e-5, 1e-3
-# Biases wander: by Forster 2017, Sec. VIII, ten times a tactical unit's.
+# Random walk of biases: ten times that of a tactical unit (Forster 2017, Sec. VIII).
 GYRO_WALK, FORCE_WALK = 1e-4, 1e-3
-# Sigmas of a gyroscope before anything is learned: bias in rad/s, share by which its turns are too large (of
-# cheap ones, by their data sheets).
+# Prior sigmas of a gyroscope: bias in rad/s, scale error (of cheap ones, by their data sheets).
 GYRO_UNKNOWN = np.diag([0.1, 0.03])
 
 
 class ImuReadings:
-    """Stamps, turn rates and forces of one IMU."""
+    """Stamps, angular rates and forces of one IMU."""
 
     def __init__(self) -> None:
         self._rows: deque[tuple[float, FloatArray]] = deque()
         self._steps_s: deque[float] = deque(maxlen=FEWEST * FEWEST)
         self.T_base_imu = gtsam.Pose3()
         self._gyro_density: float | None = None
-        # Time between two readings as a rule, and after how many more it is looked at again.
+        # Usual time between two readings, and number of readings until it is computed again.
         self._usual_s, self._left = 0.0, 0
 
     def add(self, reading: ImuReading) -> bool:
@@ -39,7 +38,7 @@ class ImuReadings:
 
         Returns
         -------
-        Whether its clock was set back: those before are forgotten.
+        Whether its clock was set back: previous readings are discarded.
         """
         step_s = reading.stamp_s - self.newest_s
         set_back = self.is_gap(-step_s)
@@ -49,7 +48,7 @@ class ImuReadings:
             return False
         elif self._rows:
             self._steps_s.append(step_s)
-            # Hundreds come a second: not each is worth a median.
+            # There are hundreds per second: a median for each would be too slow.
             self._left -= 1
             if self._left <= 0:
                 self._usual_s, self._left = median(self._steps_s), min(len(self._steps_s), FEWEST)
@@ -62,18 +61,18 @@ class ImuReadings:
 
     @property
     def newest_s(self) -> float:
-        """Stamp of the newest reading."""
+        """Return the stamp of the newest reading."""
         return self._rows[-1][0] if self._rows else -np.inf
 
     @property
     def gyro_density(self) -> float:
-        """Noise of turn rates for the square root of a hertz, by the first readings that tell it."""
+        """Return the noise density of angular rates, from the first readings that determine it."""
         if self._gyro_density is None and len(self._steps_s) == self._steps_s.maxlen:
             self._gyro_density = self._densities()[0]
         return self._gyro_density or _GYRO_DENSITY
 
     def covers(self, begin_s: float, end_s: float) -> bool:
-        """Whether there are readings all the way; beyond the newest by a few steps counts."""
+        """Return whether readings cover the time, up to a few steps after the newest."""
         if len(self._rows) < 2 or end_s < begin_s:
             return False
         if self.is_gap(self._rows[0][0] - begin_s) or self.is_gap(end_s - self.newest_s):
@@ -82,16 +81,16 @@ class ImuReadings:
         return not self.is_gap(float(np.diff([begin_s, *stamps_s, end_s]).max()))
 
     def is_gap(self, step_s: float) -> bool:
-        """Whether from one reading to the next it does not take so long as a rule."""
+        """Return whether the time between two readings is unusually long."""
         return bool(self._steps_s) and step_s > _GAP * self._usual_s
 
     def mean(self, begin_s: float, end_s: float) -> FloatArray:
-        """(6,) mean turn rate and force, IMU frame; in a gap those at its ends."""
+        """Return (6,) the mean angular rate and force, IMU frame; in a gap, those at its ends."""
         told = self._between(begin_s, end_s)[1]
         return np.asarray((told if len(told) else self._with_ends(begin_s, end_s)[1]).mean(axis=0))
 
     def parameters(self) -> gtsam.PreintegrationCombinedParams:
-        """Of GTSAM's preintegration, the noise by what neighbouring readings show."""
+        """Return the parameters of GTSAM's preintegration, with noise from neighbouring readings."""
         parameters = gtsam.PreintegrationCombinedParams.MakeSharedU(GRAVITY_M_S2)
         gyro, force = self._densities()
         parameters.setGyroscopeCovariance(gyro**2 * np.eye(3))
@@ -108,10 +107,10 @@ class ImuReadings:
         parameters: gtsam.PreintegrationCombinedParams,
         bias: gtsam.imuBias.ConstantBias,
     ) -> gtsam.PreintegratedCombinedMeasurements:
-        """The readings between two stamps; the nearest one stands where none is."""
+        """Integrate the readings between two stamps; outside, the nearest reading is used."""
         whole = gtsam.PreintegratedCombinedMeasurements(parameters, bias)
         stamps_s, told = self._with_ends(begin_s, end_s)
-        # What turns are too large by is no bias: it changes sign with them.
+        # A scale error is no bias: it changes sign with the rotation.
         noise, rates = parameters.getGyroscopeCovariance(), told[:, :3].mean(axis=0) - bias.gyroscope()
         parameters.setGyroscopeCovariance(
             noise + (end_s - begin_s) * np.diag(GYRO_UNKNOWN[1, 1] * rates) ** 2
@@ -123,7 +122,7 @@ class ImuReadings:
         return whole
 
     def turns(self, times_s: FloatArray, at_s: float, gyro_bias: FloatArray) -> FloatArray:
-        """(n, 3, 3) how the IMU is turned at rising stamps (n,), in its frame at another stamp."""
+        """Return (n, 3, 3) rotations of the IMU at increasing stamps (n,), in its frame at another stamp."""
         spans = np.array([min(times_s[0], at_s), max(times_s[-1], at_s)])
         stamps_s, told = self._with_ends(*spans)
         rates = told[:, :3] - gyro_bias
@@ -140,7 +139,7 @@ class ImuReadings:
         return np.array([back.compose(turned(float(time_s))).matrix() for time_s in times_s])
 
     def _between(self, begin_s: float, end_s: float) -> tuple[FloatArray, FloatArray]:
-        """Stamps (n,) and readings (n, 6) within a span, its ends taken in."""
+        """Return stamps (n,) and readings (n, 6) within a span, including its ends."""
         rows = []
         for stamp_s, told in reversed(self._rows):
             if stamp_s < begin_s:
@@ -151,7 +150,7 @@ class ImuReadings:
         return np.array([row[0] for row in rows]), np.array([row[1] for row in rows]).reshape(-1, 6)
 
     def _with_ends(self, begin_s: float, end_s: float) -> tuple[FloatArray, FloatArray]:
-        """As `_between` with a reading at either end, between its neighbours by their line."""
+        """Return `_between` with linearly interpolated readings at both ends."""
         stamps_s, told = self._between(begin_s - self._around_s, end_s + self._around_s)
         if not len(stamps_s):
             stamps_s, told = np.array([self._rows[-1][0]]), self._rows[-1][1][None]
@@ -161,13 +160,13 @@ class ImuReadings:
 
     @property
     def _around_s(self) -> float:
-        """A span that holds the readings next to a stamp."""
+        """Return a span that contains the readings next to a stamp."""
         return _GAP * self._usual_s
 
     def _densities(self) -> tuple[float, float]:
-        """Noise of turn rates and forces, for the square root of a hertz."""
+        """Return the noise densities of angular rates and forces."""
         told = np.array([row[1] for row in self._rows])
-        # Second differences leave out what a motion adds; of white noise their variance is six times its own.
+        # Second differences remove the motion; for white noise their variance is six times its own.
         apart = np.abs(np.diff(told, n=2, axis=0))
         root_s = float(np.sqrt(self._usual_s / 6.0))
         noise = median_to_sigma() * np.median(apart, axis=0) * root_s

@@ -17,24 +17,22 @@ from gtsam.symbol_shorthand import B, G, V, X
 from slam.matching.upright import upright_of
 from slam.measurements import GRAVITY_M_S2, FloatArray
 
-# Poses older than this are summed up in one Gaussian.
+# Poses older than this are marginalised.
 _LAG_S = 3.0
-# How far the biases of a cheap sensor are from zero when it is switched on: a degree a second, and twenty
-# milligravities (data sheets of the Bosch BMI085 and BMI270).
+# Turn-on biases of a cheap sensor: one degree per second, and twenty milli-g (data sheets of the Bosch BMI085
+# and BMI270).
 _GYRO_BIAS_RAD_S, FORCE_BIAS_M_S2 = 0.017, 0.2
-# By so much may gravity turn in the frame of the odometry while a lag passes: that of its own drift.
+# Rotation of gravity in the odometry frame during one lag, by the drift of the odometry.
 _DRIFT_RAD = 1e-3
-# Of a pose that is the frame of all others: radians and metres.
+# Prior sigmas of the reference pose: radians and metres.
 _HELD = 1e-3
 # GTSAM's keys: X of a pose, V of a velocity, B of the biases, G of a direction of gravity.
 
 
 @dataclass(frozen=True, slots=True)
 class ImuState:
-    """What is known at a stamp.
-
-    It is of the IMU, not of the robot's base: where a turn begins, the base is accelerated otherwise, and
-    GTSAM's lever arm leaves that out.
+    """The state at a stamp, of the IMU, not of the robot's base: at the start of a rotation, the base has
+    another acceleration, which GTSAM's lever arm does not model.
 
     Attributes
     ----------
@@ -43,7 +41,7 @@ class ImuState:
     velocity_m_s
         (3,) odometry frame.
     bias
-        Of both sensors, IMU frame.
+        Biases of both sensors, IMU frame.
     down
         (3,) unit vector along gravity, odometry frame.
     """
@@ -55,7 +53,7 @@ class ImuState:
     down: FloatArray
 
     def carried(self, whole: gtsam.PreintegratedCombinedMeasurements) -> tuple[gtsam.Pose3, FloatArray]:
-        """Pose and velocity (3,) after the readings that were integrated from here on."""
+        """Return pose and velocity (3,) after the integrated readings."""
         upright = upright_of(self.down)
         start = gtsam.NavState(
             gtsam.Pose3(upright, np.zeros(3)).compose(self.pose), upright.rotate(self.velocity_m_s)
@@ -67,7 +65,7 @@ class ImuState:
 
 @dataclass(frozen=True, slots=True)
 class ImuSpread:
-    """How uncertain a state is, its pose left out.
+    """Uncertainty of a state without its pose.
 
     Attributes
     ----------
@@ -83,25 +81,25 @@ class ImuSpread:
 
     @classmethod
     def of_guess(cls, velocity_m_s: float, down_rad: float) -> ImuSpread:
-        """By standard deviations; nothing is known of the biases but what such sensors have."""
+        """Create it from standard deviations, with the prior of the biases."""
         sigmas = np.repeat([FORCE_BIAS_M_S2, _GYRO_BIAS_RAD_S], 3)
         return cls(velocity_m_s**2 * np.eye(3), np.diag(sigmas**2), down_rad)
 
 
 class ImuSmoother:
-    """The newest states, and how certain they are.
+    """Fixed-lag smoother of the newest states.
 
     Parameters
     ----------
     start, spread
-        The first state; its pose is held.
+        The first state; its pose is fixed.
     """
 
     def __init__(self, start: ImuState, spread: ImuSpread) -> None:
         parameters = gtsam.LevenbergMarquardtParams()
-        # After a long bridge metres stand beside readings of a millimetre.
+        # After a long bridge, sigmas of metres and of millimetres are in one system.
         parameters.setLinearSolverType("MULTIFRONTAL_QR")
-        # The next cloud solves the lag again; at its optimum, a second step tries ever shorter ones.
+        # The next cloud solves the lag again; at the optimum, a second step would only be shortened.
         parameters.setMaxIterations(1)
         self._smoother = gtsam.BatchFixedLagSmoother(_LAG_S, parameters)
         self._marginals: gtsam.Marginals | None = None
@@ -137,9 +135,9 @@ class ImuSmoother:
         Parameters
         ----------
         whole
-            The readings since the newest state.
+            Readings since the newest state.
         pose, covariance
-            ``T_odom_imu`` as it was measured, (6, 6) in its tangent; None if nothing was.
+            Measured ``T_odom_imu``, (6, 6) in its tangent; None without a measurement.
         step
             Motion since the newest state by other sensors, with its covariance (6, 6).
 
@@ -169,31 +167,31 @@ class ImuSmoother:
             self._renew_down(stamp_s)
 
     def spread(self) -> FloatArray:
-        """(6, 6) covariance of the newest pose, in its tangent."""
+        """Return (6, 6) the covariance of the newest pose, in its tangent."""
         return np.asarray(self._marginal(X(self._count)))
 
     def down_sigma_rad(self) -> float:
-        """How uncertain the direction of gravity is in the frame of the base: its worse axis."""
+        """Return the sigma of the gravity direction in the base frame, along its worse axis."""
         return float(np.sqrt(np.linalg.eigvalsh(self._marginal(G(self._downs)))[-1]))
 
     def first(self) -> ImuState:
-        """The first state, as all since then have it; while it is not older than the lag."""
+        """Return the first state as smoothed; only while it is within the lag."""
         return self._found(0, self._first_s)
 
     def restarted(self) -> ImuSmoother:
-        """A smoother that begins at the newest state: the odometry's frame has begun anew there."""
+        """Return a smoother that starts at the newest state, where the odometry frame was restarted."""
         number = self._count
         spread = ImuSpread(self._marginal(V(number)), self._marginal(B(number)), self.down_sigma_rad())
         return ImuSmoother(self._state, spread)
 
     def _insert(self, values: gtsam.Values, state: ImuState) -> None:
-        """First values of the newest state."""
+        """Insert initial values of the newest state."""
         values.insert(X(self._count), state.pose)
         values.insert(V(self._count), state.velocity_m_s)
         values.insert(B(self._count), state.bias)
 
     def _renew_down(self, stamp_s: float) -> None:
-        """Let gravity turn a little: the odometry does."""
+        """Let gravity rotate slightly, since the odometry drifts."""
         self._downs, self._down_s = self._downs + 1, stamp_s
         graph, values = gtsam.NonlinearFactorGraph(), gtsam.Values()
         noise = gtsam.noiseModel.Isotropic.Sigma(3, _DRIFT_RAD)
@@ -202,7 +200,7 @@ class ImuSmoother:
         self._update(graph, values, stamp_s)
 
     def _update(self, graph: gtsam.NonlinearFactorGraph, values: gtsam.Values, stamp_s: float) -> None:
-        """Solve, and let go of what is older than the lag."""
+        """Solve, and marginalise what is older than the lag."""
         stamps: dict[SupportsInt | SupportsIndex, SupportsFloat | SupportsIndex] = dict.fromkeys(
             [*values.keys(), G(self._downs)], stamp_s
         )
@@ -211,24 +209,24 @@ class ImuSmoother:
         self._state = self._found(self._count, stamp_s)
 
     def _found(self, number: int, stamp_s: float) -> ImuState:
-        """A state within the lag, as all since then have it."""
+        """Return a smoothed state within the lag."""
         found = self._smoother.calculateEstimate()
         velocity = np.asarray(found.atVector(V(number)))
         down = np.asarray(found.atUnit3(G(self._downs)).unitVector())
         return ImuState(stamp_s, found.atPose3(X(number)), velocity, found.atConstantBias(B(number)), down)
 
     def _marginal(self, key: int) -> FloatArray:
-        """Covariance of one variable."""
-        # What is summed up has the axes of directions as they were then; GTSAM's of one that points down
-        # swing by a right angle as it wanders.
+        """Return the covariance of one variable."""
+        # Marginalised directions keep the tangent axes of that time; GTSAM's axes of a downward direction
+        # rotate by a right angle as it drifts.
         graph, found = self._smoother.getFactors(), self._smoother.getLinearizationPoint()
         try:
-            # All that is asked between two updates is asked of one factorisation.
+            # All queries between two updates use one factorisation.
             if self._marginals is None:
                 self._marginals = gtsam.Marginals(graph, found)
             return np.asarray(self._marginals.marginalCovariance(key))
         except RuntimeError:
-            # Of a long bridge the normal equations have too few digits; the equations themselves do not.
+            # For a long bridge, the normal equations have too few digits; QR of the equations does not.
             rows = graph.linearize(found).jacobian()[0]
             sizes = {"x": 6, "v": 3, "b": 6, "g": 2}
             keys = sorted(found.keys())
@@ -242,9 +240,9 @@ class ImuSmoother:
 
 
 def noise_of(covariance: FloatArray) -> gtsam.noiseModel.Gaussian:
-    """Noise of a covariance (N, N) in which one direction may be open.
+    """Return the noise of a covariance (N, N) in which one direction may be undetermined.
 
-    Its inverse, which GTSAM would factorise, has too few digits: what is open came out as known to a hair.
+    Its inverse, which GTSAM would factorise, has too few digits: an undetermined direction became certain.
     """
     values, vectors = np.linalg.eigh(covariance)
     return gtsam.noiseModel.Gaussian.SqrtInformation((vectors / np.sqrt(values)).T)
@@ -253,7 +251,7 @@ def noise_of(covariance: FloatArray) -> gtsam.noiseModel.Gaussian:
 def _turned(
     factor: gtsam.CustomFactor, values: gtsam.Values, jacobians: list[FloatArray] | None
 ) -> FloatArray:
-    """How far one direction (3,) is from another; not in their tangents, whose axes may differ."""
+    """Return the angle between two directions (3,); not in their tangents, whose axes may differ."""
     first, last = factor.keys()
     before, now = values.atUnit3(first), values.atUnit3(last)
     if jacobians is not None:

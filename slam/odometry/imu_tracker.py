@@ -18,22 +18,22 @@ from slam.measurements import GRAVITY_M_S2, FloatArray, ImuReading, PointCloud
 from slam.odometry.imu_readings import ImuReadings
 from slam.odometry.imu_smoother import FORCE_BIAS_M_S2, ImuSmoother, ImuSpread, ImuState
 
-# Poses over this time tell velocity and gravity; where none comes for as long, readings alone go on.
+# Poses over this time determine velocity and gravity; without a pose for as long, readings continue.
 _BEGIN_S, _LEAST_POSES = 1.0, 4
-# Of the first guess: velocity in m/s, gravity in radians.
+# Sigmas of the first guess: velocity in m/s, gravity in radians.
 _GUESS = ImuSpread.of_guess(0.5, 0.1)
-# Turns that the lidar and the gyroscope tell differ by more than this plus a share of the turn: one of such
-# steps may be a bad match, most of them are a wrong mounting or clock.
+# If rotations of lidar and gyroscope differ by more than this plus a share of the rotation, one such step may
+# be a bad match; most of them mean a wrong mounting or clock.
 _APART_RAD, _APART_SHARE = 0.02, 0.1
 
 
 class UnfitImuError(Exception):
-    """What an IMU says cannot be beside what was seen; its arguments are its name and why."""
+    """The IMU contradicts the lidar; the arguments are its name and the reason."""
 
 
 @dataclass(frozen=True, slots=True)
 class ImuStart:
-    """What is known of a robot at its first cloud, which may be seen while it moves."""
+    """State of a robot at its first cloud, which may be recorded in motion."""
 
     state: ImuState
     spread: ImuSpread
@@ -46,12 +46,12 @@ class ImuTracker:
     Parameters
     ----------
     start
-        What is known already; None if the first poses must tell it.
+        Known state; None if the first poses must determine it.
 
     Attributes
     ----------
     bridged_s
-        Time over which readings alone told the way.
+        Time bridged by readings alone.
     """
 
     def __init__(self, start: ImuStart | None = None) -> None:
@@ -68,7 +68,7 @@ class ImuTracker:
         self._whole: tuple[ImuState, float, gtsam.PreintegratedCombinedMeasurements] | None = None
 
     def add(self, reading: ImuReading) -> None:
-        """Take the next reading."""
+        """Add the next reading."""
         self._sensor = reading.sensor
         if self._readings.add(reading):
             self._lose()
@@ -76,25 +76,25 @@ class ImuTracker:
 
     @property
     def state(self) -> ImuState | None:
-        """The newest state, once velocity and gravity are known."""
+        """Return the newest state, once velocity and gravity are known."""
         return None if self._smoother is None else self._smoother.state
 
     def start(self) -> ImuStart | None:
-        """What is known of the first cloud by now."""
+        """Return the state at the first cloud as estimated so far."""
         if self.state is None or self._smoother is None or self._parameters is None:
             return None
-        # Velocities hold. Biases and gravity may have taken up how the first clouds were smeared.
+        # Velocities are reliable. Biases and gravity may have absorbed the distortion of the first clouds.
         first = self._smoother.first()
         state = replace(first, bias=gtsam.imuBias.ConstantBias(np.zeros(3), first.bias.gyroscope()))
         return ImuStart(state, _GUESS, self._parameters)
 
     def due_s(self) -> float | None:
-        """A stamp up to which readings alone must go on, since no cloud has come; None if that is not."""
+        """Return a stamp up to which readings alone must continue without a cloud; None if not needed."""
         state, newest_s = self.state, self._readings.newest_s
         return None if state is None or newest_s - state.stamp_s <= _BEGIN_S else newest_s - 0.5 * _BEGIN_S
 
     def predicted(self, stamp_s: float) -> gtsam.Pose3 | None:
-        """``T_odom_base`` at a stamp after the newest state; None if the readings do not tell."""
+        """Predict ``T_odom_base`` at a stamp after the newest state; None if the readings do not suffice."""
         state = self.state
         if state is None or stamp_s <= state.stamp_s or not self._readings.covers(state.stamp_s, stamp_s):
             return None
@@ -102,14 +102,14 @@ class ImuTracker:
         return pose.compose(self._readings.T_base_imu.inverse())
 
     def straightened(self, cloud: PointCloud, twist: FloatArray) -> PointCloud:
-        """A turn as it would be seen at its stamp: turned by the gyroscope, moved by velocity and force.
+        """Deskew a revolution to its stamp: rotated by the gyroscope, translated by velocity and force.
 
-        As it was where the readings do not cover it.
+        Unchanged if the readings do not cover it.
 
         Parameters
         ----------
         twist
-            (6,) of the base, by the clouds before: its velocity is taken until the IMU's is known.
+            (6,) twist of the base from previous clouds: its velocity is used until that of the IMU is known.
         """
         if cloud.times_s is None:
             return cloud
@@ -131,7 +131,7 @@ class ImuTracker:
         turns = self._readings.turns(cloud.stamp_s + edges_s, cloud.stamp_s, bias)
         T_imu_lidar = T_imu_base.compose(cloud.T_base_lidar)
         mounting, lever = T_imu_lidar.rotation().matrix(), T_imu_lidar.translation()
-        # As the lidar is turned and moved by them, so that each point is gone over once.
+        # Composed with the mounting, so that each point is transformed once.
         moved = (turns @ lever - lever) @ mounting
         poses = np.concatenate([mounting.T @ turns @ mounting, moved[:, :, None]], axis=2)
         ways = np.stack([velocity, 0.5 * acceleration]) @ mounting
@@ -148,19 +148,19 @@ class ImuTracker:
         covariance: FloatArray | None,
         step: tuple[gtsam.Pose3, FloatArray] | None = None,
     ) -> None:
-        """Take where the lidar says that the robot is.
+        """Add a pose measured by the lidar.
 
         Parameters
         ----------
         pose, covariance
-            ``T_odom_base``, (6, 6) in its tangent; no covariance where it was not seen.
+            ``T_odom_base``, (6, 6) in its tangent; no covariance if it was not measured.
         step
             Motion since the newest state by the wheels, with its covariance (6, 6).
 
         Raises
         ------
         UnfitImuError
-            Its turns or forces are not those of the way that is seen.
+            If its rotations or forces contradict the measured path.
         """
         T_base_imu = self._readings.T_base_imu
         pose, there = pose.compose(T_base_imu), T_base_imu.inverse().AdjointMap()
@@ -182,7 +182,7 @@ class ImuTracker:
         covariance: FloatArray | None,
         step: tuple[gtsam.Pose3, FloatArray] | None = None,
     ) -> None:
-        """As `took`, of the IMU."""
+        """As `took`, for the pose of the IMU."""
         state = smoother.state
         if stamp_s <= state.stamp_s:
             return
@@ -194,7 +194,7 @@ class ImuTracker:
             self._judge(state.pose.between(pose), whole, state)
         try:
             smoother.advance(stamp_s, whole, pose if covariance is not None else None, covariance, step)
-        except RuntimeError:  # indeterminate: the lidar contradicts it beyond all bounds
+        except RuntimeError:  # indeterminate: an extreme contradiction to the lidar
             self._lose()
             return
         self._states += 1
@@ -207,20 +207,20 @@ class ImuTracker:
             raise UnfitImuError(self._sensor, f"{why}: a wrong mounting, clock or unit")
 
     def restart(self) -> None:
-        """The lidar's map begins anew where the newest state is."""
+        """Restart at the newest state, where the lidar's map is restarted."""
         if self._smoother is not None:
             self._smoother = self._smoother.restarted()
         self._poses.clear()
 
     def spread(self) -> FloatArray | None:
-        """(6, 6) covariance of the newest ``T_odom_base``; None before there is a state."""
+        """Return (6, 6) the covariance of the newest ``T_odom_base``; None before there is a state."""
         if self.state is None or self._smoother is None:
             return None
         back = self._readings.T_base_imu.AdjointMap()
         return np.asarray(back @ self._smoother.spread() @ back.T)
 
     def off(self, pose: gtsam.Pose3) -> FloatArray | None:
-        """(6, 6) how far the newest ``T_odom_base`` may be from a pose; None before there is a state."""
+        """Return (6, 6) the covariance of the newest ``T_odom_base`` against a pose; None without a state."""
         state, spread = self.state, self.spread()
         if state is None or spread is None:
             return None
@@ -228,7 +228,7 @@ class ImuTracker:
         return spread + np.outer(apart, apart)
 
     def gravity(self) -> Gravity | None:
-        """As the base feels it at the newest state."""
+        """Return gravity in the base frame at the newest state."""
         state = self.state
         if state is None or self._smoother is None:
             return None
@@ -237,7 +237,7 @@ class ImuTracker:
         return Gravity(state.stamp_s, down, self._smoother.down_sigma_rad())
 
     def told(self) -> tuple[list[str], dict[str, str]]:
-        """What people should know of it, once the log is read, and by its name why it was not used."""
+        """Return notes for the user at the end of the log, and, by its name, why it was not used."""
         if not self._sensor:
             return [], {}
         state, gravity = self.state, self.gravity()
@@ -254,7 +254,7 @@ class ImuTracker:
         return notes, {}
 
     def _begin(self, stamp_s: float, pose: gtsam.Pose3, covariance: FloatArray | None) -> None:
-        """Gather poses until they tell velocity and gravity; those after a gap begin anew."""
+        """Collect poses until they determine velocity and gravity; restart after a gap."""
         before_s = self._poses[-1][0] if self._poses else stamp_s
         if covariance is None or not self._readings.covers(before_s, stamp_s):
             self._poses.clear()
@@ -271,7 +271,7 @@ class ImuTracker:
                 self._advance(self._smoother, *told)
 
     def _first(self, poses: list[tuple[float, gtsam.Pose3, FloatArray]]) -> ImuState:
-        """The state at the first pose: velocity by differences, gravity by forces less its change."""
+        """Estimate the state at the first pose: velocity by differences, gravity from forces."""
         stamps_s = np.array([stamp_s for stamp_s, _, _ in poses])
         places = np.array([pose.translation() for _, pose, _ in poses])
         velocities = np.diff(places, axis=0) / np.diff(stamps_s)[:, None]
@@ -294,19 +294,19 @@ class ImuTracker:
     def _judge(
         self, seen: gtsam.Pose3, whole: gtsam.PreintegratedCombinedMeasurements, state: ImuState
     ) -> None:
-        """Whether the lidar and the gyroscope tell the same turns; where mostly not, the IMU is left out."""
+        """Check whether lidar and gyroscope measure the same rotations; if mostly not, ignore the IMU."""
         self._agree.append(alike(seen, state.pose.between(state.carried(whole)[0])))
         if len(self._agree) == 2 * FEWEST and sum(self._agree) < FEWEST:
             why = "its rotation does not agree with the lidar's: a wrong mounting, clock or unit"
             raise UnfitImuError(self._sensor, why)
 
     def _lose(self) -> None:
-        """What was known is of no use after a gap in the readings."""
+        """Discard the state after a gap in the readings."""
         self._smoother = None
         self._poses.clear()
 
     def _integrated(self, state: ImuState, stamp_s: float) -> gtsam.PreintegratedCombinedMeasurements:
-        """The readings from a state to a stamp; a cloud's are asked for more than once."""
+        """Integrate readings from a state to a stamp; cached, since a cloud needs them more than once."""
         if self._whole is None or self._whole[0] is not state or self._whole[1] != stamp_s:
             assert self._parameters is not None
             whole = self._readings.integrated(state.stamp_s, stamp_s, self._parameters, state.bias)
@@ -315,7 +315,7 @@ class ImuTracker:
 
 
 def alike(seen: gtsam.Pose3, told: gtsam.Pose3) -> bool:
-    """Whether two motions turn the same way, as far as a match may err."""
+    """Return whether two motions have the same rotation, within the error of a match."""
     turn_rad = float(np.linalg.norm(gtsam.Rot3.Logmap(seen.rotation())))
     apart_rad = float(np.linalg.norm(gtsam.Rot3.Logmap(told.rotation().between(seen.rotation()))))
     return apart_rad <= _APART_RAD + _APART_SHARE * turn_rad
@@ -323,9 +323,9 @@ def alike(seen: gtsam.Pose3, told: gtsam.Pose3) -> bool:
 
 @kernel
 def _turned(points, times_s, first_s, per_slice_s, poses, ways, found):  # type: ignore[no-untyped-def]
-    """Points (N, 3) into ``found``, by the poses (S + 1, 3, 4) about their slices, and moved on.
+    """Transform points (N, 3) into ``found`` by the poses (S + 1, 3, 4) around their slices.
 
-    Within a slice a turn is so small that its chord is its arc.
+    Within a slice, the rotation is small enough for linear interpolation.
     """
     for i in range(points.shape[0]):
         t = times_s[i]

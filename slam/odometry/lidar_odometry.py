@@ -14,7 +14,7 @@ class LidarOdometry(Protocol):
     """Scan to local map matching in an odometry frame that drifts slowly and never jumps back."""
 
     def match(self, points: ScanPoints, guesses: list[Motion]) -> MotionEstimate | None:
-        """Pose of the scan's base in the odometry frame, or None if nothing fits.
+        """Return the pose of the scan's base in the odometry frame, or None if nothing fits.
 
         Parameters
         ----------
@@ -26,16 +26,16 @@ class LidarOdometry(Protocol):
         ...
 
     def match_near(self, points: ScanPoints, pose: FloatArray) -> MotionEstimate | None:
-        """The best pose of the scan that stays close to ``pose`` (3,), however badly it fits."""
+        """Return the best pose of the scan close to ``pose`` (3,), however badly it fits."""
         ...
 
     def evidence(self, points: ScanPoints, pose: FloatArray, other: Motion) -> FloatArray:
-        """What every object in a scan says for a pose (3,) against another one, in points; (2, K).
+        """Return (2, K) evidence of each object in a scan for a pose (3,) against another, in points.
 
-        By ground that is known at both poses; and where it fits, while nothing is known of the other's.
+        First from areas known at both poses; second where it fits while the area at the other is unknown.
         """
         ...
 
     def add_keyframe(self, points: ScanPoints, pose: FloatArray) -> None:
-        """Take a scan at a pose (3,) of the odometry frame into the local map."""
+        """Add a scan at a pose (3,) of the odometry frame to the local map."""
         ...

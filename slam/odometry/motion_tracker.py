@@ -32,14 +32,14 @@ from slam.odometry.predictor import LEAST_SHARE, Predictor
 from slam.odometry.tracked_scan import TrackedScan
 from slam.odometry.wheel_tracker import SHORTEST_STEP_S, WheelMoment, WheelTracker, thrown_aside
 
-# What a scan and another sensor differ by though both are right: x, y, yaw.
+# Sigmas between a scan and another sensor if both are correct: x, y, yaw.
 _SENSOR_FLOOR = np.diag([0.01, 0.01, 0.008]) ** 2
-# An object of a scan is one witness: however many beams it catches, it says no more than this (nats). Where
-# it fits while the map knows nothing of the other pose's ground, it may do so by chance: rooms are alike.
+# An object of a scan counts once: with any number of beams, its evidence is at most this (nats). Where
+# it fits while the area at the other pose is unknown, this may be by chance: rooms look alike.
 _MOST_AN_OBJECT = np.array([[5.0], [1.0]])
-# Matches that err a little at every scan, all the same way, contradict the wheels' path over this time.
+# Matches with small errors in the same direction at every scan contradict the wheels over this time.
 _WINDOW_S = 1.0
-# Only a match that this share of the points agrees with may judge a predictor.
+# Only a match with this share of inliers may judge a predictor.
 _JUDGE_INLIER_SHARE = 0.8
 
 
@@ -67,9 +67,9 @@ class MotionTracker:
         self._stamp_s = 0.0
         self._velocity_step = np.zeros(3)
         self._velocity_step_s = 0.0
-        # Sums of squared ways, turns and times, by which it moves as a rule.
+        # Sums of squared distances, rotations and times, for its usual speed.
         self._squares = np.zeros(3)
-        # Where the velocity leads if there is nothing else to go by, and for how long it alone has led.
+        # Pose by the velocity if nothing else predicts it, and the time for which it was the only predictor.
         self._blind: FloatArray | None = None
         self._blind_s = 0.0
 
@@ -120,7 +120,7 @@ class MotionTracker:
                 motion, dispute = self._match(points, guesses, step_s, gyro)
             pose = guesses[0].pose if motion is None else self._fused(motion)
             tracked = TrackedScan(pose, motion, wheels, dispute, gyro)
-            # What went wrong along a corridor is made up for at once where it ends: no robot moved so.
+            # Errors along a corridor are corrected at once at its end: this is no motion of the robot.
             if not (self._last.open and tracked.determined):
                 self._learn_velocity(between(self._last.pose, pose), step_s, told=pose is not self._blind)
         self._last = tracked
@@ -157,11 +157,11 @@ class MotionTracker:
         alone = moved is None and not cameras
         on = repeated(self._velocity_step, self._velocity_step_s, step_s, self._config, alone=alone)
         onward = compose(last.pose, on.pose)
-        # After a long gap it says nothing any more: it would be one of many places that look alike.
+        # After a long gap, it has no information: it would be one of many places that look alike.
         if alone or on.covariance[0, 0] <= OPEN_M**2:
             self._by_velocity.predict(onward, on.covariance + last.dispute)
         if alone and step_s > GAP_S:
-            # By then it may as well stand.
+            # By then, the robot may also stand still.
             self._by_velocity.predict(last.pose, on.covariance + last.dispute)
         for predictor in predictors:
             predictor.guesses = [self._turned(guess, last, gyro) for guess in predictor.guesses]
@@ -221,7 +221,7 @@ class MotionTracker:
         ]
         log_odds, held, prediction = max(rivals, key=lambda rival: rival[0], default=(0.0, None, guesses[0]))
         if log_odds < -self._config.disputed_within:
-            self._recent.clear()  # the wheels have slipped: their path until now tells nothing
+            self._recent.clear()  # the wheels have slipped: their path until now is not usable
             rivals, motion = [], self._led_by_others(points, motion, guesses)
         if not rivals:
             self._judge(motion, gyro)
@@ -233,7 +233,7 @@ class MotionTracker:
             return None, np.zeros((3, 3))
         matched = row_from_pose2(motion.T_reference_base)
         if held is None:
-            # It fits where it was matched alone, and yet it may not be there.
+            # It fits at the only pose where it was matched, and still may be elsewhere.
             offset = between(matched, prediction.pose)
             return motion, np.outer(offset, offset)
         if any(prediction is one for one in self._by_window):

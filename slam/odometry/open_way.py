@@ -12,12 +12,12 @@ from slam.measurements import FloatArray
 
 
 class OpenWay:
-    """The time since all directions were last determined, and what was added to the keyframes meanwhile.
+    """Time since all directions were last determined, and covariance added to keyframes since then.
 
     Parameters
     ----------
     greatest_speed_m_s
-        Of a robot that nothing has seen move.
+        Largest speed of a robot whose motion was not measured.
     """
 
     def __init__(self, greatest_speed_m_s: float) -> None:
@@ -28,20 +28,20 @@ class OpenWay:
         self._direction = np.zeros(6)
 
     def add_keyframe(self) -> None:
-        """What is not known up to here is in the edges."""
+        """Restart at a keyframe: the uncertainty so far is in the edges."""
         self._told_m2 = self._variance_m2
 
     def widened(self, stamp_s: float, motion: MotionEstimate, twist: FloatArray) -> MotionEstimate:
-        """A match, as uncertain as the way since the last keyframe where nothing determines it.
+        """Return a match with the uncertainty of the path since the last keyframe in undetermined directions.
 
-        Of a robot that may have stopped, or gone twice as fast, the way is anything from nothing to twice the
-        guess: evenly spread, its deviation is the guess over the root of three. Guesses of keyframes in a row
-        are wrong together, so the deviation grows with the time, not with its root.
+        The robot may have stopped, or moved twice as fast: the distance is uniform from zero to twice the
+        guess, with sigma guess / sqrt(3). Errors of consecutive guesses are correlated, so sigma grows with
+        time, not with its square root.
 
         Parameters
         ----------
         twist
-            (6,) of the base as it last was determined.
+            (6,) last determined twist of the base.
         """
         if motion.converged and not motion.degenerate:
             self._known_s, self._variance_m2 = stamp_s, 0.0

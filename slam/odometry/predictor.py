@@ -10,10 +10,10 @@ from slam.matching.motion import Motion
 from slam.matching.planar import between
 from slam.measurements import FloatArray
 
-# One wild step says no more about a predictor than this many times its variance.
+# One outlier counts at most as this many times the variance of a predictor.
 _GREATEST_SURPRISE = 10.0
-# Wheels that did well of late are taken to be more certain of the way, but not of the turn, than they claim:
-# a slip of time turns a robot that moves straight on. By no more than this share of the variance.
+# Wheels with small recent errors get a smaller sigma of the path, but not of the rotation, than stated:
+# a clock error rotates a robot that moves straight on. The variance is at least this share.
 LEAST_SHARE = 0.02
 
 

@@ -16,12 +16,12 @@ class RgbdOdometry(Protocol):
     def match(
         self, frame: PreparedFrame, local: list[VisualKeyframe], guess: gtsam.Pose3
     ) -> VisualMatch | None:
-        """Pose of the frame's camera, or None if nothing fits.
+        """Return the pose of the frame's camera, or None if nothing fits.
 
         Parameters
         ----------
         local
-            Keyframes that may see the same, the most alike first; at least one.
+            Keyframes that may see the same, the most similar first; at least one.
         guess
             Expected ``T_odom_camera``.
         """

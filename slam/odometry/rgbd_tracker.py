@@ -15,23 +15,23 @@ from slam.vision.feature_pose import turn_from_features
 from slam.vision.prepared_frame import PreparedFrame
 from slam.vision.visual_match import VisualKeyframe, VisualMatch, dissimilarity
 
-FRAME = "frame"  # what it asks for
+FRAME = "frame"  # name of its queries
 
 
 @dataclass(frozen=True, slots=True)
 class TrackedFrame:
-    """Where a frame was taken.
+    """Pose of a frame.
 
     Attributes
     ----------
     pose
         ``T_odom_camera``.
     match
-        None if nothing fitted and the pose is a guess, and for the first frame.
+        None if nothing fits and the pose is a guess, and for the first frame.
     new_keyframe
         Whether it should become a keyframe.
     restarted
-        Whether tracking was lost and starts anew here: the motion since the last keyframe is a guess.
+        Whether tracking was lost and restarts here: the motion since the last keyframe is a guess.
     """
 
     pose: gtsam.Pose3
@@ -41,14 +41,14 @@ class TrackedFrame:
 
 
 class RgbdTracker:
-    """Predicts each frame's pose, matches it, and says when a keyframe is due."""
+    """Predicts and matches the pose of each frame, and selects keyframes."""
 
     def __init__(self, odometry: RgbdOdometry, config: Config, result_cache: ResultCache = COMPUTED) -> None:
         self._odometry = odometry
         self._result_cache = result_cache
         self._config = config
         self._local: list[VisualKeyframe] = []
-        # Of the local map those with their surfaces in memory, the latest used last.
+        # Keyframes of the local map with surfaces in memory, the most recently used last.
         self._in_use: list[VisualKeyframe] = []
         self._last: TrackedFrame | None = None
         self._before: PreparedFrame | None = None
@@ -59,7 +59,7 @@ class RgbdTracker:
         self._lost = 0
 
     def track(self, frame: PreparedFrame) -> TrackedFrame:
-        """Pose of the next frame; the first one is the origin of the odometry frame."""
+        """Return the pose of the next frame; the first one is the origin of the odometry frame."""
         if self._last is None:
             tracked = TrackedFrame(gtsam.Pose3(), None, new_keyframe=True, restarted=False)
         else:
@@ -67,7 +67,7 @@ class RgbdTracker:
             guess = self._last.pose.compose(self._velocity_step(step_s))
             tracked = self._match(frame, guess)
             self._step = self._last.pose.between(tracked.pose) if tracked.match else gtsam.Pose3()
-            # The pose before is that of the last frame that matched, however many were lost since.
+            # The previous pose is that of the last matched frame, however many were lost since.
             self._step_s = frame.stamp_s - self._matched_s
         if tracked.match is not None or tracked.new_keyframe:
             self._matched_s = frame.stamp_s
@@ -76,23 +76,23 @@ class RgbdTracker:
         return tracked
 
     def add_keyframe(self, frame: PreparedFrame, tracked: TrackedFrame) -> None:
-        """Let the local map grow by a tracked frame; after a restart it holds nothing else."""
+        """Add a tracked frame to the local map; after a restart, it is the only one."""
         if tracked.restarted:
             self._local.clear()
         self._local.append(VisualKeyframe(frame, tracked.pose))
         del self._local[: -self._config.match.local_map_keyframes]
 
     def _velocity_step(self, step_s: float) -> gtsam.Pose3:
-        """The last step again, for the time that has passed."""
+        """Return the last step, scaled to the elapsed time."""
         if step_s <= 0.0 or self._step_s <= 0.0:
             return gtsam.Pose3()
         return gtsam.Pose3.Expmap(stretch(step_s, self._step_s) * gtsam.Pose3.Logmap(self._step))
 
     def _match(self, frame: PreparedFrame, guess: gtsam.Pose3) -> TrackedFrame:
-        """Match to the most alike keyframes, or say that the frame is lost."""
+        """Match to the most similar keyframes, or mark the frame as lost."""
         match = self._cached(frame, guess)
         if match is None:
-            # A camera that was held still or shaken has not moved on with constant velocity.
+            # A camera that was held still or shaken did not move at constant velocity.
             guess = self._turned(frame)
             match = self._cached(frame, guess)
         if match is None or (self._lost and not self._found_again(match)):
@@ -106,7 +106,7 @@ class RgbdTracker:
         return TrackedFrame(pose, match, self._moved_on(frame, pose, match), restarted=False)
 
     def _turned(self, frame: PreparedFrame) -> gtsam.Pose3:
-        """Where the last frame was taken, turned as the two images tell, which need no depth for that."""
+        """Return the last pose, rotated by the rotation between the two images, which needs no depth."""
         assert self._last is not None and self._before is not None
         turn = turn_from_features(
             self._before.features, frame.features, frame.frame.intrinsics, self._config.rgbd_odometry
@@ -114,7 +114,7 @@ class RgbdTracker:
         return self._last.pose.compose(gtsam.Pose3(turn, np.zeros(3)))
 
     def _can_be_matched_to(self, frame: PreparedFrame) -> bool:
-        """Whether a frame has enough depth to begin a local map."""
+        """Return whether a frame has enough depth to start a local map."""
         config = self._config.rgbd_odometry
         known = np.count_nonzero(frame.features.depth_m > 0.0)
         return bool(known >= config.least_inliers) or len(frame.points) >= config.least_points
@@ -126,13 +126,13 @@ class RgbdTracker:
         )
 
     def _found_again(self, match: VisualMatch) -> bool:
-        """Whether a match ends a loss: a wall may be another one, unless its texture or a corner tells."""
+        """Return whether a match ends a loss: walls look alike without texture or a corner."""
         if match.feature_count >= self._config.rgbd_odometry.least_inliers:
             return True
         return match.motion.converged and not match.motion.degenerate
 
     def _most_alike(self, pose: gtsam.Pose3) -> list[VisualKeyframe]:
-        """Keyframes of the local map whose cameras saw most nearly the same, best first."""
+        """Return the keyframes of the local map with the most similar views, best first."""
         scores = [
             dissimilarity(keyframe.pose, pose, keyframe.frame.median_depth_m) for keyframe in self._local
         ]
@@ -146,7 +146,7 @@ class RgbdTracker:
         return alike
 
     def _moved_on(self, frame: PreparedFrame, pose: gtsam.Pose3, match: VisualMatch) -> bool:
-        """Whether parallax, turn, or lost overlap ask for a keyframe."""
+        """Return whether parallax, rotation or lost overlap require a keyframe."""
         config = self._config.rgbd_odometry
         if match.overlap < config.keyframe_overlap:
             return True

@@ -26,7 +26,7 @@ LEAST_POINTS = 10
 
 
 class SurfelOdometry:
-    """Coarse and fine point-to-line alignment; a correlative search where the guesses fail."""
+    """Coarse and fine point-to-line alignment; a correlative search if the guesses fail."""
 
     def __init__(self, config: Config) -> None:
         self._match, self._sight_m = config.match, config.scan.range_max_m
@@ -38,10 +38,10 @@ class SurfelOdometry:
         self._local_map: LocalMap | None = None
 
     def add_keyframe(self, points: ScanPoints, pose: FloatArray) -> None:
-        """Take a scan at a pose (3,) of the odometry frame into the local map."""
+        """Add a scan at a pose (3,) of the odometry frame to the local map."""
         step, self._last = between(self._last, pose), pose
         way_m = math.hypot(step[0], step[1]) + (self._ways_m[-1] if self._ways_m else 0.0)
-        # What lies farther back on the way is another visit, not the step before: that closes loops.
+        # Keyframes farther back on the path are another visit: they are for loop closure.
         while self._ways_m and way_m - self._ways_m[0] > self._sight_m:
             for remembered in (self._ways_m, self._keyframes, self._images):
                 remembered.popleft()
@@ -51,7 +51,7 @@ class SurfelOdometry:
         self._local_map = None
 
     def match(self, points: ScanPoints, guesses: list[Motion]) -> MotionEstimate | None:
-        """Align from the first guess; from the others and by search where that is not certain."""
+        """Align from the first guess; if that is uncertain, from the others and by search."""
         local_map = self._known()
         scan = OrientedPoints.from_scan(points)
         if local_map is None or len(scan) < LEAST_POINTS:
@@ -66,7 +66,7 @@ class SurfelOdometry:
                 best = _more_confident(best, self._search(local_map, scan, guess.pose))
         weak = weak_direction(best, self._match.degenerate_share)
         if weak is not None and not guesses[0].holds(best.pose):
-            # Another guess than the most certain one has led along a corridor, where all looks alike.
+            # A guess other than the most certain one has converged along a corridor, where all looks alike.
             away = compose(best.pose, weak * (weak @ between(best.pose, guesses[0].pose)))
             best = local_map.align(scan, away)
         share = best.inlier_share
@@ -75,7 +75,7 @@ class SurfelOdometry:
         return motion_from_alignment(best, self._match)
 
     def match_near(self, points: ScanPoints, pose: FloatArray) -> MotionEstimate | None:
-        """Align while held at ``pose`` (3,): the yaw is free, the position gives way by little."""
+        """Align with a tight prior at ``pose`` (3,): the yaw is free, the position nearly fixed."""
         local_map = self._known()
         scan = OrientedPoints.from_scan(points)
         if local_map is None or len(scan) < LEAST_POINTS:
@@ -83,30 +83,30 @@ class SurfelOdometry:
         return motion_from_alignment(local_map.align_held(scan, pose), self._match)
 
     def evidence(self, points: ScanPoints, pose: FloatArray, other: Motion) -> FloatArray:
-        """What every object in a scan says for a pose (3,) against another one, in points; (2, K)."""
+        """Return (2, K) evidence of each object in a scan for a pose (3,) against another, in points."""
         local_map = self._known()
         if local_map is None:
             return np.zeros((2, 0))
         return local_map.evidence(OrientedPoints.from_scan(points), pose, other)
 
     def _fits_what_is_known(self, local_map: LocalMap, scan: OrientedPoints, best: Alignment) -> bool:
-        """Whether few points agree only because the robot looks at ground that no scan has seen."""
+        """Return whether few points agree only because the robot sees an area that no scan has seen."""
         known = best.inlier_share + local_map.contradicted(scan, best.pose)
         least_share = max(self._match.confident_inlier_share, self._match.least_inlier_share)
         fits = best.inlier_share >= least_share * known
-        # The farther apart keyframes lie, the less of a scan can be known.
+        # The farther apart keyframes are, the less of a scan can be known.
         spacing_m = (self._ways_m[-1] - self._ways_m[0]) / max(len(self._ways_m) - 1, 1)
         seen = self._loops.reach_m / max(spacing_m, self._loops.reach_m)
         return fits and known >= seen * self._loops.least_overlap
 
     def _known(self) -> LocalMap | None:
-        """The local map, built when first asked for; None before the first keyframe."""
+        """Return the local map, built at first use; None before the first keyframe."""
         if self._local_map is None and self._keyframes:
             self._local_map = LocalMap.build(list(self._keyframes), self._match, list(self._images))
         return self._local_map
 
     def _search(self, local_map: LocalMap, scan: OrientedPoints, guess: FloatArray) -> Alignment | None:
-        """Branch and bound around a guess, then the same alignment as ever."""
+        """Search around a guess by branch and bound, then align as usual."""
         if len(local_map.points) == 0:
             return None
         match = self._match
@@ -122,5 +122,5 @@ class SurfelOdometry:
 
 
 def _more_confident(a: Alignment, b: Alignment | None) -> Alignment:
-    """The alignment that more points agree with."""
+    """Return the alignment with more inliers."""
     return a if b is None or b.inlier_share <= a.inlier_share else b

@@ -14,21 +14,21 @@ from slam.odometry.wheel_tracker import WheelMoment
 
 @dataclass(frozen=True, slots=True)
 class TrackedScan:
-    """Where a scan was taken, in the odometry frame.
+    """Pose of a scan in the odometry frame.
 
     Attributes
     ----------
     pose
         (3,) x, y, yaw of the base.
     motion
-        The lidar match; None if nothing fitted and the pose is dead reckoning.
+        The lidar match; None if nothing fits and the pose is dead reckoning.
     wheels
-        Where the wheels alone say that the robot was; None without wheels.
+        Pose of the robot by the wheels alone; None without wheels.
     dispute
-        (3, 3) covariance on top of the match's where wheels contradicted it and neither is likelier by far;
-        zero otherwise.
+        (3, 3) covariance added to the match's if wheels contradict it and neither is much more likely; zero
+        otherwise.
     gyro
-        How far the gyroscope had turned; None without one.
+        Rotation of the gyroscope so far; None without one.
     """
 
     pose: FloatArray
@@ -39,15 +39,15 @@ class TrackedScan:
 
     @property
     def open(self) -> bool:
-        """Whether the lidar matched, and left a direction open, as along a corridor."""
+        """Return whether the lidar matched with an undetermined direction, as along a corridor."""
         return self.motion is not None and self.motion.degenerate
 
     @property
     def determined(self) -> bool:
-        """Whether it matched in all directions."""
+        """Return whether it matched in all directions."""
         return self.motion is not None and not self.open
 
     @property
     def confident(self) -> bool:
-        """Whether the lidar matched and nothing contradicts it; the first scan is the origin, and sure."""
+        """Return whether the lidar matched without contradiction; the first scan, the origin, is certain."""
         return not np.count_nonzero(self.dispute) and (self.motion is not None or not self.pose.any())

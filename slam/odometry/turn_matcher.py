@@ -16,22 +16,22 @@ from slam.measurements import FloatArray, PointCloud
 from slam.odometry.cloud_odometry import CloudOdometry
 from slam.odometry.cloud_velocity import CloudVelocity
 
-# A turn is deskewed again where the match tells a motion that moves its ends by more voxels than this.
+# A revolution is deskewed again if the matched motion moves its ends by more voxels than this.
 _SKEWED_VOXELS, _DESKEWED_TIMES = 0.05, 3
-# Turn rates that are tried where a cloud does not fit, as offsets from the rate of before.
+# Angular rates tried if a cloud does not fit, as offsets from the previous rate.
 _TURN_RATE_OFFSETS_RAD_S = (0.5, -0.5, 1.0, -1.0, 1.5, -1.5, 2.0, -2.0)
 
 
 @dataclass(frozen=True, slots=True)
 class DeskewedCloud:
-    """A cloud as a twist of the base straightens it.
+    """A cloud deskewed with a twist of the base.
 
     Attributes
     ----------
     points
         (N, 3) usable points, base frame.
     twist
-        (6,) by which they were deskewed, where the times of points are known.
+        (6,) twist used for deskewing, if the times of points are known.
     """
 
     points: FloatArray
@@ -44,12 +44,12 @@ class DeskewedCloud:
 
     @property
     def arms_m(self) -> FloatArray:
-        """(3, 3) of the points, see `slam.matching.cloud_alignment.arms_of`."""
+        """Return (3, 3) arms of the points, see `slam.matching.cloud_alignment.arms_of`."""
         return arms_of(self.points)
 
 
 class TurnMatcher:
-    """Finds pose and twist together, where the twist of before does not make a cloud fit."""
+    """Finds pose and twist together if a cloud does not fit with the previous twist."""
 
     def __init__(
         self, config: CloudOdometryConfig, odometry: CloudOdometry, velocity: CloudVelocity, voxel_m: float
@@ -67,18 +67,18 @@ class TurnMatcher:
         *,
         told: bool,
     ) -> MotionEstimate | None:
-        """Pose of a cloud in the odometry frame; None if nothing fits.
+        """Return the pose of a cloud in the odometry frame; None if nothing fits.
 
         Parameters
         ----------
         seen
-            The cloud as the first guess straightens it.
+            The cloud deskewed with the first guess.
         guesses, before
             See `CloudOdometry.match`.
         step_s
             Time since ``before``.
         told
-            Whether a gyroscope tells how it turned: no sudden turn is left to be found.
+            Whether a gyroscope measured the rotation: then no sudden rotation is searched for.
         """
         turned_rad = max(_TURN_RATE_OFFSETS_RAD_S) * step_s
         motion = self._odometry.match(seen.points, guesses, before, turned_rad)
@@ -97,7 +97,7 @@ class TurnMatcher:
     def _after_a_sudden_turn(
         self, cloud: PointCloud, seen: DeskewedCloud, motion: MotionEstimate | None
     ) -> tuple[DeskewedCloud, MotionEstimate | None]:
-        """The best match of a robot that may have begun or ended to turn at once."""
+        """Return the best match of a robot that may have started or stopped rotating suddenly."""
         tried = []
         for offset_rad_s in _TURN_RATE_OFFSETS_RAD_S:
             twist = seen.twist + np.array([0.0, 0.0, offset_rad_s, 0.0, 0.0, 0.0])
@@ -113,11 +113,11 @@ class TurnMatcher:
         return (turned, found) if better else (seen, motion)
 
     def _share(self, seen: DeskewedCloud, motion: MotionEstimate | None) -> float:
-        """How much of a cloud lies on planes where a match puts it."""
+        """Return the share of a cloud on planes at the pose of a match."""
         return 0.0 if motion is None else self._odometry.agreement(seen.points, pose_of(motion))
 
     def _is_skewed(self, cloud: PointCloud, seen: DeskewedCloud, motion: MotionEstimate) -> bool:
-        """Whether the match tells another twist than the one by which a cloud was deskewed."""
+        """Return whether the match has another twist than the one used for deskewing."""
         if cloud.times_s is None or not deskewed(cloud, self._config):
             return False
         off = self._velocity.at(pose_of(motion), cloud.stamp_s) - seen.twist
@@ -126,6 +126,6 @@ class TurnMatcher:
 
 
 def pose_of(motion: MotionEstimate) -> gtsam.Pose3:
-    """The pose of a match in space."""
+    """Return the 3D pose of a match."""
     assert isinstance(motion.T_reference_base, gtsam.Pose3)
     return motion.T_reference_base

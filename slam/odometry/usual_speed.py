@@ -8,12 +8,12 @@ from fusion.estimation import FEWEST
 
 
 class UsualSpeed:
-    """The speed that all but one in twenty of the readings that move keep to.
+    """The speed that 95 % of the moving readings do not exceed.
 
     Parameters
     ----------
     greatest, least
-        Of any robot, and of one that moves, metres or radians a second.
+        Largest speed of any robot, and least speed of motion, metres or radians per second.
 
     Examples
     --------
@@ -29,11 +29,11 @@ class UsualSpeed:
     def __init__(self, greatest: float, least: float) -> None:
         self._width, self._greatest, self._moved = least, int(greatest / least), 0
         self._counts = [0] * (self._greatest + 1)
-        # How many were faster than the steps up to this one.
+        # A bin of the histogram, and the number of readings above it.
         self._top, self._faster = self._greatest, 0
 
     def add(self, speed: float) -> None:
-        """Take the speed of the next reading."""
+        """Add the speed of the next reading."""
         step = min(int(speed / self._width), self._greatest)
         if not step:
             return
@@ -49,10 +49,10 @@ class UsualSpeed:
 
     @property
     def most(self) -> float:
-        """The speed; infinite before ten readings exceed it, and of who is as fast as any robot."""
+        """Return the speed; infinite before ten readings exceed it, or at the limit of any robot."""
         known = self._moved >= 10 * FEWEST and self._top < self._greatest
         return (self._top + 1) * self._width if known else math.inf
 
     def exceeded_by(self, speed: float) -> bool:
-        """Whether a speed is more than three times as fast."""
+        """Return whether a speed is more than three times as fast."""
         return speed > 3.0 * self.most

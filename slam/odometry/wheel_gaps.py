@@ -11,50 +11,50 @@ from fusion.time_alignment import GAP_S
 from slam.matching.planar import between, compose
 from slam.measurements import FloatArray, WheelOdometry, row_from_pose2
 
-# No wheel grips a floor so well that it brakes harder, m/s^2: friction of one half.
+# Largest deceleration of a wheel, m/s^2: friction coefficient one half.
 _HARDEST_BRAKING = 4.9
 
 
 class WheelGaps:
-    """Joins readings to one motion, and knows how much of it nothing has told.
+    """Joins readings to one path, and tracks how much of it was not measured.
 
-    A jump that the robot does not make is left out: it went on as before for this one reading. If the next
-    is as fast, the robot is, or has jumped back: then it is put back. Where readings stay away or repeat each
-    other for a while after a speed from which no robot stops at once it went on, and that way is a guess. If
-    they go on repeating each other it stands, as uncertain as if it had gone on.
+    An impossible jump is removed: for this reading, the robot is assumed to continue as before. If the next
+    one is as fast, the robot is fast or has jumped back: then it is restored. If readings are missing or
+    repeated for a while after a speed from which no robot stops at once, it moved on, and that path is a
+    guess. If they continue to repeat, it stands still, as uncertain as if it had moved on.
 
     Attributes
     ----------
     guessed_m
-        Way so far that is a guess.
+        Path length so far that is a guess.
     period_s
-        Time between two readings as a rule.
+        Usual time between two readings.
     """
 
     def __init__(self) -> None:
         self._told: FloatArray | None = None
         self._pose = self._counted = np.zeros(3)
-        # Of the last reading, of the last one that moved, and until when the way is in the pose.
+        # Stamps of the last reading, of the last moving one, and up to which the path is in the pose.
         self._stamp_s = self._counted_s = self._placed_s = math.nan
         self._twist = np.zeros(3)
-        # What was left out of the last reading; None if that was as fast as usual.
+        # Motion removed from the last reading; None if its speed was usual.
         self._left_out: FloatArray | None = None
         self.period_s = self._lasted_s = 0.0
-        # The time in which a robot stops, and the longest between two readings since the last that moved.
+        # Stopping time of a robot, and the longest time between two readings since the last moving one.
         self._stop_s = self._silent_s = 0.0
-        # Whether readings have repeated each other for so long that the robot stands.
+        # Whether readings have repeated for so long that the robot stands still.
         self._stands = False
         self.guessed_m = 0.0
 
     def add(self, reading: WheelOdometry, step: FloatArray, step_s: float, *, usual: bool) -> FloatArray:
-        """Take the next reading: its pose (3,) without what came before it that cannot be.
+        """Add the next reading; return its pose (3,) without previous impossible jumps.
 
         Parameters
         ----------
         step, step_s
-            As `step` tells them of the reading.
+            Results of `step` for the reading.
         usual
-            Whether the robot makes such motions.
+            Whether such a motion is usual for the robot.
         """
         guess, guess_m = self.guess_at(reading.stamp_s)
         self._stands = guess_m > 0.0 and not guess.any()
@@ -68,9 +68,9 @@ class WheelGaps:
             self.period_s += (min(step_s, GAP_S) - self.period_s) / (FEWEST if self.period_s else 1.0)
         x, y, turn = step.tolist()
         lone = not usual and self._left_out is None
-        # A reading that repeats the last one, as scan lines do, tells nothing of how fast the robot is.
+        # A reading that repeats the last one, as scan lines do, gives no speed.
         left_out = (None if usual else np.zeros(3)) if np.count_nonzero(step) else self._left_out
-        # Whoever cannot have stopped has not turned on the spot either: then the heading has jumped.
+        # A robot that cannot have stopped has not rotated on the spot either: the heading has jumped.
         still = not lone and max(abs(x), abs(y)) < SETTLED and (abs(turn) < SETTLED or guess_m > 0.0)
         if lone:
             onward = self._twist * max(step_s, 0.0)
@@ -78,7 +78,7 @@ class WheelGaps:
         elif still:
             step = guess
             self.guessed_m += guess_m
-            # It can have stopped in a silence: readings that repeat as often as ever after one are true.
+            # It can have stopped during a silence: then repeated readings at the usual rate are correct.
             if step_s <= self.period_s and self._silent_s > self._stop_s:
                 self._stop_s = 0.0
             self._silent_s = max(self._silent_s, step_s)
@@ -95,13 +95,13 @@ class WheelGaps:
         return self._pose
 
     def step(self, reading: WheelOdometry) -> tuple[FloatArray, float]:
-        """Motion (3,) since the last reading and its time; zero and not a number before any."""
+        """Return the motion (3,) since the last reading and its time; zero and NaN before any."""
         if self._told is None:
             return np.zeros(3), math.nan
         return between(self._told, row_from_pose2(reading.T_odom_base)), reading.stamp_s - self._stamp_s
 
     def guess_at(self, stamp_s: float) -> tuple[FloatArray, float]:
-        """(3,) motion since the last reading that the wheels have not counted, and how far that may be off.
+        """Return (3,) the uncounted motion since the last reading, and its possible error.
 
         Zero where there is none.
         """
@@ -113,11 +113,11 @@ class WheelGaps:
         return guess, math.hypot(self._twist[0], self._twist[1]) * since_s
 
     def _count(self, stamp_s: float) -> None:
-        """Take the speed since the last reading that moved; of two close together, the stamps tell none."""
+        """Learn the speed since the last moving reading; two close stamps give none."""
         since_s = stamp_s - self._counted_s
         if since_s >= max(self.period_s, TINY):
             self._twist, self._lasted_s = between(self._counted, self._pose) / since_s, since_s
-            # Who stands still at the end of that time was twice as fast at its beginning.
+            # If it stands still at the end of that time, it was twice as fast at its start.
             self._stop_s = 2.0 * math.hypot(self._twist[0], self._twist[1]) / _HARDEST_BRAKING
         if since_s >= self.period_s or since_s < 0.0:
             self._counted, self._counted_s = self._pose, stamp_s

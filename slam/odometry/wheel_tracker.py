@@ -19,10 +19,10 @@ from slam.odometry.gyro_yaw import GyroMoment, YawGyro
 from slam.odometry.usual_speed import UsualSpeed
 from slam.odometry.wheel_gaps import WheelGaps
 
-# Readings whose stamps coincide or run backward took a time that nobody knows.
+# The time between readings with equal or decreasing stamps is unknown.
 SHORTEST_STEP_S = 0.05
 _UNKNOWN_STEP_S = 1.0
-# Sigma of a robot's turn over a metre that nobody saw, radians.
+# Sigma of the rotation per unobserved metre, radians.
 _TURN_PER_M = 0.5
 
 
@@ -51,17 +51,17 @@ class WheelTracker:
     def __init__(self, config: WheelConfig, gyro: YawGyro | None = None) -> None:
         self._config, self._gyro = config, gyro
         self._gaps = WheelGaps()
-        # Sums over steps; what they begin with holds the scale at one until some metres are known.
+        # Sums over steps; their initial values keep the scale at one for the first metres.
         self._told_m2 = self._true_m2 = 1.0
         self._scale = np.ones(3)
-        # What the wheels leave out of a turn a metre, its sums over steps, and the mean square of the misses.
+        # Rotation per metre that the wheels miss, its sums over steps, and the mean square residual.
         self._aside_rad_m = self._aside_m_rad = self._aside_m2 = 0.0
         self._missed_rad2, self._turns_learned = config.floor_rad**2, 1
         self._clocks = ClockLearner()
-        # Stamps and poses (3,) of the last while, stamps rising; the newest first.
+        # Recent stamps and poses (3,), stamps increasing; the newest first.
         self._recent: deque[tuple[float, FloatArray]] = deque()
         self._rising = True
-        # Whether a reading was ever another than the first; whether the robot has moved though none was.
+        # Whether a reading ever differed from the first; whether the robot has moved although none did.
         self.moved, self.dead = False, False
         self._fastest_m_s = config.greatest_speed_m_s
         self._speed = UsualSpeed(config.greatest_speed_m_s, config.floor_m)
@@ -70,7 +70,7 @@ class WheelTracker:
         self._asked_s = math.nan
         self._ahead_s = 0.0
         self._T_odom_read = np.zeros(3)
-        # The newest pose by the wheels alone, and how far the gyroscope had turned then.
+        # The newest pose by the wheels alone, and the gyroscope's rotation at that time.
         self._alone: tuple[FloatArray, GyroMoment | None] | None = None
 
     @property
@@ -128,7 +128,7 @@ class WheelTracker:
         step = between(begun[0], alone)
         turn = self._gyro.turn(begun[1], gyro) if self._gyro is not None and np.count_nonzero(step) else None
         if turn is None and not self._aside_rad_m and self._recent[0][1] is begun[0]:
-            return alone  # to the bit: nothing was ever joined
+            return alone  # bit-identical: nothing was ever joined
         step[2] += self._aside_rad_m * step[0]
         if turn is not None:
             step = Motion(step, self.covariance(step)).looking(*turn).pose
@@ -192,7 +192,7 @@ class WheelTracker:
         self._aside_m2 += step[0] ** 2
         self._aside_m_rad += step[0] * (missed_rad + self._aside_rad_m * step[0])
         known_m2 = self._aside_m2 + self._missed_rad2 / self._config.turn_per_m_rad**2
-        # Taken out only where it is no chance, and more than wheels are allowed a metre.
+        # Corrected only if it is significant, and larger than the allowed error per metre.
         aside_rad_m = self._aside_m_rad / known_m2
         least2 = max(self._config.turn_per_m_rad**2, gate() * self._missed_rad2 / known_m2)
         self._aside_rad_m = aside_rad_m if aside_rad_m**2 > least2 else 0.0
@@ -216,7 +216,7 @@ class WheelTracker:
         if by_stamp:
             last = len(readings) - 1
             number = next((n for n, (read_s, _) in enumerate(readings) if read_s <= asked_s), last)
-            # Then readings are carried on at every scan: a step of no time would tell any speed.
+            # Then readings are extrapolated at every scan: a step without time would give any speed.
             shortest_s = SHORTEST_STEP_S
         read_s, pose = readings[number]
         ended_s, ended = readings[max(number - 1, 0)]
@@ -237,7 +237,7 @@ class WheelTracker:
             or not self.plausible(step, step_s)
         )
         if not unusual:
-            # What is faster still is left out.
+            # Faster motions are ignored.
             self._unusual_m += max(way_m - self._speed.most * time_s, 0.0)
         self._speed.add(way_m / time_s)
         self._turning.add(turn_rad / time_s)
@@ -276,11 +276,11 @@ def thrown_aside(motion: Motion) -> FloatArray:
     """
     x, y, yaw_rad = motion.pose.tolist()
     cos, sin = math.cos(yaw_rad), math.sin(yaw_rad)
-    # Where it began, seen from where it ended; a quarter turn from there is aside.
+    # Start relative to the end; rotated by 90 degrees, it is the lateral direction.
     lever_x, lever_y = sin * x - cos * y, cos * x + sin * y
     _, _, (xt, yt, variance) = motion.covariance.tolist()
-    # A way that is wrong together with the heading is thrown aside together with it: else a dispute, whose
-    # covariance has one direction, would leave one that is none.
+    # A path error correlated with the heading error shifts together with it: otherwise a dispute, whose
+    # covariance has one direction, would keep a wrong one.
     third, half = variance / 3, 0.5 * variance
     across = third * lever_x * lever_y + 0.5 * (lever_x * yt + lever_y * xt)
     return np.array(

@@ -100,7 +100,7 @@ class Exports:
             If the map does not contain the data for the format, or a file cannot be written.
         """
         if format_ not in FORMATS:
-            hint = nearest(format_, FORMATS)
+            hint = nearest(str(format_), FORMATS)
             raise ScanweaveError(f"no format '{format_}'{hint}; formats are: {', '.join(FORMATS)}")
         if lacking := self._lacking(format_):
             raise ScanweaveError(f"the map holds no {lacking}, so there is nothing to write as {format_}")

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 from fusion.showing import drawn, extent, with_pictures
 from slam.config import Config
 from slam.config.edits import Edits, edits_of, load_edits
-from slam.errors import MapFileError
+from slam.errors import MapFileError, path_of
 from slam.estimates import Trajectory
 from slam.graph.loop_candidate import LoopCandidate
 from slam.mapping.floor_plan import FloorPlan
@@ -196,7 +196,7 @@ class Map:
         ScanweaveError
             If the map does not contain the data for the format, or a file cannot be written.
         """
-        return Exports(self.contents, self.config).write(format_, Path(out))
+        return Exports(self.contents, self.config).write(format_, path_of(out, "out"))
 
     def write_files(self, folder: Path, like: Map | None = None) -> list[Path]:
         """Write the exported files that ``scanweave map`` writes; raises as `export`.
@@ -265,7 +265,8 @@ class Map:
         settings
             Overrides as for `slam.load_config`; settings that need the log raise an error.
         """
-        pairs = (setting.partition("=") for setting in settings)
+        given = [settings] if isinstance(settings, str) else settings
+        pairs = (str(setting).partition("=") for setting in given)
         return self.edited({"settings": {name: value for name, _, value in pairs}}, out=out)
 
     def undone(self, *, out: Path | str | None = None) -> Map:
@@ -295,7 +296,7 @@ class Map:
         ScanweaveError
             If the folder has another map that must not be replaced, or a file cannot be written.
         """
-        target = copy_into(Path(folder), self.path, overwrite=overwrite)
+        target = copy_into(path_of(folder, "the folder"), self.path, overwrite=overwrite)
         return [target, *self.write_files(target.parent)]
 
     def close(self) -> None:
@@ -311,7 +312,7 @@ def made_anew(saved: Map, write: Callable[[Path], list[str]], out: Path | str | 
         kept_in = TemporaryFolder()
         write(kept_in.path / MAP_NAME)
         return load_map(kept_in.path, kept_in)
-    folder = Path(out)
+    folder = path_of(out, "out")
     ours = holds(folder, saved.path, "give another --out (out=)")
 
     def write_all(work: Path) -> None:
@@ -347,7 +348,7 @@ def load_map(path: Path | str, kept_in: TemporaryFolder | None = None) -> Map:
     (True, True)
     >>> house.close()
     """
-    file = MapFile.read(Path(path))
+    file = MapFile.read(path_of(path, "the map"))
     try:
         meta = file.meta()
         identity = MapIdentity.from_meta(meta, file.path)

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from fusion.showing import with_pictures
-from slam.errors import MapFileError
+from slam.errors import MapFileError, path_of
 from slam.estimates import Trajectory
 from slam.mapping.layered_map import OCCUPANCY, LayeredMap
 from slam.mapping.occupancy_grid import OCCUPIED, UNKNOWN, OccupancyGrid
@@ -75,11 +75,12 @@ def load_grid_map(path: Path | str) -> GridMap:
     >>> len(slam.localize_log(house, tuesday).trajectory) > 50
     True
     """
-    drawn = read_nav2_map(Path(path))
+    found = path_of(path, "the map")
+    drawn = read_nav2_map(found)
     grid = _grid_of(drawn)
     if not (grid.states() == OCCUPIED).any():
         raise MapFileError(f"{path} shows no wall, so nothing can be localised in it")
-    return GridMap(Path(path), grid)
+    return GridMap(found, grid)
 
 
 def opened(known: Map | GridMap | Path | str) -> Map | GridMap:
@@ -90,9 +91,9 @@ def opened(known: Map | GridMap | Path | str) -> Map | GridMap:
     MapFileError
         As `load_map` and `load_grid_map`.
     """
-    if not isinstance(known, str | Path):
+    if isinstance(known, Map | GridMap):
         return known
-    return load_grid_map(known) if Path(known).suffix in (".yaml", ".yml") else load_map(known)
+    return load_grid_map(known) if str(known).endswith((".yaml", ".yml")) else load_map(known)
 
 
 def _grid_of(drawn: Nav2Map) -> OccupancyGrid:

@@ -24,12 +24,12 @@ LASER_FRAME, LASER_3D_FRAME = "laser", "laser_3d"
 
 
 def camera_frame(camera: str) -> str:
-    """Name of a camera's optical frame."""
+    """Return the name of a camera's optical frame."""
     return f"{camera_topic(camera)[1:]}_optical_frame"
 
 
 def camera_topic(camera: str) -> str:
-    """What the topics of a camera begin with: ``/camera`` for "camera", ``/camera_1`` for "RGBD_1"."""
+    """Return the topic prefix of a camera: ``/camera`` for "camera", ``/camera_1`` for "RGBD_1"."""
     plain = camera.lower().removeprefix("rgbd_")
     return f"/{plain}" if plain.startswith("camera") else f"/camera_{plain}"
 
@@ -39,15 +39,15 @@ class BagWriter:
 
     Topics: ``/scan``, ``/points`` (3D lidar), ``/imu``, ``/odom``, ``/tf`` (odom to base_link),
     ``/tf_static`` and for each camera ``color/image_raw``, ``color/camera_info``, ``depth/image_raw``,
-    ``depth/camera_info``. A message's header bears the sensor's stamp, the bag's own time is the true time:
-    when it would have arrived. The truth (map to odom) is not in the bag.
+    ``depth/camera_info``. A message's header has the sensor's stamp; the bag's time is the true arrival time.
+    The ground truth (map to odom) is not in the bag.
 
     Parameters
     ----------
     folder
-        Made anew; gets ``log.mcap`` and ``metadata.yaml`` and must be called ``log``.
+        Created; gets ``log.mcap`` and ``metadata.yaml`` and must be called ``log``.
     compress
-        Pack the chunks with zstd.
+        Compress the chunks with zstd.
     """
 
     def __init__(self, folder: Path, drive: Drive, first_stamp_s: float, *, compress: bool = False) -> None:
@@ -82,7 +82,7 @@ class BagWriter:
         self._writer.__exit__(kind, error, trace)
 
     def write(self, event: DriveEvent) -> None:
-        """Write a reading, before it what the IMU has told by then; the truth is left out."""
+        """Write a reading, after the IMU readings until then; the ground truth is left out."""
         while self._next is not None and self._next[0] <= event.true_stamp_s:
             self._send("/imu", *self._next)
             self._next = next(self._felt, None)
@@ -133,7 +133,7 @@ class BagWriter:
             self._send("/scan", event.true_stamp_s, message)
 
     def _image(self, event: ImageEvent) -> None:
-        """One camera: two images and what they were taken with; depth is registered to colour."""
+        """Write one camera: two images and their intrinsics; depth is registered to colour."""
         frame, at_s = event.frame, event.true_stamp_s
         topic, frame_id = camera_topic(frame.sensor), camera_frame(frame.sensor)
         depth = depth_steps(frame.depth_m, ros.DEPTH_STEPS_PER_M)
@@ -147,7 +147,7 @@ class BagWriter:
             self._send(f"{topic}/{kind}/camera_info", at_s, info)
 
     def _odometry(self, event: OdometryEvent) -> None:
-        """The wheels, as a message and as a transform."""
+        """Write the wheel odometry as a message and as a transform."""
         stamp_s, pose = event.reading.stamp_s, gtsam.Pose3(event.reading.T_odom_base)
         message = ros.odometry(stamp_s, pose, event.twist, ODOM_FRAME, BASE_FRAME)
         self._send("/odom", event.true_stamp_s, message)
@@ -155,7 +155,7 @@ class BagWriter:
 
 
 def mounts(drive: Drive) -> dict[str, gtsam.Pose3]:
-    """Where each sensor frame sits on the robot, by the frame's name."""
+    """Return the mounting of each sensor on the robot, by the frame's name."""
     found = {camera_frame(camera.name): camera.T_base_camera for camera in drive.rig.cameras}
     if drive.rig.lidar is not None:
         found[LASER_FRAME] = drive.rig.lidar.T_base_laser

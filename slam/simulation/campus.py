@@ -42,9 +42,9 @@ class CampusDrive:
     scans, readings
         Lines of the lidar and of the wheels.
     lag_s
-        By how much the lidar's stamps are late.
+        Delay of the lidar's stamps.
     gaps_s
-        The lidar's silences of 5 s and more.
+        Gaps of the lidar of 5 s and more.
     gross_errors
         Of the wheels.
     """
@@ -138,7 +138,7 @@ def _write_log(
     lag_s: float,
     progress: Progress | None,
 ) -> None:
-    """Readings and scans in the order of their stamps; of equal ones the reading first."""
+    """Write readings and scans sorted by stamp; for equal stamps the reading first."""
     times_s = np.concatenate([readings / RATE_HZ, steps * STEP_S + lag_s])
     with CarmenWriter(path, FIRST_STAMP_S) as log:
         for place in np.argsort(times_s, kind="stable").tolist():

@@ -19,8 +19,8 @@ IntArray = NDArray[np.int64]
 _LIMITS = DriveLimits(speed_m_s=1.0)
 _SLOWEST_SHARE = 0.35
 _SPACING_M, _LOOKAHEAD_M = 0.1, 0.6
-_ASIDE_M, _WALL_M = 0.35, 0.75  # the robot drives as far beside the middle, and stays as far off the walls
-_STOP_EVERY_M, _STOP_S = 45.0, 12.0  # mean way between two stops, mean length of one
+_ASIDE_M, _WALL_M = 0.35, 0.75  # lateral offset of the robot from the middle, and its distance from the walls
+_STOP_EVERY_M, _STOP_S = 45.0, 12.0  # mean distance between two stops, mean duration of one
 _LONGEST_LEG_S = 3600.0
 # A scan is due by way, 3700 of them evenly over the drive; by turn; and at last by time.
 _SCANS_BY_WAY, _SCAN_RAD, _SCAN_S = 3700, 0.35, 4.0
@@ -28,7 +28,7 @@ _GAP_S = (5.0, 28.0)
 
 
 def plan_way(campus: Campus, rng: np.random.Generator, length_m: float) -> list[int]:
-    """Junctions of a walk: through the whole ring first, then along corridors seldom seen, up to a length."""
+    """Plan the junctions of a drive: first the whole ring, then rarely seen corridors, up to a length."""
     pairs = [corridor.junctions for corridor in campus.corridors]
     ends, count = np.array(pairs), len(campus.junctions_m)
     lengths = [corridor.length_m for corridor in campus.corridors]
@@ -40,7 +40,7 @@ def plan_way(campus: Campus, rng: np.random.Generator, length_m: float) -> list[
     while goals or driven_m < length_m:
         here = way[-1]
         if not goals:
-            # Seldom seen, not far, and turning on the spot only where all else is a detour.
+            # Prefer rarely seen and near corridors, and turning on the spot only if all others are a detour.
             reach_m = far_m[here, ends].min(axis=1)
             back = [len(way) > 1 and {here, way[-2]} == set(pair) for pair in pairs]
             cost = 60.0 * visits + reach_m + 40.0 * np.array(back) + rng.uniform(0.0, 30.0, len(pairs))
@@ -56,7 +56,7 @@ def plan_way(campus: Campus, rng: np.random.Generator, length_m: float) -> list[
 
 
 def drive_way(campus: Campus, way: list[int], rng: np.random.Generator) -> FloatArray:
-    """True poses on a way, (N, 3) rows of x, y, yaw (not wrapped), `STEP_S` apart, with stops."""
+    """Return true poses on a path, (N, 3) rows of x, y, yaw (not wrapped), `STEP_S` apart, with stops."""
     path, share = _path(campus, way, rng)
     stops = np.cumsum(5.0 + rng.exponential(_STOP_EVERY_M - 5.0, len(path))) / _SPACING_M
     cuts = [0, *stops[stops < len(path) - 20].astype(int).tolist(), len(path) - 1]
@@ -74,7 +74,7 @@ def drive_way(campus: Campus, way: list[int], rng: np.random.Generator) -> Float
 
 
 def _path(campus: Campus, way: list[int], rng: np.random.Generator) -> tuple[FloatArray, FloatArray]:
-    """Points (N, 2) along a way, each time another bit beside the middle; and the shares of the top speed."""
+    """Return points (N, 2) along a path with varying lateral offset; and the shares of the top speed."""
     widths = {frozenset(corridor.junctions): corridor.width_m for corridor in campus.corridors}
     points, shares = [], []
     for a, b in itertools.pairwise(way):
@@ -90,7 +90,7 @@ def _path(campus: Campus, way: list[int], rng: np.random.Generator) -> tuple[Flo
 
 
 def scan_steps(poses_xyt: FloatArray, gaps: int, rng: np.random.Generator) -> IntArray:
-    """Steps at which the lidar fires, increasing, with a number of gaps of 5 to 28 s each."""
+    """Return the steps at which the lidar fires, ascending, with a number of gaps of 5 to 28 s each."""
     driven_m, yaws = travelled_m(poses_xyt).tolist(), poses_xyt[:, 2].tolist()
     fired, spacing_m = [0], driven_m[-1] / _SCANS_BY_WAY
     due_m = spacing_m
@@ -109,5 +109,5 @@ def scan_steps(poses_xyt: FloatArray, gaps: int, rng: np.random.Generator) -> In
 
 
 def travelled_m(poses_xyt: FloatArray) -> FloatArray:
-    """Way driven up to each pose (N, 3), (N,)."""
+    """Return (N,) the distance driven up to each pose (N, 3)."""
     return np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(poses_xyt[:, :2], axis=0), axis=1))])

@@ -17,9 +17,9 @@ RANGE_MAX_M = 80.0
 _T_BASE_LASER = gtsam.Pose2(0.1, 0.0, 0.0)
 _BEAMS, _STEP_RAD = 180, math.radians(1.0)
 _START_RAD = -0.5 * (_BEAMS - 1) * _STEP_RAD
-_RANGE_SIGMA_M, _RANGE_DECIMALS = 0.01, 2  # a SICK LMS tells whole centimetres
-_GLASS_SHARE = 0.6  # of the beams that go through
-_RADIUS_M, _POLITE_M = 0.2, 0.5  # of a person, and between a person's and the robot's centre
+_RANGE_SIGMA_M, _RANGE_DECIMALS = 0.01, 2  # a SICK LMS reports whole centimetres
+_GLASS_SHARE = 0.6  # share of the beams that go through
+_RADIUS_M, _POLITE_M = 0.2, 0.5  # radius of a person, and distance between a person's and the robot's centre
 _CORNERS = 8
 
 
@@ -52,7 +52,7 @@ class CampusLidar:
         self._velocity = rng.uniform(-1.2, 1.2, (count, 1)) * along
 
     def scan(self, step: int, stamp_s: float) -> LaserScan:
-        """The sweep at a step of the drive, taken at an instant."""
+        """Return the scan at a step of the drive, taken at an instant."""
         laser = pose2_from_row(self._poses[step]) * _T_BASE_LASER
         origin = np.array([laser.x(), laser.y()])
         bearings = laser.theta() + _START_RAD + _STEP_RAD * np.arange(_BEAMS, dtype=np.float64)
@@ -67,7 +67,7 @@ class CampusLidar:
         return LaserScan(stamp_s, told, _START_RAD, _STEP_RAD, RANGE_MAX_M, _T_BASE_LASER)
 
     def _people(self, step: int) -> FloatArray:
-        """Outlines of all who are about, (8 n, 4); nobody comes too near the robot."""
+        """Return the outlines of all persons present, (8 n, 4), at a least distance from the robot."""
         since_s = step * STEP_S - self._begin_s
         about = (since_s >= 0.0) & (since_s < self._stay_s)
         places = self._start_m[about] + since_s[about, None] * self._velocity[about]
@@ -78,7 +78,7 @@ class CampusLidar:
 
 
 def _near(segments_m: FloatArray, origin_m: FloatArray) -> FloatArray:
-    """Those that may lie within the range."""
+    """Return the segments that may be within the range."""
     away_m = np.linalg.norm(0.5 * (segments_m[:, :2] + segments_m[:, 2:]) - origin_m, axis=1)
     return segments_m[
         away_m < RANGE_MAX_M + 0.5 * np.linalg.norm(segments_m[:, 2:] - segments_m[:, :2], axis=1)

@@ -19,12 +19,12 @@ _KINDS, _SHARES = ("heading", "position", "standstill"), (0.55, 0.25, 0.2)
 
 @dataclass(frozen=True, slots=True)
 class CampusFaults:
-    """What goes wrong; the defaults are a drive with little but the noise of lidar and wheels.
+    """Faults of a drive; the defaults are mostly the noise of lidar and wheels.
 
     Attributes
     ----------
     gaps
-        How often the lidar is silent, 5 to 28 s each.
+        Number of gaps of the lidar, 5 to 28 s each.
     gross_errors
         How often the wheels are wrong at once: by a heading (10 to 180 degrees), by a position (0.5 to 3 m),
         or for a stretch (2 to 8 s) that they neither count nor tell.
@@ -35,7 +35,7 @@ class CampusFaults:
     wheels
         Their small errors: unequal radii, noise, slip.
     encounters_per_m
-        How often somebody walks by.
+        Number of persons walking by per metre.
     """
 
     gaps: int = 0
@@ -63,7 +63,7 @@ CAMPUS_FAULTS = {
 
 @dataclass(frozen=True, slots=True)
 class GrossError:
-    """Something that the wheels get wrong at once.
+    """A gross error of the wheels.
 
     Attributes
     ----------
@@ -83,7 +83,7 @@ class GrossError:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CampusWheels:
-    """What the wheels say.
+    """Wheel odometry of a drive.
 
     Attributes
     ----------
@@ -92,7 +92,7 @@ class CampusWheels:
     onward_xyt
         (N, 3) counted motion to the next reading, seen from this one; a jump is not part of it.
     told
-        (N,) whether the reading reaches the log.
+        (N,) whether the reading is in the log.
     errors
         In the order of time.
     """
@@ -103,17 +103,17 @@ class CampusWheels:
     errors: tuple[GrossError, ...]
 
     def at(self, time_s: float) -> gtsam.Pose2:
-        """``T_odom_base`` at a time since the beginning: the reading before, moved on as the wheels count."""
+        """Return ``T_odom_base`` at a time since the start: the previous reading plus the counted motion."""
         index = min(int(time_s * RATE_HZ + 1e-9), len(self.poses_xyt) - 1)
         share = time_s * RATE_HZ - index
         return pose2_from_row(self.poses_xyt[index]) * pose2_from_row(share * self.onward_xyt[index])
 
 
 def campus_wheels(faults: CampusFaults, poses_xyt: FloatArray, rng: np.random.Generator) -> CampusWheels:
-    """What the wheels make of true poses (N, 3) at their readings."""
+    """Simulate the wheel odometry of true poses (N, 3)."""
     scale = 1.0 + rng.choice([-1.0, 1.0]) * faults.largest_scale * rng.uniform(1.0 / 3.0, 1.0)
     rows = wheel_readings(faults.wheels, poses_xyt * [scale, scale, 1.0], rng).poses_xyt
-    # The plane as complex numbers: e^(i yaw) turns.
+    # Complex numbers for the plane: e^(i yaw) rotates.
     place, yaw = rows[:, 0] + 1j * rows[:, 1], np.unwrap(rows[:, 2])
     moved, turned = np.diff(place) * np.exp(-1j * yaw[:-1]), np.diff(yaw)
     jumped, swung = np.zeros_like(moved), np.zeros_like(turned)

@@ -17,14 +17,14 @@ _PRINTED_M = 0.001  # ranges are written in whole millimetres
 class CarmenWriter:
     """One CARMEN log; use it as a context manager.
 
-    A lidar that looks over half a circle is written as FLASER, whose angles follow from PARAM lines; any
-    other as ROBOTLASER1, which states them. No return is written as the maximum, an invalid reading as 0.
+    A lidar with a field of view of 180 degrees is written as FLASER, with angles from PARAM lines; any other
+    as ROBOTLASER1, which contains them. No return is written as the maximum, an invalid reading as 0.
     The stamp of a line is the sensor's; the logger's stamp at its end is the true time since the beginning.
 
     Parameters
     ----------
     path
-        The log, made anew.
+        The log to create.
     first_stamp_s
         True time when the drive began.
     """
@@ -45,12 +45,12 @@ class CarmenWriter:
         self._file.close()
 
     def odometry(self, reading: WheelOdometry, twist: tuple[float, float], true_stamp_s: float) -> None:
-        """An ODOM line; ``twist`` is speed and turn rate."""
+        """Write an ODOM line; ``twist`` is speed and angular rate."""
         pose, tail = _pose_text(reading.T_odom_base), self._tail(reading.stamp_s, true_stamp_s)
         self._file.write(f"ODOM {pose} {twist[0]:.6f} {twist[1]:.6f} 0 {tail}\n")
 
     def scan(self, scan: LaserScan, T_odom_base: gtsam.Pose2, true_stamp_s: float) -> None:
-        """A scan line; ``T_odom_base`` is what the wheels said at the scan's stamp."""
+        """Write a scan line; ``T_odom_base`` is the wheel odometry at the scan's stamp."""
         tail = self._tail(scan.stamp_s, true_stamp_s)
         half = is_half_circle(scan)
         if not self._described:
@@ -69,19 +69,19 @@ class CarmenWriter:
         self._file.write(f"ROBOTLASER1 {head} {ranges} 0 {poses} 0 0 0 0 0 {tail}\n")
 
     def _tail(self, stamp_s: float, true_stamp_s: float) -> str:
-        """Stamp of the sensor, host, stamp of the logger."""
+        """Return the stamp of the sensor, the host, and the stamp of the logger."""
         return f"{stamp_s:.6f} simulated {true_stamp_s - self._first_stamp_s:.6f}"
 
 
 def is_half_circle(scan: LaserScan) -> bool:
-    """Whether the beams look ahead, symmetric, over 180 degrees, with both edges measured."""
+    """Return whether the beams cover 180 degrees ahead, symmetrically, including both edges."""
     fov = scan.step_rad * (scan.ranges_m.size - 1)
     symmetric = abs(scan.start_angle_rad + 0.5 * fov) < 1e-9
     return symmetric and abs(fov - math.pi) < _HALF_TURN_TOLERANCE_RAD
 
 
 def written_ranges_m(scan: LaserScan) -> FloatArray:
-    """Ranges as CARMEN writes them, (N,)."""
+    """Return the ranges (N,) as CARMEN writes them."""
     ranges = scan.ranges_m.astype(np.float64)
     # A true reading next to the maximum must not be rounded up to mean "no return".
     kept = np.clip(ranges, _PRINTED_M, scan.range_max_m - _PRINTED_M)
@@ -89,7 +89,7 @@ def written_ranges_m(scan: LaserScan) -> FloatArray:
 
 
 def _parameters(scan: LaserScan) -> list[str]:
-    """PARAM lines that say how the lidar sits and looks."""
+    """Return the PARAM lines of the lidar's mounting and field of view."""
     mount = scan.T_base_laser
     fov_deg = math.degrees(scan.step_rad * (scan.ranges_m.size - 1))
     return [

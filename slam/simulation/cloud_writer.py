@@ -7,7 +7,6 @@ from pathlib import Path
 import gtsam
 import numpy as np
 
-from slam.measurements import Float32Array
 from slam.simulation.events import CloudEvent
 from slam.simulation.ordered_pool import OrderedPool
 from slam.simulation.tum_writer import transform_fields, write_yaml
@@ -16,8 +15,8 @@ from slam.simulation.tum_writer import transform_fields, write_yaml
 class CloudWriter:
     """``points/`` with its index ``points.txt`` beside it; use it as a context manager.
 
-    A point is x, y, z in the frame of the lidar, and its ring where KITTI has the intensity. Where the lidar
-    sits is in ``points/calibration.yaml``.
+    A point is x, y, z in the frame of the lidar, and its ring where KITTI has the intensity. The mounting of
+    the lidar is in ``points/calibration.yaml``.
     """
 
     def __init__(self, folder: Path, T_base_lidar: gtsam.Pose3, pool: OrderedPool) -> None:
@@ -36,13 +35,8 @@ class CloudWriter:
         self._index.close()
 
     def write(self, event: CloudEvent) -> None:
-        """Queue one turn."""
+        """Queue one revolution."""
         name = f"points/{event.stamp_s:.6f}.bin"
         self._index.write(f"{event.stamp_s:.6f} {name}\n")
         rows = np.column_stack([event.points_laser, event.ring.astype(np.float32)])
-        self._pool.submit(_write_floats, self._folder / name, rows)
-
-
-def _write_floats(path: Path, rows: Float32Array) -> None:
-    """The floats as they are."""
-    path.write_bytes(rows.astype("<f4").tobytes())
+        self._pool.submit(rows.astype("<f4").tofile, self._folder / name)

@@ -29,30 +29,30 @@ from slam.simulation.tour import Tour, plan_tour
 from slam.simulation.wheel_odometry import WheelReadings, wheel_readings
 from slam.vision.prefetch import prefetched
 
-FIRST_STAMP_S = 1000.0  # true time when a drive begins
+FIRST_STAMP_S = 1000.0  # true time at the start of a drive
 TRUTH_RATE_HZ = 50.0
 
-# Threads in which sensors see, and readings that are made ahead: some 10 MB of 320 x 240 frames.
+# Threads of sensors, and readings computed ahead: about 10 MB of 320 x 240 frames.
 _THREADS, _WAITING = 2, 24
 
-_TRUTH, _ODOMETRY, _READINGS = range(3)  # order of what happens at the same time
-_NOISE = 1  # stream of a sensor's generator; 0 is its schedule
+_TRUTH, _ODOMETRY, _READINGS = range(3)  # order of simultaneous events
+_NOISE = 1  # stream of a sensor's random generator; 0 is its schedule
 
 
 @dataclass(frozen=True)
 class Drive:
-    """A drive that is planned, and can be driven any number of times.
+    """A planned drive, which can be simulated any number of times.
 
     Attributes
     ----------
     home, rig, seed, faults
-        What it was planned from.
+        Inputs of the planning.
     tour
         The truth.
     schedules
         Of the lidars and the cameras, by the sensor's name.
     odometry_s
-        (N,) seconds since the beginning of each wheel reading.
+        (N,) time of each wheel reading since the start, seconds.
     wheels
         What the wheels say.
     walk
@@ -73,11 +73,11 @@ class Drive:
     imu: ImuRecord | None = None
 
     def base_at(self, time_s: float) -> gtsam.Pose2:
-        """``T_map_base``, seconds since the beginning."""
+        """Return ``T_map_base`` at a time since the start, seconds."""
         return gtsam.Pose2(*self.tour.pose_at(time_s))
 
     def odometry_at(self, stamp_s: float) -> gtsam.Pose2:
-        """``T_odom_base`` by the wheels at a stamp of their clock, between two readings by interpolation."""
+        """Return ``T_odom_base`` by the wheels at a stamp of their clock, interpolated between readings."""
         at = (stamp_s - FIRST_STAMP_S) * self.faults.wheels.rate_hz
         last = len(self.odometry_s) - 1
         index = min(max(int(at), 0), max(last - 1, 0))
@@ -87,7 +87,7 @@ class Drive:
         return before.compose(gtsam.Pose2.Expmap(share * gtsam.Pose2.Logmap(before.between(after))))
 
     def events(self, threads: int = _THREADS) -> Iterator[DriveEvent]:
-        """All readings in the order of true time; the same to the bit by any number of threads."""
+        """Yield all readings in the order of true time; bit-identical for any number of threads."""
         scene = Scene(self.home)
         streams: list[Iterator[tuple[float, int, int]]] = [
             _ticks(np.arange(int(self.tour.duration_s * TRUTH_RATE_HZ) + 1) / TRUTH_RATE_HZ, _TRUTH),
@@ -119,14 +119,14 @@ class Drive:
         yield from prefetched(happening, event, _WAITING, threads)
 
     def _odometry(self, index: int) -> OdometryEvent:
-        """A reading of the wheels; their clock tells the truth."""
+        """Return a wheel reading; its clock has no error."""
         stamp_s = FIRST_STAMP_S + float(self.odometry_s[index])
         reading = WheelOdometry(round(stamp_s, 6), pose2_from_row(self.wheels.poses_xyt[index]))
         speed, turn = map(float, self.wheels.twists[index])
         return OdometryEvent(stamp_s, reading, (speed, turn), self.wheels.slipping[index])
 
     def _scan(self, scene: Scene, readings: Schedule, index: int) -> ScanEvent:
-        """One sweep, taken at an instant."""
+        """Return one scan, taken at an instant."""
         lidar = self.rig.lidar
         if lidar is None:
             raise ConfigError(f"rig {self.rig.name} has no lidar")
@@ -147,13 +147,13 @@ class Drive:
     def _instant(
         self, readings: Schedule, index: int
     ) -> tuple[float, gtsam.Pose2, np.random.Generator, tuple[float, float] | None]:
-        """When a reading is taken, seconds, where the base is, its noise, and who walks by."""
+        """Return the time of a reading, seconds, the base pose, its noise generator, and the person."""
         time_s = float(readings.true_s[index])
         person = None if self.walk is None else self.walk.at(time_s)
         return time_s, self.base_at(time_s), generator(self.seed, readings.sensor, _NOISE, index), person
 
     def _cloud(self, scene: Scene, readings: Schedule, index: int) -> CloudEvent:
-        """One turn of the 3D lidar, taken at an instant."""
+        """Return one revolution of the 3D lidar, taken at an instant."""
         lidar = self.rig.lidar_3d
         if lidar is None:
             raise ConfigError(f"rig {self.rig.name} has no 3D lidar")
@@ -171,7 +171,7 @@ class Drive:
         )
 
     def _image(self, scene: Scene, camera: MountedCamera, readings: Schedule, index: int) -> ImageEvent:
-        """One pair of images, taken at an instant."""
+        """Return one pair of images, taken at an instant."""
         time_s, base, noise, person = self._instant(readings, index)
         seen = render_rgbd(
             scene, gtsam.Pose3(base).compose(camera.T_base_camera), camera.model, noise, person
@@ -190,12 +190,12 @@ class Drive:
 def prepare_drive(
     home: Home, rig: Rig, seed: int, faults: DriveFaults | None = None, duration_s: float | None = None
 ) -> Drive:
-    """Plan the tour, the wheels, the clocks and the person of a drive.
+    """Plan the tour, wheel odometry, clocks and person of a drive.
 
     Parameters
     ----------
     seed
-        Of the tour's order, all noise and all faults.
+        Seed of the tour's order, all noise and all faults.
     faults
         None: only the wheels' usual slip.
     duration_s
@@ -204,7 +204,7 @@ def prepare_drive(
     Raises
     ------
     ConfigError
-        The robot does not fit through the home, or the sensor that should die is not on the rig.
+        If the robot does not fit through the home, or the sensor that should fail is not on the rig.
     """
     faults = faults or DriveFaults()
     tour = plan_tour(home, rig.robot_radius_m, rig.robot_height_m, seed, duration_s)
@@ -232,7 +232,7 @@ def prepare_drive(
 def simulate_drive(
     home: Home, rig: Rig, seed: int, faults: DriveFaults | None = None, duration_s: float | None = None
 ) -> Iterator[DriveEvent]:
-    """All readings of a drive in the order of true time; see `prepare_drive` for the arguments.
+    """Yield all readings of a drive in the order of true time; see `prepare_drive` for the arguments.
 
     Raises
     ------
@@ -243,12 +243,12 @@ def simulate_drive(
 
 
 def leading_sensor(rig: Rig) -> str:
-    """Name of the sensor that a rig goes by most: its planar lidar, else the other one, else a camera."""
+    """Return the leading sensor of a rig: its 2D lidar, else the 3D lidar, else a camera."""
     return next(iter(_schedules(rig, DriveFaults(), 1.0, 0)))
 
 
 def _schedules(rig: Rig, faults: DriveFaults, duration_s: float, seed: int) -> dict[str, Schedule]:
-    """When each sensor fires."""
+    """Return the schedule of each sensor."""
     dead_s = (faults.dies_at_share * duration_s, np.inf)
     if faults.returns_at_share is not None:
         dead_s = (dead_s[0], faults.returns_at_share * duration_s)
@@ -280,5 +280,5 @@ def _schedules(rig: Rig, faults: DriveFaults, duration_s: float, seed: int) -> d
 
 
 def _ticks(times_s: FloatArray, place: int) -> Iterator[tuple[float, int, int]]:
-    """Time, place in the order, index."""
+    """Yield time, order and index of events."""
     return ((float(time_s), place, index) for index, time_s in enumerate(times_s))

@@ -19,21 +19,21 @@ class DriveFaults:
     Attributes
     ----------
     lidar_clock_offset_s, camera_clock_offset_s
-        What the sensor's clock says beyond the true time; the wheels' clock is right.
+        Offset of the sensor's clock from the true time; the wheels' clock is correct.
     camera_clock_spread_s
         Standard deviation of a further offset of each camera's own, drawn once.
     period_jitter_s
-        Standard deviation of when a sensor fires, about its even rhythm. Its stamp tells that instant.
+        Standard deviation of the firing time around its regular period. The stamp is that time.
     stamp_jitter_s
-        Standard deviation by which a stamp misses the instant that it should tell.
+        Standard deviation of the stamp from the firing time.
     dropped_scan_share, dropped_frame_share
         Share of readings that are lost, 0 to 1.
     person
-        A person walks through the rooms, and keeps out of the robot's way.
+        A person walks through the rooms, and avoids the robot.
     dying_sensor
-        Name of a sensor that dies: "lidar", "lidar_3d" or a camera's name; empty for none.
+        Name of a sensor that fails: "lidar", "lidar_3d" or a camera's name; empty for none.
     dies_at_share, returns_at_share
-        When it dies and when it comes back, as shares of the drive; None: never.
+        When it fails and when it recovers, as shares of the drive; None: never.
     wheels
         The encoders and their slip.
     imu
@@ -55,7 +55,7 @@ class DriveFaults:
     imu: ImuFaults = field(default_factory=ImuFaults)
 
     def __post_init__(self) -> None:
-        """Refuse values that no drive can have."""
+        """Raise an error for invalid values."""
         shares = {
             "dropped_scan_share": self.dropped_scan_share,
             "dropped_frame_share": self.dropped_frame_share,
@@ -77,7 +77,7 @@ class DriveFaults:
             )
 
 
-# By name, for the command line. "usual" is what cheap sensors on separate clocks do every day.
+# By name, for the command line. "usual" is typical for cheap sensors with separate clocks.
 FAULT_PRESETS: dict[str, DriveFaults] = {
     "none": DriveFaults(),
     "usual": DriveFaults(

@@ -14,20 +14,20 @@ from slam.measurements import BoolArray, Float32Array, LaserScan, RgbdFrame, Whe
 
 @dataclass(frozen=True, slots=True)
 class ScanEvent:
-    """A sweep of the lidar.
+    """A scan of the lidar.
 
     Attributes
     ----------
     true_stamp_s
-        When it was taken; the scan's own stamp is what the sensor's clock said.
+        True time of the scan; its own stamp is by the sensor's clock.
     T_map_base
-        Where the robot was then.
+        Pose of the robot at that time.
     scan
         What the sensor says.
     true_ranges_m
-        (N,) distance to what each beam meets first, ``inf`` where nothing.
+        (N,) distance of the first surface on each beam, ``inf`` if there is none.
     fault
-        (N,) what is wrong with each beam, 0 for nothing; the sensor models name the others.
+        (N,) fault of each beam, 0 for none; see the sensor models.
     """
 
     true_stamp_s: float
@@ -39,14 +39,14 @@ class ScanEvent:
 
 @dataclass(frozen=True, slots=True)
 class CloudEvent:
-    """A turn of the 3D lidar: its returns only.
+    """A revolution of the 3D lidar: its returns only.
 
     Attributes
     ----------
     true_stamp_s, T_map_base
         As in `ScanEvent`.
     stamp_s, sensor
-        What the sensor's clock said, and its name.
+        Stamp by the sensor's clock, and its name.
     points_laser
         (N, 3) in the frame of the lidar.
     ring
@@ -76,9 +76,9 @@ class ImageEvent:
     frame
         What the camera says.
     true_depth_m
-        (height, width) depth of what each pixel meets first.
+        (height, width) depth of the first surface at each pixel.
     fault
-        (height, width) what is wrong with each depth pixel, 0 for nothing.
+        (height, width) fault of each depth pixel, 0 for none.
     """
 
     true_stamp_s: float
@@ -97,7 +97,7 @@ class OdometryEvent:
     true_stamp_s, reading
         As in `ScanEvent`.
     twist
-        Speed in m/s and turn rate in rad/s since the reading before, as the wheels tell them.
+        Speed in m/s and angular rate in rad/s since the previous reading, by the wheels.
     slipping
         (2,) whether the left and the right wheel slipped since then.
     """
@@ -110,7 +110,7 @@ class OdometryEvent:
 
 @dataclass(frozen=True, slots=True)
 class TruthEvent:
-    """Where the robot was, at an even rate."""
+    """True pose of the robot, at a regular rate."""
 
     true_stamp_s: float
     T_map_base: gtsam.Pose2

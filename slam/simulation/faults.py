@@ -22,25 +22,25 @@ FaultMask = NDArray[np.uint8]
 
 
 class Fault(IntEnum):
-    """Why a reading is not the first surface's distance: a hole is no reading, a burr a wrong one."""
+    """Reason why a reading is not the distance of the first surface: missing (hole) or wrong (burr)."""
 
     NONE = 0
     HOLE_GLASS = 1  # no return from glass
-    HOLE_DARK = 2  # the surface swallows the light
+    HOLE_DARK = 2  # the surface absorbs the light
     HOLE_RANGE = 3  # nearer or farther than the sensor measures, or nothing there
     HOLE_BACKLIGHT = 4  # daylight blinds the camera
     HOLE_RANDOM = 5
-    HOLE_GRAZING = 6  # the surface is seen too much at a slant
-    HOLE_SHADOW = 7  # hidden from the projector or the second camera
-    BURR_EDGE = 8  # flying pixel between the thing before and the one behind
-    BURR_MULTIPATH = 9  # the light came by a detour: too far
-    THROUGH_GLASS = 10  # the reading is of what is behind the glass
-    PERSON = 11  # a true reading of something that will have moved
+    HOLE_GRAZING = 6  # the surface is seen at a grazing angle
+    HOLE_SHADOW = 7  # occluded for the projector or the second camera
+    BURR_EDGE = 8  # flying pixel between foreground and background
+    BURR_MULTIPATH = 9  # multipath: too far
+    THROUGH_GLASS = 10  # the reading is of the surface behind the glass
+    PERSON = 11  # a correct reading of a moving object
 
 
 @dataclass(frozen=True, slots=True)
 class FaultConfig:
-    """How often and where faults happen; zeros throughout switch all but the sensor's range off.
+    """Rates and places of faults; all zeros disable everything except the sensor's range.
 
     Attributes
     ----------
@@ -95,7 +95,7 @@ class FaultConfig:
 
 @dataclass(frozen=True, slots=True)
 class Surfaces:
-    """What each reading would meet, all arrays (H, W).
+    """Surfaces on the ray of each reading, all arrays (H, W).
 
     Attributes
     ----------
@@ -137,7 +137,7 @@ def corrupt(
     range_max_m: float,
     rng: np.random.Generator,
 ) -> FaultyReadings:
-    """Let all faults happen, in the order in which light meets their causes.
+    """Apply all faults, in the order of their causes along the light path.
 
     A reading keeps its first hole; a hole overrides a burr.
 

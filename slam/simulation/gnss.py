@@ -11,23 +11,23 @@ from slam.earth import TangentPlane
 from slam.measurements import FloatArray, GnssFix
 from slam.simulation.sensor_clock import generator
 
-# Where the origin of every simulated town lies.
+# Origin of every simulated town.
 TOWN = TangentPlane(49.0, 8.4, 116.0)
 _RATE_HZ = 5.0
-# Height is known half as well as the place (a rule of receivers without corrections).
+# The height error is twice the horizontal one (typical of receivers without corrections).
 _UP = 2.0
 
 
 @dataclass(frozen=True, slots=True)
 class GnssFaults:
-    """What a receiver is off by.
+    """Errors of a receiver.
 
     Attributes
     ----------
     noise_m, drift_m
-        Sigmas across of what changes from fix to fix, and of what stays for ``drift_s`` (Gauss-Markov).
+        Horizontal sigmas of white noise, and of the drift over ``drift_s`` (Gauss-Markov).
     mirrored_share
-        Of the time in which the place is off by ``mirrored_m``, 5 s at once, and nothing tells it.
+        Share of the time with an unreported multipath error of ``mirrored_m``, 5 s each.
     """
 
     noise_m: float = 0.01
@@ -46,12 +46,12 @@ def record_gnss(
     seed: int,
     home: int,
 ) -> list[GnssFix]:
-    """Fixes of a drive, five a second, with the covariance of noise and drift.
+    """Return the fixes of a drive, five per second, with the covariance of noise and drift.
 
     Parameters
     ----------
     antenna_m
-        (3,) where the antenna sits on the robot.
+        (3,) position of the antenna on the robot.
     poses_at
         Rotations (n, 3, 3) and positions (n, 3) of the robot at times (n,) of the drive; the world's axes are
         east, north, up.

@@ -206,7 +206,7 @@ class Home:
 
 
 # Corners of a box are 0-3 below and 4-7 above, counter-clockwise; outward faces, two triangles each.
-_BOX_TRIANGLES = np.array(
+BOX_TRIANGLES = np.array(
     [
         *([0, 2, 1], [0, 3, 2], [4, 5, 6], [4, 6, 7]),
         *([0, 1, 5], [0, 5, 4], [1, 2, 6], [1, 6, 5]),
@@ -232,8 +232,8 @@ def assemble(
     parts = [part for thing in things for part in thing.parts]
     owner = [index for index, thing in enumerate(things) for _ in thing.parts]
     corners = np.stack([_corners(part) for part in parts])
-    count, faces = len(parts), len(_BOX_TRIANGLES)
-    triangles = _BOX_TRIANGLES[None] + 8 * np.arange(count, dtype=np.int32)[:, None, None]
+    count, faces = len(parts), len(BOX_TRIANGLES)
+    triangles = BOX_TRIANGLES[None] + 8 * np.arange(count, dtype=np.int32)[:, None, None]
     obstacles = []
     for index, thing in enumerate(things):
         own = corners[[part for part, owns in enumerate(owner) if owns == index]].reshape(-1, 3)

@@ -38,7 +38,7 @@ class ImuModel:
     gyro_walk, force_walk
         By how much the biases wander, in rad/s and m/s^2 for the square root of a second.
     most_gyro_rad_s, most_force_m_s2
-        An axis tells no more than this.
+        Range limit of an axis.
     """
 
     rate_hz: float
@@ -57,7 +57,7 @@ ADIS_16448 = ImuModel(200.0, 1.6968e-4, 2.0e-3, 1.9393e-5, 3.0e-3, np.radians(10
 
 @dataclass(frozen=True, slots=True)
 class MountedImu:
-    """An IMU and where it sits in the frame of the body whose poses are known."""
+    """An IMU and its mounting on the body with known poses."""
 
     model: ImuModel
     T_body_imu: gtsam.Pose3
@@ -65,16 +65,16 @@ class MountedImu:
 
 @dataclass(frozen=True, slots=True)
 class ImuFaults:
-    """What an IMU is off by.
+    """Errors of an IMU.
 
     Attributes
     ----------
     gyro_bias_rad_s, force_bias_m_s2
         Length of the biases when it is switched on; their direction is drawn.
     clock_offset_s
-        By how much its clock is ahead.
+        Offset of its clock, positive if ahead.
     gyro_excess
-        Share by which its turn rates are too large.
+        Scale error of its angular rates.
     """
 
     gyro_bias_rad_s: float = 0.0
@@ -92,7 +92,7 @@ class ImuRecord:
     true_s
         (N,) seconds since the drive began.
     stamps_s
-        (N,) what the IMU's clock says then.
+        (N,) stamps by the IMU's clock.
     gyro_rad_s, specific_force_m_s2
         (N, 3) IMU frame.
     """
@@ -103,7 +103,7 @@ class ImuRecord:
     specific_force_m_s2: FloatArray
 
     def messages(self, first_stamp_s: float, frame: str) -> Iterator[tuple[float, Any]]:
-        """When each reading arrives in a bag, seconds, and its message."""
+        """Yield arrival time in a bag, seconds, and message of each reading."""
         rows = zip(
             self.true_s.tolist(),
             self.stamps_s.tolist(),
@@ -124,18 +124,18 @@ def record_imu(
     seed: int,
     *stream: int,
 ) -> ImuRecord:
-    """The readings of a drive.
+    """Simulate the readings of a drive.
 
-    A reading is the mean over the time between two, as of a sensor that filters before it tells.
+    A reading is the mean over its period, as of a sensor with an internal filter.
 
     Parameters
     ----------
     poses_at
-        Of the body, twice differentiable, for a bit longer than the drive at both ends.
+        Poses of the body, twice differentiable, slightly beyond the drive at both ends.
     first_stamp_s
         True time when the drive begins.
     stream
-        Further numbers that the noise depends on, beside the seed.
+        Additional numbers, beside the seed, on which the noise depends.
     """
     model, period_s = imu.model, 1.0 / imu.model.rate_hz
     rng = generator(seed, "imu", *stream)
@@ -157,7 +157,7 @@ def record_imu(
 
 
 def write_euroc(folder: Path, record: ImuRecord, T_base_imu: gtsam.Pose3) -> None:
-    """``data.csv`` as EuRoC writes it, and where the IMU sits in ``calibration.yaml``."""
+    """Write ``data.csv`` in the format of EuRoC, and the IMU's mounting in ``calibration.yaml``."""
     folder.mkdir()
     rows = np.hstack([record.gyro_rad_s, record.specific_force_m_s2]).tolist()
     lines = [
@@ -173,7 +173,7 @@ def write_euroc(folder: Path, record: ImuRecord, T_base_imu: gtsam.Pose3) -> Non
 def _felt(
     poses_at: PosesAt, T_body_imu: gtsam.Pose3, times_s: FloatArray, half_s: float
 ) -> tuple[FloatArray, FloatArray]:
-    """Turn rates and specific forces (N, 3), by differences between half a period before and after."""
+    """Return angular rates and specific forces (N, 3), by differences over one period."""
     turned, places = [], []
     for late_s in (-half_s, 0.0, half_s):
         rotations, positions = poses_at(times_s + late_s)

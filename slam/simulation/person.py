@@ -16,13 +16,13 @@ from slam.simulation.tour import Tour, plan_tour
 _STEP_S = 0.1
 _RADIUS_M, _HEIGHT_M = 0.22, 1.8
 _LIMITS = DriveLimits(speed_m_s=0.9, turn_rate_rad_s=2.5, acceleration_m_s2=1.5, turn_acceleration_rad_s2=8.0)
-_POLITE_M = 0.9  # between the two centres; nearer than this the person waits or steps back
-_ASIDE_M = 0.55  # nearer still there was no way back: the person has stepped aside, out of all sight
+_POLITE_M = 0.9  # distance of the centres below which the person waits or steps back
+_ASIDE_M = 0.55  # below this distance, the person has stepped aside, out of sight
 
 
 @dataclass(frozen=True, slots=True)
 class Walk:
-    """Where the person is.
+    """Trajectory of the person.
 
     Attributes
     ----------
@@ -33,7 +33,7 @@ class Walk:
     positions_m: FloatArray
 
     def at(self, time_s: float) -> tuple[float, float] | None:
-        """Position since the drive began; None while out of sight."""
+        """Return the position at a time since the start; None while out of sight."""
         share = min(max(time_s / _STEP_S, 0.0), len(self.positions_m) - 1.0)
         before = int(share)
         after = min(before + 1, len(self.positions_m) - 1)
@@ -44,14 +44,14 @@ class Walk:
 
 
 def plan_walk(home: Home, robot: Tour, seed: int) -> Walk:
-    """A walk as long as the robot's tour, through the same rooms in an order of its own.
+    """Plan a walk as long as the robot's tour, through the same rooms in another order.
 
     Raises
     ------
     ConfigError
         No room for a person.
     """
-    # Begun half way, so that the person is not where the robot starts.
+    # Starts half way, so that the person is not at the robot's start.
     try:
         path = plan_tour(home, _RADIUS_M, _HEIGHT_M, seed, 1.5 * robot.duration_s + 60.0, _LIMITS)
     except ConfigError as error:

@@ -19,7 +19,7 @@ from slam.simulation.home_model import Int32Array
 def rasterize(
     vertices_camera: FloatArray, triangles: Int32Array, intrinsics: CameraIntrinsics
 ) -> tuple[Float32Array, Int32Array]:
-    """What each pixel's ray meets first.
+    """Return the first surface at each pixel.
 
     Parameters
     ----------
@@ -30,7 +30,7 @@ def rasterize(
 
     Returns
     -------
-    (H * W,) depth, ``inf`` where nothing is, and (H * W,) index of the triangle, there -1.
+    (H * W,) depth, ``inf`` without a surface, and (H * W,) index of the triangle, -1 without one.
     """
     one, shape = intrinsics, (intrinsics.height, intrinsics.width)
     to_pixels = np.array([[one.fx, 0.0, one.cx], [0.0, one.fy, one.cy], [0.0, 0.0, 1.0]])
@@ -41,10 +41,10 @@ def rasterize(
 
 @kernel(nogil=True)
 def _draw(corners: FloatArray, depth_m: Float32Array, triangle: Int32Array) -> None:
-    """The nearest triangle of each pixel; (T, 3, 3) ``corners`` are homogeneous pixels with depth last."""
+    """Find the nearest triangle of each pixel; (T, 3, 3) ``corners`` are homogeneous pixels, depth last."""
     height, width = depth_m.shape
-    plane = np.empty((3, 3))  # by edge: not negative inside; to be taken times column, row and 1
-    nearness = np.empty((corners.shape[0], 3))  # inverse depth in the plane of each triangle, in the same way
+    plane = np.empty((3, 3))  # edge functions, not negative inside: coefficients of column, row and 1
+    nearness = np.empty((corners.shape[0], 3))  # inverse depth in the plane of each triangle, likewise
     for face in range(corners.shape[0]):
         x, y, z = corners[face, :, 0], corners[face, :, 1], corners[face, :, 2]
         top, bottom, behind = np.inf, -np.inf, 0
@@ -62,7 +62,7 @@ def _draw(corners: FloatArray, depth_m: Float32Array, triangle: Int32Array) -> N
             continue
         if behind:
             top, bottom = 0.0, height - 1.0
-        # Two triangles of one edge bear the same numbers for it but for their sign: no pixel falls between.
+        # Two triangles with a common edge have the same coefficients up to the sign: no pixel is missed.
         for axis in range(3):
             nearness[face, axis] = (plane[0, axis] + plane[1, axis] + plane[2, axis]) / volume
             for n in range(3):

@@ -39,7 +39,7 @@ class RayCaster:
         TriangleMesh(self._scene, vertices.astype(np.float32), triangles.astype(np.int32))
 
     def cast(self, rays: Float32Array) -> tuple[Float32Array, NDArray[np.int32], Float32Array]:
-        """First triangle along each ray.
+        """Find the first triangle along each ray.
 
         Parameters
         ----------
@@ -49,7 +49,7 @@ class RayCaster:
         Returns
         -------
         (N,) distance in lengths of the direction, (N,) index of the triangle, (N, 3) its normal, not unit,
-        by the right hand about its corners. Where nothing is: ``inf``, -1 and zero.
+        by the right hand about its corners. Without a hit: ``inf``, -1 and zero.
         """
         origins, directions = rays[:, :3], rays[:, 3:]
         found = self._scene.run(origins, directions, dists=np.inf, query="DISTANCE", output=True)

@@ -15,7 +15,7 @@ from slam.simulation.home_model import Rearrangement, Thing
 # Each is as likely: moved twice as often as carried away or brought.
 _WAYS = ("moved", "moved", "went", "appeared")
 _TRIES = 8
-# What is nearer stands where it stood.
+# A shorter motion does not count.
 _LEAST_M = 0.3
 
 
@@ -25,7 +25,7 @@ def rearrange(
     count: int,
     rng: np.random.Generator,
 ) -> tuple[list[list[Thing]], list[Rearrangement]]:
-    """Change so many pieces of furniture, each once.
+    """Move, remove or add so many pieces of furniture, each once.
 
     Parameters
     ----------
@@ -34,7 +34,7 @@ def rearrange(
 
     Returns
     -------
-    What stands in each room then, and what has changed: fewer than asked for where nothing else fits.
+    The furniture of each room afterwards, and the changes: fewer than requested if nothing else fits.
     """
     after = [list(pieces) for pieces in furnished]
     left = [(room, piece) for room, pieces in enumerate(furnished) for piece in pieces if piece.kind != "rug"]

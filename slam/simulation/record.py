@@ -32,7 +32,7 @@ Progress = Callable[[float, float], None]
 Sink = Callable[[DriveEvent], None]
 
 BAG = "log"  # rosbags names the file in a bag after the bag
-_FLOOR_M = 0.012  # thresholds below are driven over, and are no obstacle in the grids of truth
+_FLOOR_M = 0.012  # lower thresholds are driven over, and are no obstacle in the ground truth grids
 _LIDAR_BAND_M = 0.02  # about the lidar's height
 _WORKERS = 2
 _PENDING_IMAGES = 24  # bound the memory: some 5 MB of 320 x 240 frames
@@ -41,7 +41,7 @@ _PENDING_MESSAGES = 16
 
 @dataclass(frozen=True, slots=True)
 class DriveSummary:
-    """What was recorded.
+    """Summary of a recording.
 
     Attributes
     ----------
@@ -52,11 +52,11 @@ class DriveSummary:
     counts
         Readings written, by the sensor's name; the wheels are ``odometry``.
     lost
-        Readings that never arrived: dropped, or the sensor was dead.
+        Readings that never arrived: dropped, or the sensor had failed.
     rooms
         Rooms visited, in order.
     lap_s
-        When the robot was back at its start, ``inf`` if never.
+        Time when the robot was back at its start, ``inf`` if never.
     """
 
     folder: Path
@@ -80,7 +80,7 @@ def record_drive(
     formats: tuple[str, ...] = FORMATS,
     compress_bag: bool = False,
 ) -> DriveSummary:
-    """Simulate a drive and write it, with its truth.
+    """Simulate a drive and write it, with its ground truth.
 
     Parameters
     ----------
@@ -96,7 +96,7 @@ def record_drive(
     formats
         Any of `FORMATS`.
     compress_bag
-        Pack the bag with zstd: slower, and a little smaller since noise does not pack.
+        Compress the bag with zstd: slower, and only slightly smaller, since noise is incompressible.
 
     Raises
     ------
@@ -132,8 +132,8 @@ def record_drive(
 def _open_sinks(
     stack: ExitStack, folder: Path, drive: Drive, formats: tuple[str, ...], compress_bag: bool
 ) -> list[Sink]:
-    """What each event is handed to; the stack closes all in the opposite order, innermost first."""
-    # The pool of images is outermost: closing the truth still hands it the last masks.
+    """Return the sinks of each event; the stack closes them in reverse order."""
+    # The pool of images is outermost: closing the ground truth still submits the last masks to it.
     images = stack.enter_context(OrderedPool(_WORKERS, _PENDING_IMAGES))
     truth = stack.enter_context(TruthWriter(folder, drive, truth_bands_m(drive.rig), images))
     sinks: list[Sink] = [truth.write]
@@ -170,11 +170,11 @@ class _FolderSink:
             self._clouds = stack.enter_context(CloudWriter(folder, drive.rig.lidar_3d.T_base_laser, images))
 
     def __call__(self, event: DriveEvent) -> None:
-        """Write one event; the trajectory is the truth's business."""
+        """Write one event; the trajectory belongs to the ground truth."""
         if isinstance(event, OdometryEvent):
             self._log.odometry(event.reading, event.twist, event.true_stamp_s)
         elif isinstance(event, ScanEvent):
-            # By the stamp, not the true time: the pose in the line belongs to the stamp in the line.
+            # By the stamp, not the true time: the pose in the line belongs to its stamp.
             pose = self._drive.odometry_at(event.scan.stamp_s)
             self._log.scan(event.scan, pose, event.true_stamp_s)
         elif isinstance(event, ImageEvent):
@@ -184,12 +184,12 @@ class _FolderSink:
 
 
 def camera_folder(camera: str) -> str:
-    """Where the images of one of several cameras lie: ``rgbd_1`` for "RGBD_1", ``rgbd_left`` for "left"."""
+    """Return the folder of one of several cameras: ``rgbd_1`` for "RGBD_1", ``rgbd_left`` for "left"."""
     return f"rgbd_{camera.lower().removeprefix('rgbd_')}"
 
 
 def truth_bands_m(rig: Rig) -> dict[str, tuple[float, float]]:
-    """Bands of height (low, high) for which the grid of truth is wanted: the robot's, the lidar's."""
+    """Return the height bands (low, high) of the ground truth grids: of the robot and of the lidar."""
     bands = {"robot": (_FLOOR_M, rig.robot_height_m)}
     if rig.lidar is not None:
         height = float(rig.lidar.T_base_laser.z())
@@ -199,7 +199,7 @@ def truth_bands_m(rig: Rig) -> dict[str, tuple[float, float]]:
 
 @contextmanager
 def appearing_whole(out_dir: Path) -> Iterator[Path]:
-    """A folder under a temporary name, renamed at the end; removed when anything goes wrong."""
+    """Yield a folder with a temporary name, renamed at the end, or removed on an error."""
     if out_dir.exists() and (not out_dir.is_dir() or any(out_dir.iterdir())):
         raise DatasetError(f"{out_dir} exists and is not an empty folder; give another name or remove it")
     temporary = out_dir.with_name(f".{out_dir.name}.{os.getpid()}.part")
@@ -216,14 +216,14 @@ def appearing_whole(out_dir: Path) -> Iterator[Path]:
 
 
 def unfold_bag(folder: Path) -> None:
-    """Bring the files of the bag `BAG` in a folder up into it."""
+    """Move the files of the bag `BAG` in a folder up into it."""
     for name in BAG_FILES:
         (folder / BAG / name).rename(folder / name)
     (folder / BAG).rmdir()
 
 
 def _name(event: DriveEvent) -> str | None:
-    """The sensor that an event counts for."""
+    """Return the sensor of an event."""
     if isinstance(event, ScanEvent):
         return event.scan.sensor
     if isinstance(event, CloudEvent):
@@ -234,7 +234,7 @@ def _name(event: DriveEvent) -> str | None:
 
 
 def _summary(out_dir: Path, drive: Drive, counts: Counter[str]) -> DriveSummary:
-    """The figures of a finished drive."""
+    """Return the summary of a finished drive."""
     steps = np.linalg.norm(np.diff(drive.tour.poses_xyt[:, :2], axis=0), axis=1)
     return DriveSummary(
         folder=out_dir,

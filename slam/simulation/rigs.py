@@ -55,7 +55,7 @@ class MountedCamera:
 
 @dataclass(frozen=True, slots=True)
 class Rig:
-    """A robot: an upright cylinder about its base, and what it carries."""
+    """A robot: an upright cylinder about its base, with its sensors."""
 
     name: str
     lidar: MountedLidar | None
@@ -72,7 +72,7 @@ def camera_pose(
     pitch_rad: float = 0.0,
     roll_rad: float = 0.0,
 ) -> gtsam.Pose3:
-    """``T_base_camera`` of a camera that looks along x, turned as its body is.
+    """Return ``T_base_camera`` of a camera with a body that looks along x before its rotation.
 
     Parameters
     ----------
@@ -89,11 +89,11 @@ def camera_pose(
 
 
 def laser_pose(x_m: float, y_m: float, z_m: float) -> gtsam.Pose3:
-    """``T_base_laser`` of a level lidar that looks forward."""
+    """Return ``T_base_laser`` of a level lidar that looks forward."""
     return gtsam.Pose3(gtsam.Rot3(), np.array([x_m, y_m, z_m]))
 
 
-# What `simulate --imu` adds: behind the centre and beside it, looking left, not quite level.
+# IMU of `simulate --imu`: behind and beside the centre, looking left, not exactly level.
 ROBOT_IMU = MountedImu(
     ADIS_16448, gtsam.Pose3(gtsam.Rot3.Ypr(0.5 * math.pi, 0.05, -0.03), np.array([-0.06, 0.04, 0.12]))
 )

@@ -14,14 +14,14 @@ from slam.measurements import BoolArray, FloatArray
 
 IntArray = NDArray[np.int64]
 
-_FEAR = 12.0  # how many times dearer a metre along a wall is than one in the open
+_FEAR = 12.0  # cost factor of a metre along a wall, relative to open space
 _SMOOTHING_M = 0.15
-_NEIGHBOURS = ((0, 1), (1, 0), (1, 1), (1, -1))  # the other four are these, walked backward
+_NEIGHBOURS = ((0, 1), (1, 0), (1, 1), (1, -1))  # the other four are the reverse of these
 
 
 @dataclass(frozen=True)
 class FloorMap:
-    """Where a round robot may stand.
+    """Free floor of a round robot.
 
     Attributes
     ----------
@@ -32,7 +32,7 @@ class FloorMap:
     required_m
         Clearance below which the robot may not be.
     preferred_m
-        Clearance beyond which more is worth nothing.
+        Clearance beyond which the cost is constant.
     nodes
         (rows, cols) number of each cell where the robot may be, -1 elsewhere.
     graph
@@ -48,19 +48,19 @@ class FloorMap:
     graph: sparse.csr_array
 
     def cell_of(self, point_m: FloatArray) -> tuple[int, int]:
-        """Row and column of a point, clipped to the grid."""
+        """Return row and column of a point, clipped to the grid."""
         column, row = np.floor((np.asarray(point_m)[:2] - self.origin_xy) / self.resolution_m).astype(int)
         rows, columns = self.clearance_m.shape
         return int(np.clip(row, 0, rows - 1)), int(np.clip(column, 0, columns - 1))
 
     def clearance_at_m(self, points_m: FloatArray) -> FloatArray:
-        """Clearance at points (N, 2), between cell centres by interpolation, zero off the grid; (N,)."""
+        """Return (N,) clearances at points (N, 2), interpolated between cells, zero outside the grid."""
         at = (np.asarray(points_m)[:, :2] - self.origin_xy) / self.resolution_m - 0.5
         found = ndimage.map_coordinates(self.clearance_m, [at[:, 1], at[:, 0]], order=1, cval=0.0)
         return np.asarray(found, dtype=np.float64)
 
     def node_near(self, point_m: FloatArray) -> int:
-        """The free cell nearest to a point; -1 where none is free."""
+        """Return the free cell nearest to a point; -1 if none is free."""
         free = np.argwhere(self.nodes >= 0)
         if not len(free):
             return -1
@@ -68,7 +68,7 @@ class FloorMap:
         return int(self.nodes[nearest[0], nearest[1]])
 
     def centres_m(self) -> FloatArray:
-        """Centre of every node, (nodes, 2)."""
+        """Return the centre of every node, (nodes, 2)."""
         cells = np.argwhere(self.nodes >= 0)
         return np.asarray((cells[:, ::-1] + 0.5) * self.resolution_m + self.origin_xy)
 
@@ -80,9 +80,9 @@ def floor_map(
     required_m: float,
     preferred_m: float,
 ) -> FloorMap:
-    """The floor of a grid of truth, (rows, cols), row 0 at the lowest y; the grid's edge counts as a wall."""
+    """Return the floor of a ground truth grid, (rows, cols), row 0 at the lowest y; its border is a wall."""
     walled = np.pad(occupied, 1, constant_values=True)
-    # Half a cell less: the obstacle's edge lies there, not at the centre of its cell.
+    # Half a cell less: the obstacle's edge is there, not at the centre of its cell.
     distance = ndimage.distance_transform_edt(~walled)[1:-1, 1:-1] - 0.5
     clearance = np.maximum(distance, 0.0) * resolution_m
     free = clearance >= required_m
@@ -95,7 +95,7 @@ def floor_map(
 
 
 def step_graph(nodes: IntArray, price: FloatArray) -> sparse.csr_array:
-    """Costs of the steps between neighbouring cells, (nodes, nodes); diagonal ones may cut corners.
+    """Return the costs of steps between neighbouring cells, (nodes, nodes); diagonal ones may cut corners.
 
     Parameters
     ----------
@@ -121,7 +121,7 @@ def step_graph(nodes: IntArray, price: FloatArray) -> sparse.csr_array:
 
 
 def chain(before: NDArray[np.integer], start: int, end: int) -> IntArray | None:
-    """The nodes from start to end by `csgraph`'s predecessors (nodes,); None if no way leads."""
+    """Return the nodes from start to end by `csgraph`'s predecessors (nodes,); None if there is no path."""
     found = [end]
     while found[-1] != start:
         previous = int(before[found[-1]])
@@ -132,7 +132,7 @@ def chain(before: NDArray[np.integer], start: int, end: int) -> IntArray | None:
 
 
 def cheapest_paths(floor: FloorMap, stops: Sequence[int]) -> tuple[FloatArray, list[list[IntArray | None]]]:
-    """Cheapest ways between all pairs of stops.
+    """Find the cheapest paths between all pairs of stops.
 
     Parameters
     ----------
@@ -142,9 +142,9 @@ def cheapest_paths(floor: FloorMap, stops: Sequence[int]) -> tuple[FloatArray, l
     Returns
     -------
     FloatArray
-        (stops, stops) costs, ``inf`` where no way leads.
+        (stops, stops) costs, ``inf`` without a path.
     list[list[IntArray | None]]
-        The nodes of each way, both ends included.
+        The nodes of each path, including both ends.
     """
     costs, before = sparse.csgraph.dijkstra(floor.graph, indices=list(stops), return_predecessors=True)
     paths: list[list[IntArray | None]] = []
@@ -154,7 +154,7 @@ def cheapest_paths(floor: FloorMap, stops: Sequence[int]) -> tuple[FloatArray, l
 
 
 def smooth_path(floor: FloorMap, points_m: FloatArray, spacing_m: float) -> FloatArray:
-    """Evenly spaced points along a smoothed path, (N, 2).
+    """Return evenly spaced points along a smoothed path, (N, 2).
 
     Where smoothing would cut a corner closer than allowed, the path stays as planned.
 
@@ -168,14 +168,14 @@ def smooth_path(floor: FloorMap, points_m: FloatArray, spacing_m: float) -> Floa
     smooth[0], smooth[-1] = even[0], even[-1]
     kept = np.minimum(floor.clearance_at_m(even), floor.preferred_m)
     unsafe = floor.clearance_at_m(smooth) < np.minimum(kept, floor.required_m + 0.5 * floor.resolution_m)
-    # Blend over a few points, so that falling back makes no new corner.
+    # Blend over a few points, so that the fallback creates no new corner.
     weight = ndimage.gaussian_filter1d(unsafe.astype(np.float64), 2.0, mode="nearest")[:, None]
     share = np.minimum(1.0, 2.0 * weight)
     return resample(share * even + (1.0 - share) * smooth, spacing_m)
 
 
 def resample(points_m: FloatArray, spacing_m: float) -> FloatArray:
-    """Points at even arc length along a polyline (M, 2), both ends kept; (N, 2)."""
+    """Return points (N, 2) at equal arc length along a polyline (M, 2), including both ends."""
     lengths = np.linalg.norm(np.diff(points_m, axis=0), axis=1)
     keep = np.concatenate([[True], lengths > 1e-9])
     points, at = points_m[keep], np.concatenate([[0.0], np.cumsum(lengths[lengths > 1e-9])])

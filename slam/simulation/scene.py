@@ -15,28 +15,28 @@ from slam.simulation.home_model import Home, Int32Array, Material
 from slam.simulation.rasterizer import rasterize
 from slam.simulation.ray_caster import RayCaster
 
-NOTHING = -1  # triangle and obstacle of a ray that meets nothing
+NOTHING = -1  # triangle and obstacle of a ray without a hit
 PERSON = -2  # triangle and obstacle of the person
 PERSON_RADIUS_M, PERSON_HEIGHT_M = 0.25, 1.7
 
 
 @dataclass(frozen=True, slots=True)
 class Hits:
-    """What each ray meets first; glass counts like any other surface.
+    """First surface on each ray; glass counts like any other surface.
 
     Attributes
     ----------
     range_m
         (N,) distance in lengths of the ray's direction: metres for unit directions, depth for directions
-        whose component along the optical axis is 1. ``inf`` where there is nothing.
+        whose component along the optical axis is 1. ``inf`` without a surface.
     triangle
         (N,) index into `Home.triangles`, `NOTHING` or `PERSON`.
     obstacle
         (N,) id of the obstacle, `NOTHING` or `PERSON`.
     material
-        (N,) `Material`; matte where nothing is.
+        (N,) `Material`; matte without a surface.
     normal
-        (N, 3) unit, outward, map frame; zero where nothing is.
+        (N, 3) unit, outward, map frame; zero without a surface.
     """
 
     range_m: Float32Array
@@ -52,7 +52,7 @@ class Scene:
     def __init__(self, home: Home) -> None:
         self.home = home
         clear = np.isin(home.material_of_triangle, (Material.GLASS, Material.WINDOW))
-        # Glass apart, so that a second cast can tell what is behind it.
+        # Glass separate, so that a second cast finds the surface behind it.
         self._opaque_index = np.flatnonzero(~clear).astype(np.int32)
         self._all_index = np.arange(len(home.triangles), dtype=np.int32)
         a, b, c = (home.vertices[home.triangles[:, n]].astype(np.float64) for n in range(3))
@@ -62,14 +62,14 @@ class Scene:
         self._opaque = RayCaster(home.vertices, home.triangles[self._opaque_index])
 
     def cast(self, origins_dirs: Float32Array, person_xy: tuple[float, float] | None = None) -> Hits:
-        """First surface along each ray.
+        """Find the first surface along each ray.
 
         Parameters
         ----------
         origins_dirs
             (N, 6) origin and direction, map frame; the direction's length is the unit of the result.
         person_xy
-            Where the person stands, an upright cylinder of radius 0.25 m and height 1.7 m.
+            Position of the person, an upright cylinder of radius 0.25 m and height 1.7 m.
         """
         return self._cast(self._everything, self._all_index, origins_dirs, person_xy)
 
@@ -80,7 +80,7 @@ class Scene:
         rays: Float32Array,
         person_xy: tuple[float, float] | None = None,
     ) -> Hits:
-        """First surface along the rays of all pixels, whose directions have z = 1; else as `cast`."""
+        """Find the first surface along the rays of all pixels, with directions z = 1; else as `cast`."""
         vertices_camera = (
             self.home.vertices - T_world_camera.translation()
         ) @ T_world_camera.rotation().matrix()
@@ -90,7 +90,7 @@ class Scene:
     def cast_through_glass(
         self, origins_dirs: Float32Array, person_xy: tuple[float, float] | None = None
     ) -> Hits:
-        """First surface along each ray that is not of glass; arguments as `cast`."""
+        """Find the first surface along each ray that is not glass; arguments as `cast`."""
         return self._cast(self._opaque, self._opaque_index, origins_dirs, person_xy)
 
     def _cast(
@@ -103,7 +103,7 @@ class Scene:
         """Cast, then name what was hit."""
         rays = np.ascontiguousarray(origins_dirs, dtype=np.float32)
         range_m, primitive, _ = caster.cast(rays)
-        # Nothing is the last of the index, as of every array.
+        # `NOTHING` is the last index of every array.
         return self._hits(range_m, np.append(index, np.int32(NOTHING))[primitive], rays, person_xy)
 
     def _hits(
@@ -113,7 +113,7 @@ class Scene:
         rays: Float32Array,
         person_xy: tuple[float, float] | None,
     ) -> Hits:
-        """Name what was hit, and let the person stand before it."""
+        """Identify the surfaces hit, with the person in front."""
         obstacle, material, normal = _name_hits(
             triangle, self._normals, self.home.obstacle_of_triangle, self.home.material_of_triangle
         )
@@ -130,7 +130,7 @@ def _name_hits(
     obstacle_of_triangle: Int32Array,
     material_of_triangle: NDArray[np.uint8],
 ) -> tuple[Int32Array, NDArray[np.uint8], Float32Array]:
-    """Obstacle, material and normal of the triangles that the rays meet."""
+    """Return obstacle, material and normal of the triangles hit by the rays."""
     count = triangle.size
     obstacle = np.full(count, -1, np.int32)
     material = np.zeros(count, np.uint8)
@@ -148,7 +148,7 @@ def _name_hits(
 def _meet_cylinder(
     rays: Float32Array, center: NDArray[np.float64], range_m: Float32Array, normal: Float32Array
 ) -> BoolArray:
-    """Rays that meet the person before anything else; their range and normal are replaced in place."""
+    """Return the rays that hit the person first; their range and normal are replaced in place."""
     meets = np.zeros(range_m.size, np.bool_)
     for ray in range(range_m.size):
         x, y, z = rays[ray, 0] - center[0], rays[ray, 1] - center[1], np.float64(rays[ray, 2])
@@ -156,11 +156,11 @@ def _meet_cylinder(
         a, b = dx * dx + dy * dy, x * dx + y * dy
         c = x * x + y * y - PERSON_RADIUS_M**2
         if c <= 0.0 or b >= 0.0 or b * b - a * c <= 0.0:
-            continue  # inside, walking away, or beside
+            continue  # inside, pointing away, or beside
         root = math.sqrt(b * b - a * c)
         t = (-b - root) / a
         top = z + t * dz > PERSON_HEIGHT_M
-        if top:  # over the edge: the ray may still come down on the top
+        if top:  # above the edge: the ray may still hit the top
             t = (PERSON_HEIGHT_M - z) / dz if dz < 0.0 else math.inf
             if t > (-b + root) / a:
                 continue

@@ -9,9 +9,9 @@ import numpy as np
 
 from slam.measurements import BoolArray, FloatArray
 
-# Clipped there, so that neither a sensor's readings nor its stamps can change places.
+# Jitter is clipped, so that the order of readings and stamps does not change.
 _PERIOD_JITTER_LIMIT, _STAMP_JITTER_LIMIT = 0.2, 0.25  # of a period
-_MICROSECOND = 6  # digits: what file names and logs keep, so that all forms of a stamp agree
+_MICROSECOND = 6  # digits, as in file names and logs, so that all forms of a stamp agree
 
 
 @dataclass(frozen=True, slots=True)
@@ -23,13 +23,13 @@ class Schedule:
     sensor
         Its name.
     true_s
-        (N,) seconds since the drive began when the sensor fires, increasing.
+        (N,) firing times since the start, seconds, increasing.
     stamps_s
-        (N,) what its clock says then, increasing; whole microseconds.
+        (N,) stamps by its clock, increasing; whole microseconds.
     kept
         (N,) whether the reading arrives.
     clock_offset_s
-        By how much the clock is ahead of the truth.
+        Offset of the clock from the true time, positive if ahead.
     """
 
     sensor: str
@@ -40,7 +40,7 @@ class Schedule:
 
 
 def generator(seed: int, sensor: str, *stream: int) -> np.random.Generator:
-    """Random numbers of a sensor's own, so that switching one off changes no other's."""
+    """Create the random generator of a sensor, so that disabling one sensor changes no other."""
     return np.random.default_rng([seed, zlib.crc32(sensor.encode()), *stream])
 
 
@@ -57,14 +57,14 @@ def schedule(
     dropped_share: float = 0.0,
     dead_s: tuple[float, float] | None = None,
 ) -> Schedule:
-    """The readings of a sensor that runs freely: it begins anywhere within its first period.
+    """Create the schedule of a free-running sensor: it starts anywhere within its first period.
 
     Parameters
     ----------
     first_stamp_s
         True time when the drive begins.
     dead_s
-        When the sensor dies and when it comes back, seconds since the beginning.
+        Times when the sensor fails and recovers, seconds since the start.
     """
     period_s = 1.0 / rate_hz
     rng = generator(seed, sensor, 0)

@@ -18,14 +18,14 @@ class LidarModel:
     rate_hz
         Sweeps a second.
     beams, start_angle_rad, step_rad
-        Counter-clockwise in the laser frame.
+        Beams counter-clockwise in the laser frame.
     range_min_m, range_max_m, resolution_m
-        Of its readings.
+        Range limits and resolution of its readings.
     sigma_m, sigma_share, sigma_share_far
         Standard deviation: the first and a share of the range, which grows with the square of the range
         from the second to the third at the greatest range.
     faults
-        What befalls single readings.
+        Faults of single readings.
     """
 
     name: str
@@ -44,14 +44,14 @@ class LidarModel:
 
 @dataclass(frozen=True, slots=True)
 class RingLidarModel:
-    """A 3D lidar of rings that turn together.
+    """A rotating 3D lidar with rings.
 
     Attributes
     ----------
     elevations_rad
-        Of the rings, lowest first.
+        Elevations of the rings, lowest first.
     azimuths
-        Firings a turn; the first looks along x, counter-clockwise.
+        Firings per revolution, counter-clockwise from x.
     sigma_m
         Standard deviation of a range.
     """
@@ -74,7 +74,7 @@ class CameraModel:
     Attributes
     ----------
     intrinsics
-        Of both images.
+        Intrinsics of both images.
     range_min_m, range_max_m
         Depths outside are holes.
     focal_baseline_px_m
@@ -104,7 +104,7 @@ class CameraModel:
 def intrinsics_from_fov(
     width: int, height: int, horizontal_deg: float, vertical_deg: float
 ) -> CameraIntrinsics:
-    """A pin-hole camera from its full angles of view."""
+    """Return a pinhole camera from its full angles of view."""
     return CameraIntrinsics(
         fx=0.5 * width / math.tan(math.radians(0.5 * horizontal_deg)),
         fy=0.5 * height / math.tan(math.radians(0.5 * vertical_deg)),

@@ -23,12 +23,12 @@ from slam.simulation.sensor_models import CameraModel, LidarModel, RingLidarMode
 from slam.simulation.texture import paint
 from slam.simulation.wall_tags import paint_tags
 
-_GLASS_SEEN = 0.2  # share of its own colour in what one sees through a pane
+_GLASS_SEEN = 0.2  # share of a pane's own colour in the transmitted image
 
 
 @dataclass(frozen=True, slots=True)
 class SimulatedScan:
-    """A sweep of a 2D lidar.
+    """A scan of a 2D lidar.
 
     Attributes
     ----------
@@ -47,7 +47,7 @@ class SimulatedScan:
 
 @dataclass(frozen=True, slots=True)
 class SimulatedCloud:
-    """The returns of one turn of a 3D lidar, firing by firing.
+    """The returns of one revolution of a 3D lidar, firing by firing.
 
     Attributes
     ----------
@@ -56,7 +56,7 @@ class SimulatedCloud:
     ring
         (N,) index of the ring, 0 the lowest.
     time_s
-        (N,) when in the turn a firing lies, for the order only: all see the world at one instant.
+        (N,) time of a firing within the revolution, for the order only: all see the world at one instant.
     true_ranges_m, fault
         (N,) of the same beams.
     """
@@ -97,12 +97,12 @@ def scan_lidar(
     rng: np.random.Generator,
     person_xy: tuple[float, float] | None = None,
 ) -> SimulatedScan:
-    """One sweep of a 2D lidar.
+    """Simulate one scan of a 2D lidar.
 
     Parameters
     ----------
     T_world_laser
-        The laser, beams in its x-y plane.
+        Pose of the laser, with beams in its x-y plane.
     rng
         All noise and faults come from it.
     person_xy
@@ -132,7 +132,7 @@ def scan_lidar_3d(
     rng: np.random.Generator,
     person_xy: tuple[float, float] | None = None,
 ) -> SimulatedCloud:
-    """One turn of a 3D lidar; arguments as `scan_lidar`."""
+    """Simulate one revolution of a 3D lidar; arguments as `scan_lidar`."""
     directions = _ring_directions(sensor.elevations_rad, sensor.azimuths)
     shape = (len(sensor.elevations_rad), sensor.azimuths)
     rays = _rays(directions, T_world_laser.matrix())
@@ -158,7 +158,7 @@ def render_rgbd(
     rng: np.random.Generator,
     person_xy: tuple[float, float] | None = None,
 ) -> SimulatedImage:
-    """One colour image and its depth.
+    """Simulate one colour image and its depth.
 
     Parameters
     ----------
@@ -194,14 +194,14 @@ def _look(
     shape: tuple[int, int],
     person_xy: tuple[float, float] | None,
 ) -> tuple[Surfaces, Hits | None]:
-    """What all rays meet, in the sensor's shape; and what is behind the panes, if any."""
+    """Return the surfaces on all rays, in the sensor's shape; and those behind panes, if any."""
     behind_m = hits.range_m.copy()
     panes = hits.material == Material.GLASS
     behind = None
     if panes.any():
         behind = scene.cast_through_glass(rays[panes], person_xy)
         behind_m[panes] = behind.range_m
-    # Behind a window there is nothing: the home stands alone.
+    # Behind a window there is nothing: the home is isolated.
     behind_m[hits.material == Material.WINDOW] = np.inf
     surfaces = Surfaces(
         distance_m=hits.range_m.reshape(shape),
@@ -220,7 +220,7 @@ def _measure(
     sigma_m: Callable[[Float32Array], Float32Array],
     rng: np.random.Generator,
 ) -> tuple[Float32Array, FaultMask]:
-    """Add noise and the lidar's steps; ``nan`` is a hole, also where noise leads out of range."""
+    """Add noise and the lidar's resolution; ``nan`` is a hole, also if noise exceeds the range."""
     noise = rng.standard_normal(faulty.distance_m.shape, dtype=np.float32)
     noisy = faulty.distance_m + sigma_m(faulty.distance_m) * noise
     ranges = (np.round(noisy / sensor.resolution_m) * sensor.resolution_m).astype(np.float32)
@@ -232,7 +232,7 @@ def _measure(
 def _triangulate(
     faulty: FaultyReadings, camera: CameraModel, rng: np.random.Generator
 ) -> tuple[Float32Array, FaultMask]:
-    """Depth as the device computes it from a noisy disparity in steps; 0 is a hole."""
+    """Return the depth that the device computes from a noisy, quantised disparity; 0 is a hole."""
     noise = rng.standard_normal(faulty.distance_m.shape, dtype=np.float32)
     depth, fault = faulty.distance_m.copy(), faulty.fault.copy()
     _disparity_steps(
@@ -249,7 +249,7 @@ def _triangulate(
 
 @lru_cache(maxsize=16)
 def _pixel_directions(intrinsics: CameraIntrinsics) -> Float32Array:
-    """(H * W, 3) directions of the pixels, optical frame, z = 1."""
+    """Return (H * W, 3) directions of the pixels, optical frame, z = 1."""
     x = (np.arange(intrinsics.width) - intrinsics.cx) / intrinsics.fx
     y = (np.arange(intrinsics.height) - intrinsics.cy) / intrinsics.fy
     across, down = np.meshgrid(x, y)
@@ -258,7 +258,7 @@ def _pixel_directions(intrinsics: CameraIntrinsics) -> Float32Array:
 
 @lru_cache(maxsize=4)
 def _ring_directions(elevations_rad: tuple[float, ...], azimuths: int) -> Float32Array:
-    """(rings * azimuths, 3) unit directions, ring by ring."""
+    """Return (rings * azimuths, 3) unit directions, ring by ring."""
     turn = 2.0 * np.pi * np.arange(azimuths) / azimuths
     rise = np.array(elevations_rad)[:, None]
     level = np.cos(rise)
@@ -268,7 +268,7 @@ def _ring_directions(elevations_rad: tuple[float, ...], azimuths: int) -> Float3
 
 @kernel(nogil=True)
 def _rays(directions: Float32Array, T_world_sensor: NDArray[np.float64]) -> Float32Array:
-    """(N, 6) origins and directions in the world from directions in the sensor's frame."""
+    """Return (N, 6) origins and directions in the world from directions in the sensor's frame."""
     rays = np.empty((directions.shape[0], 6), np.float32)
     T = T_world_sensor
     r00, r01, r02, tx = T[0, 0], T[0, 1], T[0, 2], np.float32(T[0, 3])
@@ -285,7 +285,7 @@ def _rays(directions: Float32Array, T_world_sensor: NDArray[np.float64]) -> Floa
 
 @kernel(nogil=True)
 def _cos_incidence(rays: Float32Array, normal: Float32Array) -> Float32Array:
-    """(N,) cosine between each ray and the normal that it meets."""
+    """Return (N,) the cosine between each ray and the normal of its surface."""
     cosine = np.empty(rays.shape[0], np.float32)
     for ray in range(rays.shape[0]):
         dx, dy, dz = rays[ray, 3], rays[ray, 4], rays[ray, 5]
@@ -304,10 +304,10 @@ def _disparity_steps(
     limits_m: tuple[float, float],
     out_of_range: np.uint8,
 ) -> None:
-    """Li2020 Eq. (2)-(4) forth and back with noise and steps between; in place."""
+    """Apply Li2020 Eq. (2)-(4) forth and back with noise and quantisation between; in place."""
     step, sigma, unit = step_sigma_unit
     for pixel in range(depth.size):
-        # Without branches the compiler takes some pixels at a time.
+        # Without branches, the compiler vectorises over pixels.
         disparity = focal_baseline_px_m / depth[pixel] + sigma * noise[pixel]
         disparity = max(step, np.floor(disparity / step + 0.5) * step)
         measured = np.floor(focal_baseline_px_m / disparity / unit + 0.5) * unit
@@ -319,7 +319,7 @@ def _disparity_steps(
 
 @kernel(nogil=True)
 def _expose(image: Float32Array, sigma: float, seed: int) -> ColorImage:
-    """Add noise and round to bytes; hashed, since three normal numbers a pixel cost more than the image."""
+    """Add noise and round to bytes; a hash is faster than three normal numbers per pixel."""
     color = np.empty(image.size, np.uint8)
     values = image.ravel()
     for at in range(values.size):

@@ -11,14 +11,14 @@ from slam.measurements import FloatArray
 
 STEP_S = 0.02  # twist is constant within a step, so poses in between are exact arcs
 
-_TURN_GAIN = 2.5  # 1/s: the turn rate for a radian off the path; 2 v / lookahead for the usual values
-_STANDING_TURN_RAD = 0.7  # this far off the path the robot turns on the spot instead of cutting the corner
+_TURN_GAIN = 2.5  # 1/s: angular rate per radian of heading error; 2 v / lookahead for the usual values
+_STANDING_TURN_RAD = 0.7  # above this heading error, the robot turns on the spot
 _ARRIVED_M = 0.08
 
 
 @dataclass(frozen=True, slots=True)
 class DriveLimits:
-    """What the wheels can do.
+    """Limits of the wheels.
 
     Attributes
     ----------
@@ -83,7 +83,7 @@ def follow_path(
 def advance(
     x_m: float, y_m: float, yaw_rad: float, speed: float, turn: float, time_s: float
 ) -> tuple[float, float, float]:
-    """The pose after a time of constant twist: an exact arc."""
+    """Return the pose after a time of constant twist: an exact arc."""
     angle = turn * time_s
     half = 0.5 * angle
     # sin(a/2) / (a/2): the chord for an arc of length one.
@@ -93,7 +93,7 @@ def advance(
 
 
 class _Follower:
-    """The place on the path that the robot steers at."""
+    """Target point on the path for pure pursuit."""
 
     def __init__(
         self,
@@ -112,7 +112,7 @@ class _Follower:
         self.arrived = False
 
     def command(self, x: float, y: float, yaw: float) -> tuple[float, float]:
-        """Wanted speed and turn rate."""
+        """Return the desired speed and angular rate."""
         distance = self._advance(x, y)
         limits, at = self._limits, self._at
         bearing = math.remainder(math.atan2(self._y[at] - y, self._x[at] - x) - yaw, 2.0 * math.pi)
@@ -130,7 +130,7 @@ class _Follower:
         return speed, math.copysign(turn, bearing)
 
     def _advance(self, x: float, y: float) -> float:
-        """Move on to the first point that is the lookahead away; its distance."""
+        """Advance to the first point at the lookahead distance; return its distance."""
         count = len(self._x)
         while True:
             distance = math.hypot(self._x[self._at] - x, self._y[self._at] - y)
@@ -145,5 +145,5 @@ class _Follower:
 
 
 def limited(change: float, limit: float) -> float:
-    """A change, at most as large as the limit."""
+    """Return a change, clipped at the limit."""
     return max(-limit, min(limit, change))

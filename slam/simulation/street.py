@@ -45,14 +45,14 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class StreetRig:
-    """What a car carries: a lidar, in its frame an IMU, and the antenna of a satellite receiver."""
+    """Sensors of a car: a lidar, and in its frame an IMU and the antenna of a satellite receiver."""
 
     lidar: MountedRingLidar
     imu: MountedImu | None
     antenna_m: tuple[float, float, float] | None = (-0.8, 0.3, 0.1)
 
 
-# Where KITTI's IMU sits beside its lidar (calib_imu_to_velo.txt), to the centimetre; here it looks left.
+# Pose of KITTI's IMU relative to its lidar (calib_imu_to_velo.txt), to the centimetre; here it looks left.
 _IMU = MountedImu(ADIS_16448, gtsam.Pose3(gtsam.Rot3.Yaw(0.5 * np.pi), np.array([-0.81, 0.32, -0.80])))
 STREET_RIGS = {
     "car64": StreetRig(MountedRingLidar(HDL_64E, laser_pose(0.0, 0.0, 1.73)), _IMU),
@@ -69,16 +69,16 @@ _ANTENNA_FRAME, _FIX = "antenna", "/gnss/fix"
 
 @dataclass(frozen=True, slots=True)
 class StreetFaults:
-    """What makes a street hard.
+    """Difficulty of a street.
 
     Attributes
     ----------
     density
-        Cars, cyclists and people in 100 m of street.
+        Cars, cyclists and people per 100 m of street.
     lost_share
-        Of the turns.
+        Share of lost revolutions.
     imu, gnss
-        What the IMU and the satellite receiver are off by.
+        Errors of the IMU and the satellite receiver.
     """
 
     density: float = 0.0
@@ -97,7 +97,7 @@ STREET_FAULTS = {
 
 @dataclass(frozen=True, slots=True)
 class StreetSummary:
-    """What was recorded: length in time and space, turns, points, and how many of them on what moves."""
+    """Summary of a recording: duration, path length, revolutions, points, and points on moving objects."""
 
     duration_s: float
     path_m: float
@@ -128,7 +128,7 @@ def record_street(
     formats: tuple[str, ...] = FORMATS,
     sideward_m_s2: float = SIDEWARD_M_S2,
 ) -> StreetSummary:
-    """Drive through the town of seed ``home`` and write what the lidar sees, with the truth.
+    """Drive through the town of seed ``home`` and write the lidar data, with the ground truth.
 
     Parameters
     ----------
@@ -148,7 +148,7 @@ def record_street(
     undistorted
         Clouds of the folder as if taken at once; the bag's always are as measured.
     sideward_m_s2
-        How hard corners are taken, see `drive_street`.
+        Lateral acceleration in corners, see `drive_street`.
 
     Raises
     ------
@@ -204,7 +204,7 @@ def record_street(
 
 
 def _outside(tunnel_m: tuple[float, float], fixes: list[GnssFix], lidar: StreetLidar) -> list[GnssFix]:
-    """Those that were taken before and behind a tunnel."""
+    """Return the fixes before and behind a tunnel."""
     _, positions = lidar.poses_at(np.array([fix.stamp_s - FIRST_STAMP_S for fix in fixes]))
     entry_m, exit_m = tunnel_m
     in_sight = (positions[:, 0] < entry_m) | (positions[:, 0] > exit_m)
@@ -212,13 +212,13 @@ def _outside(tunnel_m: tuple[float, float], fixes: list[GnssFix], lidar: StreetL
 
 
 def _write_bin(path: Path, turn: StreetTurn, *, undistorted: bool) -> None:
-    """Four floats a point."""
+    """Write four floats per point."""
     points = turn.undistorted_lidar if undistorted else turn.points_lidar
     np.column_stack([points, turn.brightness]).astype("<f4").tofile(path)
 
 
 def _write_kitti(folder: Path, lidar: StreetLidar, times_s: FloatArray) -> None:
-    """Stamps, calibration, and poses of the left camera in its first frame."""
+    """Write stamps, calibration, and poses of the left camera in its first frame."""
     write_lines(folder / "times.txt", [f"{FIRST_STAMP_S + time_s:.6f}" for time_s in times_s])
     write_lines(folder / "calib.txt", [f"Tr: {_kitti_row(_T_CAMERA_LIDAR)}"])
     rotations, positions = lidar.poses_at(times_s)
@@ -230,12 +230,12 @@ def _write_kitti(folder: Path, lidar: StreetLidar, times_s: FloatArray) -> None:
 
 
 def _kitti_row(pose: gtsam.Pose3) -> str:
-    """The first three rows of the matrix."""
+    """Return the first three rows of the matrix as text."""
     return " ".join(f"{value:.9e}" for value in pose.matrix()[:3].ravel())
 
 
 def _trajectory(lidar: StreetLidar, times_s: FloatArray) -> Trajectory:
-    """Of the lidar in the map."""
+    """Return the trajectory of the lidar in the map."""
     from scipy.spatial.transform import Rotation
 
     rotations, positions = lidar.poses_at(times_s)
@@ -281,7 +281,7 @@ class _StreetBag:
         self._writer.__exit__(kind, error, trace)
 
     def write(self, stamp_s: float, turn: StreetTurn) -> None:
-        """One turn; it arrives when it is over, after what the IMU has told by then."""
+        """Write one revolution; it arrives at its end, after the IMU readings until then."""
         further: dict[str, NDArray[Any]] = {
             "intensity": turn.brightness,
             "ring": turn.ring,
@@ -293,7 +293,7 @@ class _StreetBag:
         self._send("/points", over_s, message)
 
     def _feel(self, until_s: float) -> None:
-        """Write what IMU and receiver tell until a time of the drive."""
+        """Write the readings of IMU and receiver until a time of the drive."""
         while self._fixes and self._fixes[-1].stamp_s - FIRST_STAMP_S < until_s:
             fix = self._fixes.pop()
             self._send(_FIX, fix.stamp_s, ros.navsat(fix, _ANTENNA_FRAME))

@@ -9,14 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slam.measurements import Float32Array, FloatArray
-
-_FACES = np.array(
-    [
-        *((0, 2, 1), (0, 3, 2), (4, 5, 6), (4, 6, 7), (0, 1, 5), (0, 5, 4)),
-        *((1, 2, 6), (1, 6, 5), (2, 3, 7), (2, 7, 6), (3, 0, 4), (3, 4, 7)),
-    ],
-    dtype=np.int32,
-)
+from slam.simulation.home_model import BOX_TRIANGLES
 
 
 class Label(IntEnum):
@@ -87,7 +80,7 @@ class MeshBuilder:
         cos, sin = np.cos(yaw_rad), np.sin(yaw_rad)
         flat = corners @ np.array([[cos, sin], [-sin, cos]]) + centre_m
         vertices = np.vstack([np.column_stack([flat, np.full(4, z)]) for z in height_m])
-        self.add(vertices, _FACES, label, brightness)
+        self.add(vertices, BOX_TRIANGLES, label, brightness)
 
     def prism(
         self,

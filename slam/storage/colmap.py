@@ -21,7 +21,7 @@ _PINHOLE = 1
 
 
 def write_colmap(folder: Path, images: Sequence[PosedImage], cloud: ColoredCloud) -> list[Path]:
-    """Write ``sparse/0/*.bin`` and ``sparse/text/*.txt``; what was written.
+    """Write ``sparse/0/*.bin`` and ``sparse/text/*.txt``; return the written files.
 
     Raises
     ------
@@ -32,7 +32,7 @@ def write_colmap(folder: Path, images: Sequence[PosedImage], cloud: ColoredCloud
     for image in images:
         cameras.setdefault((image.sensor, image.intrinsics), len(cameras) + 1)
     lenses = [
-        # COLMAP counts pixels from their corners.
+        # COLMAP measures pixels from their corners.
         (number, lens.width, lens.height, [lens.fx, lens.fy, lens.cx + 0.5, lens.cy + 0.5])
         for (_, lens), number in cameras.items()
     ]
@@ -76,7 +76,7 @@ def write_colmap(folder: Path, images: Sequence[PosedImage], cloud: ColoredCloud
 
 
 def _points(cloud: ColoredCloud) -> bytes:
-    """The points, without tracks."""
+    """Pack the points, without tracks."""
     record = np.dtype(
         [("id", "<u8"), ("xyz", "<f8", 3), ("rgb", "u1", 3), ("error", "<f8"), ("track", "<u8")]
     )
@@ -87,5 +87,5 @@ def _points(cloud: ColoredCloud) -> bytes:
 
 
 def _count(rows: Sequence[object] | np.ndarray[tuple[int], np.dtype[np.void]]) -> bytes:
-    """How many follow."""
+    """Pack the number of following records."""
     return struct.pack("<Q", len(rows))

@@ -16,12 +16,12 @@ _AXES = {3: ("x", "y", "yaw"), 6: ("x", "y", "z", "rx", "ry", "rz")}
 
 
 def covariance_path(trajectory: Path) -> Path:
-    """Where covariances are: ``trajectory_covariance.csv`` beside ``trajectory.tum``."""
+    """Return the path of covariances: ``trajectory_covariance.csv`` beside ``trajectory.tum``."""
     return trajectory.with_name(f"{trajectory.name.removesuffix('.gz').removesuffix('.tum')}_covariance.csv")
 
 
 def write_trajectory(path: Path, trajectory: Trajectory, covariances: FloatArray | None) -> list[Path]:
-    """Write N poses as TUM text and, where they are known, (N, d, d) covariances beside it; what was written.
+    """Write N poses as TUM text and, if known, (N, d, d) covariances beside it; return the files.
 
     Raises
     ------
@@ -37,7 +37,7 @@ def write_trajectory(path: Path, trajectory: Trajectory, covariances: FloatArray
 
 
 def _write_covariances(path: Path, stamps_s: FloatArray, covariances: FloatArray) -> None:
-    """Under a head that names the columns."""
+    """Write them under a header that names the columns."""
     axes = _AXES[covariances.shape[1]]
     pairs = [f"{axes[i]}_{axes[j]}" for i, j in zip(*np.triu_indices(len(axes)), strict=True)]
     rows = zip(stamps_s.tolist(), upper_triangles(covariances).tolist(), strict=True)
@@ -46,14 +46,14 @@ def _write_covariances(path: Path, stamps_s: FloatArray, covariances: FloatArray
 
 
 def read_covariances(path: Path) -> tuple[FloatArray, FloatArray]:
-    """(N,) stamps and (N, d, d) covariances of a file that `write_trajectory` has written beside another.
+    """Read (N,) stamps and (N, d, d) covariances from a file written by `write_trajectory`.
 
     Raises
     ------
     MapFileError
-        Naming the line, where it has not as many finite numbers as its head says, or the head is another.
+        Naming the line, if it has not as many finite numbers as the header says, or the header differs.
     """
-    # No blanks: a line is one field.
+    # No spaces: a line is one field.
     lines = [(number, fields[0].split(",")) for number, fields in numbered_fields(path)]
     sizes = {len(axes) * (len(axes) + 1) // 2 + 1 for axes in _AXES.values()}
     if len(lines) < 2 or len(lines[0][1]) not in sizes:
@@ -69,13 +69,13 @@ def read_covariances(path: Path) -> tuple[FloatArray, FloatArray]:
 
 
 def upper_triangles(covariances: FloatArray) -> FloatArray:
-    """(N, d (d + 1) / 2) of (N, d, d), row by row."""
+    """Return (N, d (d + 1) / 2) of (N, d, d), row by row."""
     row, column = np.triu_indices(covariances.shape[1])
     return np.ascontiguousarray(covariances[:, row, column])
 
 
 def of_upper_triangles(triangles: FloatArray) -> FloatArray:
-    """(N, d, d) of what `upper_triangles` gives."""
+    """Return (N, d, d) from the result of `upper_triangles`."""
     size = next(size for size in _AXES if size * (size + 1) // 2 == triangles.shape[1])
     row, column = np.triu_indices(size)
     covariances = np.zeros((len(triangles), size, size))

@@ -57,5 +57,6 @@ def write_e57(
                     translation=pose.translation(),
                 )
             file.close()
-    except pye57.libe57.E57Exception as error:
-        raise MapFileError(f"cannot write {path}: {error}; check the folder and its free space") from error
+    except (pye57.libe57.E57Exception, TypeError) as error:
+        why = "pye57 needs a UTF-8 name" if isinstance(error, TypeError) else str(error).split("\n")[0]
+        raise MapFileError(f"cannot write {path}: {why}; check the folder and its free space") from error

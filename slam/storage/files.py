@@ -7,18 +7,19 @@ import gzip
 import secrets
 import zlib
 from collections.abc import Iterable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from slam.datasets.budget import Budget
 from slam.datasets.dataset import RecordFault
 from slam.datasets.log_file import MAX_LINE_BYTES
 from slam.errors import MapFileError, ScanweaveError
+from slam.storage.map_file import MAP_NAME
 from slam.temporary import held, remove_left
 
 
 @contextmanager
-def replacing(path: Path) -> Iterator[Path]:
+def replacing(path: Path, *, map_too: bool = False) -> Iterator[Path]:
     """Yield a temporary name beside ``path``; rename it to ``path`` if the block succeeds.
 
     A reader of ``path`` sees the old file or the whole new one, never half of it; what a killed run has left
@@ -27,9 +28,12 @@ def replacing(path: Path) -> Iterator[Path]:
     Raises
     ------
     MapFileError
-        If the folder is missing, not writable or full; nothing is left behind.
+        If the folder is missing, not writable or full, or unless ``map_too`` the name is that of a map;
+        nothing is left behind.
     """
     path = Path(path)
+    if path.name == MAP_NAME and not map_too:
+        raise MapFileError(f"{path} is the name of a map, which would be lost; give another name")
     temporary = path.with_name(f".{path.stem}.{secrets.token_hex(8)}.tmp{path.suffix}")
     remove_left(path.parent.glob(f".{glob.escape(path.stem)}.{'?' * 16}.tmp{glob.escape(path.suffix)}"))
     try:
@@ -41,11 +45,12 @@ def replacing(path: Path) -> Iterator[Path]:
             f"cannot write {path}: {error.strerror or error}; check the folder and its free space"
         ) from error
     finally:
-        temporary.unlink(missing_ok=True)
+        with suppress(OSError):  # of a folder that cannot be written to
+            temporary.unlink()
 
 
 def make_folder(path: Path) -> None:
-    """Make a folder and its parents where they are missing.
+    """Create a folder and its parents if missing.
 
     Raises
     ------
@@ -87,13 +92,13 @@ def numbered_fields(
 ) -> Iterator[tuple[int, list[str]]]:
     """Yield (line number from 1, blank-separated fields) of a text file, plain or ``.gz``.
 
-    Empty lines and whole-line comments (``#``) are passed over, but counted.
+    Empty lines and whole-line comments (``#``) are skipped, but counted.
 
     Raises
     ------
     ScanweaveError
-        Of the type ``error``, where the file cannot be opened, is not text, its compression is damaged, or it
-        unpacks to more than any such file.
+        Of the type ``error``, if the file cannot be opened, is not text, its compression is damaged, or it
+        decompresses to more than any such file.
     """
     path = Path(path)
     number, opened = 0, gzip.open if path.suffix == ".gz" else open
@@ -116,7 +121,7 @@ def numbered_fields(
 
 
 def parse_floats(fields: list[str], where: str, error: type[ScanweaveError] = MapFileError) -> list[float]:
-    """Finite floats of ``fields``; ``where`` (file and line) opens the message of ``error`` otherwise."""
+    """Parse finite floats from ``fields``; ``where`` (file and line) begins the message of ``error``."""
     try:
         values = [float(text) for text in fields]
     except ValueError as cause:

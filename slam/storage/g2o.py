@@ -42,7 +42,7 @@ def write_g2o(path: Path, poses: Sequence[Pose], edges: Iterable[Edge]) -> None:
 
 
 def _lines(path: Path, poses: Sequence[Pose], edges: Iterable[Edge]) -> Iterator[str]:
-    """Vertices, edges, then who is fixed: elsewhere gtsam's reader would find no edge in 2D."""
+    """Yield vertices, edges, then the fixed node: in another order, gtsam's reader finds no edge in 2D."""
     space = "SE2" if isinstance(poses[0], gtsam.Pose2) else "SE3:QUAT"
     for vertex, pose in enumerate(poses):
         yield f"VERTEX_{space} {vertex} {_text(path, _numbers(pose))}"
@@ -59,14 +59,14 @@ def _lines(path: Path, poses: Sequence[Pose], edges: Iterable[Edge]) -> Iterator
 
 
 def _text(path: Path, numbers: list[float]) -> str:
-    """The shortest texts (at most 17 digits) that read back as the same numbers."""
+    """Return the shortest texts (at most 17 digits) that read back as the same numbers."""
     if not all(map(math.isfinite, numbers)):
         raise MapFileError(f"cannot write {path}: a pose or an information matrix is not finite")
     return " ".join(map(repr, numbers))
 
 
 def _numbers(pose: Pose) -> list[float]:
-    """The numbers x y theta, or x y z qx qy qz qw."""
+    """Return the numbers x y theta, or x y z qx qy qz qw."""
     if isinstance(pose, gtsam.Pose2):
         row: list[float] = row_from_pose2(pose).tolist()
         return row

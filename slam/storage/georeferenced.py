@@ -11,12 +11,12 @@ from slam.earth import Georeference
 from slam.estimates import Trajectory
 from slam.storage.files import write_lines
 
-# Stamps before 2001 count from the start of something else than the clock of the world.
+# Stamps before 2001 are not Unix time.
 _WORLD_S = 978_307_200.0
 
 
 def write_georeference(path: Path, earth: Georeference) -> None:
-    """Write yaml: the place of the map's origin on WGS 84, where its x axis looks, and the matrix to ENU.
+    """Write yaml: position of the map's origin on WGS 84, heading of its x axis, and matrix to ENU.
 
     Raises
     ------
@@ -41,7 +41,7 @@ def write_georeference(path: Path, earth: Georeference) -> None:
 
 
 def write_gpx(path: Path, trajectory: Trajectory, earth: Georeference) -> None:
-    """Write the way as a GPX 1.1 track; with times where the stamps are those of a clock of the world.
+    """Write the path as a GPX 1.1 track; with times if the stamps are Unix time.
 
     Raises
     ------

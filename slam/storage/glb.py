@@ -20,7 +20,7 @@ from slam.storage.files import write_bytes
 
 _FLOAT, _UINT32, _UINT16 = 5126, 5125, 5123
 _ARRAYS, _ELEMENTS = 34962, 34963
-# Turns z up to y up: quaternion x, y, z, w of -90 degrees about x.
+# Rotates z up to y up: quaternion x, y, z, w of -90 degrees about x.
 _Y_UP = [-(0.5**0.5), 0.0, 0.0, 0.5**0.5]
 
 
@@ -68,7 +68,7 @@ def write_mesh_glb(path: Path, mesh: ColoredMesh) -> None:
 
 
 def _linear(colors: NDArray[np.uint8]) -> NDArray[np.uint16]:
-    """(N, 4) linear RGB and opacity of (N, 3) sRGB (IEC 61966-2-1)."""
+    """Return (N, 4) linear RGB and opacity of (N, 3) sRGB (IEC 61966-2-1)."""
     share = np.arange(256) / 255.0
     curve = np.where(share <= 0.04045, share / 12.92, ((share + 0.055) / 1.055) ** 2.4)
     most = np.iinfo(np.uint16).max

@@ -11,14 +11,14 @@ from slam.storage.packing import pack_small, unpack_small
 
 
 class KeptScans(Sequence[LaserScan | None]):
-    """Scans, one of them in memory at a time: two who go through them together are given the same.
+    """Scans with one in memory at a time, shared by parallel iterations.
 
     Parameters
     ----------
     count
-        How many there are.
+        Number of scans.
     read
-        Reads the one of a number.
+        Reads the scan of an index.
     """
 
     def __init__(self, count: int, read: Callable[[int], Any]) -> None:
@@ -27,7 +27,7 @@ class KeptScans(Sequence[LaserScan | None]):
 
     @classmethod
     def on_disk(cls, scans: Iterable[Any]) -> KeptScans:
-        """Of scans, or tuples of them, that are made one after the other, in a temporary file."""
+        """Store scans, or tuples of them, in a temporary file as they are created."""
         spool = Spool()
         for scan in scans:
             spool.append(pack_small(scan))

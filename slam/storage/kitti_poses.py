@@ -22,7 +22,7 @@ def write_kitti(path: Path, trajectory: Trajectory) -> list[Path]:
     first = poses[0].inverse()
     rows = (first.compose(pose).matrix()[:3].ravel().tolist() for pose in poses)
     write_lines(path, (" ".join(f"{value:.9e}" for value in row) for row in rows))
-    # Beside a name of one's own there may be the times of a data set.
+    # Beside another name, there may be the times of a data set.
     times = path.with_name("times.txt" if path.name == "poses.txt" else f"{path.stem}_times.txt")
     begun_s = trajectory.stamps_s[0]
     write_lines(times, (f"{stamp_s - begun_s:.6e}" for stamp_s in trajectory.stamps_s.tolist()))

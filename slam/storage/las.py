@@ -40,7 +40,7 @@ def write_las(path: Path, cloud: ColoredCloud, is_ground: BoolArray) -> None:
     header = laspy.LasHeader(point_format=_WITH_COLOURS, version="1.4")
     header.scales = np.full(3, _STEP_M)
     header.offsets = np.floor(cloud.points_map.min(axis=0).astype(np.float64))
-    # The day of writing would make the same map differ.
+    # The date of writing would change the file of the same map.
     header.creation_date = None
     rows = laspy.LasData(header)
     rows.x, rows.y, rows.z = cloud.points_map.T.astype(np.float64)
@@ -53,9 +53,9 @@ def write_las(path: Path, cloud: ColoredCloud, is_ground: BoolArray) -> None:
 
 
 def sixteen_bits(intensities: Float32Array) -> Float32Array:
-    """As the format wants them (ASPRS 2019, Sec. 2.6): the sensor's whole range over 16 bits.
+    """Scale to the sensor's full range over 16 bits, as the format requires (ASPRS 2019, Sec. 2.6).
 
-    That range is taken to be 0 to 1, eight bits or sixteen: the narrowest that holds them all.
+    The range is assumed to be 0 to 1, eight bits or sixteen: the narrowest that contains all values.
     """
     greatest = float(np.nanmax(intensities, initial=0.0))
     whole = next((one for one in (1.0, _MOST / _COLOUR_STEP, _MOST) if greatest <= one), greatest)

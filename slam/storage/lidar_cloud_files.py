@@ -28,16 +28,16 @@ CLOUD_FORMATS = ("las", "pcd", *(name + TILES for name in _WRITERS))
 
 @dataclass(frozen=True, slots=True)
 class LidarCloud:
-    """What clouds show.
+    """Points of the clouds to write.
 
     Attributes
     ----------
     stays
-        Of the map, in parts; read more than once.
+        Static points of the map, in parts; read more than once.
     is_ground
-        Of points (N, 3), which (N,) are the ground.
+        Function of points (N, 3): which (N,) are the ground.
     gone
-        What only passed by, in parts; None if nothing did.
+        Removed moving points, in parts; None if there are none.
     """
 
     stays: Iterable[ColoredCloud]
@@ -46,7 +46,7 @@ class LidarCloud:
 
 
 def write_lidar_cloud(path: Path, cloud: LidarCloud) -> list[Path]:
-    """Write ``path``, a PLY file, and what has gone beside it, as ``cloud_passed_by.ply`` of ``cloud.ply``.
+    """Write ``path``, a PLY file, and removed points beside it, as ``cloud_passed_by.ply`` for ``cloud.ply``.
 
     Raises
     ------
@@ -63,7 +63,7 @@ def write_lidar_cloud(path: Path, cloud: LidarCloud) -> list[Path]:
 
 
 def export_cloud(format_: str, out: Path, cloud: LidarCloud) -> list[Path]:
-    """Write what stays in one of `CLOUD_FORMATS`: a file, or a folder of tiles of 50 m.
+    """Write static points in one of `CLOUD_FORMATS`: a file, or a folder of tiles of 50 m.
 
     A tile is named after its lower left corner in metres.
 
@@ -100,7 +100,7 @@ def export_cloud(format_: str, out: Path, cloud: LidarCloud) -> list[Path]:
 
 
 def _joined(parts: Iterable[ColoredCloud]) -> ColoredCloud:
-    """All parts as one."""
+    """Return all parts as one."""
     nothing = ColoredCloud(
         np.zeros((0, 3), np.float32), np.zeros((0, 3), np.uint8), np.zeros((0, 3), np.float32)
     )
@@ -115,7 +115,7 @@ def _joined(parts: Iterable[ColoredCloud]) -> ColoredCloud:
 
 
 def _part(cloud: ColoredCloud, chosen: BoolArray) -> ColoredCloud:
-    """Some of the points."""
+    """Return some of the points."""
     return replace(
         cloud,
         points_map=cloud.points_map[chosen],

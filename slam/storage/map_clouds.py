@@ -20,15 +20,15 @@ from slam.storage.packing import pack, unpack
 
 
 class MapClouds:
-    """The clouds of a map, one a node of its graph.
+    """The clouds of a map, one per node of its graph.
 
     Parameters
     ----------
     begun
-        Whether the map is being written: clouds that an interrupted run has left are there only once they are
-        added again, and cost nothing then.
+        Whether the map is being written: clouds of an interrupted run are visible only after they are added
+        again, without cost.
     erased
-        Packed bits of the points that edits have taken away, by keyframe.
+        Packed bits of the points removed by edits, by keyframe.
     """
 
     def __init__(
@@ -36,19 +36,19 @@ class MapClouds:
     ) -> None:
         self._file, self._erased = file, erased or {}
         self._count = 0 if begun else file.count(CLOUDS)
-        # Points, stamp and lidar of a keyframe are asked for one after the other.
+        # Points, stamp and lidar of a keyframe are read one after the other.
         self._newest: tuple[int, tuple[Value, ...]] = (-1, ())
-        self._sound = set[int]()  # rows whose checksum was found right: they are read several times
+        self._sound = set[int]()  # rows with a verified checksum: they are read several times
 
     def __len__(self) -> int:
         return self._count
 
     def __iter__(self) -> Iterator[FloatArray]:
-        """The points of every keyframe, those of one in memory at a time."""
+        """Yield the points of every keyframe, one in memory at a time."""
         return (self.points(key) for key in range(len(self)))
 
     def add(self, stamp_s: float, rows: FloatArray, T_base_lidar: gtsam.Pose3) -> int:
-        """Write the points (N, 3), base frame, of the next keyframe, or (N, 4) with intensities; its number.
+        """Write points (N, 3) of the next keyframe, base frame, or (N, 4) with intensities; return its index.
 
         Raises
         ------
@@ -69,7 +69,7 @@ class MapClouds:
         return self._file.append(CLOUDS, stamp_s, pack(T_base_lidar), packed_cloud(rows))
 
     def points(self, key: int, *, everything: bool = False) -> FloatArray:
-        """The points (N, 3) of a keyframe, base frame; what edits have taken away only if all are asked for.
+        """Return the points (N, 3) of a keyframe, base frame; those removed by edits only if requested.
 
         Raises
         ------
@@ -81,12 +81,12 @@ class MapClouds:
         return self.rows(key, everything=everything, intensities=False)
 
     def intensities(self, key: int, *, everything: bool = False) -> Float32Array | None:
-        """(N,) of the points, in the sensor's own steps; None if its log did not tell them."""
+        """Return (N,) intensities of the points, in the sensor's own steps; None if its log has none."""
         rows = self.rows(key, everything=everything)
         return rows[:, 3].astype(np.float32) if rows.shape[1] > 3 else None
 
     def rows(self, key: int, *, everything: bool = False, intensities: bool = True) -> FloatArray:
-        """`points`, with `intensities` as a fourth column where there are any and they are asked for."""
+        """Return `points`, with `intensities` as a fourth column if present and requested."""
         content = self._row(key)[2]
         with self._file.blaming(CLOUDS, key):
             rows = unpacked_cloud(cast(bytes, content), intensities=intensities)
@@ -96,27 +96,27 @@ class MapClouds:
         return rows
 
     def without(self, erased: Mapping[int, bytes]) -> MapClouds:
-        """The same clouds, other points of them taken away."""
+        """Return the same clouds with other points removed."""
         return MapClouds(self._file, erased=erased)
 
     def stamp_s(self, key: int) -> float:
-        """When a keyframe's cloud was taken; errors as in `points`."""
+        """Return the stamp of a keyframe's cloud; errors as in `points`."""
         with self._file.blaming(CLOUDS, key):
             return sound_stamp(self._row(key)[0])
 
     def T_base_lidar(self, key: int) -> gtsam.Pose3:
-        """Where the lidar was on the robot; errors as in `points`."""
+        """Return the pose of the lidar on the robot; errors as in `points`."""
         with self._file.blaming(CLOUDS, key):
             stamp_s, lidar, _ = self._row(key)
             sound_stamp(stamp_s)
             return of(gtsam.Pose3, unpack(cast(bytes, lidar)))
 
     def digest(self, key: int) -> bytes:
-        """That of a keyframe's row, time and points; errors as in `points`."""
+        """Return the digest of a keyframe's row, time and points; errors as in `points`."""
         return hashlib.blake2b(repr(self._row(key)).encode(), digest_size=16).digest()
 
     def copy_to(self, file: MapFile, most: int | None = None) -> None:
-        """Write clouds to another map as they are, or so many of them.
+        """Copy clouds, or the first ones, to another map unchanged.
 
         Raises
         ------
@@ -127,7 +127,7 @@ class MapClouds:
             file.append(CLOUDS, *self._row(key))
 
     def _row(self, key: int) -> tuple[Value, ...]:
-        """The values of a row."""
+        """Return the values of a row."""
         if not 0 <= key < len(self):
             raise IndexError(f"cloud {key} of {len(self)}")
         if key != self._newest[0]:

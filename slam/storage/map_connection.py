@@ -12,22 +12,22 @@ from slam.errors import MapFileError
 from slam.storage.map_tables import APPLICATION_ID, SCHEMA_VERSION, TABLES, Table, tables_of
 
 _HEADER = b"SQLite format 3\0"
-# What SQLite writes beside a map that is being written, or was when its process died.
+# Files of SQLite beside a map that is being written, or was when its process died.
 _BESIDE = ("-wal", "-journal")
 
 
 def writer(path: Path) -> sqlite3.Connection:
-    """A connection that no other process can write beside."""
-    # A temporary map that is forgotten is closed by the thread in which Python happens to collect it.
+    """Open a connection that excludes writers of other processes."""
+    # An unreferenced temporary map is closed by the thread of the garbage collector.
     connection = sqlite3.connect(path, timeout=0.0, isolation_level=None, check_same_thread=False)
     connection.execute("PRAGMA locking_mode = EXCLUSIVE")
-    # In WAL mode a crash of the process loses nothing that was committed; one of the machine, the latest.
+    # In WAL mode, a crash of the process loses no committed data; one of the machine, the latest.
     connection.execute("PRAGMA synchronous = NORMAL")
     return connection
 
 
 def reader(path: Path) -> sqlite3.Connection:
-    """A connection that writes nothing, not even beside the file, and trusts nothing in it.
+    """Open a connection that writes nothing, not even beside the file, and trusts nothing in it.
 
     Raises
     ------
@@ -40,13 +40,13 @@ def reader(path: Path) -> sqlite3.Connection:
     connection = foreign_database(path, immutable=True, views=False, any_thread=True)
     connection.execute("PRAGMA cell_size_check = ON")
     connection.execute("PRAGMA query_only = ON")
-    # No length can be beyond that of the file.
+    # No length can exceed that of the file.
     connection.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, max(path.stat().st_size, 10_000))
     return connection
 
 
 def begin(connection: sqlite3.Connection) -> None:
-    """Make the tables of a new map; the transaction stays open."""
+    """Create the tables of a new map; the transaction stays open."""
     connection.execute(f"PRAGMA application_id = {APPLICATION_ID}")
     connection.execute(f"PRAGMA user_version = {SCHEMA_VERSION}")
     connection.execute("PRAGMA journal_mode = WAL")
@@ -56,7 +56,7 @@ def begin(connection: sqlite3.Connection) -> None:
 
 
 def check_kind(path: Path, connection: sqlite3.Connection) -> tuple[Table, ...]:
-    """The tables of a map; what is none, a newer one, or one with other tables is a `MapFileError`."""
+    """Return the tables of a map; no map, a newer one, or other tables are a `MapFileError`."""
     run = connection.execute
     if run("PRAGMA application_id").fetchone()[0] != APPLICATION_ID:
         raise MapFileError(f"{path} is an SQLite file, but no map of Scanweave")
@@ -73,7 +73,7 @@ def check_kind(path: Path, connection: sqlite3.Connection) -> tuple[Table, ...]:
 
 
 def refuse_in_use(path: Path) -> None:
-    """Fail where another process writes a map; anything else may be replaced."""
+    """Raise an error if another process writes a map; anything else may be replaced."""
     if not path.is_file():
         return
     connection = sqlite3.connect(path, timeout=0.0, isolation_level=None)
@@ -88,17 +88,17 @@ def refuse_in_use(path: Path) -> None:
 
 
 def beside(path: Path) -> list[Path]:
-    """Files that SQLite keeps beside one that is being written."""
+    """Return the files of SQLite beside one that is being written."""
     return [path.with_name(path.name + ending) for ending in _BESIDE]
 
 
 @contextmanager
 def reported(path: Path, done: str) -> Iterator[None]:
-    """Turn what SQLite and the disk say into one line."""
+    """Convert errors of SQLite and the disk to one line."""
     try:
         yield
     except (sqlite3.Error, OSError, UnicodeError) as error:
-        reason = "another run is writing it" if "locked" in str(error) else error
+        reason = "another run is writing it" if "locked" in str(error) else getattr(error, "strerror", error)
         outside = isinstance(error, sqlite3.OperationalError | OSError)
         remedy = "check the folder and its free space" if outside else "copy it again, or map its log anew"
         raise MapFileError(f"{path} cannot be {done}: {reason}; {remedy}") from error

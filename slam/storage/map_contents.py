@@ -202,7 +202,7 @@ def write_contents(file: MapFile, contents: MapContents) -> None:
         If the file cannot be written.
     """
     for table in (KEYFRAMES, FACTORS, LOOPS, TRAJECTORY, COVARIANCES, GRIDS, CAMERAS):
-        file.clear(table)  # an interrupt may have come amid the writing
+        file.clear(table)  # an interrupt may have come during writing
     for node, pose in enumerate(contents.node_poses):
         scan = contents.keyframe_scans[node] if contents.keyframe_scans else None
         measured = contents.measured_scans[node] if contents.measured_scans else None
@@ -256,14 +256,14 @@ def read_contents(file: MapFile) -> MapContents:
             keyframes.append((stamp_s, reading, pose))
             yield pair
 
-    # Flat scans of clouds are wide: they are read when somebody asks.
+    # 2D scans of clouds are large: they are read on demand.
     pairs: Sequence[Any] = KeptScans.on_disk(scans()) if len(clouds) else list(scans())
     if not keyframes:
         raise MapFileError(f"{file.path} holds no keyframe; make the map anew")
     poses = [keyframe[2] for keyframe in keyframes]
     planar = isinstance(poses[0], gtsam.Pose2)
     if not all(isinstance(pose, gtsam.Pose2) is planar for pose in poses):
-        raise MapFileError(f"{file.path} holds keyframes on a floor and in space; make the map anew")
+        raise MapFileError(f"{file.path} holds keyframes on a floor and in 3D; make the map anew")
     loops = list(file.parsed(LOOPS, lambda row: _loop(row, len(poses))))
     trajectory, grids = read_trajectory(file, small), read_grids(file, small)
     factors = list(file.parsed(FACTORS, lambda row: _factor(row, poses, len(loops))))
@@ -309,14 +309,14 @@ def refuse_misfits(file: MapFile, contents: MapContents) -> None:
 
 
 def _each(pairs: Sequence[Any], of_pair: Callable[[_Scans], LaserScan | None]) -> Sequence[LaserScan | None]:
-    """A scan of each pair, read when it is needed as the pairs are."""
+    """Return one scan of each pair, read on demand like the pairs."""
     if isinstance(pairs, KeptScans):
         return KeptScans(len(pairs), lambda key: of_pair(pairs[key]))
     return [of_pair(pair) for pair in pairs]
 
 
 def _keyframe(row: tuple[Any, ...], small: Unpack) -> tuple[float, int, Pose, _Scans]:
-    """Stamp, reading, pose, scan as measured and, where it was, as repaired."""
+    """Parse stamp, reading, pose, scan as measured and, if repaired, as repaired."""
     stamp_s, reading, pose, *scans = row
     found = unpack(pose)
     found = found if isinstance(found, gtsam.Pose2) else of(gtsam.Pose3, found)
@@ -325,7 +325,7 @@ def _keyframe(row: tuple[Any, ...], small: Unpack) -> tuple[float, int, Pose, _S
 
 
 def _loop(row: tuple[Any, ...], nodes: int) -> LoopCandidate:
-    """A row of the loop candidates."""
+    """Parse a row of the loop candidates."""
     loop = of(LoopCandidate, unpack(row[5]))
     require(loop.place < nodes and loop.keyframe < nodes, "its ends are no nodes")
     require(row[:3] == (loop.place, loop.keyframe, int(loop.accepted)), "it is told in two ways")
@@ -334,7 +334,7 @@ def _loop(row: tuple[Any, ...], nodes: int) -> LoopCandidate:
 
 
 def _factor(row: tuple[Any, ...], poses: Sequence[Pose], loops: int) -> SavedFactor:
-    """A row of the factors."""
+    """Parse a row of the factors."""
     kind, source, target, trusted, kept, loop, motion, covariance = row
     require(0 <= source < len(poses) and 0 <= target < len(poses), "its ends are no nodes")
     require(loop is None or 0 <= loop < loops, "its loop is none")
@@ -344,14 +344,14 @@ def _factor(row: tuple[Any, ...], poses: Sequence[Pose], loops: int) -> SavedFac
 
 
 def _kind(name: str) -> str:
-    """Where an edge comes from."""
+    """Parse the kind of an edge."""
     require(name, "its kind is no name")
     sound_name(name)
     return EdgeKind(name) if name in _KINDS else name
 
 
 def _covariances(file: MapFile, poses: int, dimension: int, small: Unpack) -> FloatArray | None:
-    """Those of the trajectory; None if the map tells none."""
+    """Read the covariances of the trajectory; None if the map has none."""
     rows = list(file.parsed(COVARIANCES, lambda row: _triangles(row, dimension, small)))
     if not rows:
         return None
@@ -362,7 +362,7 @@ def _covariances(file: MapFile, poses: int, dimension: int, small: Unpack) -> Fl
 
 
 def _triangles(row: tuple[Any, ...], dimension: int, small: Unpack) -> FloatArray:
-    """A row of the covariances, (n, 6) or (n, 21) upper triangles."""
+    """Parse a row of the covariances, (n, 6) or (n, 21) upper triangles."""
     triangles = of(np.ndarray, small(row[1]))
     shape = (row[0], dimension * (dimension + 1) // 2)
     require(triangles.shape == shape and triangles.dtype == np.float64, "its triangles have another size")
@@ -372,7 +372,7 @@ def _triangles(row: tuple[Any, ...], dimension: int, small: Unpack) -> FloatArra
 
 
 def _camera(row: tuple[Any, ...]) -> tuple[str, LearnedCamera]:
-    """A row of what was learned of cameras, with the camera's name."""
+    """Parse a row of estimated camera data, with the camera's name."""
     name, learned = row
     found = of(LearnedCamera, unpack(learned))
     return sound_name(name), found

@@ -40,7 +40,7 @@ from slam.storage.map_tables import (
 from slam.storage.packing import Unpacker, pack, pack_small, unpack
 
 Pair = tuple[int, int]
-# A kind of evidence, and the number of the keyframe, frame or cloud.
+# A kind of evidence, and the index of the keyframe, frame or cloud.
 Evidence = tuple[str, int]
 
 MEASURED: Final = "measured"
@@ -55,19 +55,19 @@ _MOST_REGIONS = 100_000
 
 @dataclass(frozen=True, slots=True)
 class Region:
-    """Points of the map that move with it: each is held by a keyframe that is near.
+    """Points that move with the map: each is relative to a nearby keyframe.
 
     Attributes
     ----------
     kind
         ``erase``, ``keep_out``, ``slow``, ``crop`` or ``place``.
     name
-        As a person calls it, or empty.
+        Name given by the user, or empty.
     value
-        Of a slow zone percent of the usual speed, of a place its yaw in the frame of the keyframe, of what is
-        erased 1 where later sessions lose it too; else 0.
+        For a slow zone percent of the usual speed, for a place its yaw in the frame of the keyframe, for an
+        erased region 1 if it also applies to later sessions; else 0.
     keyframes
-        (n,) which keyframe holds each point.
+        (n,) the keyframe of each point.
     offsets
         (n, 2) the points in the frames of these.
     """
@@ -79,32 +79,32 @@ class Region:
     offsets: FloatArray
 
     def points(self, poses: FloatArray) -> FloatArray:
-        """(n, 2) the points in the map, by the (K, 3) poses of all keyframes."""
+        """Return (n, 2) the points in the map, by the (K, 3) poses of all keyframes."""
         at = poses[self.keyframes]
         cos, sin = np.cos(at[:, 2]), np.sin(at[:, 2])
         x, y = self.offsets.T
         return np.column_stack([at[:, 0] + cos * x - sin * y, at[:, 1] + sin * x + cos * y])
 
     def pose(self, poses: FloatArray) -> FloatArray:
-        """(3,) of a place in the map."""
+        """Return (3,) the pose of a place in the map."""
         offset = np.array([*self.offsets[0], self.value])
         return np.asarray(compose(poses[self.keyframes[0]], offset))
 
 
 @dataclass(frozen=True, slots=True)
 class AppliedEdits:
-    """Edits as they were understood when they were applied: keyframes by rows, evidence by its bits.
+    """Edits as applied: keyframes by rows, evidence by bits.
 
     Attributes
     ----------
     text
-        The file, as YAML.
+        The file of edits, as YAML.
     forbidden, forced
         Loops by their two keyframes, the lower first.
     added
         Loops that a match has confirmed.
     erased
-        Which beams, pixels or points were taken away: packed bits by kind of evidence and number.
+        Removed beams, pixels or points: packed bits by kind of evidence and index.
     regions
         Zones, places, crop, and what was erased.
     turned
@@ -124,7 +124,7 @@ class AppliedEdits:
 
 
 def erased_bits(entries: Sequence[AppliedEdits], kind: str) -> dict[int, bytes]:
-    """What all edits together have taken away of a kind of evidence: packed bits by number."""
+    """Return the removed evidence of a kind by all edits: packed bits by index."""
     found: dict[int, bytes] = {}
     for entry in entries:
         for (of_kind, number), bits in entry.erased.items():
@@ -136,7 +136,7 @@ def erased_bits(entries: Sequence[AppliedEdits], kind: str) -> dict[int, bytes]:
 
 
 def mask_of(bits: bytes, size: int) -> BoolArray:
-    """(size,) packed bits as truth values.
+    """Return (size,) packed bits as booleans.
 
     Raises
     ------
@@ -148,7 +148,7 @@ def mask_of(bits: bytes, size: int) -> BoolArray:
 
 
 def read_edits(file: MapFile) -> list[AppliedEdits]:
-    """The edits of a map, in the order in which they were applied.
+    """Read the edits of a map, in the order in which they were applied.
 
     Raises
     ------
@@ -165,7 +165,7 @@ def read_edits(file: MapFile) -> list[AppliedEdits]:
 
 
 def regions_of(entries: Sequence[AppliedEdits], kind: str) -> list[Region]:
-    """Those of a kind; of zones and places with one name the last counts."""
+    """Return the regions of a kind; of zones and places with the same name, the last one counts."""
     found: dict[object, Region] = {}
     for entry in entries:
         for number, region in enumerate(region for region in entry.regions if region.kind == kind):
@@ -174,7 +174,7 @@ def regions_of(entries: Sequence[AppliedEdits], kind: str) -> list[Region]:
 
 
 def _entry(values: object, nodes: int) -> AppliedEdits:
-    """One of them, if it fits a map of so many keyframes."""
+    """Parse an entry, if it fits a map of so many keyframes."""
     rows = of(list, values)
     require(len(rows) == 8, "its edits have other fields")
     text, forbidden, forced, added, erased, regions, turned, settings = rows
@@ -201,7 +201,7 @@ def _entry(values: object, nodes: int) -> AppliedEdits:
 
 
 def _region(values: object, nodes: int) -> Region:
-    """One region, if its points are held by keyframes that are there."""
+    """Parse a region, if its keyframes exist."""
     kind, name, value, keyframes, offsets = of(list, values)
     count = len(of(np.ndarray, keyframes))
     fits = keyframes.dtype == np.int64 and keyframes.ndim == 1 and count > 0
@@ -212,7 +212,7 @@ def _region(values: object, nodes: int) -> Region:
 
 
 def _values(entry: AppliedEdits) -> list[object]:
-    """An entry as plain values."""
+    """Return an entry as plain values."""
     return [
         entry.text,
         [list(pair) for pair in entry.forbidden],
@@ -242,11 +242,11 @@ class UneditedFile(MapFile):
             self._before[key] = number
             with file.blaming(EDITS, number):
                 require(source in {table.name for table in _KEPT}, "it is of no table that edits change")
-                if cast(int, row) < 0:  # so many rows there were
+                if cast(int, row) < 0:  # the number of rows
                     self._counts[cast(str, source)] = -1 - cast(int, row)
 
     def row(self, table: Table, number: int, *, again: bool = False) -> tuple[Value, ...]:
-        """The values of a row as they were."""
+        """Return the original values of a row."""
         place = self._before.get((table.name, number))
         if place is None:
             return self._edited.row(table, number, again=again)
@@ -258,12 +258,12 @@ class UneditedFile(MapFile):
         return tuple(values)
 
     def rows(self, table: Table) -> Iterator[tuple[Value, ...]]:
-        """The values of all rows as they were."""
+        """Yield the original values of all rows."""
         return (self.row(table, number) for number in range(self.count(table)))
 
 
 def copy_unedited(source: MapFile, path: Path) -> None:
-    """Write a map anew as it was before all edits.
+    """Write a copy of a map without its edits.
 
     Raises
     ------
@@ -278,14 +278,14 @@ def copy_unedited(source: MapFile, path: Path) -> None:
 
 
 def copy_rows(source: MapFile, file: MapFile, table: Table) -> None:
-    """Write all rows of a table as they are, but the seal."""
+    """Copy all rows of a table unchanged, except the seal."""
     for values in source.rows(table):
         if table is not META or values[0] != SEAL:
             file.append(table, *values)
 
 
 def append_edits(file: MapFile, source: MapFile, entries: Sequence[AppliedEdits]) -> None:
-    """Write edits into a map that is complete but for its seal, and of its rows what they have changed.
+    """Write edits, and the original rows that they changed, into a map that is complete except its seal.
 
     Parameters
     ----------

@@ -22,10 +22,10 @@ _PLANE = ("latitude_deg", "longitude_deg", "altitude_m")
 def write_facts(
     file: MapFile, ground_m: float | None, georeference: Georeference | None, first: Pose
 ) -> None:
-    """Take down what is known.
+    """Store the known facts.
 
-    Of the earth that is where the first node, at ``first`` in the map, lies on it: that stays where a map is
-    turned.
+    For the earth, that is the pose of the first node, at ``first`` in the map: it stays the same if a map is
+    rotated.
 
     Raises
     ------
@@ -41,19 +41,19 @@ def write_facts(
 
 
 def ground_of_file(file: MapFile) -> float | None:
-    """Height of the floor in the base frame, where the map tells it; MapFileError where that is no number."""
+    """Return the floor height in the base frame, if the map has it; MapFileError if it is no number."""
     with file.blaming(META, 0):
         told = file.meta().get(_GROUND)
         return None if told is None else float(of(float, from_json(told)))
 
 
 def georeference_of_file(file: MapFile, first: Pose) -> Georeference | None:
-    """Where a map lies on the earth whose first node is at ``first``; None if it does not tell that.
+    """Return the pose on the earth of a map whose first node is at ``first``; None if it has none.
 
     Raises
     ------
     MapFileError
-        What it tells is none.
+        If the stored value is invalid.
     """
     with file.blaming(META, 0):
         if (text := file.meta().get(_EARTH)) is None:
@@ -66,7 +66,7 @@ def georeference_of_file(file: MapFile, first: Pose) -> Georeference | None:
 
 
 def pose_of_rows(rows: Any, name: str) -> gtsam.Pose3:
-    """A pose by the (3, 4) rows of its matrix; `MapFileError` where they are none."""
+    """Return a pose from the (3, 4) rows of its matrix; `MapFileError` if they are invalid."""
     matrix = np.array(rows, dtype=np.float64)
     require(matrix.shape == (3, 4) and np.isfinite(matrix).all(), f"{name} is no pose")
     turn = gtsam.Rot3(matrix[:, :3])

@@ -23,23 +23,23 @@ from slam.temporary import TemporaryFolder
 T = TypeVar("T")
 
 MAP_NAME = "map.db"
-# A crash loses at most this and what one scan takes.
+# A crash loses at most this time and that of one scan.
 COMMIT_EVERY_S = 1.5
 SEAL = "seal"
-# Where SQLite's header counts commits, changes of the tables, and commits again.
+# Offsets in SQLite's header: count of commits, of table changes, and of commits again.
 _COUNTS = (24, 40, 92)
 _SETTLED = b"\0\0\0\1"
-# And where it says whether the file is being written.
+# Offset of the flag that the file is being written.
 _WRITE_VERSION, _NO_WAL = 18, b"\1"
 
 
 def map_path(path: Path) -> Path:
-    """The map's file where a folder or the file itself is named."""
+    """Return the path of the map file, given a folder or the file itself."""
     return path / MAP_NAME if path.is_dir() else path
 
 
 def settle_counts(path: Path) -> None:
-    """Set what the header of a closed map counts: the clock has decided it, and where a run was killed."""
+    """Set the counts in the header of a closed map, which depend on time and interruptions."""
     with path.open("r+b") as stream:
         for place in _COUNTS:
             stream.seek(place)
@@ -49,20 +49,20 @@ def settle_counts(path: Path) -> None:
 
 
 def is_tidy(path: Path) -> bool:
-    """Whether a finished map was tidied up to the end, but for its counts."""
+    """Return whether a finished map was compacted completely, except its counts."""
     with path.open("rb") as stream:
         stream.seek(_WRITE_VERSION)
         return stream.read(1) == _NO_WAL
 
 
 def _forget(connection: sqlite3.Connection, folder: TemporaryFolder) -> None:
-    """Leave nothing of a temporary map."""
+    """Remove a temporary map."""
     connection.close()
     folder.remove()
 
 
 class MapFile:
-    """An open map; every fault of the file is a `MapFileError` of one line that names table and row.
+    """An open map file; every fault is a `MapFileError` of one line that names table and row.
 
     Made by `create`, `resume` or `read`; ``connection`` is that to the database, ``tables`` are those of its
     schema.
@@ -78,7 +78,7 @@ class MapFile:
 
     @classmethod
     def create(cls, path: Path) -> MapFile:
-        """A new, empty map in the place of whatever is there, unless another process writes that."""
+        """Create an empty map, replacing an existing one, unless another process writes that."""
         with reported(path, "made"):
             refuse_in_use(path)
             for stale in (path, *beside(path)):
@@ -90,7 +90,7 @@ class MapFile:
 
     @classmethod
     def temporary(cls) -> MapFile:
-        """An empty map in a temporary folder that goes with it: for what nobody saves."""
+        """Create an empty map in a temporary folder that is removed with it, for unsaved results."""
         folder = TemporaryFolder()
         file = cls.create(folder.path / MAP_NAME)
         weakref.finalize(file, _forget, file.connection, folder)
@@ -98,7 +98,7 @@ class MapFile:
 
     @classmethod
     def resume(cls, path: Path) -> MapFile | None:
-        """A map that was begun, to go on with it; None if nothing is there yet.
+        """Open an unfinished map to continue it; None if there is none yet.
 
         Raises
         ------
@@ -126,7 +126,7 @@ class MapFile:
 
     @classmethod
     def read(cls, path: Path) -> MapFile:
-        """A finished map, to read it; nothing is written, not even beside it.
+        """Open a finished map for reading; nothing is written, not even beside it.
 
         Raises
         ------
@@ -154,40 +154,40 @@ class MapFile:
 
     @property
     def finished(self) -> bool:
-        """Whether the map was sealed."""
+        """Return whether the map was sealed."""
         return SEAL in self.meta()
 
     @property
     def size(self) -> int:
-        """Bytes of the file."""
+        """Return the bytes of the file."""
         return self.path.stat().st_size
 
     def meta(self) -> dict[str, str]:
-        """What was mapped, and with what."""
+        """Return the facts of the map: log, settings, versions."""
         return {str(key): str(value) for key, value in self.rows(META)}
 
     def add_meta(self, key: str, value: str) -> None:
-        """Take down one fact of the map."""
+        """Store one fact of the map."""
         self.append(META, key, value)
 
     def count(self, table: Table) -> int:
-        """Rows of a table; none where the map is older than the table."""
+        """Return the number of rows of a table; 0 if the map is older than the table."""
         return self._counts.get(table.name, 0)
 
     def append(self, table: Table, *values: Value) -> int:
-        """Write the next row; its number."""
+        """Write the next row; return its number."""
         number = self._counts[table.name]
         self.replace(table, number, *values)
         self._counts[table.name] = number + 1
         return number
 
     def replace(self, table: Table, number: int, *values: Value) -> None:
-        """Write a row anew."""
+        """Overwrite a row."""
         with reported(self.path, "written"):
             self.connection.execute(table.replace_sql, (number, table.checksum(number, values), *values))
 
     def row(self, table: Table, number: int, *, again: bool = False) -> tuple[Value, ...]:
-        """The values of a row; of one that is read again the checksum was found right.
+        """Return the values of a row; the checksum is verified at the first read.
 
         Raises
         ------
@@ -199,7 +199,7 @@ class MapFile:
             return self._checked(table, number, found.fetchone(), again=again)
 
     def rows(self, table: Table) -> Iterator[tuple[Value, ...]]:
-        """The values of all rows in their order, one in memory at a time; `MapFileError` as in `row`."""
+        """Yield the values of all rows in order, one in memory at a time; `MapFileError` as in `row`."""
         if table.name not in self._counts:
             return  # the map is older than the table
         number = -1
@@ -214,14 +214,14 @@ class MapFile:
                 raise MapFileError(f"row {number + 1} should not be there")
 
     def parsed(self, table: Table, parse: Callable[[tuple[Any, ...]], T]) -> Iterator[T]:
-        """Every row of a table, understood; a row that does not fit is blamed by its number."""
+        """Yield every parsed row of a table; an invalid row is reported by its number."""
         for number, row in enumerate(self.rows(table)):
             with self.blaming(table, number):
                 found = parse(row)
             yield found
 
     def tally(self, table: Table, *columns: str) -> Counter[tuple[Value, ...]]:
-        """How many rows have the same values in some columns; what else is in them is not looked at."""
+        """Count rows by the values of some columns; other columns are not read."""
         if table.name not in self._counts:
             return Counter()
         names = ", ".join(columns)
@@ -238,16 +238,16 @@ class MapFile:
         self._counts[table.name] = 0
 
     def before_commit(self, flush: Callable[[], None]) -> None:
-        """Have something called before each commit, to write what it has gathered."""
+        """Register a function to call before each commit, which writes its pending data."""
         self._before_commit.append(flush)
 
     def commit_if_due(self) -> None:
-        """Make everything so far safe from a crash of the process, if that was a while ago."""
+        """Commit everything so far if the last commit was some time ago."""
         if time.monotonic() - self._committed_at > COMMIT_EVERY_S:
             self.commit()
 
     def commit(self) -> None:
-        """Make everything so far safe from a crash of the process."""
+        """Commit everything so far, safe from a crash of the process."""
         for flush in self._before_commit:
             flush()
         with reported(self.path, "written"):
@@ -256,7 +256,7 @@ class MapFile:
         self._committed_at = time.monotonic()
 
     def seal(self) -> str:
-        """Say that the map is finished, with count and digest of every table, and leave one closed file.
+        """Mark the map as finished, with count and digest of every table, and close it as a single file.
 
         Returns
         -------
@@ -271,17 +271,17 @@ class MapFile:
         return _digest(text)
 
     def compact(self) -> None:
-        """Give back the room of what was removed, and leave nothing beside the file; it is closed then."""
+        """Free the space of removed rows, and close the file without files beside it."""
         with reported(self.path, "finished"):
             run = self.connection.execute
             run("COMMIT")
             run("VACUUM")
-            run("PRAGMA journal_mode = DELETE")  # last: by it `is_tidy` knows that all is done
+            run("PRAGMA journal_mode = DELETE")  # last: it shows `is_tidy` that all is done
             self.close()
             settle_counts(self.path)
 
     def close(self) -> None:
-        """Close the file; what is not committed is lost."""
+        """Close the file; uncommitted data are lost."""
         self.connection.close()
 
     def discard(self) -> None:
@@ -291,11 +291,11 @@ class MapFile:
             left.unlink(missing_ok=True)
 
     def content_digest(self) -> str:
-        """One digest of everything in a finished map, by the seal that was checked when it was opened."""
+        """Return one digest of a finished map, from the seal that was verified at opening."""
         return _digest(json.dumps(from_json(self.meta()[SEAL])))
 
     def check_pages(self) -> None:
-        """Have SQLite check its own structure.
+        """Check the structure of the file by SQLite.
 
         Raises
         ------
@@ -308,7 +308,7 @@ class MapFile:
             raise MapFileError(f"{self.path} is damaged: {verdict}")
 
     def _count_rows(self) -> None:
-        """Rows of every table as they are found."""
+        """Count the rows of every table."""
         for table in self.tables:
             with self.blaming(table, 0):
                 found = self.connection.execute(f"SELECT count(*), max(number) FROM {table.name}").fetchone()
@@ -317,7 +317,7 @@ class MapFile:
             self._counts[table.name] = found[0]
 
     def _check_seal(self) -> None:
-        """Refuse a map that is not finished, or has lost rows since."""
+        """Raise an error for a map that is not finished, or has lost rows."""
         self._count_rows()
         seal = self.meta().get(SEAL)
         if seal is None:
@@ -332,7 +332,7 @@ class MapFile:
                 )
 
     def _digests(self) -> list[list[int | str]]:
-        """Count and digest of every table, the seal itself left out."""
+        """Return count and digest of every table, without the seal itself."""
         digests: list[list[int | str]] = []
         for table in self.tables:
             digest, count = hashlib.blake2b(digest_size=16), 0
@@ -349,7 +349,7 @@ class MapFile:
     def _checked(
         self, table: Table, number: int, found: tuple[Value, ...] | None, *, again: bool = False
     ) -> tuple[Value, ...]:
-        """The values of a row as it was read, if they are those that were written."""
+        """Return the values of a row if its checksum is correct."""
         if found is None or found[0] != number:
             raise MapFileError("it is missing")
         if not again and found[1] != table.checksum(number, found[2:]):
@@ -360,7 +360,7 @@ class MapFile:
 
     @contextmanager
     def blaming(self, table: Table, number: int) -> Iterator[None]:
-        """Blame a row for what fails in the block, with a `MapFileError`."""
+        """Raise a `MapFileError` that names a row if the block fails."""
         try:
             yield
         except (sqlite3.Error, ValueError, OverflowError, TypeError, MapFileError) as error:
@@ -370,12 +370,12 @@ class MapFile:
 
 
 def _digest(seal: str) -> str:
-    """One digest of everything in a map with this seal."""
+    """Return one digest of a map with this seal."""
     return hashlib.blake2b(seal.encode(), digest_size=16).hexdigest()
 
 
 def _unfinished(path: Path) -> str:
-    """What to tell of a map that is not finished."""
+    """Return the message about a map that is not finished."""
     return (
         f"{path} is not finished: its run was interrupted or still goes on; "
         f"'scanweave map LOG -o {path.parent} --resume' goes on with it"

@@ -24,15 +24,15 @@ from slam.vision.features import Features
 
 @dataclass(frozen=True, slots=True)
 class FrameHead:
-    """What is known of a camera keyframe without its images.
+    """Data of a camera keyframe without its images.
 
     Attributes
     ----------
     node
-        The node of the graph that it belongs to.
+        Its node in the graph.
     T_base_camera
-        Where the camera was when it took the frame, seen from the base at the node; in space the mounting,
-        and None if the camera is its own base.
+        Pose of the camera at the frame relative to the base at the node; in 3D the mounting, and None if the
+        camera is its own base.
     """
 
     node: int
@@ -49,10 +49,10 @@ class MapFrames:
     Parameters
     ----------
     begun
-        Whether the map is being written: frames that an interrupted run has left are there only once they are
-        added again, and cost nothing then.
+        Whether the map is being written: frames of an interrupted run are visible only after they are added
+        again, without cost.
     erased
-        Packed bits of the pixels that edits have taken away, by frame.
+        Packed bits of the pixels removed by edits, by frame.
     """
 
     def __init__(
@@ -65,11 +65,11 @@ class MapFrames:
         return self._count
 
     def __iter__(self) -> Iterator[RgbdFrame]:
-        """The frames in the order they came, one in memory at a time."""
+        """Yield the frames in order, one in memory at a time."""
         return (self.frame(index) for index in range(len(self)))
 
     def add(self, frame: RgbdFrame, node: int, features: Features) -> int:
-        """Write the next frame; its index.
+        """Write the next frame; return its index.
 
         Raises
         ------
@@ -88,13 +88,13 @@ class MapFrames:
         return self._file.append(IMAGES, color, depth)
 
     def place(self, index: int, T_base_camera: gtsam.Pose3) -> None:
-        """Say anew where a frame was taken; errors as in `frame`, and where the map cannot be written."""
+        """Update the pose of a frame; errors as in `frame`, and if the map cannot be written."""
         *row, _, features = self._row(index)
         camera = pack((self.head(index).intrinsics, T_base_camera))
         self._file.replace(FRAMES, index, *row, camera, features)
 
     def head(self, index: int) -> FrameHead:
-        """What is known of a frame without its images; errors as in `frame`."""
+        """Return the data of a frame without its images; errors as in `frame`."""
         node, stamp_s, sensor, steps_per_m, camera = self._row(index)[:5]
         with self._file.blaming(FRAMES, index):
             found = of(tuple, unpack(cast(bytes, camera)))
@@ -116,7 +116,7 @@ class MapFrames:
         )
 
     def features(self, index: int) -> Features:
-        """The ORB features of a frame, in the depth camera's image; errors as in `frame`."""
+        """Return the ORB features of a frame, in the depth camera's image; errors as in `frame`."""
         with self._file.blaming(FRAMES, index):
             features = of(Features, unpack(cast(bytes, self._row(index)[5])))
             counts = {len(features.pixels), len(features.descriptors), len(features.sigma_px)}
@@ -124,17 +124,17 @@ class MapFrames:
         return features
 
     def without(self, erased: Mapping[int, bytes]) -> MapFrames:
-        """The same frames, other pixels of them taken away."""
+        """Return the same frames with other pixels removed."""
         return MapFrames(self._file, erased=erased)
 
     def frame(self, index: int, *, taken: bool = False) -> RgbdFrame:
-        """A frame with its images.
+        """Return a frame with its images.
 
         Parameters
         ----------
         taken
-            Whether depth that edits have taken away is negative, rather than no reading: the rays there were
-            free up to it.
+            Whether depth removed by edits is negative, rather than no reading: the rays there were free up to
+            it.
 
         Raises
         ------
@@ -155,20 +155,20 @@ class MapFrames:
         return RgbdFrame(head.stamp_s, color, depth_m, head.intrinsics, head.T_base_camera, head.sensor)
 
     def jpeg(self, index: int) -> bytes:
-        """The colours of a frame as they are kept; errors as in `frame`."""
+        """Return the stored JPEG of a frame; errors as in `frame`."""
         return cast(bytes, self._row(index, IMAGES)[0])
 
     def taken(self) -> Iterator[RgbdFrame]:
-        """As by iteration, depth that was taken away negative."""
+        """Yield the frames, with removed depth negative."""
         return (self.frame(index, taken=True) for index in range(len(self)))
 
     def copy_to(self, file: MapFile, nodes: int = 0, most: int | None = None) -> None:
-        """Write frames to another map as they are, their nodes numbered after so many others.
+        """Copy frames to another map unchanged, with nodes numbered after so many others.
 
         Parameters
         ----------
         most
-            Those of so many nodes alone; None for all.
+            Only frames of so many nodes; None for all.
 
         Raises
         ------
@@ -182,12 +182,12 @@ class MapFrames:
                 file.append(IMAGES, *self._file.row(IMAGES, index))
 
     def poses(self, node_poses: Sequence[Pose], bases: bool = False) -> list[gtsam.Pose3]:
-        """``T_map_camera`` of every frame.
+        """Return ``T_map_camera`` of every frame.
 
         Parameters
         ----------
         bases
-            Whether nodes in space are bases, not the cameras themselves; on a floor they always are.
+            Whether nodes in 3D are bases, not the cameras themselves; on a floor they always are.
         """
         poses = []
         for index in range(len(self)):
@@ -200,7 +200,7 @@ class MapFrames:
         return poses
 
     def _check_same(self, head: FrameHead, frame: RgbdFrame, node: int) -> None:
-        """Refuse to go on where an interrupted run took another frame."""
+        """Raise an error if an interrupted run has another frame here."""
         if (head.stamp_s, head.sensor, head.node) != (frame.stamp_s, frame.sensor, node):
             raise MapFileError(
                 f"{self._file.path} cannot be resumed: it has a frame of {head.sensor} at "

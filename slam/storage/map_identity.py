@@ -24,12 +24,12 @@ from slam.storage.map_file import MAP_NAME
 from slam.version import __version__
 
 _LIBRARIES = ("gtsam", "numpy", "numba", "scipy", "opencv-python-headless")
-# The fact of the file that holds the settings.
+# The fact that contains the settings.
 CONFIG = "config"
-# Images are known by name and size; anything else by its content.
+# Images are identified by name and size, other files by their content.
 _IMAGES = frozenset({".png", ".jpg", ".jpeg", ".pgm", ".ppm"})
 _BLOCK = 1 << 20
-# What a run leaves in the folder of its log where it is told to write there.
+# Files of a run that writes into the folder of its log.
 _OUTPUTS = frozenset(
     {f"{MAP_NAME}{ending}" for ending in ("", "-wal", "-shm", "-journal")}
     | {"trajectory.tum", "graph.g2o", "map.yaml", "map.pgm", "map.bt", "mesh.ply", "cloud.ply", "lidar.ply"}
@@ -58,7 +58,7 @@ class MapIdentity:
     versions: Mapping[str, str]
 
     def to_meta(self) -> dict[str, str]:
-        """As rows of the file."""
+        """Return the rows of the file."""
         return {
             CONFIG: self.config.model_dump_json(),
             "seed": str(self.config.seed),
@@ -69,7 +69,7 @@ class MapIdentity:
 
     @classmethod
     def from_meta(cls, meta: Mapping[str, str], path: Path) -> MapIdentity:
-        """From rows of the file.
+        """Create it from rows of the file.
 
         Raises
         ------
@@ -182,7 +182,7 @@ def _files(root: Path) -> list[Path]:
 
 
 def _versions() -> dict[str, str]:
-    """Versions of the libraries."""
+    """Return the versions of the libraries."""
     found = {"scanweave": __version__}
     for name in _LIBRARIES:
         try:
@@ -202,7 +202,7 @@ def _code_digest() -> str:
     return digest.hexdigest()
 
 
-# What the run told people, as rows of the file.
+# Warnings and notes of the run, as rows of the file.
 NOTES, WARNINGS = "notes", "warnings"
 
 

@@ -22,7 +22,7 @@ _MOST_GRIDS = 4
 
 
 def read_trajectory(file: MapFile, small: Unpack) -> Trajectory:
-    """The trajectory alone; `MapFileError` where a row is damaged."""
+    """Read only the trajectory; `MapFileError` if a row is damaged."""
     stretches = list(
         file.parsed(TRAJECTORY, lambda row: sound_trajectory(of(Trajectory, small(row[1])), row[0]))
     )
@@ -32,14 +32,14 @@ def read_trajectory(file: MapFile, small: Unpack) -> Trajectory:
 
 
 def read_grids(file: MapFile, small: Unpack, *, placed: bool = True) -> dict[str, OccupancyGrid]:
-    """The grids alone, or not even where they lie; `MapFileError` where a row is damaged."""
+    """Read only the grids, with or without their poses; `MapFileError` if a row is damaged."""
     if file.count(GRIDS) > _MOST_GRIDS:
         raise MapFileError(f"{file.path} holds {file.count(GRIDS)} grids; make the map anew")
     return dict(file.parsed(GRIDS, lambda row: _grid(row, small, placed)))
 
 
 def _grid(row: tuple[Any, ...], small: Unpack, placed: bool) -> tuple[str, OccupancyGrid]:
-    """A row of the grids, with its name."""
+    """Parse a row of the grids, with its name."""
     name, rows, cols, resolution_m, corner, cells = row
     steps = of(np.ndarray, small(cells))
     require(steps.shape == (rows, cols), "its cells have another size")

@@ -29,15 +29,15 @@ class MapTag:
     Attributes
     ----------
     number, side_m
-        In its family, and of its black square.
+        Number in its family, and side of its black square.
     node
         The node that saw it best.
     T_node_tag
-        Where it hangs, seen from there: x to the right of who looks at it, y up, z out of it.
+        Its pose relative to that node: x to the right seen from the front, y up, z out of it.
     sigma_m
-        Of its place, seen from there; the root of the greatest variance.
+        Sigma of its position relative to that node; the root of the largest variance.
     views, fit
-        In how many keyframes' images it was seen, and in how many of them where it is.
+        Number of keyframe images with the tag, and of those that agree with its pose.
     """
 
     number: int
@@ -49,22 +49,22 @@ class MapTag:
     fit: int
 
     def place_m(self, node_poses: Sequence[Pose]) -> FloatArray:
-        """(3,) its middle in the map."""
+        """Return (3,) its centre in the map."""
         return np.asarray(spatial(node_poses[self.node]).transformFrom(self.T_node_tag.translation()))
 
 
 @dataclass(frozen=True, slots=True)
 class MapPlaces:
-    """What was known again, or surveyed, of a map.
+    """Tags and survey of a map.
 
     Attributes
     ----------
     family
-        Of its tags.
+        Family of its tags.
     tags
         By number.
     T_survey_map
-        Where it lies in the surveyor's frame; None if nothing tells that.
+        Pose of the map in the surveyor's frame; None if unknown.
     """
 
     family: str
@@ -73,7 +73,7 @@ class MapPlaces:
 
 
 def write_places(file: MapFile, places: MapPlaces | None, first: Pose) -> None:
-    """Take down what is known; of the survey where the first node, at ``first`` in the map, lies.
+    """Store tags and survey; for the survey, the pose of the first node, at ``first`` in the map.
 
     Raises
     ------
@@ -89,12 +89,12 @@ def write_places(file: MapFile, places: MapPlaces | None, first: Pose) -> None:
 
 
 def places_of_file(file: MapFile, poses: Sequence[Pose]) -> MapPlaces | None:
-    """Tags and survey of a map with these nodes; None if it tells none.
+    """Read tags and survey of a map with these nodes; None if it has none.
 
     Raises
     ------
     MapFileError
-        What it tells is none.
+        If the stored values are invalid.
     """
     with file.blaming(META, 0):
         meta = file.meta()
@@ -111,7 +111,7 @@ def places_of_file(file: MapFile, poses: Sequence[Pose]) -> MapPlaces | None:
 
 
 def write_places_yaml(path: Path, places: MapPlaces, node_poses: Sequence[Pose]) -> None:
-    """Write where tags hang, by the surveyor or else in the map, as ``--tags`` reads it.
+    """Write the poses of tags in the surveyor's frame, or else in the map, in the format of ``--tags``.
 
     Raises
     ------
@@ -137,7 +137,7 @@ def write_places_yaml(path: Path, places: MapPlaces, node_poses: Sequence[Pose])
 
 
 def _tag(told: dict[str, Any], nodes: int) -> MapTag:
-    """By its fact."""
+    """Parse a tag from its fact."""
     number, node, views, fit = (of(int, told.get(name)) for name in ("number", "node", "views", "fit"))
     side_m, sigma_m = (float(of(float, told.get(name))) for name in ("side_m", "sigma_m"))
     require(0 <= node < nodes and number >= 0, "a tag hangs before no node")
@@ -147,6 +147,6 @@ def _tag(told: dict[str, Any], nodes: int) -> MapTag:
 
 
 def _rows(pose: gtsam.Pose3) -> list[list[float]]:
-    """(3, 4) of a pose."""
+    """Return the (3, 4) rows of a pose."""
     rows: list[list[float]] = np.asarray(pose.matrix())[:3].tolist()
     return rows

@@ -37,13 +37,13 @@ _ROUNDING = 1e-6
 
 
 def require(condition: object, fault: str) -> None:
-    """Refuse what does not fit, with a `MapFileError`."""
+    """Raise a `MapFileError` if a condition does not hold."""
     if not condition:
         raise MapFileError(fault)
 
 
 def of(kind: type[T], value: Any) -> T:
-    """A value of a type; a record only if it is sound, see `sound`."""
+    """Return a value of a type; a record only if it is valid, see `sound`."""
     require(isinstance(value, kind), f"a {type(value).__name__} where a {kind.__name__} belongs")
     if type(value) in _RULES:
         sound(value)
@@ -51,7 +51,7 @@ def of(kind: type[T], value: Any) -> T:
 
 
 def sound(record: Any) -> None:
-    """Refuse a record of which a field cannot be.
+    """Raise an error for a record with an invalid field.
 
     Raises
     ------
@@ -68,19 +68,19 @@ def sound(record: Any) -> None:
 
 
 def sound_stamp(stamp_s: Any) -> float:
-    """A time in seconds."""
+    """Check a time in seconds."""
     require(_number(stamp_s) and abs(stamp_s) < _LATEST_S, f"its stamp cannot be: {stamp_s}")
     return float(stamp_s)
 
 
 def sound_name(name: Any) -> str:
-    """What a sensor, a grid or a kind of edge is called."""
+    """Check the name of a sensor, a grid or a kind of edge."""
     require(_name(name) and name, "its name is none")
     return str(name)
 
 
 def unsound_covariance(covariances: Sequence[Any], dimension: int) -> int | None:
-    """The number of the first that is no (d, d) covariance: finite, symmetric, positive definite."""
+    """Return the index of the first that is no (d, d) covariance: finite, symmetric, positive definite."""
     shape, float64 = (dimension, dimension), np.dtype(np.float64)
     for number, one in enumerate(covariances):
         if not isinstance(one, np.ndarray) or one.shape != shape or one.dtype != float64:
@@ -91,7 +91,7 @@ def unsound_covariance(covariances: Sequence[Any], dimension: int) -> int | None
 
 
 def sound_trajectory(stretch: Trajectory, poses: int) -> Trajectory:
-    """So many poses: finite and in range, with quaternions of unit length."""
+    """Check so many poses: finite and in range, with quaternions of unit length."""
     arrays = (stretch.stamps_s, stretch.positions_m, stretch.quaternions_xyzw)
     shapes = [(poses,), (poses, 3), (poses, 4)]
     fits = [isinstance(one, np.ndarray) and one.dtype == np.float64 for one in arrays]
@@ -104,7 +104,7 @@ def sound_trajectory(stretch: Trajectory, poses: int) -> Trajectory:
 
 
 def sound_grid(grid: OccupancyGrid) -> OccupancyGrid:
-    """Cells of a size that can be, and at least one."""
+    """Check that a grid has cells of a valid size."""
     require(grid.steps.size, "it has no cells")
     least_m, most_m = _CELL_M
     require(least_m <= grid.resolution_m <= most_m, f"its resolution cannot be: {grid.resolution_m} m")
@@ -112,7 +112,7 @@ def sound_grid(grid: OccupancyGrid) -> OccupancyGrid:
 
 
 def sound_readings(readings: NDArray[np.int64], sessions: Sequence[MapSession]) -> None:
-    """The keyframes of each session come of readings of its own, each of a later one."""
+    """Check that the keyframes of each session are from its own readings, in increasing order."""
     first = 0
     for number, session in enumerate(sessions):
         own = readings[first : first + session.keyframes]
@@ -130,7 +130,7 @@ def _positive(value: Any) -> bool:
 
 
 def _not_negative(value: Any) -> bool:
-    return isinstance(value, int | float) and value >= 0.0  # endless too: a window that was never searched
+    return isinstance(value, int | float) and value >= 0.0  # or infinite: a window that was never searched
 
 
 def _name(value: Any) -> bool:
@@ -142,12 +142,12 @@ def _index(value: Any) -> bool:
 
 
 def _either(*kinds: type | None) -> Rule:
-    """A value of one of these types; of no other subclass of float or int."""
+    """Return a check for one of these types."""
     return lambda value: any(value is None if kind is None else isinstance(value, kind) for kind in kinds)
 
 
 def _array(dtype: str, *shape: int | None) -> Rule:
-    """An array of a type and shape without NaN; None stands for any length."""
+    """Return a check for a finite array of a type and shape; None means any length."""
 
     def fits(value: Any) -> bool:
         if not isinstance(value, np.ndarray) or value.dtype != dtype or value.ndim != len(shape):
@@ -159,13 +159,13 @@ def _array(dtype: str, *shape: int | None) -> Rule:
 
 
 def _ranges(value: Any) -> bool:
-    """Ranges of beams: NaN is invalid, infinite met nothing, negative was taken away: none is endless."""
+    """Check ranges of beams: NaN is invalid, inf is no return, negative is removed, but not -inf."""
     fits = isinstance(value, np.ndarray) and value.dtype == np.float32 and value.ndim == 1
     return fits and 0 < value.size <= MOST_BEAMS and not bool(np.isneginf(value).any())
 
 
 def _are_covariances(values: FloatArray) -> bool:
-    """Whether (..., d, d) matrices are finite, symmetric and positive definite."""
+    """Return whether (..., d, d) matrices are finite, symmetric and positive definite."""
     if not np.isfinite(values).all():
         return False
     off = np.abs(values - values.swapaxes(-1, -2)).max((-1, -2))
@@ -178,7 +178,7 @@ def _are_covariances(values: FloatArray) -> bool:
     return True
 
 
-# GTSAM's types are named where they are used: ``info`` does without it.
+# GTSAM's types are imported on use: ``info`` does not need it.
 def _pose3(value: Any) -> bool:
     return isinstance(value, gtsam.Pose3)
 

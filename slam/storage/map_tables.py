@@ -118,14 +118,14 @@ TABLES: Final = (
 
 
 def tables_of(version: int) -> tuple[Table, ...]:
-    """The tables of a schema: the first had no clouds, the second nothing that was learned of cameras, the
-    third no covariances, the fourth no edits; the fifth packed clouds by zlib, the sixth without intensities.
+    """Return the tables of a schema: the first had no clouds, the second no camera data, the third no
+    covariances, the fourth no edits; the fifth packed clouds by zlib, the sixth without intensities.
     """
     return TABLES[: TABLES.index(CHECKPOINT) + version]
 
 
 def _tagged(value: Value) -> bytes:
-    """A value with its type and length, so that no two rows look alike."""
+    """Return a value with its type and length, so that different rows have different bytes."""
     if value is None:
         return b"N"
     if isinstance(value, bytes):

@@ -16,6 +16,8 @@ from slam.estimates import Trajectory
 from slam.mapping.occupancy_grid import StateArray
 from slam.measurements import Float32Array, FloatArray
 from slam.storage import ros_messages as ros
+from slam.storage.files import make_folder
+from slam.temporary import TemporaryFolder
 
 _MAP, _BASE = "map", "base_link"
 _GRID, _PATH, _POSE = "nav_msgs/msg/OccupancyGrid", "nav_msgs/msg/Path", "geometry_msgs/msg/PoseStamped"
@@ -50,24 +52,29 @@ def write_results_bag(
     Parameters
     ----------
     folder
-        Must not be there yet.
+        Must not exist yet.
     mounts
-        Where each sensor sits on the base, for ``/tf_static``.
+        Mounting of each sensor on the base, for ``/tf_static``.
     points
         Stamp, (N, 3) in the map frame, and (N, 3) RGB and (N,) intensities of each cloud, if it has any.
 
     Raises
     ------
     MapFileError
-        If the folder is there, or cannot be written.
+        If the folder exists, or cannot be written.
     """
     from rosbags.rosbag2 import StoragePlugin, Writer, WriterError
 
     store = ros.typestore()
     poses, stamps_s = trajectory.poses(), trajectory.stamps_s.tolist()
     begin_s = min(stamps_s)
+    if folder.exists():
+        raise MapFileError(f"cannot write {folder}: it exists; give a folder that is not there yet")
+    make_folder(folder.parent)
     try:
-        with Writer(folder, version=ros.BAG_VERSION, storage_plugin=StoragePlugin.MCAP) as bag:
+        kept_in = TemporaryFolder(folder.parent)
+        whole = kept_in.path / folder.name
+        with Writer(whole, version=ros.BAG_VERSION, storage_plugin=StoragePlugin.MCAP) as bag:
             connections = {
                 topic: bag.add_connection(
                     topic,
@@ -96,13 +103,16 @@ def write_results_bag(
             for stamp_s, placed, colors, intensities in points:
                 rows = _rows(placed, colors, intensities)
                 send("/points", stamp_s, ros.cloud_message(rows, stamp_s, _MAP))
+        whole.rename(folder)
+        kept_in.remove()
     except (WriterError, OSError) as error:
-        raise MapFileError(f"cannot write {folder}: {error}; give a folder that is not there yet") from error
+        why = getattr(error, "strerror", error)
+        raise MapFileError(f"cannot write {folder}: {why}; check the folder and its free space") from error
     return folder / f"{folder.name}.mcap"
 
 
 def _grid(plan: Plan, stamp_s: float) -> Any:
-    """The navigation map."""
+    """Return the message of the navigation map."""
     header = ros.header(stamp_s, _MAP)
     rows, columns = plan.states.shape
     about = ros.new(
@@ -119,7 +129,7 @@ def _grid(plan: Plan, stamp_s: float) -> Any:
 def _rows(
     points: FloatArray, colors: NDArray[np.uint8] | None, intensities: Float32Array | None
 ) -> NDArray[np.void]:
-    """Points with intensities, and their colours as viewers take them: 0x00RRGGBB."""
+    """Return points with intensities, and their colours in the viewers' format: 0x00RRGGBB."""
     names = [(name, "<f4") for name in "xyz"]
     names += [] if colors is None else [("rgb", "<u4")]
     rows = np.zeros(len(points), names if intensities is None else [*names, ("intensity", "<f4")])

@@ -26,24 +26,24 @@ OCCUPIED_THRESH = 0.65
 FREE_THRESH = 0.196
 _PIXELS = {OCCUPIED: 0, FREE: 254, UNKNOWN: 205}
 _UNKNOWN_PIXEL = _PIXELS[UNKNOWN]
-_NO_PIXEL = 1  # of what is no state
+_NO_PIXEL = 1  # pixel of invalid states
 
 
 @dataclass(frozen=True, slots=True)
 class Nav2Map:
-    """A map as nav2 understands it.
+    """A map in nav2's interpretation.
 
     Attributes
     ----------
     values
         (rows, cols), row 0 at the lowest y: 100 occupied, 0 free, -1 unknown; in the modes ``scale`` and
-        ``raw`` also what is between 0 and 100.
+        ``raw`` also values between 0 and 100.
     resolution_m
         Side of a cell.
     T_map_grid
         The lower-left corner of cell (0, 0).
     mode
-        How pixels were understood.
+        Interpretation of pixels.
     what
         The comment on the yaml's first line, if there is one.
     """
@@ -69,7 +69,7 @@ def write_nav2_map(
     T_map_grid
         The lower-left corner of cell (0, 0).
     what
-        One line for people, a comment in the yaml: map servers know no key for it.
+        One line for the user, a comment in the yaml, since map servers have no key for it.
 
     Returns
     -------
@@ -86,13 +86,13 @@ def write_nav2_map(
     for state, pixel in _PIXELS.items():
         pixel_of[np.uint8(state % 256)] = pixel
     if states.dtype != np.int8:
-        states = np.clip(states, UNKNOWN - 1, OCCUPIED + 1).astype(np.int8)  # a state too large is still none
+        states = np.clip(states, UNKNOWN - 1, OCCUPIED + 1).astype(np.int8)  # too large stays invalid
     values = np.ascontiguousarray(states).view(np.uint8)
     if states.ndim != 2 or not states.size or any((pixel_of[row] == _NO_PIXEL).any() for row in values):
         raise MapFileError(
             f"cannot write {yaml_path}: needs a grid of 100, 0 and -1, got shape {states.shape}"
         )
-    # The image first: whoever sees the new yaml finds its image.
+    # The image first, so that a new yaml always has its image.
     write_pgm(image_path, values[::-1], pixel_of)
     origin = ", ".join(_decimal(value) for value in (T_map_grid.x(), T_map_grid.y(), T_map_grid.theta()))
     write_lines(
@@ -115,14 +115,14 @@ def read_nav2_map(path: Path) -> Nav2Map:
     """Read a map as nav2's map server does (its ``map_io.cpp``): trinary, scale or raw, negated or not.
 
     A pixel's occupancy is p = (255 - pixel) / 255, or pixel / 255 where negated. ``trinary``: p >=
-    ``occupied_thresh`` is 100, p <= ``free_thresh`` is 0, else -1. ``scale``: what is between the two runs
-    from 0 to 100. ``raw``: the pixel itself, -1 above 100. Pixels that are not opaque are unknown, but in
-    ``raw``. Saved unknowns (205) that the thresholds turn into free cells are warned of.
+    ``occupied_thresh`` is 100, p <= ``free_thresh`` is 0, else -1. ``scale``: values between the two are
+    scaled to 0 to 100. ``raw``: the pixel itself, -1 above 100. Pixels that are not opaque are unknown, but
+    in ``raw``. A warning is given if the thresholds turn saved unknown cells (205) into free ones.
 
     Raises
     ------
     MapFileError
-        In one line, where the yaml or its image cannot be read, or a value is missing or senseless.
+        In one line, if the yaml or its image cannot be read, or a value is missing or invalid.
     """
     path = Path(path)
     fields = _load_yaml(path)
@@ -156,8 +156,8 @@ def read_nav2_map(path: Path) -> Nav2Map:
 def _occupancy(
     image: GreyImage, negate: bool, occupied_thresh: float, free_thresh: float, mode: Mode
 ) -> StateArray:
-    """Values of an image in trinary or scale mode, row 0 still on top."""
-    # Only 256 greys exist: decide for each once.
+    """Return the values of an image in trinary or scale mode, row 0 still on top."""
+    # There are only 256 greys: decide once for each.
     grey = np.arange(256) / 255.0
     p = grey if negate else (255 - np.arange(256)) / 255.0
     table = np.full(256, UNKNOWN, dtype=np.int8)
@@ -171,7 +171,7 @@ def _occupancy(
 
 
 def _warn_of_freed_unknowns(path: Path, image: GreyImage, negate: bool, free_thresh: float) -> None:
-    """One warning where 205, which savers write for unknown, is read as free."""
+    """Warn once if 205, which savers write for unknown, is read as free."""
     count = int(np.count_nonzero(image == _UNKNOWN_PIXEL))
     if count and not negate and free_thresh >= (255 - _UNKNOWN_PIXEL) / 255.0:
         logger.warning(
@@ -183,11 +183,11 @@ def _warn_of_freed_unknowns(path: Path, image: GreyImage, negate: bool, free_thr
 
 
 def _read_image(path: Path) -> tuple[GreyImage, NDArray[np.bool_]]:
-    """Grey pixels and whether each is opaque, row 0 on top."""
+    """Read grey pixels and whether each is opaque, row 0 on top."""
     if path.suffix.lower() == ".pgm":
         image = read_pgm(path)
         return image, np.ones(image.shape, dtype=np.bool_)
-    # Only maps that others have saved as png or bmp pay for the image library.
+    # Only png and bmp maps of other programs need the image library.
     import cv2
 
     try:
@@ -207,7 +207,7 @@ def _read_image(path: Path) -> tuple[GreyImage, NDArray[np.bool_]]:
 
 
 def _load_yaml(path: Path) -> dict[str, Any]:
-    """The yaml's fields."""
+    """Read the fields of the yaml."""
     try:
         fields = from_yaml(path.read_text(encoding="utf-8"))
     except OSError as cause:
@@ -222,7 +222,7 @@ def _load_yaml(path: Path) -> dict[str, Any]:
 
 
 def _image_path(fields: dict[str, Any], path: Path) -> Path:
-    """The image, beside the yaml unless its path is absolute."""
+    """Return the path of the image, relative to the yaml unless absolute."""
     image = fields.get("image")
     if not isinstance(image, str) or not image:
         raise MapFileError(f"{path}: image is {image!r}, it must be a file name")
@@ -230,7 +230,7 @@ def _image_path(fields: dict[str, Any], path: Path) -> Path:
 
 
 def _mode(fields: dict[str, Any], path: Path) -> Mode:
-    """The mode; trinary where none is reported."""
+    """Return the mode; trinary by default."""
     mode = fields.get("mode", "trinary")
     if mode == "trinary" or mode == "scale" or mode == "raw":
         return mode
@@ -238,14 +238,14 @@ def _mode(fields: dict[str, Any], path: Path) -> Mode:
 
 
 def _number(fields: dict[str, Any], key: str, path: Path) -> float:
-    """A finite number of the yaml."""
+    """Return a finite number of the yaml."""
     if key not in fields:
         raise MapFileError(f"{path}: {key} is missing")
     return _to_number(fields[key], key, path)
 
 
 def _to_number(value: Any, key: str, path: Path) -> float:
-    """Also from text, as yaml takes 1e-2 for text."""
+    """Convert a number, also from text, since yaml parses 1e-2 as text."""
     try:
         number = float("nan") if isinstance(value, bool) else float(value)
     except (TypeError, ValueError):
@@ -256,7 +256,7 @@ def _to_number(value: Any, key: str, path: Path) -> float:
 
 
 def _origin(fields: dict[str, Any], path: Path) -> gtsam.Pose2:
-    """The lower-left corner."""
+    """Return the lower-left corner."""
     origin = fields.get("origin")
     if not isinstance(origin, list) or len(origin) != 3:
         raise MapFileError(f"{path}: origin is {origin!r}, it must be [x, y, yaw]")
@@ -264,11 +264,11 @@ def _origin(fields: dict[str, Any], path: Path) -> gtsam.Pose2:
 
 
 def _decimal(value: float) -> str:
-    """A number without exponent (yaml takes 1e-05 for text) that reads back as the same."""
+    """Format a number without exponent (yaml parses 1e-05 as text) that reads back as the same."""
     return np.format_float_positional(value, unique=True, trim="0")
 
 
 def _quoted(name: str) -> str:
-    """A yaml scalar; quoted where it is not a plain name."""
+    """Return a yaml scalar, quoted if it is not a plain name."""
     plain = all(character.isalnum() or character in "._-" for character in name) and name[0].isalpha()
     return name if plain else "'" + name.replace("'", "''") + "'"

@@ -29,7 +29,7 @@ _RAW = "Probability of being occupied by lidar and cameras, in percent; the map 
 
 
 def write_driving_map(stem: Path, layers: LayeredMap) -> tuple[Path, Path]:
-    """Write what the robot must not hit as ``stem.yaml`` and ``stem.pgm``: the map that it loads.
+    """Write obstacles as ``stem.yaml`` and ``stem.pgm``: the map that the robot loads.
 
     Raises
     ------
@@ -45,7 +45,7 @@ def write_driving_map(stem: Path, layers: LayeredMap) -> tuple[Path, Path]:
 def write_layers(folder: Path, layers: LayeredMap) -> list[Path]:
     """Write ``lidar``, ``depth``, ``fused`` and ``decision`` (trinary) and ``fused_probability`` (raw).
 
-    A layer whose sensor gave nothing is left out; without cameras there is none but the map itself, and
+    A layer without data of its sensor is left out; without cameras, the only layer is the map itself, and
     nothing is written. In the raw map a pixel is the probability in percent, and 255, which nav2 reads as
     unknown, where it is one half.
 
@@ -71,7 +71,7 @@ def write_layers(folder: Path, layers: LayeredMap) -> list[Path]:
 
 
 def write_passed_by(folder: Path, grid: OccupancyGrid | None) -> list[Path]:
-    """Write what stood for a while and has gone as ``passed_by`` (trinary); None takes an earlier one away.
+    """Write removed temporary objects as ``passed_by`` (trinary); None deletes an earlier file.
 
     Raises
     ------
@@ -87,7 +87,7 @@ def write_passed_by(folder: Path, grid: OccupancyGrid | None) -> list[Path]:
 
 
 def remove_maps(folder: Path, names: Iterable[str]) -> None:
-    """Remove maps by their names, which an earlier run has left: they would tell of another map."""
+    """Remove maps of an earlier run by their names: they would belong to another map."""
     try:
         for path in [folder / f"{name}{ending}" for name in names for ending in (".yaml", ".pgm")]:
             path.unlink(missing_ok=True)

@@ -24,9 +24,9 @@ from slam.storage.nav2 import write_nav2_map
 from slam.storage.nav2_layers import write_raw
 from slam.storage.plan_geojson import feature
 
-# What drives through a door drives at half its speed.
+# Share of the speed through doors.
 _DOOR_PERCENT = 50
-# Of the robot, for the ways of the route graph; as `scanweave plan` has it.
+# Radius of the robot for the paths of the route graph, as in `scanweave plan`.
 _RADIUS_M = 0.2
 
 _KEEPOUT = "Keep-out mask (costmap filter type 0): all but rooms and the doors between them."
@@ -55,7 +55,7 @@ def write_room_zones(folder: Path, plan: FloorPlan, layers: LayeredMap) -> list[
 
 
 def zones(plan: FloorPlan, layers: LayeredMap) -> tuple[StateArray, StateArray]:
-    """(rows, cols) keep-out, 100 or 0, and greatest speed in percent or 0."""
+    """Return (rows, cols) keep-out, 100 or 0, and speed limit in percent or 0."""
     place = layers.shape, layers.resolution_m, layers.T_map_grid
     free = np.zeros(layers.shape, np.bool_)
     slow = np.zeros(layers.shape, np.bool_)
@@ -65,7 +65,7 @@ def zones(plan: FloorPlan, layers: LayeredMap) -> tuple[StateArray, StateArray]:
         along = door.end_m - door.begin_m
         across = 0.5 * np.array([-along[1], along[0]])
         around = [door.begin_m + across, door.end_m + across, door.end_m - across, door.begin_m - across]
-        # What lies between the two rooms is as deep as a wall is thick, and belongs to neither.
+        # The area between two rooms is as deep as a wall is thick, and belongs to neither.
         box = cells_inside(np.array(around), *place)
         free |= box
         slow |= box
@@ -74,7 +74,7 @@ def zones(plan: FloorPlan, layers: LayeredMap) -> tuple[StateArray, StateArray]:
 
 
 def route_graph(plan: FloorPlan, space: FreeSpace) -> dict[str, Any]:
-    """Nodes in rooms and doors, and between them where the way bends; edges both ways, as long as they cost.
+    """Return nodes in rooms, doors and path corners; edges in both directions, with length as cost.
 
     A room or a door that the robot cannot reach is left out.
     """
@@ -89,14 +89,14 @@ def route_graph(plan: FloorPlan, space: FreeSpace) -> dict[str, Any]:
             path = shortest_path(space, middle, goal)
             if path is not None:
                 graph.add(path.points_map, f"door {door.rooms[0]}-{door.rooms[1]}", f"room {room}", space)
-    # Nodes and edges share their numbers.
+    # Nodes and edges share one numbering.
     for number, edge in enumerate(graph.edges, len(graph.nodes)):
         edge["properties"]["id"] = number
     return {"type": "FeatureCollection", "name": "graph", "features": [*graph.nodes, *graph.edges]}
 
 
 class _Graph:
-    """Features as nav2_route reads them."""
+    """Features in the format of nav2_route."""
 
     def __init__(self) -> None:
         self.nodes: list[dict[str, Any]] = []
@@ -104,7 +104,7 @@ class _Graph:
         self._known: dict[tuple[float, float], int] = {}
 
     def add(self, points_map: FloatArray, begin: str, end: str, space: FreeSpace) -> None:
-        """A way, by the corners that it has."""
+        """Add a path by its corners."""
         corners = _corners(points_map, space)
         names = [begin, *[""] * (len(corners) - 2), end]
         ids = [self._node(point, name) for point, name in zip(corners.tolist(), names, strict=True)]
@@ -116,7 +116,7 @@ class _Graph:
                 self.edges.append(feature("MultiLineString", [line], **properties))
 
     def _node(self, point: list[float], name: str) -> int:
-        """The number of a node, made where there is none."""
+        """Return the number of a node, created if needed."""
         key = (round(point[0], 3), round(point[1], 3))
         if key not in self._known:
             self._known[key] = len(self._known)
@@ -128,7 +128,7 @@ class _Graph:
 
 
 def _corners(points_map: FloatArray, space: FreeSpace) -> FloatArray:
-    """A way of cells by its corners: straight on as far as the robot has room."""
+    """Return the corners of a path of cells: straight as far as the robot fits."""
     kept = [0]
     while kept[-1] < len(points_map) - 1:
         last = len(points_map) - 1
@@ -139,7 +139,7 @@ def _corners(points_map: FloatArray, space: FreeSpace) -> FloatArray:
 
 
 def _open(begin_m: FloatArray, end_m: FloatArray, space: FreeSpace) -> bool:
-    """Whether the robot has room all along a line."""
+    """Return whether the robot fits along a whole line."""
     count = 2 + int(2.0 * np.hypot(*(end_m - begin_m)) / space.resolution_m)
     return all(
         space.allowed[space.cell_of((float(x), float(y)))] for x, y in np.linspace(begin_m, end_m, count)
@@ -147,7 +147,7 @@ def _open(begin_m: FloatArray, end_m: FloatArray, space: FreeSpace) -> bool:
 
 
 def _roomy(space: FreeSpace, at_m: FloatArray) -> tuple[float, float] | None:
-    """The nearest point with room for the robot, from where most of the floor is reached."""
+    """Return the nearest point with room for the robot, connected to most of the floor."""
     sizes = np.bincount(space.region.ravel())
     if len(sizes) < 2:
         return None
@@ -159,7 +159,7 @@ def _roomy(space: FreeSpace, at_m: FloatArray) -> tuple[float, float] | None:
 
 
 def _parameters() -> list[str]:
-    """Parameters of the servers of both masks and of the route server."""
+    """Return the parameters of the servers of both masks and of the route server."""
     lines = []
     for name, kind in (("keepout", 0), ("speed", 1)):
         lines += [

@@ -69,12 +69,12 @@ def write_zones(
 
 
 def without_keep_out(grid: Nav2Map, path: Path) -> StateArray:
-    """The values of a map, what its keep-out mask covers occupied.
+    """Return the values of a map, with the cells of its keep-out mask occupied.
 
     Parameters
     ----------
     path
-        The yaml of the map; the mask lies beside it, or there is none.
+        The yaml of the map; the mask, if any, is beside it.
 
     Raises
     ------

@@ -19,7 +19,7 @@ from slam.mapping.posed_frames import posed_frames
 from slam.measurements import FloatArray, RgbdFrame
 from slam.storage.files import write_bytes
 
-RAYS_A_VOXEL = 3  # side by side, on a surface at the maximal range
+RAYS_A_VOXEL = 3  # adjacent rays on a surface at the maximal range
 HALF_TREE = 32768  # voxels from the origin to the end of the tree, which has 16 levels
 
 
@@ -30,7 +30,7 @@ def write_octomap(
     resolution_m: float = 0.05,
     range_max_m: float = 4.0,
 ) -> None:
-    """Write what the frames saw as a pruned ``.bt`` file; ``poses`` are T_map_camera in their order.
+    """Write the occupancy seen by frames as a pruned ``.bt`` file; ``poses`` are T_map_camera in order.
 
     Each reading frees the voxels between camera and surface and fills its own; one beyond ``range_max_m``
     frees the voxels up to there.
@@ -54,9 +54,9 @@ def write_octomap(
 def write_octree(
     path: Path, views: Iterable[tuple[FloatArray, gtsam.Pose3]], resolution_m: float, range_max_m: float
 ) -> None:
-    """Write what a sensor saw: points (N, 3) in its frame, and its ``T_map_sensor``; raises the same.
+    """Write the occupancy seen by a sensor: points (N, 3) in its frame, and ``T_map_sensor``; same errors.
 
-    Points that are not finite must not be among them.
+    All points must be finite.
     """
     if not (resolution_m > 0.0 and range_max_m > 0.0):
         raise ConfigError(
@@ -81,11 +81,11 @@ def write_octree(
     if tree.size() == 0:
         raise ScanweaveError(f"nothing for {path}: no keyframe has depth in range; is the depth scale right?")
     tree.updateInnerOccupancy()
-    write_bytes(path, tree.writeBinary())  # which prunes first
+    write_bytes(path, tree.writeBinary())  # it prunes first
 
 
 def _points_camera(frame: RgbdFrame, resolution_m: float, range_max_m: float) -> FloatArray:
-    """(N, 3) readings in the camera frame, thinned to `RAYS_A_VOXEL` at the maximal range."""
+    """Return (N, 3) readings in the camera frame, thinned to `RAYS_A_VOXEL` at the maximal range."""
     camera = frame.intrinsics
     stride = max(1, math.floor(resolution_m * min(camera.fx, camera.fy) / (range_max_m * RAYS_A_VOXEL)))
     rays = pixel_rays(frame.depth_m.shape, camera)

@@ -27,7 +27,7 @@ from slam.vision.features import Features
 from slam.vision.learned_camera import LearnedCamera
 from slam.vision.visual_match import VisualMatch
 
-# The numbers are those in the file: one that has been given (7 and 8 were) is not given again.
+# These numbers are in files: a number once used (also 7 and 8) is never reused.
 _RECORDS: dict[int, type] = {
     0: MotionEstimate,
     1: LaserScan,
@@ -49,9 +49,9 @@ _DTYPE_NUMBER = {dtype: number for number, dtype in enumerate(_DTYPES)}
 _PLAIN = {b"N": None, b"T": True, b"F": False}
 _DEEPEST = 8
 _MOST_AXES = 4
-_FARTHEST_M = 1e8  # of a pose; farther than any place on Earth
-_ROUNDING = 1e-6  # of a rotation, after many were composed
-# What one compressed value may hold, a map of `grid.greatest_cells` twice over, and all of a file.
+_FARTHEST_M = 1e8  # limit of a position; farther than any place on Earth
+_ROUNDING = 1e-6  # tolerance of a rotation after many compositions
+# Limits of one decompressed value (twice a map of `grid.greatest_cells`), and of all of a file.
 _LARGEST_BYTES, _GROWTH = 1 << 28, 64
 
 _U4, _I8, _F8 = struct.Struct("<I"), struct.Struct("<q"), struct.Struct("<d")
@@ -59,7 +59,7 @@ _POSE2, _POSE3 = struct.Struct("<4d"), struct.Struct("<12d")
 
 
 def pack(value: Any) -> bytes:
-    """The bytes of a value.
+    """Pack a value to bytes.
 
     Raises
     ------
@@ -72,12 +72,12 @@ def pack(value: Any) -> bytes:
 
 
 def unpack(content: bytes) -> Any:
-    """The value of all these bytes.
+    """Unpack a value from all these bytes.
 
     Raises
     ------
     MapFileError
-        If they are not what `pack` gives.
+        If they are no output of `pack`.
     """
     try:
         value, end = _unpack(content, 0, 0)
@@ -89,9 +89,9 @@ def unpack(content: bytes) -> Any:
 
 
 def pack_small(value: Any) -> bytes:
-    """The bytes of a value, compressed."""
+    """Pack a value to compressed bytes."""
     if isinstance(value, np.ndarray):
-        # A grid is large, and is compressed where it lies.
+        # A grid is large, and is compressed in place.
         head, cells = _array_parts(value)
         packer = zlib.compressobj(1)
         parts = _I8.pack(len(head) + len(cells)), packer.compress(head), packer.compress(cells)
@@ -101,19 +101,19 @@ def pack_small(value: Any) -> bytes:
 
 
 class Unpacker:
-    """Unpacks the compressed values of one file, which together may not hold much more than it.
+    """Unpacks the compressed values of one file, with a limit relative to its size.
 
     Parameters
     ----------
     size
-        Bytes of the file.
+        Size of the file in bytes.
     """
 
     def __init__(self, size: int) -> None:
         self._left = _LARGEST_BYTES + _GROWTH * size
 
     def __call__(self, content: bytes, read: Callable[[bytes], Any] | None = None) -> Any:
-        """As `unpack_small`, or what another function than `unpack` reads in the bytes."""
+        """As `unpack_small`, or with another function than `unpack`."""
         self._left -= _I8.unpack_from(content)[0] if len(content) >= _I8.size else 0
         if self._left < 0:
             raise MapFileError("it unpacks to more than any map")
@@ -121,17 +121,17 @@ class Unpacker:
 
 
 def unpack_small(content: bytes) -> Any:
-    """The value of compressed bytes; `MapFileError` as in `unpack`."""
+    """Unpack a value from compressed bytes; `MapFileError` as in `unpack`."""
     return unpack(_inflated(content))
 
 
 def is_in_plane(content: bytes) -> bool:
-    """Whether a packed pose is one of the plane."""
+    """Return whether a packed pose is planar."""
     return content[:1] == b"2"
 
 
 def last_text(content: bytes) -> str:
-    """The text that a packed record ends with; `MapFileError` where there is none."""
+    """Return the text at the end of a packed record; `MapFileError` if there is none."""
     for end in range(len(content), 4, -1):
         size = len(content) - end
         if content[end - 5 : end] == b"s" + _U4.pack(size):
@@ -140,7 +140,7 @@ def last_text(content: bytes) -> str:
 
 
 def _inflated(content: bytes) -> bytes:
-    """Compressed bytes as they were."""
+    """Return the decompressed bytes."""
     if len(content) < _I8.size:
         raise MapFileError("compressed values end too soon")
     (size,) = _I8.unpack_from(content)
@@ -155,7 +155,7 @@ def _inflated(content: bytes) -> bytes:
         raise MapFileError(f"compressed values are damaged: {error}") from error
     if len(plain) != size or not unpacker.eof:
         raise MapFileError(f"compressed values are not the {size} bytes that they should be")
-    # An array stays where it was unpacked.
+    # An array stays in the decompressed buffer.
     return cast(bytes, plain) if plain[:1] == b"a" else bytes(plain)
 
 
@@ -176,7 +176,7 @@ def _pack(value: Any, out: bytearray) -> None:
     elif isinstance(value, bool | np.bool_):
         out += b"T" if value else b"F"
     elif isinstance(value, gtsam.Pose2):
-        # Cosine and sine, not the angle: that would come back with another last bit.
+        # Cosine and sine, not the angle, which would return with another last bit.
         rotation = value.rotation()
         out += b"2" + _POSE2.pack(value.x(), value.y(), rotation.c(), rotation.s())
     elif isinstance(value, int | np.integer):
@@ -195,7 +195,7 @@ def _pack(value: Any, out: bytearray) -> None:
 
 
 def _array_parts(array: np.ndarray[Any, Any]) -> tuple[bytes, memoryview]:
-    """The head of an array, and its elements in the order of its memory, by which last bits may differ."""
+    """Return the header of an array, and its elements in memory order, which may affect last bits."""
     fortran = array.flags.f_contiguous and not array.flags.c_contiguous
     head = b"a", _DTYPE_NUMBER[array.dtype], fortran, array.ndim
     packed = struct.pack(f"<c3B{array.ndim}I", *head, *array.shape)
@@ -203,7 +203,7 @@ def _array_parts(array: np.ndarray[Any, Any]) -> tuple[bytes, memoryview]:
 
 
 def _unpack(content: bytes, at: int, depth: int) -> tuple[Any, int]:
-    """The value that begins at a byte, and where it ends."""
+    """Return the value that starts at a byte, and its end."""
     if depth > _DEEPEST:
         raise ValueError("nested too deep")
     tag = content[at : at + 1]
@@ -223,7 +223,7 @@ def _unpack(content: bytes, at: int, depth: int) -> tuple[Any, int]:
     if tag in (b"l", b"t", b"s", b"b"):
         (count,) = _U4.unpack_from(content, at)
         at += 4
-        if count > len(content) - at:  # an item takes a byte at least
+        if count > len(content) - at:  # an item has at least one byte
             raise ValueError(f"{count} items in {len(content) - at} bytes")
         if tag in (b"s", b"b"):
             part = content[at : at + count]
@@ -248,7 +248,7 @@ def _unpack(content: bytes, at: int, depth: int) -> tuple[Any, int]:
 
 
 def _unpack_many(content: bytes, at: int, count: int, depth: int) -> tuple[list[Any], int]:
-    """So many values, and where they end."""
+    """Return so many values, and their end."""
     values = []
     for _ in range(count):
         value, at = _unpack(content, at, depth + 1)
@@ -257,7 +257,7 @@ def _unpack_many(content: bytes, at: int, count: int, depth: int) -> tuple[list[
 
 
 def _unpack_array(content: bytes, at: int) -> tuple[np.ndarray[Any, Any], int]:
-    """An array, and where it ends; of its own memory, but where that of the content is nobody else's."""
+    """Return an array, and its end; with its own memory, unless the content is used only by it."""
     dtype, fortran, axes = _DTYPES[content[at]], content[at + 1], content[at + 2]
     if axes > _MOST_AXES or fortran > 1:
         raise ValueError(f"an array with {axes} axes")

@@ -48,7 +48,7 @@ def copy_into(folder: Path, path: Path, *, overwrite: bool) -> Path:
         holds(folder, path, "overwrite=True replaces it")
     make_folder(folder)
     if not (target.exists() and target.samefile(path)):
-        with replacing(target) as temporary:
+        with replacing(target, map_too=True) as temporary:
             shutil.copyfile(path, temporary)
     return target
 

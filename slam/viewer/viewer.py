@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
@@ -115,24 +115,34 @@ def recording(path: Path | None) -> Iterator[Viewer | None]:
         raise ScanweaveError(
             "a recording needs rerun; install it with: pip install 'scanweave[viewer]'"
         ) from error
+    if path.suffix != ".rrd":
+        raise ScanweaveError(f"cannot write {path}: the name of a recording ends in .rrd")
     if not path.absolute().parent.is_dir():
         raise ScanweaveError(f"cannot write {path}: there is no folder {path.absolute().parent}")
     temporary = path.with_name(f".{path.stem}.{os.getpid()}.tmp.rrd")
     stream = rerun.RecordingStream("scanweave")
     try:
-        try:
+        with _reported(path):
             stream.save(temporary)
-        except RuntimeError as error:
-            raise ScanweaveError(f"cannot write {path}: {error}; give another --record") from error
         yield Viewer(stream)
-        stream.flush()
-        stream.disconnect()
-        temporary.replace(path)
-    except OSError as error:
-        raise ScanweaveError(f"cannot write {path}: {error.strerror or error}") from error
+        with _reported(path):
+            stream.flush()
+            stream.disconnect()
+            temporary.replace(path)
     finally:
         stream.disconnect()
-        temporary.unlink(missing_ok=True)
+        with suppress(OSError):
+            temporary.unlink()
+
+
+@contextmanager
+def _reported(path: Path) -> Iterator[None]:
+    """Turn what Rerun and the disk report into one line."""
+    try:
+        yield
+    except (RuntimeError, OSError) as error:
+        why = getattr(error, "strerror", error)
+        raise ScanweaveError(f"cannot write {path}: {why}; check the folder and its free space") from error
 
 
 def _lifted(points: FloatArray) -> FloatArray:

@@ -10,11 +10,11 @@ from numpy.typing import NDArray
 
 from fusion.kernel import kernel
 
-_LEAST_NORMAL_COSINE = np.float32(0.8)  # two surfaces turned further apart are not the same
+_LEAST_NORMAL_COSINE = np.float32(0.8)  # surfaces with a larger angle between normals are not the same
 
 
 def room_for_points() -> tuple[NDArray[np.float32], NDArray[np.int32]]:
-    """What `surface_part` works in: so many points' terms stay in the nearest cache."""
+    """Return the buffer of `surface_part`: the terms of so many points stay in the L1 cache."""
     return np.empty((17, 256), np.float32), np.empty(256, np.int32)
 
 
@@ -33,7 +33,7 @@ def surface_part(
 ) -> None:
     """Add the point-to-plane terms of one view; ``T`` maps the frame into the view.
 
-    The Hessian squares the view's noisy normals, and so a flat wall seems to tell motion along itself. The
+    The Hessian squares the view's noisy normals, so a flat wall seems to determine motion along itself. The
     product of both surfaces' normals, whose noise is independent, does not: that is the information.
 
     Parameters
@@ -49,9 +49,9 @@ def surface_part(
     room
         By `room_for_points`.
     sums
-        (6, 7) Hessian and residual's gradient; if ``informed``, the information and a column of no use.
+        (6, 7) Hessian and gradient of the residual; if ``informed``, the information and an unused column.
     seen, residuals
-        (N,) 1 where any view has a surface; least residual in standard deviations.
+        (N,) 1 if any view has a surface; least residual in standard deviations.
     """
     pose = T.astype(np.float32)
     _surface_part(points, pose, planes.reshape(-1, 4), camera, limits, *room, sums, seen, residuals, informed)
@@ -61,7 +61,7 @@ def surface_part(
 def _surface_part(  # type: ignore[no-untyped-def]
     points, T, planes, camera, limits, room, at, sums, seen, residuals, informed
 ):
-    """Add up the terms of blocks of points.
+    """Sum the terms of blocks of points.
 
     The rows of ``room``: the derivative by the view's normal (6), the distance, its weight, the points in the
     view (3), their pixels off the centre (2), the view's planes (4).
@@ -89,7 +89,7 @@ def _surface_part(  # type: ignore[no-untyped-def]
 
 @kernel(nogil=True, error_model="numpy")
 def _place(px, py, pz, T, camera, x, y, z, du, dv, at):  # type: ignore[no-untyped-def]
-    """Points in the view, their pixels off the centre, and the number of the pixel; -1 outside the image."""
+    """Compute points in the view, pixel offsets from the centre, and pixel index; -1 outside the image."""
     nothing, half, one = np.float32(0.0), np.float32(0.5), np.float32(1.0)
     r00, r01, r02, tx = T[0, 0], T[0, 1], T[0, 2], T[0, 3]
     r10, r11, r12, ty = T[1, 0], T[1, 1], T[1, 2], T[1, 3]
@@ -109,7 +109,7 @@ def _place(px, py, pz, T, camera, x, y, z, du, dv, at):  # type: ignore[no-untyp
 
 @kernel(nogil=True)
 def _look_up(planes, at, count, inverse, nx, ny, nz):  # type: ignore[no-untyped-def]
-    """The view's planes at pixels; of inverse depth 0 where there is none."""
+    """Look up the view's planes at pixels; inverse depth 0 if there is none."""
     nothing = np.float32(0.0)
     for i in range(count):
         pixel = max(at[i], 0)
@@ -121,7 +121,7 @@ def _look_up(planes, at, count, inverse, nx, ny, nz):  # type: ignore[no-untyped
 
 @kernel(nogil=True)
 def _turn(nx, ny, nz, ox, oy, oz, T, mx, my, mz, alike):  # type: ignore[no-untyped-def]
-    """The view's normals, seen from the frame; whether they are alike to its own, 1 or 0."""
+    """Rotate the view's normals to the frame; write whether they agree with its own, 1 or 0."""
     nothing, one = np.float32(0.0), np.float32(1.0)
     r00, r01, r02 = T[0, 0], T[0, 1], T[0, 2]
     r10, r11, r12 = T[1, 0], T[1, 1], T[1, 2]
@@ -139,7 +139,7 @@ def _turn(nx, ny, nz, ox, oy, oz, T, mx, my, mz, alike):  # type: ignore[no-unty
 def _judge(  # type: ignore[no-untyped-def]
     x, y, z, du, dv, planes, camera, limits, distance, weight, seen, residuals
 ):
-    """Distance to the plane; its weight, of those alike: 0 where it is no partner; the least residuals."""
+    """Compute distances to planes, weights (0 without a partner), and least residuals."""
     nothing, one, never = np.float32(0.0), np.float32(1.0), np.float32(np.inf)
     inverse, nx, ny, nz = planes
     inverse_fx, inverse_fy, gate_m = one / camera[0], one / camera[1], limits[0] + limits[0]
@@ -163,7 +163,7 @@ def _judge(  # type: ignore[no-untyped-def]
 
 @kernel(nogil=True)
 def _moment(px, py, pz, nx, ny, nz, x, y, z):  # type: ignore[no-untyped-def]
-    """Cross products of points and normals."""
+    """Compute cross products of points and normals."""
     for i in range(px.size):
         x[i] = py[i] * nz[i] - pz[i] * ny[i]
         y[i] = pz[i] * nx[i] - px[i] * nz[i]
@@ -172,7 +172,7 @@ def _moment(px, py, pz, nx, ny, nz, x, y, z):  # type: ignore[no-untyped-def]
 
 @kernel(nogil=True, fastmath=True)
 def _add_up(weight, factor, a, b, c, d, e, f, g, count, sums):  # type: ignore[no-untyped-def]
-    """Add weighted products of a factor with each of seven others, in the order that vectors like."""
+    """Add weighted products of a factor with each of seven others, in an order that vectorises."""
     s0 = s1 = s2 = s3 = s4 = s5 = s6 = np.float32(0.0)
     for i in range(count):
         weighted = weight[i] * factor[i]
@@ -207,7 +207,7 @@ def feature_part(
 def _feature_part(  # type: ignore[no-untyped-def]
     points, pixels, sigma_px, T, fx, fy, cx, cy, kernel, slopes, hessian, gradient, residuals
 ):
-    """Add up, with room for the derivatives of both errors, (2, 6)."""
+    """Sum the terms, with a buffer for the derivatives of both errors, (2, 6)."""
     for i in range(points.shape[0]):
         px, py, pz = points[i, 0], points[i, 1], points[i, 2]
         x = T[0, 0] * px + T[0, 1] * py + T[0, 2] * pz + T[0, 3]

@@ -7,5 +7,5 @@ import numpy as np
 
 from fusion.curves import FORWARD
 
-# A body that looks along x, its z up; the optical frame has z forward, x right, y down.
+# Body frame: x forward, z up; optical frame: z forward, x right, y down.
 T_BODY_CAMERA = gtsam.Pose3(gtsam.Rot3(FORWARD), np.zeros(len(FORWARD)))

@@ -19,30 +19,30 @@ from fusion.kernel import kernel
 from slam.errors import DatasetError
 from slam.measurements import AnyFloatArray, BoolArray, CameraIntrinsics, ColorImage, Float32Array, FloatArray
 
-# Readings of one surface differ by less; wider apart, the nearer one is the surface that hides the other.
+# Readings of one surface differ by less; otherwise the nearer one occludes the other.
 RIM_SHARE = 0.05
-# A pixel hides another in the colour image where it is nearer by more than this share.
+# A pixel occludes another in the colour image if it is nearer by more than this share.
 _HIDING_SHARE = 0.03
 
 
 @dataclass(frozen=True, slots=True)
 class ColorRegistration:
-    """How the colour camera sits relative to the depth camera.
+    """Pose of the colour camera relative to the depth camera.
 
     Attributes
     ----------
     intrinsics_color, intrinsics_depth
-        Of the two cameras.
+        Intrinsics of the two cameras.
     T_depth_color
         Pose of the colour camera in the depth camera's frame: a shift across the optical axis.
     accepted
         Whether the evidence for a registration other than identity is clear. If not, the colour camera is
         the depth camera: `intrinsics_color` is `intrinsics_depth`, the transform is identity.
     reason
-        In one line, with the figures that decided.
+        Reason in one line, with the deciding figures.
     inlier_share_before, inlier_share_after
-        Share of the held-out matches that a rigid motion explains within 2 pixels: with colour taken as
-        registered, and with the registration fitted on the other pairs. Both 0 where nothing was measured.
+        Share of the held-out matches that a rigid motion explains within 2 pixels: with colour assumed
+        registered, and with the registration fitted on the other pairs. Both 0 if nothing was measured.
     """
 
     intrinsics_color: CameraIntrinsics
@@ -54,20 +54,20 @@ class ColorRegistration:
     inlier_share_after: float = 0.0
 
     def cameras(self) -> FloatArray:
-        """(10,) as `points_of_pixels` takes them."""
+        """Return (10,) the parameters for `points_of_pixels`."""
         shift = self.T_depth_color.translation()
         return camera_row(self.intrinsics_color, self.intrinsics_depth, float(shift[0]), float(shift[1]))
 
 
 def identity_registration(intrinsics: CameraIntrinsics, reason: str) -> ColorRegistration:
-    """Colour and depth from one camera."""
+    """Return the registration of colour and depth from one camera."""
     return ColorRegistration(intrinsics, intrinsics, gtsam.Pose3(), accepted=False, reason=reason)
 
 
 def camera_row(
     color: CameraIntrinsics, depth: CameraIntrinsics, shift_x_m: float, shift_y_m: float
 ) -> FloatArray:
-    """(10,) fx, fy, cx, cy of colour, the same of depth, x and y of the colour camera in the depth frame."""
+    """Return (10,) fx, fy, cx, cy of colour, of depth, and x, y of the colour camera in the depth frame."""
     colors = [color.fx, color.fy, color.cx, color.cy]
     return np.array([*colors, depth.fx, depth.fy, depth.cx, depth.cy, shift_x_m, shift_y_m])
 
@@ -75,9 +75,9 @@ def camera_row(
 def register_features(
     pixels_color: AnyFloatArray, depth_m: Float32Array, registration: ColorRegistration
 ) -> tuple[Float32Array, Float32Array]:
-    """Where colour keypoints lie in the depth image, and their depth.
+    """Find the positions of colour keypoints in the depth image, and their depth.
 
-    Along the ray of each keypoint the surfaces of the depth image are met from near to far: the first wins.
+    Along the ray of each keypoint, the first surface of the depth image is used.
 
     Parameters
     ----------
@@ -89,10 +89,10 @@ def register_features(
     Returns
     -------
     pixels_depth
-        (N, 2) column and row in the depth image; NaN where no surface is met.
+        (N, 2) column and row in the depth image; NaN without a surface.
     depth_at_m
-        (N,) along the optical axis of the depth camera (the colour camera's is the same); 0 where no surface
-        is met. The 3D point in the depth frame is that pixel's, by the depth camera's intrinsics.
+        (N,) along the optical axis of the depth camera (the colour camera's is the same); 0 without a
+        surface. The 3D point in the depth frame is that pixel's, by the depth camera's intrinsics.
 
     Raises
     ------
@@ -114,7 +114,7 @@ def register_features(
 def register_color(
     color: ColorImage, depth_m: Float32Array, registration: ColorRegistration
 ) -> tuple[ColorImage, BoolArray]:
-    """The colour image as the depth camera would have seen it.
+    """Project the colour image into the depth camera.
 
     Parameters
     ----------
@@ -126,9 +126,9 @@ def register_color(
     Returns
     -------
     color_depth
-        (H, W, 3), 0 where the colour is not known.
+        (H, W, 3), 0 if the colour is unknown.
     known
-        (H, W) false without depth, out of the colour image, or where a nearer surface hides the point from
+        (H, W) false without depth, outside the colour image, or if a nearer surface occludes the point for
         the colour camera.
 
     Raises
@@ -140,7 +140,7 @@ def register_color(
 
     _check_size(depth_m, registration.intrinsics_depth)
     columns, rows = _color_pixels(depth_m, registration.cameras())
-    # A depth buffer of the colour camera, in which each point is a pixel wide.
+    # A depth buffer of the colour camera, with points one pixel wide.
     buffer, known = np.full(color.shape[:2], np.inf, np.float32), np.zeros(depth_m.shape, np.bool_)
     _buffer_depths(columns, rows, depth_m, buffer, known)
     warped = cv2.remap(color, columns, rows, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
@@ -149,7 +149,7 @@ def register_color(
 
 
 def _check_size(depth_m: Float32Array, intrinsics: CameraIntrinsics) -> None:
-    """The depth image must be the one that the intrinsics describe."""
+    """Check that the depth image has the size of its intrinsics."""
     if depth_m.shape != (intrinsics.height, intrinsics.width):
         raise DatasetError(
             f"depth image of {depth_m.shape[1]} x {depth_m.shape[0]}, the depth camera has "
@@ -158,7 +158,7 @@ def _check_size(depth_m: Float32Array, intrinsics: CameraIntrinsics) -> None:
 
 
 def points_of_pixels(pixels_color: FloatArray, depth_m: Float32Array, cameras: FloatArray) -> FloatArray:
-    """(N, 3) points in the colour frame of (N, 2) colour pixels; z is 0 where the ray meets no surface.
+    """Return (N, 3) points in the colour frame of (N, 2) colour pixels; z is 0 if the ray hits no surface.
 
     Parameters
     ----------
@@ -175,10 +175,10 @@ def points_of_images(
     cameras: FloatArray,
     nearest_m: float,
 ) -> FloatArray:
-    """As `points_of_pixels`, of images that read nothing nearer: of image p the pixels from starts[p]."""
+    """As `points_of_pixels`, for images without nearer readings: image p has pixels from starts[p]."""
     fx, fy, cx, cy, fx_depth, fy_depth, cx_depth, cy_depth, shift_x, shift_y = cameras.tolist()
     rays = (pixels_color - (cx, cy)) / (fx, fy)
-    # A point at depth z lies (along, down) / z pixels away from where its ray would at infinity.
+    # A point at depth z is (along, down) / z pixels away from the point at infinity on its ray.
     along, down = fx_depth * shift_x, fy_depth * shift_y
     reach = float(np.hypot(along, down))
     places = rays * (fx_depth, fy_depth) + (cx_depth, cy_depth)
@@ -190,7 +190,7 @@ def points_of_images(
 
 @kernel(error_model="numpy")
 def _first_meetings(depth_m, starts, along, down, reach, steps, met):  # type: ignore[no-untyped-def]
-    """Depths (N,) at which rays that start (at infinity) in depth pixels first meet the depth image; or 0."""
+    """Return depths (N,) of the first intersection of rays with the depth image; 0 if there is none."""
     height, width = depth_m.shape
     right, below = (along / reach, down / reach) if reach > 0.0 else (0.0, 0.0)
     for i in range(starts.shape[0]):
@@ -202,9 +202,9 @@ def _first_meetings(depth_m, starts, along, down, reach, steps, met):  # type: i
             if c < 0 or r < 0 or c >= width or r >= height:
                 continue
             z = np.float64(depth_m[r, c])
-            if z <= 0.0 or abs(reach - step * z) > z:  # as far as a step: a pixel of disparity
+            if z <= 0.0 or abs(reach - step * z) > z:  # up to one step: a pixel of disparity
                 continue
-            # The step was a whole pixel: once more at the depth that was met, unless that leads off it.
+            # The step was a whole pixel: repeat at the depth found, unless that leaves the surface.
             finer = _surface_reading(depth_m, column + along / z, row + down / z)
             met[i] = finer if finer > 0.0 and abs(reach / finer - reach / z) <= 1.0 else z
             break
@@ -212,7 +212,7 @@ def _first_meetings(depth_m, starts, along, down, reach, steps, met):  # type: i
 
 @kernel(inline="always")
 def _surface_reading(depth_m, column, row):  # type: ignore[no-untyped-def]
-    """Mean of the up to four readings around, by nearness; on a rim, the nearest of them; 0 without any."""
+    """Interpolate up to four readings bilinearly; at an edge, use the nearest one; 0 without any."""
     left = int(np.floor(column))
     top = int(np.floor(row))
     total = weights = farthest = 0.0
@@ -234,7 +234,7 @@ def _surface_reading(depth_m, column, row):  # type: ignore[no-untyped-def]
 
 
 def _color_pixels(depth_m: Float32Array, cameras: FloatArray) -> tuple[Float32Array, Float32Array]:
-    """(H, W) column and row in the colour image of each depth pixel; -1 without a reading."""
+    """Return (H, W) column and row in the colour image of each depth pixel; -1 without a reading."""
     fx, fy, cx, cy, fx_depth, fy_depth, cx_depth, cy_depth, shift_x, shift_y = cameras.tolist()
     height, width = depth_m.shape
     known = depth_m > 0.0
@@ -246,7 +246,7 @@ def _color_pixels(depth_m: Float32Array, cameras: FloatArray) -> tuple[Float32Ar
 
 @kernel
 def _buffer_depths(columns, rows, depth_m, buffer, visible):  # type: ignore[no-untyped-def]
-    """Draw the points into the buffer, then look at each once more."""
+    """Draw the points into the buffer, then test each against it."""
     height, width = buffer.shape
     for r in range(depth_m.shape[0]):
         for c in range(depth_m.shape[1]):

@@ -35,9 +35,9 @@ from slam.vision.color_registration_search import (
 __all__ = ["FramePair", "estimate_registration"]
 
 _FEWEST_PAIRS = 8
-# Where the search starts: colour cameras see about as wide as the depth camera, or wider.
+# Start of the search: the field of view of colour is about that of depth, or wider.
 _FOCAL_SHARES = (1.1, 1.0, 0.95, 0.9, 0.85, 0.8)
-# Evidence: more inliers, and halves of the pairs that agree on where pixels move to.
+# Evidence: more inliers, and halves of the pairs that agree on the motion of pixels.
 _LEAST_GAIN = 0.01
 _MOST_APART = 0.5
 
@@ -45,21 +45,21 @@ _MOST_APART = 0.5
 def estimate_registration(
     pairs: Sequence[FramePair], intrinsics_depth: CameraIntrinsics, seed: int
 ) -> ColorRegistration:
-    """Whether, and how, the colour camera differs from the depth camera.
+    """Estimate whether and how the colour camera differs from the depth camera.
 
     Three explanations compete: colour is registered with the given intrinsics; it is registered, but the
     intrinsics are wrong; it is another camera beside. Each is fitted on one half of the pairs and judged on
-    the other. The third is accepted only where it is clearly better than both, by a figure that matters.
+    the other. The third is accepted only if it is significantly and relevantly better than both.
 
     Parameters
     ----------
     pairs
-        In the order of the log; 20 to 30 with some motion between (a decimetre, ten degrees) and a hundred
-        or more matches are plenty. Both images of a frame have one size.
+        In log order; 20 to 30 with some motion between (a decimetre, ten degrees) and a hundred or more
+        matches suffice. Both images of a frame have one size.
     intrinsics_depth
         Of the depth camera.
     seed
-        Of the choice of matches.
+        Seed of the selection of matches.
     """
     problem = gather_matches(pairs, intrinsics_depth, seed)
     count = problem.starts.size - 1
@@ -85,7 +85,7 @@ def estimate_registration(
         accepted=True,
         reason=(
             f"colour has f = {guess.focal_px:.0f} px and sits {100 * guess.shift_x_m:.1f} cm beside, "
-            # The mean of two estimates errs by half of what they differ.
+            # The error of the mean of two estimates is half their difference.
             f"+- {0.5 * apart_px:.1f} px: {100 * before:.1f} % of held-out matches fit as registered, "
             f"{100 * after:.1f} % so"
         ),
@@ -96,7 +96,7 @@ def estimate_registration(
 
 @dataclass(frozen=True, slots=True)
 class _Half:
-    """A guess fitted on half of the pairs, judged on the other: gains by pair, inliers by match."""
+    """A guess fitted on half of the pairs, tested on the other: gains by pair, inliers by match."""
 
     guess: Guess
     gains: FloatArray
@@ -106,13 +106,13 @@ class _Half:
 
 
 def _cross_validate(problem: Problem, own: BoolArray) -> _Half:
-    """Fit on some pairs, judge on the others."""
+    """Fit on some pairs, test on the others."""
     depth = problem.depth_camera
     train, test = some_pairs(problem, own), some_pairs(problem, ~own)
     registered = Guess(depth.fx, depth.cx, depth.cy)
     starts = [replace(registered, focal_px=share * depth.fx) for share in _FOCAL_SHARES]
     fits = sorted((fit_motions(train, guess, 2 * SETTLING) for guess in starts), key=lambda fit: fit.loss)
-    # Readings jump at rims, and a search may end in a dent of the bowl: two of them seldom do.
+    # Readings jump at edges, so a search may end in a local minimum: two searches rarely do.
     beside = min((search(train, fit, tuple(AXES)) for fit in fits[:2]), key=lambda fit: fit.loss).guess
     same = fit_motions(train, replace(registered, whole=True), 2 * SETTLING)
     rescaled = search(train, same, ("focal", "x", "y")).guess
@@ -128,7 +128,7 @@ def _cross_validate(problem: Problem, own: BoolArray) -> _Half:
 
 
 def _refusal(halves: Sequence[_Half], gain: float, apart: float, depth: CameraIntrinsics) -> str:
-    """Why the registration must not be used; empty if the evidence is clear."""
+    """Return why the registration must not be used; empty if the evidence is clear."""
     clear = _standard_errors(np.concatenate([half.gains for half in halves]))
     over_rescaled = _standard_errors(np.concatenate([half.gains_over_rescaled for half in halves]))
     asked = math.sqrt(gate())
@@ -147,7 +147,7 @@ def _refusal(halves: Sequence[_Half], gain: float, apart: float, depth: CameraIn
 
 
 def _standard_errors(gains: FloatArray) -> float:
-    """Mean gain in units of its standard error; pairs that judge nothing are left out."""
+    """Return the mean gain in units of its standard error; pairs without a result are ignored."""
     known = gains[np.isfinite(gains)]
     if known.size < _FEWEST_PAIRS:
         return 0.0
@@ -155,7 +155,7 @@ def _standard_errors(gains: FloatArray) -> float:
 
 
 def _gains(problem: Problem, worse: FloatArray, better: FloatArray) -> FloatArray:
-    """(P,) mean gain of loss of each pair over the matches that both can judge; NaN where there is none."""
+    """Return (P,) the mean gain in loss of each pair over their common matches; NaN if there is none."""
     gain = robust_loss(worse) - robust_loss(better)
     known = np.isfinite(gain)
     sums = np.add.reduceat(np.where(known, gain, 0.0).sum(axis=1), problem.starts[:-1])
@@ -164,7 +164,7 @@ def _gains(problem: Problem, worse: FloatArray, better: FloatArray) -> FloatArra
 
 
 def _distance_px(a: Guess, b: Guess, depth: CameraIntrinsics) -> float:
-    """RMS over the image, at 1 to 3 m, between where two guesses place a colour pixel in the depth image."""
+    """Return the RMS distance of colour pixels in the depth image by two guesses, at 1 to 3 m."""
     columns, rows = np.meshgrid(
         np.linspace(0.1, 0.9, 9) * depth.width, np.linspace(0.1, 0.9, 9) * depth.height
     )
@@ -180,6 +180,6 @@ def _distance_px(a: Guess, b: Guess, depth: CameraIntrinsics) -> float:
 
 
 def _mean(a: Guess, b: Guess) -> Guess:
-    """Half way between."""
+    """Return the mean of two guesses."""
     fields = ("focal_px", "cx", "cy", "shift_x_m", "shift_y_m")
     return Guess(*(0.5 * (getattr(a, name) + getattr(b, name)) for name in fields))

@@ -13,7 +13,7 @@ from slam.measurements import FloatArray
 
 IntArray: TypeAlias = NDArray[np.int64]
 
-# Keeps a motion that its matches do not determine where it is.
+# Fixes a motion that its matches do not determine.
 _DAMPING = 1e-6
 
 
@@ -28,14 +28,14 @@ def settle_motions(
     scale_px: float,
     iterations: int,
 ) -> tuple[FloatArray, FloatArray]:
-    """Gauss-Newton on the reprojection errors of each pair, both ways, with the kernel of Geman and McClure.
+    """Minimise the reprojection errors of each pair in both directions: Gauss-Newton with Geman-McClure.
 
     Parameters
     ----------
     points_a, points_b
-        (N, 3) of all matches in the colour frames a and b; a point with z = 0 is left out.
+        (N, 3) of all matches in the colour frames a and b; a point with z = 0 is ignored.
     pixels_a, pixels_b
-        (N, 2) where they are seen.
+        (N, 2) their pixels.
     starts
         (P + 1,) the matches of pair p are starts[p] to starts[p + 1].
     poses
@@ -59,7 +59,7 @@ def settle_motions(
         turns, shifts = settled[:, :, :3], settled[:, :, 3:]
         back = turns.transpose(0, 2, 1)
         there = np.stack([settled, np.concatenate([back, -back @ shifts], axis=2)])
-        # Turned into b, the derivatives by a point of b have the other sign.
+        # In b, the derivatives by a point of b have the opposite sign.
         into_b = np.stack([np.broadcast_to(np.eye(3), turns.shape), -turns])
         _linearize(points, pixels, starts, there, into_b, camera, scale_px * scale_px, rows, errors)
         if not left:
@@ -77,10 +77,10 @@ def settle_motions(
 def _linearize(  # type: ignore[no-untyped-def]
     points, pixels, starts, poses, into_b, camera, squared_scale, rows, errors
 ):
-    """The weighted derivatives and errors, ``rows`` (N, 4, 7): of x and y, of a point of a and of one of b.
+    """Write the weighted derivatives and errors, ``rows`` (N, 4, 7): x and y, of a point of a and of b.
 
-    The points (2, N, 3) of a and of b are taken by ``poses`` (2, P, 3, 4) into the other camera, where they
-    are seen at ``pixels`` (2, N, 2); the motion is turned and shifted in b: ``exp(v, w) T_b_a``.
+    The points (2, N, 3) of a and b are transformed by ``poses`` (2, P, 3, 4) into the other camera, with
+    ``pixels`` (2, N, 2); the motion is perturbed in b: ``exp(v, w) T_b_a``.
     """
     for pair in range(starts.size - 1):
         for i in range(starts[pair], starts[pair + 1]):
@@ -100,7 +100,7 @@ def _linearize(  # type: ignore[no-untyped-def]
                 # Geman and McClure.
                 share = squared_scale / (squared_scale + errors[i, side])
                 miss, along = du, x
-                # What moves is the point in b.
+                # The perturbation moves the point in b.
                 if side == 0:
                     px, py, pz = x, y, z
                 for axis in range(2):
@@ -119,7 +119,7 @@ def _linearize(  # type: ignore[no-untyped-def]
 
 
 def _moved(poses: FloatArray, steps: FloatArray) -> FloatArray:
-    """(P, 3, 4) poses turned by steps[:, 3:] and then shifted by steps[:, :3]."""
+    """Return (P, 3, 4) poses rotated by steps[:, 3:] and then shifted by steps[:, :3]."""
     from scipy.spatial.transform import Rotation
 
     moved = Rotation.from_rotvec(steps[:, 3:]).as_matrix() @ poses

@@ -18,14 +18,14 @@ from slam.measurements import AnyFloatArray, BoolArray, CameraIntrinsics, Float3
 from slam.vision.color_registration import camera_row, points_of_images, points_of_pixels
 from slam.vision.color_registration_kernels import IntArray, settle_motions
 
-# Error of a true match; at it a match has half its greatest loss.
+# Error of a true match, at which the loss is half its maximum.
 MATCH_PX = 2.0
 _MATCHES_A_PAIR = 300
-# Iterations of the motions after a small change of the registration; twice as many after a great one.
+# Iterations of the motions after a small change of the registration; twice as many after a large one.
 SETTLING = 3
-# A round of the search that gains less is the last.
+# A round of the search with a smaller gain is the last.
 _SETTLED = 2e-4
-# First steps of the search: share of the focal length, pixels, metres; at most so many of them at once.
+# Initial steps of the search: share of the focal length, pixels, metres; and their largest number.
 AXES = {"focal": 0.02, "x": 6.0, "y": 6.0, "shift_x": 0.025, "shift_y": 0.015}
 _LONGEST_STEP = 2.0
 # What is known of such cameras before the log is read, and the loss of one of these widths: short logs hardly
@@ -41,7 +41,7 @@ class FramePair:
     Attributes
     ----------
     pixels_a, pixels_b
-        (N, 2) column and row of the same N features in the two colour images; wrong matches may be among.
+        (N, 2) column and row of N matched features in the two colour images; some may be outliers.
     depth_a_m, depth_b_m
         (H, W) depth images of the two, 0 invalid.
     """
@@ -66,7 +66,7 @@ class Guess:
 
 @dataclass(frozen=True, slots=True)
 class Problem:
-    """All matches of some pairs, pair by pair; arrays as `settle_motions` takes them."""
+    """All matches of some pairs, pair by pair, in the form of `settle_motions`."""
 
     pixels_a: FloatArray
     pixels_b: FloatArray
@@ -80,7 +80,7 @@ class Problem:
 
 @dataclass(frozen=True, slots=True)
 class Fit:
-    """A guess, its loss, and the motions that go with it."""
+    """A guess, its loss, and its motions."""
 
     guess: Guess
     loss: float
@@ -88,7 +88,7 @@ class Fit:
 
 
 def gather_matches(pairs: Sequence[FramePair], depth: CameraIntrinsics, seed: int) -> Problem:
-    """All pairs that have a motion when colour is taken as registered."""
+    """Collect all pairs with a motion if colour is assumed registered."""
     rng = np.random.default_rng(seed)
     cameras = camera_row(depth, depth, 0.0, 0.0)
     pixels_a, pixels_b = [np.empty((0, 2))], [np.empty((0, 2))]
@@ -101,7 +101,7 @@ def gather_matches(pairs: Sequence[FramePair], depth: CameraIntrinsics, seed: in
         pose = _first_motion(points, other, depth)
         if pose is None:
             continue
-        # Row by row readings lie together in memory.
+        # Row by row, readings are adjacent in memory.
         by_row = np.argsort(own[:, 1])
         pixels_a.append(own[by_row])
         pixels_b.append(other[by_row])
@@ -121,7 +121,7 @@ def gather_matches(pairs: Sequence[FramePair], depth: CameraIntrinsics, seed: in
 
 
 def some_pairs(problem: Problem, chosen: BoolArray) -> Problem:
-    """Some of the pairs."""
+    """Return some of the pairs."""
     lengths = np.diff(problem.starts)
     rows = np.repeat(chosen, lengths)
     return replace(
@@ -135,7 +135,7 @@ def some_pairs(problem: Problem, chosen: BoolArray) -> Problem:
 
 
 def search(problem: Problem, fit: Fit, axes: tuple[str, ...]) -> Fit:
-    """Down to the bottom: a parabola through three points on each axis in turn, with shrinking steps."""
+    """Find the minimum: a parabola through three points on each axis in turn, with shrinking steps."""
     steps = {**AXES, "focal": AXES["focal"] * problem.depth_camera.fx}
 
     def at(axis: str, amount: float) -> Fit:
@@ -159,7 +159,7 @@ def search(problem: Problem, fit: Fit, axes: tuple[str, ...]) -> Fit:
 
 
 def fit_motions(problem: Problem, guess: Guess, iterations: int, poses: FloatArray | None = None) -> Fit:
-    """A guess with its best motions."""
+    """Return a guess with its best motions."""
     settled, errors = settle(problem, guess, problem.poses if poses is None else poses, iterations)
     if not np.isfinite(errors).any():
         return Fit(guess, np.inf, settled)
@@ -169,7 +169,7 @@ def fit_motions(problem: Problem, guess: Guess, iterations: int, poses: FloatArr
 def settle(
     problem: Problem, guess: Guess, poses: FloatArray, iterations: int
 ) -> tuple[FloatArray, FloatArray]:
-    """Motions and (N, 2) squared errors under a guess."""
+    """Return motions and (N, 2) squared errors for a guess."""
     color = color_camera(guess, problem.depth_camera)
     depth = color if guess.whole else problem.depth_camera
     cameras = camera_row(color, depth, guess.shift_x_m, guess.shift_y_m)
@@ -183,18 +183,18 @@ def settle(
 
 
 def robust_loss(errors: FloatArray) -> FloatArray:
-    """Of Geman and McClure, 0..1, from squared errors in pixels."""
+    """Return the Geman-McClure loss, 0..1, from squared errors in pixels."""
     return np.asarray(errors / (errors + MATCH_PX**2))
 
 
 def color_camera(guess: Guess, depth: CameraIntrinsics) -> CameraIntrinsics:
-    """The colour camera of a guess; its pixels have the shape of the depth camera's."""
+    """Return the colour camera of a guess; its pixels have the aspect of the depth camera's."""
     focal_y = guess.focal_px * depth.fy / depth.fx
     return replace(depth, fx=guess.focal_px, fy=focal_y, cx=guess.cx, cy=guess.cy)
 
 
 def _prior(guess: Guess, depth: CameraIntrinsics) -> float:
-    """Loss of a guess before any match is looked at."""
+    """Return the prior loss of a guess."""
     focal = (guess.focal_px / depth.fx - 1.0) / _WIDTH_FOCAL
     centre = np.hypot(guess.cx - depth.cx, guess.cy - depth.cy) / (_WIDTH_CENTRE * depth.fx)
     shift = np.hypot(guess.shift_x_m / _WIDTH_SHIFT_X_M, guess.shift_y_m / _WIDTH_SHIFT_Y_M)
@@ -202,7 +202,7 @@ def _prior(guess: Guess, depth: CameraIntrinsics) -> float:
 
 
 def _moved(guess: Guess, axis: str, amount: float, depth_m: float) -> Guess:
-    """A guess moved along an axis; a shift takes the principal point along, so that `depth_m` stays put."""
+    """Return a guess moved along an axis; a shift also moves the principal point, to fix it at `depth_m`."""
     if axis == "focal":
         return replace(guess, focal_px=guess.focal_px + amount)
     if axis == "x":
@@ -216,7 +216,7 @@ def _moved(guess: Guess, axis: str, amount: float, depth_m: float) -> Guess:
 
 
 def _first_motion(points: FloatArray, pixels: FloatArray, camera: CameraIntrinsics) -> FloatArray | None:
-    """(3, 4) ``T_b_a`` by PnP-RANSAC; None if few matches agree."""
+    """Return (3, 4) ``T_b_a`` by PnP-RANSAC; None if few matches agree."""
     import cv2
 
     known = points[:, 2] > 0.0
@@ -228,7 +228,7 @@ def _first_motion(points: FloatArray, pixels: FloatArray, camera: CameraIntrinsi
         pixels[known],
         matrix,
         None,
-        reprojectionError=2.0 * MATCH_PX,  # through a registration that may be wrong
+        reprojectionError=2.0 * MATCH_PX,  # with a registration that may be wrong
     )
     if not found or inliers is None or len(inliers) < FEWEST:
         return None

@@ -20,14 +20,14 @@ _ROUNDS = 200
 
 @dataclass(frozen=True, slots=True)
 class FeaturePose:
-    """A pose that many features agree on.
+    """A pose supported by many features.
 
     Attributes
     ----------
     T_reference_camera
         Of the new image, in the frame of the 3D points.
     inliers
-        (N,) which pairs agree.
+        (N,) which pairs are inliers.
     """
 
     T_reference_camera: gtsam.Pose3
@@ -41,7 +41,7 @@ def pose_from_features(
     tolerance_px: float,
     least_inliers: int,
 ) -> FeaturePose | None:
-    """Pose of a camera from known points and where it sees them; None if too few agree.
+    """Estimate the pose of a camera from known points and their pixels; None with too few inliers.
 
     Parameters
     ----------
@@ -50,7 +50,7 @@ def pose_from_features(
     pixels
         (N, 2) in the new image.
     tolerance_px
-        Reprojection error up to which a pair agrees.
+        Largest reprojection error of an inlier.
     """
     if len(points_reference) < max(least_inliers, 4):
         return None
@@ -74,7 +74,7 @@ def pose_from_features(
         return None
     mask = np.zeros(len(points), bool)
     mask[inliers[:, 0]] = True
-    # The pose by three points is a little off: more agree with that by all.
+    # The pose from three points is inexact: that from all has more inliers.
     for _ in range(2):
         if np.count_nonzero(mask) < least_inliers:
             return None
@@ -94,9 +94,9 @@ def pose_from_features(
 def turn_from_features(
     before: Features, after: Features, intrinsics: CameraIntrinsics, config: RgbdOdometryConfig
 ) -> gtsam.Rot3:
-    """Rotation of a camera from one image to the next, as if it had turned on the spot; no depth is needed.
+    """Estimate the rotation of a camera between two images without translation; no depth is needed.
 
-    The identity where fewer than ``config.least_inliers`` features agree.
+    The identity with fewer than ``config.least_inliers`` inliers.
     """
     import scipy
 
@@ -111,7 +111,7 @@ def turn_from_features(
     for _ in range(ROUNDS):
         turn = scipy.spatial.transform.Rotation.align_vectors(first, second, weights)[0]
         off = np.linalg.norm(turn.apply(second) - first, axis=1)
-        # As tolerant as half of them need, until these are as near as a keypoint is located.
+        # The tolerance is the median error, down to the accuracy of a keypoint.
         weights = 1.0 / (1.0 + (off / max(float(np.median(off)), tolerance)) ** 2) ** 2
     if np.count_nonzero(off <= tolerance) < config.least_inliers:
         return gtsam.Rot3()
@@ -119,6 +119,6 @@ def turn_from_features(
 
 
 def _rays(features: Features, intrinsics: CameraIntrinsics) -> FloatArray:
-    """Directions (N, 3) of features, of length 1."""
+    """Return unit directions (N, 3) of features."""
     points = replace(features, depth_m=np.ones_like(features.depth_m)).points_camera(intrinsics)
     return np.asarray(points / np.linalg.norm(points, axis=1, keepdims=True))

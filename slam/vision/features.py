@@ -21,7 +21,7 @@ Descriptors: TypeAlias = NDArray[np.uint8]
 
 # Lower than the usual 20, for dim rooms and blurred images.
 _FAST_THRESHOLD = 12
-# Keypoints of images that the doctor has looked at and the mapper will; so many of them at most.
+# Cache of keypoints of images used by the doctor and later by the mapper, and its limit.
 _KEPT: dict[tuple[int, tuple[int, ...], int], tuple[Float32Array, Descriptors, Float32Array]] = {}
 _MOST_KEPT = 1024
 
@@ -51,11 +51,11 @@ class Features:
         return int(self.depth_m.size)
 
     def where(self, keep: BoolArray) -> Features:
-        """The features that a mask (N,) keeps."""
+        """Return the features selected by a mask (N,)."""
         return Features(self.pixels[keep], self.descriptors[keep], self.sigma_px[keep], self.depth_m[keep])
 
     def points_camera(self, intrinsics: CameraIntrinsics) -> FloatArray:
-        """(N, 3) in the camera frame, Yang2021 Eq. (14); zero where there is no depth."""
+        """Return (N, 3) points in the camera frame, Yang2021 Eq. (14); zero without depth."""
         z = self.depth_m.astype(np.float64)
         x = (self.pixels[:, 0] - intrinsics.cx) / intrinsics.fx
         y = (self.pixels[:, 1] - intrinsics.cy) / intrinsics.fy
@@ -64,7 +64,7 @@ class Features:
 
 @dataclass(frozen=True, slots=True)
 class Matches:
-    """Pairs of features, (M,) numbers into either side."""
+    """Pairs of features, (M,) indices for both sides."""
 
     first: NDArray[np.int64]
     second: NDArray[np.int64]
@@ -73,12 +73,12 @@ class Matches:
         return int(self.first.size)
 
     def where(self, keep: BoolArray) -> Matches:
-        """The pairs that a mask (M,) keeps."""
+        """Return the pairs selected by a mask (M,)."""
         return Matches(self.first[keep], self.second[keep])
 
 
 def gray_of(frame: RgbdFrame) -> NDArray[np.uint8]:
-    """(H, W) brightness of a frame."""
+    """Return the (H, W) brightness of a frame."""
     import cv2
 
     return np.asarray(cv2.cvtColor(frame.color, cv2.COLOR_RGB2GRAY), np.uint8)
@@ -87,7 +87,7 @@ def gray_of(frame: RgbdFrame) -> NDArray[np.uint8]:
 def extract_features(
     gray: NDArray[np.uint8], depth_m: Float32Array, count: int, *, again: bool = False
 ) -> Features:
-    """ORB keypoints (Rublee 2011), each with the depth at its pixel.
+    """Extract ORB keypoints (Rublee 2011) with the depth at each pixel.
 
     Parameters
     ----------
@@ -96,9 +96,9 @@ def extract_features(
     depth_m
         (H, W) registered to it, 0 where invalid.
     count
-        Keypoints at most.
+        Largest number of keypoints.
     again
-        Whether the image will be asked for once more: its keypoints are kept until then.
+        Whether the image will be used again: its keypoints are cached until then.
     """
     name = (hash(gray.tobytes()), gray.shape, count)
     keypoints = _KEPT.pop(name, None) or _keypoints(gray, count)
@@ -111,12 +111,12 @@ def extract_features(
 
 
 def forget_keypoints() -> None:
-    """Give up the keypoints of images that nobody has asked for again."""
+    """Discard cached keypoints that were not used again."""
     _KEPT.clear()
 
 
 def _keypoints(gray: NDArray[np.uint8], count: int) -> tuple[Float32Array, Descriptors, Float32Array]:
-    """Their pixels (N, 2), descriptors (N, 32) and sigma (N,)."""
+    """Return pixels (N, 2), descriptors (N, 32) and sigma (N,) of keypoints."""
     import cv2
 
     detector = _orb(count)
@@ -124,13 +124,13 @@ def _keypoints(gray: NDArray[np.uint8], count: int) -> tuple[Float32Array, Descr
     if descriptors is None or not found:
         return np.zeros((0, 2), np.float32), np.zeros((0, 32), np.uint8), np.zeros(0, np.float32)
     levels = np.array([point.octave for point in found])
-    # ORB's pyramid: a keypoint of level n is located as exactly as a pixel of that level.
+    # ORB's pyramid: a keypoint of level n is as accurate as a pixel of that level.
     sigma_px = (detector.getScaleFactor() ** levels).astype(np.float32)
     return np.asarray(cv2.KeyPoint.convert(found), np.float32), np.asarray(descriptors, np.uint8), sigma_px
 
 
 def depth_at(depth_m: Float32Array, pixels: Float32Array) -> Float32Array:
-    """Depth (N,) at pixels (N, 2): mean of the 3 x 3 around, of its nearer part at a rim; 0 where none."""
+    """Return depth (N,) at pixels (N, 2): mean of 3 x 3, of its nearer part at an edge; 0 without any."""
     found = np.zeros(len(pixels), np.float32)
     if len(pixels):
         _depth_at(depth_m, pixels, np.empty(9, np.float32), found)
@@ -139,7 +139,7 @@ def depth_at(depth_m: Float32Array, pixels: Float32Array) -> Float32Array:
 
 @kernel(nogil=True)
 def _depth_at(depth_m, pixels, around, found):  # type: ignore[no-untyped-def]
-    """Read the depth of each pixel, with room for the nine around it."""
+    """Read the depth of each pixel, with a buffer for its 3 x 3 window."""
     height, width = depth_m.shape
     for i in range(pixels.shape[0]):
         column = min(max(int(np.rint(pixels[i, 0])), 1), width - 2)
@@ -154,7 +154,7 @@ def _depth_at(depth_m, pixels, around, found):  # type: ignore[no-untyped-def]
             on = around[n] > 0.0 and around[n] <= farthest
             count += 1 if on else 0
             around[n] = around[n] if on else np.float32(0.0)
-        # A lone speck is noise, not a surface.
+        # A single pixel is noise, not a surface.
         if count >= 3:
             upper = (around[0] + around[1]) + (around[2] + around[3])
             lower = (around[4] + around[5]) + (around[6] + around[7])
@@ -162,14 +162,14 @@ def _depth_at(depth_m, pixels, around, found):  # type: ignore[no-untyped-def]
 
 
 def match_features(first: Descriptors, second: Descriptors, ratio: float, greatest_distance: int) -> Matches:
-    """Pairs that are each other's nearest and clearly nearer than the next (Lowe's ratio).
+    """Match features that are mutual nearest neighbours and pass Lowe's ratio test.
 
     Parameters
     ----------
     first, second
         (N, 32) and (M, 32) ORB descriptors.
     ratio
-        Greatest share of the second nearest's distance.
+        Largest ratio of the nearest to the second nearest distance.
     greatest_distance
         Hamming distance, of 256 bits, above which two descriptors differ.
     """
@@ -190,10 +190,10 @@ def match_features(first: Descriptors, second: Descriptors, ratio: float, greate
 
 @kernel(nogil=True)
 def _nearest(first, second, counts, nearest, row, back):  # type: ignore[no-untyped-def]
-    """The two nearest of ``second`` (4, M) of each of ``first`` (N, 4), and the reverse: the nearest one.
+    """Find the two nearest of ``second`` (4, M) for each of ``first`` (N, 4), and the nearest in reverse.
 
-    Each is told as distance times the other side's count plus its number: the least is the nearest, and of
-    several the first, and vector instructions find it.
+    Each is encoded as distance times the other side's count plus its index: the minimum is the nearest, the
+    first among equals, and is found by vector instructions.
     """
     for i in range(first.shape[0]):
         a, b, c, d = first[i, 0], first[i, 1], first[i, 2], first[i, 3]
@@ -212,7 +212,7 @@ def _nearest(first, second, counts, nearest, row, back):  # type: ignore[no-unty
 
 @lru_cache(maxsize=8)
 def _orb(count: int) -> cv2.ORB:
-    """The detector; making one costs more than using it on a small image."""
+    """Return the detector; creating one costs more than using it on a small image."""
     import cv2
 
     return cv2.ORB.create(nfeatures=count, fastThreshold=_FAST_THRESHOLD)

@@ -18,7 +18,7 @@ from slam.vision.visual_match import VisualKeyframe, VisualMatch, covariance_of
 
 
 class FrameMatcher:
-    """Stateless but for its settings."""
+    """Matcher without state except its settings."""
 
     def __init__(self, settings: Config) -> None:
         self._match, self._config = settings.match, settings.rgbd_odometry
@@ -33,7 +33,7 @@ class FrameMatcher:
         landmarks = self._landmarks(frame, known, guess)
         anywhere = len(landmarks.points) < config.least_inliers
         if anywhere:
-            # Features that are elsewhere speak against the guess; where they are expected they are not seen.
+            # Features found elsewhere contradict the guess; at their expected position they are not seen.
             landmarks = self._landmarks(frame, known)
         best = self._align(frame, local, landmarks, guess, self._match.coarse_iterations)
         least = self._match.confident_inlier_share
@@ -46,9 +46,9 @@ class FrameMatcher:
     def _without_walkers(
         self, best: JointAlignment, frame: PreparedFrame, local: list[VisualKeyframe], landmarks: Landmarks
     ) -> JointAlignment:
-        """An alignment, or another one that begins where features alone are, if surfaces do not lead there.
+        """Return an alignment, or one started from features alone, if surfaces do not converge there.
 
-        Who walks before the camera takes along surfaces, which fit somewhere between; no features do.
+        A person in front of the camera shifts the alignment of surfaces, but not of features.
         """
         config, k = self._config, frame.frame.intrinsics
         alone = align_features(landmarks, k, best.pose, config, self._match.iterations)
@@ -62,24 +62,24 @@ class FrameMatcher:
     def _better(
         self, best: JointAlignment, others: list[JointAlignment], landmarks: Landmarks, frame: PreparedFrame
     ) -> JointAlignment:
-        """The one that most features agree with, of others that are a match."""
+        """Return the valid match with most feature inliers."""
         held = [one for one in others if self._judge(one) is not None]
         return max([best, *held], key=lambda one: self._support(one.pose, landmarks, frame))
 
     def match_anywhere(self, frame: PreparedFrame, local: list[VisualKeyframe]) -> VisualMatch | None:
-        """Pose of the frame's camera without a guess, or None if too few features agree."""
+        """Estimate the pose of the frame's camera without a guess; None if too few features agree."""
         found = self._by_features(frame, local, self._landmarks(frame, local))
         return self._judge(found[0]) if found else None
 
     def _by_features(
         self, frame: PreparedFrame, local: list[VisualKeyframe], landmarks: Landmarks
     ) -> list[JointAlignment]:
-        """From the pose of PnP-RANSAC, as near as features are true: none where too few agree."""
+        """Align from the pose of PnP-RANSAC within the accuracy of features; None if too few agree."""
         found = pose_from_features(
             landmarks.points,
             landmarks.pixels,
             frame.frame.intrinsics,
-            self._config.kernel_sigmas,  # a keypoint is located to a pixel
+            self._config.kernel_sigmas,  # the accuracy of a keypoint is a pixel
             self._config.least_inliers,
         )
         if found is None:
@@ -87,7 +87,7 @@ class FrameMatcher:
         return [self._align(frame, local, landmarks, found.T_reference_camera, 0)]
 
     def _support(self, pose: gtsam.Pose3, landmarks: Landmarks, frame: PreparedFrame) -> float:
-        """How many features agree with a pose, each as far as it does (Geman and McClure)."""
+        """Return how many features agree with a pose, with Geman-McClure weights."""
         off_px = project(landmarks.points, pose.inverse(), frame.frame.intrinsics) - landmarks.pixels
         sigmas = np.linalg.norm(off_px, axis=1) / (np.sqrt(2.0) * landmarks.sigma_px)
         return float(np.nansum(1.0 / (1.0 + (sigmas / self._config.kernel_sigmas) ** 2)))
@@ -95,7 +95,7 @@ class FrameMatcher:
     def _landmarks(
         self, frame: PreparedFrame, keyframes: list[VisualKeyframe], guess: gtsam.Pose3 | None = None
     ) -> Landmarks:
-        """Features of the keyframes that are found again in the frame; near where a guess expects them."""
+        """Return features of the keyframes found in the frame, near the position predicted by a guess."""
         if not keyframes:
             return Landmarks.none()
         points, pixels, sigmas = [], [], []
@@ -114,7 +114,7 @@ class FrameMatcher:
     def _pairs(
         self, known: Features, points_odom: FloatArray, frame: PreparedFrame, guess: gtsam.Pose3 | None
     ) -> Matches:
-        """Matched features of a keyframe and the frame."""
+        """Return matched features of a keyframe and the frame."""
         config = self._config
         seen = frame.features
         if guess is None:
@@ -133,21 +133,21 @@ class FrameMatcher:
         guess: gtsam.Pose3,
         coarse: int,
     ) -> JointAlignment:
-        """Least squares from one guess, its first steps tolerant."""
+        """Solve least squares from one guess; the first steps have a wide kernel."""
         views = [View(keyframe.frame.surface, keyframe.pose) for keyframe in local]
         rounds, k = (coarse, self._match.iterations - coarse), frame.frame.intrinsics
         return align(frame.points, views, landmarks, k, guess, self._config, rounds)
 
     def _share(self, alignment: JointAlignment) -> float:
-        """Agreeing readings over all that met a partner."""
-        # A feature is a rarer and more telling reading than a point of a surface.
+        """Return the share of inliers among readings with a partner."""
+        # A feature is rarer and more informative than a surface point.
         points = self._config.correlated_points / self._config.correlated_features
         agree = points * alignment.feature_count + alignment.point_count
         met = points * alignment.feature_pairs + alignment.point_pairs
         return agree / met if met > 0.0 else 0.0
 
     def _judge(self, alignment: JointAlignment) -> VisualMatch | None:
-        """A measured motion, or None if too little agrees."""
+        """Return a measured motion, or None if too little agrees."""
         config = self._config
         share = self._share(alignment)
         shape = alignment.overlap >= self._least_overlap and alignment.point_count >= config.least_points
@@ -169,7 +169,7 @@ class FrameMatcher:
 
 
 def project(points: FloatArray, T_camera_points: gtsam.Pose3, k: CameraIntrinsics) -> FloatArray:
-    """Pixels (N, 2) of points (N, 3), Yang2021 Eq. (13); NaN behind the camera."""
+    """Return pixels (N, 2) of points (N, 3), Yang2021 Eq. (13); NaN behind the camera."""
     camera = points @ T_camera_points.rotation().matrix().T + T_camera_points.translation()
     z = np.where(camera[:, 2] > 0.0, camera[:, 2], np.nan)
     return np.stack([k.fx * camera[:, 0] / z + k.cx, k.fy * camera[:, 1] / z + k.cy], axis=1)

@@ -22,18 +22,18 @@ def match_near(
     ratio: float,
     greatest_distance: int,
 ) -> Matches:
-    """Pairs that are each other's nearest among those that lie where they are expected.
+    """Match features that are mutual nearest neighbours near their expected position.
 
     Parameters
     ----------
     known, expected_px
-        Features and where they should be in the image, (N, 2); NaN for one that is not in sight.
+        Features and their expected pixels, (N, 2); NaN for one that is not visible.
     seen
         Features of the image.
     radius_px
-        How far from the expected place a feature may be.
+        Largest distance from the expected position.
     ratio
-        Greatest share of the second nearest's distance; the second nearest lies within the radius too.
+        Greatest share of the second nearest's distance; the second nearest is within the radius, too.
     greatest_distance
         Hamming distance, of 256 bits, above which two descriptors differ.
     """
@@ -66,13 +66,13 @@ def match_near(
 def _within_reach(
     expected_px: FloatArray, pixels: Float32Array, radius_px: float
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Spans (N, 3, 2) of features that may lie within a radius of each place, and the order that they mean.
+    """Return spans (N, 3, 2) of features that may be within a radius of each position, and their order.
 
     They are ordered by cells as wide as the radius, with empty ones around; three rows of three are in reach.
     """
-    reach = radius_px + 1.0  # a pixel more, for what rounds; the radius itself decides
+    reach = radius_px + 1.0  # one pixel more, for rounding; the radius itself decides
     last = np.floor([side.max() / reach for side in pixels.T])
-    # What is not in sight, NaN, is at the rim.
+    # Invisible features, NaN, are put at the border.
     cells = [np.fmax(np.fmin(np.floor(side / reach), last + 1.0), -1.0) for side in (pixels, expected_px)]
     columns, rows = (int(side) + 6 for side in last)
     seen, middle = ((side.astype(np.int64) + 3) @ (1, columns) for side in cells)
@@ -96,9 +96,9 @@ def _nearest(
     owner: NDArray[Any],
     owner_distance: NDArray[Any],
 ) -> None:
-    """Number of the nearest feature seen, or -1; of several that claim one, only the nearest keeps it.
+    """Find the nearest feature seen, or -1; each is assigned only to its nearest claimant.
 
-    What is seen is in the order of `_within_reach`, ``numbers``, and ``spans`` are those in reach of each.
+    Seen features are in the order ``numbers`` of `_within_reach`; ``spans`` are those in reach.
     """
     for i in range(expected.shape[0]):
         u = expected[i, 0]

@@ -21,7 +21,7 @@ _THINNED = 4
 
 
 class View(NamedTuple):
-    """A keyframe's surface and where its camera stood, ``T_odom_camera``."""
+    """A keyframe's surface and the pose of its camera, ``T_odom_camera``."""
 
     surface: Surface
     pose: gtsam.Pose3
@@ -36,13 +36,13 @@ class Landmarks(NamedTuple):
 
     @classmethod
     def none(cls) -> Landmarks:
-        """No features."""
+        """Return no features."""
         return cls(np.zeros((0, 3)), np.zeros((0, 2)), np.zeros(0))
 
 
 @dataclass(frozen=True, slots=True)
 class JointAlignment:
-    """The outcome.
+    """Result of an alignment.
 
     Attributes
     ----------
@@ -53,13 +53,13 @@ class JointAlignment:
     overlap
         Share of the points that meet a keyframe's surface.
     point_pairs, feature_pairs
-        Points that met a surface, and matched features.
+        Points with a partner surface, and matched features.
     point_count, feature_count
-        Those of them that agree.
+        Number of their inliers.
     residual_m
-        Robust sigma of point to plane at the points that agree.
+        Robust sigma of point to plane of the inliers.
     residual_px
-        Robust sigma of the reprojection of the features that agree.
+        Robust sigma of the reprojection of the inliers.
     converged
         Whether the last step was small.
     """
@@ -98,9 +98,9 @@ def align(
     intrinsics
         Of the pixels in ``landmarks``.
     rounds
-        Gauss-Newton steps at most: with everything four times as tolerant, and then.
+        Largest number of Gauss-Newton steps, first with four times the tolerance, then with the final.
     """
-    # A few points lead near; all of them are asked for the last millimetres.
+    # A few points give a rough pose; all are used for the last millimetres.
     coarse = _Work(points.every(_THINNED), landmarks)
     near, _ = _descend(coarse, views, intrinsics, guess, config, rounds[0], 10 * SETTLED, 4.0)
     fine = _Work(points, landmarks)
@@ -116,7 +116,7 @@ def align_features(
     config: RgbdOdometryConfig,
     rounds: int,
 ) -> gtsam.Pose3:
-    """``T_odom_camera`` by features alone, as `align` finds it."""
+    """Find ``T_odom_camera`` from features alone, as `align` does."""
     work = _Work(SurfacePoints(np.zeros((6, 0), np.float32)), landmarks)
     return _descend(work, [], intrinsics, guess, config, rounds, SETTLED, 1.0)[0]
 
@@ -131,14 +131,14 @@ def _descend(
     settled: float,
     slack: float,
 ) -> tuple[gtsam.Pose3, float]:
-    """Gauss-Newton until a step is shorter than ``settled``: the pose, and the length of the last step."""
+    """Iterate Gauss-Newton until a step is shorter than ``settled``; return pose and last step length."""
     length = np.inf
     for _ in range(rounds):
         hessian, gradient = work.linearize(views, intrinsics, pose, config, slack)
         ridge = TINY * float(np.trace(hessian))
         if ridge <= 0.0:
             return pose, np.inf
-        # Where nothing tells a direction, as along a bare wall, the pose stays there and moves elsewhere.
+        # In an undetermined direction, as along a bare wall, the pose does not move.
         step = np.linalg.solve(hessian + ridge * np.eye(6), gradient)
         length = float(np.linalg.norm(step))
         if length > 1.0:
@@ -150,7 +150,7 @@ def _descend(
 
 
 class _Work:
-    """Residuals and information of either part at one linearisation, kept to be judged after the last."""
+    """Residuals and information of both parts at one linearisation, stored to be judged after the last."""
 
     def __init__(self, points: SurfacePoints, landmarks: Landmarks) -> None:
         self.points, self.landmarks, self.room = points, landmarks, room_for_points()
@@ -169,9 +169,9 @@ class _Work:
         *,
         informed: bool = False,
     ) -> tuple[FloatArray, FloatArray]:
-        """Normal equations (6, 6), (6,) of both parts, weighted by their correlations.
+        """Return the normal equations (6, 6), (6,) of both parts, weighted by their correlations.
 
-        Where ``informed``, the surfaces' information takes the place of theirs.
+        If ``informed``, the information of the surfaces replaces theirs.
         """
         self.seen[:] = 0.0
         self.point_residuals[:] = np.inf
@@ -211,7 +211,7 @@ class _Work:
         return hessian, gradient
 
     def conclude(self, pose: gtsam.Pose3, config: RgbdOdometryConfig, *, converged: bool) -> JointAlignment:
-        """Judge the residuals of the last linearisation, which was done at this pose."""
+        """Judge the residuals of the last linearisation at this pose."""
         seen = self.seen > 0.0
         agreeing = self.point_residuals[self.point_residuals < config.kernel_sigmas]
         matched = self.feature_residuals[self.feature_residuals < config.kernel_sigmas]
@@ -236,7 +236,7 @@ class _Work:
 
 
 def _robust_scale(residuals: AnyFloatArray, degrees: int) -> float:
-    """Sigma of normalised residuals; 1 where there are too few to tell."""
+    """Return the robust sigma of normalised residuals; 1 if there are too few."""
     if residuals.size < FEWEST:
         return 1.0
     return max(float(median_to_sigma(degrees) * np.median(residuals)), 0.1)

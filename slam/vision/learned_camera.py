@@ -11,19 +11,19 @@ from slam.vision.color_registration import ColorRegistration
 
 @dataclass(frozen=True, slots=True)
 class LearnedCamera:
-    """A camera as a finished run knows it.
+    """A camera as estimated by a finished run.
 
     Attributes
     ----------
     registration
-        Where its colour camera sits beside the depth camera; None if that was not asked.
+        Pose of its colour camera relative to the depth camera; None if it was not estimated.
     T_base_camera
-        Its mounting, as the log reported it or as it was learned; None if it is its own base, or unknown.
+        Its mounting, from the log or as estimated; None if it is its own base, or unknown.
     mounting_learned
-        Whether the mounting was learned from the motions of camera and robot.
+        Whether the mounting was estimated from the motions of camera and robot.
     clock_offset_s, clock_sigma_s
-        The camera's stamps less the robot's for the same instant, and the standard deviation that is left
-        between two of their stamps once the offset is taken off.
+        The camera's stamps minus the robot's for the same instant, and the standard deviation between two of
+        their stamps after correction.
     """
 
     registration: ColorRegistration | None = None

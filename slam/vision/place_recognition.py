@@ -23,11 +23,11 @@ from slam.vision.place_recognition_vocabulary import (
     train_vocabulary,
 )
 
-# 32 branches with 32 words each: a descriptor is compared with about a thousandth of the others.
+# 32 branches with 32 words each: a descriptor is compared with about 1/1000 of the others.
 _BRANCHING = 32
 _TRAINING_DESCRIPTORS = 40000
-# The vocabulary is trained again when the keyframes have grown by so much: other places make other words, and
-# few words for many descriptors make long lists.
+# The vocabulary is retrained when the keyframes have grown by this factor: new places need new words, and few
+# words for many descriptors make long lists.
 _RETRAINING = 8
 
 
@@ -38,13 +38,13 @@ class PlaceMatch:
     Attributes
     ----------
     key
-        As `PlaceIndex.add` gave it.
+        Key from `PlaceIndex.add`.
     score
-        0..1, mean nearness of the query's descriptors to their likes in the keyframe: 1 for the same image,
-        0.01 to 0.1 for the same place from elsewhere, up to 0.04 for another place: only geometry tells.
+        0..1, mean nearness of the query's descriptors to similar ones in the keyframe: 1 for the same image,
+        0.01 to 0.1 for the same place from elsewhere, up to 0.04 for another place: only geometry decides.
     relative_score
-        The score over that of the keyframes just before the query, which surely show the same place. NaN
-        where no keyframe was excluded, or the neighbours have nothing in common with the query.
+        The score over that of the keyframes just before the query, which certainly show the same place. NaN
+        if no keyframe was excluded, or the neighbours have nothing in common with the query.
     """
 
     key: int
@@ -53,19 +53,19 @@ class PlaceMatch:
 
 
 class PlaceIndex:
-    """Keyframes by their descriptors; some 36 kB for a thousand of them.
+    """Keyframes by their descriptors; about 36 kB per thousand descriptors.
 
     Parameters
     ----------
     seed
-        Of the training.
+        Seed of the training.
     training_keyframes
-        The vocabulary is trained when there are so many, and again at each eightfold; until the first time
-        all descriptors are compared.
+        The vocabulary is trained at this number, and again at each factor of eight; before, all descriptors
+        are compared.
     queried, kept
-        How many descriptors of a query, and of a keyframe, are used: evenly spread over what is given.
+        Number of descriptors used of a query, and of a keyframe, evenly sampled.
     group
-        Candidates at most so many keys apart are one place, of which the best is reported.
+        Candidates at most so many keys apart are one place; the best is reported.
     """
 
     def __init__(
@@ -86,7 +86,7 @@ class PlaceIndex:
         return self._lists.keys
 
     def add(self, descriptors: Descriptors) -> int:
-        """Take in a keyframe's (N, 32) descriptors, N may be 0; returns its key: 0, 1, 2, ..."""
+        """Add a keyframe's (N, 32) descriptors, N may be 0; return its key: 0, 1, 2, ..."""
         key = self._lists.keys
         own = _spread(descriptors, self._kept)
         self._lists.append(self._words(own), own)
@@ -95,7 +95,7 @@ class PlaceIndex:
         return key
 
     def query(self, descriptors: Descriptors, exclude_from: int, best: int) -> list[PlaceMatch]:
-        """Keyframes with key below `exclude_from` that look like these descriptors, best first.
+        """Return keyframes with key below `exclude_from` similar to these descriptors, best first.
 
         Parameters
         ----------
@@ -104,7 +104,7 @@ class PlaceIndex:
         exclude_from
             Keys from here on are too recent to be a loop.
         best
-            How many places at most.
+            Largest number of places.
         """
         own = _spread(descriptors, self._queried)
         eligible = min(max(exclude_from, 0), len(self))
@@ -123,13 +123,13 @@ class PlaceIndex:
         ]
 
     def _words(self, rows: BitRows) -> Words:
-        """Before there is a vocabulary, all are one word."""
+        """Return the words of descriptors; before there is a vocabulary, all are one word."""
         if self._vocabulary is None:
             return np.zeros(len(rows), dtype=np.int32)
         return self._vocabulary.words(rows)
 
     def _train(self) -> None:
-        """Make words of a sample of the descriptors so far, and put all in their lists."""
+        """Train words on a sample of the descriptors so far, and rebuild the lists."""
         self._next_training *= _RETRAINING
         keys, rows = self._lists.everything()
         if len(rows) < _BRANCHING:
@@ -143,7 +143,7 @@ class PlaceIndex:
 
 
 def _spread(descriptors: Descriptors, count: int) -> BitRows:
-    """(n, 4) at most `count` of (N, 32), evenly from all: ORB gives them level by level."""
+    """Return (n, 4) at most `count` of (N, 32), evenly sampled: ORB sorts them by level."""
     rows = bit_rows(np.asarray(descriptors, dtype=np.uint8).reshape(-1, 32))
     if len(rows) <= count:
         return rows
@@ -151,7 +151,7 @@ def _spread(descriptors: Descriptors, count: int) -> BitRows:
 
 
 def _places(scores: FloatArray, group: int) -> Words:
-    """Keys that are the best within `group` keys on either side, best first."""
+    """Return keys that are the best within `group` keys on either side, best first."""
     padded = np.pad(scores, group)
     windows = np.lib.stride_tricks.sliding_window_view(padded, 2 * group + 1)
     peaks = np.flatnonzero((scores >= windows.max(axis=1)) & (scores > 0.0))

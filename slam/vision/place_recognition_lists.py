@@ -16,7 +16,7 @@ from slam.vision.place_recognition_vocabulary import BitRows, Words, ones
 
 _Entry = TypeVar("_Entry", bound=np.generic)
 
-# Two descriptors of one point of the world differ in fewer bits than this; nearer ones count more.
+# Two descriptors of one point differ in fewer bits than this; nearer ones count more.
 _SAME_BITS = 50
 
 
@@ -34,7 +34,7 @@ class WordLists:
         self._rows = np.empty((block, block, 4), dtype=np.uint64)
 
     def append(self, words: Words, rows: BitRows) -> None:
-        """Take in the next keyframe: (N,) words of (N, 4) descriptors."""
+        """Add the next keyframe: (N,) words of (N, 4) descriptors."""
         needed = self._blocks + len(words)
         if needed > len(self._nexts):
             size = max(needed, 2 * len(self._nexts))
@@ -46,7 +46,7 @@ class WordLists:
         self.keys += 1
 
     def everything(self) -> tuple[Words, BitRows]:
-        """(N,) keys, ascending, and (N, 4) descriptors."""
+        """Return (N,) keys, ascending, and (N, 4) descriptors."""
         block = self._owners.shape[1]
         used = np.ones((self._blocks, block), dtype=np.bool_)
         opened = self._heads >= 0
@@ -56,16 +56,16 @@ class WordLists:
         return keys[order], rows[order]
 
     def scores(self, words: Words, rows: BitRows) -> FloatArray:
-        """(K,) of all keyframes: mean nearness of (N, 4) descriptors to the nearest of their word."""
+        """Return (K,) keyframe scores: mean nearness of (N, 4) descriptors to the nearest of their word."""
         file = (self._heads, self._fills, self._nexts, self._owners, self._rows)
-        # What a keyframe's score last got, and for which descriptor.
+        # The last contribution to a keyframe's score, and its descriptor.
         scores, given, giver = np.zeros(self.keys), np.zeros(self.keys), np.full(self.keys, -1)
         _add_scores(words, rows, *file, scores, given, giver)
         return scores / max(len(words), 1)
 
 
 def _longer(array: NDArray[_Entry], length: int) -> NDArray[_Entry]:
-    """The same with room for `length` rows."""
+    """Return the array extended to `length` rows."""
     grown = np.empty((length, *array.shape[1:]), dtype=array.dtype)
     grown[: len(array)] = array
     return grown
@@ -83,7 +83,7 @@ def _append(
     owners: Words,
     entries: BitRows,
 ) -> int:
-    """Write behind the newest entry of each word, in a new block where that one is full; blocks used."""
+    """Append to the block of each word, or to a new block if that is full; return the blocks used."""
     for i in range(words.size):
         word = words[i]
         if fills[word] == owners.shape[1]:
@@ -100,7 +100,7 @@ def _append(
 
 @kernel
 def _add_scores(words, rows, heads, fills, nexts, owners, entries, scores, given, giver):  # type: ignore[no-untyped-def]
-    """Walk the list of each descriptor's word; only the nearest entry of a keyframe counts."""
+    """Search the list of each descriptor's word; only the nearest entry of a keyframe counts."""
     for i in range(words.size):
         a, b, c, d = rows[i, 0], rows[i, 1], rows[i, 2], rows[i, 3]
         block = heads[words[i]]

@@ -20,13 +20,13 @@ Descriptors: TypeAlias = NDArray[np.uint8]
 Words: TypeAlias = NDArray[np.int32]
 BitRows: TypeAlias = NDArray[np.uint64]
 
-# A descriptor near the border of two branches finds its word in either.
+# A descriptor near the border of two branches may have its word in either.
 _PROBES = 2
 
 
 @dataclass(frozen=True, slots=True)
 class BinaryVocabulary:
-    """Words in branches.
+    """Words in a two-level tree.
 
     Attributes
     ----------
@@ -44,21 +44,21 @@ class BinaryVocabulary:
 
     @property
     def size(self) -> int:
-        """How many words there are."""
+        """Return the number of words."""
         return len(self.leaves)
 
     def words(self, rows: BitRows) -> Words:
-        """(N,) word of each of (N, 4) descriptors: the nearest in the two nearest branches."""
+        """Return (N,) the word of each of (N, 4) descriptors: the nearest in the two nearest branches."""
         return _words(rows, self.branches, self.leaves, self.starts)
 
 
 def bit_rows(descriptors: Descriptors) -> BitRows:
-    """(N, 4) view of (N, 32) descriptors, copied only where they do not lie row by row."""
+    """Return an (N, 4) view of (N, 32) descriptors, copied only if they are not contiguous."""
     return np.ascontiguousarray(descriptors).view(np.uint64)
 
 
 def train_vocabulary(rows: BitRows, branching: int, rng: np.random.Generator) -> BinaryVocabulary:
-    """Up to branching squared words from (N, 4) descriptors, N > 0; `rng` picks the first centres."""
+    """Train up to branching squared words from (N, 4) descriptors, N > 0; `rng` selects initial centres."""
     rows = np.unique(rows, axis=0)
     branches, branch = _k_majority(rows, min(branching, len(rows)), rng)
     leaves = []
@@ -70,7 +70,7 @@ def train_vocabulary(rows: BitRows, branching: int, rng: np.random.Generator) ->
 
 
 def _k_majority(rows: BitRows, count: int, rng: np.random.Generator) -> tuple[BitRows, Words]:
-    """Centres and the nearest centre of each row."""
+    """Return the centres and the nearest centre of each row."""
     centres = rows[rng.permutation(len(rows))[:count]]
     nearest = nearest_rows(rows, centres)[0]
     for _ in range(ROUNDS):
@@ -83,7 +83,7 @@ def _k_majority(rows: BitRows, count: int, rng: np.random.Generator) -> tuple[Bi
 
 @kernel
 def nearest_rows(rows: BitRows, centres: BitRows) -> tuple[Words, Words]:
-    """(N,) index and Hamming distance of the nearest centre of each row."""
+    """Return (N,) index and Hamming distance of the nearest centre of each row."""
     index, distance = np.zeros(len(rows), np.int32), np.zeros(len(rows), np.int32)
     for i in range(len(rows)):
         index[i], distance[i] = _nearest(rows[i], centres, 0, len(centres), -1)
@@ -92,7 +92,7 @@ def nearest_rows(rows: BitRows, centres: BitRows) -> tuple[Words, Words]:
 
 @kernel
 def _words(rows: BitRows, branches: BitRows, leaves: BitRows, starts: Words) -> Words:
-    """Down the tree with as many probes as `_PROBES`."""
+    """Descend the tree with `_PROBES` probes."""
     words = np.zeros(len(rows), np.int32)
     for i in range(len(rows)):
         best, skipped = 64 * rows.shape[1] + 1, -1
@@ -107,7 +107,7 @@ def _words(rows: BitRows, branches: BitRows, leaves: BitRows, starts: Words) -> 
 
 @kernel
 def _nearest(row: BitRows, centres: BitRows, start: int, stop: int, skipped: int) -> tuple[int, int]:
-    """Index and distance of the nearest centre from start to stop but one; the first of equals."""
+    """Return index and distance of the nearest centre in [start, stop); the first of equals."""
     best, index = 64 * row.size + 1, start
     for j in range(start, stop):
         distance = _hamming(row, centres[j])
@@ -118,13 +118,13 @@ def _nearest(row: BitRows, centres: BitRows, start: int, stop: int, skipped: int
 
 @kernel
 def _hamming(a: BitRows, b: BitRows) -> int:
-    """Bits that differ between two rows of four words of 64 bits."""
+    """Return the number of different bits of two rows of four 64-bit words."""
     return ones(a[0] ^ b[0]) + ones(a[1] ^ b[1]) + ones(a[2] ^ b[2]) + ones(a[3] ^ b[3])
 
 
 @kernel
 def ones(x: np.uint64) -> int:
-    """Bits set; the compiler makes one instruction of it."""
+    """Return the number of set bits; this compiles to one instruction."""
     x = x - ((x >> np.uint64(1)) & np.uint64(0x5555555555555555))
     x = (x & np.uint64(0x3333333333333333)) + ((x >> np.uint64(2)) & np.uint64(0x3333333333333333))
     x = (x + (x >> np.uint64(4))) & np.uint64(0x0F0F0F0F0F0F0F0F)
@@ -134,7 +134,7 @@ def ones(x: np.uint64) -> int:
 
 @kernel
 def _majority(rows: BitRows, nearest: Words, centres: BitRows) -> None:
-    """Each bit of a centre as most of its members have it; a centre without members stays. In place."""
+    """Set each bit of a centre to the majority of its members, in place; without members it stays."""
     set_bits = np.zeros((len(centres), 64 * centres.shape[1]), np.int32)
     members = np.zeros(len(centres), np.int32)
     for i in range(len(rows)):

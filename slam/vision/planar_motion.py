@@ -10,20 +10,20 @@ import numpy as np
 from fusion.estimation import gate
 from slam.measurements import IN_PLANE, FloatArray
 
-# A floor is not flat and a robot sways: so much leaves the plane without being an error.
+# Motion out of the plane that is no error: floors are uneven and robots sway.
 _SWAY = 0.01  # radians and metres
 
 
 @dataclass(frozen=True, slots=True)
 class PlanarMotion:
-    """Motion of a robot's base on its floor.
+    """Planar motion of a robot's base.
 
     Attributes
     ----------
     motion, covariance
         (3,) x, y, yaw and (3, 3), in the plane.
     excess
-        Mean square of roll, pitch and height change in their standard deviations: about 1 for a robot.
+        Mean square of roll, pitch and height change in standard deviations: about 1 for a robot.
     """
 
     motion: FloatArray
@@ -32,7 +32,7 @@ class PlanarMotion:
 
     @property
     def leaves_the_floor(self) -> bool:
-        """Whether its covariance does not explain that it leaves the plane."""
+        """Return whether the motion out of the plane exceeds its covariance."""
         return self.excess > gate(3)
 
 
@@ -53,7 +53,7 @@ def planar_motion(
     T_base_camera
         Mounting.
     T_base_camera_before
-        Where the camera was seen from the base before the motion, if elsewhere.
+        Mounting before the motion, if different.
     """
     before = T_base_camera if T_base_camera_before is None else T_base_camera_before
     motion = before.compose(T_camera_camera).compose(T_base_camera.inverse())

@@ -13,13 +13,13 @@ from numpy.typing import NDArray
 
 from fusion.kernel import kernel
 
-SAME_SURFACE = np.float32(0.04)  # greatest relative difference of inverse depths of neighbours
+SAME_SURFACE = np.float32(0.04)  # largest relative difference of inverse depths of neighbours
 
 
 def fit_planes(
     inverse: NDArray[Any], radius: int, step: int, fx: float, fy: float, cx: float, cy: float
 ) -> NDArray[np.float32]:
-    """Plane of every ``step``-th window of ``inverse`` (H, W), 1/m.
+    """Fit a plane in every ``step``-th window of ``inverse`` (H, W), 1/m.
 
     Parameters
     ----------
@@ -29,13 +29,13 @@ def fit_planes(
     Returns
     -------
     planes
-        (rows, columns, 4) inverse depth and unit normal; zero where no plane is found.
+        (rows, columns, 4) inverse depth and unit normal; zero without a plane.
     """
     height, width = inverse.shape
     rows, columns = (max(-(-(side - 2 * radius) // step), 0) for side in (height, width))
-    # Columns that are a step apart lie side by side, (H, step, W / step).
+    # Columns a step apart are adjacent, (H, step, W / step).
     combed = np.pad(inverse, ((0, 0), (0, -width % step))).reshape(height, -1, step).transpose(0, 2, 1)
-    least = 0.5 * (2 * radius + 1) ** 2  # of a window's pixels on one surface
+    least = 0.5 * (2 * radius + 1) ** 2  # share of a window's pixels on one surface
     planes = np.zeros((rows, columns, 4), np.float32)
     room = (
         np.empty((9, columns), np.float32),
@@ -50,9 +50,9 @@ def fit_planes(
 def _fit_planes(  # type: ignore[no-untyped-def]
     combed, radius, fx, fy, cx, cy, least, planes, sums, line, gate
 ):
-    """Fit the planes, with room for the sums of a row of windows, of a line of them, and for its limits."""
+    """Fit the planes, with buffers for the sums of a row of windows, of a line, and for its limits."""
     step = combed.shape[1]
-    # Pixels on the surface, their offsets and products of them, and their differences w to the centre's
+    # Pixels on the surface, their offsets and products, and their differences w to the centre's
     # inverse depth with their products.
     sum_n, sum_u, sum_uu, sum_v, sum_vv = sums[0], sums[1], sums[2], sums[3], sums[4]
     sum_uv, sum_w, sum_wu, sum_wv = sums[5], sums[6], sums[7], sums[8]
@@ -92,7 +92,7 @@ def _fit_planes(  # type: ignore[no-untyped-def]
 
 @kernel(nogil=True, inline="always")
 def _sum_windows(combed, v, radius, sums, line, gate):  # type: ignore[no-untyped-def]
-    """Sums (9, columns) over the windows around row ``v`` of what is on their centres' surfaces.
+    """Compute sums (9, columns) over the windows around row ``v`` of pixels on their centres' surfaces.
 
     The rows are those that `_fit_planes` names; those of ``line`` are n, u, uu, w, wu.
     """
@@ -131,7 +131,7 @@ def _count(
     w: NDArray[Any],
     wu: NDArray[Any],
 ) -> None:
-    """Add the pixels on the centre's surface, their offset ``du``, their differences; without a branch."""
+    """Add the pixels on the centre's surface, their offset ``du`` and differences, branch-free."""
     for i in range(n.size):
         difference = beside[i] - centre[i]
         on = (abs(difference) <= gate[i]) & (beside[i] > np.float32(0.0))

@@ -14,7 +14,7 @@ Prepared = TypeVar("Prepared")
 def prefetched(
     items: Iterable[Item], prepare: Callable[[Item], Prepared], most_waiting: int = 3, threads: int = 1
 ) -> Iterator[Prepared]:
-    """Results of ``prepare`` in the order of the items, up to ``most_waiting`` of them computed in advance.
+    """Yield results of ``prepare`` in item order, up to ``most_waiting`` of them computed in advance.
 
     The order, and with it every result, is that of a plain loop; with several ``threads`` no item may change
     what another depends on. An error of ``prepare`` surfaces where its item's turn comes.

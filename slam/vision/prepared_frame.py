@@ -15,16 +15,16 @@ from slam.vision.surface import Surface, SurfacePoints, points_of, surface_of, w
 
 
 class PreparedFrame:
-    """A frame, and features and surfaces of it, each made when first asked for.
+    """A frame with its features and surfaces, each computed at first use.
 
     Parameters
     ----------
     frame
         The images.
     config
-        How many features and points, and at which resolution.
+        Numbers of features and points, and the resolution.
     registration
-        Where the colour camera sits; None if colour is registered to depth.
+        Pose of the colour camera; None if colour is registered to depth.
     features
         Where they are known.
     """
@@ -44,18 +44,18 @@ class PreparedFrame:
 
     @property
     def stamp_s(self) -> float:
-        """Time of the frame."""
+        """Return the stamp of the frame."""
         return self.frame.stamp_s
 
     def forget_surface(self) -> None:
-        """Give up what is large and quickly made again of the depth image."""
+        """Discard large data that are quickly recomputed from the depth image."""
         _ = self.median_depth_m
         self.__dict__.pop("surface", None)
         self.__dict__.pop("points", None)
 
     @cached_property
     def features(self) -> Features:
-        """At the full resolution, all of them in the depth camera's image."""
+        """Return features at full resolution, all in the depth camera's image."""
         depth_m = self.frame.depth_m
         features = extract_features(gray_of(self.frame), depth_m, self._config.features)
         if self._registration is None:
@@ -65,23 +65,23 @@ class PreparedFrame:
 
     @cached_property
     def depth(self) -> tuple[Float32Array, CameraIntrinsics]:
-        """The reduced depth image and its camera."""
+        """Return the reduced depth image and its intrinsics."""
         return working_depth(self.frame.depth_m, self.frame.intrinsics, self._config.working_width)
 
     @cached_property
     def points(self) -> SurfacePoints:
-        """Of the reduced depth image."""
+        """Return the surface points of the reduced depth image."""
         config = self._config
         return points_of(*self.depth, config.plane_radius, config.farthest_m, config.points)
 
     @cached_property
     def surface(self) -> Surface:
-        """The whole surface: only a keyframe needs it."""
+        """Return the whole surface, which only a keyframe needs."""
         return surface_of(*self.depth, self._config.plane_radius, self._config.farthest_m)
 
     @cached_property
     def median_depth_m(self) -> float:
-        """Median depth of the surface points; 1 where there are none."""
+        """Return the median depth of the surface points; 1 without any."""
         return float(np.median(self.points.points[:, 2])) if len(self.points) else 1.0
 
 
@@ -93,9 +93,9 @@ class FramePreparer:
     config
         How many of them, and at which resolution.
     registrations
-        Where the colour camera sits, by the camera's name; one that was not accepted changes nothing.
+        Registrations by camera name; one that was not accepted has no effect.
     idle
-        Whether frames are handed on without: what is needed of them is then made when it is needed.
+        Whether frames are returned without data, which are then computed at first use.
     """
 
     def __init__(
@@ -109,10 +109,10 @@ class FramePreparer:
         self._idle = idle
 
     def __call__(self, measurement: Measurement) -> Measurement | PreparedFrame:
-        """A frame with its features; anything else as it is."""
+        """Return a frame with its features; other measurements unchanged."""
         if not isinstance(measurement, RgbdFrame):
             return measurement
         frame = PreparedFrame(measurement, self._config, self._registrations.get(measurement.sensor))
         if not self._idle():
-            _ = frame.features, frame.points  # what a match needs
+            _ = frame.features, frame.points  # the data for a match
         return frame

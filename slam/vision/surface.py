@@ -17,13 +17,13 @@ from slam.vision.plane_windows import fit_planes
 
 @dataclass(frozen=True, slots=True)
 class Surface:
-    """What a keyframe offers to be matched against.
+    """Surface of a keyframe for matching.
 
     Attributes
     ----------
     planes
-        (H, W, 4) smoothed inverse depth, 1/m, and unit normal towards the camera, camera frame; zero where
-        there is no surface. What is asked of a pixel lies together.
+        (H, W, 4) smoothed inverse depth, 1/m, and unit normal towards the camera, camera frame; zero without
+        a surface. The values of a pixel are adjacent.
     intrinsics
         Of this image.
     """
@@ -34,7 +34,7 @@ class Surface:
 
 @dataclass(frozen=True, slots=True)
 class SurfacePoints:
-    """What a frame is matched by: points and unit normals, camera frame, the six rows of an array (6, N)."""
+    """Surface points of a frame: points and unit normals, camera frame, as rows of an array (6, N)."""
 
     rows: Float32Array
 
@@ -44,7 +44,7 @@ class SurfacePoints:
         return self.rows[:3].T
 
     def every(self, step: int) -> SurfacePoints:
-        """Some of them, evenly."""
+        """Return some of the points, evenly sampled."""
         return SurfacePoints(np.ascontiguousarray(self.rows[:, ::step]))
 
     def __len__(self) -> int:
@@ -54,9 +54,9 @@ class SurfacePoints:
 def working_depth(
     depth_m: Float32Array, intrinsics: CameraIntrinsics, width: int
 ) -> tuple[Float32Array, CameraIntrinsics]:
-    """Every n-th pixel of a depth image, so that at most ``width`` columns remain, and their intrinsics.
+    """Return every n-th pixel of a depth image with at most ``width`` columns, and its intrinsics.
 
-    Pixels are dropped, not averaged: an average over a rim is a point in mid air.
+    Pixels are dropped, not averaged: an average across an edge is a flying point.
     """
     step = -(-intrinsics.width // width)
     first = step // 2
@@ -74,7 +74,7 @@ def working_depth(
 def surface_of(
     depth_m: Float32Array, intrinsics: CameraIntrinsics, radius: int, farthest_m: float
 ) -> Surface:
-    """Smoothed depth and normals of every pixel.
+    """Return smoothed depth and normals of every pixel.
 
     Parameters
     ----------
@@ -83,7 +83,7 @@ def surface_of(
     radius
         Half size of the window in pixels.
     farthest_m
-        What lies behind is left out.
+        Farther readings are ignored.
     """
     inverse, k = _inverse(depth_m, farthest_m), intrinsics
     planes = np.zeros((*inverse.shape, 4), np.float32)
@@ -95,7 +95,7 @@ def surface_of(
 def points_of(
     depth_m: Float32Array, intrinsics: CameraIntrinsics, radius: int, farthest_m: float, count: int
 ) -> SurfacePoints:
-    """About ``count`` points with normals on an even lattice over the image."""
+    """Return about ``count`` points with normals on a regular grid over the image."""
     inverse = _inverse(depth_m, farthest_m)
     step = max(1, round(np.sqrt(np.count_nonzero(inverse) / count)))
     k = intrinsics
@@ -109,7 +109,7 @@ def points_of(
 
 
 def _inverse(depth_m: Float32Array, farthest_m: float) -> Float32Array:
-    """(H, W) inverse depth, 0 where there is no reading or one from behind ``farthest_m``."""
+    """Return (H, W) inverse depth, 0 without a reading or beyond ``farthest_m``."""
     with np.errstate(divide="ignore"):
         inverse = np.float32(1.0) / depth_m
     inverse[~((depth_m > 0.0) & (depth_m <= farthest_m))] = 0.0

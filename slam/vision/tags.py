@@ -28,15 +28,15 @@ class TagView:
     Attributes
     ----------
     number
-        In its family.
+        Number in its family.
     T_camera_tag
-        Its middle: x to the right of who looks at it, y up, z out of it.
+        Its centre: x to the right seen from the front, y up, z out of it.
     information
-        (6, 6) by corners that are 1 px off, GTSAM's tangent of the tag.
+        (6, 6) for corner errors of 1 px, GTSAM's tangent of the tag.
     misfit_px2
         Sum of the squared errors of the corners, of two degrees of freedom.
     lead_px2
-        By how much more the other pose misfits that four corners allow.
+        Excess squared error of the second pose that four corners allow.
     """
 
     number: int
@@ -46,9 +46,9 @@ class TagView:
     lead_px2: float
 
     def covariance(self, sigma_px: float) -> FloatArray:
-        """(6, 6) in GTSAM's tangent of the tag, for corners with so much noise.
+        """Return (6, 6) in GTSAM's tangent of the tag, for this corner noise.
 
-        Where another pose fits as well the tag tells its place alone.
+        If the second pose fits as well, the tag gives only its position.
         """
         covariance = np.asarray(sigma_px**2 * np.linalg.inv(self.information), np.float64)
         if self.lead_px2 < sigma_px**2 * gate():
@@ -59,7 +59,7 @@ class TagView:
 
 @cache
 def _dictionary(family: str) -> Any:
-    """OpenCV's, of a family."""
+    """Return OpenCV's dictionary of a family."""
     from cv2 import aruco  # slow to load
 
     kind = "" if "x" in family else "ARUCO_" if family[0] in "mo" else "APRILTAG_"
@@ -68,14 +68,14 @@ def _dictionary(family: str) -> Any:
 
 @cache
 def _detector(family: str) -> Any:
-    """OpenCV's, for a family."""
+    """Return OpenCV's detector for a family."""
     from cv2 import aruco
 
     return aruco.ArucoDetector(_dictionary(family), aruco.DetectorParameters())
 
 
 def tag_cells(family: str, number: int) -> BoolArray:
-    """(n, n) white cells of a tag: a white rim, the black one, and the bits within; the upper row first."""
+    """Return (n, n) the white cells of a tag: white border, black border, and bits; the upper row first."""
     from cv2 import aruco
 
     dictionary = _dictionary(family)
@@ -86,7 +86,7 @@ def tag_cells(family: str, number: int) -> BoolArray:
 
 
 def find_tags(color: ColorImage, intrinsics: CameraIntrinsics, places: KnownPlaces) -> list[TagView]:
-    """Tags in an image.
+    """Detect tags in an image.
 
     Parameters
     ----------
@@ -113,12 +113,12 @@ def find_tags(color: ColorImage, intrinsics: CameraIntrinsics, places: KnownPlac
 
 
 def _refined(gray: NDArray[np.uint8], corners: FloatArray, cells: int) -> FloatArray | None:
-    """Corners (4, 2) where lines meet that are laid through the edges of a square, as Wang and Olson 2016.
+    """Return corners (4, 2) as intersections of lines fitted to the edges, as Wang and Olson 2016.
 
-    OpenCV's own are those of a contour of whole pixels, half a pixel inside. None if the tag is too small
-    to tell its edges: OpenCV finds it all the same.
+    OpenCV's corners are of a contour of whole pixels, half a pixel inside. None if the tag is too small to
+    resolve its edges: OpenCV detects it anyway.
     """
-    # A cell off its ends, where the other edges are seen.
+    # One cell from its ends, where the other edges are visible.
     along = np.linspace(1.0, cells - 1.0, FEWEST) / cells
     for _ in range(ROUNDS):
         ends = np.roll(corners, -1, axis=0)
@@ -127,7 +127,7 @@ def _refined(gray: NDArray[np.uint8], corners: FloatArray, cells: int) -> FloatA
             return None  # a cell is a pixel: there is no edge to see
         ways = (ends - corners) / sides_px[:, None]
         outward = np.column_stack([ways[:, 1], -ways[:, 0]])
-        # Across each edge as far as the black rim reaches at its narrower end, white as wide beyond it.
+        # Across each edge by the width of the black border at its narrower end, and as far into the white.
         reach_px = np.minimum(np.roll(sides_px, 1), np.roll(sides_px, -1)) / cells
         across = np.linspace(-1.0, 1.0, FEWEST) * reach_px[:, None]
         points = corners[:, None] + along[:, None] * (ends - corners)[:, None]
@@ -136,7 +136,7 @@ def _refined(gray: NDArray[np.uint8], corners: FloatArray, cells: int) -> FloatA
         middles = 0.5 * (across[:, 1:] + across[:, :-1])
         off = np.sum(rise * middles[:, None], axis=2) / rise.sum(axis=2)
         slope, shift = np.polyfit(along - 0.5, off.T, 1)
-        # A line as where its ends are.
+        # A line by its end points.
         first = corners + (shift - 0.5 * slope)[:, None] * outward
         last = ends + (shift + 0.5 * slope)[:, None] * outward
         lines = np.cross(np.insert(first, 2, 1.0, axis=1), np.insert(last, 2, 1.0, axis=1))
@@ -152,7 +152,7 @@ def _refined(gray: NDArray[np.uint8], corners: FloatArray, cells: int) -> FloatA
 
 
 def _bilinear(gray: NDArray[np.uint8], points: FloatArray) -> FloatArray:
-    """Brightness (...) between the pixels of an image at points (..., 2), column and row."""
+    """Return the brightness (...) of an image at points (..., 2), column and row, bilinear."""
     most = np.array(gray.shape[::-1]) - 2
     whole = np.clip(np.floor(points).astype(np.int64), 0, most)
     (left, top), (right, down) = np.moveaxis(whole, -1, 0), np.moveaxis(points - whole, -1, 0)
@@ -162,10 +162,10 @@ def _bilinear(gray: NDArray[np.uint8], points: FloatArray) -> FloatArray:
 
 
 def _posed(number: int, corners_px: FloatArray, side_m: float, lens: CameraIntrinsics) -> TagView | None:
-    """Pose of a square by its corners (4, 2); None if there is none before the camera."""
+    """Return the pose of a square from its corners (4, 2); None if it is not in front of the camera."""
     import cv2
 
-    # Corners in the order of OpenCV: x to the right of who looks at it, y up.
+    # Corners in OpenCV's order: x to the right seen from the front, y up.
     square = 0.5 * side_m * np.array([[-1, 1, 0], [1, 1, 0], [1, -1, 0], [-1, -1, 0]])
     matrix = np.array([[lens.fx, 0, lens.cx], [0, lens.fy, lens.cy], [0, 0, 1.0]])
     count, turns, shifts, _ = cv2.solvePnPGeneric(
@@ -182,20 +182,20 @@ def _posed(number: int, corners_px: FloatArray, side_m: float, lens: CameraIntri
     if not fits:
         return None
     misfit, pose, points = min(fits, key=lambda fit: fit[0])
-    # Where the tag is much slanted, both end as the same.
+    # For a strongly tilted tag, both converge to the same pose.
     rivals = [fit[0] for fit in fits if not fit[1].equals(pose, 10 * SETTLED)]
     slopes = _slopes(points, square, np.asarray(pose.rotation().matrix()), lens)
     return TagView(number, pose, slopes.T @ slopes, misfit, min(rivals, default=math.inf) - misfit)
 
 
 def _slopes(points: FloatArray, square: FloatArray, turn: FloatArray, lens: CameraIntrinsics) -> FloatArray:
-    """(8, 6) of the corners' pixels by GTSAM's tangent of the tag: a turn, then a shift, in its own axes."""
+    """Return (8, 6) derivatives of the corners' pixels by GTSAM's tangent of the tag, in its own axes."""
     (x, y, z), nothing = points.T, np.zeros(len(points))
     by_point = np.array(
         [[lens.fx / z, nothing, -lens.fx * x / z**2], [nothing, lens.fy / z, -lens.fy * y / z**2]]
     )
     by_point = np.moveaxis(by_point, 2, 0)
-    # Each row crossed with the corner: what a turn moves it by.
+    # Each row crossed with the corner: its motion by a rotation.
     crossed = np.cross(np.eye(3)[None], square[:, None])
     by_tag = turn @ np.concatenate(
         [crossed.transpose(0, 2, 1), np.tile(np.eye(3), (len(square), 1, 1))], axis=2

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 @dataclass(slots=True)
 class VisualKeyframe:
-    """A frame of the local map and where its camera stood, ``T_odom_camera``."""
+    """A frame of the local map and the pose of its camera, ``T_odom_camera``."""
 
     frame: PreparedFrame
     pose: gtsam.Pose3
@@ -34,9 +34,9 @@ class VisualMatch:
     motion
         ``T_odom_camera`` with its covariance, camera frame, GTSAM's order.
     overlap
-        Share of the image that the keyframes know, 0..1.
+        Share of the image seen by the keyframes, 0..1.
     feature_count
-        Features that agree.
+        Number of feature inliers.
     residual_px
         Robust sigma of their reprojection.
     """
@@ -48,23 +48,23 @@ class VisualMatch:
 
     @property
     def pose(self) -> gtsam.Pose3:
-        """``T_odom_camera``."""
+        """Return ``T_odom_camera``."""
         return cast(gtsam.Pose3, self.motion.T_reference_base)
 
 
 def covariance_of(
     information: FloatArray, inlier_share: float, config: MatchConfig
 ) -> tuple[FloatArray, FloatArray]:
-    """Covariance (6, 6) of an alignment and its weak direction (6,), zero where all are determined.
+    """Return the covariance (6, 6) of an alignment and its weak direction (6,), zero if all are determined.
 
-    A translation is degenerate whose sigma exceeds a fifth of what is given to a weak axis on top.
+    A translation is degenerate if its sigma exceeds a fifth of the sigma added to a weak axis.
     """
     eigenvalues, eigenvectors = np.linalg.eigh(information)
     least = 1.0 / config.degenerate_sigma_m**2
     covariance = (eigenvectors / np.maximum(eigenvalues, least)) @ eigenvectors.T
-    # Readings that fit nothing are a doubt about all the others.
+    # Readings without a fit reduce the trust in all others.
     covariance /= max(inlier_share, 0.1) ** 2
-    # An image is taken at once, while a lidar turns: half of what a scan may be off by.
+    # An image is taken at once, a scan during a revolution: its error limit is half that of a scan.
     floor = 0.25 * np.repeat([config.floor_rad**2, config.floor_m**2], 3)
     covariance = 0.5 * (covariance + covariance.T) + np.diag(floor)
     variances, axes = np.linalg.eigh(covariance[3:, 3:])
@@ -76,7 +76,7 @@ def covariance_of(
 
 
 def dissimilarity(pose: gtsam.Pose3, other: gtsam.Pose3, depth_m: float) -> float:
-    """How differently two cameras see: travel in depths of the scene and turn in radians, together."""
+    """Return the difference of two views: translation in scene depths plus rotation in radians."""
     step = pose.between(other)
     travel = float(np.linalg.norm(step.translation())) / depth_m
     return math.hypot(travel, float(np.linalg.norm(gtsam.Rot3.Logmap(step.rotation()))))

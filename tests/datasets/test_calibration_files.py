@@ -136,7 +136,7 @@ def test_a_file_that_was_given_must_tell_something_and_comes_first(tmp_path: Pat
     found = known_beside(log, [given]).lens("color")
     assert found is not None and found.lens is not None and found.lens.intrinsics.fx == 555.5
     given.write_text("title: a recipe\n")
-    with pytest.raises(DatasetError, match="tells no lens"):
+    with pytest.raises(DatasetError, match="neither lens"):
         known_beside(log, [given])
 
 

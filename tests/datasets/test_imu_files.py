@@ -231,7 +231,7 @@ def test_an_imu_on_two_topics_is_joined(tmp_path: Path, rates: str, forces: str)
         )
         assert {one.sensor for one in found} == {rates} and not dataset.report.dropped
         (note,) = [note for note in dataset.report.notes if "joined" in note]
-        assert forces in note and "5 turn rates" in note
+        assert forces in note and "5 angular rates" in note
     uses = {use["sensor"]: use["why_not"] for use in inspect_dataset(dataset)["uses"]}
     assert uses[rates] == uses[forces] == ""
 

@@ -17,7 +17,7 @@ import pytest
 from rgbd_files import write_tum
 from typer.testing import CliRunner
 
-from slam.cli import app
+from slam.cli.commands import app
 from slam.datasets import ReadReport, open_dataset
 from slam.datasets.inspection import inspect_dataset
 from slam.errors import EvaluationError

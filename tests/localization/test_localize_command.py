@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from slam.cli import app
+from slam.cli.commands import app
 from slam.errors import MapFileError
 from slam.simulation.synthetic_log import write_synthetic_log
 from slam.storage.tum import read_tum

@@ -16,7 +16,7 @@ from memory_drives import MemoryLog
 from room_world import SMALL, T_BODY_CAMERA, blind, furnished, render
 from typer.testing import CliRunner
 
-from slam.cli import app
+from slam.cli.commands import app
 from slam.config import load_config
 from slam.errors import ScanweaveError
 from slam.evaluation.map_info import map_info

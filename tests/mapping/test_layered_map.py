@@ -189,7 +189,7 @@ def test_grids_of_different_sizes_are_laid_on_one_lattice(yaw):
     assert picture("decision") == ["##..", "...#", "...#", "...o"]
     assert built.grid("lidar").T_map_grid.equals(laid(drawn("#"), yaw, 3, -3).T_map_grid, 1e-12)
     for other in (laid(drawn("#"), yaw, 3.4, 0), laid(drawn("#"), yaw + 0.1, 3, 0)):
-        with pytest.raises(ScanweaveError, match="do not lie on one lattice"):
+        with pytest.raises(ScanweaveError, match="misaligned cells"):
             LayeredMap(built.lidar, other)
     with pytest.raises(ConfigError, match="must be cautious, corrected, printed"):
         DecisionRule("guessed")
@@ -217,7 +217,7 @@ def test_a_far_hit_weighs_less_and_bad_input_is_refused():
     builder = LayerBuilder(SETTINGS)
     with pytest.raises(ScanweaveError, match="its pose is lost"):
         builder.add(scan(), gtsam.Pose2(math.nan, 0, 0))
-    with pytest.raises(ScanweaveError, match="where it sits"):
+    with pytest.raises(ScanweaveError, match="no known mounting"):
         builder.add(replace(frame(), T_base_camera=None), gtsam.Pose2())
     with pytest.raises(ScanweaveError, match="the limit"):
         LayerBuilder(replace(SETTINGS, max_cells=4)).add(scan(), gtsam.Pose2())

@@ -261,6 +261,11 @@ def test_the_page_of_a_joined_map_is_of_both_and_each_session_keeps_its_own(
     assert (joined / "report-2.html").is_file()
     found = load_map(joined)
     assert found.digest[:12] in (joined / "report.html").read_text()
+    travel_m = sum(
+        float(np.linalg.norm(np.diff(part, axis=0), axis=1).sum())
+        for part in np.split(found.trajectory.positions_m, [found.sessions[0].poses])
+    )
+    assert f"{travel_m:,.1f} m" in (joined / "report.html").read_text()  # not the jump between the two
     found.close()
 
 

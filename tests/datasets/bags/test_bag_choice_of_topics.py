@@ -113,7 +113,7 @@ def test_pictures_of_a_lidar_are_no_camera(tmp_path: Path) -> None:
     ]
     found, dataset = read(tmp_path, [lidar(START_S, "/ouster/points", "os_sensor"), *pictures])
     assert {one.sensor for one in found} == {"/ouster/points"}
-    assert sum("a picture of what the lidar" in why for why in dataset.report.reasons.values()) == 4
+    assert sum("an image of the lidar data" in why for why in dataset.report.reasons.values()) == 4
 
 
 def piece(number: int, of: int) -> Sent:
@@ -174,7 +174,7 @@ def test_the_wheels_come_before_estimates_and_the_truth_is_no_odometry(tmp_path:
     found, dataset = read(tmp_path, sent)
     assert {one.T_odom_base.x() for one in found if isinstance(one, WheelOdometry)} == {2.0}
     why = {name.split(" (")[0]: text for name, text in dataset.report.reasons.items()}
-    assert "it is the truth" in why["/ground_truth/odom"]
+    assert "it is ground truth" in why["/ground_truth/odom"]
     assert "estimate in world" in why["/vins/odometry"]
     assert why["/odometry/filtered"].startswith("/wheel/odometry is read")
     found, _ = read(tmp_path, sent, "/odometry/filtered")
@@ -228,7 +228,7 @@ def test_inspect_gives_a_command_a_robot(tmp_path: Path) -> None:
     ("sent", "said"),
     [
         ([image("/camera/color/image_raw", COLOR, "rgb8")], "no usable scan, cloud, RGB-D pair or odometry"),
-        ([odometry(START_S)], "nothing that sees is used"),
+        ([odometry(START_S)], "no sensor of the surroundings is used"),
     ],
 )
 def test_inspect_tells_what_is_in_a_bag_that_cannot_be_mapped(
@@ -281,7 +281,7 @@ def test_the_truth_is_read_and_compared_with(tmp_path: Path, kind: str) -> None:
     assert np.allclose(truth.positions_m, [[10.0 * n, 1.0, 2.0] for n in range(3)])
     assert np.allclose(truth.quaternions_xyzw, [[0, 0, 0.6, 0.8]] * 3)
     assert any(
-        name.startswith(topic) and "it is the truth" in why for name, why in dataset.report.reasons.items()
+        name.startswith(topic) and "it is ground truth" in why for name, why in dataset.report.reasons.items()
     )
 
 

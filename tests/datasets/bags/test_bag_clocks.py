@@ -31,7 +31,7 @@ def test_where_a_driver_sets_no_stamps_the_recorders_clock_is_taken(tmp_path: Pa
     found, dataset = read(tmp_path, [*scans, odometry(START_S)])
     stamps = [one.stamp_s for one in found if isinstance(one, LaserScan)]
     assert stamps == pytest.approx([START_S, START_S + 0.1, START_S + 0.2], abs=1e-6)
-    assert any("recorder's clock is taken" in text for text in dataset.report.warnings)
+    assert any("recorder's clock is used" in text for text in dataset.report.warnings)
 
 
 def test_a_clock_since_the_start_of_the_sensor_is_brought_to_the_others(tmp_path: Path) -> None:

@@ -66,7 +66,7 @@ def test_a_recording_of_librealsense_has_its_unit_its_lenses_and_its_colour_in_p
     inside = (wanted > 4.0) & (wanted < 250.0)
     assert inside.sum() > 50
     assert np.abs(frame.color[20, :, 0] - wanted)[inside].max() <= 2.0
-    assert any("step of depth is 0.0001 m" in note for note in dataset.report.notes)
+    assert any("depth unit is 0.0001 m" in note for note in dataset.report.notes)
     why = dataset.report.reasons
     assert not any("Units" in name or "/tf/" in name for name in why)
     assert any("Infrared" in name for name in why)

@@ -63,7 +63,7 @@ def uses(folder: Path, sent: list[Sent], topics: tuple[str, ...] = ()) -> dict[s
         (clouds("body", "optical", 0.03), "its frame is optical"),
         (clouds("around", OPTICAL, 0.03), "its frame is"),
         (clouds("body", "camera_link"), "its stamps are those of"),
-        (clouds("optical", "camera_link", 0.03), "it looks along z"),
+        (clouds("optical", "camera_link", 0.03), "its view is along z"),
         (clouds("body", "camera_link", 0.03, height=4, width=75), "in the order of an image"),
     ],
 )
