@@ -34,9 +34,9 @@ from slam.result_cache import COMPUTED, ResultCache
 
 
 class _Judged(NamedTuple):
-    """What a set costs: squared sigmas of the bend that it asks of what is known, and a gate for each fault.
+    """Cost of a set: squared sigmas by which it bends the known motion, and a gate for each fault.
 
-    And how uncertain what is known is, in metres; and the poses (n, 3), of several faults as they have them.
+    Also the sigma of the known motion in metres, and the poses (n, 3), corrected if there are several faults.
     """
 
     cost: float
@@ -253,7 +253,7 @@ class PlaceSearch:
         poses: FloatArray,
         known: UncertaintyGraph,
     ) -> list[LoopCandidate]:
-        """A set with the claims that follow from it, if enough of its surroundings fit; else nothing."""
+        """Return a set with the claims that follow from it, if enough of its surroundings fit."""
         trial, stretches, reach_m = self._trial, self._stretches, self._config.reach_m
         assert trial is not None and stretches is not None
         # What contradicts more than one fault explains must be so many times as long.
@@ -295,9 +295,9 @@ class PlaceSearch:
         return len(same - {claim.keyframe for claim in members}) - otherwise
 
     def _cost(self, members: Sequence[LoopCandidate], known: Known) -> _Judged:
-        """What a set asks of what is known; infinite where nothing can be learned.
+        """Return the cost of a set without faults; infinite if it adds no information.
 
-        That is where what is known is as certain as a search would be. No poses where faults may explain it.
+        That is so if the known motion is as certain as a search. The poses are None if faults may explain it.
         """
         assert self._faulty is not None
         expected = [known(one.place, one.keyframe) for one in members]
@@ -312,7 +312,7 @@ class PlaceSearch:
         return _Judged(cost, sigma_m, self._faulty.poses if cost <= self._gate else None)
 
     def _with_faults(self, members: Sequence[LoopCandidate], known: Known, plain: _Judged) -> _Judged:
-        """The same where faults of the way explain it better: each costs a gate."""
+        """Return the cost with faults of the path if these explain it better: each costs a gate."""
         assert self._faulty is not None
         expected = [known(one.place, one.keyframe) for one in members]
         asked = [self._bend(one, way) for one, way in zip(members, expected, strict=True)]
