@@ -1,4 +1,4 @@
-"""Lenses and mountings of a bag's sensors by files, beside what the bag itself tells."""
+"""Intrinsics and mountings of a bag's sensors from calibration files, in addition to the bag's own."""
 
 from __future__ import annotations
 
@@ -17,16 +17,16 @@ from slam.datasets.calibration_formats import FileTransform
 
 @dataclass(slots=True)
 class FileFacts:
-    """What files tell of a bag's sensors.
+    """What calibration files contain about a bag's sensors.
 
     Attributes
     ----------
     known
-        All that the files tell.
+        The contents of all files.
     notes
-        What was taken from which file, and where it contradicts the bag.
+        What was used from which file, and where a file contradicts the bag.
     used
-        Names of the files that something was taken from.
+        Names of the files of which something was used.
     """
 
     known: KnownCalibration
@@ -34,7 +34,7 @@ class FileFacts:
     used: set[str] = field(default_factory=set)
 
     def place(self, survey: Survey) -> None:
-        """Add the mountings to a bag's tree of frames: where files are believed first in place of its own."""
+        """Add the mountings to a bag's frame tree; files that have priority replace the bag's own."""
         self.notes += self.known.notes
         names = self._frames_of_names(survey)
         for told in self.known.transforms:
@@ -50,7 +50,7 @@ class FileFacts:
             self.notes.append(f"mountings by {source}")
 
     def lens(self, survey: Survey, topic: str, own: Lens | None) -> Lens | None:
-        """The lens of an image topic: of a file that is believed first, else the bag's, else of any file."""
+        """The lens of an image topic: from a file with priority, else from the bag, else from any file."""
         role = "depth" if survey.depths.get(topic) else "color"
         names = [topic, survey.frames.get(topic, "")]
         found = self.known.lens(role, names, survey.sizes.get(topic))
@@ -68,7 +68,7 @@ class FileFacts:
         return found.lens
 
     def mount(self, kind: str, topic: str, own: gtsam.Pose3 | None, *, only: bool) -> gtsam.Pose3 | None:
-        """Where the only "camera" or "lidar" sits: by our own file, else as the bag tells."""
+        """Pose of the only "camera" or "lidar": from a `calibration.yaml`, else from the bag."""
         told = self.known.T_base_camera if kind == "camera" else self.known.T_base_lidar
         if told is None or not only:
             return own
@@ -80,7 +80,7 @@ class FileFacts:
         return pose
 
     def depth_steps_per_m(self, name: str, own: float | None) -> float | None:
-        """What a camera's depth images write for a metre, None where nothing tells."""
+        """Depth units per metre of a camera's depth images, None if unknown."""
         told = self.known.depth_steps_per_m()
         if told is None:
             return own
@@ -92,14 +92,14 @@ class FileFacts:
         return steps
 
     def unused(self) -> list[str]:
-        """Files that were given and from which nothing was taken."""
+        """Files that the user gave and of which nothing was used."""
         return [
             f"warning: {source} describes no sensor that is read"
             for source in sorted(self.known.sure - self.used)
         ]
 
     def _frames_of_names(self, survey: Survey) -> dict[str, str]:
-        """The bag's frames by names of the files: cameras by their topics, one lidar or IMU by its kind."""
+        """The bag's frames for frame names in files: cameras by topic, a single lidar or IMU by type."""
         names = {}
         for camera in self.known.cameras:
             if camera.frame and (
@@ -115,7 +115,7 @@ class FileFacts:
         return names
 
     def _compare(self, what: str, told: FileTransform, other: gtsam.Pose3, *, sure: bool) -> None:
-        """Tell both values where a file and the bag contradict each other."""
+        """Report both values if a file and the bag contradict each other."""
         if differs(told.pose, other):
             self.notes.append(
                 f"warning: {what}: {told.source} says {_told(told.pose)}, the bag says {_told(other)}; "
@@ -124,7 +124,7 @@ class FileFacts:
 
 
 def _told(pose: gtsam.Pose3) -> str:
-    """A mounting for people."""
+    """A mounting as text for the user."""
     x, y, z = pose.translation()
     roll, pitch, yaw = np.degrees(pose.rotation().rpy())
     return f"x {x:.3f} y {y:.3f} z {z:.3f} m, roll {roll:.1f} pitch {pitch:.1f} yaw {yaw:.1f} degrees"

@@ -1,4 +1,4 @@
-"""Pairs of image messages as frames: distortion taken out, colour brought into the depth camera's view."""
+"""Converts pairs of image messages to frames: undistorted, colour projected into the depth camera."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from slam.measurements import CameraIntrinsics, ColorImage, Float32Array, RgbdFr
 
 _Maps = tuple[NDArray[np.float32], NDArray[np.float32]]
 _View = tuple[_Maps | None, ColorView | None]
-APART_M = 0.001  # colour and depth that are nearer than that are one camera
+APART_M = 0.001  # colour and depth closer than this are one camera
 
 ASSUMED = "no CameraInfo: intrinsics assumed (525 525 319.5 239.5 at 640 x 480)"
 
@@ -34,15 +34,15 @@ class BagCamera:
     sensor
         Its name.
     depth_lens, color_lens
-        None where no CameraInfo goes with the topic.
+        None if the topic has no CameraInfo.
     T_depth_color
-        Of the colour camera's optical frame in that of the depth camera.
+        Pose of the colour camera's optical frame in that of the depth camera.
     T_base_camera
-        Of the depth camera's optical frame; None where tf does not tell it.
+        Pose of the depth camera's optical frame; None if tf does not contain it.
     tolerance_s
-        Greatest time between the two images of a pair.
+        Maximum time difference between the two images of a pair.
     depth_steps_per_m
-        What 16-bit depth images write for a metre.
+        Units per metre of 16-bit depth images.
     """
 
     sensor: str
@@ -57,7 +57,7 @@ class BagCamera:
 
     @property
     def assumed(self) -> str:
-        """Why the intrinsics are a guess; empty where the bag gives them."""
+        """Why the intrinsics are assumed; empty if the bag contains them."""
         return "" if self.depth_lens or self.color_lens else ASSUMED
 
     def frame(self, pair: ImagePair, budget: Budget) -> RgbdFrame:
@@ -66,8 +66,8 @@ class BagCamera:
         Raises
         ------
         RecordFault
-            An image is damaged or of an encoding that is not read, the sizes fit no known lens, or the
-            budget is used up.
+            An image is damaged or has an unsupported encoding, the sizes fit no known lens, or the budget is
+            exhausted.
         """
         depth_m = depth_of(pair.depth.message, budget, self.depth_steps_per_m)
         depth_m = self.flat_depth(depth_m)
@@ -77,13 +77,13 @@ class BagCamera:
         return RgbdFrame(pair.color.stamp_s, color, depth_m, intrinsics, self.T_base_camera, self.sensor)
 
     def _intrinsics(self, width: int, height: int) -> CameraIntrinsics:
-        """Of depth images of a size; by the colour camera's lens where only that is known."""
+        """Intrinsics for depth images of this size; from the colour camera's lens if only that is known."""
         lens = self.depth_lens or self.color_lens
         known = Calibration(lens.intrinsics if lens else KINECT, 1.0, assumed=self.assumed)
         return known.intrinsics_for(width, height)
 
     def flat_depth(self, depth_m: Float32Array) -> Float32Array:
-        """Depth without distortion: each pixel takes the nearest reading, none are mixed."""
+        """Undistorted depth: nearest-neighbour lookup, so no two readings are averaged."""
         size = (depth_m.shape[1], depth_m.shape[0])
         if size not in self._depth_maps:
             lens = _at(self.depth_lens, size)
@@ -96,11 +96,11 @@ class BagCamera:
         return np.asarray(cv2.remap(depth_m, *maps, cv2.INTER_NEAREST), dtype=np.float32)
 
     def fitted(self, color: ColorImage, depth_m: Float32Array, wanted: CameraIntrinsics) -> ColorImage:
-        """Colour as the depth camera would see it."""
+        """The colour image as seen from the depth camera."""
         size = (color.shape[1], color.shape[0])
         key = (*size, wanted.width, wanted.height)
         if key not in self._color_views:
-            self._color_views.clear()  # one image may be of any size: what the latest needs is kept
+            self._color_views.clear()  # images may have any size: keep only the latest view
             self._color_views[key] = self._view_of_color(size, wanted)
         maps, beside = self._color_views[key]
         import cv2
@@ -114,14 +114,14 @@ class BagCamera:
         return resized(color, (wanted.width, wanted.height))
 
     def _view_of_color(self, size: tuple[int, int], wanted: CameraIntrinsics) -> _View:
-        """Where pixels are looked up; neither where the views differ in size alone.
+        """Lookup maps of the pixels; none if the views differ only in size.
 
-        By one map from the same place, where nothing depends on depth; else without distortion first, and
-        then by the depth of each pixel.
+        One map if both cameras are at the same place, because then nothing depends on depth; otherwise the
+        image is first undistorted and then looked up by the depth of each pixel.
         """
         lens = _at(self.color_lens, size)
         if lens is None:
-            # Without a lens of its own, colour of the same proportions is taken as already registered.
+            # Without its own lens, a colour image of the same aspect ratio counts as already registered.
             if not same_aspect(size, (wanted.width, wanted.height)):
                 text = f"{size[0]} x {size[1]} and {wanted.width} x {wanted.height}"
                 raise RecordFault(SIZES_DIFFER, f"{text}; give the intrinsics of each by --calibration")
@@ -132,7 +132,7 @@ class BagCamera:
 
 
 def _at(lens: Lens | None, size: tuple[int, int]) -> Lens | None:
-    """A lens for images of a size; None where there is none, or the images show another part of the scene."""
+    """A lens for images of this size; None if there is none, or if the images show another field of view."""
     if lens is None:
         return None
     try:

@@ -1,4 +1,4 @@
-"""Which clouds of a bag a depth camera has made: the same readings as its images, and no lidar's."""
+"""Finds the clouds of a bag that come from a depth camera: they repeat its images and are no lidar's."""
 
 from __future__ import annotations
 
@@ -7,11 +7,11 @@ from slam.datasets.bags.survey import Survey
 
 
 def camera_clouds(survey: Survey) -> dict[str, str]:
-    """Topics of such clouds, with what tells so.
+    """Topics of such clouds, with the reason.
 
-    Their frame is a camera's, and their points have no times of their own; or all their points are within a
-    camera's view, and their axes, frame, order or stamps are a camera's: a lidar that turns sees all around,
-    and one that does not is in a frame, and at times, of its own.
+    Their frame is a camera's and their points have no timestamps; or all points are in a camera's field of
+    view, and their axes, frame, order or stamps are a camera's. A spinning lidar sees in all directions; a
+    solid-state lidar has a frame and stamps of its own.
     """
     frames = {frame_name(lens.header.frame_id): topic for topic, lens in survey.lenses.items()}
     frames |= {survey.frames[topic]: topic for topic in survey.stamps_s if topic in survey.frames}

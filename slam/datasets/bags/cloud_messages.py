@@ -1,4 +1,4 @@
-"""Clouds of other messages with the fields of a PointCloud2, and the old PointCloud among them."""
+"""Converts clouds of other message types, including the old PointCloud, to the fields of a PointCloud2."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ _MOST_CHANNELS = 64
 
 
 def as_cloud(header: Any, columns: Mapping[str, NDArray[Any]]) -> SimpleNamespace:
-    """Columns of a cloud as a message; ``x``, ``y`` and ``z`` are among them, (N,) each."""
+    """A message made of the columns of a cloud; ``x``, ``y`` and ``z`` are among them, (N,) each."""
     table = np.stack([np.asarray(column, dtype="<f4").ravel() for column in columns.values()], axis=1)
     return SimpleNamespace(
         header=header,
@@ -35,19 +35,19 @@ def as_cloud(header: Any, columns: Mapping[str, NDArray[Any]]) -> SimpleNamespac
 
 
 def header_at(stamp_s: float, frame: str) -> SimpleNamespace:
-    """A header by seconds."""
+    """A header with a stamp in seconds."""
     sec = int(stamp_s)
     stamp = SimpleNamespace(sec=sec, nanosec=min(round((stamp_s - sec) * 1e9), 999_999_999))
     return SimpleNamespace(stamp=stamp, frame_id=frame)
 
 
 class Wire:
-    """Serialised bytes read one field after the other, of ROS 1 or in CDR.
+    """Reads serialised bytes field by field, of ROS 1 or CDR.
 
     Raises
     ------
     struct.error, ValueError
-        Of all methods: bytes are missing, or there are too many.
+        From all methods: bytes are missing, or there are too many.
     """
 
     def __init__(self, content: bytes, wire: str) -> None:
@@ -69,12 +69,12 @@ class Wire:
         return bytes(self._taken(self.number(), "u1")).rstrip(b"\0").decode("utf-8", "replace")
 
     def header(self) -> SimpleNamespace:
-        """The header that a message begins with."""
+        """The header at the start of a message."""
         stamp = SimpleNamespace(sec=self.number(), nanosec=self.number())
         return SimpleNamespace(stamp=stamp, frame_id=self.text())
 
     def floats(self, per_item: int) -> NDArray[Any]:
-        """(N, per_item) of a list of items of floats."""
+        """(N, per_item) values of a list whose items consist of floats."""
         return self._taken(self.number() * per_item, f"{self.order}f4").reshape(-1, per_item)
 
     def _taken(self, count: int, kind: str) -> NDArray[Any]:
@@ -87,9 +87,9 @@ class Wire:
 
 
 def point_cloud(content: bytes, wire: str) -> SimpleNamespace:
-    """A sensor_msgs/PointCloud, of the first years of ROS, as a PointCloud2.
+    """Convert a sensor_msgs/PointCloud, of the first years of ROS, to a PointCloud2.
 
-    Decoded here since each of its points is a record of its own.
+    Decoded here because each of its points is a separate record.
 
     Raises
     ------

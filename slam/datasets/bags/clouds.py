@@ -1,4 +1,4 @@
-"""PointCloud2 messages as clouds, with the time of each point where the message has it."""
+"""Converts PointCloud2 messages to clouds, with the time of each point if the message contains it."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ NO_POINTS = "point cloud without a valid point"
 
 _KINDS = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 8: "f8"}  # sensor_msgs/PointField
 LEAST_POINTS = _DIRECTIONS = 36  # of ten degrees each
-_HALF_VIEW_RAD = math.radians(65.0)  # of the widest depth cameras (Azure Kinect, 120 degrees), with slack
+_HALF_VIEW_RAD = math.radians(65.0)  # the widest depth camera (Azure Kinect, 120 degrees) and a margin
 
 
 @dataclass(slots=True)
@@ -33,11 +33,11 @@ class CloudReader:
     Attributes
     ----------
     topic
-        The name of the sensor.
+        Name of the sensor.
     T_base_lidar
-        Its mounting.
+        Its pose on the robot.
     times
-        Which field and unit the times of its points are in.
+        Field and unit of the point times.
     """
 
     topic: str
@@ -45,12 +45,12 @@ class CloudReader:
     times: PointTimes = field(default_factory=PointTimes)
 
     def read(self, message: Any) -> PointCloud:
-        """A cloud; points that are not finite, or at the lidar itself (no return), are left out.
+        """A cloud without points that are not finite or lie at the lidar itself (no return).
 
         Raises
         ------
         RecordFault
-            No x, y and z in the layout, fewer bytes than it says, or not a valid point.
+            The layout has no x, y and z, bytes are missing, or no point is valid.
         """
         rows = _rows(message)
         stamp_s = stamp_of(message.header)
@@ -69,12 +69,12 @@ class CloudReader:
 
 @dataclass(slots=True)
 class TurnReader:
-    """Clouds of one topic whose messages are pieces of a turn, such as packets: pieces put together.
+    """Assembles the clouds of a topic whose messages are parts of a revolution, such as packets.
 
     Attributes
     ----------
     reader
-        Of the pieces.
+        Reads the parts.
     """
 
     reader: CloudReader
@@ -83,7 +83,7 @@ class TurnReader:
     _turned_rad: float = 0.0
 
     def read(self, message: Any) -> list[Measurement]:
-        """The turn that a piece completes, stamped as its first; else nothing. See `CloudReader.read`."""
+        """The revolution that this part completes, with the stamp of its first part; else nothing."""
         piece = self.reader.read(message)
         ahead_rad = direction_rad(piece.points_lidar)
         if self._pieces and not 0.0 <= piece.stamp_s - self._pieces[0].stamp_s < LONGEST_TURN_S:
@@ -95,7 +95,7 @@ class TurnReader:
         self._pieces.append(piece)
         self._ahead_rad = ahead_rad
         steps = len(self._pieces) - 1
-        # Each piece is as wide as a step; half of one is slack.
+        # Each part is as wide as a step; the tolerance is half a step.
         if not steps or abs(self._turned_rad) * (steps + 1.5) < 2.0 * math.pi * steps:
             return []
         pieces, self._pieces = self._pieces, []
@@ -113,7 +113,7 @@ class TurnReader:
 
 
 def direction_rad(points: Float32Array) -> float:
-    """The bearing about z in which (N, 3) points lie, in the mean."""
+    """Mean bearing about z of (N, 3) points."""
     bearings = np.arctan2(points[:, 1], points[:, 0])
     return math.atan2(float(np.sin(bearings).mean()), float(np.cos(bearings).mean()))
 
@@ -125,17 +125,18 @@ class CloudView:
     Attributes
     ----------
     rows
-        Rows of its points; 1 where they are not in the order of an image.
+        Number of point rows; 1 if the points are not ordered like an image.
     along
-        The axis, x, y or z, about which all points lie within what a camera can see; empty where they do not.
+        The axis, x, y or z, around which all points are within a camera's field of view; empty if there is
+        none.
     points
-        How many there are.
+        Number of points.
     around
-        Share of all directions about z in which there is a point.
+        Fraction of the directions about z that contain a point.
     timed
-        Whether its points tell their times.
+        Whether its points have timestamps.
     ahead_rad, width_rad
-        The bearing about z in which they lie, and how wide they spread if they do so evenly.
+        Mean bearing of the points about z, and the width of their spread, if it is uniform.
     """
 
     stamp_s: float
@@ -148,7 +149,7 @@ class CloudView:
     width_rad: float = 0.0
 
     def turns_to(self, next_one: CloudView) -> bool:
-        """Whether each is a piece of a turn, the next one beside this."""
+        """Whether both are parts of a revolution, the next one adjacent to this one."""
         turned_rad = abs(math.remainder(next_one.ahead_rad - self.ahead_rad, 2.0 * math.pi))
         width_rad = max(self.width_rad, next_one.width_rad)
         return width_rad < math.pi and 0.5 * width_rad < turned_rad < 1.5 * width_rad
@@ -163,7 +164,7 @@ def cloud_view(message: Any) -> CloudView:
         As `CloudReader.read`.
     """
     cloud = CloudReader("", gtsam.Pose3()).read(message)
-    points = cloud.points_lidar.astype(np.float64)  # a damaged one is too large for half the digits
+    points = cloud.points_lidar.astype(np.float64)  # a damaged value can exceed single precision
     ahead = points / np.linalg.norm(points, axis=1, keepdims=True)
     seen = (ahead > math.cos(_HALF_VIEW_RAD)).mean(axis=0)
     along = [axis for axis, share in zip("xyz", seen, strict=True) if share > CONFIDENCE]
@@ -171,7 +172,7 @@ def cloud_view(message: Any) -> CloudView:
     around = np.unique(np.floor(bearings * _DIRECTIONS)).size / _DIRECTIONS
     ahead_rad = direction_rad(cloud.points_lidar)
     off_ahead = bearings - ahead_rad / (2.0 * math.pi)
-    # The deviation of an even spread is its width by the root of twelve.
+    # The standard deviation of a uniform distribution is its width divided by sqrt(12).
     width_rad = 2.0 * math.pi * math.sqrt(12.0) * float((off_ahead - np.rint(off_ahead)).std())
     timed = cloud.times_s is not None
     count = len(cloud.points_lidar)
@@ -181,7 +182,7 @@ def cloud_view(message: Any) -> CloudView:
 
 
 def _rows(message: Any) -> NDArray[Any]:
-    """(N,) structured points, the padding of rows left out."""
+    """(N,) structured points, without the padding of rows."""
     order = ">" if message.is_bigendian else "<"
     step, row_step = int(message.point_step), int(message.row_step)
     height, width = int(message.height), int(message.width)
@@ -200,7 +201,7 @@ def _rows(message: Any) -> NDArray[Any]:
 
 
 def _layout(fields: Any, order: str, step: int) -> np.dtype[Any]:
-    """The structured type of a point; fields with several values a point are passed over."""
+    """The structured type of a point; fields with several values per point are skipped."""
     names, kinds, offsets = [], [], []
     for item in fields:
         name, kind = str(item.name), _KINDS.get(int(item.datatype))

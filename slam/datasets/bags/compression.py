@@ -1,4 +1,4 @@
-"""Packed chunks and packed messages."""
+"""Decompresses files, chunks and messages."""
 
 from __future__ import annotations
 
@@ -15,16 +15,16 @@ from slam.foreign import plain
 
 PACKED = (".zstd", ".zst")  # endings of files that the recorder compressed as a whole
 _PIECE_BYTES = 1 << 20
-_ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"  # no serialised message begins so: CDR with 0, ROS 1 with a count
+_ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"  # no serialised message starts like this: CDR with 0, ROS 1 with a count
 
 
 def unpacked_file(path: Path, folder: Path) -> Path:
-    """A file that was compressed as a whole, unpacked into a folder, up to where it is cut off or damaged.
+    """Decompress a whole file into a folder, up to where it is truncated or damaged.
 
     Raises
     ------
     DatasetError
-        It cannot be read or written, or unpacks to more than any log.
+        It cannot be read or written, or is larger than any log when decompressed.
     """
     if path.suffix.lower() not in PACKED:
         return path
@@ -46,19 +46,19 @@ def unpacked_file(path: Path, folder: Path) -> Path:
 
 
 def unpacked_chunk(packed: bytes, compression: str, size: int, budget: Budget, *, cut: bool = False) -> bytes:
-    """A chunk's bytes.
+    """The decompressed bytes of a chunk.
 
     Parameters
     ----------
     size
-        That it must have.
+        Its expected size.
     cut
-        The end is missing: as much as unpacks is given.
+        The end is missing: return as much as can be decompressed.
 
     Raises
     ------
     RecordFault
-        It does not unpack to that size, by no method that is known, or is beyond the budget.
+        It does not decompress to that size, the compression is unknown, or the budget is exceeded.
     """
     if size > LARGEST_BYTES:
         raise RecordFault(DAMAGED, f"a chunk of {size} bytes")
@@ -70,16 +70,16 @@ def unpacked_chunk(packed: bytes, compression: str, size: int, budget: Budget, *
 
 
 def unpacked_message(content: bytes, channel: Channel, budget: Budget) -> bytes:
-    """A message as it was serialised, also where the recorder packed each one with zstd.
+    """The serialised message, also if the recorder compressed each message with zstd.
 
     Raises
     ------
     RecordFault
-        It does not unpack, or is beyond the budget.
+        It cannot be decompressed, or the budget is exceeded.
     """
     if channel.wire != "cdr" or not content.startswith(_ZSTD_MAGIC):
         return content
-    budget.take(0, 0)  # where nothing is left, nothing is unpacked
+    budget.take(0, 0)  # if the budget is exhausted, decompress nothing
     message = _unpacked(content, "zstd", LARGEST_BYTES)
     budget.take(len(message), 0)
     if len(message) > LARGEST_BYTES:
@@ -88,7 +88,7 @@ def unpacked_message(content: bytes, channel: Channel, budget: Budget) -> bytes:
 
 
 def _unpacked(packed: bytes, compression: str, most: int) -> bytes:
-    """Up to so many bytes, as far as the data go."""
+    """Up to ``most`` decompressed bytes, as far as the data are intact."""
     decompressor = _decompressor(compression)
     failures: tuple[type[Exception], ...] = (RuntimeError, ValueError, OSError, EOFError)
     if compression == "zstd":

@@ -36,7 +36,7 @@ NO_FIELD = "a field of the message is missing or has an impossible value"
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _FrameToDo:
-    """A pair of images that is not decoded yet."""
+    """A pair of images that are not decoded yet."""
 
     camera: BagCamera
     pair: ImagePair
@@ -44,7 +44,7 @@ class _FrameToDo:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Done:
-    """A measurement with its place in the bag, or why there is none."""
+    """A measurement with its index in the bag, or the reason why there is none."""
 
     number: int
     measurement: Measurement | None
@@ -56,26 +56,26 @@ class BagDataset:
     """A bag; see `slam.datasets.dataset.Dataset`.
 
     Stamps are those of the headers. Readings come in the order of the bag, a frame after the first reading
-    at or after its own stamp. Before each scan comes the wheels' pose at its stamp, between two odometry
-    readings, as tf would give it. Nothing is held but what is about to come.
+    at or after its own stamp. Each scan is preceded by the wheel odometry at its stamp, interpolated between
+    two readings, as tf would do. Only what is about to be returned is kept in memory.
 
     Parameters
     ----------
     path
-        A bag file, or the folder of one recording.
+        A bag file, or the folder of a recording.
     strict
         Stop at the first damaged record instead of counting and skipping it.
     topics
-        Topics to read where there are several of a sort.
+        Topics to read if there are several of one type.
 
     Attributes
     ----------
     figures
-        What the latest pass found out about topics, clocks and frames.
+        Statistics of the latest pass: topics, clocks and frames.
     calibration_files
-        Files of lenses and mountings that are believed before the bag.
+        Calibration files that have priority over the bag.
     read_images
-        Whether frames come at all; without them the other sensors are read many times as fast.
+        Whether to read frames; without them, reading the other sensors is many times faster.
     """
 
     def __init__(self, path: Path, *, strict: bool = False, topics: tuple[str, ...] = ()) -> None:
@@ -89,14 +89,14 @@ class BagDataset:
         self._opened: tuple[Bag, Survey, Layout] | None = None
 
     def __iter__(self) -> Iterator[Measurement]:
-        """Read the bag from its beginning, with a new report.
+        """Read the bag from the start, with a new report.
 
         Raises
         ------
         BadRecordError
             A damaged record, under ``strict``.
         DatasetError
-            The bag cannot be read, holds nothing usable, or topics must be chosen.
+            The bag cannot be read, contains nothing usable, or the user must choose topics.
         """
         bag, survey, layout = self._open()
         report = self.report = ReadReport()
@@ -127,9 +127,9 @@ class BagDataset:
             raise DatasetError(_nothing_usable(self.path, report, survey, layout))
 
     def groundtruth(self) -> Trajectory | None:
-        """The poses of a topic that is named as the truth, or that the user named; else None.
+        """The poses of a topic whose name says ground truth, or that the user named; else None.
 
-        What else a bag says of its poses is the robot's own belief.
+        All other poses in a bag are the robot's own estimates.
         """
         bag, survey, _ = self._open()
         kinds = {topic: channel.kind for topic, channel in survey.channels.items()}
@@ -137,7 +137,7 @@ class BagDataset:
         return read_truth(bag, topic, Account(self.name, ReadReport(), self._strict)) if topic else None
 
     def _tell_topics(self, survey: Survey, layout: Layout) -> None:
-        """Tell of every topic whose messages are no measurements what it is for, or why not read."""
+        """Report the purpose of each topic without measurements, or why it is not read."""
         counts = {topic: (channel.kind, 0) for topic, channel in survey.channels.items()}
         counts |= {topic: (figures.kind, figures.count) for topic, figures in self.figures.topics.items()}
         for topic, (kind, count) in counts.items():
@@ -153,7 +153,7 @@ class BagDataset:
                 self.report.part_of[name] = layout.joined[topic]
 
     def _open(self) -> tuple[Bag, Survey, Layout]:
-        """Files, topics and mounts: found once, so that each pass reads the same."""
+        """Files, topics and sensor poses: found once, so that each pass reads the same."""
         if self._opened is None:
             bag = find_bag(self.path)
             known = known_beside(self.path, self.calibration_files)
@@ -170,7 +170,7 @@ def open_bag(path: Path, strict: bool, topics: tuple[str, ...] = ()) -> BagDatas
 def _stream(
     bag: Bag, layout: Layout, account: Account, budget: Budget, figures: BagFigures, *, images: bool
 ) -> Iterator[_Done | _FrameToDo]:
-    """The bag in order, images not decoded yet."""
+    """The contents of the bag in order, images not decoded yet."""
     time_merge: TimeMerge[_FrameToDo] = TimeMerge()
     pairs = [PairStream(camera.sensor, camera.tolerance_s, account) for camera in layout.cameras]
     decoder = Decoder(budget, Ousters(bag.path, layout.ousters))
@@ -206,7 +206,7 @@ def _stream(
 def _hand_on(
     time_merge: TimeMerge[_FrameToDo], layout: Layout, place: int, pairs: Iterator[ImagePair]
 ) -> None:
-    """Pairs of a camera as frames to come."""
+    """Add the pairs of a camera as frames to decode."""
     for pair in pairs:
         size, later_s = pair.color.size + pair.depth.size, max(pair.color.recorded_s, pair.depth.recorded_s)
         time_merge.add_frame(
@@ -215,13 +215,13 @@ def _hand_on(
 
 
 def _as_done(items: Iterator[tuple[int, Measurement] | _FrameToDo]) -> Iterator[_Done | _FrameToDo]:
-    """Readings as they are."""
+    """Wrap readings, which need no decoding."""
     for item in items:
         yield item if isinstance(item, _FrameToDo) else _Done(*item)
 
 
 def _decoded(item: _Done | _FrameToDo, budget: Budget) -> _Done:
-    """A frame's images decoded; runs on the thread that prefetches."""
+    """Decode the images of a frame; runs on the prefetching thread."""
     if isinstance(item, _Done):
         return item
     number, where = item.pair.color.number, item.camera.sensor
@@ -234,13 +234,13 @@ def _decoded(item: _Done | _FrameToDo, budget: Budget) -> _Done:
 
 
 class _Reader:
-    """Messages as readings and images."""
+    """Converts messages to readings and images."""
 
     def __init__(self, layout: Layout, decoder: Decoder, account: Account, figures: BagFigures) -> None:
         self._layout, self._decoder, self._account, self._figures = layout, decoder, account, figures
 
     def read(self, record: BagRecord) -> list[Measurement | StampedImage]:
-        """What a message holds; nothing where it is not read or damaged."""
+        """The contents of a message; nothing if it is not read or is damaged."""
         topic, kind = record.channel.topic, record.channel.kind
         self._figures.saw(record)
         if not self._layout.reads(topic, kind):
@@ -248,7 +248,7 @@ class _Reader:
         return self._made(record, lambda: self._decoder.decode(record))
 
     def rest(self, record: BagRecord) -> list[Measurement]:
-        """What of the last turn of an Ouster came, by the last packet of its topic."""
+        """The incomplete last revolution of an Ouster, from the last packet of its topic."""
         topic = record.channel.topic
         if not self._layout.reads(topic, record.channel.kind):
             return []
@@ -256,7 +256,7 @@ class _Reader:
         return [one for one in made if not isinstance(one, StampedImage)]
 
     def _made(self, record: BagRecord, decode: Callable[[], Any]) -> list[Measurement | StampedImage]:
-        """What a message that is to be decoded holds; nothing where it is damaged."""
+        """The contents of a message after decoding; nothing if it is damaged."""
         topic = record.channel.topic
         damages = (AttributeError, TypeError, ValueError, OverflowError, IndexError, RuntimeError)
         with self._account.refusing(topic, record.number, NO_FIELD, *damages):

@@ -1,4 +1,4 @@
-"""Serialised messages as objects, by the definitions in the bag and else by those of the common releases."""
+"""Decodes messages with the definitions in the bag, or else with those of the common ROS releases."""
 
 from __future__ import annotations
 
@@ -29,9 +29,9 @@ UNDECODED = "message does not decode as its type"
 NO_TYPE = "message type without a usable definition"
 BAD_STAMP = "stamp of the header is not a time"
 
-_MOST_ELEMENTS = 1 << 13  # of the lists in one message: beams of several echoes, transforms
+_MOST_ELEMENTS = 1 << 13  # in the lists of one message: beams of several echoes, transforms
 _WIRES = frozenset({"cdr", "ros1"})
-# Of drivers; a rosbag2 of SQLite before ROS 2 Iron tells no definitions.
+# Messages of drivers; an SQLite bag older than ROS 2 Iron contains no definitions.
 _OF_DRIVERS = {
     "velodyne_msgs/msg/VelodynePacket": "builtin_interfaces/Time stamp\nuint8[1206] data",
     "velodyne_msgs/msg/VelodyneScan": "std_msgs/Header header\nvelodyne_msgs/VelodynePacket[] packets",
@@ -42,7 +42,7 @@ _BUILT_IN_NAMES = {"tf/msg/tfMessage": "tf2_msgs/msg/TFMessage"}
 
 
 class Decoder:
-    """The message types of one bag; what is beyond the bag's budget does not decode."""
+    """The message types of one bag; messages beyond the bag's budget are not decoded."""
 
     def __init__(self, budget: Budget, ousters: Ousters | None = None) -> None:
         self.ousters = ousters or Ousters()
@@ -51,7 +51,7 @@ class Decoder:
         self._budget = budget
 
     def _cloud(self, record: BagRecord) -> Any:
-        """A message of many small records as a cloud."""
+        """Decode a message of many small records as a cloud."""
         read = point_cloud if record.channel.kind == POINT_CLOUD else livox_cloud
         try:
             return read(record.content, record.channel.wire)
@@ -60,12 +60,12 @@ class Decoder:
             raise RecordFault(UNDECODED, text) from error
 
     def decode(self, record: BagRecord) -> Any:
-        """A message; its fields have the names of its definition. None for a packet that completes no turn.
+        """A message with the field names of its definition; None for a packet that completes no revolution.
 
         Raises
         ------
         RecordFault
-            It is damaged, or its type is not known.
+            It is damaged, or its type is unknown.
         """
         channel = record.channel
         if channel.wire in foxglove.WIRES and channel.own_kind != channel.kind:
@@ -84,7 +84,7 @@ class Decoder:
             raise RecordFault(NO_TYPE, f"{channel.kind} on {channel.topic}, {channel.wire}")
         try:
             message = types.decode(record.content, channel.wire)
-        # The generated code fails in any way on damaged bytes: lengths, text, alignment.
+        # On damaged bytes the generated code can raise anything: lengths, text, alignment.
         except Exception as error:
             raise RecordFault(UNDECODED, f"{channel.kind} on {channel.topic}: {error}") from error
         finally:
@@ -95,12 +95,12 @@ class Decoder:
 
 
 def stamp_of(header: Any) -> float:
-    """Seconds of a header.
+    """The stamp of a header in seconds.
 
     Raises
     ------
     RecordFault
-        Not a time, or zero: the driver has not set it.
+        Not a time, or zero: the driver did not set it.
     """
     seconds, rest = int(header.stamp.sec), int(header.stamp.nanosec)
     if seconds < 0 or not 0 <= rest < 1_000_000_000 or seconds + rest == 0:
@@ -112,12 +112,12 @@ def stamp_of(header: Any) -> float:
 
 
 def frame_name(name: Any) -> str:
-    """A frame's name without the slash that ROS 1 allowed before it."""
+    """A frame name without the leading slash that ROS 1 allowed."""
     return plain(str(name).lstrip("/"))
 
 
 def _typestore(channel: Channel) -> _Types | None:
-    """The types that a channel needs, and the name of its own among them."""
+    """The types that a channel needs, with the name of its own type."""
     if channel.definition:
         types = _own_types(channel.definition, channel.language, channel.kind)
         if types is not None:
@@ -125,10 +125,10 @@ def _typestore(channel: Channel) -> _Types | None:
     return _built_in(channel.wire, _BUILT_IN_NAMES.get(channel.kind, channel.kind))
 
 
-# The same few definitions come in every bag and pass, and each costs a tenth of a second to compile.
+# Every bag and pass has the same few definitions; compiling one takes 0.1 s.
 @lru_cache(maxsize=64)
 def _own_types(definition: str, language: str, kind: str) -> _Types | None:
-    """The types of a definition in the bag, None where it cannot be used."""
+    """The types of a definition in the bag, None if it cannot be used."""
     from rosbags.typesys import get_types_from_idl, get_types_from_msg
 
     try:
@@ -136,15 +136,15 @@ def _own_types(definition: str, language: str, kind: str) -> _Types | None:
             types = get_types_from_msg(definition, kind)
         else:
             types = get_types_from_idl(simple_idl(definition))
-        # Definitions may leave out what every installation has, as std_msgs/Header.
+        # Definitions may omit types that every installation has, such as std_msgs/Header.
         return _Types({**_common("cdr").fielddefs, **types}, kind)
-    except Exception:  # a damaged definition fails in any way: in the parser, or in the code made from it
+    except Exception:  # a damaged definition can raise anything, in the parser or in the generated code
         return None
 
 
 @cache
 def _built_in(wire: str, kind: str) -> _Types | None:
-    """A message type of the common releases; None where they have none of that name."""
+    """A message type of the common releases; None if they have no type of this name."""
     common = _common(wire).fielddefs
     return _Types(common, kind) if kind in common else None
 
@@ -161,19 +161,19 @@ def _common(wire: str) -> Typestore:
 
 
 class _Types:
-    """One message type and what it consists of, made to decode.
+    """One message type and its parts, ready to decode.
 
     Raises
     ------
     ValueError
-        It cannot be used, see `message_parts`.
+        It cannot be used; see `message_parts`.
 
     Attributes
     ----------
     kind
         Its name.
     elements
-        How many elements the lists of the latest message had.
+        Number of list elements in the latest message.
     """
 
     def __init__(self, types: Typesdict, kind: str) -> None:
@@ -192,14 +192,14 @@ class _Types:
             self.store.cache[name] = replace(made, **counted)
 
     def decode(self, content: bytes, wire: str) -> Any:
-        """A message; fails in any way on damaged bytes."""
+        """Decode a message; damaged bytes can raise any exception."""
         self.elements = 0
         store = self.store
         read = store.deserialize_ros1 if wire == "ros1" else store.deserialize_cdr
         return read(content, self.kind)
 
     def _counting(self, read: Callable[..., Any]) -> Callable[..., Any]:
-        """What reads one element of a list, within limits."""
+        """Wraps a function that reads one list element, to limit their number."""
 
         def counting(*given: Any) -> Any:
             self.elements += 1

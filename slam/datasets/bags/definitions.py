@@ -1,7 +1,7 @@
-"""Definitions of messages in a bag, before code is made of them: what they ask for must be small.
+"""Checks message definitions of a bag before code is generated from them: their cost must be limited.
 
-The parser and the generated code of rosbags take a definition at its word: expressions are evaluated, an
-array of texts or records is written out element by element, a record of no bytes is repeated without end.
+The parser and the generated code of rosbags trust a definition: they evaluate expressions, unroll an array of
+strings or records, and repeat an empty record without end.
 """
 
 from __future__ import annotations
@@ -12,11 +12,11 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from rosbags.interfaces.typing import Typesdict
 
-_BASE, _NAME, _ARRAY, _SEQUENCE = 1, 2, 3, 4  # as rosbags tells what a field is
-_NOTHING = "structure_needs_at_least_one_member"  # what rosbags puts into an empty type
-_MOST_STEPS = 1 << 10  # to decode one message without its lists' elements: an Odometry takes 40
+_BASE, _NAME, _ARRAY, _SEQUENCE = 1, 2, 3, 4  # field types of rosbags
+_NOTHING = "structure_needs_at_least_one_member"  # rosbags puts this into an empty type
+_MOST_STEPS = 1 << 10  # to decode one message without list elements; an Odometry takes 40
 
-# What does not say how a message lies in its bytes: comments, annotations, constants.
+# Has no influence on the byte layout: comments, annotations, constants.
 _IDL_WORDS = re.compile(
     r'/\*.*?\*/|//[^\n]*|@\s*[\w:]+(?:\s*\((?:"(?:\\.|[^"\\])*"|[^()"])*\))?|\bconst\b[^;{}]*;', re.DOTALL
 )
@@ -26,12 +26,12 @@ _NESTED_IDL = re.compile(r"<[^<>]*<|(?:\{[^{}]*){9}")
 
 
 def simple_idl(text: str) -> str:
-    """A definition without what its messages do not need.
+    """A definition without what is not needed to decode its messages.
 
     Raises
     ------
     ValueError
-        What is left has expressions, or is nested: no generator of ROS 2 writes such.
+        The rest contains expressions or is nested, which no generator of ROS 2 writes.
     """
     kept = _EMPTY_MODULE.sub("", _IDL_WORDS.sub(" ", text))
     if not _PLAIN_IDL.fullmatch(kept) or _NESTED_IDL.search(kept):
@@ -40,25 +40,25 @@ def simple_idl(text: str) -> str:
 
 
 def message_parts(types: Typesdict, kind: str) -> tuple[Typesdict, list[str]]:
-    """The types that a message consists of, without their constants, and those that its lists are of.
+    """The types that a message consists of, without constants, and the element types of its lists.
 
     Raises
     ------
     KeyError
         A type is missing.
     ValueError
-        A type contains itself, takes too many steps to decode, or a list is of texts or of nothing.
+        A type contains itself or takes too many steps to decode, or a list contains strings or empty types.
     """
     parts: dict[str, Any] = {}
     listed: list[str] = []
     sizes: dict[str, tuple[int, int]] = {}
 
     def single(node: int, detail: Any) -> tuple[int, int]:
-        """Steps to decode a value, and the bytes that it takes at least."""
+        """Number of steps to decode a value, and its minimum size in bytes."""
         return measured(detail) if node == _NAME else (1, 1)
 
     def field(node: int, detail: Any) -> tuple[int, int]:
-        """The same of a field."""
+        """The same for a field."""
         if node not in (_ARRAY, _SEQUENCE):
             return single(node, detail)
         (inner, name), count = detail
@@ -73,7 +73,7 @@ def message_parts(types: Typesdict, kind: str) -> tuple[Typesdict, list[str]]:
         return 1 + steps, 1
 
     def measured(name: str) -> tuple[int, int]:
-        """The same of a type."""
+        """The same for a type."""
         if name not in sizes:
             if name in parts:
                 raise ValueError(f"{name} contains itself")

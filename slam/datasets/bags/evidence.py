@@ -1,4 +1,4 @@
-"""What the beginning of a bag says for and against its topics, by tf, by names and by what was seen."""
+"""Ranks the topics of a bag by tf, names and the messages at the start of the bag."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ _APART_M, _APART_RAD = 0.01, math.radians(1.0)
 
 
 def evidence_of(survey: Survey) -> Evidence:
-    """What speaks for one of several topics of a sort."""
+    """Criteria to choose between several topics of one type."""
     return Evidence(
         scan=partial(_scan_rank, survey),
         cloud=partial(_cloud_rank, survey),
@@ -49,7 +49,7 @@ def evidence_of(survey: Survey) -> Evidence:
 
 
 def never_read(survey: Survey) -> dict[str, str]:
-    """Topics of sensors that are read only where they are named, with the reason."""
+    """Sensor topics that are read only if the user names them, with the reason."""
     found: dict[str, str] = {}
     kinds = {topic: survey.channels[topic].kind for topic in sorted(survey.seen)}
     for topic, kind in kinds.items():
@@ -74,7 +74,7 @@ def never_read(survey: Survey) -> dict[str, str]:
     rest = {topic for topic in kinds if topic not in found and topic not in made}
     cameras = {topic for topic in rest & set(survey.depths) if survey.depths[topic]}
     if cameras or any(kinds[topic] in SCANS | CLOUDS for topic in rest):
-        # Where nothing else sees, such a cloud is better than none.
+        # If there is no other sensor, such a cloud is better than none.
         found |= {
             topic: f"it is the cloud of a depth camera, not of a lidar ({why})"
             for topic, why in made.items()
@@ -84,7 +84,7 @@ def never_read(survey: Survey) -> dict[str, str]:
 
 
 def _not_in_plane(survey: Survey, frame: str) -> str:
-    """Why a scanner does not look along the robot's plane, by tf; empty where it may."""
+    """Why a scanner does not scan in the robot's plane, by tf; empty if it may do so."""
     base = survey.base_frame()
     mount = survey.tree.between(base, frame) if base else None
     try:
@@ -97,7 +97,7 @@ def _not_in_plane(survey: Survey, frame: str) -> str:
 
 
 def _no_wheels(survey: Survey, topic: str) -> str:
-    """Why an odometry is none of wheels; empty where it may be."""
+    """Why a topic is not wheel odometry; empty if it may be."""
     parent = _last(survey.odometry.get(topic, ("", ""))[0])
     if parent in _WORLDS.difference(ODOM_FRAMES):
         return f"it is an estimate in {parent}, not wheel odometry"
@@ -105,14 +105,14 @@ def _no_wheels(survey: Survey, topic: str) -> str:
 
 
 def _beside(survey: Survey, image: str) -> str | None:
-    """The cloud of an image's frame or namespace."""
+    """The cloud with an image's frame or namespace."""
     space, frame = image.rpartition("/")[0], survey.frames.get(image)
     clouds = ((topic, survey.frames.get(topic)) for topic in sorted(survey.clouds))
     return next((topic for topic, own in clouds if own == frame or topic.rpartition("/")[0] == space), None)
 
 
 def _made_of(survey: Survey, scan: str) -> str | None:
-    """The cloud of a lidar that a scan is a ring or a slice of."""
+    """The lidar cloud from which a scan was extracted, as a ring or a slice."""
     return next(
         (
             topic
@@ -126,7 +126,7 @@ def _made_of(survey: Survey, scan: str) -> str | None:
 
 
 def _scan_rank(survey: Survey, topic: str) -> tuple[Any, ...]:
-    """Those whose mounting tf tells first, then the wider view, then the farther."""
+    """Scanners with a pose in tf first, then the wider view, then the longer range."""
     base, frame = survey.base_frame(), survey.frames.get(topic, "")
     lost = base is not None and survey.tree.between(base, frame) is None and frame != base
     span_rad, range_m = survey.scans.get(topic, (0.0, 0.0))
@@ -134,7 +134,7 @@ def _scan_rank(survey: Survey, topic: str) -> tuple[Any, ...]:
 
 
 def _cloud_rank(survey: Survey, topic: str) -> tuple[Any, ...]:
-    """What a lidar gave before what was made of it, then with times, all around, of many points."""
+    """Raw lidar clouds before processed ones, then those with times, a full view, many points."""
     view = survey.clouds.get(topic)
     if view is None:
         return True, True, 0.0, 0, topic
@@ -142,7 +142,7 @@ def _cloud_rank(survey: Survey, topic: str) -> tuple[Any, ...]:
 
 
 def _odometry_rank(survey: Survey, topic: str) -> tuple[Any, ...]:
-    """Wheels before estimates; then what tf has the base moved by."""
+    """Wheels before estimates; then the odometry that moves the base in tf."""
     parent, child = survey.odometry.get(topic, ("", ""))
     return (
         bool(_FUSED.search(topic)),
@@ -154,7 +154,7 @@ def _odometry_rank(survey: Survey, topic: str) -> tuple[Any, ...]:
 
 
 def _apart(survey: Survey, first: str, second: str) -> bool:
-    """Whether two scanners sit at places that tf tells, and not at the same."""
+    """Whether tf contains the positions of two scanners, and they differ."""
     base = survey.base_frame()
     frames = [survey.frames.get(topic, "") for topic in (first, second)]
     if base is None or frames[0] == frames[1]:
@@ -168,5 +168,5 @@ def _apart(survey: Survey, first: str, second: str) -> bool:
 
 
 def _last(frame: str) -> str:
-    """A frame's name without its robot's."""
+    """A frame name without the name of the robot."""
     return frame.rpartition("/")[2]

@@ -1,4 +1,4 @@
-"""What a bag tells of its topics beside their measurements: rates, gaps, clocks, frames."""
+"""Statistics of a bag's topics: rates, gaps, clocks, frames."""
 
 from __future__ import annotations
 
@@ -12,14 +12,14 @@ from slam.datasets.dataset import MOST_TOPICS, Thinned
 
 @dataclass(slots=True)
 class TopicFigures:
-    """One topic, by the recorder's clock.
+    """Statistics of one topic, by the recorder's clock.
 
     Attributes
     ----------
     frame
-        Of its readings; empty where it is none of a sensor's.
+        Frame of its readings; empty if it is no sensor's topic.
     late_s
-        An even sample of record time less header stamp, of the messages that are read.
+        Uniform sample of the record time minus the header stamp, of the messages that are read.
     """
 
     kind: str
@@ -42,23 +42,23 @@ class TopicFigures:
 
     @property
     def rate_hz(self) -> float | None:
-        """Messages a second, None for fewer than two or no time between them."""
+        """Messages per second, None for fewer than two or no time between them."""
         span_s = self.last_s - self.first_s
         return (self.count - 1) / span_s if self.count > 1 and span_s > 0.0 else None
 
 
 @dataclass(slots=True)
 class BagFigures:
-    """All topics of a bag, and its tree of frames.
+    """All topics of a bag, and its frame tree.
 
     Attributes
     ----------
     base
-        The robot's frame, None where the bag has no tf.
+        The robot's frame, None if the bag has no tf.
     robots
-        Those of the bag.
+        The robots in the bag.
     frames
-        Of the sensors' topics.
+        Frames of the sensor topics.
     """
 
     tree: FrameTree = field(default_factory=FrameTree)
@@ -77,7 +77,7 @@ class BagFigures:
         self.topics[topic].saw(record.recorded_s)
 
     def stamped(self, record: BagRecord, stamp_s: float) -> None:
-        """A message that was read has a stamp in its header."""
+        """Add the header stamp of a message that was read."""
         figures = self.topics.get(record.channel.topic)
         if figures is not None:
             figures.late_s.add(record.recorded_s - stamp_s)

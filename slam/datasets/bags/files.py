@@ -1,4 +1,4 @@
-"""Which files are a bag, and the messages in them, one after another."""
+"""Finds the files of a bag, and reads their messages in order."""
 
 from __future__ import annotations
 
@@ -34,10 +34,10 @@ class Bag:
     path: Path
     parts: tuple[Path, ...]
     containers: tuple[Container, ...]
-    unpacked: TemporaryFolder | None = None  # holds the parts if they were compressed as whole files
+    unpacked: TemporaryFolder | None = None  # contains the parts if they were compressed as whole files
 
     def announced(self) -> list[Channel] | None:
-        """All channels by the files' indexes; None where one of them has none, as a cut-off file."""
+        """All channels in the files' indexes; None if a file has no index, for example a truncated one."""
         found: dict[Channel, None] = {}
         for path, container in zip(self.parts, self.containers, strict=True):
             channels = container.announced(path)
@@ -47,11 +47,11 @@ class Bag:
         return list(found)
 
     def budget(self) -> Budget:
-        """What one pass over it may ask for."""
+        """The budget of one pass over the bag."""
         return Budget(sum(part.stat().st_size for part in self.parts))
 
     def records(self, account: Account, budget: Budget) -> Iterator[BagRecord]:
-        """All messages in the order of the files; what is damaged goes to the account.
+        """All messages in file order; damaged ones are counted in the account.
 
         Raises
         ------
@@ -76,7 +76,7 @@ class Bag:
 
 @lru_cache
 def _read_as(channel: Channel) -> Channel:
-    """A channel by what its messages are: of an Ouster, packets of lidar and IMU have one type."""
+    """A channel by its contents: lidar and IMU packets of an Ouster have the same type."""
     of_imu = channel.kind in OUSTER and channel.topic.endswith("imu_packets")
     return replace(channel, kind=IMU, own_kind=channel.kind) if of_imu else channel
 
@@ -113,7 +113,7 @@ def find_bag(path: Path) -> Bag:
 
 
 def _container_of(path: Path) -> Container | None:
-    """What reads a file, by its first bytes; None where they are of no bag."""
+    """The reader for a file, by its first bytes; None if it is no bag."""
     try:
         with path.open("rb") as file:
             head = file.read(16)
@@ -129,13 +129,13 @@ def _container_of(path: Path) -> Container | None:
 
 
 def _parts_inside(folder: Path) -> list[Path]:
-    """The bag files directly in a folder, in the order of the numbers in their names."""
+    """The bag files directly in a folder, sorted by the numbers in their names."""
     files = files_inside(folder, _SUFFIXES)
     return sorted(files, key=lambda file: (_title(file), _part_number(file), file.name))
 
 
 def _parts_of_one(folder: Path) -> list[Path]:
-    """The files that ``metadata.yaml`` lists, else those in the folder that are named as parts of one bag."""
+    """The files in ``metadata.yaml``, else the files in the folder that are named as parts of one bag."""
     inside = _parts_inside(folder)
     listed = _listed(folder / _INDEX)
     if listed:
@@ -152,11 +152,11 @@ def _parts_of_one(folder: Path) -> list[Path]:
 
 
 def _listed(index: Path) -> list[Path]:
-    """The files in the order of ``metadata.yaml``; none where it is not there or damaged."""
+    """The files in the order of ``metadata.yaml``; none if it is missing or damaged."""
     try:
         content = from_yaml(index.read_text(encoding="utf-8"))
         names = content[_INDEX_TITLE]["relative_file_paths"]
-        # Older recorders write the folder's name before the file's.
+        # Older recorders write the folder name before the file name.
         parts = [index.parent / Path(str(name)).name for name in names]
         return [
             own if (own := part.with_suffix("")).suffix in _SUFFIXES and own.is_file() else part
@@ -167,12 +167,12 @@ def _listed(index: Path) -> list[Path]:
 
 
 def _title(file: Path) -> str:
-    """A file's name without the number of its part."""
+    """A file name without the part number."""
     match = _PART.fullmatch(file.stem)
     return match[1] if match else file.stem
 
 
 def _part_number(file: Path) -> int:
-    """The number of a part, 0 where there is none."""
+    """The part number, 0 if there is none."""
     match = _PART.fullmatch(file.stem)
     return int(match[2]) if match else 0

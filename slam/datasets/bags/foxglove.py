@@ -1,7 +1,7 @@
-"""Foxglove's own messages in MCAP, as protobuf or JSON, made those of ROS that say the same.
+"""Converts Foxglove's own messages in MCAP (protobuf or JSON) to equivalent ROS messages.
 
-Their fields are those of docs.foxglove.dev/docs/visualization/message-schemas. Protobuf is decoded by
-Google's library (the extra 'foxglove') with the definition that the file brings.
+Their fields are those of docs.foxglove.dev/docs/visualization/message-schemas. Google's library (the extra
+'foxglove') decodes protobuf with the definition in the file.
 """
 
 from __future__ import annotations
@@ -22,29 +22,29 @@ from slam.foreign import from_json
 NO_PROTOBUF = "messages in protobuf; to read them: pip install 'scanweave[foxglove]'"
 UNDECODED = "message of Foxglove that does not decode as its type"
 WIRES = frozenset({"protobuf", "json"})
-_NUMBERS = (0, 2, 1, 4, 3, 6, 5, 7, 8)  # of PackedElementField as those of sensor_msgs/PointField
-_SAME = 1e-9  # metres, and as a quaternion's parts
-_LONGEST_JSON = LARGEST_BYTES // 8  # its values take many times the letters
+_NUMBERS = (0, 2, 1, 4, 3, 6, 5, 7, 8)  # PackedElementField types as sensor_msgs/PointField types
+_SAME = 1e-9  # metres, and quaternion components
+_LONGEST_JSON = LARGEST_BYTES // 8  # in memory, its values take many times the text
 
 
 def _stamp(told: Any) -> SimpleNamespace:
-    """A time of protobuf or of JSON."""
+    """A time from protobuf or JSON."""
     seconds, rest = ("seconds", "nanos") if hasattr(told, "seconds") else ("sec", "nsec")
     return SimpleNamespace(sec=int(getattr(told, seconds)), nanosec=int(getattr(told, rest)))
 
 
 def _header(message: Any, frame: str = "frame_id") -> SimpleNamespace:
-    """A header of stamp and frame."""
+    """A header with stamp and frame."""
     return SimpleNamespace(stamp=_stamp(message.timestamp), frame_id=str(getattr(message, frame, "")))
 
 
 def _bytes(data: Any) -> Any:
-    """Bytes as they are, or as JSON has them."""
+    """Bytes, decoded if they come from JSON."""
     return np.frombuffer(base64.b64decode(data) if isinstance(data, str) else bytes(data), np.uint8)
 
 
 def _check_frame(message: Any) -> None:
-    """Refuse a reading whose origin is not that of its frame: what is left out is zero."""
+    """Reject a reading whose origin is not that of its frame; missing values are zero."""
     pose = getattr(message, "pose", None)
     parts = (getattr(pose, name, None) for name in ("position", "orientation"))
     if any(abs(getattr(part, axis, 0.0)) > _SAME for part in parts for axis in "xyz"):
@@ -52,7 +52,7 @@ def _check_frame(message: Any) -> None:
 
 
 def _cloud(message: Any) -> SimpleNamespace:
-    """A PointCloud2."""
+    """Convert to a PointCloud2."""
     step, data = int(message.point_stride), _bytes(message.data)
     _check_frame(message)
     count = data.size // step
@@ -67,7 +67,7 @@ def _cloud(message: Any) -> SimpleNamespace:
 
 
 def _scan(message: Any) -> SimpleNamespace:
-    """A LaserScan; its angles end with the last beam."""
+    """Convert to a LaserScan; the end angle is that of the last beam."""
     ranges = np.array([np.nan if one is None else one for one in message.ranges], dtype=np.float32)
     _check_frame(message)
     first, last = float(message.start_angle), float(message.end_angle)
@@ -86,14 +86,14 @@ def _scan(message: Any) -> SimpleNamespace:
 
 
 def _image(message: Any) -> SimpleNamespace:
-    """An Image."""
+    """Convert to an Image."""
     size = {name: int(getattr(message, name)) for name in ("width", "height", "step")}
     told = {"encoding": str(message.encoding), "is_bigendian": 0, "data": _bytes(message.data)}
     return SimpleNamespace(header=_header(message), **size, **told)
 
 
 def _lens(message: Any) -> SimpleNamespace:
-    """A CameraInfo."""
+    """Convert to a CameraInfo."""
     numbers = {name.lower(): np.array(list(getattr(message, name, ())), np.float64) for name in "DKRP"}
     model = str(getattr(message, "distortion_model", ""))
     size = {name: int(getattr(message, name)) for name in ("width", "height")}
@@ -101,7 +101,7 @@ def _lens(message: Any) -> SimpleNamespace:
 
 
 def _transforms(message: Any) -> SimpleNamespace:
-    """A TFMessage of one or many."""
+    """Convert one or many transforms to a TFMessage."""
     return SimpleNamespace(
         transforms=[
             SimpleNamespace(
@@ -133,7 +133,7 @@ _AS: dict[str, tuple[str, Callable[[Any], SimpleNamespace]]] = {
 
 
 def as_ros(kind: str, wire: str) -> str:
-    """The type of ROS that a message is read as; its own where it is none of these."""
+    """The ROS type that a message is converted to; its own type if there is none."""
     known = (
         _AS.get(kind.removeprefix("foxglove.")) if wire in WIRES and kind.startswith("foxglove.") else None
     )
@@ -141,7 +141,7 @@ def as_ros(kind: str, wire: str) -> str:
 
 
 def message_of(content: bytes, own_kind: str, wire: str, definition: str) -> SimpleNamespace:
-    """A message as that of ROS.
+    """Convert a message to ROS.
 
     Raises
     ------
@@ -159,13 +159,13 @@ def message_of(content: bytes, own_kind: str, wire: str, definition: str) -> Sim
         return _AS[own_kind.removeprefix("foxglove.")][1](message)
     except RecordFault:
         raise
-    # Generated code and strangers' fields fail in any way.
+    # Generated code and unknown fields can raise any exception.
     except Exception as error:
         raise RecordFault(UNDECODED, f"{own_kind}: {error}") from error
 
 
 def _named(told: Any) -> Any:
-    """Objects of JSON with their fields as attributes."""
+    """JSON objects with their fields as attributes."""
     if isinstance(told, dict):
         return SimpleNamespace(**{str(name): _named(value) for name, value in told.items()})
     return (
@@ -177,7 +177,7 @@ def _named(told: Any) -> Any:
 
 @lru_cache(maxsize=64)
 def _class_of(definition: str, kind: str) -> Any:
-    """The class of a message by the FileDescriptorSet of its schema."""
+    """The message class from the FileDescriptorSet of its schema."""
     try:
         from google.protobuf import descriptor_pb2, descriptor_pool, message_factory
     except ImportError as error:

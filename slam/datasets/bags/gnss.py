@@ -1,4 +1,4 @@
-"""NavSatFix messages as fixes of a satellite receiver."""
+"""Converts NavSatFix messages to fixes of a GNSS receiver."""
 
 from __future__ import annotations
 
@@ -16,23 +16,23 @@ NO_FIX = "GNSS message without a fix"
 
 
 def gnss_reader(topic: str, T_base_antenna: gtsam.Pose3 | None) -> Callable[[Any], Measurement]:
-    """What reads messages of a topic.
+    """A function that reads messages of a topic.
 
     Parameters
     ----------
     T_base_antenna
-        By tf; None where it does not tell it.
+        Pose by tf; None if tf does not contain it.
     """
     antenna_m = None if T_base_antenna is None else np.asarray(T_base_antenna.translation())
 
     def read(message: Any) -> GnssFix:
-        """A fix; RecordFault where there is none, as in a tunnel."""
+        """A fix; RecordFault if there is none, as in a tunnel."""
         place = float(message.latitude), float(message.longitude), float(message.altitude)
         on_earth = np.isfinite(place).all() and abs(place[0]) <= 90.0 and abs(place[1]) <= 360.0
         if message.status.status < 0 or not on_earth or place[:2] == (0.0, 0.0):
             raise RecordFault(NO_FIX, f"status {message.status.status}, {place}")
         covariance = np.array(message.position_covariance, dtype=np.float64).reshape(3, 3)
-        # Of type 0 nobody knows it (sensor_msgs).
+        # Type 0 means unknown (sensor_msgs).
         told = message.position_covariance_type > 0 and np.isfinite(covariance).all()
         known = bool(told) and np.linalg.eigvalsh(covariance)[0] > 0.0
         stamp_s = stamp_of(message.header)

@@ -1,4 +1,4 @@
-"""Image and CompressedImage messages as pixels."""
+"""Converts Image and CompressedImage messages to pixels."""
 
 from __future__ import annotations
 
@@ -20,16 +20,16 @@ BAD_SIZE = "image with fewer bytes than its size requires"
 BAD_ENCODING = "unsupported image encoding"
 
 MILLIMETRES_PER_M = 1000.0  # REP-118
-_CONFIG_BYTES = 12  # of compressedDepth: a format number and two parameters
+_CONFIG_BYTES = 12  # compressedDepth header: a format number and two parameters
 _DEPTH = {"16UC1": "u2", "mono16": "u2", "32FC1": "f4"}
-# Two pixels share their colour, in one plane or interleaved: how OpenCV calls them, and bytes a pixel.
+# Two pixels share their colour, planar or interleaved: OpenCV's conversion, and bytes per pixel.
 _SHARED_COLOR = {
     **dict.fromkeys(("yuv422", "uyvy"), ("COLOR_YUV2RGB_UYVY", 2)),
     **dict.fromkeys(("yuv422_yuy2", "yuyv", "yuy2"), ("COLOR_YUV2RGB_YUY2", 2)),
     "nv12": ("COLOR_YUV2RGB_NV12", 1),
     "nv21": ("COLOR_YUV2RGB_NV21", 1),
 }
-# By the colours of the first two pixels of a row and of the row below; OpenCV goes by those of the second.
+# Named by the first two pixels of the first two rows; OpenCV names them by the second row.
 _MOSAIC = {"rggb": "BG", "bggr": "RG", "gbrg": "GR", "grbg": "GB"}
 _DEPTH_NAME = re.compile(r"depth|tof|range|stereo", re.IGNORECASE)
 _PNG_16_BIT_GREY = (b"\x89PNG", b"\x10\x00")
@@ -46,7 +46,7 @@ _COLOR: dict[str, tuple[int, tuple[int, ...]]] = {
 
 
 def is_depth(message: Any, topic: str) -> bool:
-    """Whether an image holds distances: by encoding or format, and by topic where these leave it open."""
+    """Whether an image contains depth: by its encoding or format, or else by its topic."""
     if not hasattr(message, "encoding"):
         words, head = str(message.format), bytes(message.data[:26])
         told = "compressedDepth" in words or words.startswith(("16UC1", "32FC1"))
@@ -59,12 +59,12 @@ def is_depth(message: Any, topic: str) -> bool:
 
 
 def color_of(message: Any, budget: Budget) -> ColorImage:
-    """(H, W, 3) RGB; grey is spread over the channels.
+    """(H, W, 3) RGB; grey is copied to all channels.
 
     Raises
     ------
     RecordFault
-        Damaged, or of an encoding that is not read.
+        The image is damaged, or its encoding is not supported.
     """
     if not hasattr(message, "encoding"):
         return _compressed_color(message, budget)
@@ -83,11 +83,11 @@ def color_of(message: Any, budget: Budget) -> ColorImage:
 
 
 def _from_shared_color(message: Any, conversion: str, size: int) -> ColorImage:
-    """Of YUV, as cameras send it."""
+    """Convert YUV, as cameras send it."""
     import cv2
 
     height, width = int(message.height), int(message.width)
-    if size == 1:  # a plane of brightness, and half a plane of colour below
+    if size == 1:  # a plane of brightness above half a plane of colour
         rows = _pixels(message, np.dtype(np.uint8), 1, 3 * height // 2)
     else:
         rows = _pixels(message, np.dtype(np.uint8), size)
@@ -97,7 +97,7 @@ def _from_shared_color(message: Any, conversion: str, size: int) -> ColorImage:
 
 
 def _from_mosaic(message: Any, pattern: str, bits: int) -> ColorImage:
-    """Of a sensor's own pixels, each of one colour."""
+    """Convert a Bayer mosaic."""
     import cv2
 
     pixels = _pixels(message, _order(message, f"u{bits // 8}"), 1)[..., 0]
@@ -108,24 +108,24 @@ def _from_mosaic(message: Any, pattern: str, bits: int) -> ColorImage:
 
 
 def _from_wide_grey(pixels: NDArray[Any]) -> ColorImage:
-    """Of 16 bits of infrared or heat: the brightest pixel becomes white, whatever its number."""
+    """Convert 16-bit infrared or thermal images: the brightest pixel becomes white."""
     brightest = max(int(pixels.max(initial=0)), 255)
     grey = (pixels.astype(np.uint32) * 255 // brightest).astype(np.uint8)
     return np.repeat(grey[..., None], 3, axis=2)
 
 
 def depth_of(message: Any, budget: Budget, steps_per_m: float = MILLIMETRES_PER_M) -> Float32Array:
-    """(H, W) metres, 0 where the reading is invalid.
+    """(H, W) depth in metres, 0 if invalid.
 
     Parameters
     ----------
     steps_per_m
-        What 16-bit images write for a metre.
+        Units per metre of 16-bit images.
 
     Raises
     ------
     RecordFault
-        Damaged, or of an encoding that is not read.
+        The image is damaged, or its encoding is not supported.
     """
     if not hasattr(message, "encoding"):
         return _compressed_depth(message, budget, steps_per_m)
@@ -136,12 +136,12 @@ def depth_of(message: Any, budget: Budget, steps_per_m: float = MILLIMETRES_PER_
 
 
 def _order(message: Any, kind: str) -> np.dtype[Any]:
-    """Numbers in the order of bytes that a message tells."""
+    """A number type with the byte order of a message."""
     return np.dtype((">" if message.is_bigendian else "<") + kind)
 
 
 def _pixels(message: Any, kind: np.dtype[Any], channels: int, rows: int = 0) -> NDArray[Any]:
-    """(H, W, C) pixels of a raw image, the padding of its rows left out; so many rows where that is given."""
+    """(H, W, C) pixels of a raw image without the padding of its rows; ``rows`` rows if given."""
     height, width, step = rows or int(message.height), int(message.width), int(message.step)
     data = np.asarray(message.data, dtype=np.uint8).ravel()
     row = width * channels * kind.itemsize
@@ -153,7 +153,7 @@ def _pixels(message: Any, kind: np.dtype[Any], channels: int, rows: int = 0) -> 
 
 
 def _metres(steps: NDArray[Any], steps_per_m: float = MILLIMETRES_PER_M) -> Float32Array:
-    """Distances of steps (integers) or metres; nothing below zero, nothing infinite."""
+    """Depth in metres from integer steps or metres; negative and infinite values become 0."""
     if steps.dtype.kind == "u":
         depth_m: Float32Array = np.divide(steps, steps_per_m, dtype=np.float32)
         return depth_m
@@ -164,7 +164,7 @@ def _metres(steps: NDArray[Any], steps_per_m: float = MILLIMETRES_PER_M) -> Floa
 
 
 def _compressed_color(message: Any, budget: Budget) -> ColorImage:
-    """A PNG or JPEG; `cv_bridge` stores both so that every decoder shows them right."""
+    """Decode a PNG or JPEG, which `cv_bridge` writes with the usual channel order."""
     image = decoded(bytes(message.data), "a compressed image", budget)
     color = rgb_of(image)
     if color is None:
@@ -173,7 +173,7 @@ def _compressed_color(message: Any, budget: Budget) -> ColorImage:
 
 
 def _compressed_depth(message: Any, budget: Budget, steps_per_m: float) -> Float32Array:
-    """PNG or RVL after the header of compressedDepth; of 32-bit images they hold inverse depth."""
+    """Decode PNG or RVL after the compressedDepth header; for 32-bit images they contain inverse depth."""
     content, words = bytes(message.data), str(message.format)
     with_header = "compressedDepth" in words
     image = content[_CONFIG_BYTES:] if with_header else content

@@ -1,4 +1,4 @@
-"""Imu messages as readings of an inertial measurement unit."""
+"""Converts Imu messages to IMU readings."""
 
 from __future__ import annotations
 
@@ -25,9 +25,9 @@ NO_FORCES = "it has no accelerations, and no other topic has any"
 
 
 def told_by(message: Any) -> tuple[bool, bool]:
-    """Whether a message tells turn rates, and whether accelerations.
+    """Whether a message contains angular rates, and whether it contains accelerations.
 
-    What is not told is zero on every axis, or its covariance begins with -1 (sensor_msgs).
+    A missing quantity is zero on every axis, or its covariance starts with -1 (sensor_msgs).
     """
     rates = message.angular_velocity_covariance[0] != -1.0 and _vector(message.angular_velocity).any()
     forces = message.linear_acceleration_covariance[0] != -1.0 and _vector(message.linear_acceleration).any()
@@ -35,7 +35,7 @@ def told_by(message: Any) -> tuple[bool, bool]:
 
 
 def paired_halves(topics: Iterable[str], told: Mapping[str, tuple[bool, bool]]) -> dict[str, str]:
-    """For each topic of turn rates alone that of the accelerations, empty where there is none.
+    """For each topic with only angular rates, the topic of the accelerations; empty if there is none.
 
     A gyroscope may read zero at first; an accelerometer never does.
     """
@@ -49,7 +49,7 @@ def paired_halves(topics: Iterable[str], told: Mapping[str, tuple[bool, bool]]) 
 
 
 def _vector(vector: Any) -> FloatArray:
-    """(3,) of a message."""
+    """(3,) vector of a message."""
     return np.array([vector.x, vector.y, vector.z], dtype=np.float64)
 
 
@@ -60,11 +60,11 @@ class ImuReader:
     Attributes
     ----------
     topic
-        The name of the sensor.
+        Name of the sensor.
     T_base_imu
-        Its mounting; None where tf does not tell it.
+        Its pose on the robot; None if tf does not contain it.
     unit
-        In which unit its accelerations are.
+        Unit of its accelerations.
     """
 
     topic: str
@@ -72,7 +72,7 @@ class ImuReader:
     unit: ForceUnit = field(default_factory=ForceUnit)
 
     def told(self) -> list[str]:
-        """What was concluded, for people."""
+        """Conclusions for the user."""
         return [f"{self.topic}: {self.unit.choice}"] if self.unit.choice else []
 
     def read(self, message: Any) -> ImuReading:
@@ -81,8 +81,8 @@ class ImuReader:
         Raises
         ------
         RecordFault
-            A number that is not finite, or one of the two sensors is missing: it reads zero on every axis,
-            or its covariance begins with -1 (sensor_msgs).
+            A number is not finite, or one of the two sensors is missing: it is zero on every axis, or its
+            covariance starts with -1 (sensor_msgs).
         """
         gyro, force = _vector(message.angular_velocity), _vector(message.linear_acceleration)
         missing = -1.0 in (message.angular_velocity_covariance[0], message.linear_acceleration_covariance[0])
@@ -93,44 +93,44 @@ class ImuReader:
 
 @dataclass(slots=True)
 class JoinedImu:
-    """One IMU of two topics, as cameras tell it: accelerations between their stamps at those of turn rates.
+    """One IMU on two topics, as cameras publish it: accelerations interpolated at the gyroscope's stamps.
 
-    So does the driver of RealSense where ``unite_imu_method`` is ``linear_interpolation``.
+    The RealSense driver does the same with ``unite_imu_method`` ``linear_interpolation``.
 
     Attributes
     ----------
     topic, forces_topic
-        Of the turn rates, which names the sensor, and of the accelerations.
+        Topic of the angular rates, which names the sensor, and topic of the accelerations.
     T_base_imu
-        Mounting of the gyroscope; None where tf does not tell it.
+        Pose of the gyroscope; None if tf does not contain it.
     unit
-        In which unit its accelerations are.
+        Unit of its accelerations.
     """
 
     topic: str
     forces_topic: str
     T_base_imu: gtsam.Pose3 | None
     unit: ForceUnit = field(default_factory=ForceUnit)
-    # However stamps run, no more than so many wait.
+    # Limits the queue, whatever the stamps are.
     _rates: deque[tuple[float, FloatArray]] = field(default_factory=lambda: deque(maxlen=WHEELS_KEPT))
     _forces: deque[tuple[float, FloatArray]] = field(default_factory=lambda: deque(maxlen=WHEELS_KEPT))
     _alone: int = 0
 
     def restart(self) -> None:
-        """Forget what waits from a pass before."""
+        """Clear the queue of an earlier pass."""
         self._rates.clear()
         self._forces.clear()
         self._alone = 0
 
     def told(self) -> list[str]:
-        """What was concluded, for people."""
+        """Conclusions for the user."""
         alone = self._alone + len(self._rates)
         rest = f"; {alone} angular rates without accelerations around them are ignored" if alone else ""
         text = f"joined with {self.forces_topic}, accelerations between its stamps by interpolation{rest}"
         return [f"{self.topic}: {one}" for one in (text, self.unit.choice) if one]
 
     def read_rates(self, message: Any) -> list[Measurement]:
-        """The readings that a message of the gyroscope completes; RecordFault where it is damaged."""
+        """The readings that a gyroscope message completes; RecordFault if it is damaged."""
         gyro = _vector(message.angular_velocity)
         if not np.isfinite(gyro).all():
             raise RecordFault(NO_HALF, f"{gyro}")
@@ -140,7 +140,7 @@ class JoinedImu:
         return self._complete()
 
     def read_forces(self, message: Any) -> list[Measurement]:
-        """The readings that a message of the accelerometer completes; RecordFault where it is damaged."""
+        """The readings that an accelerometer message completes; RecordFault if it is damaged."""
         force, stamp_s = _vector(message.linear_acceleration), stamp_of(message.header)
         if not np.isfinite(force).all() or not force.any():
             raise RecordFault(NO_HALF, f"{force}")
@@ -152,7 +152,7 @@ class JoinedImu:
         return self._complete()
 
     def _complete(self) -> list[Measurement]:
-        """Readings at the stamps of turn rates between accelerations; those that can get none are counted."""
+        """Readings at gyroscope stamps between two accelerations; gyroscope messages without are counted."""
         found: list[Measurement] = []
         while self._rates and (self._forces or abs(self._rates[-1][0] - self._rates[0][0]) > GAP_S):
             stamp_s, gyro = self._rates[0]
@@ -167,7 +167,7 @@ class JoinedImu:
         return found
 
     def _force_at(self, stamp_s: float) -> FloatArray | None:
-        """(3,) by the line between neighbours; None where there are none."""
+        """(3,) acceleration, interpolated between neighbours; None if there are none."""
         if self._forces and self._forces[-1][0] == stamp_s:
             return self._forces[-1][1]
         if not self._forces or stamp_s < self._forces[0][0]:

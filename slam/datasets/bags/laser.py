@@ -1,4 +1,4 @@
-"""LaserScan and MultiEchoLaserScan messages as scans."""
+"""Converts LaserScan and MultiEchoLaserScan messages to scans."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ ANGLE_TOLERANCE_RAD = 0.1
 
 @dataclass(frozen=True, slots=True)
 class LaserMount:
-    """How a laser sits: on the robot's plane, whether it hangs upside down, and how far it is tilted."""
+    """Pose of a laser in the robot's plane, whether it is mounted upside down, and its tilt."""
 
     T_base_laser: gtsam.Pose2
     inverted: bool = False
@@ -39,12 +39,12 @@ class LaserMount:
 
     @classmethod
     def of(cls, pose: gtsam.Pose3) -> LaserMount:
-        """The mount in the plane; a tilt of less than 45 degrees is projected.
+        """The pose in the plane; a tilt below 45 degrees is projected.
 
         Raises
         ------
         RecordFault
-            The laser's plane stands more upright than level.
+            The laser's plane is tilted by 45 degrees or more.
         """
         axes = pose.rotation().matrix()
         if abs(axes[2, 2]) < _LEVEL:
@@ -54,16 +54,16 @@ class LaserMount:
 
 
 def scan_from(message: Any, mount: LaserMount, topic: str, told_alike: ToldAlike) -> LaserScan:
-    """A scan; beams are given counter-clockwise as seen from above the robot.
+    """A scan with counter-clockwise beams, as seen from above the robot.
 
-    Of a MultiEchoLaserScan the first echo of each beam, the nearest, is taken: behind glass or rain the
-    robot still may not drive. NaN and readings below ``range_min``, where that is below ``range_max``,
-    are invalid, those at or above it and ``inf`` met nothing (REP-117). The stamp is of the first beam.
+    Of a MultiEchoLaserScan, the first (nearest) echo of each beam is used, because glass is an obstacle. NaN
+    and ranges below ``range_min`` are invalid, if ``range_min`` is below ``range_max``; ranges from
+    ``range_max`` on and ``inf`` hit nothing (REP-117). The stamp is that of the first beam.
 
     Raises
     ------
     RecordFault
-        No beams, no valid one, or angles that cannot be.
+        There are no beams or no valid ones, or the angles are impossible.
     """
     ranges_m = _ranges(message)
     start_rad, step_rad = float(message.angle_min), float(message.angle_increment)
@@ -99,7 +99,7 @@ def scan_from(message: Any, mount: LaserMount, topic: str, told_alike: ToldAlike
 
 
 def _ranges(message: Any) -> FloatArray:
-    """(N,) ranges; of several echoes the first, NaN where a beam has none."""
+    """(N,) ranges; of several echoes the first, NaN for a beam without echo."""
     ranges = message.ranges
     if len(ranges) and hasattr(ranges[0], "echoes"):
         firsts = [float(beam.echoes[0]) if len(beam.echoes) else math.nan for beam in ranges]
@@ -110,5 +110,5 @@ def _ranges(message: Any) -> FloatArray:
 
 
 def _as_meant(single: Any) -> float:
-    """The shortest decimal number that a single-precision one stands for: 5.6, not 5.599999904632568."""
+    """The shortest decimal equal to a single-precision number: 5.6, not 5.599999904632568."""
     return float(str(np.float32(single)))

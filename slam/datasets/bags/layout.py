@@ -1,4 +1,4 @@
-"""How a bag is read: its topics, and where and through which lens each sensor looks."""
+"""How a bag is read: its topics, and the pose and the intrinsics of each sensor."""
 
 from __future__ import annotations
 
@@ -49,27 +49,27 @@ class Layout:
     Attributes
     ----------
     base
-        The robot's frame, None where the bag has no tf.
+        The robot's frame, None if the bag has no tf.
     files
-        What files tell of the sensors.
+        What calibration files contain about the sensors.
     readers
-        By topic, what makes a reading of a message, or those that it completes.
+        For each topic, the function that converts a message to one or more readings.
     joined
-        For each topic of accelerations alone that of the turn rates beside it.
+        For each topic with only accelerations, the topic of its angular rates.
     images
-        For each image topic the place of its camera in ``cameras``, and whether it holds depth.
+        For each image topic, the index of its camera in ``cameras``, and whether it is depth.
     wheels_from
-        Gives the wheels from a tf message, where no odometry topic does.
+        Reads wheel odometry from a tf message, if there is no odometry topic.
     notes
-        What was concluded, for the report.
+        Conclusions for the report.
     shifts_s
-        By how much stamps of topics are ahead of the common clock; infinite where they have none.
+        How far the stamps of topics are ahead of the common clock; infinite if they have no stamps.
     lenses
-        Topics that told a lens, a depth unit, or where colour sits beside depth.
+        Topics that contain a lens, a depth unit, or the pose of the colour camera in the depth camera.
     left_out
-        Why a topic of a sensor is not read.
+        Why a sensor topic is not read.
     ousters
-        As of the survey.
+        As in the survey.
     """
 
     base: str | None
@@ -93,14 +93,14 @@ class Layout:
         return known or (kind in TRANSFORMS and topic not in self.left_out)
 
     def makes(self, topic: str, kind: str) -> str:
-        """What the report calls the measurements of a topic; empty where they are none."""
+        """Name of a topic's measurements in the report; empty if there are none."""
         if topic in self.images:
             return frames_of(self.cameras[self.images[topic][0]].sensor)
         own = self.joined.get(topic, topic)
         return f"{own} ({kind.rpartition('/')[2]})" if topic in self.readers else ""
 
     def why_not(self, topic: str, kind: str, count: int) -> str:
-        """Why nothing is made of a topic's messages; empty where something is."""
+        """Why a topic's messages are not used; empty if they are."""
         if self.reads(topic, kind) or topic in self.lenses:
             return "" if count else "it has no message"
         if kind == CAMERA_INFO:
@@ -113,7 +113,7 @@ class Layout:
 
 
 def frames_of(camera: str) -> str:
-    """What the report calls the frames of a camera."""
+    """Name of a camera's frames in the report."""
     return f"{camera} frame"
 
 
@@ -123,12 +123,12 @@ def layout_of(bag: Bag, survey: Survey, wanted: tuple[str, ...], known: KnownCal
     Parameters
     ----------
     known
-        What files beside the bag, and files that were given, tell of its lenses and mountings.
+        Intrinsics and mountings from files next to the bag and from files that the user gave.
 
     Raises
     ------
     DatasetError
-        A topic that the bag does not have, or several of a sort and none named.
+        A topic is not in the bag, or there are several of one type and the user named none.
     """
     files = FileFacts(known)
     files.place(survey)
@@ -165,7 +165,7 @@ def layout_of(bag: Bag, survey: Survey, wanted: tuple[str, ...], known: KnownCal
 
 
 def _read_clocks(survey: Survey, layout: Layout) -> None:
-    """Stamps that are none, and those of a clock of their own."""
+    """Find topics without stamps, and topics with a clock of their own."""
     for topic in sorted({*layout.readers, *layout.images}):
         if topic in survey.late_s and survey.late_s[topic] is None:
             layout.shifts_s[topic] = math.inf
@@ -178,7 +178,7 @@ def _read_clocks(survey: Survey, layout: Layout) -> None:
 
 
 def _choice(bag: Bag, survey: Survey, wanted: tuple[str, ...]) -> Choice:
-    """Which topics; what cannot be chosen is listed with its messages."""
+    """Choose the topics; the error lists those among which it cannot choose."""
     wanted = tuple(
         topic for topic in wanted if topic.rstrip("/") != survey.robots.read or not topic.strip("/")
     )
@@ -194,13 +194,13 @@ def _choice(bag: Bag, survey: Survey, wanted: tuple[str, ...]) -> Choice:
                 f"{topic} of {bag.path} holds {kind}, which is not read; it holds {_listing(bag, survey)}"
             )
         kinds[topic] = kind
-    # Where no image could be decoded, its name must tell.
+    # If no image could be decoded, its name must decide.
     depths = {topic: survey.depths.get(topic, "depth" in topic.lower()) for topic in kinds}
     return choose(kinds, depths, wanted, never_read(survey), evidence_of(survey))
 
 
 def _listing(bag: Bag, survey: Survey) -> str:
-    """Topics of sensors with their types and numbers of messages."""
+    """Sensor topics with types and numbers of messages."""
     counts = count_messages(bag)
     found = [
         f"{topic} ({channel.kind.rpartition('/')[2]}, {counts[topic]} messages)"
@@ -213,7 +213,7 @@ def _listing(bag: Bag, survey: Survey) -> str:
 def _mount(
     survey: Survey, layout: Layout, topic: str, kind: str = "", *, only: bool = False
 ) -> gtsam.Pose3 | None:
-    """``T_base_sensor`` by our own file for the only of a kind, else by tf; a note where neither tells."""
+    """``T_base_sensor`` of a type's only sensor by `calibration.yaml`, else by tf; a note if unknown."""
     notes = len(layout.notes)
     own = _mount_by_tf(survey, layout, topic)
     told = layout.files.mount(kind, topic, own, only=only) if kind else own
@@ -223,7 +223,7 @@ def _mount(
 
 
 def _mount_by_tf(survey: Survey, layout: Layout, topic: str) -> gtsam.Pose3 | None:
-    """``T_base_sensor`` by tf, with a note where it cannot be reported."""
+    """``T_base_sensor`` by tf, with a note if tf does not contain it."""
     frame = survey.frames.get(topic, "")
     if not layout.base:
         layout.notes.append(
@@ -241,7 +241,7 @@ def _mount_by_tf(survey: Survey, layout: Layout, topic: str) -> gtsam.Pose3 | No
 def _mount_of_lidar(
     survey: Survey, layout: Layout, topic: str, kind: str = "", *, only: bool = False
 ) -> gtsam.Pose3 | None:
-    """As `_mount`, with a warning where a robot with tf does not tell it."""
+    """Like `_mount`, with a warning if the robot has tf and the lidar is not in it."""
     mount = _mount(survey, layout, topic, kind, only=only)
     if mount is None and layout.base:
         text = f"{topic}: tf has no mounting for it; assumed at {layout.base}"
@@ -250,7 +250,7 @@ def _mount_of_lidar(
 
 
 def _scan_reader(survey: Survey, layout: Layout, topic: str) -> Callable[[Any], Measurement]:
-    """What reads scans of a topic."""
+    """A function that reads scans of a topic."""
     pose = _mount_of_lidar(survey, layout, topic)
     mount = LaserMount(gtsam.Pose2())
     if pose is not None:
@@ -273,7 +273,7 @@ def _scan_reader(survey: Survey, layout: Layout, topic: str) -> Callable[[Any], 
 def _cloud_reader(
     survey: Survey, layout: Layout, topic: str, *, only: bool
 ) -> Callable[[Any], Measurement | list[Measurement]]:
-    """What reads clouds of a topic."""
+    """A function that reads clouds of a topic."""
     reader = CloudReader(topic, _mount_of_lidar(survey, layout, topic, "lidar", only=only) or gtsam.Pose3())
     layout.clouds.append(reader)
     if survey.in_pieces.get(topic):
@@ -283,7 +283,7 @@ def _cloud_reader(
 
 
 def _read_imus(survey: Survey, layout: Layout, topics: tuple[str, ...]) -> None:
-    """What reads IMUs, those of two topics as one."""
+    """Add the readers of IMUs; an IMU on two topics gets one."""
     pairs = paired_halves(topics, survey.imus)
     for topic in topics:
         if topic in pairs.values():
@@ -302,7 +302,7 @@ def _read_imus(survey: Survey, layout: Layout, topics: tuple[str, ...]) -> None:
 
 
 def _camera(survey: Survey, layout: Layout, topics: CameraTopics, *, only: bool) -> BagCamera:
-    """A camera with its lenses and its place on the robot."""
+    """A camera with its lenses and its pose on the robot."""
     T_depth_color = _color_in_depth(survey, layout, topics)
     stamps = [survey.stamps_s.get(topic, []) for topic in (topics.color, topics.depth)]
     camera = BagCamera(
@@ -327,7 +327,7 @@ def _color_in_depth(survey: Survey, layout: Layout, topics: CameraTopics) -> gts
     told = survey.facts.color_in_depth(topics.color, topics.depth)
     frames = survey.frames.get(topics.depth, ""), survey.frames.get(topics.color, "")
     if is_registered(topics.depth) or (frames[0] == frames[1] and not survey.facts.streams):
-        return gtsam.Pose3()  # one camera, or depth that its driver has drawn as colour sees it
+        return gtsam.Pose3()  # one camera, or depth registered to colour by the driver
     known = [(told[0], told[1])] if told else []
     if frames[0] != frames[1] and (between := survey.tree.between(*frames)) is not None:
         known.append((between, "tf"))
@@ -349,12 +349,12 @@ def _color_in_depth(survey: Survey, layout: Layout, topics: CameraTopics) -> gts
 
 
 def _xyz(translation: Any) -> str:
-    """Three numbers for people."""
+    """Three numbers as text for the user."""
     return " ".join(f"{number:.3f}" for number in translation)
 
 
 def _lens(survey: Survey, layout: Layout, topic: str) -> Lens | None:
-    """The lens of an image topic, None where no usable CameraInfo goes with it."""
+    """The lens of an image topic, None if it has no usable CameraInfo."""
     source = survey.lens_topic(topic)
     if source is None:
         return None

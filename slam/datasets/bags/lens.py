@@ -1,4 +1,4 @@
-"""CameraInfo messages: the pin-hole, and the way from a distorted image to one."""
+"""CameraInfo messages: the pinhole model, and the undistortion of images."""
 
 from __future__ import annotations
 
@@ -27,13 +27,13 @@ class Lens:
     Attributes
     ----------
     intrinsics
-        Of the image without distortion.
+        Intrinsics of the undistorted image.
     distortion
-        (D,) coefficients in OpenCV's order; empty where there is none.
+        (D,) coefficients in OpenCV's order; empty if there is none.
     fisheye
-        Whether they are of the equidistant model.
+        Whether the distortion model is equidistant.
     unknown_model
-        The model's name, where its distortion is left in the images.
+        Name of an unsupported model, whose distortion remains in the images.
     """
 
     intrinsics: CameraIntrinsics
@@ -44,12 +44,12 @@ class Lens:
     def maps(
         self, seen_by: CameraIntrinsics | None = None, turn: FloatArray | None = None
     ) -> tuple[NDArray[np.float32], NDArray[np.float32]] | None:
-        """Columns and rows to look up for each pixel without distortion; None where nothing is to be done.
+        """Columns and rows to look up for each undistorted pixel; None if nothing is to be done.
 
         Parameters
         ----------
         seen_by, turn
-            The camera in the same place that is wanted instead, and (3, 3) the rotation of this one in it.
+            The wanted camera at the same position, and the (3, 3) rotation of this camera in it.
         """
         lens, wanted = self.intrinsics, seen_by or self.intrinsics
         rotation = np.eye(3) if turn is None else turn
@@ -71,7 +71,7 @@ def _matrix(lens: CameraIntrinsics) -> FloatArray:
 
 
 def _same_view(first: CameraIntrinsics, second: CameraIntrinsics) -> bool:
-    """Whether two pin-holes show the same, at another size perhaps, to a tenth of a pixel."""
+    """Whether two pinhole cameras have the same view to 0.1 pixel, at any image size."""
     scale = second.width / max(first.width, 1)
     wanted = np.array([first.fx, first.fy, first.cx + 0.5, first.cy + 0.5]) * scale
     got = np.array([second.fx, second.fy, second.cx + 0.5, second.cy + 0.5])
@@ -84,12 +84,12 @@ def lens_of(message: Any, *, rectified: bool) -> Lens:
     Parameters
     ----------
     rectified
-        The images on the topic are rectified: P holds for them, without distortion. Else K and D do.
+        Whether the images are rectified: then P applies, without distortion, else K and D.
 
     Raises
     ------
     RecordFault
-        It has no focal length (an uncalibrated camera), or a size that cannot be.
+        It has no focal length (an uncalibrated camera), or an impossible size.
     """
     k, p, d = (_numbers(message, name) for name in "kpd")
     width, height = int(message.width), int(message.height)
@@ -109,7 +109,7 @@ def lens_of(message: Any, *, rectified: bool) -> Lens:
 
 
 def _cut(lens: CameraIntrinsics, region: Any) -> CameraIntrinsics:
-    """Of the region of the sensor that images show; none is the whole."""
+    """Intrinsics for the region of interest; without one, those of the whole sensor."""
     if region is None or not (region.width and region.height):
         return lens
     cx, cy = lens.cx - region.x_offset, lens.cy - region.y_offset
@@ -117,7 +117,7 @@ def _cut(lens: CameraIntrinsics, region: Any) -> CameraIntrinsics:
 
 
 def _numbers(message: Any, name: str) -> FloatArray:
-    """A field in either spelling."""
+    """A field in upper-case or lower-case spelling."""
     value = getattr(message, name, None)
     if value is None:
         value = getattr(message, name.upper())
@@ -125,7 +125,7 @@ def _numbers(message: Any, name: str) -> FloatArray:
 
 
 def _pin_hole(k: FloatArray, p: FloatArray, *, rectified: bool) -> tuple[float, float, float, float]:
-    """Focal lengths and centre."""
+    """Focal lengths and principal point."""
     if rectified and p.size == 12 and p[0] > 0.0:
         return float(p[0]), float(p[5]), float(p[2]), float(p[6])
     if k.size != 9:

@@ -1,4 +1,4 @@
-"""Livox's own messages as clouds; a point's offset in time is nanoseconds after the stamp."""
+"""Converts Livox's own messages to clouds; a point's time offset is in nanoseconds after the stamp."""
 
 from __future__ import annotations
 
@@ -8,14 +8,14 @@ from slam.datasets.bags.cloud_messages import Wire
 from slam.datasets.budget import LARGEST_BYTES
 
 _FIELDS = (("offset_time", 6, 0), ("x", 7, 4), ("y", 7, 8), ("z", 7, 12), ("reflectivity", 2, 16))
-_POINT = 19  # bytes of what a point tells
-_ALIGNED = 20  # to where the next begins in ROS 2
+_POINT = 19  # bytes of a point
+_ALIGNED = 20  # bytes from one point to the next in ROS 2
 
 
 def livox_cloud(content: bytes, wire: str) -> SimpleNamespace:
-    """A CustomMsg with the fields of a PointCloud2.
+    """Convert a CustomMsg to the fields of a PointCloud2.
 
-    Decoded here since a message has tens of thousands of points, each a record of its own.
+    Decoded here because a message has tens of thousands of points, each a separate record.
 
     Raises
     ------

@@ -1,8 +1,8 @@
-"""The MCAP container (mcap.dev, version 0), read from its front: a cut-off file gives what it has.
+"""The MCAP container (mcap.dev, version 0), read from its start, also if the file is truncated.
 
-Own code, since the readers at hand cannot: that of rosbags needs the index at the end of a whole file; that
-of `mcap` unpacks a chunk at once or not at all, so that a cut or a damaged record loses what was sound beside
-it, and takes a record that the file cuts short for a short one.
+Existing readers cannot do this: rosbags needs the index at the end of a complete file; `mcap` decompresses a
+chunk completely or not at all, so that a truncated or damaged record also loses the intact ones of its chunk,
+and it takes a truncated record for a short one.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ class McapContainer:
     """An ``.mcap`` file."""
 
     def announced(self, path: Path) -> list[Channel] | None:
-        """The channels of the summary at the end; None where there is none."""
+        """The channels in the summary at the end; None if there is none."""
         with path.open("rb") as file:
             try:
                 size = file.seek(0, io.SEEK_END)
@@ -58,7 +58,7 @@ class McapContainer:
     def records(
         self, path: Path, account: Account, budget: Budget, on_share: OnShare
     ) -> Iterator[tuple[Channel, int, bytes]]:
-        """All messages in the order of the file; a damaged chunk costs itself, a cut the rest."""
+        """All messages in file order; skips damaged chunks, ends where the file is truncated."""
         tables, chunks = _Tables(), 0
         with path.open("rb") as file:
             if file.read(len(MAGIC)) != MAGIC:
@@ -77,19 +77,19 @@ class McapContainer:
                         if not 0 < kind <= _DATA_END:
                             account.report.note(UNKNOWN, account.report.line_count)
                         yield from _learned(tables, kind, content, account, path.name)
-                # The data are followed by a mark; without it the writer did not finish.
+                # A marker follows the data; without it, the writer did not finish.
                 raise CutError("no end mark")
 
 
 class _Tables:
-    """Schemas and channels so far."""
+    """Schemas and channels read so far."""
 
     def __init__(self) -> None:
         self._schemas: dict[int, tuple[str, str, str]] = {}
         self.channels: dict[int, Channel] = {}
 
     def learn(self, kind: int, content: bytes) -> tuple[Channel, int, bytes] | None:
-        """Take in a record; the message that it is."""
+        """Process a record; returns its message, if it is one."""
         try:
             if kind == _MESSAGE:
                 number, _, log_ns = struct.unpack_from("<HIQ", content)
@@ -115,7 +115,7 @@ class _Tables:
 
 
 def _summary_start(file: BinaryIO) -> int:
-    """Where the summary begins, 0 where the file does not end as it should."""
+    """Start of the summary, 0 if the end of the file is not as it should be."""
     file.seek(-_FOOTER_BYTES, io.SEEK_END)
     tail = file.read(_FOOTER_BYTES)
     if not tail.endswith(MAGIC) or tail[0] != _FOOTER:
@@ -125,12 +125,12 @@ def _summary_start(file: BinaryIO) -> int:
 
 
 def _raw_records(stream: BinaryIO, budget: Budget) -> Iterator[tuple[int, bytes, bool]]:
-    """Kinds and contents up to the end of the stream, and whether the record is whole: the last may not be.
+    """Types and contents up to the end of the stream, and whether a record is complete (the last may not be).
 
     Raises
     ------
     CutError, RecordFault
-        After the last record: it is not whole, has a size that cannot be, or is beyond the budget.
+        After the last record: it is incomplete, has an impossible size, or exceeds the budget.
     """
     while head := stream.read(9):
         budget.take(0)
@@ -147,8 +147,8 @@ def _raw_records(stream: BinaryIO, budget: Budget) -> Iterator[tuple[int, bytes,
 def _from_chunk(
     tables: _Tables, content: bytes, account: Account, budget: Budget, where: str, number: int, *, whole: bool
 ) -> Iterator[tuple[Channel, int, bytes]]:
-    """The messages of a chunk, as far as it goes."""
-    # Where the file is cut that is said once, at its end.
+    """The messages of a chunk, as far as it is intact."""
+    # A truncated file is reported once, at its end.
     cut = suppress(RecordFault, CutError)
     with account.refusing(where, number, DAMAGED, CutError) if whole else cut:
         records = io.BytesIO(_unpacked(content, budget, whole=whole))
@@ -168,7 +168,7 @@ def _learned(
 
 
 def _unpacked(content: bytes, budget: Budget, *, whole: bool) -> bytes:
-    """The records of a chunk, checked by their checksum where there is one."""
+    """The records of a chunk, verified by their checksum if there is one."""
     stream = io.BytesIO(content)
     try:
         _, _, size, checksum = struct.unpack("<QQQI", exactly(stream, 28))
@@ -184,6 +184,6 @@ def _unpacked(content: bytes, budget: Budget, *, whole: bool) -> bytes:
 
 
 def _text(stream: BinaryIO, encoding: str = "utf-8") -> str:
-    """A string with its length before it."""
+    """A length-prefixed string."""
     (size,) = struct.unpack("<I", exactly(stream, 4))
     return exactly(stream, size).decode(encoding)

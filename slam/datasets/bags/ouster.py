@@ -1,4 +1,4 @@
-"""Packets of Ouster's lidars as clouds and as readings of their IMU, by what the sensor tells of itself.
+"""Converts packets of Ouster lidars to clouds and IMU readings, by the metadata of the sensor.
 
 After Ouster's Software User Manual (firmware 2.x and 3.x): "Lidar Data Packet Format", "IMU Data Packet
 Format". The first return of each pixel is read.
@@ -31,22 +31,22 @@ DAMAGED = "damaged packet of an Ouster"
 LATE = "packet of an earlier revolution of an Ouster"
 NO_RETURN = "revolution of an Ouster without a return"
 IMU_BYTES = 48
-# No packet waits so long for its recorder; a sensor without a clock counts from its start.
+# No packet is recorded so late; a sensor that is not synchronised counts from its start.
 _OTHER_CLOCK_S = 60.0
 
 
 @dataclass(slots=True)
 class Ouster:
-    """One sensor: its packets as they come, put together to turns by the frame that they tell.
+    """One sensor: assembles its packets to revolutions by the frame number in the packets.
 
     Attributes
     ----------
     model
-        What it tells of itself.
+        Its metadata.
     lacking, left_out
-        Turns that lack columns, and those that lack half of them or more.
+        Number of revolutions that lack columns, and of those that lack half of them or more.
     behind_s
-        What its clock is behind the recorder's, where that is another one altogether; None before a packet.
+        How far its clock is behind the recorder's, if the clocks differ; None before the first packet.
     """
 
     model: OusterModel
@@ -61,14 +61,14 @@ class Ouster:
     _intensities: NDArray[Any] = field(default_factory=lambda: np.zeros(0, np.uint16))
 
     def add(self, recorded_s: float, packet: bytes) -> SimpleNamespace | None:
-        """The turn that a packet completes, with the fields of a PointCloud2; None where it completes none.
+        """The revolution that a packet completes, as a PointCloud2; None if it completes none.
 
-        A turn is complete with its last column, or where the next begins.
+        A revolution is complete with its last column, or when the next starts.
 
         Raises
         ------
         RecordFault
-            The packet is damaged, or late.
+            The packet is damaged or late.
         """
         model = self.model
         if len(packet) != model.packet.itemsize:
@@ -101,7 +101,7 @@ class Ouster:
         return self.rest() if before is None and (self._stamps_ns[model.sent] >= 0).all() else before
 
     def rest(self) -> SimpleNamespace | None:
-        """The turn so far; None where there is none, or of half or more of its columns nothing came."""
+        """The revolution so far; None if there is none, or if half of its columns or more are missing."""
         if self._frame is None:
             return None
         self._over, self._frame = self._frame, None
@@ -113,7 +113,7 @@ class Ouster:
         return self._cloud()
 
     def _cloud(self) -> SimpleNamespace | None:
-        """The turn as a message, stamped with its first column ("Lidar Range to XYZ")."""
+        """The revolution as a message with the stamp of its first column ("Lidar Range to XYZ")."""
         model = self.model
         at, row = np.nonzero(self._steps)
         if not at.size:
@@ -127,7 +127,7 @@ class Ouster:
         return as_cloud(header_at(self._stamp_s(first_ns), FRAMES[1]), columns)
 
     def imu(self, recorded_s: float, packet: bytes) -> SimpleNamespace:
-        """A packet of its IMU with the fields of an Imu, at the time of the turn rates.
+        """Convert a packet of its IMU to the fields of an Imu, with the stamp of the angular rates.
 
         Raises
         ------
@@ -152,19 +152,19 @@ class Ouster:
         )
 
     def _set_clock(self, recorded_s: float, told_ns: int) -> None:
-        """Lidar and IMU share a clock, which is compared with the recorder's once."""
+        """Compare the clock of lidar and IMU with the recorder's, once."""
         behind_s = recorded_s - told_ns * 1e-9
         self.behind_s = behind_s if abs(behind_s) > _OTHER_CLOCK_S else 0.0
 
     def _stamp_s(self, told_ns: int) -> float:
-        """A time by the recorder's clock, or by one that goes with it."""
+        """A time by the recorder's clock, or by a clock that is synchronous with it."""
         stamp_s = told_ns * 1e-9 + (self.behind_s or 0.0)
         if not 0.0 < stamp_s < 1 << 32:
             raise RecordFault(DAMAGED, f"at {told_ns} ns")
         return stamp_s
 
     def told(self) -> list[str]:
-        """What was found out, for people."""
+        """Conclusions for the user."""
         found = []
         if self.lacking:
             found.append(f"{self.lacking} revolutions of an Ouster lack columns; read as they are")
@@ -182,9 +182,9 @@ class Ousters:
     Parameters
     ----------
     path
-        The recording, beside which metadata is looked for.
+        The recording; metadata is searched for next to it.
     models
-        What is known already.
+        Models that are already known.
     """
 
     def __init__(self, path: Path | None = None, models: Mapping[str, OusterModel] | None = None) -> None:
@@ -193,7 +193,7 @@ class Ousters:
         self._sensors: dict[str, Ouster] = {}
 
     def learn(self, topic: str, text: str) -> None:
-        """Take in metadata of a topic; why it cannot be used is kept for its packets."""
+        """Read the metadata of a topic; if it cannot be used, its packets report the reason."""
         space = topic.rpartition("/")[0]
         try:
             self.models[space] = OusterModel.of(text)
@@ -201,12 +201,12 @@ class Ousters:
             self._faults[space] = fault
 
     def sensor(self, topic: str) -> Ouster:
-        """The sensor of a topic of packets.
+        """The sensor of a packet topic.
 
         Raises
         ------
         RecordFault
-            Its metadata is not known, or cannot be used.
+            Its metadata is unknown or cannot be used.
         """
         space = topic.rpartition("/")[0]
         if space not in self._sensors:
@@ -222,12 +222,12 @@ class Ousters:
         return self._sensors[space]
 
     def read(self, record: BagRecord, *, of_imu: bool) -> SimpleNamespace | None:
-        """What a PacketMsg (a list of bytes) completes.
+        """The message that a PacketMsg (a list of bytes) completes.
 
         Raises
         ------
         RecordFault
-            It is damaged, or nothing is known of its sensor.
+            It is damaged, or there is no metadata of its sensor.
         """
         start = 0 if record.channel.wire == "ros1" else 4
         packet = record.content[start + 4 :]
@@ -236,10 +236,10 @@ class Ousters:
         return (sensor.imu if of_imu else sensor.add)(record.recorded_s, packet[:size])
 
     def rest(self, topic: str) -> SimpleNamespace | None:
-        """What of a topic's last turn came, at the end."""
+        """The incomplete last revolution of a topic."""
         space = topic.rpartition("/")[0]
         return self._sensors[space].rest() if space in self._sensors else None
 
     def told(self) -> list[str]:
-        """What was found out, for people."""
+        """Conclusions for the user."""
         return [text for sensor in self._sensors.values() for text in sensor.told()]

@@ -1,4 +1,4 @@
-"""What an Ouster's lidar tells of itself: how its packets are laid out, where its rays go, where it sits.
+"""The metadata of an Ouster lidar: the layout of its packets, the directions of its rays, its mounting.
 
 After Ouster's Software User Manual (firmware 2.x and 3.x): "Lidar Data Packet Format", "Lidar Range to XYZ".
 """
@@ -21,39 +21,39 @@ from slam.datasets.dataset import RecordFault
 from slam.measurements import FloatArray
 
 NOT_READ = "packets of an Ouster whose metadata cannot be used"
-FRAMES = "os_sensor", "os_lidar", "os_imu"  # as its driver calls them
+FRAMES = "os_sensor", "os_lidar", "os_imu"  # names that its driver uses
 
-# Of a pixel: its bytes, the form of the range in front, the bits of it that are range, metres a step; form
-# and place of how much came back: photons, or where they are not sent the reflectivity.
+# A pixel: its size in bytes, type of the range at its start, bits that are range, metres per step; type and
+# offset of the intensity: photons, or the reflectivity if they are not sent.
 _PIXELS = {
     "LEGACY": (12, "<u4", 0xFFFFF, 0.001, "<u2", 6),
     "RNG19_RFL8_SIG16_NIR16": (12, "<u4", 0x7FFFF, 0.001, "<u2", 6),
     "RNG19_RFL8_SIG16_NIR16_DUAL": (16, "<u4", 0x7FFFF, 0.001, "<u2", 8),
     "RNG15_RFL8_NIR8": (4, "<u2", 0x7FFF, 0.008, "u1", 2),
 }
-_LARGEST_PACKET, _MOST_COLUMNS = 65_507, 4096  # what UDP carries; of the mode with the most
+_LARGEST_PACKET, _MOST_COLUMNS = 65_507, 4096  # limit of UDP; the mode with the most columns
 _MOST_FILES, _MOST_BYTES = 64, 1 << 22
 _SECTIONS = "config_params beam_intrinsics lidar_intrinsics imu_intrinsics data_format lidar_data_format"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class OusterModel:
-    """What a sensor tells of itself.
+    """The metadata of a sensor.
 
     Attributes
     ----------
     packet
-        The structured type of a packet; with ``frame`` where its head tells it.
+        The structured type of a packet; with ``frame`` if its header contains it.
     step_m, bits
-        Metres a step of a range, and the bits of a pixel's first number that are range.
+        Metres per range step, and the bits of a pixel's first number that are range.
     ahead
         (W, R, 3) unit rays of all pixels in the lidar's frame.
     origins_m, arm_m
-        (W, 3) where the rays of a column begin, and how far that is from the lidar's axis.
+        (W, 3) origins of the rays of a column, and their distance from the lidar's axis.
     sent
-        (W,) whether a column is within the window that is sent.
+        (W,) whether a column is in the azimuth window that is sent.
     T_sensor_lidar, T_sensor_imu
-        Of the lidar's frame and of the IMU's in the sensor's.
+        Poses of the lidar frame and the IMU frame in the sensor frame.
     """
 
     packet: np.dtype[Any]
@@ -68,12 +68,12 @@ class OusterModel:
 
     @staticmethod
     def of(text: str) -> OusterModel:
-        """By the text of a sensor's metadata, in any of its three forms (flat, flat with a format, sections).
+        """Parse the metadata of a sensor in any of its three forms (flat, flat with a format, sections).
 
         Raises
         ------
         RecordFault
-            It is no metadata, lacks something, or is of a profile that is not read.
+            It is no metadata, is incomplete, or has an unsupported profile.
         """
         try:
             told = json.loads(text)
@@ -87,13 +87,13 @@ class OusterModel:
             raise RecordFault(NOT_READ, str(error)) from error
 
     def mountings(self) -> dict[str, gtsam.Pose3]:
-        """Where its frames sit in the sensor's."""
+        """Poses of its frames in the sensor frame."""
         _, lidar, imu = FRAMES
         return {lidar: self.T_sensor_lidar} | ({imu: self.T_sensor_imu} if self.T_sensor_imu else {})
 
 
 def _model(told: dict[str, Any]) -> OusterModel:
-    """A model by all that is told."""
+    """A model from parsed metadata."""
     profile = str(told.get("udp_profile_lidar") or "LEGACY")
     if profile not in _PIXELS:
         raise RecordFault(f"{NOT_READ}: profile {profile[:40]}, of those read {', '.join(_PIXELS)}", profile)
@@ -127,7 +127,7 @@ def _model(told: dict[str, Any]) -> OusterModel:
 
 
 def _packet(profile: str, rows: int, each: int) -> np.dtype[Any]:
-    """The structured type of a packet of so many columns."""
+    """The structured type of a packet with ``each`` columns."""
     size, form, _, _, intensities, at = _PIXELS[profile]
     pixel = np.dtype(
         {
@@ -148,12 +148,12 @@ def _packet(profile: str, rows: int, each: int) -> np.dtype[Any]:
 
 @cache
 def packet_sizes() -> frozenset[int]:
-    """Bytes of the packets of the lidars that are sold, by which those without metadata are known."""
+    """Packet sizes in bytes of all Ouster models, to recognise packets without metadata."""
     return frozenset(_packet(profile, rows, 16).itemsize for profile in _PIXELS for rows in (16, 32, 64, 128))
 
 
 def _beams_m(told: Mapping[str, Any]) -> tuple[float, float]:
-    """How far beams begin from the lidar's axis, and above its origin."""
+    """Distance of the beam origins from the lidar's axis, and their height above its origin."""
     if (whole := told.get("beam_to_lidar_transform")) is not None:
         matrix = np.asarray(whole, np.float64).reshape(4, 4)
         return float(matrix[0, 3]) / 1000.0, float(matrix[2, 3]) / 1000.0
@@ -161,7 +161,7 @@ def _beams_m(told: Mapping[str, Any]) -> tuple[float, float]:
 
 
 def _pose(told: Any) -> gtsam.Pose3:
-    """A transform of the metadata: 16 numbers by rows, millimetres."""
+    """A transform in the metadata: 16 numbers in row-major order, millimetres."""
     matrix = np.asarray(told, np.float64).reshape(4, 4)
     if not np.isfinite(matrix).all() or abs(np.linalg.det(matrix[:3, :3]) - 1.0) > 0.01:
         raise ValueError("an invalid transform")
@@ -169,7 +169,7 @@ def _pose(told: Any) -> gtsam.Pose3:
 
 
 def metadata_beside(path: Path) -> str | None:
-    """The metadata of a sensor beside or in a recording's folder: named as it, else the only one, or None."""
+    """The metadata next to or in a recording: with its name, else the only one, else None."""
     places = [path, path.parent] if path.is_dir() else [path.parent]
     for place in places:
         found = {}

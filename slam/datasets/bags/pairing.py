@@ -1,4 +1,4 @@
-"""Colour and depth images of one camera, paired by their stamps while they stream in."""
+"""Pairs colour and depth images of one camera by their stamps, as a stream."""
 
 from __future__ import annotations
 
@@ -13,8 +13,8 @@ from slam.datasets.dataset import RecordFault
 from slam.datasets.frame_pairs import NO_COLOR, NO_DEPTH, nearest_partners
 from slam.measurements import FloatArray
 
-_WAIT_S = 0.15  # for a partner, by the recorder's clock: the later image of a pair comes so late at most
-_MOST_WAITING = 64  # of one camera; bounds the memory where the recorder's clock stands still
+_WAIT_S = 0.15  # by the recorder's clock: maximum delay of the later image of a pair
+_MOST_WAITING = 64  # of one camera; limits the memory if the recorder's clock stands still
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -37,14 +37,14 @@ class ImagePair:
 
 
 class PairStream:
-    """Pairs as soon as they are certain: at once for equal stamps, else the nearest after a short wait.
+    """Returns pairs as soon as they are certain: equal stamps at once, else the nearest after a short wait.
 
     Parameters
     ----------
     sensor
         Name of the camera, for the account.
     tolerance_s
-        No partner is farther.
+        Maximum time difference of a pair.
     """
 
     def __init__(self, sensor: str, tolerance_s: float, account: Account) -> None:
@@ -55,7 +55,7 @@ class PairStream:
         self._farthest_s = 0.0
 
     def add(self, image: StampedImage, *, is_depth: bool) -> Iterator[ImagePair]:
-        """Take the next image of either kind; the pair that it completes."""
+        """Add the next image of either kind; returns the pair that it completes."""
         own, others = (self._depths, self._colors) if is_depth else (self._colors, self._depths)
         for at, other in enumerate(others):
             if other.stamp_s == image.stamp_s:
@@ -65,28 +65,28 @@ class PairStream:
         own.append(image)
 
     def settle(self, now_s: float) -> Iterator[ImagePair]:
-        """What has waited long enough at a time of the recorder's clock."""
+        """Pairs that have waited long enough at a time of the recorder's clock."""
         while self._colors and _is_due(self._colors, now_s, _WAIT_S):
             yield from self._settle_first()
         while self._depths and _is_due(self._depths, now_s, 2.0 * _WAIT_S):
             self._refuse(NO_COLOR, self._depths.pop(0))
 
     def rest(self) -> Iterator[ImagePair]:
-        """The end of the bag: what is still waiting."""
+        """The pairs still waiting at the end of the bag."""
         while self._colors:
             yield from self._settle_first()
         while self._depths:
             self._refuse(NO_COLOR, self._depths.pop(0))
 
     def tell(self) -> None:
-        """Note how far apart in time the images of a pair were."""
+        """Note the time differences between the images of pairs."""
         if self._first is not None:
             text = f"{self._sensor}: colour and depth paired within {self._tolerance_s:.3f} s"
             apart = f"at most {self._farthest_s:.4f} s apart"
             self._account.report.note(f"{text}, {apart}", self._first, self._farthest_s)
 
     def _settle_first(self) -> Iterator[ImagePair]:
-        """The oldest colour image with its partner, or refused."""
+        """Pair the oldest colour image, or reject it."""
         partner = nearest_partners(_stamps(self._colors), _stamps(self._depths), self._tolerance_s)[0]
         color = self._colors.pop(0)
         if partner < 0:
@@ -96,7 +96,7 @@ class PairStream:
         yield self._pair(color, depth)
 
     def _pair(self, color: StampedImage, depth: StampedImage) -> ImagePair:
-        """Two images as one."""
+        """Combine two images."""
         self._first = self._first or color.number
         self._farthest_s = max(self._farthest_s, abs(depth.stamp_s - color.stamp_s))
         return ImagePair(color, depth)
@@ -108,7 +108,7 @@ class PairStream:
 
 
 def _is_due(waiting: list[StampedImage], now_s: float, wait_s: float) -> bool:
-    """Whether the first has waited long enough, or too many wait."""
+    """Whether the first has waited long enough, or too many are waiting."""
     return now_s - waiting[0].recorded_s > wait_s or len(waiting) > _MOST_WAITING
 
 

@@ -1,4 +1,4 @@
-"""What every container of messages gives: channels, and serialised messages in the order of the file."""
+"""The interface of all containers: channels, and serialised messages in file order."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ UNKNOWN = "record of an unknown kind, skipped"
 
 @dataclass(frozen=True, slots=True)
 class Channel:
-    """A topic as the bag announces it.
+    """A topic as described in the bag.
 
     Attributes
     ----------
@@ -29,9 +29,9 @@ class Channel:
         How messages are serialised: "cdr" or "ros1", Foxglove's own "protobuf" or "json"; others are
         not read.
     definition, language
-        Text of the message type ("msg" or "idl"), or its bytes; empty where the bag does not tell it.
+        Text of the message type ("msg" or "idl"), or its bytes; empty if the bag does not contain it.
     own_kind
-        The message type as the bag names it, where it is read as another.
+        The message type as the bag names it, if it is read as another.
     """
 
     topic: str
@@ -49,9 +49,9 @@ class BagRecord:
     Attributes
     ----------
     number
-        Its 1-based place in the bag.
+        Its 1-based index in the bag.
     recorded_s
-        When it was written, by the clock of the recorder.
+        Record time, by the clock of the recorder.
     """
 
     number: int
@@ -64,17 +64,16 @@ class Container(Protocol):
     """A file of messages."""
 
     def announced(self, path: Path) -> list[Channel] | None:
-        """All channels by the index of the file; None where it has none, as a cut-off file."""
+        """All channels in the index of the file; None if there is no index, as in a truncated file."""
         ...
 
     def records(
         self, path: Path, account: Account, budget: Budget, on_share: OnShare
     ) -> Iterator[tuple[Channel, int, bytes]]:
-        """Channel, time in nanoseconds and content of each message; what is damaged goes to the account.
+        """Channel, time in nanoseconds and content of each message; damaged ones are counted in the account.
 
-        What the file unpacks to is taken from the budget; where that is used up the rest is not read.
-
-        Now and then ``on_share`` is told the share of the file that has been read, 0..1.
+        The decompressed size is taken from the budget; reading ends when the budget is exhausted. From time
+        to time ``on_share`` is called with the fraction of the file that has been read, 0..1.
 
         Raises
         ------
@@ -85,7 +84,7 @@ class Container(Protocol):
 
 
 class CutError(Exception):
-    """The file, or a chunk in it, ends within a record; ``content`` is what there is of it."""
+    """The file, or a chunk in it, ends within a record; ``content`` is the part that exists."""
 
     def __init__(self, text: str, content: bytes = b"") -> None:
         super().__init__(text)
@@ -93,14 +92,14 @@ class CutError(Exception):
 
 
 def exactly(stream: BinaryIO, size: int) -> bytes:
-    """So many bytes.
+    """Read exactly ``size`` bytes.
 
     Raises
     ------
     CutError
-        There are fewer.
+        There are fewer bytes.
     RecordFault
-        More than a message can have: the size is damaged.
+        More than a message can have, so the size is damaged.
     """
     if size > LARGEST_BYTES:
         raise RecordFault(DAMAGED, f"a record of {size} bytes")
@@ -111,6 +110,6 @@ def exactly(stream: BinaryIO, size: int) -> bytes:
 
 
 def ros2_name(kind: str) -> str:
-    """A message type as ROS 2 writes it, also where it comes as ``sensor_msgs/LaserScan``."""
+    """The ROS 2 name of a message type, also for names like ``sensor_msgs/LaserScan``."""
     parts = kind.split("/")
     return f"{parts[0]}/msg/{parts[1]}" if len(parts) == 2 else kind

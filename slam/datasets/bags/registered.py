@@ -1,4 +1,4 @@
-"""What camera drivers tell in messages of their own, and colour as the depth camera sees it.
+"""Camera facts from messages of their drivers, and registration of colour to depth.
 
 librealsense records a camera in topics ``/device_0/sensor_0/Depth_0/...`` with the depth unit as an option,
 and transforms of streams from the first; drivers of RealSense and Orbbec for ROS send Extrinsics messages.
@@ -22,25 +22,25 @@ from slam.measurements import CameraIntrinsics, ColorImage, Float32Array
 EXTRINSICS = re.compile(r"(realsense|orbbec).*/Extrinsics$")
 _UNIT = re.compile(r"(/device_\d+/sensor_\d+)/option/Depth[_ ]Units/value")
 _STREAM = re.compile(r"(/device_\d+/sensor_\d+/\w+)/tf/\d+")
-_FARTHEST_M = 1.0  # between the lenses of one camera; a translation beyond it is in millimetres
+_FARTHEST_M = 1.0  # between the lenses of one camera; larger translations are in millimetres
 _SMALLEST_M, _LARGEST_M = 1e-6, 1e-1  # units of depth
-_FAR_M = 1e3  # where the way between two cameras does not show in the image
+_FAR_M = 1e3  # from here on, the baseline of two cameras is not visible in the image
 
 
 @dataclass(slots=True)
 class CameraFacts:
-    """What drivers tell of their cameras.
+    """What drivers report about their cameras.
 
     Attributes
     ----------
     units_m
-        Metres a step of depth, by the namespace of the sensor.
+        Metres per depth step, by the namespace of the sensor.
     streams
         Pose of the reference stream in each stream of a recording by librealsense, by the stream's namespace.
     extrinsics
         ``T_to_from`` of each topic of Extrinsics.
     told
-        The topics that told all this.
+        The topics that contain these facts.
     """
 
     units_m: dict[str, float] = field(default_factory=dict)
@@ -49,19 +49,19 @@ class CameraFacts:
     told: set[str] = field(default_factory=set)
 
     def tells(self, topic: str, kind: str) -> bool:
-        """Whether a topic tells such."""
+        """Whether a topic contains such facts."""
         return bool(EXTRINSICS.search(kind) or _UNIT.fullmatch(topic) or _STREAM.fullmatch(topic))
 
     def add(self, topic: str, kind: str, message: Any) -> None:
-        """Take in a message of such a topic.
+        """Add a message of such a topic.
 
         Raises
         ------
         ValueError
-            What it tells is none.
+            A value in it is invalid.
         """
         if unit := _UNIT.fullmatch(topic):
-            value = float(str(np.float32(message.data)))  # 0.001, not what is nearest to it in four bytes
+            value = float(str(np.float32(message.data)))  # 0.001, not its nearest value in single precision
             if not _SMALLEST_M <= value <= _LARGEST_M:
                 raise ValueError(f"a depth unit of {value} m")
             self.units_m[unit[1]] = value
@@ -72,17 +72,17 @@ class CameraFacts:
         self.told.add(topic)
 
     def unit_m(self, topic: str) -> float | None:
-        """Metres a step of an image topic; None where nothing tells it."""
+        """Metres per depth step of an image topic; None if unknown."""
         return next((unit for space, unit in self.units_m.items() if topic.startswith(f"{space}/")), None)
 
     def color_in_depth(self, color: str, depth: str) -> tuple[gtsam.Pose3, str] | None:
-        """Pose of the colour camera in the depth camera by their topics, and which topic says so."""
+        """Pose of the colour camera in the depth camera by their topics, and its source topic."""
         places = [
             next((pose for space, pose in self.streams.items() if topic.startswith(f"{space}/")), None)
             for topic in (depth, color)
         ]
         if any(places):
-            # The reference is a stream itself, and has no transform or that of itself.
+            # The reference is a stream, too; it has no transform, or the identity.
             T_depth_reference, T_color_reference = (place or gtsam.Pose3() for place in places)
             source = f"{color.rpartition('/image/')[0]}/tf"
             return T_depth_reference.compose(T_color_reference.inverse()), source
@@ -100,7 +100,7 @@ class CameraFacts:
 
 
 def _pose_of_extrinsics(message: Any, *, by_columns: bool) -> gtsam.Pose3:
-    """Of an Extrinsics message, which brings points of the first camera into the second."""
+    """The pose in an Extrinsics message, which maps points of the first camera to the second."""
     matrix = np.eye(4)
     rotation = np.asarray(message.rotation, dtype=np.float64).reshape(3, 3)
     matrix[:3, :3] = rotation.T if by_columns else rotation
@@ -113,12 +113,12 @@ def _pose_of_extrinsics(message: Any, *, by_columns: bool) -> gtsam.Pose3:
 
 
 class ColorView:
-    """Looks up the colour of each pixel of a depth image, by what the pixel's depth is.
+    """Looks up the colour of each pixel of a depth image by the pixel's depth.
 
     Parameters
     ----------
     depth, color
-        The two pin-holes, each of its images.
+        The two pinhole models, each for its images.
     T_depth_color
         Pose of the colour camera.
     """
@@ -135,7 +135,7 @@ class ColorView:
         self._lens = color
 
     def of(self, color: ColorImage, depth_m: Float32Array) -> ColorImage:
-        """(H, W, 3) at the depth image's size; black where the colour camera does not look."""
+        """(H, W, 3) at the depth image's size; black outside the colour camera's view."""
         import cv2
 
         away: NDArray[np.float32] = np.where(depth_m > 0.0, depth_m, np.float32(_FAR_M))

@@ -1,4 +1,4 @@
-"""Several robots in one bag: each in a namespace of its own."""
+"""Several robots in one bag, each in its own namespace."""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ class Robots:
     Attributes
     ----------
     spaces
-        Their namespaces; none where the bag is of one robot.
+        Their namespaces; none if the bag has one robot.
     read
-        That of the robot that is read.
+        Namespace of the robot that is read.
     """
 
     spaces: tuple[str, ...] = ()
@@ -25,14 +25,14 @@ class Robots:
 
     @classmethod
     def of(cls, kinds: Mapping[str, str], wanted: Sequence[str]) -> Robots:
-        """By the namespaces that each have wheels or transforms, and what sees.
+        """Find robots: namespaces with wheels or transforms, and with a lidar or a camera.
 
         Parameters
         ----------
         kinds
             Message type of each topic.
         wanted
-            Topics or namespaces named by the user: theirs is the robot, else it is the first by name.
+            Topics or namespaces named by the user: they select the robot, else it is the first by name.
         """
         found: dict[str, set[str]] = {}
         for topic, kind in kinds.items():
@@ -45,12 +45,12 @@ class Robots:
         return cls(spaces, (named or spaces)[0])
 
     def of_another(self, topic: str) -> bool:
-        """Whether a topic is of a robot that is not read."""
+        """Whether a topic belongs to a robot that is not read."""
         space = _space(topic)
         return space in self.spaces and space != self.read
 
 
 def _space(topic: str) -> str:
-    """The first part of a topic's name where it has several."""
+    """The first part of a topic name, if it has several."""
     first, _, rest = topic.strip("/").partition("/")
     return f"/{first}" if rest or topic.endswith("/") else ""

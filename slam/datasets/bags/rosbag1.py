@@ -1,4 +1,4 @@
-"""The ROS 1 bag container (format 2.0), read from its front: a cut-off file gives what it has."""
+"""The ROS 1 bag container (format 2.0), read from its start, also if the file is truncated."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ class Rosbag1Container:
     """A ``.bag`` file."""
 
     def announced(self, path: Path) -> list[Channel] | None:
-        """The connections of the index at the end; None where there is none."""
+        """The connections in the index at the end; None if there is none."""
         with path.open("rb") as file:
             try:
                 if file.read(len(MAGIC)) != MAGIC:
@@ -55,7 +55,7 @@ class Rosbag1Container:
     def records(
         self, path: Path, account: Account, budget: Budget, on_share: OnShare
     ) -> Iterator[tuple[Channel, int, bytes]]:
-        """All messages in the order of the file; a damaged chunk costs itself, a cut the rest."""
+        """All messages in file order; skips damaged chunks, ends where the file is truncated."""
         channels: dict[int, Channel] = {}
         chunks, indexed = 0, True
         with path.open("rb") as file:
@@ -83,12 +83,12 @@ class Rosbag1Container:
 
 
 def _raw_records(stream: BinaryIO, budget: Budget) -> Iterator[tuple[_Fields, bytes, bool]]:
-    """Header fields and contents up to the end of the stream, and whether the record is whole.
+    """Header fields and contents up to the end of the stream, and whether the record is complete.
 
     Raises
     ------
     CutError, RecordFault
-        After the last record: it is not whole, has a size that cannot be, or is beyond the budget.
+        After the last record: it is incomplete, has an impossible size, or exceeds the budget.
     """
     while head := stream.read(4):
         budget.take(0)
@@ -130,8 +130,8 @@ def _from_chunk(
     *,
     whole: bool,
 ) -> Iterator[tuple[Channel, int, bytes]]:
-    """The messages of a chunk, as far as it goes."""
-    # Where the file is cut that is said once, at its end.
+    """The messages of a chunk, as far as it is intact."""
+    # A truncated file is reported once, at its end.
     cut = suppress(RecordFault, CutError, struct.error)
     with account.refusing(f"{where}, chunk", number, DAMAGED, CutError, struct.error) if whole else cut:
         (size,) = struct.unpack("<I", fields.get("size", b""))

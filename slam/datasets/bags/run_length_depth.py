@@ -1,7 +1,7 @@
-"""Depth images packed by RVL (Wilson 2017, "Fast Lossless Depth Image Compression"), as ROS sends them.
+"""Depth images compressed by RVL (Wilson 2017, "Fast Lossless Depth Image Compression"), as ROS sends them.
 
-Runs of invalid pixels and of readings follow each other; a reading is its difference to the one before.
-Numbers are written in groups of three bits, the lowest first, each with a bit that tells whether more follow.
+Runs of invalid pixels and of readings alternate; a reading is stored as difference to the previous one.
+Numbers are written in groups of three bits, lowest first, each with a bit that says whether more follow.
 """
 
 from __future__ import annotations
@@ -19,12 +19,12 @@ _SIZE_BYTES = 8  # width and height come first
 
 
 def unpacked(content: bytes, budget: Budget) -> NDArray[np.uint16]:
-    """(H, W) of an image with its size.
+    """(H, W) depths of an image that starts with its size.
 
     Raises
     ------
     RecordFault
-        Where the runs do not make up an image of that size, or it is beyond the budget.
+        The runs do not fill an image of that size, or it exceeds the budget.
     """
     if len(content) < _SIZE_BYTES:
         raise RecordFault(DAMAGED_RUNS, f"{len(content)} bytes")
@@ -42,7 +42,7 @@ def unpacked(content: bytes, budget: Budget) -> NDArray[np.uint16]:
 
 @kernel
 def _fill(words: NDArray[np.uint32], pixels: NDArray[np.uint16]) -> bool:
-    """Write all pixels; False where the runs end before, or go beyond."""
+    """Write all pixels; False if there are too few or too many."""
     at, done, before = 0, 0, 0
     while done < len(pixels):
         at, empty = _number(words, at)
@@ -64,7 +64,7 @@ def _fill(words: NDArray[np.uint32], pixels: NDArray[np.uint16]) -> bool:
 
 @kernel
 def _number(words: NDArray[np.uint32], at: int) -> tuple[int, int]:
-    """The number that begins at a group, and the group after it; -1 where the data end."""
+    """The number that starts at a group, and the group after it; -1 at the end of the data."""
     value, shift, more = 0, 0, 8
     while more:
         if at < 0 or at >= 8 * len(words) or shift > 30:

@@ -1,4 +1,4 @@
-"""The SQLite container of rosbag2 (``.db3``), read in the order in which it was written, up to a cut."""
+"""The SQLite container of rosbag2 (``.db3``), read in the order of writing, also if truncated."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from slam.datasets.sqlite_reading import foreign_database, tables_of
 from slam.errors import DatasetError
 from slam.foreign import plain
 
-# Messages larger than that are passed over without being loaded: a size that no message has is damage.
+# Messages larger than this are skipped without being loaded, because such a size is damaged.
 _MESSAGES = f"""
 SELECT topic_id, timestamp, CASE WHEN length(data) <= {LARGEST_BYTES} THEN data END FROM messages ORDER BY id
 """
@@ -24,10 +24,10 @@ _LANGUAGES = {"ros2msg": "msg", "ros2idl": "idl"}
 
 
 class SqliteContainer:
-    """A ``.db3`` file of any schema version; definitions are in it from version 4 on."""
+    """A ``.db3`` file of any schema version; it contains definitions from version 4 on."""
 
     def announced(self, path: Path) -> list[Channel] | None:
-        """The topics' table; None where it cannot be read."""
+        """The table of topics; None if it cannot be read."""
         try:
             with closing(_opened(path)) as database:
                 return list(_channels(database).values()) or None
@@ -37,7 +37,7 @@ class SqliteContainer:
     def records(
         self, path: Path, account: Account, budget: Budget, on_share: OnShare
     ) -> Iterator[tuple[Channel, int, bytes]]:
-        """All messages in the order of their numbers; a damaged page ends them."""
+        """All messages in the order of their numbers, up to a damaged page."""
         with closing(_opened(path)) as database:
             try:
                 channels = _channels(database)
@@ -56,7 +56,7 @@ class SqliteContainer:
 
 
 def _last_number(database: sqlite3.Connection) -> int:
-    """The number of the last message; 0 where its page is damaged."""
+    """The number of the last message; 0 if its page is damaged."""
     try:
         (last,) = database.execute("SELECT max(id) FROM messages").fetchone()
     except sqlite3.Error:
@@ -65,7 +65,7 @@ def _last_number(database: sqlite3.Connection) -> int:
 
 
 def is_rosbag2(path: Path) -> bool:
-    """Whether a SQLite file has the tables of a rosbag2."""
+    """Whether an SQLite file has the tables of a rosbag2."""
     try:
         with closing(_opened(path)) as database:
             return {"messages", "topics"} <= tables_of(database)
@@ -74,26 +74,24 @@ def is_rosbag2(path: Path) -> bool:
 
 
 def _opened(path: Path) -> sqlite3.Connection:
-    """The database, read only."""
-    # Without a journal of a recorder that was killed beside it, nothing at all is written, not even a lock.
+    """The database, opened read-only."""
+    # Without the journal of a killed recorder, nothing is written, not even a lock.
     journal = path.with_name(f"{path.name}-wal").is_file()
     database = foreign_database(path, immutable=not journal, views=False)
-    # Else SQLite gives nothing at all of a file that is shorter than its header says.
+    # Otherwise SQLite returns nothing from a file that is shorter than its header says.
     database.execute("PRAGMA writable_schema=ON")
     return database
 
 
 def _channels(database: sqlite3.Connection) -> dict[int, Channel]:
-    """Topics by their number, with their definitions where the bag has them."""
+    """Topics by their number, with their definitions if the bag has them."""
     definitions: dict[str, tuple[str, str]] = {}
     try:
         for kind, language, text in database.execute(
             "SELECT topic_type, encoding, encoded_message_definition FROM message_definitions"
         ):
             definitions[str(kind)] = str(text), _LANGUAGES.get(str(language), str(language))
-    except (
-        sqlite3.Error
-    ):  # an older schema, or lost by a cut: the common releases' definitions take their place
+    except sqlite3.Error:  # older schema or truncated: use the definitions of the common releases
         pass
     found = {}
     for number, topic, kind, wire in database.execute(

@@ -1,4 +1,4 @@
-"""The beginning of a bag: what its topics hold, where the sensors sit, which lenses they have."""
+"""Surveys the start of a bag: what its topics contain, and the poses and lenses of its sensors."""
 
 from __future__ import annotations
 
@@ -37,49 +37,49 @@ from slam.datasets.bags.transforms import BASE_FRAMES, FrameTree
 from slam.datasets.dataset import RecordFault
 
 LOOK_S = 10.0  # of the bag's time, at most
-_LEAST_S = 2.0  # of the bag's time, for stamps of images and for transforms that come once a second
+_LEAST_S = 2.0  # of the bag's time, for image stamps and for transforms at 1 Hz
 _STAMPS_KEPT = 200
-_OTHER_CLOCK_S = 5.0  # not every message waits so long for its recorder; the doctor looks for less
+_OTHER_CLOCK_S = 5.0  # at least one message is recorded faster; the doctor finds smaller offsets
 
 
 @dataclass(slots=True)
 class Survey:
-    """What the beginning of a bag tells.
+    """The result of a survey of the start of a bag.
 
     Attributes
     ----------
     channels
-        All topics, by name; announced by the index, or seen where there is none.
+        All topics, by name; from the index, or as seen if there is none.
     seen
-        Sensor topics that have had a message, also if it is damaged.
+        Sensor topics with at least one message, even if damaged.
     frames
-        Frame of each sensor topic that has had a sound message.
+        Frame of each sensor topic with at least one valid message.
     odometry
-        Of each odometry topic its frame, and the child frame that it says to be moving.
+        For each odometry topic, its frame and the child frame that it moves.
     lenses
         First usable CameraInfo message of each topic.
     depths
-        For each image topic whether it holds depth.
+        For each image topic, whether it contains depth.
     stamps_s
         First stamps of each image topic.
     late_s
-        Of each sensor's topic the record time less the stamp of its first message; None where that has none.
+        For each sensor topic, record time minus stamp of its first message; None if that has no stamp.
     clouds, in_pieces
-        What the first sound cloud of each topic looks like; and whether the next looks elsewhere.
+        Properties of the first valid cloud of each topic; and whether the next has another direction.
     scans
-        Of each topic of scans the angle that it sees, and its range.
+        For each scan topic, its field of view and its range.
     scan_stamps_s
-        First stamps of each topic of scans.
+        First stamps of each scan topic.
     imus
-        Of each topic of an IMU whether its first message tells turn rates, and whether accelerations.
+        For each IMU topic, whether its first message contains angular rates, and accelerations.
     sizes
-        Width and height of the images of each topic that tells them before they are decoded.
+        Width and height of the images of each topic whose messages contain them undecoded.
     facts
-        What drivers tell of their cameras in messages of their own.
+        What drivers report about their cameras in their own messages.
     ousters
-        What lidars whose packets are in the bag tell of themselves, by the namespace of their topics.
+        Metadata of lidars with packets in the bag, by the namespace of their topics.
     robots
-        Of several robots in the bag the one that is read.
+        The robots in the bag, and the one that is read.
     """
 
     channels: dict[str, Channel] = field(default_factory=dict)
@@ -102,18 +102,18 @@ class Survey:
     tree: FrameTree = field(default_factory=FrameTree)
 
     def base_frame(self, wheels: Sequence[str] = ()) -> str | None:
-        """The robot's frame: what the wheels move, else by its usual names, else the root of all.
+        """The robot's frame: the frame that the wheels move, else one with a usual name, else the root.
 
         Parameters
         ----------
         wheels
-            The odometry topics that are read; all where there are none.
+            The odometry topics that are read; all if none are given.
         """
         children = [self.odometry[topic][1] for topic in wheels or self.odometry if topic in self.odometry]
         named = self.tree.named(BASE_FRAMES)
         for child in children:
             if child in self.tree:
-                # Odometry of a camera moves the camera, which sits on the robot.
+                # Visual odometry moves the camera, which is mounted on the robot.
                 above = [frame for frame in named if self.tree.sits_on(child, frame)]
                 return child if child in named or not above else above[0]
         if named:
@@ -121,7 +121,7 @@ class Survey:
         return self.tree.root()
 
     def is_enough(self, seconds: float) -> bool:
-        """Whether all that the choice depends on is known."""
+        """Whether everything that the choice depends on is known."""
         if seconds < _LEAST_S:
             return False
         sensors = {topic for topic, channel in self.channels.items() if channel.kind in SENSORS}
@@ -139,7 +139,7 @@ class Survey:
         )
 
     def lens_topic(self, image_topic: str) -> str | None:
-        """The CameraInfo topic of an image topic: beside it, else the first of its frame."""
+        """The CameraInfo topic of an image topic: in its namespace, else the first with its frame."""
         for topic in camera_info_topics(image_topic):
             if topic in self.lenses:
                 return topic
@@ -149,12 +149,12 @@ class Survey:
 
 
 def survey_bag(bag: Bag, wanted: Sequence[str] = ()) -> Survey:
-    """Look at the beginning of a bag, at all of it where its index is missing.
+    """Survey the start of a bag, or all of it if its index is missing.
 
     Parameters
     ----------
     wanted
-        Topics or namespaces named by the user: of several robots they tell which.
+        Topics or namespaces named by the user: they select one of several robots.
 
     Raises
     ------
@@ -192,7 +192,7 @@ def survey_bag(bag: Bag, wanted: Sequence[str] = ()) -> Survey:
 
 
 def _learn(decoder: Decoder, record: BagRecord) -> None:
-    """Take in what an Ouster tells of itself; what cannot be decoded tells nothing."""
+    """Read the metadata of an Ouster; skip it if it cannot be decoded."""
     try:
         decoder.ousters.learn(record.channel.topic, str(decoder.decode(record).data))
     except (RecordFault, AttributeError):
@@ -200,9 +200,9 @@ def _learn(decoder: Decoder, record: BagRecord) -> None:
 
 
 def clock_shifts(survey: Survey) -> dict[str, float]:
-    """By how much stamps of topics are ahead of the others' clock, where that is another one altogether.
+    """How far the stamps of topics are ahead of the others' clock, if they have a clock of their own.
 
-    The clock of the topics is the one that is nearest to the recorder's.
+    The common clock is the one that is nearest to the recorder's.
     """
     told = {topic: late_s for topic, late_s in survey.late_s.items() if late_s is not None}
     reference_s = min(told.values(), key=abs, default=0.0)
@@ -214,18 +214,18 @@ def clock_shifts(survey: Survey) -> dict[str, float]:
 
 
 def restamp(message: Any, stamp_s: float) -> None:
-    """Give a message another stamp."""
+    """Change the stamp of a message."""
     message.header.stamp = header_at(stamp_s, "").stamp
 
 
 def count_messages(bag: Bag) -> Counter[str]:
-    """Messages on each topic, by reading all of the bag."""
+    """Number of messages on each topic, by reading the whole bag."""
     quiet = Account.quiet(bag.path)
     return Counter(record.channel.topic for record in bag.records(quiet, bag.budget()))
 
 
 def _look(survey: Survey, record: BagRecord, decoder: Decoder) -> None:
-    """Take in one message; damaged ones tell nothing here and are counted when the bag is read."""
+    """Process one message; damaged ones are ignored here and counted when the bag is read."""
     kind, topic = record.channel.kind, record.channel.topic
     if kind in SENSORS:
         survey.seen.add(topic)
@@ -251,7 +251,7 @@ def _look(survey: Survey, record: BagRecord, decoder: Decoder) -> None:
 
 
 def _look_at_reading(survey: Survey, record: BagRecord, message: Any) -> None:
-    """Take in a message of a sensor."""
+    """Process a message of a sensor."""
     topic, kind = record.channel.topic, record.channel.kind
     survey.frames[topic] = frame_name(message.header.frame_id)
     unset = message.header.stamp.sec == 0 and message.header.stamp.nanosec == 0

@@ -1,7 +1,7 @@
-"""Readings and frames put where their stamps belong, the wheels asked at each scan.
+"""Sorts readings and frames by stamp, and interpolates wheel odometry at each scan.
 
-The recorder writes what arrives, wheels by radio or an image later than a scan of the same moment. So they
-wait a little for what belongs before them, as `slam.datasets.recording` merges what lies in folders.
+The recorder writes messages as they arrive; wheels (by radio) and images arrive later than a scan of the same
+time. So readings wait a little for earlier ones, as `slam.datasets.recording` does for folders.
 """
 
 from __future__ import annotations
@@ -15,17 +15,17 @@ from typing import Generic, TypeVar
 from slam.datasets.wheels_between import WHEELS_KEPT, wheels_at
 from slam.measurements import LaserScan, Measurement, PointCloud, WheelOdometry
 
-_HOLD_S = 0.5  # by the recorder's clock; a frame that comes later than that comes late
-_LONGEST_S = 2.0  # a frame waits for the readings around it, where there are any to come
+_HOLD_S = 0.5  # by the recorder's clock; a frame that arrives later is out of order
+_LONGEST_S = 2.0  # a frame waits for the readings around it, if more are expected
 _MOST_BYTES = 1 << 28  # of waiting images
 _MOST_READINGS = 20_000
-_BACKWARD_S = 1.0  # an older stamp than that beside the newest is a clock that was set, not a late image
+_BACKWARD_S = 1.0  # a stamp this much older than the newest means a clock step, not a late image
 
 _Frame = TypeVar("_Frame")
 
 
 class TimeMerge(Generic[_Frame]):
-    """Readings and frames go in as they are recorded, and come out in order."""
+    """Takes readings and frames as recorded, and returns them in order."""
 
     def __init__(self) -> None:
         self._readings: list[tuple[float, int, int, Measurement, float]] = []
@@ -38,7 +38,7 @@ class TimeMerge(Generic[_Frame]):
         self._count = 0
 
     def add_reading(self, number: int, reading: Measurement, recorded_s: float) -> None:
-        """A scan, a cloud or odometry, with its place in the bag; those of a sensor stay in their order."""
+        """Add a scan, a cloud or odometry with its index in the bag; the order of a sensor is kept."""
         if isinstance(reading, WheelOdometry):
             self._wheels.append(reading)
         key_s = max(reading.stamp_s, self._newest_reading_s.get(reading.sensor, -math.inf))
@@ -47,7 +47,7 @@ class TimeMerge(Generic[_Frame]):
         heapq.heappush(self._readings, (key_s, self._count, number, reading, recorded_s))
 
     def add_frame(self, place: int, stamp_s: float, frame: _Frame, size: int, recorded_s: float) -> None:
-        """A frame of the camera with a place among the cameras; ``size`` is in bytes."""
+        """Add a frame of the camera with an index among the cameras; ``size`` is in bytes."""
         newest_s = self._newest_frame_s.get(place, -math.inf)
         key_s = stamp_s if stamp_s > newest_s - _BACKWARD_S else newest_s
         self._newest_frame_s[place] = max(newest_s, stamp_s)
@@ -56,7 +56,7 @@ class TimeMerge(Generic[_Frame]):
         heapq.heappush(self._frames, (key_s, place, self._count, frame, size, recorded_s))
 
     def due(self, now_s: float) -> Iterator[tuple[int, Measurement] | _Frame]:
-        """What need not wait longer at a time of the recorder's clock."""
+        """What need not wait any longer at a time of the recorder's clock."""
         while self._readings and (
             now_s - self._readings[0][-1] > _HOLD_S or len(self._readings) > _MOST_READINGS
         ):
@@ -68,14 +68,14 @@ class TimeMerge(Generic[_Frame]):
             yield self._next_frame()
 
     def rest(self) -> Iterator[tuple[int, Measurement] | _Frame]:
-        """All that waits, at the end of the bag."""
+        """Everything that still waits at the end of the bag."""
         while self._readings:
             yield from self._next_reading()
         while self._frames:
             yield self._next_frame()
 
     def _next_reading(self) -> Iterator[tuple[int, Measurement] | _Frame]:
-        """The oldest reading, the wheels before a scan, and the frames up to its stamp."""
+        """The oldest reading, wheel odometry before a scan, and the frames up to its stamp."""
         number, reading = heapq.heappop(self._readings)[2:4]
         if isinstance(reading, LaserScan | PointCloud):
             wheels = wheels_at(self._wheels, reading.stamp_s)
@@ -86,7 +86,7 @@ class TimeMerge(Generic[_Frame]):
         yield from self._frames_up_to(reading.stamp_s)
 
     def _frames_up_to(self, stamp_s: float) -> Iterator[_Frame]:
-        """The frames that belong behind a reading with a stamp."""
+        """The frames after a reading with this stamp."""
         self._newest_s = max(self._newest_s, stamp_s)
         while self._frames and self._frames[0][0] <= self._newest_s:
             yield self._next_frame()

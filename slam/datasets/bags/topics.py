@@ -1,4 +1,4 @@
-"""Which topics of a bag are read: by type, and by name and by what they hold where that leaves a choice."""
+"""Chooses the topics of a bag to read: by type, then by name and contents."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ _TRANSPORT = re.compile(r"/(compressed|compressedDepth|theora|ffmpeg|zstd)$")
 
 @dataclass(frozen=True, slots=True)
 class CameraTopics:
-    """Two image topics that are one camera."""
+    """Two image topics of one camera."""
 
     name: str
     color: str
@@ -53,14 +53,13 @@ class Choice:
     Attributes
     ----------
     scans, clouds, odometry
-        Of one laser each, of one lidar each, and of the wheels.
+        Topics of one laser each, of one lidar each, and of the wheels.
     imus, receivers
-        Of one inertial measurement unit, and of one satellite receiver each; all are read, and the mapper
-        takes one.
+        Topics of one IMU each, and of one GNSS receiver each; all are read, and the mapper uses one.
     lonely
-        Image topics that are not read since the colour or the depth beside them is missing.
+        Image topics that are not read because the matching colour or depth topic is missing.
     left_out
-        Why other topics of sensors are not read.
+        Why other sensor topics are not read.
     """
 
     scans: tuple[str, ...]
@@ -75,16 +74,16 @@ class Choice:
 
 @dataclass(frozen=True, slots=True)
 class Evidence:
-    """What speaks for one of several topics of a sort.
+    """Criteria to choose between several topics of one type.
 
     Attributes
     ----------
     scan, cloud, odometry
-        The rank of a topic; the least is the best.
+        The rank of a topic; the lowest is the best.
     frame
         The frame of an image topic.
     apart
-        Whether two laser scanners see from different places, both of them known.
+        Whether two laser scanners have different positions, both of them known.
     """
 
     scan: Callable[[str], tuple[Any, ...]] = lambda topic: (topic,)
@@ -94,7 +93,7 @@ class Evidence:
     apart: Callable[[str, str], bool] = lambda first, second: False
 
 
-# Message types that contain what a map needs and are not read: what makes of them something that is.
+# Unsupported message types that would be useful, and how to convert each to a supported one.
 _REPUBLISH = "record it again through 'ros2 run image_transport republish {} raw'"
 _REMEDIES = (
     (r"^(rslidar_msg|hesai_ros_driver)/", "record it again through its driver, as PointCloud2"),
@@ -127,11 +126,11 @@ def choose(
     kinds
         Message type of each topic that holds messages.
     depths
-        For each image topic whether it holds depth.
+        For each image topic, whether it contains depth.
     wanted
-        Topics named by the user: of their sort (scans, clouds, wheels, images) no others are read.
+        Topics named by the user: no other topics of their type (scans, clouds, wheels, images) are read.
     never
-        Topics that are read only where they are named, with the reason.
+        Topics that are read only if the user names them, with the reason.
     """
     never = {topic: why for topic, why in (never or {}).items() if topic not in wanted}
     left_out = {topic: f"{why}; --topics {topic} reads it" for topic, why in never.items()}
@@ -162,12 +161,12 @@ def choose(
 
 
 def _named(topics: list[str], wanted: tuple[str, ...]) -> tuple[str, ...]:
-    """Those that the user named."""
+    """The topics that the user named."""
     return tuple(topic for topic in topics if topic in wanted)
 
 
 def _lasers(topics: list[str], evidence: Evidence) -> tuple[str, ...]:
-    """The scanner of the widest view, and those that see from elsewhere on the robot."""
+    """The scanner with the widest view, and those at other positions on the robot."""
     chosen: list[str] = []
     for topic in sorted(topics, key=evidence.scan):
         if all(evidence.apart(topic, other) for other in chosen):
@@ -176,17 +175,17 @@ def _lasers(topics: list[str], evidence: Evidence) -> tuple[str, ...]:
 
 
 def is_registered(topic: str) -> bool:
-    """Whether a topic's name says that its depth is drawn as the colour camera sees it."""
+    """Whether a topic name says that its depth is registered to the colour camera."""
     return bool(_REGISTERED.search(topic))
 
 
 def is_infrared(topic: str) -> bool:
-    """Whether a topic's name says that its images are of infrared light, or of what is no light at all."""
+    """Whether a topic name says that its images are infrared, or contain no light at all."""
     return bool(_INFRARED.search(topic))
 
 
 def camera_info_topics(image_topic: str) -> tuple[str, ...]:
-    """Where the CameraInfo of an image topic is: beside it, by the rule of image_transport."""
+    """Topics where the CameraInfo of an image topic may be, by the convention of image_transport."""
     base = _TRANSPORT.sub("", image_topic)
     parent = base.rpartition("/")[0]
     recorded = base.removesuffix("/image/data")  # by librealsense
@@ -194,12 +193,12 @@ def camera_info_topics(image_topic: str) -> tuple[str, ...]:
 
 
 def is_rectified(image_topic: str) -> bool:
-    """Whether a topic's name says that distortion is taken out of its images already."""
+    """Whether a topic name says that its images are already undistorted."""
     return "rect" in _TRANSPORT.sub("", image_topic).rpartition("/")[2]
 
 
 def _raw_first(images: list[str]) -> list[str]:
-    """Image topics without the packed copies of others."""
+    """Image topics without compressed copies of others."""
     return [
         topic for topic in images if _TRANSPORT.sub("", topic) not in images or not _TRANSPORT.search(topic)
     ]
@@ -208,7 +207,7 @@ def _raw_first(images: list[str]) -> list[str]:
 def _cameras(
     images: list[str], depths: Mapping[str, bool], evidence: Evidence, *, given: bool
 ) -> tuple[tuple[CameraTopics, ...], tuple[str, ...]]:
-    """Cameras, and the image topics that are none."""
+    """Cameras, and the image topics that belong to no camera."""
     groups: dict[str, list[str]] = {}
     for topic in sorted(images):
         groups.setdefault(_namespace(topic), []).append(topic)
@@ -220,7 +219,7 @@ def _cameras(
             found = [CameraTopics(space or "/camera", found[0].color, found[0].depth)]
         cameras += found
         lonely += [] if found else topics
-    # Where names share nothing, what is of one frame or alone of its sort still belongs together.
+    # If names share nothing, topics with the same frame, or the only ones of their type, still match.
     if not cameras and (found := _of_one_place(lonely, depths, evidence, given=given)):
         cameras = [CameraTopics("/camera", found[0].color, found[0].depth)]
         lonely = []
@@ -230,7 +229,7 @@ def _cameras(
 def _of_one_place(
     topics: list[str], depths: Mapping[str, bool], evidence: Evidence, *, given: bool
 ) -> list[CameraTopics]:
-    """The cameras of one namespace; none where it has no depth or no colour."""
+    """The cameras of one namespace; none if it has no depth or no colour."""
     depth = _best([topic for topic in topics if depths.get(topic)], _depth_rank, given=given)
     frames = {evidence.frame(topic) for topic in depth}
 
@@ -249,7 +248,7 @@ def _of_one_place(
 
 
 def _namespace(topic: str) -> str:
-    """What of a topic's name is before the part that tells the sort of image."""
+    """The part of a topic name before the type of image."""
     parts = topic.strip("/").split("/")
     own: list[str] = []
     for part in parts:
@@ -260,7 +259,7 @@ def _namespace(topic: str) -> str:
 
 
 def _best(topics: list[str], rank: Callable[[str], tuple[bool, ...]], *, given: bool) -> list[str]:
-    """The topics of the best rank; all where they are the user's own choice."""
+    """The topics of the best rank; all if the user chose them."""
     if given or len(topics) < 2:
         return topics
     ranks = {topic: rank(topic) for topic in topics}
@@ -269,12 +268,12 @@ def _best(topics: list[str], rank: Callable[[str], tuple[bool, ...]], *, given: 
 
 
 def _depth_rank(topic: str) -> tuple[bool, bool, bool]:
-    """Depth that is registered to colour first, then without distortion, then as the camera gave it."""
+    """Depth registered to colour first, then undistorted depth, then raw depth."""
     return not is_registered(topic), not is_rectified(topic), "raw" not in topic
 
 
 def _color_rank(topic: str) -> tuple[bool, bool, bool, bool]:
-    """Colour before grey and infrared, then without distortion."""
+    """Colour before grey and infrared, then undistorted images."""
     name = topic.rpartition("/")[2]
     grey = "mono" in name
     return (
@@ -286,7 +285,7 @@ def _color_rank(topic: str) -> tuple[bool, bool, bool, bool]:
 
 
 def _paired(colors: list[str], depths: list[str]) -> list[CameraTopics]:
-    """Each depth topic with the colour topic whose name begins most alike."""
+    """Each depth topic with the colour topic that has the longest common prefix."""
     cameras, left = [], list(colors)
     for depth in depths:
         color = max(left, key=lambda topic: len(shared(topic, depth)))
@@ -297,11 +296,11 @@ def _paired(colors: list[str], depths: list[str]) -> list[CameraTopics]:
 
 
 def shared(first: str, second: str) -> str:
-    """The letters with which two names begin alike."""
+    """The common prefix of two names."""
     same = takewhile(lambda pair: pair[0] == pair[1], zip(first, second, strict=False))
     return "".join(letter for letter, _ in same)
 
 
 def mended(kind: str) -> str:
-    """What to do about messages of a type, to stand behind why they are not read; or nothing."""
+    """The remedy for messages of an unsupported type, to append to the reason; or nothing."""
     return next((f"; {remedy}" for pattern, remedy in _REMEDIES if re.search(pattern, kind)), "")

@@ -1,4 +1,4 @@
-"""Where the sensors sit on the robot, by tf and tf_static."""
+"""Poses of the sensors on the robot, by tf and tf_static."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ from slam.datasets.dataset import RecordFault
 BAD_TRANSFORM = "invalid transform"
 BASE_FRAMES = ("base_footprint", "base_link", "base")
 
-_STILL_M, _STILL_RAD = 0.005, math.radians(0.5)  # nearer than that two mountings are the same
-_MOST_FRAMES = 2000  # a robot has some dozens; damaged names must not fill the memory
+_STILL_M, _STILL_RAD = 0.005, math.radians(0.5)  # two mountings closer than this are the same
+_MOST_FRAMES = 2000  # a robot has a few dozen; damaged names must not fill the memory
 
 
 class FrameTree:
-    """Frames and how they sit in one another; of a frame that moves, where it was first."""
+    """Frames and their poses in their parents; for a moving frame, its first pose."""
 
     def __init__(self) -> None:
         self._parents: dict[str, tuple[str, gtsam.Pose3]] = {}
@@ -34,7 +34,7 @@ class FrameTree:
         return any(frame in (parent, child) for parent, child, _ in self._steps())
 
     def set(self, parent: str, child: str, pose: gtsam.Pose3) -> None:
-        """Put ``T_parent_child`` in place of what the tree says, where it says anything."""
+        """Replace ``T_parent_child``, if the tree contains it."""
         if (self._parents.get(child) or ("",))[0] == parent:
             self._parents[child] = parent, pose
         elif (self._parents.get(parent) or ("",))[0] == child:
@@ -43,21 +43,21 @@ class FrameTree:
             self._told[parent, child] = pose
 
     def sits(self, parent: str, child: str, pose: gtsam.Pose3) -> None:
-        """Put a frame that the tree does not have into a parent, as a message of tf would."""
+        """Add a frame that the tree does not contain, as a tf message would."""
         self._parents[child] = parent, pose
 
     def _steps(self) -> Iterator[tuple[str, str, gtsam.Pose3]]:
-        """Parent, child and pose of all that is known; what was told comes first."""
+        """Parent, child and pose of all known transforms; those from tf first."""
         yield from ((parent, child, pose) for (parent, child), pose in self._told.items())
         yield from ((parent, child, pose) for child, (parent, pose) in self._parents.items())
 
     def add(self, message: Any) -> None:
-        """Take in a TFMessage.
+        """Add a TFMessage.
 
         Raises
         ------
         RecordFault
-            A transform in it is not finite or has no rotation; the others are taken in.
+            A transform in it is not finite or has no rotation; the others are added.
         """
         fault: RecordFault | None = None
         for item in message.transforms:
@@ -69,7 +69,7 @@ class FrameTree:
             raise fault
 
     def _add(self, item: Any) -> None:
-        """Take in one transform."""
+        """Add one transform."""
         parent, child = frame_name(item.header.frame_id), frame_name(item.child_frame_id)
         pose = pose_of(item.transform.translation, item.transform.rotation)
         if not parent or not child or parent == child:
@@ -85,7 +85,7 @@ class FrameTree:
                 self.tilting.add(child)
 
     def between(self, base: str, sensor: str) -> gtsam.Pose3 | None:
-        """``T_base_sensor``, None where no chain of transforms connects the two."""
+        """``T_base_sensor``, None if no chain of transforms connects the two."""
         neighbours: dict[str, list[tuple[str, gtsam.Pose3]]] = {}
         for parent, child, pose in self._steps():
             neighbours.setdefault(parent, []).append((child, pose))
@@ -101,41 +101,41 @@ class FrameTree:
         return found.get(sensor)
 
     def moves_between(self, base: str, sensor: str) -> bool:
-        """Whether a joint on the way from the base to a sensor has been seen to move."""
+        """Whether a joint between the base and a sensor moves in the bag."""
         return bool(self.moving & (set(self._chain(base)) ^ set(self._chain(sensor))))
 
     def tilts_between(self, base: str, sensor: str) -> bool:
-        """Whether such a joint has been seen to turn its z axis."""
+        """Whether such a joint tilts its z axis in the bag."""
         return bool(self.tilting & (set(self._chain(base)) ^ set(self._chain(sensor))))
 
     def sits_on(self, frame: str, other: str) -> bool:
-        """Whether a frame sits on another, by whatever is between."""
+        """Whether a frame is attached to another, directly or through other frames."""
         return other in self._chain(frame)[1:]
 
     def _chain(self, frame: str) -> list[str]:
-        """A frame and what it sits on, up to the root."""
+        """A frame and its ancestors, up to the root."""
         chain = [frame]
         while (above := self._parents.get(chain[-1])) and above[0] not in chain:
             chain.append(above[0])
         return chain
 
     def named(self, names: Iterable[str]) -> list[str]:
-        """Frames by their last names, in the order of the names: robot1/base_link is a base_link, too."""
+        """Frames by the last parts of their names, in the given order: robot1/base_link is a base_link."""
         frames = sorted({frame for parent, child, _ in self._steps() for frame in (parent, child)})
         return [frame for name in names for frame in frames if frame.rpartition("/")[2] == name]
 
     def root(self) -> str | None:
-        """The only frame that sits in no other; None where there is none or more than one."""
+        """The only frame without parent; None if there is none or more than one."""
         roots = {parent for parent, _ in self._parents.values()} - set(self._parents)
         return roots.pop() if len(roots) == 1 else None
 
     def parent_of(self, frame: str) -> str | None:
-        """The frame that a frame sits in."""
+        """The parent of a frame."""
         known = self._parents.get(frame)
         return known[0] if known else None
 
     def lines(self) -> list[str]:
-        """The tree for people, a frame a line."""
+        """The tree as text for the user, one frame per line."""
         children: dict[str, list[str]] = {}
         for child, (parent, _) in sorted(self._parents.items()):
             children.setdefault(parent, []).append(child)
@@ -156,12 +156,12 @@ def pose_of(position: Any, rotation: Any) -> gtsam.Pose3:
     Raises
     ------
     ValueError
-        Not finite, or no unit quaternion.
+        Values are not finite, or there is no unit quaternion.
     """
     return pose_from([position.x, position.y, position.z], [rotation.x, rotation.y, rotation.z, rotation.w])
 
 
 def differs(first: gtsam.Pose3, second: gtsam.Pose3) -> bool:
-    """Whether two poses are farther apart than rounding."""
+    """Whether two poses differ by more than rounding."""
     step = gtsam.Pose3.Logmap(first.between(second))
     return float(np.linalg.norm(step[3:])) > _STILL_M or float(np.linalg.norm(step[:3])) > _STILL_RAD

@@ -1,4 +1,4 @@
-"""The true trajectory in a bag: poses of a motion capture, a survey or a simulator, by name of the topic."""
+"""The true trajectory in a bag, from motion capture, a survey or a simulator, found by topic name."""
 
 from __future__ import annotations
 
@@ -27,12 +27,12 @@ IS_TRUTH = "by its name it is ground truth, used only for comparison"
 
 
 def is_truth(topic: str, kind: str) -> bool:
-    """Whether a topic tells the truth, by its type and name."""
+    """Whether a topic is ground truth, by its type and name."""
     return kind in TRUTHS and bool(_NAME.search(topic))
 
 
 def truth_topic(kinds: Mapping[str, str], wanted: Sequence[str]) -> str | None:
-    """The topic of the truth: named by the user, else by its name; of several the first."""
+    """The ground truth topic: named by the user, else found by name; the first of several."""
     named = [topic for topic in wanted if kinds.get(topic) in TRUTHS - {ODOMETRY}]
     return next(
         iter([*named, *sorted(topic for topic, kind in kinds.items() if is_truth(topic, kind))]), None
@@ -40,7 +40,7 @@ def truth_topic(kinds: Mapping[str, str], wanted: Sequence[str]) -> str | None:
 
 
 def read_truth(bag: Bag, topic: str, account: Account) -> Trajectory | None:
-    """The poses of a topic in the order of the bag; of a Path those of its longest message."""
+    """The poses of a topic in the order of the bag; for a Path, those of its longest message."""
     budget = bag.budget()
     decoder = Decoder(budget)
     found: list[tuple[float, gtsam.Pose3]] = []
@@ -58,7 +58,7 @@ def read_truth(bag: Bag, topic: str, account: Account) -> Trajectory | None:
 
 
 def _stamped(message: Any) -> tuple[float, gtsam.Pose3]:
-    """Stamp and pose of a message of any of the types."""
+    """Stamp and pose of a message of any supported type."""
     if hasattr(message, "transform"):
         pose = pose_of(message.transform.translation, message.transform.rotation)
     else:

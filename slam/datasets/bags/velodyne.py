@@ -1,4 +1,4 @@
-"""Packets of Velodyne's lidars as clouds, by the decoder of its own package (the extra 'velodyne')."""
+"""Converts packets of Velodyne lidars to clouds with an external decoder (the extra 'velodyne')."""
 
 from __future__ import annotations
 
@@ -16,18 +16,18 @@ _FIELDS = ("x", "y", "z", "intensity", "time")
 
 
 class VelodyneDecoder:
-    """Scans of one lidar; its model is told by its packets."""
+    """Decodes scans of one lidar; its packets identify the model."""
 
     def __init__(self) -> None:
         self._decoder: Any = None
 
     def cloud(self, message: Any) -> SimpleNamespace:
-        """A VelodyneScan with the fields of a PointCloud2, stamped with its first packet.
+        """Convert a VelodyneScan to the fields of a PointCloud2, with the stamp of its first packet.
 
         Raises
         ------
         RecordFault
-            The extra is not installed, or the packets are damaged or of no known model.
+            The extra is not installed, the packets are damaged, or the model is unknown.
         """
         velodyne_decoder, config = _library()
         if self._decoder is None:
@@ -44,13 +44,13 @@ class VelodyneDecoder:
 
 
 class VelodyneStream:
-    """Packets of one lidar as they come, put together to turns."""
+    """Assembles packets of one lidar to revolutions."""
 
     def __init__(self) -> None:
         self._decoder: Any = None
 
     def add(self, stamp_s: float, packet: bytes) -> SimpleNamespace | None:
-        """The turn that a packet completes, with the fields of a PointCloud2; None where it completes none.
+        """The revolution that a packet completes, as a PointCloud2; None if it completes none.
 
         Raises
         ------
@@ -68,19 +68,19 @@ class VelodyneStream:
             raise RecordFault(NOT_DECODED, str(error)) from error
 
     def rest(self) -> SimpleNamespace | None:
-        """What is left at the end; RecordFault where that is damaged."""
+        """The rest at the end; RecordFault if it is damaged."""
         try:
             return self._turn(self._decoder.finish(True)) if self._decoder is not None else None
         except (RuntimeError, ValueError, IndexError) as error:
             raise RecordFault(NOT_DECODED, str(error)) from error
 
     def _turn(self, found: Any) -> SimpleNamespace | None:
-        """A turn with points as a message."""
+        """A revolution with points as a message."""
         return None if found is None or not len(found[1]) else _as_cloud(found[0].host, found[1], "velodyne")
 
 
 def _library() -> tuple[Any, Any]:
-    """The decoder's package, and how it is to stamp turns."""
+    """The decoder package, and its option for the stamps of revolutions."""
     try:
         import velodyne_decoder
     except ImportError as error:

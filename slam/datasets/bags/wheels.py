@@ -1,4 +1,4 @@
-"""The way of a robot by its wheels: Odometry messages, or tf."""
+"""Wheel odometry from Odometry messages or tf."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from slam.measurements import Measurement, WheelOdometry
 
 
 def wheel_reader(survey: Survey, base: str, topic: str, notes: list[str]) -> Callable[[Any], Measurement]:
-    """What reads Odometry messages of a topic, as the way of the robot's frame in the plane."""
+    """A function that reads Odometry messages of a topic as planar motion of the robot's frame."""
     child = survey.odometry.get(topic, ("", ""))[1]
     between = survey.tree.between(child, base) if child != base and base else gtsam.Pose3()
     if between is None:
@@ -33,8 +33,8 @@ def wheel_reader(survey: Survey, base: str, topic: str, notes: list[str]) -> Cal
 def wheels_from_tf(
     survey: Survey, base: str, notes: list[str]
 ) -> Callable[[Any], Iterator[WheelOdometry]] | None:
-    """What reads wheels from messages of tf; None where it has no odom frame, or one of an odometry that is
-    none of wheels.
+    """A function that reads wheel odometry from tf messages; None if tf has no odom frame, or if that frame
+    belongs to an odometry that does not come from wheels.
     """
     child, parent = base, survey.tree.parent_of(base)
     while parent is not None and parent.rpartition("/")[2] not in ODOM_FRAMES:
