@@ -1,4 +1,4 @@
-"""Readers: one a file format, all behind `open_dataset`; loaded when it is first asked for."""
+"""Readers, one per file format, all behind `open_dataset`; loaded on first use."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ _HOMES = {"Dataset": "dataset", "ReadReport": "dataset", "open_dataset": "openin
 
 
 def __getattr__(name: str) -> Any:
-    """Load what is asked for: to read a map takes no reader of logs."""
+    """Load names on first use, because reading a map needs no log reader."""
     if name not in _HOMES:
         raise AttributeError(f"module 'slam.datasets' has no attribute '{name}'; it has {', '.join(_HOMES)}")
     return getattr(import_module(f"slam.datasets.{_HOMES[name]}"), name)

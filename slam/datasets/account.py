@@ -1,4 +1,4 @@
-"""Where readers of several files put what they had to refuse."""
+"""Counts the records that readers of several files reject."""
 
 from __future__ import annotations
 
@@ -22,9 +22,9 @@ class Account:
     Attributes
     ----------
     name
-        Of the dataset, for messages.
+        Name of the dataset, for messages.
     report
-        Gets the counts.
+        Collects the counts.
     strict
         Stop at the first damaged record.
     """
@@ -35,7 +35,7 @@ class Account:
 
     @classmethod
     def quiet(cls, path: Path) -> Self:
-        """One for a look at a dataset, whose counts nobody reads."""
+        """An account for a quick look at a dataset; its counts are not reported."""
         return cls(path.name, ReadReport(), strict=False)
 
     def refuse(self, fault: RecordFault, where: str, number: int) -> None:
@@ -62,14 +62,14 @@ class Account:
     def refusing(
         self, where: str, number: int | None = None, reason: str = "", *others: type[Exception]
     ) -> Iterator[None]:
-        """Do `refuse` for the record whose reading fails inside.
+        """Call `refuse` if reading a record fails in the body.
 
         Parameters
         ----------
         number
-            None for that of the report's newest line by then.
+            None: number of the report's newest line.
         reason, others
-            For failures other than a `RecordFault`.
+            Reason and exception types for failures other than a `RecordFault`.
         """
         damages: tuple[type[Exception], ...] = (RecordFault, *others)
         try:

@@ -33,7 +33,7 @@ _NAME = re.compile(r"(?:.*_)?(\d+\.\d+)\.(?:png|pincam)")  # VIDEO_SECONDS.png
 
 
 def _load(path: Path, account: Account) -> Contents:
-    """A folder of one video; depth that ARKit has no trust in is left out."""
+    """The folder of one video, without depth in which ARKit has no confidence."""
     account.report.note(COMPARED, 1)
     calibration = read_calibration(path, Calibration(_lens(path, account), 1000.0))
     pairs = pair_images(_stamped(path / _COLORS), _stamped(path / _DEPTHS), account, "camera")
@@ -52,7 +52,7 @@ def _stamped(folder: Path) -> list[StampedFile]:
 
 
 def _lens(path: Path, account: Account) -> CameraIntrinsics:
-    """The median of the frames': width, height, fx, fy, cx, cy in a file each."""
+    """The median over the frames, each with a file of width, height, fx, fy, cx, cy."""
     lenses = []
     for file in _stamped(path / _LENSES):
         numbers = numbers_of(file.path)
@@ -68,7 +68,7 @@ def _lens(path: Path, account: Account) -> CameraIntrinsics:
 
 
 def _groundtruth(folder: Path, account: Account) -> Trajectory | None:
-    """Lines of a stamp, a turn and a shift that take the world into the camera."""
+    """Lines with a stamp, and the rotation and translation from world to camera."""
     rows = _TABLE.rows(folder / _POSES, account) if (folder / _POSES).is_file() else ()
     return trajectory_of((stamp_s, pose.inverse()) for _, stamp_s, pose in rows)
 

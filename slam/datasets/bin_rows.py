@@ -1,4 +1,4 @@
-"""What rows ``.bin`` clouds hold, which they do not say: floats or doubles, three to six a point."""
+"""Detects the row format of ``.bin`` clouds: floats or doubles, three to six per point."""
 
 from __future__ import annotations
 
@@ -14,16 +14,16 @@ from slam.measurements import FloatArray
 
 _FIELDS = ("x", "y", "z", "intensity", "fifth", "sixth")
 _FEWEST_FIELDS = 3
-_FILES, _VALUES = 5, 60_000  # that are looked at, and of each file
+_FILES, _VALUES = 5, 60_000  # number of files examined, and values per file
 
 
 def rows_of(files: Sequence[Path]) -> Rows:
-    """The rows of clouds, by several of their files; KITTI's where there is too little to tell.
+    """The row format of clouds, from several of their files; KITTI's if there are too few data.
 
     Raises
     ------
     DatasetError
-        They are no rows of coordinates.
+        The files contain no rows of coordinates.
     """
     files = [path for path in files if is_bin(path) and path.is_file()]
     looked_at = files[:: max(1, len(files) // _FILES)][:_FILES]
@@ -42,12 +42,12 @@ def rows_of(files: Sequence[Path]) -> Rows:
 
 
 def is_bin(path: Path) -> bool:
-    """Whether a name is that of rows without a header."""
+    """Whether a file name stands for rows without header."""
     return path.suffix.lower() == ".bin"
 
 
 def _values(path: Path, kind: str) -> FloatArray:
-    """The first numbers of a file; none of one that cannot be read, which is counted when it is its turn."""
+    """The first numbers of a file; none if it cannot be read, which is counted later."""
     try:
         with np.errstate(invalid="ignore"):  # a signalling NaN of a damaged file
             return np.fromfile(path, f"<{kind}", _VALUES).astype(np.float64)
@@ -56,10 +56,10 @@ def _values(path: Path, kind: str) -> FloatArray:
 
 
 def _period(values: Sequence[FloatArray]) -> int:
-    """After how many numbers come such as before: those of one field differ least from each other.
+    """The number of values per row: values of one field differ least from each other.
 
-    That holds for points in any order: the distance between two drawn of one distribution each is never
-    less than the mean of those between two of the same (the energy distance, Szekely 2013).
+    This is true for points in any order: the expected distance between samples of two distributions is never
+    less than the mean of the expected distances within each (energy distance, Szekely 2013).
     """
     scaled = [np.arcsinh(np.nan_to_num(one, posinf=0.0, neginf=0.0)) for one in values]
     counts = range(_FEWEST_FIELDS, len(_FIELDS) + 1)

@@ -24,23 +24,23 @@ _INSIDE, _POSES_FILE = "lidar", "applanix/lidar_poses.csv"
 _ROWS = Rows(row_of("x f4, y f4, z f4, intensity f4, laser f4, time f4"))
 # GPSTime, easting, northing, altitude, three velocities, roll, pitch, heading, three rates.
 _POSES = PoseTable(stamp_units_s=(0.0,), rotation=7, order="rpy")
-# By the guide to Boreas Road Trip; of an IMU that has no part in the truth.
+# From the guide to Boreas Road Trip; an IMU that is not used for the ground truth.
 _DMU = ("dmu_imu.csv", "dmu_imu_infilled.csv")
-# By the publishers' own odometry, steam_icp: the last axis first, and how they lie in the Applanix frame.
+# From the publishers' odometry, steam_icp: the last axis first, and their axes in the Applanix frame.
 _RAW, _RAW_HEAD = "imu_raw.csv", "time,wz,wy,wx,az,ay,ax"
 _R_APPLANIX_RAW = gtsam.Rot3(np.array([[0.0, -1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, -1.0]]))
 _SMOOTHED = "imu.csv"
 
 
 def _load(path: Path, account: Account) -> Contents:
-    """A folder of one drive; the lidar is the robot's frame."""
+    """The folder of one drive; the robot's frame is that of the lidar."""
     files = clouds_by_name(path / _INSIDE, account)
     clouds = CloudFolder(tuple(files), parse=_ROWS).numbered(account)
     return Contents(log=beside_imu(clouds, _imu(path, account), account))
 
 
 def _imu(path: Path, account: Account) -> ImuFile | None:
-    """The IMU that has no part in the truth, else the raw one that has; mounted as the calibration says."""
+    """The IMU that is not used for the ground truth, else the raw one that is; pose by the calibration."""
     if (path / "applanix" / _SMOOTHED).is_file():
         account.report.ignore(_SMOOTHED, "whether its accelerations include gravity is not documented")
     T_applanix_lidar = _calibrated(path / "calib" / "T_applanix_lidar.txt", account)
@@ -58,14 +58,14 @@ def _imu(path: Path, account: Account) -> ImuFile | None:
 
 
 def _calibrated(file: Path, account: Account) -> gtsam.Pose3 | None:
-    """A transform of the calibration; None where there is none."""
+    """A transform in the calibration; None if there is none."""
     with account.refusing(file.name, 1):
         return pose_file(file) if file.is_file() else None
     return None
 
 
 def read_poses(path: Path, account: Account) -> Trajectory | None:
-    """Of the sensor that a file is of; the publishers' angles turn the world into it. None without a pose."""
+    """Poses of the sensor of a file; the published angles rotate world to sensor. None without poses."""
     rows = _POSES.rows(path, account) if path.is_file() else ()
     return trajectory_of(
         (stamp_s, gtsam.Pose3(pose.rotation().inverse(), pose.translation())) for _, stamp_s, pose in rows

@@ -1,4 +1,4 @@
-"""What is known of a camera before its first image: lens, depth scale, mounting."""
+"""Camera calibration before the first image: lens, depth scale, mounting."""
 
 from __future__ import annotations
 
@@ -23,29 +23,29 @@ _SAME_ASPECT = 0.005  # rounding of sizes; 1280 x 720 and 848 x 480 already show
 _NORM_TOLERANCE = 1e-2
 _FARTHEST_M = 1e8
 _STRETCH_TOLERANCE = 0.05  # published rotations have determinants of 0.9995; a scaled one is refused
-# What drivers give for a Kinect without calibration; the ROS default, as the TUM benchmark calls it.
+# Driver default of a Kinect without calibration; the TUM benchmark calls it the ROS default.
 KINECT = CameraIntrinsics(525.0, 525.0, 319.5, 239.5, 640, 480)
 
 
 @dataclass(frozen=True, slots=True)
 class Calibration:
-    """A camera.
+    """Calibration of a camera.
 
     Attributes
     ----------
     intrinsics
-        For images of its width and height; 0 x 0 where the source does not say for which.
+        For images of its width and height; 0 x 0 if the source does not say for which.
     depth_steps_per_m
-        What the depth files write for one metre.
+        Units per metre of the depth files.
     invalid_codes
         Depth values that mean "no reading", besides 0.
     T_base_camera
-        Of the optical frame of the upright image; None where the log does not tell.
+        Pose of the optical frame of the upright image; None if the log does not contain it.
     assumed
-        Why the intrinsics are a guess, for the report; empty where the log or its publisher gives them.
+        Why the intrinsics are assumed, for the report; empty if the log or its publisher gives them.
     color_lens
-        Of the stored colour image where it is another, in the same place: colour is then drawn as
-        ``intrinsics`` see it. None where one lens holds for both.
+        Lens of the stored colour image, if it differs (at the same position): colour is then warped to
+        ``intrinsics``. None if both images share a lens.
     """
 
     intrinsics: CameraIntrinsics
@@ -56,12 +56,12 @@ class Calibration:
     color_lens: Lens | None = None
 
     def intrinsics_for(self, width: int, height: int) -> CameraIntrinsics:
-        """The intrinsics of images of a size, pixel (0, 0) having its centre at (0, 0).
+        """The intrinsics for images of a size; the centre of pixel (0, 0) is at (0, 0).
 
         Raises
         ------
         RecordFault
-            A size of another aspect than that of the known intrinsics: which part is cut off is unknown.
+            The aspect ratio differs from that of the known intrinsics: the crop is unknown.
         """
         known = self.intrinsics
         if (known.width, known.height) in ((width, height), (0, 0)):
@@ -70,7 +70,7 @@ class Calibration:
             sizes = f"{width} x {height}, calibrated {known.width} x {known.height}"
             raise RecordFault(OTHER_ASPECT, sizes)
         scale = width / known.width
-        cut = 0.5 * (height - known.height * scale)  # an assumed lens looks through the middle
+        cut = 0.5 * (height - known.height * scale)  # assume a centred crop
         return CameraIntrinsics(
             known.fx * scale,
             known.fy * scale,
@@ -87,7 +87,7 @@ def same_aspect(first: tuple[int, int], second: tuple[int, int]) -> bool:
 
 
 def read_calibration(folder: Path, default: Calibration) -> Calibration:
-    """The folder's ``calibration.yaml`` over a default; the default where there is no such file.
+    """The folder's ``calibration.yaml`` merged into a default; the default if there is no such file.
 
     The file may give ``intrinsics`` (fx, fy, cx, cy and, together, width and height),
     ``depth_steps_per_m`` and ``T_base_camera`` (``translation_m``, ``quaternion_xyzw``).
@@ -95,7 +95,7 @@ def read_calibration(folder: Path, default: Calibration) -> Calibration:
     Raises
     ------
     DatasetError
-        The file cannot be read, or a value in it is none: a wrong calibration would bend the whole map.
+        The file cannot be read, or a value is invalid: a wrong calibration would distort the whole map.
     """
     path = folder / FILE_NAME
     if not path.is_file():
@@ -116,12 +116,12 @@ def read_calibration(folder: Path, default: Calibration) -> Calibration:
 
 
 def read_mounting(path: Path, name: str) -> gtsam.Pose3 | None:
-    """A pose by its name in a calibration; None where the file or the name is not there.
+    """A pose by its name in a calibration; None if the file or the name does not exist.
 
     Raises
     ------
     DatasetError
-        The file cannot be read, or what it tells is no pose.
+        The file cannot be read, or its value is no pose.
     """
     try:
         return _mounting(read_yaml(path), name) if path.is_file() else None
@@ -130,22 +130,22 @@ def read_mounting(path: Path, name: str) -> gtsam.Pose3 | None:
 
 
 def _mounting(content: dict[str, Any], name: str) -> gtsam.Pose3 | None:
-    """A pose of named values; None where its name is not among them."""
+    """A pose by name; None if the name does not exist."""
     fields = content.get(name)
     return None if fields is None else pose_from(fields["translation_m"], fields["quaternion_xyzw"])
 
 
 def read_yaml(path: Path) -> dict[str, Any]:
-    """A small YAML file of named values.
+    """Read a small YAML file of named values.
 
     Raises
     ------
     DatasetError
-        It cannot be read, or is something else.
+        It cannot be read, or contains something else.
     """
     try:
         text = path.read_text(encoding="utf-8")
-        # OpenCV writes a first line and a tag that are no YAML.
+        # OpenCV writes a first line and a tag that are not YAML.
         content = from_yaml(text.replace("%YAML:1.0", "", 1).replace("!!opencv-matrix", ""))
     except (OSError, ValueError) as error:
         raise DatasetError(f"{path} cannot be read: {error}; correct or remove it") from error
@@ -160,7 +160,7 @@ def pose_from(translation_m: Any, quaternion_xyzw: Any) -> gtsam.Pose3:
     Raises
     ------
     ValueError
-        Not three and four finite numbers, no unit quaternion, or farther away than any place on Earth.
+        Not three and four finite numbers, no unit quaternion, or a translation beyond any place on Earth.
     """
     translation = np.asarray(translation_m, dtype=np.float64).ravel()
     x, y, z, w = unit_quaternion(np.asarray(quaternion_xyzw, dtype=np.float64).ravel())
@@ -170,12 +170,12 @@ def pose_from(translation_m: Any, quaternion_xyzw: Any) -> gtsam.Pose3:
 
 
 def pose_from_matrix(matrix: FloatArray) -> gtsam.Pose3:
-    """A pose from a (4, 4) transform, its rotation replaced by the nearest true one.
+    """A pose from a (4, 4) transform; its rotation matrix is replaced by the nearest orthonormal one.
 
     Raises
     ------
     ValueError
-        Not finite, or stretched by more than 5 % or mirrored: no rotation.
+        Not finite, or scaled by more than 5 %, or mirrored.
     """
     if matrix.shape != (4, 4) or not np.isfinite(matrix).all():
         raise ValueError("not 4 x 4 finite numbers")
@@ -187,14 +187,14 @@ def pose_from_matrix(matrix: FloatArray) -> gtsam.Pose3:
 
 
 def unit_quaternion(quaternion: FloatArray) -> FloatArray:
-    """A quaternion at unit length, (4,).
+    """A quaternion normalised to unit length, (4,).
 
     Raises
     ------
     ValueError
-        Not four finite numbers, or of a length that no rounding explains.
+        Not four finite numbers, or the length differs from 1 by more than rounding.
     """
-    # Unlike NumPy's norm it takes the hugest numbers of a damaged file without a warning.
+    # Unlike NumPy's norm, it accepts the largest numbers of a damaged file without a warning.
     norm = math.hypot(*quaternion.tolist()) if quaternion.size == 4 else math.nan
     if not abs(norm - 1.0) <= _NORM_TOLERANCE:
         raise ValueError(f"quaternion {quaternion.tolist()} is not four numbers of length 1")
@@ -203,7 +203,7 @@ def unit_quaternion(quaternion: FloatArray) -> FloatArray:
 
 
 def _intrinsics(fields: Any) -> CameraIntrinsics:
-    """Positive focal lengths, a finite centre, and a size or none."""
+    """Check for positive focal lengths, a finite principal point, and an optional size."""
     fx, fy = positive(fields["fx"]), positive(fields["fy"])
     cx, cy = float(fields["cx"]), float(fields["cy"])
     width, height = int(fields.get("width") or 0), int(fields.get("height") or 0)

@@ -1,7 +1,7 @@
-"""What files beside a recording, and files that were given, tell of its lenses and mountings.
+"""Intrinsics and mountings from files next to a recording and from files that the user gives.
 
-A file that was given, and our own ``calibration.yaml``, are believed before the recording; others fill what
-it does not tell. Where two sources contradict each other, both values are told.
+A file from the user and Scanweave's ``calibration.yaml`` have priority over the recording; other files add
+what it lacks. If two sources contradict each other, both values are reported.
 """
 
 from __future__ import annotations
@@ -28,8 +28,8 @@ _SUFFIXES = {".yaml", ".yml", ".urdf", ".xml"}
 _NO_CALIBRATION = {"metadata.yaml"}  # the index of a bag
 _INSIDE = ("calibration", "calib")
 _IMAGE_LIST = "rgb.txt"
-_MOST_FILES = 64  # of a folder that may hold anything
-_APART_SHARE = 0.005  # of focal lengths and of the width: no two calibrations of one lens agree better
+_MOST_FILES = 64  # in a folder with any contents
+_APART_SHARE = 0.005  # of focal lengths and the width: repeated calibrations of one lens agree no better
 _ROLES = {
     "depth": re.compile(r"depth|(^|[^a-z])(ir|infra|tof)", re.IGNORECASE),
     "color": re.compile(r"rgb|colou?r", re.IGNORECASE),
@@ -38,18 +38,18 @@ _ROLES = {
 
 @dataclass(slots=True)
 class KnownCalibration:
-    """Lenses and mountings by files.
+    """Lenses and mountings from files.
 
     Attributes
     ----------
     cameras, transforms
-        Of all files; those that are believed before the recording come first.
+        From all files; those with priority over the recording come first.
     T_base_camera, T_base_lidar
-        Of the only camera or 3D lidar, with the file that says so.
+        Pose of the only camera or 3D lidar, with its source file.
     sure
-        Names of the files that are believed before the recording.
+        Names of the files with priority over the recording.
     notes
-        Files that look as if they told something, and cannot be read.
+        Files that look like calibrations and cannot be read.
     """
 
     cameras: list[FileCamera] = field(default_factory=list)
@@ -62,10 +62,10 @@ class KnownCalibration:
     def lens(
         self, role: str, names: Iterable[str] = (), size: tuple[int, int] | None = None
     ) -> FileCamera | None:
-        """The camera of the files whose lens is that of an image.
+        """The camera in the files whose lens belongs to an image.
 
-        By its topic or frame; else by what it is called, "depth" or "color"; else the only one of the image's
-        size. None where no file tells it, or several could be meant.
+        Found by topic or frame; else by its name, "depth" or "color"; else the only one with the image's
+        size. None if there is none, or if it is ambiguous.
 
         Parameters
         ----------
@@ -74,7 +74,7 @@ class KnownCalibration:
         names
             Topic and frame of the image.
         size
-            Its width and height; None where it is not known.
+            Its width and height; None if unknown.
         """
         lenses = [one for one in self.cameras if one.lens is not None]
         own = {name.strip("/") for name in names if name}
@@ -91,29 +91,29 @@ class KnownCalibration:
         return None
 
     def depth_steps_per_m(self) -> tuple[float, str] | None:
-        """What depth images write for a metre, with the file that says so."""
+        """Units per metre of depth images, with the source file."""
         told = [(one.depth_steps_per_m, one.source) for one in self.cameras]
         return next(((steps, source) for steps, source in told if steps is not None), None)
 
 
 def known_beside(path: Path, given: Sequence[Path] = ()) -> KnownCalibration:
-    """What the files that were given, and those beside a recording, tell.
+    """Read the files that the user gave, and those next to a recording.
 
     Parameters
     ----------
     path
-        The recording: of a file its folder is looked through, of a folder itself.
+        The recording; the search is in this folder, or in the folder of this file.
     given
-        Files that a person has named.
+        Files that the user named.
 
     Raises
     ------
     DatasetError
-        A file that was given, or our own beside the recording, tells nothing or cannot be read.
+        A file from the user or a `calibration.yaml` is no calibration or cannot be read.
     """
     known = KnownCalibration()
     folder = path if path.is_dir() else path.parent
-    # Beside a bag and a list of images, as in a simulated drive, our own file is that of the images.
+    # Next to a bag and an image list, as in a simulated drive, `calibration.yaml` belongs to the images.
     of_images = path.is_file() and (folder / _IMAGE_LIST).is_file()
     own = [folder / FILE_NAME] if (folder / FILE_NAME).is_file() and not of_images else []
     for file in [*given, *own]:
@@ -137,13 +137,13 @@ def known_beside(path: Path, given: Sequence[Path] = ()) -> KnownCalibration:
 
 
 def by_files(camera: Camera, known: KnownCalibration, account: Account) -> Camera:
-    """A camera of image files with the lens that files tell, where one was given or its own is assumed.
+    """A camera of image files; its lens comes from files if one was given or its own is assumed.
 
-    Its colour image stands for both, as data sets give them; distortion is left in the images, and told.
+    The lens of its colour image applies to both; distortion remains in the images and is reported.
     """
     calibration = camera.calibration
     file = known.lens("color", [camera.sensor])
-    sure = known.sure - {FILE_NAME}  # the reader of the folder has seen that already
+    sure = known.sure - {FILE_NAME}  # the folder reader has used this file already
     if file is not None and file.lens is not None and (calibration.assumed or file.source in sure):
         lens = file.lens
         if calibration.assumed:
@@ -164,7 +164,7 @@ def by_files(camera: Camera, known: KnownCalibration, account: Account) -> Camer
 
 
 def contradiction(what: str, used: tuple[Lens, str], other: tuple[Lens, str]) -> str:
-    """What two sources say of one lens, where they contradict each other; else empty."""
+    """A warning if two sources contradict each other about a lens; else empty."""
     first, second = used[0].intrinsics, other[0].intrinsics
     scale = first.width / second.width if first.width and second.width else 1.0
     values = [np.array([lens.fx, lens.fy, lens.cx, lens.cy]) for lens in (first, second)]
@@ -178,13 +178,13 @@ def contradiction(what: str, used: tuple[Lens, str], other: tuple[Lens, str]) ->
 
 
 def _told(lens: CameraIntrinsics) -> str:
-    """A lens for people."""
+    """A lens as text for the user."""
     size = f" at {lens.width} x {lens.height}" if lens.width else ""
     return f"fx {lens.fx:.1f} fy {lens.fy:.1f} cx {lens.cx:.1f} cy {lens.cy:.1f}{size}"
 
 
 def _add(known: KnownCalibration, file: Path, *, sure: bool) -> None:
-    """Take in one file."""
+    """Add one file."""
     found = read_calibration_file(file)
     if not found:
         return
@@ -199,7 +199,7 @@ def _add(known: KnownCalibration, file: Path, *, sure: bool) -> None:
 
 
 def _candidates(folder: Path) -> list[Path]:
-    """Files that may tell something, in the order of their names."""
+    """Files that may be calibrations, sorted by name."""
     found: list[Path] = []
     for place in (folder, *(folder / name for name in _INSIDE)):
         if place.is_dir():

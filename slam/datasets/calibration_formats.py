@@ -1,7 +1,7 @@
-"""Files that tell lenses and mountings, as other tools write them.
+"""Reads lenses and mountings from the files of other tools.
 
-ROS camera_info (also a message that was printed), Kalibr's camchain, OpenCV's FileStorage, ORB-SLAM's
-settings, EuRoC's sensor.yaml, URDF, printed tf, lists of transforms, and our own calibration.yaml.
+ROS camera_info (also a printed message), Kalibr's camchain, OpenCV's FileStorage, ORB-SLAM's settings,
+EuRoC's sensor.yaml, URDF, printed tf, lists of transforms, and Scanweave's calibration.yaml.
 """
 
 from __future__ import annotations
@@ -46,17 +46,17 @@ class FileCamera:
     Attributes
     ----------
     name
-        As the file calls it, else the file's own name.
+        Its name in the file, else the file name.
     lens
-        With its distortion; None where the file tells but a mounting or a depth unit.
+        Lens with distortion; None if the file contains only a mounting or a depth unit.
     source
-        The file, for people.
+        The file, for messages.
     topic
-        Of its images, where the file tells it.
+        Topic of its images, if the file contains it.
     frame
-        What transforms of the same file call it.
+        Its name in the transforms of the same file.
     depth_steps_per_m
-        What depth images write for a metre; None where the file does not tell.
+        Units per metre of depth images; None if the file does not contain them.
     """
 
     name: str
@@ -69,7 +69,7 @@ class FileCamera:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FileTransform:
-    """``T_parent_child`` of a file."""
+    """``T_parent_child`` in a file."""
 
     parent: str
     child: str
@@ -79,12 +79,12 @@ class FileTransform:
 
 @dataclass(slots=True)
 class FileContent:
-    """What one file tells.
+    """The contents of one file.
 
     Attributes
     ----------
     T_base_camera, T_base_lidar
-        Of the only camera or 3D lidar, as our own file gives them.
+        Pose of the only camera or 3D lidar, from a `calibration.yaml`.
     """
 
     cameras: list[FileCamera] = field(default_factory=list)
@@ -98,12 +98,12 @@ class FileContent:
 
 
 def read_calibration_file(path: Path) -> FileContent:
-    """What a file tells of lenses and mountings; nothing where it is of another kind.
+    """The lenses and mountings in a file; nothing if it is of another type.
 
     Raises
     ------
     ValueError
-        It is of a known kind, and a value in it is none.
+        It is of a known type and contains an invalid value.
     OSError
         It cannot be read.
     """
@@ -121,8 +121,8 @@ def read_calibration_file(path: Path) -> FileContent:
 
 
 def _yaml(text: str) -> Any:
-    """The first document of a YAML text; None where it is none."""
-    # OpenCV writes a first line and tags that are no YAML.
+    """The first document of a YAML text; None if it is not YAML."""
+    # OpenCV writes a first line and tags that are not YAML.
     plain = re.sub(r"^%YAML[^\n]*\n|!!opencv-matrix", "", text, flags=re.MULTILINE)
     first = re.split(r"^---[^\n]*$", plain.lstrip().removeprefix("---"), maxsplit=1, flags=re.MULTILINE)[0]
     try:
@@ -132,7 +132,7 @@ def _yaml(text: str) -> Any:
 
 
 def _from_tree(tree: Mapping[Any, Any], path: Path) -> FileContent:
-    """By the keys of a mapping."""
+    """Parse a mapping by its keys."""
     for reads in (_own, _kalibr, _printed_tf, _matrices, _orb_slam, _euroc, _camera_info):
         if found := reads(tree, path):
             return found
@@ -140,7 +140,7 @@ def _from_tree(tree: Mapping[Any, Any], path: Path) -> FileContent:
 
 
 def _own(tree: Mapping[Any, Any], path: Path) -> FileContent:
-    """Our ``calibration.yaml``."""
+    """Parse Scanweave's ``calibration.yaml``."""
     found, source = FileContent(), path.name
     lens, fields = None, tree.get("intrinsics")
     if isinstance(fields, Mapping):
@@ -156,7 +156,7 @@ def _own(tree: Mapping[Any, Any], path: Path) -> FileContent:
 
 
 def _kalibr(tree: Mapping[Any, Any], path: Path) -> FileContent:
-    """Kalibr's camchain; its transforms bring points of the second frame into the first."""
+    """Parse Kalibr's camchain; its transforms map points of the second frame to the first."""
     found, source = FileContent(), path.name
     for name, fields in tree.items():
         if not (isinstance(fields, Mapping) and _CAMERA.fullmatch(str(name))):
@@ -177,7 +177,7 @@ def _kalibr(tree: Mapping[Any, Any], path: Path) -> FileContent:
 
 
 def _printed_tf(tree: Mapping[Any, Any], path: Path) -> FileContent:
-    """A TFMessage or a TransformStamped as ROS prints it, or a list of such."""
+    """Parse a printed TFMessage or TransformStamped, or a list of them."""
     rows = tree.get("transforms", [tree] if "child_frame_id" in tree else ())
     found = FileContent()
     for row in rows if isinstance(rows, list) else ():
@@ -192,7 +192,7 @@ def _printed_tf(tree: Mapping[Any, Any], path: Path) -> FileContent:
 
 
 def _matrices(tree: Mapping[Any, Any], path: Path) -> FileContent:
-    """Lists of transforms with the names of their frames, each a matrix or a translation and a rotation."""
+    """Parse lists of transforms with frame names: matrices, or a translation and a rotation each."""
     found = FileContent()
     for rows in tree.values():
         for row in rows if isinstance(rows, list) else ():
@@ -208,7 +208,7 @@ def _matrices(tree: Mapping[Any, Any], path: Path) -> FileContent:
 
 
 def _orb_slam(tree: Mapping[Any, Any], path: Path) -> FileContent:
-    """Settings of ORB-SLAM 2 and 3."""
+    """Parse settings of ORB-SLAM 2 and 3."""
     given = {re.sub(r"^Camera1?\.", "", key): tree[key] for key in map(str, tree) if key in tree}
     if "fx" not in given or not any(str(key).startswith("Camera") for key in tree):
         return FileContent()
@@ -224,7 +224,7 @@ def _orb_slam(tree: Mapping[Any, Any], path: Path) -> FileContent:
 
 
 def _euroc(tree: Mapping[Any, Any], path: Path) -> FileContent:
-    """``sensor.yaml`` of a camera in EuRoC's layout: where it sits in the body, and its lens."""
+    """Parse ``sensor.yaml`` of a camera in EuRoC's layout: its pose in the body frame, and its lens."""
     if tree.get("sensor_type") != "camera" or "intrinsics" not in tree:
         return FileContent()
     name = path.parent.name
@@ -237,7 +237,7 @@ def _euroc(tree: Mapping[Any, Any], path: Path) -> FileContent:
 
 
 def _camera_info(tree: Mapping[Any, Any], path: Path) -> FileContent:
-    """A ROS camera_info file, a printed CameraInfo, or what OpenCV's calibration wrote."""
+    """Parse a ROS camera_info file, a printed CameraInfo, or the output of OpenCV's calibration."""
     matrix = next((tree[name] for name in _K_NAMES if name in tree), None)
     if matrix is None:
         return FileContent()
@@ -258,7 +258,7 @@ def _camera_info(tree: Mapping[Any, Any], path: Path) -> FileContent:
 
 
 def _named_lens(fields: Mapping[Any, Any], distortion: Any) -> Lens:
-    """A lens with its models by name, as Kalibr gives it."""
+    """A lens with its models by name, as Kalibr writes it."""
     projection, model = str(fields.get("camera_model", "pinhole")), str(fields.get("distortion_model", ""))
     numbers = numbers_in(fields["intrinsics"])[-4:]
     width, height = (int(number) for number in numbers_in(fields.get("resolution", (0, 0))))
@@ -267,7 +267,7 @@ def _named_lens(fields: Mapping[Any, Any], distortion: Any) -> Lens:
 
 
 def _lens(pin_hole: Any, size: tuple[int, int], distortion: Any = (), model: str = "plumb_bob") -> Lens:
-    """A lens of fx, fy, cx and cy, checked as that of a CameraInfo."""
+    """A lens from fx, fy, cx and cy, checked like that of a CameraInfo."""
     fx, fy, cx, cy = (float(number) for number in pin_hole)
     k = [fx, 0.0, cx, 0.0, fy, cy, 0.0, 0.0, 1.0]
     told = SimpleNamespace(k=k, p=[], d=distortion, width=size[0], height=size[1], distortion_model=model)
@@ -275,7 +275,7 @@ def _lens(pin_hole: Any, size: tuple[int, int], distortion: Any = (), model: str
 
 
 def _from_xml(text: str, path: Path) -> FileContent:
-    """A URDF, or OpenCV's FileStorage as XML."""
+    """Parse a URDF, or OpenCV's FileStorage as XML."""
     elements = list(_elements(text))
     names = {name for name, _, _ in elements}
     if "opencv_storage" in names:
@@ -290,7 +290,7 @@ def _from_xml(text: str, path: Path) -> FileContent:
 
 
 def _joints(text: str, source: str) -> Iterator[FileTransform]:
-    """The joints of a URDF, as they stand at zero."""
+    """The joints of a URDF at position zero."""
     joint: dict[str, str] = {}
     for name, above, content in _elements(text, attributes=True):
         if name == "joint" and above == "robot":
@@ -304,7 +304,7 @@ def _joints(text: str, source: str) -> Iterator[FileTransform]:
 
 
 def _joint(joint: Mapping[str, str], source: str) -> FileTransform:
-    """One joint; roll, pitch and yaw turn about fixed axes."""
+    """One joint; roll, pitch and yaw are rotations about fixed axes."""
     given = dict(re.findall(r"(\w+)=([^\n]*)", joint.get("origin", "")))
     translation = numbers_in(given.get("xyz", "0 0 0").split())
     turn = gtsam.Rot3.RzRyRx(*numbers_in(given.get("rpy", "0 0 0").split()).tolist())
@@ -315,9 +315,9 @@ def _joint(joint: Mapping[str, str], source: str) -> FileTransform:
 
 
 def _elements(text: str, *, attributes: bool = False) -> Iterator[tuple[str, str, str]]:
-    """Each element of an XML text, when it ends: its name, that of the one around it, its text or attributes.
+    """The elements of an XML text as they end: name, name of the parent, and text or attributes.
 
-    Elements of which attributes are wanted come when they begin. Entities are not resolved.
+    With ``attributes``, elements are returned when they start. Entities are not resolved.
     """
     stack, texts, found = list[str](), list[list[str]](), list[tuple[str, str, str]]()
 
@@ -354,7 +354,7 @@ def _elements(text: str, *, attributes: bool = False) -> Iterator[tuple[str, str
 
 
 def numbers_in(given: Any) -> FloatArray:
-    """The finite numbers of a list, of lists, or of a matrix as OpenCV writes it, (N,)."""
+    """The finite numbers of a list, nested lists, or a matrix as OpenCV writes it, (N,)."""
     numbers: FloatArray = np.asarray(
         given["data"] if isinstance(given, Mapping) else given, dtype=np.float64
     ).ravel()
@@ -364,5 +364,5 @@ def numbers_in(given: Any) -> FloatArray:
 
 
 def _steps(given: Any) -> float | None:
-    """A positive number, None for none."""
+    """A positive number, or None."""
     return None if given is None else positive(given)

@@ -1,4 +1,4 @@
-"""Pairs of image files as frames: prefetched, checked against the first, never guessed."""
+"""Converts pairs of image files to frames: prefetched, and checked against the first frame."""
 
 from __future__ import annotations
 
@@ -35,11 +35,11 @@ class Camera:
     pairs
         Its images, in the order of the log.
     calibration
-        Of the upright images.
+        Calibration of the upright images.
     quarter_turns
-        Turns of 90 degrees, counter-clockwise, that set the stored images upright.
+        Number of counter-clockwise 90-degree rotations that make the stored images upright.
     source
-        Where its images lie.
+        Source of its images.
     """
 
     sensor: str
@@ -51,7 +51,7 @@ class Camera:
 
 @dataclass(frozen=True, slots=True)
 class _Images:
-    """A decoded pair, or why there is none."""
+    """A decoded pair, or the reason why there is none."""
 
     camera: Camera
     pair: FramePair
@@ -64,7 +64,7 @@ class _Images:
 def read_frames(
     requests: Iterable[tuple[Camera, FramePair]], account: Account
 ) -> Generator[tuple[int, RgbdFrame], None, None]:
-    """Frames in the order of the requests, each with the line of its colour image; faults are counted."""
+    """Frames in the order of the pairs, each with the line number of its colour image; faults are counted."""
     sizes: dict[str, CameraIntrinsics] = {}
     budget = Budget(0)
     for images in prefetched(requests, lambda request: _decode(request, budget)):
@@ -82,7 +82,7 @@ def read_frames(
 
 
 def _frame(images: _Images, sizes: dict[str, CameraIntrinsics]) -> RgbdFrame:
-    """The frame, if its size is that of the camera's first, which ``sizes`` remembers."""
+    """The frame, if it has the size of the camera's first frame, which ``sizes`` stores."""
     camera = images.camera
     if images.fault is not None or images.color is None or images.depth_m is None:
         raise images.fault or RecordFault(SIZES_DIFFER, "no images")
@@ -103,7 +103,7 @@ def _frame(images: _Images, sizes: dict[str, CameraIntrinsics]) -> RgbdFrame:
 
 
 def _decode(request: tuple[Camera, FramePair], budget: Budget) -> _Images:
-    """Both images, upright and of one size; runs on the thread that prefetches."""
+    """Both images, upright and of equal size; runs on the prefetching thread."""
     camera, pair = request
     calibration = camera.calibration
     try:
@@ -121,7 +121,7 @@ def _decode(request: tuple[Camera, FramePair], budget: Budget) -> _Images:
 
 
 def _fitted(color: ColorImage, depth_m: Float32Array, calibration: Calibration) -> ColorImage:
-    """The colour image at the size of the depth image, as the depth image's lens sees it."""
+    """The colour image at the size of the depth image, warped to the depth image's lens."""
     size, wanted = (color.shape[1], color.shape[0]), (depth_m.shape[1], depth_m.shape[0])
     if (lens := calibration.color_lens) is not None:
         return _drawn_by(lens, color, calibration.intrinsics_for(*wanted))
@@ -133,7 +133,7 @@ def _fitted(color: ColorImage, depth_m: Float32Array, calibration: Calibration) 
 
 
 def _drawn_by(lens: Lens, color: ColorImage, seen_by: CameraIntrinsics) -> ColorImage:
-    """The image of a lens as another camera in the same place sees it."""
+    """An image warped to the lens of another camera at the same position."""
     import cv2
 
     known = (color.shape[1], color.shape[0])
@@ -150,8 +150,8 @@ def _drawn_by(lens: Lens, color: ColorImage, seen_by: CameraIntrinsics) -> Color
 
 @lru_cache(maxsize=16)
 def _lookup(lens: Lens, stored: tuple[int, int], seen_by: CameraIntrinsics) -> tuple[tuple[int, int], Any]:
-    """The size to shrink an image to before pixels are looked up, each a mean of those it stands for, and
-    columns and rows to look up; None where shrinking is all.
+    """The size to which an image is reduced (by averaging) before the lookup, and the columns and rows to
+    look up; None if reducing is sufficient.
     """
     known = replace(lens.intrinsics, width=stored[0], height=stored[1])
     lens = replace(lens, intrinsics=known)

@@ -1,8 +1,8 @@
-"""Captures of a network (``.pcap``, ``.pcapng``) that hold a lidar's packets, decoded as in bags.
+"""Network captures (``.pcap``, ``.pcapng``) of lidar packets, decoded as in bags.
 
-Packets of an Ouster where its metadata lies beside the capture, else those of a Velodyne. dpkt, which the
-extra 'velodyne' brings, reads the containers; packets are taken apart here, since a lidar's are often sent
-in fragments (RFC 791, 3.2).
+Packets are those of an Ouster if its metadata is next to the capture, else of a Velodyne. dpkt (part of the
+extra 'velodyne') reads the containers; packets are parsed here because those of a lidar are often sent in
+fragments (RFC 791, 3.2).
 """
 
 from __future__ import annotations
@@ -37,27 +37,27 @@ _MAGICS = (
     b"\xa1\xb2\x3c\x4d",
     b"\x0a\x0d\x0d\x0a",
 )
-# Bytes before the packet of the Internet, by the sort of link (tcpdump.org/linktypes.html).
+# Bytes before the IP packet, by link type (tcpdump.org/linktypes.html).
 _BEFORE = {0: 4, 1: 14, 12: 0, 101: 0, 113: 16, 228: 0, 276: 20}
 _VLAN, _VLAN_BYTES, _TYPE_AT = b"\x81\x00", 4, 12
 _UDP, _UDP_BYTES, _LEAST_BYTES = 17, 8, 28
-_MORE, _OFFSET = 0x2000, 0x1FFF  # of the field that tells fragments
+_MORE, _OFFSET = 0x2000, 0x1FFF  # of the fragment field
 _LARGEST_RECORD = 1 << 20
-_MOST_WAITING = 64  # packets of which fragments are missing
+_MOST_WAITING = 64  # packets with missing fragments
 
 
 class _File(io.BufferedReader):
-    """A capture's file; a record that says to be larger than any is not asked for."""
+    """The file of a capture; refuses to read records of an impossible size."""
 
     def read(self, size: int | None = -1, /) -> bytes:
-        """So many bytes; ValueError where that is more than a record can have."""
+        """Read ``size`` bytes; ValueError if a record cannot be as large."""
         if size is not None and size > _LARGEST_RECORD:
             raise ValueError(f"a record of {size} bytes")
         return super().read(size)
 
 
 def _load(path: Path, account: Account) -> Contents:
-    """The clouds of one lidar, which is the robot's frame; of an Ouster its IMU, in the sensor's frame."""
+    """The clouds of one lidar, whose frame is the robot's; of an Ouster also its IMU, in the sensor frame."""
     try:
         import dpkt
     except ImportError as error:
@@ -72,7 +72,7 @@ def _load(path: Path, account: Account) -> Contents:
 
 
 def _of_ouster(path: Path, account: Account, dpkt: Any, model: OusterModel) -> Iterator[Numbered]:
-    """Turns with the packets that completed them, and readings of the IMU; other packets are passed over."""
+    """Revolutions, with the numbers of the packets that completed them, and IMU readings."""
     lidar, imu = CloudReader("lidar", model.T_sensor_lidar), ImuReader("imu", model.T_sensor_imu)
     sensor, number = Ouster(model), 0
     for number, stamp_s, payload in payloads(path, account, dpkt):
@@ -91,7 +91,7 @@ def _of_ouster(path: Path, account: Account, dpkt: Any, model: OusterModel) -> I
 
 
 def _clouds(path: Path, account: Account, dpkt: Any) -> Iterator[Numbered]:
-    """Turns with the packets that completed them."""
+    """Revolutions with the numbers of the packets that completed them."""
     reader, decoder = CloudReader("lidar", gtsam.Pose3()), VelodyneStream()
     number = 0
     for number, stamp_s, payload in payloads(path, account, dpkt):
@@ -107,7 +107,7 @@ def _clouds(path: Path, account: Account, dpkt: Any) -> Iterator[Numbered]:
 def _read(
     reader: CloudReader, number: int, message: SimpleNamespace | None, account: Account
 ) -> Iterator[tuple[int, PointCloud]]:
-    """The cloud of a message, if there is one."""
+    """The cloud of a message, if it has one."""
     if message is not None:
         cloud = reader.read(message)
         account.report.accept("cloud")
@@ -115,7 +115,7 @@ def _read(
 
 
 def payloads(path: Path, account: Account, dpkt: Any) -> Iterator[tuple[int, float, bytes]]:
-    """Numbers, stamps and contents of the datagrams in a capture."""
+    """Numbers, stamps and payloads of the datagrams in a capture."""
     size = path.stat().st_size
     budget, number = Budget(size), 0
     waiting: dict[bytes, dict[int, tuple[bytes, bool]]] = {}
@@ -137,7 +137,7 @@ def payloads(path: Path, account: Account, dpkt: Any) -> Iterator[tuple[int, flo
 
 
 def _payload(frame: bytes, before: int, waiting: dict[bytes, dict[int, tuple[bytes, bool]]]) -> bytes | None:
-    """What a datagram holds that a frame completes; None where it is none, or not whole yet."""
+    """The payload of the datagram that a frame completes; None if it is no datagram or still incomplete."""
     packet = frame[before + _VLAN_BYTES * (before == 14 and frame[_TYPE_AT:][:2] == _VLAN) :]
     if len(packet) < _LEAST_BYTES or packet[0] >> 4 != 4 or packet[9] != _UDP:
         return None

@@ -1,4 +1,4 @@
-"""The CARMEN log reader (.log, .clf, plain or gzip): one streaming pass, in the order of the file."""
+"""The CARMEN log reader (.log, .clf, plain or gzip): one streaming pass in file order."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ HEAD_BYTES = 1 << 18  # enough for a full block of parameters and some scans
 _MESSAGE_NAME = re.compile(rb"[A-Za-z][A-Za-z0-9_]{1,31}")
 _HEAD_MESSAGE = re.compile(rb"^[ \t]*([A-Z]+[0-9]?)[ \t]", re.MULTILINE)
 
-# The same sweep may be logged in several forms; the leftmost common one is read, the rest ignored.
+# A scan may be logged in several types of record; the first common one is read, the others are ignored.
 _SAME_LASER = (
     ("ROBOTLASER1", "FLASER", "RAWLASER1"),
     ("ROBOTLASER2", "RLASER", "RAWLASER2"),
@@ -60,13 +60,13 @@ _KNOWN = frozenset({*_PARSERS, "ODOM", "PARAM", "SYNC", "TRUEPOS"})
 TRUNCATED = "truncated last line"
 NO_MESSAGE = "line does not begin with a message name"
 
-_SAME_POSE = 1e-6  # the last digit that the logs write
-_MOUNT_REACH_M = 3.0  # a laser is not mounted farther from the robot's centre
+_SAME_POSE = 1e-6  # the last digit in the logs
+_MOUNT_REACH_M = 3.0  # maximum distance of a laser from the robot's centre
 _MOUNT_TOLERANCE = 0.02  # metres and radians: rounding and interpolation in the logged poses
 
 
 def looks_like_carmen(path: Path, head: bytes) -> bool:
-    """Whether a file's first bytes hold CARMEN messages, or else its name says so and nothing else does."""
+    """Whether a file's first bytes contain CARMEN messages, or only its name indicates them."""
     if any(match.decode() in _KNOWN for match in _HEAD_MESSAGE.findall(head)):
         return True
     suffixes = {suffix.lower() for suffix in path.suffixes[-2:]}
@@ -75,11 +75,11 @@ def looks_like_carmen(path: Path, head: bytes) -> bool:
 
 
 def open_carmen(path: Path, strict: bool) -> Recording:
-    """A CARMEN log as a stream of odometry and scans; poses in it are the robot's own belief, no truth.
+    """A CARMEN log as a stream of odometry and scans; its poses are the robot's estimates, not ground truth.
 
-    Every ODOM line gives one `WheelOdometry`; so does the robot pose in a scan line, unless it repeats
-    the reading just before it (same stamp and pose). The scan follows its odometry. The stamp is the
-    ipc stamp. The order is that of the file: stamps may run backward, which is counted, not mended.
+    Every ODOM line gives one `WheelOdometry`; so does the robot pose in a scan line, unless it repeats the
+    previous reading (same stamp and pose). The scan follows its odometry. The stamp is the ipc stamp. The
+    order is that of the file: stamps may run backward, which is counted but not corrected.
     """
     remedy = "expected are CARMEN messages FLASER, ROBOTLASER1 or ODOM"
     dataset = Recording(
@@ -107,16 +107,16 @@ def read_messages(
     account: Account,
     kinds: frozenset[str] = frozenset(("RAWLASER1",)),
 ) -> Iterator[Numbered]:
-    """Measurements of numbered lines that say what CARMEN's messages do, perhaps in other words.
+    """Measurements of numbered lines that are equivalent to CARMEN messages.
 
     Parameters
     ----------
     words
-        The messages of a line; a `RecordFault` where it is damaged.
+        Converts a line to CARMEN messages; raises `RecordFault` if it is damaged.
     where
         The file of the lines.
     kinds
-        The messages of scans that are read.
+        The types of scan messages that are read.
     """
     decoder = _Decoder(account.report, kinds)
     last = 0
@@ -133,7 +133,7 @@ def read_messages(
 
 
 class _Decoder:
-    """The memory of one pass: parameters, mounts, the last odometry."""
+    """The state of one pass: parameters, laser poses, the last odometry."""
 
     def __init__(self, report: ReadReport, preferred: frozenset[str]) -> None:
         self._report = report
@@ -149,7 +149,7 @@ class _Decoder:
         Raises
         ------
         RecordFault
-            The line is damaged; what was sound in it has been given already.
+            The line is damaged; its valid part has already been returned.
         """
         if not tokens or tokens[0].startswith(b"#"):
             return
@@ -175,7 +175,7 @@ class _Decoder:
             self._report.ignore(kind, twin or f"records of type {kind} are not read")
 
     def _odometry(self, record: OdometryRecord, *, with_scan: bool) -> Iterator[WheelOdometry]:
-        """The reading; a scan line that only repeats the reading before it adds none."""
+        """The reading; none for a scan line that only repeats the previous one."""
         last, self._last_odometry = self._last_odometry, record
         if with_scan and last is not None and last.stamp_s == record.stamp_s:
             moved = max(abs(a - b) for a, b in zip(last.robot, record.robot, strict=True))
@@ -184,7 +184,7 @@ class _Decoder:
         yield WheelOdometry(record.stamp_s, pose2_from_row(record.robot))
 
     def _scan(self, record: LaserRecord, number: int) -> LaserScan:
-        """A scan with the angles, the mount and the maximum that hold for it."""
+        """A scan with its angles, laser pose and maximum range."""
         if record.ranges_m.size == 0:
             raise RecordFault(ZERO_BEAMS, record.kind)
         layout = self._layout(record, number)
@@ -205,11 +205,11 @@ class _Decoder:
         )
 
     def _layout(self, record: LaserRecord, number: int) -> BeamLayout:
-        """The beams' bearings: from the line where it says them, else by the beam count and PARAM."""
+        """The bearings of the beams: from the line if it has them, else from the beam count and PARAM."""
         count = record.ranges_m.size
         if record.start_rad is None:
             fov, step = self._parameter(record.kind, "fov"), self._parameter(record.kind, "resolution")
-            # No lidar sees as little as a full turn's radians, taken for degrees.
+            # No lidar has a field of view below 2 pi degrees, so such values are radians.
             unit_rad = 1.0 if (fov or (step or 0.0) * count) <= 2.0 * math.pi else math.radians(1.0)
             layout = beam_layout(count, fov and fov * unit_rad, step and step * unit_rad)
         else:
@@ -222,11 +222,11 @@ class _Decoder:
         return layout
 
     def _mount(self, record: LaserRecord, number: int) -> gtsam.Pose2:
-        """Where the laser sits: once per sensor, from PARAM or, where they are its source, the poses."""
+        """Pose of the laser, found once per sensor: from PARAM or from the logged poses."""
         from_line = _relative(record.robot, record.laser)
         if record.kind not in self._mounts:
             mount = self._parameter_mount(record.kind)
-            # FLASER lines may carry a corrected laser pose, so only PARAM is believed for them.
+            # FLASER lines may contain a corrected laser pose, so only PARAM is used for them.
             if (
                 record.start_rad is not None
                 and from_line is not None
@@ -243,7 +243,7 @@ class _Decoder:
         return mount
 
     def _parameter_mount(self, kind: str) -> gtsam.Pose2:
-        """The mount by PARAM; a rear laser looks backward, whatever the log leaves unsaid."""
+        """The pose by PARAM; a rear laser points backward, even if the log does not say so."""
         yaw_rad = self._parameter(kind, "angularoffset")
         if yaw_rad is None:
             yaw_rad = math.pi if kind in _REAR else 0.0
@@ -252,13 +252,13 @@ class _Decoder:
         )
 
     def _parameter(self, kind: str, name: str) -> float | None:
-        """A laser's PARAM, None when not stated; lasers 3 and 4 have none."""
+        """A PARAM of a laser, None if it is missing; lasers 3 and 4 have none."""
         if kind[-1] in "34":
             return None
         return self._parameters.get(("rearlaser" if kind in _REAR else "frontlaser") + name)
 
     def _set_parameter(self, name: str, value: str, number: int) -> None:
-        """Keep a laser's PARAM."""
+        """Store a PARAM of a laser."""
         if not name.startswith(("frontlaser", "rearlaser")) or name.endswith(("use", "id")):
             return
         try:
@@ -273,9 +273,9 @@ class _Decoder:
 
 
 def _preferred_kinds(head: bytes) -> frozenset[str]:
-    """The scan messages to read: of several forms of the same sweep only one.
+    """The scan messages to read: one type of record per scan.
 
-    A form must come half as often as the commonest one, so that a stray line decides nothing.
+    A type must be at least half as frequent as the commonest one, so that a stray line has no influence.
     """
     present = Counter(match.decode() for match in _HEAD_MESSAGE.findall(head))
     preferred: set[str] = set()
@@ -287,7 +287,7 @@ def _preferred_kinds(head: bytes) -> frozenset[str]:
 
 
 def _relative(robot: Row | None, laser: Row | None) -> gtsam.Pose2 | None:
-    """The laser seen from the robot, None when the line has no poses."""
+    """Pose of the laser in the robot's frame, None if the line has no poses."""
     if robot is None or laser is None:
         return None
     return pose2_from_row(robot).between(pose2_from_row(laser))

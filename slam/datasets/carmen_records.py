@@ -1,4 +1,4 @@
-"""One CARMEN line to one record: the grammar of the format, without any memory of earlier lines.
+"""Parses one CARMEN line to one record, independent of earlier lines.
 
 Grammar (all tokens are separated by blanks; angles in radians, lengths in metres, stamps in seconds)::
 
@@ -35,13 +35,13 @@ _POSITION_LIMIT_M = 1e6
 _YAW_LIMIT_RAD = 1e6  # some counters never wrap
 # Integers and powers of ten up to these are exact as floats.
 _EXACT, _MOST_DIGITS = 2**53, 18
-# All three, always: were some optional, a wrong count could shift poses and stamp and still fit.
+# All three are required: if some were optional, a wrong count could shift poses and stamp unnoticed.
 _TAIL = 3
 
 
 @dataclass(frozen=True, slots=True)
 class OdometryRecord:
-    """The robot's pose by its wheels: x, y, yaw."""
+    """The robot's pose by wheel odometry: x, y, yaw."""
 
     stamp_s: float
     robot: Row
@@ -49,7 +49,7 @@ class OdometryRecord:
 
 @dataclass(frozen=True, slots=True)
 class LaserRecord:
-    """A scan line as written; None where the form of the line has no such field."""
+    """A scan line as written; None for fields that this type of line does not have."""
 
     kind: str
     stamp_s: float
@@ -97,7 +97,7 @@ def parse_plain_laser(tokens: list[bytes]) -> LaserRecord:
 
 
 def parse_configured_laser(tokens: list[bytes]) -> LaserRecord:
-    """A ROBOTLASERk or RAWLASERk line: angles, ranges, remissions, and for the former poses.
+    """A ROBOTLASERk or RAWLASERk line: angles, ranges, remissions, and poses for the former.
 
     Raises
     ------
@@ -115,7 +115,7 @@ def parse_configured_laser(tokens: list[bytes]) -> LaserRecord:
         raise RecordFault(BAD_GEOMETRY, f"start {start_rad}, field of view {fov_rad}, step {step_rad}")
     tail = _numbers(tokens[after : after + pose_fields + 1])
     ranges_m = _numbers(tokens[9:remission_at])
-    if step_rad < 0.0:  # the beams go clockwise
+    if step_rad < 0.0:  # the beams are clockwise
         start_rad, step_rad, ranges_m = start_rad + step_rad * (count - 1), -step_rad, ranges_m[::-1].copy()
     return LaserRecord(
         kind=kind,
@@ -131,7 +131,7 @@ def parse_configured_laser(tokens: list[bytes]) -> LaserRecord:
 
 
 def parse_parameter(tokens: list[bytes]) -> tuple[str, str]:
-    """Name and value of a PARAM line, the name in one spelling for all logs.
+    """Name and value of a PARAM line, the name in the same spelling for all logs.
 
     Logs write ``robot_front_laser_max`` but ``robot_frontlaser_offset``, and put the field of view
     under ``laser_``: the module's prefix and the underscores are dropped (``frontlasermax``).
@@ -150,7 +150,7 @@ def parse_parameter(tokens: list[bytes]) -> tuple[str, str]:
 
 
 def _count(tokens: list[bytes], index: int) -> int:
-    """A count of values that follow, checked against what does follow before anything is allocated."""
+    """A count of values, checked against the number of values that follow before memory is allocated."""
     if index >= len(tokens):
         raise RecordFault(WRONG_COUNT, f"line ends before value {index}")
     token = tokens[index]
@@ -163,13 +163,13 @@ def _count(tokens: list[bytes], index: int) -> int:
 
 
 def _check_tail(tokens: list[bytes], stamp_at: int) -> None:
-    """Refuse a line whose stamp, host and logger stamp do not end it."""
+    """Reject a line that does not end with stamp, host and logger stamp."""
     if len(tokens) != stamp_at + _TAIL:
         raise RecordFault(WRONG_COUNT, f"{len(tokens)} values, {stamp_at + _TAIL} expected")
 
 
 def _numbers(tokens: list[bytes]) -> FloatArray:
-    """The tokens as floats (N,); Python's digit underscores are no numbers in a log."""
+    """The tokens as floats (N,); underscores, which Python allows between digits, are rejected."""
     values, text = np.empty(len(tokens)), b" ".join(tokens)
     if _plain_numbers(np.frombuffer(text, np.uint8), values) == len(tokens):
         return values
@@ -183,10 +183,10 @@ def _numbers(tokens: list[bytes]) -> FloatArray:
 
 @kernel
 def _plain_numbers(text, values):  # type: ignore[no-untyped-def]
-    """Read numbers with a blank between, to the bit as ``float`` does; how many, up to one that is not plain.
+    """Read numbers separated by blanks, bit-identical to ``float``; returns how many, up to a complex one.
 
-    Plain are a sign, digits and a point, of an exact integer over an exact power of ten: then one division
-    rounds as it should (Clinger 1990).
+    A simple number has a sign, digits and a point and is an exact integer over an exact power of ten: then
+    one division rounds correctly (Clinger 1990).
     """
     count = ZERO
     whole = ZERO
@@ -218,16 +218,16 @@ def _plain_numbers(text, values):  # type: ignore[no-untyped-def]
 
 
 def finite_row(values: FloatArray) -> Row:
-    """A pose (3,), finite and within reach."""
+    """A pose (3,), finite and within limits."""
     x, y, yaw = values.tolist()
-    # The comparisons are false for NaN, so NaN is refused too.
+    # The comparisons are false for NaN, so NaN is rejected too.
     if not (abs(x) < _POSITION_LIMIT_M and abs(y) < _POSITION_LIMIT_M and abs(yaw) < _YAW_LIMIT_RAD):
         raise RecordFault(BAD_POSE, f"{x} {y} {yaw}")
     return x, y, yaw
 
 
 def _stamp(stamp_s: float) -> float:
-    """A stamp, finite and of this age."""
+    """A stamp, finite and below the limit."""
     stamp_s = float(stamp_s)
     if not abs(stamp_s) < STAMP_LIMIT_S:
         raise RecordFault(BAD_STAMP, f"{stamp_s}")

@@ -21,11 +21,11 @@ from slam.measurements import Float32Array
 
 CLOUD_SUFFIXES = frozenset({".bin", ".pcd", ".ply", ".las", ".laz"})
 CLOUD_NAMES = "(?:bin|pcd|ply|la[sz])"  # as a pattern
-# Of so many points; ranges that differ by less than single precision leaves of them are one.
+# Sample size; ranges that differ by less than the rounding of single precision count as equal.
 _LOOKED_AT, _ALIKE_SHARE = 2000, 1e-6
-# What lidars tell lies between these, rounded heights of a plane too; what is no cloud mostly does not.
+# Values of lidars are between these, also rounded heights of a plane; other data mostly are not.
 _LEAST, _GREATEST = 1e-30, 1e9
-# Of an Ouster OS1-64 whose clouds keep its order but not its times: 1024 columns of 64 rows a turn.
+# Ouster OS1-64 whose clouds keep the order of points but not their times: 1024 x 64 per revolution.
 _ROWS, _COLUMNS, _TURN_S = 64, 1024, 0.1
 _TIMES = ("t", "time", "timestamp")
 
@@ -37,14 +37,14 @@ NO_POINTS = "cloud without a valid point"
 
 @dataclass(frozen=True, slots=True)
 class CloudFile:
-    """What a file holds.
+    """The contents of a file.
 
     Attributes
     ----------
     points_lidar
         (N, 3) finite points.
     fields
-        Further values of the points by their names, (N,) each.
+        Further values of the points by name, (N,) each.
     """
 
     points_lidar: Float32Array
@@ -57,12 +57,12 @@ Parsed: TypeAlias = tuple[NDArray[Any], dict[str, NDArray[Any]]]
 def read_cloud(path: Path, parse: Callable[[Path], Parsed] | None = None) -> CloudFile:
     """The valid points of a file.
 
-    Points at the origin are what lidars write for no return, and left out.
+    Points at the origin are omitted, because lidars write them for no return.
 
     Parameters
     ----------
     parse
-        What reads a file as (N, 3) points and further values, (N,) each; None for what its suffix tells.
+        Reads a file as (N, 3) points and further values, (N,) each; None: chosen by the suffix.
 
     Raises
     ------
@@ -92,14 +92,14 @@ def read_cloud(path: Path, parse: Callable[[Path], Parsed] | None = None) -> Clo
 
 
 def is_return(points: Float32Array) -> NDArray[np.bool_]:
-    """Which of (N, 3) points are finite, and not where drivers put what has no return.
+    """Which of (N, 3) points are finite, and not where drivers put beams without return.
 
-    That is the lidar itself, or a sphere about it. Of what is no cloud at all none is.
+    That is at the lidar itself, or on a sphere around it. Data that are no cloud contain none.
     """
     if are_no_readings(points[:: len(points) // _LOOKED_AT + 1]):
         return np.zeros(len(points), np.bool_)
     x, y, z = points.T
-    # Axis by axis: a reduction over rows of three takes ten times as long.
+    # Axis by axis, because a reduction over rows of three takes ten times as long.
     valid = np.isfinite(x) & np.isfinite(y) & np.isfinite(z) & ((x != 0.0) | (y != 0.0) | (z != 0.0))
     if code_m := _told_alike_m(points, valid):
         with np.errstate(over="ignore"):
@@ -108,14 +108,14 @@ def is_return(points: Float32Array) -> NDArray[np.bool_]:
 
 
 def are_no_readings(values: NDArray[Any]) -> bool:
-    """Whether more than some numbers are of sizes that no lidar tells; zeros and no numbers are not asked."""
+    """Whether many values have magnitudes that no lidar returns; zeros and NaN are not counted."""
     sizes = np.abs(values[np.isfinite(values) & (values != 0.0)])
     return bool(np.count_nonzero((sizes < _LEAST) | (sizes > _GREATEST)) * FEWEST > len(sizes))
 
 
 def _told_alike_m(points: Float32Array, valid: NDArray[np.bool_]) -> float:
-    """The range that more of (N, 3) points tell than any surface makes alike; 0 where there is none."""
-    step = len(points) // _LOOKED_AT | 1  # odd: no ring is passed over
+    """The range shared by more of (N, 3) points than a surface could cause; 0 if there is none."""
+    step = len(points) // _LOOKED_AT | 1  # odd, so that no ring is skipped
     ranges_m = np.sort(np.linalg.norm(points[::step][valid[::step]].astype(np.float64), axis=1))
     ends = np.flatnonzero(np.diff(ranges_m, append=np.inf) > _ALIKE_SHARE * ranges_m)
     alike = np.diff(ends, prepend=-1)
@@ -126,12 +126,12 @@ def _told_alike_m(points: Float32Array, valid: NDArray[np.bool_]) -> float:
 
 @dataclass(frozen=True, slots=True)
 class Rows:
-    """A file of nothing but points, each a row of the same fields; ``x``, ``y`` and ``z`` are among them."""
+    """A file that contains only points, rows of the same fields; ``x``, ``y`` and ``z`` are among them."""
 
     row: np.dtype[np.void]
 
     def __call__(self, path: Path) -> Parsed:
-        """Points and further fields, as `read_cloud` wants them."""
+        """Points and further fields, as `read_cloud` needs them."""
         rows = self.rows(path)
         others = {name: rows[name] for name in rows.dtype.names or () if name not in "xyz"}
         return np.column_stack([rows[axis] for axis in "xyz"]), others
@@ -140,7 +140,7 @@ class Rows:
         return f"{len(self.row.names or ())} numbers of {self.row[0].itemsize} bytes"
 
     def rows(self, path: Path) -> NDArray[np.void]:
-        """The rows; RecordFault where the file is not made of whole ones."""
+        """The rows; RecordFault if the file does not consist of complete rows."""
         try:
             content = path.read_bytes()
         except OSError as error:
@@ -152,7 +152,7 @@ class Rows:
 
 
 def row_of(fields: str) -> np.dtype[np.void]:
-    """The type of rows by names and kinds: ``"x f4, y f4"``, little-endian without gaps."""
+    """The type of rows from names and types: ``"x f4, y f4"``, little-endian without padding."""
     return np.dtype([(name, f"<{kind}") for name, kind in (field.split() for field in fields.split(","))])
 
 
@@ -163,7 +163,7 @@ _READERS = {".pcd": read_pcd_points, ".ply": read_ply_points}
 
 
 def read_fields(path: Path) -> Parsed:
-    """Points, and what else the file says of each."""
+    """Points, and their further fields in the file."""
     read = _READERS.get(path.suffix.lower(), read_las_points)
     try:
         columns = read(path)
@@ -180,7 +180,7 @@ def read_fields(path: Path) -> Parsed:
 
 
 def with_column_times(parse: Callable[[Path], Parsed]) -> Callable[[Path], Parsed]:
-    """A parser that gives the points of a whole turn the times of their columns; others are left without."""
+    """A parser that adds column times to the points of a full revolution; other clouds get none."""
 
     def parsed(path: Path) -> Parsed:
         points, fields = parse(path)

@@ -26,20 +26,20 @@ _INSIDE = ("velodyne", "points", "clouds")  # of KITTI, of the simulator, of oth
 _KITTI_CALIBRATION = "calib.txt"
 _GROUNDTRUTH = "groundtruth.txt"
 _NUMBERED = r"[a-z_-]*(\d{1,8})\." + CLOUD_NAMES
-_RATE_HZ = 10.0  # of most lidars; taken where clouds are numbered and nothing tells their stamps
+_RATE_HZ = 10.0  # of most lidars; used for numbered clouds without stamps
 
 
 def has_clouds(path: Path) -> bool:
-    """Whether a folder of a robot holds clouds with a list of stamps beside them."""
+    """Whether a robot's folder contains clouds with a list of stamps."""
     return times_of(path) is not None and bool(_cloud_places(path))
 
 
 def read_clouds(path: Path, account: Account) -> CloudFolder:
-    """The clouds of a folder and where their lidar sits."""
+    """The clouds of a folder and the pose of their lidar."""
     times = times_of(path)
     places = _cloud_places(path)
     if times is None and (files := numbered_files(path, _NUMBERED)):
-        if above := times_of(path.resolve().parent):  # as of a folder velodyne/ that is given alone
+        if above := times_of(path.resolve().parent):  # if only the folder velodyne/ is given
             return CloudFolder(tuple(stamped_clouds(above, path, account)), _mount(path))
         account.report.note(NO_STAMPS.format(rate=_RATE_HZ), 1)
         counted = [StampedFile(number / _RATE_HZ, file, number) for number, file in sorted(files.items())]
@@ -50,18 +50,18 @@ def read_clouds(path: Path, account: Account) -> CloudFolder:
 
 
 def _cloud_places(path: Path) -> list[Path]:
-    """The folders that hold clouds: those inside by their names, or the folder itself."""
+    """The folders with clouds: subfolders by their names, or the folder itself."""
     inside = [path / name for name in _INSIDE if (path / name).is_dir()]
     return [place for place in [*inside, path] if cloud_files(place)]
 
 
 def _mount(folder: Path) -> gtsam.Pose3:
-    """``T_base_lidar`` by ``calibration.yaml`` beside the clouds, else the lidar is the robot's frame."""
+    """``T_base_lidar`` by ``calibration.yaml`` next to the clouds, else the identity."""
     return read_mounting(folder / LIDAR_CALIBRATION, "T_base_lidar") or gtsam.Pose3()
 
 
 def _groundtruth(path: Path, account: Account) -> Trajectory | None:
-    """``groundtruth.txt``, or KITTI's poses: of its left camera, turned into those of the lidar."""
+    """``groundtruth.txt``, or KITTI's poses of its left camera, transformed to the lidar."""
     if (path / _GROUNDTRUTH).is_file():
         return read_poses(path / _GROUNDTRUTH, account)
     place = path.resolve()
@@ -82,7 +82,7 @@ def _groundtruth(path: Path, account: Account) -> Trajectory | None:
 
 
 def _kitti_rows(path: Path, account: Account) -> dict[str, gtsam.Pose3]:
-    """The transforms of ``calib.txt`` by their names; projections, which are none, are left out."""
+    """The transforms of ``calib.txt`` by name, without the projections."""
     found = {}
     for _, line in numbered_lines(path, account):
         name, _, numbers = line.partition(b":")
@@ -96,7 +96,7 @@ def _kitti_rows(path: Path, account: Account) -> dict[str, gtsam.Pose3]:
 FORMAT = recorded(
     "folder of point clouds (KITTI odometry; .bin, .pcd, .ply or .las with a list of stamps)",
     lambda path, head: path.is_dir() and (has_clouds(path) or len(numbered_files(path, _NUMBERED)) > 1),
-    # The lidar's frame is the robot's unless ``calibration.yaml`` says where it sits.
+    # The lidar's frame is the robot's, unless ``calibration.yaml`` contains its pose.
     lambda path, account: Contents(
         log=beside_imu(read_clouds(path, account).numbered(account), imu_file(path), account)
     ),

@@ -1,4 +1,4 @@
-"""Which cloud file was taken when, and clouds put among the readings of a log."""
+"""Stamps of cloud files, and merging of clouds into a log by time."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from slam.vision.prefetch import prefetched
 UNPAIRED = "more clouds than stamps"
 WITHOUT_CLOUD = "more stamps than clouds"
 
-# Beside the clouds or above them; each line a stamp, or a stamp and the name of a file.
+# In the folder of the clouds or above; each line is a stamp, or a stamp and a file name.
 TIMES_NAMES = ("points.txt", "times.txt", "timestamps.txt", "stamps.txt")
 
 
@@ -37,13 +37,13 @@ class CloudFolder:
     Attributes
     ----------
     files
-        With their stamps, in the order of the list.
+        Files with stamps, in the order of the list.
     T_base_lidar
-        Mounting of the lidar.
+        Pose of the lidar on the robot.
     parse
-        What reads a file, see `read_cloud`; None for what its suffix tells, and ``.bin`` files themselves.
+        Reads a file, see `read_cloud`; None: chosen by the suffix, for ``.bin`` by the contents.
     stamped
-        Whether the stamps were told, and not counted.
+        Whether the stamps were recorded, rather than derived from a counter.
     """
 
     files: tuple[StampedFile, ...]
@@ -52,14 +52,14 @@ class CloudFolder:
     stamped: bool = True
 
     def numbered(self, account: Account) -> Iterator[tuple[int, PointCloud]]:
-        """The clouds with their lines in the list; what cannot be read is counted."""
+        """The clouds with their line numbers in the list; unreadable ones are counted."""
         times = PointTimes(self.stamped)
         rows = KITTI_ROWS if self.parse else rows_of([file.path for file in self.files])
         if rows != KITTI_ROWS:
             account.report.note(f"the .bin files hold {rows} a point", 1)
 
         def read(file: StampedFile) -> tuple[StampedFile, CloudFile | RecordFault]:
-            """A cloud, or why there is none; runs on the thread that prefetches."""
+            """A cloud, or the reason why there is none; runs on the prefetching thread."""
             try:
                 return file, read_cloud(file.path, self.parse or (rows if is_bin(file.path) else None))
             except RecordFault as fault:
@@ -88,14 +88,14 @@ def times_of(folder: Path) -> Path | None:
 
 
 def cloud_files(folder: Path) -> list[Path]:
-    """Clouds directly in a folder, numbers in their names in the order of numbers."""
+    """Clouds directly in a folder, sorted by the numbers in their names."""
     found = files_inside(folder, CLOUD_SUFFIXES)
-    # What follows a point is a fraction, whose digits are in order as they are.
+    # Digits after a point are a fraction and sort as text.
     return sorted(found, key=lambda path: re.sub(r"(?<![.\d])\d+", lambda one: one[0].zfill(20), path.stem))
 
 
 def stamped_clouds(times: Path, folder: Path, account: Account) -> list[StampedFile]:
-    """The clouds of a list of stamps: by the names in it, else one after another as the folder has them."""
+    """The clouds of a list of stamps: by the names in it, else in the order of the folder."""
     if any(len(fields) > 1 for _, fields in fields_of(times, Account.quiet(times), 1, 2)):
         return read_image_list(times, account)
     lines, files = list(fields_of(times, account, 1)), cloud_files(folder)
@@ -116,7 +116,7 @@ def clouds_by_name(
     pattern: str = r"(\d{9,19})\.bin",
     stamp_of_name: Callable[[re.Match[str]], float] = lambda match: by_its_size(int(match[1])),
 ) -> list[StampedFile]:
-    """The clouds whose names match a pattern, by the stamps that the names tell, in the order of time."""
+    """The clouds whose names match a pattern, sorted by the stamps in their names."""
     name, found = re.compile(pattern), []
     for path in cloud_files(folder):
         match = name.fullmatch(path.name)
@@ -131,7 +131,7 @@ def clouds_by_name(
 
 
 def merged(log: Iterable[Numbered], clouds: Iterator[tuple[int, PointCloud]]) -> Iterator[Numbered]:
-    """A log with clouds before the first reading that is later, the wheels asked at each cloud's stamp."""
+    """A log with each cloud before the first later reading, and wheel odometry interpolated at its stamp."""
     wheels: deque[WheelOdometry] = deque(maxlen=WHEELS_KEPT)
     waiting = next(clouds, None)
     for number, reading in log:

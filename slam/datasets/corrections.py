@@ -1,4 +1,4 @@
-"""A log's measurements as a calibration corrects them: the one place where that is done."""
+"""Applies a calibration to the measurements of a log; no other place does this."""
 
 from __future__ import annotations
 
@@ -34,19 +34,19 @@ from slam.measurements import (
     WheelOdometry,
 )
 
-_RECENT = 4  # readings from which a rate is told
+_RECENT = 4  # readings from which a rate is estimated
 
 
 def corrected(log: Iterable[Measurement], calibration: Calibration) -> Iterable[Measurement]:
-    """The measurements of a log as a calibration corrects them.
+    """The measurements of a log, corrected by a calibration.
 
-    They come in the order of the log; where clocks are corrected, in that of the corrected stamps.
+    They come in the order of the log; if clocks are corrected, in that of the corrected stamps.
 
     Raises
     ------
     DatasetError
-        At the end, where the calibration is of a sensor that the log does not hold; where a lidar has not
-        the beams that are to be left out.
+        At the end, if the calibration names a sensor that is not in the log; or if a lidar does not have the
+        beams that the calibration excludes.
     """
     if calibration == Calibration():
         return log
@@ -59,13 +59,13 @@ def corrected(log: Iterable[Measurement], calibration: Calibration) -> Iterable[
 
 
 def left_out(calibration: Calibration, kind: type, sensor: str) -> bool:
-    """Whether a calibration leaves a sensor out, of a type of measurement and by name."""
+    """Whether a calibration excludes a sensor, by type of measurement and name."""
     correction = _by_name(calibration).get((kind, sensor))
     return correction is not None and not correction.use
 
 
 def _by_name(calibration: Calibration) -> dict[tuple[type, str], SensorCorrection]:
-    """Every correction by what it corrects: type of the measurement, and name of the sensor."""
+    """All corrections by measurement type and sensor name."""
     kinds: dict[type, dict[str, Any]] = {
         WheelOdometry: calibration.wheels,
         LaserScan: calibration.lidars,
@@ -78,7 +78,7 @@ def _by_name(calibration: Calibration) -> dict[tuple[type, str], SensorCorrectio
 
 
 def _corrected_one_by_one(log: Iterable[Measurement], calibration: Calibration) -> Iterator[Measurement]:
-    """Each measurement by itself, in the order of the log."""
+    """Correct each measurement separately, in the order of the log."""
     by_name, seen = _by_name(calibration), dict[tuple[type, str], None]()
     correct: dict[type, Callable[[Any, Any], Any]] = {
         LaserScan: _corrected_scan,
@@ -113,14 +113,14 @@ def _corrected_one_by_one(log: Iterable[Measurement], calibration: Calibration) 
 
 
 def repeats(before: Measurement | None, now: Measurement) -> bool:
-    """Whether a reading tells the same to the bit as the one before: what a sensor with noise never does.
+    """Whether a reading is bit-identical to the one before, which never happens for a sensor with noise.
 
-    Or it is a cloud of the turn of the one before, by another lidar, or has its stamp.
+    Also true for a cloud with the same stamp, or of the same revolution by another lidar.
     """
     if isinstance(before, LaserScan) and isinstance(now, LaserScan):
         return before.ranges_m.tobytes() == now.ranges_m.tobytes()
     if isinstance(before, RgbdFrame) and isinstance(now, RgbdFrame):
-        # One half that hangs is enough, unless there is nothing to see in it.
+        # One repeated half is enough, unless it is empty.
         halves = ((before.color, now.color), (before.depth_m, now.depth_m))
         return any(np.array_equal(*half) and bool(np.ptp(half[0])) for half in halves)
     if isinstance(before, PointCloud) and isinstance(now, PointCloud):
@@ -135,15 +135,15 @@ def repeats(before: Measurement | None, now: Measurement) -> bool:
 
 
 def begins_early(before: PointCloud, now: PointCloud) -> bool:
-    """Whether a cloud begins while the turn of the one before is not half over: one lidar turns on."""
+    """Whether a cloud starts before half of the previous revolution is over, so it is of another lidar."""
     times_s = before.times_s
     return times_s is not None and 0.0 < 2.0 * (now.stamp_s - before.stamp_s) < float(np.ptp(times_s))
 
 
 class Unwound:
-    """Written headings without their jumps by a full turn: one in degrees is wrapped many a time.
+    """Removes jumps by full turns from written headings; a heading in degrees wraps often.
 
-    It goes on as it did: the rate of a turn changes less from reading to reading than it is.
+    The turn rate is extrapolated, because it changes by less than itself between readings.
     """
 
     def __init__(self) -> None:
@@ -155,7 +155,7 @@ class Unwound:
         if self._recent:
             last_s, expected_rad = last = self._recent[-1]
             since_s = stamp_s - last_s
-            # The last step tells the rate, unless stamps of two readings all but meet.
+            # The last step gives the rate, unless the stamps of two readings are almost equal.
             older = (one for one in reversed(self._recent) if 2.0 * (last_s - one[0]) > since_s > 0.0)
             if begun := next(older, None):
                 expected_rad += (last[1] - begun[1]) * since_s / (last_s - begun[0])
@@ -165,7 +165,7 @@ class Unwound:
 
 
 def _corrected_scan(given: LidarCorrection, scan: LaserScan) -> LaserScan:
-    """A scan of a lidar."""
+    """Correct a scan of a lidar."""
     ranges = scan.ranges_m * np.float32(given.range_scale)
     for first, last in given.blocked_beams:
         if last >= ranges.size:
@@ -196,7 +196,7 @@ def _corrected_scan(given: LidarCorrection, scan: LaserScan) -> LaserScan:
 
 
 class _Wheels:
-    """Readings of one set of wheels."""
+    """Corrects readings of one wheel odometry."""
 
     def __init__(self, correction: WheelCorrection) -> None:
         self._correction = correction
@@ -221,11 +221,11 @@ class _Wheels:
         return replace(reading, T_odom_base=gtsam.Pose2(*written.tolist()))
 
     def _driven(self, written: FloatArray) -> FloatArray:
-        """The way put together anew of steps whose turns are scaled."""
+        """The trajectory recomposed from steps with scaled rotations."""
         if self._last is not None:
             turn_rad = float(written[2] - self._last[2])
             dx, dy = (written - self._last)[:2]
-            # A step's chord points halfway between the headings at its ends.
+            # The chord of a step points halfway between the headings at its ends.
             chord_rad = math.atan2(dy, dx) - self._last[2] - 0.5 * turn_rad
             turn_rad *= self._correction.turn_scale
             ahead_rad = self._pose[2] + 0.5 * turn_rad + chord_rad
@@ -239,8 +239,8 @@ class _Wheels:
 
 
 def _in_time(stream: Iterable[Measurement], spread_s: float) -> Iterator[Measurement]:
-    """In the order of the corrected stamps, a sensor's own order kept: what comes late waits for no more
-    than the clocks differ.
+    """Sort by corrected stamp and keep the order of each sensor; the waiting time is limited by the
+    difference of the clocks.
     """
     waiting: list[tuple[float, int, Measurement]] = []
     reached: dict[str, float] = {}

@@ -1,4 +1,4 @@
-"""Frames, clouds and readings of IMUs as a calibration corrects them."""
+"""Applies a calibration to frames, clouds, IMU readings and GNSS fixes."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from slam.vision.camera_frame import T_BODY_CAMERA
 
 
 def corrected_frame(given: CameraCorrection, frame: RgbdFrame) -> RgbdFrame:
-    """A frame; its images are copies only where they change."""
+    """Correct a frame; its images are copied only if they change."""
     color, depth_m, lens, mounting = frame.color, frame.depth_m, frame.intrinsics, frame.T_base_camera
     if given.depth_scale != 1.0:
         depth_m = depth_m * np.float32(given.depth_scale)
@@ -37,7 +37,7 @@ def corrected_frame(given: CameraCorrection, frame: RgbdFrame) -> RgbdFrame:
 
 
 def corrected_cloud(given: CloudCorrection, cloud: PointCloud) -> PointCloud:
-    """A cloud of a 3D lidar."""
+    """Correct a cloud of a 3D lidar."""
     times_s = (turned_round(cloud) if given.times_scale < 0.0 else cloud).times_s
     if times_s is not None:
         times_s = times_s * abs(given.times_scale)
@@ -52,32 +52,32 @@ def corrected_cloud(given: CloudCorrection, cloud: PointCloud) -> PointCloud:
 
 
 def turned_round(cloud: PointCloud) -> PointCloud:
-    """A cloud whose points were seen in the reverse order, within the same span."""
+    """A cloud with reversed point times, within the same span."""
     told_s = cloud.times_s
     return cloud if told_s is None else replace(cloud, times_s=told_s.min() + told_s.max() - told_s)
 
 
 def turn_times(points_lidar: AnyFloatArray, turn_s: float, cut_rad: float) -> FloatArray:
-    """Seconds from the middle of a turn at which a spinning lidar saw its points, by their bearings, (N,).
+    """Times of a spinning lidar's points relative to the middle of a revolution, by bearing, in s, (N,).
 
     Parameters
     ----------
     points_lidar
-        (N, 2 or 3), frame of the lidar; of one that is no number the time is 0.
+        (N, 2 or 3), frame of the lidar; the time of a NaN point is 0.
     turn_s, cut_rad
-        How long a turn takes, < 0 clockwise, and the bearing at which it begins.
+        Duration of a revolution, < 0 clockwise, and the bearing at which it starts.
     """
     from_cut = np.mod((bearings_rad(points_lidar) - cut_rad) / math.tau, 1.0)
     return np.nan_to_num(turn_s * (from_cut - 0.5))
 
 
 def bearings_rad(points: AnyFloatArray) -> FloatArray:
-    """Of points (N, 3) about the upright axis, counter-clockwise from x, (N,)."""
+    """Bearings of points (N, 3) about the vertical axis, counter-clockwise from x, (N,)."""
     return np.arctan2(points[:, 1], points[:, 0], dtype=np.float64)
 
 
 def raised(points_lidar: Float32Array, elevation_deg: float) -> Float32Array:
-    """Points with every beam turned up about the lidar, (N, 3); its bearing and range stay."""
+    """Points with every beam rotated up, (N, 3); bearing and range are unchanged."""
     if elevation_deg == 0.0:
         return points_lidar
     across = np.maximum(np.hypot(points_lidar[:, 0], points_lidar[:, 1]), np.finfo(np.float32).tiny)
@@ -88,13 +88,13 @@ def raised(points_lidar: Float32Array, elevation_deg: float) -> Float32Array:
 
 
 def corrected_imu(given: ImuCorrection, reading: ImuReading) -> ImuReading:
-    """A reading of an IMU."""
+    """Correct an IMU reading."""
     mounting = reading.T_base_imu if given.T_base_imu is None else mounted(given.T_base_imu)
     return replace(reading, gyro_rad_s=given.gyro_scale * reading.gyro_rad_s, T_base_imu=mounting)
 
 
 def corrected_fix(given: GnssCorrection, fix: GnssFix) -> GnssFix:
-    """A fix of a satellite receiver."""
+    """Correct a GNSS fix."""
     return fix if given.antenna_m is None else replace(fix, antenna_m=np.array(given.antenna_m))
 
 

@@ -1,4 +1,4 @@
-"""What every reader hands on: a stream of measurements and an honest account of the reading."""
+"""The output of every reader: a stream of measurements and a report of the pass."""
 
 from __future__ import annotations
 
@@ -16,32 +16,32 @@ from slam.estimates import Trajectory
 from slam.foreign import plain
 from slam.measurements import Measurement, WheelOdometry
 
-# Above these a pair of odometry readings is a jump of the counter, not a drive of the robot: an indoor
-# robot stays below 3 m/s, and the slack covers pairs whose stamps coincide or run backward.
+# Above these limits, two odometry readings contain a jump, not a motion: an indoor robot stays below 3 m/s,
+# and the tolerance covers pairs whose stamps coincide or run backward.
 JUMP_SPEED_M_S = 3.0
 JUMP_SLACK_M = 0.3
 JUMP_TURN_RAD_S = math.pi
 JUMP_SLACK_RAD = 0.5
 
 STAMP_LIMIT_S = 1e11  # year 5138; milliseconds or ticks by mistake are beyond it
-_SAMPLES_KEPT = 4096  # numbers kept for a median
-_LINES_KEPT = 3  # examples kept of each kind of event
-MOST_TOPICS = 2000  # a robot has some dozens; damaged names must not fill the memory
-_KEYS_KEPT = 32  # kinds of event; the rest share one key, so that garbage cannot grow the report
+_SAMPLES_KEPT = 4096  # numbers stored for a median
+_LINES_KEPT = 3  # examples stored for each type of event
+MOST_TOPICS = 2000  # a robot has a few dozen; damaged names must not fill the memory
+_KEYS_KEPT = 32  # types of event; the others share one key, so that damaged data cannot enlarge the report
 _OTHER = "(others)"
-READ_TO_THERE = "read up to there"  # ends the reason of a damage that ended the reading
-WARNING = "warning: "  # begins a note that is one
+READ_TO_THERE = "read up to there"  # end of a fault's reason, if reading stopped there
+WARNING = "warning: "  # start of a note that is a warning
 
 
 class RecordFault(Exception):
-    """A record that cannot be used; readers turn it into a counted drop, or stop under ``--strict``.
+    """A record that cannot be used; readers count and drop it, or stop under ``--strict``.
 
     Parameters
     ----------
     reason
-        One of few fixed texts, the key of the count.
+        One of a few fixed texts, the key of the count.
     detail
-        The values at fault, for the message of a strict run.
+        The faulty values, for the message of a strict run.
     """
 
     def __init__(self, reason: str, detail: str) -> None:
@@ -52,14 +52,14 @@ class RecordFault(Exception):
 
 @dataclass(slots=True)
 class Tally:
-    """How often something happened, where first, and how large it was at most."""
+    """How often something happened, where first, and its maximum size."""
 
     count: int = 0
     lines: list[int] = field(default_factory=list)
     largest: float = 0.0
 
     def add(self, line: int, size: float = 0.0) -> None:
-        """Count one more, seen at a 1-based record or line number."""
+        """Count an event at a 1-based record or line number."""
         self.count += 1
         self.largest = max(self.largest, size)
         if len(self.lines) < _LINES_KEPT:
@@ -68,14 +68,14 @@ class Tally:
 
 @dataclass(slots=True)
 class Thinned:
-    """An even sample of a stream of numbers, of bounded size and the same on every run."""
+    """A uniform, deterministic sample of a stream of numbers, of limited size."""
 
     values: list[float] = field(default_factory=list)
     stride: int = 1
     seen: int = 0
 
     def add(self, value: float) -> None:
-        """Take the next number."""
+        """Add the next number."""
         if self.seen % self.stride == 0:
             self.values.append(value)
             if len(self.values) >= _SAMPLES_KEPT:
@@ -84,38 +84,38 @@ class Thinned:
         self.seen += 1
 
     def median(self) -> float | None:
-        """Of the sample; None where there is none."""
+        """Median of the sample; None if it is empty."""
         return float(np.median(self.values)) if self.values else None
 
 
 @dataclass(slots=True)
 class ReadReport:
-    """What one pass over a log found; it stays small however long or damaged the log is.
+    """The report of one pass over a log; its size is limited, even for a long or damaged log.
 
     Attributes
     ----------
     line_count
-        Lines (or records) looked at.
+        Number of lines (or records) read.
     records
         Accepted records by their type in the file.
     beside
-        Records that tell of sensors: mountings, lenses, the images that make a camera's frames.
+        Auxiliary records of sensors: mountings, lenses, and images that are combined to frames.
     part_of
-        The sensor that such records are a part of, by the keys of ``beside``: they are used if it is.
+        The sensor to which such records belong, by the keys of ``beside``; they are used if it is used.
     ignored
         Records that this reader does not use, by topic or type.
     reasons
-        Why it does not, by the keys of ``ignored``.
+        Why they are not used, by the keys of ``ignored``.
     dropped
-        Refused records by reason.
+        Rejected records by reason.
     notes
-        Oddities that the reader lived with, by text.
+        Anomalies that did not stop the reader, by text.
     backward_steps
-        By sensor: stamps earlier than the one before them; ``largest`` in seconds. Nothing is dropped.
+        By sensor: stamps earlier than the previous one; ``largest`` in seconds. Nothing is dropped.
     odometry_jumps
-        Odometry steps faster than any robot; ``largest`` in metres.
+        Odometry steps that are too fast for a robot; ``largest`` in metres.
     share
-        Of the log that has been read, 0..1; None where the reader cannot tell.
+        Fraction of the log that has been read, 0..1; None if unknown.
     """
 
     line_count: int = 0
@@ -135,12 +135,12 @@ class ReadReport:
 
     @property
     def dropped_count(self) -> int:
-        """Refused records, all reasons."""
+        """Number of rejected records."""
         return sum(tally.count for tally in self.dropped.values())
 
     @property
     def refusals(self) -> str:
-        """How many records were refused, and why."""
+        """How many records were rejected, and why."""
         return "; ".join(
             f"{tally.count} x {reason}, first at record {tally.lines[0]}"
             for reason, tally in self.dropped.items()
@@ -148,7 +148,7 @@ class ReadReport:
 
     @property
     def warnings(self) -> list[str]:
-        """The notes that a person should see before trusting a map."""
+        """The notes that a user should see before trusting a map."""
         found = [note.removeprefix(WARNING) for note in self.notes if note.startswith(WARNING)]
         back_s = {name: tally.largest for name, tally in self.backward_steps.items() if tally.largest > GAP_S}
         if back_s:
@@ -166,15 +166,15 @@ class ReadReport:
         self.reasons[key] = why if key == kind else "too many names to list"
 
     def drop(self, reason: str, line: int) -> None:
-        """Count a refused record."""
+        """Count a rejected record."""
         _tally(self.dropped, reason).add(line)
 
     def note(self, text: str, line: int, size: float = 0.0) -> None:
-        """Count an oddity that did not cost the record."""
+        """Count an anomaly of a record that is still used."""
         _tally(self.notes, text).add(line, size)
 
     def note_share(self, share: float) -> None:
-        """Take down how much of the log has been read, 0..1."""
+        """Store the fraction of the log that has been read, 0..1."""
         self.share = share
 
     def observe(self, measurement: Measurement, line: int) -> None:
@@ -191,7 +191,7 @@ class ReadReport:
             self._last_odometry = measurement
 
     def _check_jump(self, before: WheelOdometry, after: WheelOdometry, line: int) -> None:
-        """Count a step that no robot drives in the time between two readings."""
+        """Count a step that is too large for the time between two readings."""
         a, b = before.T_odom_base, after.T_odom_base
         elapsed_s = max(after.stamp_s - before.stamp_s, 0.0)
         distance_m = math.hypot(b.x() - a.x(), b.y() - a.y())
@@ -209,20 +209,20 @@ def _tally(tallies: dict[str, Tally], key: str) -> Tally:
 
 
 class Dataset(Protocol):
-    """A log that can be read from its beginning any number of times.
+    """A log that can be read repeatedly from its start.
 
-    Iteration gives the measurements in the order of the file, which need not be the order of the
-    stamps, and raises `slam.errors.DatasetError` at the end of a log without any. Each new
+    Iteration returns the measurements in file order, which may differ from the order of the stamps, and
+    raises `slam.errors.DatasetError` at the end of a log without any. Each new
     iteration starts a new `report`; it is complete when the iteration is.
 
     Attributes
     ----------
     name
-        Short name for people.
+        Short name for the user.
     path
-        Where the log lies.
+        Path of the log.
     report
-        What the latest pass found.
+        Report of the latest pass.
     """
 
     name: str
@@ -230,9 +230,9 @@ class Dataset(Protocol):
     report: ReadReport
 
     def __iter__(self) -> Iterator[Measurement]:
-        """Read the log from its beginning."""
+        """Read the log from its start."""
         ...
 
     def groundtruth(self) -> Trajectory | None:
-        """The true trajectory that comes with the log, None where none does."""
+        """The ground truth trajectory of the log, None if there is none."""
         ...

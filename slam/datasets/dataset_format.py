@@ -1,4 +1,4 @@
-"""What a reader tells of itself where it is registered."""
+"""The description that a reader registers."""
 
 from __future__ import annotations
 
@@ -20,11 +20,11 @@ class DatasetFormat:
     Attributes
     ----------
     description
-        For the message that lists what is supported.
+        For the message that lists the supported formats.
     recognises
-        Told a path and the first decompressed bytes (empty for a directory), whether this is the format.
+        Returns whether a path with its first decompressed bytes (empty for a directory) has this format.
     open
-        Told a path and ``strict``, the dataset.
+        Returns the dataset for a path and ``strict``.
     """
 
     description: str
@@ -39,7 +39,7 @@ def recorded(
     truth: Callable[[Path, Account], Trajectory | None] = lambda path, account: None,
     check: Callable[[Path], object] = Path.exists,
 ) -> DatasetFormat:
-    """The format of a `Recording`, by functions of its path; ``check`` refuses one before it is read."""
+    """The format of a `Recording`, by functions of its path; ``check`` can reject it before reading."""
 
     def opened(path: Path, strict: bool) -> Recording:
         check(path)

@@ -1,4 +1,4 @@
-"""EuRoC and what is laid out like it (ASL, TUM-VI), and ADVIO: cameras without depth; the truth is read.
+"""EuRoC, similar layouts (ASL, TUM-VI) and ADVIO: cameras without depth; only the ground truth is read.
 
 Burri et al. 2016, "The EuRoC Micro Aerial Vehicle Datasets".
 """
@@ -15,7 +15,7 @@ from slam.datasets.recording import Contents
 from slam.errors import DatasetError
 from slam.estimates import Trajectory
 
-# Nanoseconds, position and quaternion; velocities and biases after them are left.
+# Nanoseconds, position and quaternion; velocities and biases after them are ignored.
 POSES = PoseTable(stamp_units_s=(0.0,), order="wxyz")
 _ADVIO = "iphone/frames.mov"
 _TRUTHS = ("state_groundtruth_estimate0/data.csv", "mocap0/data.csv", "gt/data.csv")
@@ -28,7 +28,7 @@ def looks_like_euroc(path: Path, head: bytes) -> bool:
 
 
 def _load(path: Path, account: Account) -> Contents:
-    """A sequence whose truth can score a trajectory; reading it raises DatasetError."""
+    """A sequence of which only the ground truth can be used; reading it raises DatasetError."""
     raise DatasetError(
         f"{path} holds images and an IMU (as EuRoC and ADVIO do) but neither depth nor a lidar, and "
         "nothing else is mapped; give a recording of a depth camera or of a lidar"
@@ -36,7 +36,7 @@ def _load(path: Path, account: Account) -> Contents:
 
 
 def _groundtruth(path: Path, account: Account) -> Trajectory | None:
-    """Of the IMU, or of the markers on the robot."""
+    """Ground truth of the IMU, or of the markers on the robot."""
     file = first_file(place / name for place in (path / "mav0", path) for name in _TRUTHS)
     return POSES.read(file, account) if file else None
 

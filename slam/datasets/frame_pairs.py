@@ -1,4 +1,4 @@
-"""Which depth image belongs to which colour image, by time."""
+"""Pairs depth images with colour images by time."""
 
 from __future__ import annotations
 
@@ -16,8 +16,8 @@ TOLERANCE_S = 0.02  # the TUM benchmark's
 NO_DEPTH = "colour image without a depth image in time"
 NO_COLOR = "depth image without a colour image in time"
 
-_NEIGHBOURS = 2  # looked at on either side of a stamp; more would share it
-_ENOUGH = 0.5  # of the images of the shorter list must find a partner within the usual tolerance
+_NEIGHBOURS = 2  # candidates on either side of a stamp; more would share it
+_ENOUGH = 0.5  # fraction of the shorter list that must find a partner within the usual tolerance
 
 
 @dataclass(frozen=True, slots=True)
@@ -32,9 +32,9 @@ class FramePair:
 def pair_images(
     colors: list[StampedFile], depths: list[StampedFile], account: Account, sensor: str
 ) -> list[FramePair]:
-    """Pairs by nearest time in the order of the colour list; what is left over is counted.
+    """Pairs by nearest time, in the order of the colour list; images without partner are counted.
 
-    The report says within which tolerance, see `tolerance_of`.
+    The report contains the tolerance, see `tolerance_of`.
     """
     color_s = np.array([image.stamp_s for image in colors])
     depth_s = np.array([image.stamp_s for image in depths])
@@ -59,18 +59,18 @@ def pair_images(
 
 
 def nearest_partners(first_s: FloatArray, second_s: FloatArray, tolerance_s: float) -> NDArray[np.intp]:
-    """One-to-one partners, the nearest in time chosen first.
+    """One-to-one partners, the nearest in time first.
 
     Parameters
     ----------
     first_s, second_s
         (N,) and (M,) finite stamps in any order.
     tolerance_s
-        No partner is farther.
+        Maximum time difference.
 
     Returns
     -------
-    (N,) index into ``second_s``, -1 where there is no partner left.
+    (N,) index into ``second_s``, -1 if there is no partner.
     """
     partner = np.full(first_s.size, -1, dtype=np.intp)
     if not first_s.size or not second_s.size:
@@ -93,7 +93,7 @@ def nearest_partners(first_s: FloatArray, second_s: FloatArray, tolerance_s: flo
 
 
 def tolerance_of(colors_s: FloatArray, depths_s: FloatArray) -> float:
-    """0.02 s; half the median interval of (N,) colours where that is larger and 0.02 leaves most alone."""
+    """0.02 s; half the median interval of (N,) colour stamps if that is larger and 0.02 s pairs too few."""
     paired = np.count_nonzero(nearest_partners(colors_s, depths_s, TOLERANCE_S) >= 0)
     if colors_s.size < 2 or paired >= _ENOUGH * min(colors_s.size, depths_s.size):
         return TOLERANCE_S

@@ -1,4 +1,4 @@
-"""HeLiPR: the streets of MulRan by four lidars, of which one is read.
+"""HeLiPR: the streets of MulRan recorded with four lidars, of which one is read.
 
 Jung et al. 2024, "HeLiPR: Heterogeneous LiDAR Dataset for inter-LiDAR Place Recognition under Spatiotemporal
 Variations".
@@ -19,11 +19,11 @@ from slam.datasets.pose_files import PoseTable
 from slam.datasets.recording import Contents
 from slam.estimates import Trajectory
 
-# By the publishers' file player; the lidar that sees all around comes first.
+# From the publishers' file player; the spinning lidar comes first.
 _LIDARS = {
     "Ouster": ("x f4, y f4, z f4, intensity f4, t u4, reflectivity u2, ring u2, ambient u2",),
     "Velodyne": ("x f4, y f4, z f4, intensity f4, ring u2, time f4",),
-    # Of the first recordings without the intensity.
+    # The first recordings have no intensity.
     "Aeva": (
         "x f4, y f4, z f4, reflectivity f4, velocity f4, time_offset i4, line u1, intensity f4",
         "x f4, y f4, z f4, reflectivity f4, velocity f4, time_offset i4, line u1",
@@ -35,7 +35,7 @@ _PROBED = 8
 
 
 def _load(path: Path, account: Account) -> Contents:
-    """A folder of one sequence; of several lidars the first of Ouster, Velodyne, Aeva, Avia is read."""
+    """The folder of one sequence; reads the first lidar of Ouster, Velodyne, Aeva, Avia."""
     places = _lidars(path)
     name, folder = next(iter(places.items()))
     for other in list(places)[1:]:
@@ -47,7 +47,7 @@ def _load(path: Path, account: Account) -> Contents:
 
 
 def _lidars(path: Path) -> dict[str, Path]:
-    """Folders of lidars by their names whose files are rows of that lidar."""
+    """Folders of lidars, by name, whose files have the row format of that lidar."""
     own = path.resolve().name
     places = {name: one / name for name in _LIDARS for one in (path, path / "LiDAR") if (one / name).is_dir()}
     places |= {own: path} if own in _LIDARS else {}
@@ -55,12 +55,12 @@ def _lidars(path: Path) -> dict[str, Path]:
 
 
 def _above(path: Path, folder: Path) -> tuple[Path, ...]:
-    """The folder that was given, and those above that of a lidar."""
+    """The given folder, and the folders above that of a lidar."""
     return path, folder.resolve().parent, folder.resolve().parent.parent
 
 
 def _row(name: str, folder: Path) -> Rows | None:
-    """The rows of which the first files are made, None where none fits."""
+    """The row format that fits the first files, None if none does."""
     sizes = [
         file.stat().st_size for _, file in zip(range(_PROBED), sorted(folder.glob("*.bin")), strict=False)
     ]

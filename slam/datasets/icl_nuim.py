@@ -1,8 +1,8 @@
-"""ICL-NUIM in its form for TUM's tools: rendered images, frames counted instead of stamped.
+"""ICL-NUIM in its TUM-compatible form: rendered images, with frame numbers instead of stamps.
 
 Handa et al. 2014, "A Benchmark for RGB-D Visual Odometry, 3D Reconstruction and SLAM". The published lens
 has fy = -480: y points up in the camera and in the world, which makes both left-handed. Here y points down as
-in every other camera, fy is 480, and the poses are mirrored alike.
+in every other camera, fy is 480, and the poses are mirrored accordingly.
 """
 
 from __future__ import annotations
@@ -24,25 +24,25 @@ from slam.measurements import CameraIntrinsics
 _LENS = CameraIntrinsics(481.20, 480.0, 319.50, 239.50, 640, 480)
 _TRUTHS = "*.gt.freiburg"
 _NAME = "frei_png"
-# Of the y axis: a position, and the axis of a turn, which a mirror turns about.
+# Mirrors the y axis of a position, and of a rotation vector, whose sign a mirror inverts.
 _MIRROR, _MIRRORED_TURN = np.array([1.0, -1.0, 1.0]), np.array([-1.0, 1.0, -1.0, 1.0])
 
 
 def looks_like_icl_nuim(path: Path, head: bytes) -> bool:
-    """Whether a path is a folder in the layout of TUM with such a truth or of such a name."""
+    """Whether a path is a folder in TUM layout with such a ground truth or such a name."""
     named = path.is_dir() and (_NAME in path.resolve().name or next(path.glob(_TRUTHS), None) is not None)
     return bool(named) and has_tum_layout(path)
 
 
 def _load(path: Path, account: Account) -> Contents:
-    """A folder of one trajectory; frame N is N / 30 s old."""
+    """The folder of one trajectory; frame N has the stamp N / 30 s."""
     account.report.note(NO_STAMPS.format(rate=RATE_HZ), 1)
     calibration = Calibration(_LENS, DEPTH_STEPS_PER_M)
     return Contents([listed_camera(path, "camera", calibration, account, RATE_HZ)])
 
 
 def _groundtruth(path: Path, account: Account) -> Trajectory | None:
-    """The poses in or beside the folder, right-handed."""
+    """The poses in or next to the folder, right-handed."""
     found = next((file for place in (path, path.resolve().parent) for file in place.glob(_TRUTHS)), None)
     truth = read_poses(found, account) if found else None
     if truth is None:

@@ -1,4 +1,4 @@
-"""Colour and depth images from files, whole or not at all."""
+"""Reads colour and depth images from files; rejects incomplete ones."""
 
 from __future__ import annotations
 
@@ -28,14 +28,14 @@ NOT_PNG = "depth image neither PNG nor PGM"
 NOT_METRES = "depth array not of metres"
 OTHER_CONFIDENCE = "confidence image does not fit the depth"
 
-_EXACT_MAGICS = (b"\x89PNG\r\n\x1a\n", b"P5")  # JPEG would mix distances
+_EXACT_MAGICS = (b"\x89PNG\r\n\x1a\n", b"P5")  # JPEG would mix depths
 _NPY_MAGIC = b"\x93NUMPY"
 
 
 class ImageSource(Protocol):
-    """Where a camera's images lie; asked on the thread that prefetches, in the order of the log.
+    """Source of a camera's images; called on the prefetching thread, in the order of the log.
 
-    Both raise `RecordFault` where an image is missing, damaged, of another kind, or beyond the budget.
+    Both raise `RecordFault` if an image is missing, damaged, of another type, or over the budget.
     """
 
     def color(self, file: StampedFile, budget: Budget) -> ColorImage:
@@ -43,21 +43,21 @@ class ImageSource(Protocol):
         ...
 
     def depth(self, file: StampedFile, calibration: Calibration, budget: Budget) -> Float32Array:
-        """(H, W) in metres, 0 where there is no reading."""
+        """(H, W) in metres, 0 for no reading."""
         ...
 
 
 @dataclass(frozen=True, slots=True)
 class ImageFiles:
-    """Images in a file each.
+    """Images with one file each.
 
     Attributes
     ----------
     confidence
-        The folder of images of the same names that tell how far depth is to be trusted; where one says 0,
-        there is no reading. None where there are none.
+        The folder of confidence images with the same names; depth with confidence 0 is omitted. None if there
+        are none.
     float_png
-        Whether the four bytes of a pixel of a depth PNG are a float in metres.
+        Whether the four bytes of a depth PNG's pixel are a float in metres.
     """
 
     confidence: Path | None = None
@@ -83,12 +83,12 @@ FILES = ImageFiles()
 
 
 def color_of(content: bytes, name: str, budget: Budget) -> ColorImage:
-    """An 8-bit image as (H, W, 3) RGB; grey is spread over the channels, transparency is dropped.
+    """Decode an 8-bit image to (H, W, 3) RGB; grey is copied to all channels, transparency is dropped.
 
     Raises
     ------
     RecordFault
-        Damaged, not 8-bit, or beyond the budget.
+        Damaged, not 8-bit, or over the budget.
     """
     image = decoded(content, name, budget)
     color = rgb_of(image)
@@ -98,7 +98,7 @@ def color_of(content: bytes, name: str, budget: Budget) -> ColorImage:
 
 
 def rgb_of(image: NDArray[Any]) -> ColorImage | None:
-    """Pixels as OpenCV decodes them as (H, W, 3) RGB; None where they are not 8-bit colour or grey."""
+    """Convert pixels from OpenCV's order to (H, W, 3) RGB; None if they are not 8-bit colour or grey."""
     import cv2
 
     channels = 1 if image.ndim == 2 else image.shape[2]
@@ -111,12 +111,12 @@ def rgb_of(image: NDArray[Any]) -> ColorImage | None:
 def depth_of(
     content: bytes, name: str, calibration: Calibration, budget: Budget, *, float_png: bool = False
 ) -> Float32Array:
-    """A 16-bit PNG or PGM, or an array of metres by NumPy, as metres, (H, W).
+    """Depth in metres, (H, W), from a 16-bit PNG or PGM, or from a NumPy array in metres.
 
     Raises
     ------
     RecordFault
-        Damaged, beyond the budget, of 8 bits or of several channels: its metres would be a guess.
+        Damaged, over the budget, or with 8 bits or several channels, whose scale is unknown.
     """
     if content.startswith(_NPY_MAGIC):
         array = _array(content, name)
@@ -135,16 +135,16 @@ def depth_of(
 
 
 def metres_of(steps: NDArray[Any], calibration: Calibration) -> Float32Array:
-    """Metres of what a camera wrote; its codes for "no reading" become 0."""
+    """Convert raw depth to metres; codes for "no reading" become 0."""
     for code in filter(None, calibration.invalid_codes):
         steps[steps == code] = 0
-    # Divided, not multiplied: 4020 / 5000 then is the float nearest to 0.804.
+    # Divided, not multiplied, so that 4020 / 5000 is the float nearest to 0.804.
     depth_m: Float32Array = np.divide(steps, calibration.depth_steps_per_m, dtype=np.float32)
     return depth_m
 
 
 def usable_metres(depth: NDArray[Any], name: str, budget: Budget) -> Float32Array:
-    """Depth written as floats, what is not finite or not in front of the camera as 0."""
+    """Depth stored as floats; values that are not finite or not positive become 0."""
     if depth.ndim != 2 or depth.dtype.kind != "f" or not 0 < depth.size <= MOST_PIXELS:
         raise RecordFault(NOT_METRES, f"{name}: {depth.dtype} {depth.shape}")
     budget.take(depth.nbytes, 0)
@@ -155,7 +155,7 @@ def usable_metres(depth: NDArray[Any], name: str, budget: Budget) -> Float32Arra
 
 
 def _array(content: bytes, name: str) -> NDArray[Any]:
-    """An array that NumPy wrote; of objects there is none."""
+    """An array in NumPy's format; arrays of objects are rejected."""
     try:
         return np.asarray(np.load(io.BytesIO(content), allow_pickle=False))
     except (ValueError, EOFError, OSError, SyntaxError, MemoryError) as error:
@@ -163,7 +163,7 @@ def _array(content: bytes, name: str) -> NDArray[Any]:
 
 
 def file_content(path: Path, budget: Budget) -> bytes:
-    """All of a file; pipes and devices are none."""
+    """The content of a file; pipes and devices are rejected."""
     try:
         found = path.stat()
         if not stat.S_ISREG(found.st_mode) or found.st_size > LARGEST_BYTES:
@@ -177,7 +177,7 @@ def file_content(path: Path, budget: Budget) -> bytes:
 
 
 def decoded(content: bytes, name: str, budget: Budget) -> NDArray[Any]:
-    """Pixels as stored, all of them."""
+    """All pixels as stored."""
     image = decode_quietly(content, budget) if content else None
     if image is None:
         raise RecordFault(DAMAGED, name)

@@ -1,4 +1,4 @@
-"""Text files of IMUs beside clouds: EuRoC's ``imu0/data.csv``, others by their head or a publisher's."""
+"""Text files of IMUs next to clouds: EuRoC's ``imu0/data.csv``, others by their header or a publisher's."""
 
 from __future__ import annotations
 
@@ -25,11 +25,11 @@ BAD_ROW = "IMU line without stamp, angular rate and acceleration"
 
 NO_RATES = "its lines hold no angular rates and accelerations"
 
-# Of EuRoC and those after it (TUM-VI), of others; in the folder of the clouds or above it.
+# EuRoC and similar layouts (TUM-VI), then others; in the folder of the clouds or above.
 _NAMES = ("imu0/data.csv", "imu/data.csv", "imu.csv", "imu.txt", "imu_data.csv", "ouster_imu.csv")
-# EuRoC's sensor.yaml tells where an IMU sits in a frame that is not the robot's here.
+# EuRoC's sensor.yaml gives the IMU's pose in a frame that is not the robot's frame here.
 _SIDECAR = "calibration.yaml"
-# How the columns of the two sensors begin; each ends in its axis.
+# Prefixes of the columns of both sensors; each name ends with its axis.
 _GYRO = re.compile(
     r"^(w|g|gyro?|gyroscope|omega|ang|angular|angular_?velocity|rotation_?rate)([_. ].*)?[_. ]?([xyz])$"
 )
@@ -37,18 +37,18 @@ _FORCE = re.compile(r"^(a|acc|accel|accelerometer|lin|linear|linear_?acceleratio
 _TIMES = ("timestamp", "time", "stamp", "t")
 _SECONDS = frozenset({"sec", "secs", "seconds"})
 _REST = frozenset({"nsec", "nsecs", "nanosec", "nanoseconds"})
-# EuRoC's order, for files without a head.
+# EuRoC's order, for files without header.
 _PLAIN = (0, 1, 2, 3, 4, 5, 6)
 _UNITS = {"ns": 1e-9, "us": 1e-6, "ms": 1e-3, "s": 1.0}
 
 
 class ForceUnit:
-    """Metres a second squared or g, by the first reading: what is carried or driven feels little but gravity.
+    """Detects m/s² or g from the first reading, because gravity dominates in slow motion.
 
     Attributes
     ----------
     choice
-        What was concluded, for people; empty where it is metres a second squared, as it should be.
+        The conclusion as text; empty for m/s², the expected unit.
     """
 
     def __init__(self) -> None:
@@ -56,9 +56,9 @@ class ForceUnit:
         self._scale: float | None = None
 
     def m_s2(self, force: FloatArray) -> FloatArray:
-        """A specific force (3,) as written, in metres a second squared."""
+        """Convert a specific force (3,) to m/s²."""
         if self._scale is None:
-            # Halfway between one and gravity, as factors go.
+            # The geometric mean of 1 and gravity.
             in_g = float(np.linalg.norm(force)) < np.sqrt(GRAVITY_M_S2)
             self._scale = GRAVITY_M_S2 if in_g else 1.0
             self.choice = "accelerations are in g, not m/s^2; read as such" if in_g else ""
@@ -67,7 +67,7 @@ class ForceUnit:
 
 @dataclass(frozen=True, slots=True)
 class _Columns:
-    """Where the numbers of a line are."""
+    """Column indices of a line."""
 
     time: tuple[int, ...]
     gyro: tuple[int, ...]
@@ -76,7 +76,7 @@ class _Columns:
     time_scale: float | None = None
 
     def stamp_s(self, row: NDArray[np.float64]) -> float:
-        """Seconds of a line."""
+        """Stamp of a line in seconds."""
         if len(self.time) == 2:
             return float(row[self.time[0]] + 1e-9 * row[self.time[1]])
         told = float(row[self.time[0]])
@@ -85,16 +85,16 @@ class _Columns:
 
 @dataclass(frozen=True, slots=True)
 class ImuFile:
-    """A file of an IMU, and what its publisher says of it.
+    """The file of an IMU, with information from its publisher.
 
     Attributes
     ----------
     path
-        One reading a line.
+        File with one reading per line.
     head
-        Names of its columns, where it has none itself or others than we know.
+        Names of its columns, if the file has no header or one with unknown names.
     T_base_imu
-        Its mounting; None where nobody tells it.
+        Its pose on the robot; None if unknown.
     """
 
     path: Path
@@ -103,12 +103,12 @@ class ImuFile:
 
 
 def imu_file(folder: Path) -> Path | None:
-    """The file of an IMU beside clouds."""
+    """The file of an IMU next to clouds."""
     return first_file(folder / name for name in _NAMES)
 
 
 def beside_imu(log: Iterable[Numbered], imu: ImuFile | Path | None, account: Account) -> Iterable[Numbered]:
-    """A log with the IMU of a file; as it is where there is none, or where the file holds no readings."""
+    """A log merged with the IMU of a file; unchanged if there is no file or it contains no readings."""
     if imu is None:
         return log
     imu = ImuFile(imu) if isinstance(imu, Path) else imu
@@ -119,14 +119,14 @@ def beside_imu(log: Iterable[Numbered], imu: ImuFile | Path | None, account: Acc
 
 
 def _has_columns(imu: ImuFile) -> bool:
-    """Whether the first line of numbers is as long as the publisher's head."""
+    """Whether the first line of numbers is as long as the publisher's header."""
     lines = (line.strip() for _, line in numbered_lines(imu.path, Account.quiet(imu.path)))
     first = next((line for line in lines if line and not _is_head(line)), b"")
     return len(_parted(first)) >= len(_names(imu.head))
 
 
 def _read_imu(imu: ImuFile, account: Account) -> Iterator[tuple[int, ImuReading]]:
-    """Readings with their lines; what is none is counted."""
+    """Readings with line numbers; invalid lines are counted."""
     path, unit = imu.path, ForceUnit()
     mounting = read_mounting(path.parent / _SIDECAR, "T_base_imu") or imu.T_base_imu
     columns = _columns(imu.head) or _Columns(_PLAIN[:1], _PLAIN[1:4], _PLAIN[4:7])
@@ -152,7 +152,7 @@ def _read_imu(imu: ImuFile, account: Account) -> Iterator[tuple[int, ImuReading]
 
 
 def with_imu(log: Iterable[Numbered], readings: Iterator[Numbered]) -> Iterator[Numbered]:
-    """A log with the readings of an IMU, which come ahead of it so that they cover the turn of a cloud."""
+    """A log with IMU readings, which come early so that they cover the revolution of a cloud."""
     waiting = next(readings, None)
     for number, measurement in log:
         while waiting is not None and waiting[1].stamp_s <= measurement.stamp_s + GAP_S:
@@ -165,12 +165,12 @@ def with_imu(log: Iterable[Numbered], readings: Iterator[Numbered]) -> Iterator[
 
 
 def _is_head(line: bytes) -> bool:
-    """Whether a line tells of the columns instead of filling them."""
+    """Whether a line is a header."""
     return line.startswith(b"#") or line[:1].isalpha()
 
 
 def _parted(line: bytes) -> list[bytes]:
-    """The numbers of a line."""
+    """The fields of a line."""
     return line.split(b",") if b"," in line else re.split(rb"[;\s]+", line)
 
 
@@ -181,7 +181,7 @@ def _names(head: str) -> list[str]:
 
 
 def _columns(head: str) -> _Columns | None:
-    """The columns by their names; None where the line names none."""
+    """The columns by name; None if the line is no known header."""
     names = _names(head)
     plain = [re.split(r"[\[(]", name)[0].strip() for name in names]
     gyro, force = _axes(plain, _GYRO), _axes(plain, _FORCE)
@@ -198,6 +198,6 @@ def _columns(head: str) -> _Columns | None:
 
 
 def _axes(names: list[str], pattern: re.Pattern[str]) -> tuple[int, ...]:
-    """Where the three axes of a sensor are; empty where they are not all there."""
+    """Column indices of a sensor's three axes; empty if one is missing."""
     found = {match[3]: n for n, name in reversed(list(enumerate(names))) if (match := pattern.match(name))}
     return tuple(found[axis] for axis in "xyz") if len(found) == 3 else ()

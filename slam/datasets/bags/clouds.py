@@ -28,7 +28,7 @@ _HALF_VIEW_RAD = math.radians(65.0)  # the widest depth camera (Azure Kinect, 12
 
 @dataclass(slots=True)
 class CloudReader:
-    """Clouds of one topic.
+    """Reads the clouds of one topic.
 
     Attributes
     ----------
@@ -120,7 +120,7 @@ def direction_rad(points: Float32Array) -> float:
 
 @dataclass(frozen=True, slots=True)
 class CloudView:
-    """What a cloud looks like.
+    """Properties of a cloud.
 
     Attributes
     ----------
@@ -156,7 +156,7 @@ class CloudView:
 
 
 def cloud_view(message: Any) -> CloudView:
-    """What a cloud looks like.
+    """Properties of a cloud.
 
     Raises
     ------

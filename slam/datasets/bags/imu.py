@@ -55,7 +55,7 @@ def _vector(vector: Any) -> FloatArray:
 
 @dataclass(slots=True)
 class ImuReader:
-    """Readings of one topic.
+    """Reads one topic.
 
     Attributes
     ----------
