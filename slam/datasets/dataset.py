@@ -212,8 +212,8 @@ class Dataset(Protocol):
     """A log that can be read repeatedly from its start.
 
     Iteration returns the measurements in file order, which may differ from the order of the stamps, and
-    raises `slam.errors.DatasetError` at the end of a log without any. Each new
-    iteration starts a new `report`; it is complete when the iteration is.
+    raises `slam.errors.DatasetError` at the end of a log without any. Each new iteration starts a new
+    `report`; it is complete when the iteration is.
 
     Attributes
     ----------

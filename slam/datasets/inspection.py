@@ -1,6 +1,6 @@
-"""What a log holds, in one pass and constant memory: ``scanweave inspect``.
+"""Summarises a log in one pass and constant memory: ``scanweave inspect``.
 
-Told in plain values, as JSON has them: angles in radians, every number finite, None where nothing tells.
+Values are JSON types: angles in radians, all numbers finite, None for unknown.
 """
 
 from __future__ import annotations
@@ -27,13 +27,12 @@ _BLIND = "no sensor of the surroundings is used: neither a scan, nor a cloud, no
 
 
 def inspect_dataset(dataset: Dataset, calibration: Calibration | None = None) -> dict[str, Any]:
-    """Read a log once, from end to end, and tell what it holds.
+    """Read a log once from start to end, and summarise its contents.
 
-    ``first_stamp_s`` is the earliest stamp, ``duration_s`` the latest less that; ``refusal`` says why it
-    cannot be mapped, where that is so: of a bag all else is told even then. ``uses`` tells of every
-    sensor and topic whether mapping by the default settings uses it, and else why not; ``dropped``
-    has the damaged records by reason and ``notes`` what is odd, each with a count, its first lines and the
-    largest.
+    ``first_stamp_s`` is the earliest stamp, ``duration_s`` the latest minus the earliest; ``refusal`` says
+    why the log cannot be mapped (a bag is summarised even then). ``uses`` says for every sensor and topic
+    whether mapping with default settings uses it, or why not; ``dropped`` contains the damaged records by
+    reason and ``notes`` the anomalies, each with a count, its first lines and the largest.
 
     Parameters
     ----------
@@ -43,9 +42,9 @@ def inspect_dataset(dataset: Dataset, calibration: Calibration | None = None) ->
     Raises
     ------
     DatasetError
-        The log cannot be read; it is no bag and holds nothing.
+        The log cannot be read; or it is empty and no bag.
     BadRecordError
-        A damaged record, where the dataset was opened with ``strict``.
+        A damaged record, if the dataset was opened with ``strict``.
     """
     calibration = calibration or Calibration()
     tally = SensorTally(config=SensorsConfig(calibration=calibration))
@@ -85,7 +84,7 @@ def map_commands(
     topics: Sequence[str] = (),
     calibration: Path | None = None,
 ) -> list[str]:
-    """The commands that map a log as it was inspected: one for each robot in it, none where none can."""
+    """The commands that map an inspected log: one for each robot, none if it cannot be mapped."""
     if inspection["refusal"]:
         return []
     bag = inspection["bag"] or {}
@@ -103,7 +102,7 @@ def map_commands(
 def _as_far_as_it_goes(
     log: Iterable[Measurement], dataset: Dataset, refusals: list[str]
 ) -> Iterator[Measurement]:
-    """A log; where a bag turns out to hold nothing that can be mapped, why not is put down."""
+    """Iterate over a log; if a bag contains nothing that can be mapped, store the reason."""
     try:
         yield from log
     except BadRecordError:
@@ -116,7 +115,7 @@ def _as_far_as_it_goes(
 
 @dataclass(slots=True)
 class _Stream:
-    """Running figures of one sensor."""
+    """Running statistics of one sensor."""
 
     count: int = 0
     intervals: Thinned = field(default_factory=Thinned)
@@ -126,7 +125,7 @@ class _Stream:
     figures: dict[str, Figures] = field(default_factory=dict)
 
     def add(self, measurement: Measurement) -> None:
-        """Rate and gaps, where a backward step is no interval, and what the reading itself holds."""
+        """Update rate and gaps, ignoring backward steps, and the statistics of the readings."""
         stamp_s = measurement.stamp_s
         self.count += 1
         if self.last_stamp_s is not None and (interval_s := stamp_s - self.last_stamp_s) > 0.0:
@@ -139,7 +138,7 @@ class _Stream:
             self.figures.setdefault(name, begun(measurement)).add(measurement)
 
     def facts(self, sensor: str, origin_s: float, backward: Tally) -> dict[str, Any]:
-        """One stream; its rate is one over the median interval, the longest gap begins after the origin."""
+        """Summary of one stream; its rate is 1 / median interval, the longest gap starts after the origin."""
         median_s = self.intervals.median()
         return {
             "sensor": sensor,

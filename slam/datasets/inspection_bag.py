@@ -1,4 +1,4 @@
-"""What a ROS bag tells beside its measurements: topics, clocks, the tree of frames."""
+"""Summarises topics, clocks and the frame tree of a ROS bag."""
 
 from __future__ import annotations
 
@@ -9,12 +9,12 @@ from slam.datasets.dataset import Dataset
 
 
 def bag_facts(dataset: Dataset) -> dict[str, Any] | None:
-    """Of a dataset that has been read to its end; None where it is no bag.
+    """Summary of a dataset that has been read to its end; None if it is no bag.
 
-    ``late_s`` of a topic is the median of record time less header stamp. ``clock_offsets_s`` tells how far
-    its stamps are ahead of those of ``reference``, the topic with most messages, if both arrive equally fast.
-    ``base`` is the robot's frame, ``frames`` the tree of frames, one a line. Of several robots ``robots`` are
-    the namespaces, and ``robot`` is that of the one that is read.
+    ``late_s`` of a topic is the median of record time minus header stamp. ``clock_offsets_s`` is how far its
+    stamps are ahead of those of ``reference``, the topic with most messages, assuming equal latency.
+    ``base`` is the robot's frame, ``frames`` the frame tree, one frame per line. With several robots,
+    ``robots`` are their namespaces, and ``robot`` is the namespace of the one that is read.
     """
     if not isinstance(dataset, BagDataset):
         return None

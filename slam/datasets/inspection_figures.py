@@ -1,4 +1,4 @@
-"""What the readings of one sensor hold, each kind of sensor by figures of its own."""
+"""Statistics of the readings of one sensor, specific to each type of sensor."""
 
 from __future__ import annotations
 
@@ -24,22 +24,22 @@ from slam.measurements import (
 )
 from slam.vision.camera_frame import T_BODY_CAMERA
 
-_EVERY_PIXEL = 4  # along rows and columns: 19200 of 640 x 480 tell the shares well enough
+_EVERY_PIXEL = 4  # along rows and columns: 19200 pixels of 640 x 480 are enough for the fractions
 
 
 class Figures(Protocol):
-    """Running figures of one sensor, made with its first reading."""
+    """Running statistics of one sensor, created with its first reading."""
 
     def add(self, reading: Any) -> None:
-        """One more reading, the first too."""
+        """Add a reading, also the first one."""
 
     def facts(self) -> dict[str, Any]:
-        """As plain values."""
+        """The statistics as plain values."""
 
 
 @dataclass(slots=True)
 class ScanFigures:
-    """Of a 2D lidar."""
+    """Statistics of a 2D lidar."""
 
     last: LaserScan
     beams: Counter[str] = field(default_factory=Counter)
@@ -48,7 +48,7 @@ class ScanFigures:
     longest_return_m: float | None = None
 
     def add(self, scan: LaserScan) -> None:
-        """Beams, returns, and what the rest of them say."""
+        """Count beams, returns, and beams without return."""
         ranges = scan.ranges_m
         returns = ranges[np.isfinite(ranges)]
         self.beams.update(
@@ -63,7 +63,7 @@ class ScanFigures:
         self.last = scan
 
     def facts(self) -> dict[str, Any]:
-        """Bearings of the latest scan in the laser frame, shares of all beams, the mounting."""
+        """Bearings of the latest scan in the laser frame, fractions of all beams, pose of the laser."""
         scan = self.last
         return {
             "beams_min": self.beams_min,
@@ -83,27 +83,27 @@ class ScanFigures:
 
 @dataclass(slots=True)
 class WheelFigures:
-    """Of wheels."""
+    """Statistics of wheel odometry."""
 
     last: WheelOdometry
     path_m: float = 0.0
     rotation_rad: float = 0.0
 
     def add(self, reading: WheelOdometry) -> None:
-        """Path and turning, either way."""
+        """Add up path length and absolute rotation."""
         step = self.last.T_odom_base.between(reading.T_odom_base)
         self.path_m += math.hypot(step.x(), step.y())
         self.rotation_rad += abs(step.theta())
         self.last = reading
 
     def facts(self) -> dict[str, Any]:
-        """Both."""
+        """Path length and rotation."""
         return {"path_m": self.path_m, "rotation_rad": self.rotation_rad}
 
 
 @dataclass(slots=True)
 class CameraFigures:
-    """Of an RGB-D camera."""
+    """Statistics of an RGB-D camera."""
 
     last: RgbdFrame
     pixels: int = 0
@@ -112,7 +112,7 @@ class CameraFigures:
     farthest_m: float = 0.0
 
     def add(self, frame: RgbdFrame) -> None:
-        """The depths of a sample of the pixels."""
+        """Add the depths of a sample of the pixels."""
         sample = frame.depth_m[::_EVERY_PIXEL, ::_EVERY_PIXEL]
         depths = sample[sample > 0.0]
         self.pixels += sample.size
@@ -123,9 +123,9 @@ class CameraFigures:
         self.last = frame
 
     def facts(self) -> dict[str, Any]:
-        """Lens and mounting of the latest frame, depths of all.
+        """Intrinsics and pose of the latest frame, depths of all frames.
 
-        The mounting is that of a body that looks along x with its image upright.
+        The pose is that of a body frame with x forward and the image upright.
         """
         lens, mount = self.last.intrinsics, self.last.T_base_camera
         return {
@@ -139,7 +139,7 @@ class CameraFigures:
 
 @dataclass(slots=True)
 class CloudFigures:
-    """Of a 3D lidar."""
+    """Statistics of a 3D lidar."""
 
     last: PointCloud
     points_min: float = math.inf
@@ -149,7 +149,7 @@ class CloudFigures:
     turn_s: float | None = None
 
     def add(self, cloud: PointCloud) -> None:
-        """Its points, their ranges and times."""
+        """Add points, ranges and times."""
         count = len(cloud.points_lidar)
         self.points_min = min(self.points_min, count)
         self.points_max = max(self.points_max, count)
@@ -162,7 +162,7 @@ class CloudFigures:
         self.last = cloud
 
     def facts(self) -> dict[str, Any]:
-        """Points a cloud, ranges from the lidar, longest turn, the mounting."""
+        """Points per cloud, ranges from the lidar, longest revolution, pose of the lidar."""
         return {
             "points_min": self.points_min,
             "points_max": self.points_max,
@@ -175,7 +175,7 @@ class CloudFigures:
 
 @dataclass(slots=True)
 class ImuFigures:
-    """Of an IMU."""
+    """Statistics of an IMU."""
 
     last: ImuReading
     count: int = 0
@@ -184,7 +184,7 @@ class ImuFigures:
     greatest_force_m_s2: float = 0.0
 
     def add(self, reading: ImuReading) -> None:
-        """The mean force, the greatest readings of an axis."""
+        """Update the mean specific force and the largest readings of an axis."""
         self.count += 1
         self.force_sum = self.force_sum + reading.specific_force_m_s2
         self.greatest_gyro_rad_s = max(self.greatest_gyro_rad_s, float(np.abs(reading.gyro_rad_s).max()))
@@ -193,7 +193,7 @@ class ImuFigures:
         self.last = reading
 
     def facts(self) -> dict[str, Any]:
-        """Both in its own frame, and the mounting."""
+        """Both in the IMU frame, and the pose of the IMU."""
         return {
             "mean_force_m_s2": (self.force_sum / self.count).tolist(),
             "greatest_gyro_rad_s": self.greatest_gyro_rad_s,
@@ -204,7 +204,7 @@ class ImuFigures:
 
 @dataclass(slots=True)
 class GnssFigures:
-    """Of a satellite receiver."""
+    """Statistics of a GNSS receiver."""
 
     last: GnssFix
     plane: TangentPlane | None = None
@@ -212,7 +212,7 @@ class GnssFigures:
     sigmas_m: Thinned = field(default_factory=Thinned)
 
     def add(self, fix: GnssFix) -> None:
-        """How far it is from the first one, and its sigma across."""
+        """Update the distance from the first fix, and the horizontal sigma."""
         place = fix.latitude_deg, fix.longitude_deg, fix.altitude_m
         self.plane = self.plane or TangentPlane(*place)
         self.farthest_m = max(self.farthest_m, float(np.hypot(*self.plane.enu_m(*place)[:2])))
@@ -221,7 +221,7 @@ class GnssFigures:
         self.last = fix
 
     def facts(self) -> dict[str, Any]:
-        """The first place, how far the others are from it, the median sigma across."""
+        """The first position, the distance of the others from it, the median horizontal sigma."""
         plane, antenna_m = self.plane, self.last.antenna_m
         return {
             "first": plane and [plane.latitude_deg, plane.longitude_deg, plane.altitude_m],
@@ -231,7 +231,7 @@ class GnssFigures:
         }
 
 
-# By the type of the readings: under which name the figures are told, and what makes them.
+# For each type of readings: the name of the statistics, and the class that computes them.
 KINDS: dict[type, tuple[str, Callable[[Any], Figures]]] = {
     LaserScan: ("laser", ScanFigures),
     WheelOdometry: ("odometry", WheelFigures),
@@ -243,7 +243,7 @@ KINDS: dict[type, tuple[str, Callable[[Any], Figures]]] = {
 
 
 def _mounting(pose: gtsam.Pose3 | None) -> dict[str, Any]:
-    """Position, and roll, pitch and yaw, on the robot; None where the log does not tell it."""
+    """Position, roll, pitch and yaw on the robot; None if the log does not contain them."""
     return {
         "mount_m": None if pose is None else pose.translation().tolist(),
         "mount_rpy_rad": None if pose is None else pose.rotation().rpy().tolist(),

@@ -1,4 +1,4 @@
-"""KITTI's raw recordings, synced or as extracted, and KITTI-360: a Velodyne, GPS and IMU as truth.
+"""KITTI's raw recordings, synced or extracted, and KITTI-360: a Velodyne, GPS and IMU as ground truth.
 
 Geiger et al. 2013, "Vision meets Robotics: The KITTI Dataset".
 """
@@ -30,22 +30,22 @@ from slam.measurements import FloatArray, ImuReading
 ONCE_A_CLOUD = "one IMU reading per cloud does not resolve the motion within it; unsynced drives do"
 
 _INSIDE, _OXTS = "velodyne_points", "oxts"
-# Places of turn rates and accelerations about the vehicle's own axes, by the publishers' dataformat.txt.
+# Indices of angular rates and accelerations in the vehicle frame, from the publishers' dataformat.txt.
 _RATES, _FORCES = slice(17, 20), slice(11, 14)
 _EARTH_RADIUS_M = 6378137.0  # of WGS 84, as in the publishers' own tools
 _MOST_TURN_S = 1.0
 
 
 def looks_like_kitti_raw(path: Path, head: bytes) -> bool:
-    """Whether a path is the folder of one drive with clouds."""
+    """Whether a path is the folder of a drive with clouds."""
     inside = path / _INSIDE
     return (inside / "data").is_dir() and (inside / "timestamps.txt").is_file()
 
 
 def _load(path: Path, account: Account) -> Contents:
-    """A folder of one drive; the lidar is the robot's frame.
+    """The folder of one drive; the robot's frame is that of the lidar.
 
-    A stamp is when the lidar looked ahead; each point is as old as its bearing tells.
+    A stamp is the time at which the lidar points forward; each point's time follows from its bearing.
     """
     for camera in sorted(path.glob("image_*")):
         account.report.ignore(camera.name, "a camera without depth")
@@ -61,20 +61,20 @@ def _load(path: Path, account: Account) -> Contents:
 
 
 class _WithTimes:
-    """Reads clouds and works out when each point was seen: the lidar turns clockwise, once a turn."""
+    """Reads clouds and computes point times: the lidar rotates clockwise, one revolution per cloud."""
 
     def __init__(self, turn_s: float) -> None:
         self._turn_s = turn_s
 
     def parse(self, path: Path) -> Parsed:
-        """Points and their times after they were ahead."""
+        """Points and their times relative to the forward direction."""
         points = KITTI_ROWS(path)[0] if path.suffix == ".bin" else _from_text(path)
         bearing = np.arctan2(points[:, 1], points[:, 0]).astype(np.float64)
         return points, {"t": -bearing * (self._turn_s / (2.0 * math.pi))}
 
 
 def _from_text(path: Path) -> FloatArray:
-    """Four numbers a line, as the recordings that are not synced have them."""
+    """Four numbers per line, as in recordings that are not synced."""
     try:
         rows = np.array(path.read_bytes().split(), dtype=np.float64)
         return rows.reshape(-1, 4)[:, :3]
@@ -83,12 +83,12 @@ def _from_text(path: Path) -> FloatArray:
 
 
 def _clouds(path: Path, account: Account) -> list[StampedFile]:
-    """Clouds by their numbers: line N of the stamps, from 0, is of cloud N."""
+    """Clouds by number: line N of the stamps, from 0, belongs to cloud N."""
     inside = path / _INSIDE
     stamps = dict(_stamps(inside / "timestamps.txt", account))
     files = numbered_files(inside / "data", r"(\d{1,10})\.(?:bin|txt)")
     for number in sorted(files.keys() ^ stamps.keys()):
-        # Clouds that were never recorded leave a line behind; that is how drives are published.
+        # Published drives contain lines for clouds that were never recorded.
         reason = UNPAIRED if number in files else WITHOUT_CLOUD
         account.refuse(RecordFault(reason, f"number {number}"), "timestamps.txt", number + 1)
     both = sorted(files.keys() & stamps.keys())
@@ -109,7 +109,7 @@ def _stamps(path: Path, account: Account) -> Iterator[tuple[int, float]]:
 
 
 def _turn(path: Path) -> float:
-    """Seconds of a turn: between the stamps of its begin and end, or from cloud to cloud."""
+    """Duration of a revolution in s: between its start and end stamps, or from cloud to cloud."""
     quiet = Account.quiet(path)
     first, last = (
         dict(_stamps(file, quiet)) if (file := path / _INSIDE / name).is_file() else {}
@@ -125,7 +125,7 @@ def _turn(path: Path) -> float:
 
 
 def _stamps_of_oxts(path: Path, account: Account) -> dict[int, float]:
-    """Stamps of the readings of GPS and IMU by their numbers; none where there is no such file."""
+    """Stamps of the GPS and IMU readings by number; none if there is no such file."""
     file = path / _OXTS / "timestamps.txt"
     return dict(_stamps(file, account)) if file.is_file() else {}
 
@@ -133,7 +133,7 @@ def _stamps_of_oxts(path: Path, account: Account) -> dict[int, float]:
 def _oxts(
     path: Path, stamps: dict[int, float], least: int, account: Account
 ) -> Iterator[tuple[int, float, list[float]]]:
-    """Number, stamp and numbers of each reading of GPS and IMU; one without so many is counted."""
+    """Number, stamp and values of each GPS and IMU reading; readings with too few values are counted."""
     for number, file in sorted(numbered_files(path / _OXTS / "data", r"(\d{1,10})\.txt").items()):
         numbers = numbers_of(file)
         if number not in stamps or numbers is None or numbers.size < least or abs(numbers[0]) >= 90.0:
@@ -143,7 +143,7 @@ def _oxts(
 
 
 def _imu(path: Path, stamps: dict[int, float], account: Account) -> Iterator[Numbered]:
-    """What the IMU feels, mounted as the calibration says."""
+    """Readings of the IMU, with its pose from the calibration."""
     T_velo_imu = _calibration(path, account)
     for number, stamp_s, numbers in _oxts(path, stamps, _RATES.stop, account):
         account.report.accept("IMU reading")
@@ -152,8 +152,8 @@ def _imu(path: Path, stamps: dict[int, float], account: Account) -> Iterator[Num
 
 
 def _groundtruth(path: Path, account: Account) -> Trajectory | None:
-    """Of the lidar, by latitude, longitude, height and angles in ``oxts``, projected as published."""
-    # Without a calibration the lidar is taken to be where the IMU is.
+    """Ground truth of the lidar by latitude, longitude, height and angles, projected as published."""
+    # Without a calibration, the lidar is assumed to be at the pose of the IMU.
     T_imu_velo = (_calibration(path, account) or gtsam.Pose3()).inverse()
     found: list[tuple[float, gtsam.Pose3]] = []
     scale = None
@@ -169,7 +169,7 @@ def _groundtruth(path: Path, account: Account) -> Trajectory | None:
 
 
 def _calibration(path: Path, account: Account) -> gtsam.Pose3 | None:
-    """``T_velo_imu`` by ``calib_imu_to_velo.txt`` beside the drive or in it; None without one."""
+    """``T_velo_imu`` from ``calib_imu_to_velo.txt`` next to the drive or in it; None if there is none."""
     file = first_file(one / "calib_imu_to_velo.txt" for one in (path, path.resolve().parent))
     return rotation_and_shift(file, account) if file else None
 

@@ -1,4 +1,4 @@
-"""Points of LAS and LAZ files, by laspy and lazrs (the extra 'las').
+"""Reads points of LAS and LAZ files with laspy and lazrs (the extra 'las').
 
 ASPRS 2019, "LAS Specification 1.4 - R15".
 """
@@ -19,19 +19,19 @@ NO_LASPY = "clouds in LAS or LAZ; to read them: pip install 'scanweave[las]'"
 
 
 def read_las_points(path: Path) -> dict[str, NDArray[Any]]:
-    """Columns x, y and z in metres, scaled and shifted, and times and intensities where there are any.
+    """Columns x, y and z in metres, scaled and shifted, and times and intensities if there are any.
 
     Raises
     ------
     OSError, ValueError
-        The file, or what is in it, cannot be read.
+        The file or its contents cannot be read.
     """
     try:
         import laspy
     except ImportError as error:
         raise ValueError(NO_LASPY) from error
     try:
-        # Its own threads would outlive a fork, and wait for ever there.
+        # lazrs' own threads do not survive a fork; the child would wait for them forever.
         with laspy.open(path, laz_backend=laspy.LazBackend.Lazrs) as file:
             size = file.header.point_count * file.header.point_format.size
             if not 0 < size <= LARGEST_BYTES:
@@ -54,11 +54,11 @@ def read_las_points(path: Path) -> dict[str, NDArray[Any]]:
 
 
 def _ask_for_chunks(path: Path, begins: int, points: int) -> None:
-    """Refuse a table of more chunks than points: lazrs makes room for as many as it says (Isenburg 2013)."""
+    """Reject a table of more chunks than points: lazrs allocates as many as it says (Isenburg 2013)."""
     with path.open("rb") as file:
         file.seek(begins)
         (table,) = struct.unpack("<q", file.read(8))
-        if table == -1:  # written as a stream: where the table is stands at the end
+        if table == -1:  # written as a stream: the offset of the table is at the end
             file.seek(-8, os.SEEK_END)
             (table,) = struct.unpack("<q", file.read(8))
         file.seek(table)

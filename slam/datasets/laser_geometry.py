@@ -1,4 +1,4 @@
-"""Where the beams of a laser point and which readings mean "no return", for logs that do not say it."""
+"""Finds beam directions and "no return" codes of a laser, for logs that do not contain them."""
 
 from __future__ import annotations
 
@@ -17,17 +17,17 @@ ZERO_BEAMS = "scan without beams"
 NO_VALID_RANGE = "scan without a valid range"
 MANY_BEAMS = "scan of more beams than any lidar has"
 
-# A SICK LMS in its 80 m mode says "nothing met" and its error codes with 8183, 8187, 8190 and 8191 cm.
+# A SICK LMS in its 80 m mode codes "no return" and errors as 8183, 8187, 8190 and 8191 cm.
 SICK_LARGEST_CODE_FREE_M = 81.83
-# Without a stated maximum: beyond any true reading of the common scanners, below the codes.
+# Without a stated maximum: above any valid reading of common scanners, below the codes.
 DEFAULT_NO_RETURN_M = 80.0
 _CODE_TOLERANCE_M = 1e-6
 _UNITS_IN_A_M = (100.0, 1000.0)  # centimetres, millimetres
-# Of beams on a wall, in whole steps, 1 + sqrt(2) times as many tell the shortest distance as the next.
+# On a wall, with quantised ranges, the shortest range has 1 + sqrt(2) times as many beams as the next.
 ALIKE = FEWEST // 4
 
 _DEFAULT_FOV_DEG = 180.0
-# Beam counts that belong to one field of view: SICK LMS 2xx in its 100 degree mode, 270 degree scanners.
+# Beam counts that imply a field of view: SICK LMS 2xx in its 100 degree mode, 270 degree scanners.
 _FOV_BY_BEAM_COUNT_DEG = {101: 100.0, 201: 100.0, 401: 100.0, 541: 270.0, 811: 270.0, 1081: 270.0}
 
 
@@ -40,7 +40,7 @@ class BeamLayout:
     start_rad, step_rad
         Bearing of beam 0 and the increment.
     contradiction
-        Whether the stated field of view or resolution did not fit the beam count and was set aside.
+        Whether the stated field of view or resolution did not fit the beam count and was ignored.
     """
 
     start_rad: float
@@ -53,25 +53,25 @@ def beam_layout(beam_count: int, fov_rad: float | None = None, step_rad: float |
 
     The convention of the logs, by the beam count:
 
-    - odd (181, 361): both edges are measured, -fov/2 to +fov/2, step = fov / (count - 1);
-    - even (180, 360): the last edge is left out, beam 0 at -fov/2, step = fov / count.
+    - odd (181, 361): both edge beams exist, -fov/2 to +fov/2, step = fov / (count - 1);
+    - even (180, 360): the last edge beam is missing, beam 0 at -fov/2, step = fov / count.
 
     The field of view is the stated one; else it follows from the stated step; else from the beam
-    count (100 degrees for 101, 201, 401; 270 for 541, 811, 1081; 180 for all others). When both are
-    stated, the edge is measured if fov / step + 1 is the count and left out if fov / step is the
-    count, whatever its parity. If neither holds, both are set aside: the beam count wins.
+    count (100 degrees for 101, 201, 401; 270 for 541, 811, 1081; 180 for all others). When both are stated,
+    the edge beam exists if fov / step + 1 is the count and is missing if fov / step is the count, whatever
+    its parity. If neither holds, both are ignored: the beam count has priority.
 
     Parameters
     ----------
     beam_count
-        1 or more. A single beam looks ahead.
+        1 or more. A single beam points forward.
     fov_rad, step_rad
-        As the log states them; None, zero, negative, more than a turn or not finite: not stated.
+        As in the log; None, zero, negative, more than a full turn or not finite: not stated.
 
     Returns
     -------
     BeamLayout
-        ``contradiction`` tells whether a stated value was set aside.
+        ``contradiction`` is whether a stated value was ignored.
     """
     fov = fov_rad if _is_angle(fov_rad) else None
     step = step_rad if _is_angle(step_rad) else None
@@ -91,25 +91,25 @@ def beam_layout(beam_count: int, fov_rad: float | None = None, step_rad: float |
 
 
 def _spread(beam_count: int, fov_rad: float, *, contradiction: bool = False) -> BeamLayout:
-    """The beams over a field of view, by the parity of their count."""
+    """Distribute the beams over a field of view, by the parity of their count."""
     return BeamLayout(-0.5 * fov_rad, fov_rad / (beam_count - beam_count % 2), contradiction)
 
 
 def _default_fov_rad(beam_count: int) -> float:
-    """The field of view that a beam count stands for."""
+    """The field of view that a beam count implies."""
     return math.radians(_FOV_BY_BEAM_COUNT_DEG.get(beam_count, _DEFAULT_FOV_DEG))
 
 
 def _is_angle(angle_rad: float | None) -> bool:
-    """Whether a stated angle can be one."""
+    """Whether a stated angle is possible."""
     return angle_rad is not None and 0.0 < angle_rad <= 2.0 * math.pi + 1e-6
 
 
 @dataclass(slots=True)
 class ToldAlike:
-    """The longest range that a sensor tells again and again, to the bit, by how many beams; the shortest.
+    """Counts how many beams repeat a sensor's longest range bit-identically; and the shortest.
 
-    So are codes told (8.183 m by a SICK). A longest that is another counts `ALIKE` times against it.
+    Codes repeat like this (8.183 m of a SICK). A different longest range counts `ALIKE` times against it.
     """
 
     longest_m: float = 0.0
@@ -117,7 +117,7 @@ class ToldAlike:
     shortest_m: float = 0.0
 
     def take(self, longest_m: float, beams: int) -> bool:
-        """Take the longest range of a scan, told by so many beams: whether what is told again is a code."""
+        """Add a scan's longest range with its number of beams; returns whether the repeated one is a code."""
         if beams > 1:
             self.beams += beams if longest_m == self.longest_m else -ALIKE * beams
         if self.beams < 0:
@@ -128,23 +128,23 @@ class ToldAlike:
 def classify_ranges(
     ranges_m: FloatArray, limit_m: float, told_alike: ToldAlike
 ) -> tuple[Float32Array, float]:
-    """Readings as `slam.measurements.LaserScan` wants them, (N,), and from where they mean no return.
+    """Ranges as `slam.measurements.LaserScan` requires, (N,), and the limit that means no return.
 
-    At or above the limit: ``inf``, no return. Zero, negative or NaN: ``nan``, invalid. A limit below which
-    less than half of the readings lie, and that many different ones beyond, is of another unit, and is
-    raised: no return is told by a few codes. Whose unit is wrong is then seen by what the ranges are. The
-    longest, told to the bit by more beams than a wall makes alike, here or in the sensor's scans before, is
-    such a code, stated or not; the shortest, told so once more, is invalid.
+    At or above the limit: ``inf``, no return. Zero, negative or NaN: ``nan``, invalid. If less than half of
+    the readings are below the limit, and many different ones above, the limit has another unit and is raised,
+    because there are only few "no return" codes. The ranges then show whose unit is wrong. The longest range
+    is such a code, stated or not, if it is bit-identical for more beams than on any wall, here or in earlier
+    scans of the sensor; the shortest such range is invalid.
 
     Raises
     ------
     RecordFault
-        More beams than any lidar has.
+        There are more beams than any lidar has.
     """
     if ranges_m.size > MOST_BEAMS:
         raise RecordFault(MANY_BEAMS, f"{ranges_m.size}, at most {MOST_BEAMS}")
     classified = np.empty(ranges_m.size, np.float32)
-    # A stated 81.83 and a written 81.83 must meet, whatever their last bit.
+    # A stated 81.83 and a written 81.83 must match, whatever their last bit.
     beyond, returns, *ends = _classify(ranges_m, limit_m - _CODE_TOLERANCE_M, classified)
     if 2 * beyond > returns:
         told = ranges_m[np.isfinite(ranges_m) & (classified == math.inf)]
@@ -157,7 +157,7 @@ def classify_ranges(
         classified[(ranges_m == least_m) & (near > ALIKE * max(others, default=0))] = math.nan
     told_alike.shortest_m = least_m
     code_m = told_alike.longest_m if told_alike.take(most_m, alike) else math.inf
-    # Codes of errors may be beyond it, and few are.
+    # Error codes may be above it, but there are few.
     if code_m <= most_m and 2 * np.count_nonzero(ranges_m == code_m) > np.count_nonzero(ranges_m >= code_m):
         limit_m = code_m
         classified[ranges_m >= limit_m] = math.inf
@@ -166,7 +166,7 @@ def classify_ranges(
 
 @kernel
 def _classify(ranges_m, limit_m, classified):  # type: ignore[no-untyped-def]
-    """Write what `classify_ranges` returns; how many are finite and beyond, in all; the ends, how often."""
+    """Write the result of `classify_ranges`; return counts (beyond, all), extremes and their counts."""
     beyond, returns, alike, near = ZERO, ZERO, ZERO, ZERO
     most_m, least_m = 0.0, math.inf
     for i in range(ranges_m.size):

@@ -1,4 +1,4 @@
-"""Lenses as data sets publish them beside the images: text of four numbers, matrices, JSON."""
+"""Reads lenses that data sets publish with the images: text of four numbers, matrices, JSON."""
 
 from __future__ import annotations
 
@@ -16,16 +16,16 @@ from slam.foreign import from_json
 from slam.measurements import CameraIntrinsics, FloatArray
 
 LENS_MOVES = "camera: the lens moves by up to {share:.1%} of its focal length, its median taken"
-_LARGEST_BYTES = 1 << 26  # of a JSON file; of a phone's with a pose a frame
+_LARGEST_BYTES = 1 << 26  # of a JSON file, which may contain a pose per frame (phones)
 
 
 def four_numbers(path: Path) -> CameraIntrinsics:
-    """``fx fy cx cy`` in a text file; what follows them is left.
+    """``fx fy cx cy`` in a text file; the rest is ignored.
 
     Raises
     ------
     DatasetError
-        They are not there.
+        The numbers are missing.
     """
     numbers = numbers_of(path)
     if numbers is None or numbers.size < 4:
@@ -35,7 +35,7 @@ def four_numbers(path: Path) -> CameraIntrinsics:
 
 
 def camera_matrix(path: Path, size: int = 3, width: int = 0, height: int = 0) -> CameraIntrinsics:
-    """The lens in a square matrix of a text file; DatasetError where there is none."""
+    """The lens in a square matrix of a text file; DatasetError if there is none."""
     matrix = square_matrix(path, size)
     if matrix is None:
         raise DatasetError(f"{path} holds no {size} x {size} camera matrix; correct it, or remove the file")
@@ -43,7 +43,7 @@ def camera_matrix(path: Path, size: int = 3, width: int = 0, height: int = 0) ->
 
 
 def checked(path: Path, matrix: FloatArray, width: int = 0, height: int = 0) -> CameraIntrinsics:
-    """The lens of a matrix that a file gives; DatasetError where it is none."""
+    """The lens of a matrix in a file; DatasetError if it is invalid."""
     try:
         return lens_of(matrix, width, height)
     except ValueError as error:
@@ -53,7 +53,7 @@ def checked(path: Path, matrix: FloatArray, width: int = 0, height: int = 0) -> 
 
 
 def json_object(path: Path) -> dict[str, Any]:
-    """The named values of a JSON file; DatasetError where it has none."""
+    """The named values of a JSON file; DatasetError if it has none."""
     try:
         if path.stat().st_size > _LARGEST_BYTES:
             raise ValueError(f"{path.stat().st_size} bytes")
@@ -66,7 +66,7 @@ def json_object(path: Path) -> dict[str, Any]:
 
 
 def lens_of_json(path: Path, fields: dict[str, Any], width: str = "width", height: str = "height") -> Any:
-    """The lens of named values fx, fy, cx, cy and a size; DatasetError where one is missing."""
+    """The lens of named values fx, fy, cx, cy and a size; DatasetError if one is missing."""
     try:
         fx, fy, cx, cy = (float(fields[name]) for name in ("fx", "fy", "cx", "cy"))
         size = int(fields.get(width) or 0), int(fields.get(height) or 0)
@@ -78,7 +78,7 @@ def lens_of_json(path: Path, fields: dict[str, Any], width: str = "width", heigh
 
 
 def open3d_lens(path: Path) -> CameraIntrinsics:
-    """Open3D's ``intrinsic_matrix`` of nine numbers, column by column; DatasetError where there is none."""
+    """Open3D's ``intrinsic_matrix`` of nine numbers in column-major order; DatasetError if there is none."""
     content = json_object(path)
     if "fx" in content:
         return lens_of_json(path, content)
@@ -91,7 +91,7 @@ def open3d_lens(path: Path) -> CameraIntrinsics:
 
 
 def median_lens(lenses: list[CameraIntrinsics], account: Account) -> CameraIntrinsics:
-    """The middle of the lenses of many frames; how far their focal length moves is noted."""
+    """The median of the lenses of many frames; the variation of the focal length is noted."""
     numbers = np.array([[lens.fx, lens.fy, lens.cx, lens.cy] for lens in lenses])
     fx, fy, cx, cy = (float(value) for value in np.median(numbers, axis=0))
     if spread := float(np.abs(numbers[:, 0] / fx - 1.0).max()):

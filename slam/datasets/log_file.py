@@ -1,4 +1,4 @@
-"""Lines of a text log, plain or gzip, read as a stream that survives damage."""
+"""Reads lines of a text log, plain or gzip, as a stream that tolerates damage."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from slam.errors import DatasetError
 if TYPE_CHECKING:
     from typing_extensions import Buffer
 
-MAX_LINE_BYTES = 1 << 20  # ten times the longest scan line known; bounds the memory on garbage
+MAX_LINE_BYTES = 1 << 20  # ten times the longest known scan line; limits the memory for damaged data
 _BUFFER_BYTES = 1 << 18
 _GZIP_MAGIC = b"\x1f\x8b"
 _BYTE_ORDER_MARK = b"\xef\xbb\xbf"
@@ -50,9 +50,9 @@ def open_log(path: Path) -> io.BufferedReader:
 
 
 class _Gunzipped(io.RawIOBase):
-    """Decompressed bytes as soon as they are there.
+    """Returns decompressed bytes as soon as they are available.
 
-    A GzipFile read for a whole buffer gives nothing at all when the damage lies within that buffer.
+    If a buffer contains damage, a GzipFile that reads a whole buffer returns nothing of it.
     """
 
     def __init__(self, path: Path) -> None:
@@ -79,7 +79,7 @@ class _Gunzipped(io.RawIOBase):
 
 
 def read_head(path: Path, size: int) -> bytes:
-    """Up to ``size`` decompressed bytes from the beginning; what damage hides is left out."""
+    """Up to ``size`` decompressed bytes from the start, without damaged parts."""
     chunks: list[bytes] = []
     with open_log(path) as stream:
         try:
@@ -92,12 +92,12 @@ def read_head(path: Path, size: int) -> bytes:
 
 
 def first_file(places: Iterable[Path]) -> Path | None:
-    """The first of several places where there is a file."""
+    """The first of several paths that is a file."""
     return next((place for place in places if place.is_file()), None)
 
 
 def files_inside(folder: Path, suffixes: Collection[str]) -> list[Path]:
-    """Files directly in a folder with one of some endings in lower case, unsorted; hidden ones are left out.
+    """Files directly in a folder with one of several lower-case suffixes, unsorted, without hidden ones.
 
     Raises
     ------
@@ -114,15 +114,15 @@ def files_inside(folder: Path, suffixes: Collection[str]) -> list[Path]:
 def numbered_lines(
     path: Path, account: Account, on_share: OnShare | None = None
 ) -> Iterator[tuple[int, bytes]]:
-    """1-based numbers and lines, each with its line end, in constant memory.
+    """1-based line numbers and lines with their line ends, in constant memory.
 
     Parameters
     ----------
     account
-        Refuses an over-long line, which is skipped, and damaged compression, which ends the stream after
-        what could be read, as `Budget` does.
+        Counts lines that are too long, which are skipped, and damaged compression, which ends the stream
+        after the last readable part, as `Budget` does.
     on_share
-        Called now and then with the share of the file that has been read, 0..1.
+        Called from time to time with the fraction of the file that has been read, 0..1.
 
     Raises
     ------
@@ -159,6 +159,6 @@ def numbered_lines(
 
 
 def _skip_line(stream: io.BufferedReader, budget: Budget) -> None:
-    """Leave the stream at the beginning of the next line."""
+    """Advance the stream to the start of the next line."""
     while (rest := stream.readline(MAX_LINE_BYTES)) and not rest.endswith(b"\n"):
         budget.take(len(rest))

@@ -32,14 +32,14 @@ from slam.estimates import Trajectory
 
 _LIDARS, _POSES, _SENSORS = ("Ouster", "VLP_left"), "global_pose.csv", "sensor_data"
 _OTHER_LIDAR, _MOUNT_FILE = "VLP_right", "calibration/Vehicle2LeftVLP.txt"
-# By the publishers' file player; lines of the first recordings end behind the angles.
+# From the publishers' file player; lines of the first recordings end after the angles.
 _XSENS = "time [ns],qx,qy,qz,qw,roll,pitch,yaw,gx,gy,gz,ax,ay,az,magnetic x,magnetic y,magnetic z"
-# calib_base2ouster.txt, which is published beside all sequences: metres, then roll, pitch and yaw in degrees.
+# calib_base2ouster.txt, published with all sequences: metres, then roll, pitch and yaw in degrees.
 _SHIFT_M, _TURN_DEG = (1.7042, -0.021, 1.8047), (0.0001, 0.0003, 179.6654)
 
 
 def _load(path: Path, account: Account) -> Contents:
-    """A folder of one sequence; the lidar sits where the publishers say."""
+    """The folder of one sequence; the lidar's pose is the published one."""
     place = _clouds_folder(path)
     assert place is not None
     files = clouds_by_name(place, account)
@@ -56,19 +56,19 @@ def _load(path: Path, account: Account) -> Contents:
 
 
 def _clouds_folder(path: Path) -> Path | None:
-    """Where the clouds are: the file player has them a folder further down, archives do not."""
+    """The folder of the clouds: the file player expects them one level deeper than the archives."""
     places = (place / name for name in _LIDARS for place in (path / _SENSORS, path))
     return next((one for one in places if one.is_dir()), None)
 
 
 def xsens(folders: Iterable[Path]) -> ImuFile | None:
-    """The IMU whose file is in one of several folders; its mounting is not published."""
+    """The IMU whose file is in one of several folders; its pose is not published."""
     file = first_file(folder / "xsens_imu.csv" for folder in folders)
     return ImuFile(file, _XSENS) if file else None
 
 
 def read_poses(path: Path, account: Account) -> Trajectory | None:
-    """Lines of nanoseconds and the twelve numbers of a pose of the car; None without a pose."""
+    """Read lines with nanoseconds and the twelve numbers of the car's pose; None without poses."""
 
     def good() -> Iterator[tuple[float, gtsam.Pose3]]:
         for number, fields in fields_of(path, account, 13):

@@ -1,7 +1,7 @@
-"""NCLT: a Segway with a Velodyne on a campus over a year.
+"""NCLT: a Segway with a Velodyne on a campus, recorded over a year.
 
 Carlevaris-Bianco et al. 2016, "University of Michigan North Campus Long-Term Vision and Lidar Dataset". Its
-frames have z down; here they are turned about x, z up.
+frames have z down; here they are rotated about x so that z is up.
 """
 
 from __future__ import annotations
@@ -25,18 +25,18 @@ from slam.measurements import WheelOdometry
 
 _INSIDE = "velodyne_sync"
 _ROWS = Rows(row_of("x u2, y u2, z u2, intensity u1, laser u1"))
-_STEP_M, _FIRST_M = 0.005, -100.0  # of the whole numbers in a row
+_STEP_M, _FIRST_M = 0.005, -100.0  # of the integers in a row
 _TICK_S = 1e-6
 _POSES = PoseTable(stamp_units_s=(_TICK_S,), order="rpy")
 _ODOMETRY = ("odometry_mu_100hz.csv", "odometry_mu.csv")
-# Magnetometer, metres a second squared, radians a second; its mounting is not in a file.
+# Magnetometer, m/s², rad/s; the pose of the IMU is not in a file.
 _IMU = "ms25.csv"
 _IMU_HEAD = "time [us],mag x,mag y,mag z,accel_x,accel_y,accel_z,gyro_x,gyro_y,gyro_z"
 _T_DOWN_UP = gtsam.Pose3(gtsam.Rot3(np.diag([1.0, -1.0, -1.0])), np.zeros(3))
 
 
 def _load(path: Path, account: Account) -> Contents:
-    """A folder of one day, the robot's frame that of the clouds; they are free of the robot's motion."""
+    """The folder of one day; the robot's frame is that of the clouds, which are already deskewed."""
     files = clouds_by_name(
         path / _INSIDE, account, r"(\d{10,17})\.bin", lambda match: int(match[1]) * _TICK_S
     )
@@ -48,14 +48,14 @@ def _load(path: Path, account: Account) -> Contents:
 
 
 def _parse(path: Path) -> Parsed:
-    """Points with z up; a row of zeros is none."""
+    """Points with z up, without rows of zeros."""
     rows = _ROWS.rows(path)
     points = np.column_stack([rows[axis] for axis in "xyz"]).astype(np.float64) * _STEP_M + _FIRST_M
     return points * (1.0, -1.0, -1.0), {}
 
 
 def _wheels(file: Path, account: Account) -> Iterator[Numbered]:
-    """The way by wheels and gyroscope, on the ground."""
+    """Planar odometry from wheels and gyroscope."""
     for number, stamp_s, pose in _POSES.rows(file, account):
         account.report.line_count += 1
         account.report.accept("odometry")
@@ -63,7 +63,7 @@ def _wheels(file: Path, account: Account) -> Iterator[Numbered]:
 
 
 def _groundtruth(path: Path, account: Account) -> Trajectory | None:
-    """The publishers' poses, in the folder or beside it."""
+    """The publishers' poses, in the folder or next to it."""
     name = f"groundtruth_{path.resolve().name}.csv"
     above = path.resolve().parent
     places = path / name, above / name, above / "ground_truth" / name
@@ -72,7 +72,7 @@ def _groundtruth(path: Path, account: Account) -> Trajectory | None:
 
 
 def read_poses(file: Path, account: Account) -> Trajectory | None:
-    """Lines of microseconds, position and angles, turned so that z is up; None without a pose."""
+    """Read lines with microseconds, position and angles, rotated so that z is up; None without poses."""
     rows = _POSES.rows(file, account)
     turned = ((stamp_s, _T_DOWN_UP.compose(pose).compose(_T_DOWN_UP)) for _, stamp_s, pose in rows)
     return trajectory_of(turned)

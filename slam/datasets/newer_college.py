@@ -25,14 +25,14 @@ _PLACES = ("raw_format/ouster_scan", "ouster_scan", "")
 _IMU, _IMU_HEAD = "ouster_imu", "counter,sec,nsec,wx,wy,wz,ax,ay,az"
 _TRUTH = "registered_poses.csv"
 _POSES = PoseTable(stamp_units_s=(1.0, 1e-9), position=2, rotation=5)
-# The lidar in the frame of the published poses: turned by 135 degrees about z.
+# Pose of the lidar in the frame of the published poses: rotated by 135 degrees about z.
 _T_TRUTH_LIDAR = gtsam.Pose3(
     gtsam.Rot3.Quaternion(0.382683, 0.0, 0.0, 0.923880), np.array([-0.084, -0.025, 0.050])
 )
 
 
 def _load(path: Path, account: Account) -> Contents:
-    """A folder of one walk; the lidar is the robot's frame."""
+    """The folder of one walk; the robot's frame is that of the lidar."""
     folder = _clouds_folder(path)
     assert folder is not None
     files = clouds_by_name(folder, account, _CLOUDS, lambda match: int(match[1]) + int(match[2]) * 1e-9)
@@ -44,13 +44,13 @@ def _load(path: Path, account: Account) -> Contents:
 
 
 def _clouds_folder(path: Path) -> Path | None:
-    """Where the clouds are."""
+    """The folder of the clouds."""
     places = (path / inside for inside in _PLACES)
     return next((one for one in places if next(one.glob("cloud_*_*.p*"), None)), None)
 
 
 def _groundtruth(path: Path, account: Account) -> Trajectory | None:
-    """Of the lidar, by the poses in the folder or near it."""
+    """Ground truth of the lidar from the poses in the folder or near it."""
     above = path.resolve().parents
     places = (path, *above[:2])
     file = first_file(place / inside / _TRUTH for place in places for inside in ("", "ground_truth"))
@@ -58,7 +58,7 @@ def _groundtruth(path: Path, account: Account) -> Trajectory | None:
 
 
 def read_poses(file: Path, account: Account) -> Trajectory | None:
-    """Lines of seconds, nanoseconds, position and quaternion as poses of the lidar; None without a pose."""
+    """Read lines with seconds, nanoseconds, position and quaternion as lidar poses; None without poses."""
     rows = _POSES.rows(file, account)
     return trajectory_of((stamp_s, pose.compose(_T_TRUTH_LIDAR)) for _, stamp_s, pose in rows)
 

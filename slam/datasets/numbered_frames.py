@@ -1,4 +1,4 @@
-"""Images of a camera by numbers or stamps in the names of their files."""
+"""Reads images of a camera with numbers or stamps in their file names."""
 
 from __future__ import annotations
 
@@ -21,19 +21,19 @@ from slam.datasets.stamped_files import StampedFile
 from slam.estimates import Trajectory
 from slam.measurements import CameraIntrinsics, FloatArray
 
-RATE_HZ = 30.0  # of cameras whose files have no stamps
+RATE_HZ = 30.0  # for cameras whose files have no stamps
 NO_STAMPS = "no stamps: frame N taken as N / {rate:g} s old"
 IMAGES = r"png|jpe?g|pgm|ppm|bmp"
 
 
 def numbered_files(folder: Path, pattern: str) -> dict[int, Path]:
-    """Files of a folder by the whole number that is the first group of a pattern of their names."""
+    """Files of a folder by the integer that is the first group of a pattern of their names."""
     name = re.compile(pattern, re.IGNORECASE)
     try:
         found = [(name.fullmatch(entry.name), entry) for entry in folder.iterdir()]
     except OSError:
         return {}
-    # By name, so that of two files of one number the same one wins everywhere.
+    # Sorted by name, so that of two files with one number the same one wins on every system.
     return {int(match[1]): entry for match, entry in sorted(found, key=lambda one: one[1].name) if match}
 
 
@@ -50,9 +50,9 @@ def numbered_camera(
     stamp_of: Callable[[int], float],
     source: ImageSource = FILES,
 ) -> Camera:
-    """A camera of pairs of images with the same number; what lacks its other half is counted.
+    """A camera of image pairs with the same number; images without partner are counted.
 
-    The ``calibration.yaml`` beside the images corrects the calibration.
+    A ``calibration.yaml`` next to the images overrides the calibration.
     """
     pairs = []
     for number in sorted(colors.keys() | depths.keys()):
@@ -67,13 +67,13 @@ def numbered_camera(
 
 
 def with_own_calibration(folder: Path, calibration: Calibration) -> Calibration:
-    """As `read_calibration`; a lens of its own for the colour is given up with the lens that it goes with."""
+    """Like `read_calibration`; new intrinsics also remove a separate colour lens."""
     own = read_calibration(folder, calibration)
     return own if own.intrinsics == calibration.intrinsics else replace(own, color_lens=None)
 
 
 def lens_of(matrix: FloatArray, width: int = 0, height: int = 0) -> CameraIntrinsics:
-    """The pin-hole of a camera matrix, of images of a size or of any.
+    """The intrinsics from a camera matrix, for images of one size or of any size.
 
     Raises
     ------
@@ -89,7 +89,7 @@ def lens_of(matrix: FloatArray, width: int = 0, height: int = 0) -> CameraIntrin
 def poses_of_files(
     files: dict[int, Path], stamp_of: Callable[[int], float], account: Account
 ) -> Trajectory | None:
-    """The trajectory of a matrix a file; files without one are counted."""
+    """The trajectory from files with one matrix each; files without a matrix are counted."""
 
     def good() -> Iterable[tuple[float, gtsam.Pose3]]:
         for number, path in sorted(files.items()):

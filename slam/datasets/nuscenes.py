@@ -1,7 +1,7 @@
 """Sweeps of nuScenes: a car with a lidar of 32 rings.
 
-Caesar et al. 2020, "nuScenes: A Multimodal Dataset for Autonomous Driving". A sweep is stamped at its end;
-its points have no times of their own.
+Caesar et al. 2020, "nuScenes: A Multimodal Dataset for Autonomous Driving". The stamp of a sweep is its end;
+points have no timestamps.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ _ROWS = Rows(row_of("x f4, y f4, z f4, intensity f4, ring f4"))
 
 
 def _places(path: Path) -> list[Path]:
-    """Folders of clouds: of the key frames of a drive are in one, all others in another."""
+    """Folders of clouds: one for the keyframes, one for all others."""
     inside = (path, *(path / kind / _LIDAR for kind in ("samples", "sweeps")), path / _LIDAR)
     name = re.compile(_NAME)
     return [
@@ -37,7 +37,7 @@ def _places(path: Path) -> list[Path]:
 
 
 def _load(path: Path, account: Account) -> Contents:
-    """The clouds of the first drive by its name; the lidar is the robot's frame."""
+    """The clouds of the first drive by name; the robot's frame is that of the lidar."""
     files: list[StampedFile] = []
     for place in _places(path):
         files += clouds_by_name(place, account, _NAME, lambda match: by_its_size(int(match[2])))
@@ -51,7 +51,7 @@ def _load(path: Path, account: Account) -> Contents:
 
 
 def _drive(file: StampedFile) -> str:
-    """The name of the drive that a cloud is of."""
+    """The name of a cloud's drive."""
     return file.path.name.partition("__")[0]
 
 

@@ -1,7 +1,7 @@
-"""NYU Depth V2 as it was recorded: a Kinect's images as its driver gave them, named by their stamps.
+"""Raw NYU Depth V2: images of a Kinect as its driver wrote them, with stamps in their names.
 
-Silberman et al. 2012, "Indoor Segmentation and Support Inference from RGBD Images"; lenses, places and the
-law of depth by camera_params.m of its toolbox.
+Silberman et al. 2012, "Indoor Segmentation and Support Inference from RGBD Images"; lenses, poses and the
+depth formula from camera_params.m of its toolbox.
 """
 
 from __future__ import annotations
@@ -33,20 +33,20 @@ COLOR_LENS = Lens(
     CameraIntrinsics(518.85790, 519.46961, 325.58245, 253.73617, 640, 480),
     np.array([0.2079662, -0.5861383, 0.0007223, 0.0010480, 0.4985699]),
 )
-# Rows of the pose of the colour camera in the depth camera: as published, turned before it is shifted.
+# Rows of the pose of the colour camera in the depth camera as published: rotation before translation.
 _TURN = (
     (0.9999780, 0.0050518, 0.0043011),
     (-0.0050360, 0.9999805, -0.0036880),
     (-0.0043197, 0.0036662, 0.9999840),
 )
 _SHIFT_M = (0.0250319, -0.0002934, 0.0006624)
-# Metres are the first over what steps lack to the second; steps below the third are none, nor is the last.
+# Depth in metres is first / (second - steps); steps below the third are invalid, and so is the last.
 SCALE, INFINITE, _FIRST_STEP, _NO_STEP = 351.3, 1092.5, 600, 2047
 _FARTHEST_M = 10.0
 
 
 def T_depth_color() -> gtsam.Pose3:
-    """Where the colour camera sits."""
+    """Pose of the colour camera."""
     matrix = np.eye(4)
     matrix[:3, :3] = np.array(_TURN)
     matrix[:3, 3] = matrix[:3, :3] @ np.array(_SHIFT_M)
@@ -54,14 +54,14 @@ def T_depth_color() -> gtsam.Pose3:
 
 
 def _load(path: Path, account: Account) -> Contents:
-    """Colour and depth that are nearest in time."""
+    """Pairs of colour and depth that are nearest in time."""
     colors, depths = (_images(path, f"{kind}-*-*.p[gp]m", account) for kind in "rd")
     pairs = pair_images(colors, depths, account, "camera")
     return Contents([Camera("camera", pairs, Calibration(DEPTH_LENS.intrinsics, 1.0), source=_Dumps())])
 
 
 def _images(path: Path, pattern: str, account: Account) -> list[StampedFile]:
-    """Files in the order of the stamps in their names; what the driver left empty is counted."""
+    """Files sorted by the stamps in their names; empty ones are counted."""
     found = []
     for number, file in enumerate(sorted(path.glob(pattern)), 1):
         with account.refusing(file.name, number):
@@ -70,7 +70,7 @@ def _images(path: Path, pattern: str, account: Account) -> list[StampedFile]:
 
 
 class _Dumps:
-    """Images as one camera without distortion; colour is asked for after its depth."""
+    """Images as those of one camera without distortion; depth must be read before its colour."""
 
     def __init__(self) -> None:
         self._camera = BagCamera("camera", DEPTH_LENS, COLOR_LENS, T_depth_color(), None, 0.0)

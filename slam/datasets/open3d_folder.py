@@ -1,4 +1,4 @@
-"""Folders of numbered or stamped images beside a lens: Open3D's own, Redwood's, SUN3D's, ScanNet's, and more.
+"""Folders of numbered or stamped images with a lens file: Open3D, Redwood, SUN3D, ScanNet, and others.
 
 Choi et al. 2015, "Robust Reconstruction of Indoor Scenes" (Redwood); Xiao et al. 2013, "SUN3D"; Dai et al.
 2017, "ScanNet: Richly-annotated 3D Reconstructions of Indoor Scenes".
@@ -38,10 +38,10 @@ from slam.errors import DatasetError
 from slam.estimates import Trajectory
 from slam.measurements import CameraIntrinsics, Float32Array
 
-# Redwood's scenes put their own name before: livingroom1-color, livingroom1-depth-clean.
+# Redwood's folders start with the name of the scene: livingroom1-color, livingroom1-depth-clean.
 _COLORS = re.compile(r"(?:.+-)?(?:colors?|rgb|images?)")
 _DEPTHS = re.compile(r"(?:.+-)?depths?(?:TSDF|[-_](?:clean|simulated|noisy))?")
-# ScanNet has a lens for each; where only one is told, it is that of both.
+# ScanNet has a lens for each; if there is only one, it applies to both.
 _LENSES_OF = tuple(f"{name}_{{}}.txt" for name in ("intrinsic/intrinsic", "intrinsic", "intrinsics"))
 _LENSES = (
     *("camera_intrinsic.json", "camera_intrinsics.json", "intrinsic.json", "intrinsics.json"),
@@ -65,7 +65,7 @@ _IMAGES = frozenset({".png", ".jpg", ".jpeg"})
 
 @dataclass(frozen=True, slots=True)
 class _RotatedDepth(ImageFiles):
-    """SUN3D's depth: millimetres whose 16 bits are turned by three."""
+    """SUN3D's depth: millimetres with 16 bits rotated by three."""
 
     def depth(self, file: StampedFile, calibration: Calibration, budget: Budget) -> Float32Array:
         """See `slam.datasets.image_files.ImageSource`."""
@@ -76,13 +76,13 @@ class _RotatedDepth(ImageFiles):
 
 
 def looks_like_open3d_folder(path: Path, head: bytes) -> bool:
-    """Whether a path is a folder with a folder of colour and one of depth."""
+    """Whether a path is a folder with a colour and a depth folder."""
     places = _places(path) if path.is_dir() else None
     return places is not None and all(_named(place) for place in places)
 
 
 def _places(path: Path) -> tuple[Path, Path] | None:
-    """The folders of colour and of depth."""
+    """The colour and the depth folder."""
     inside = sorted((len(entry.name), entry) for entry in path.iterdir() if entry.is_dir())
     colors, depths = (
         [entry for _, entry in inside if pattern.fullmatch(entry.name)] for pattern in (_COLORS, _DEPTHS)
@@ -91,7 +91,7 @@ def _places(path: Path) -> tuple[Path, Path] | None:
 
 
 def _named(folder: Path) -> list[tuple[str, Path]]:
-    """Images by the names of their files without the suffix."""
+    """Images by their file names without suffix."""
     return sorted((file.stem, file) for file in files_inside(folder, _IMAGES))
 
 
@@ -118,7 +118,7 @@ def _camera(path: Path, account: Account) -> Camera:
 
 
 def _stamped(folder: Path, named: list[tuple[str, Path]]) -> list[StampedFile]:
-    """Images with the stamps in their names, in the order of time."""
+    """Images sorted by the stamps in their names."""
     found = []
     for number, (name, file) in enumerate(named, 1):
         if match := _FRAME_AND_STAMP.fullmatch(name):
@@ -134,7 +134,7 @@ def _stamped(folder: Path, named: list[tuple[str, Path]]) -> list[StampedFile]:
 
 
 def _calibration(path: Path) -> Calibration:
-    """By the lens beside the images, else PrimeSense's, as Redwood and Open3D take it."""
+    """Calibration from the lens file, else PrimeSense's, as Redwood and Open3D use it."""
     places = (path, path.resolve().parent)
     depth, color = (
         next((place / name for place in places for name in names if (place / name).is_file()), None)
@@ -151,7 +151,7 @@ def _calibration(path: Path) -> Calibration:
 
 
 def _lens(file: Path) -> CameraIntrinsics:
-    """JSON, a matrix of nine numbers or sixteen, or four numbers."""
+    """Read a lens as JSON, as a matrix of nine or sixteen numbers, or as four numbers."""
     if file.suffix == ".json":
         return open3d_lens(file)
     numbers = numbers_of(file)
@@ -160,7 +160,7 @@ def _lens(file: Path) -> CameraIntrinsics:
 
 
 def _groundtruth(path: Path, account: Account) -> Trajectory | None:
-    """Camera to world by blocks of numbered matrices, or a file each; frame N is N / 30 s old."""
+    """Camera to world from blocks of numbered matrices, or one file each; frame N has the stamp N / 30 s."""
     if files := numbered_files(path / "pose", _POSE_FILE):
         return poses_of_files(files, at_rate(), account)
     found = next((file for pattern in _POSES for file in sorted(path.glob(pattern))), None)

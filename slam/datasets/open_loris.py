@@ -58,7 +58,7 @@ def _camera(folder: Path, account: Account) -> Camera:
 
 
 def _wheels(folder: Path, account: Account) -> Iterator[Numbered]:
-    """The wheels' poses in their plane; velocities are not used."""
+    """Planar poses of the wheel odometry; velocities are not used."""
     if not (folder / _WHEELS).is_file():
         return
     for number, row in numbered_poses(folder / _WHEELS, account):
@@ -70,7 +70,7 @@ def _wheels(folder: Path, account: Account) -> Iterator[Numbered]:
 
 
 def _intrinsics(path: Path) -> CameraIntrinsics:
-    """The colour camera in ``sensors.yaml``, whose order is fx cx fy cy."""
+    """Intrinsics of the colour camera in ``sensors.yaml``, whose order is fx cx fy cy."""
     try:
         camera = read_yaml(path)[_CAMERA_FRAME]
         fx, cx, fy, cy = numbers_in(camera["intrinsics"]).tolist()
@@ -83,7 +83,7 @@ def _intrinsics(path: Path) -> CameraIntrinsics:
 
 
 def _mount(path: Path) -> gtsam.Pose3 | None:
-    """The colour camera on the base by ``trans_matrix.yaml``, None where it has no such transform."""
+    """Pose of the colour camera on the base from ``trans_matrix.yaml``, None if it has no such transform."""
     try:
         for transform in read_yaml(path)["trans_matrix"]:
             frames = (transform["parent_frame"], transform["child_frame"])

@@ -1,4 +1,4 @@
-"""Every reader, and how a log finds its own."""
+"""Lists all readers, and chooses one for a log."""
 
 from __future__ import annotations
 
@@ -16,9 +16,9 @@ from slam.datasets.dataset_format import DatasetFormat
 from slam.datasets.log_file import read_head
 from slam.errors import DatasetError, path_of
 
-_LOOKED_AT = 64  # names in a folder that is no dataset, to say what it lacks
-_LEVELS = 3  # a recording of KITTI lies two folders below what is unpacked
-# By the suffixes of files that are no log, or none that is read: what they are, and what makes a log of them.
+_LOOKED_AT = 64  # names examined in a folder that is no dataset, to say what is missing
+_LEVELS = 3  # a KITTI recording is two folders below the unpacked archive
+# Suffixes of files that are no log or not supported: what they are, and how to convert them.
 _UNREAD = (
     (r"zip|7z|rar|tar|tgz|gz|bz2|xz|zstd?", "is an archive; unpack it, and give the folder or file in it"),
     (
@@ -43,7 +43,7 @@ _CARMEN = DatasetFormat("CARMEN log (.log, .clf, plain or .gz)", looks_like_carm
 
 
 def _formats() -> Iterator[DatasetFormat]:
-    """All, in the order in which they are asked."""
+    """All formats, in the order in which they are tried."""
     yield _CARMEN
     from slam.datasets.published import OTHERS
 
@@ -51,7 +51,7 @@ def _formats() -> Iterator[DatasetFormat]:
 
 
 def _supported() -> str:
-    """For those who gave something else."""
+    """The supported formats, for the error message."""
     return "supported: " + ", ".join(known.description for known in _formats())
 
 
@@ -72,18 +72,18 @@ def open_dataset(
     strict
         Stop at the first damaged record instead of counting and skipping it.
     topics
-        Of a ROS bag that holds several topics of a sort: those to read. A sort of which none is named is read
-        as without.
+        Topics to read, for a ROS bag with several topics of one type. Types of which none is named are read
+        as by default.
     images
-        False leaves the images of a folder unread, where nobody will look at them.
+        False skips the images of a folder, if they are not needed.
     calibration
-        Files of lenses and mountings by other tools, which are believed before the log; see
+        Calibration files of other tools, which have priority over the log; see
         `slam.datasets.calibration_files`.
 
     Returns
     -------
     Dataset
-        Iterable of measurements; nothing but its beginning has been read yet.
+        Iterable of measurements; only its start has been read yet.
 
     Raises
     ------
@@ -102,7 +102,7 @@ def open_dataset(
     if not path.exists():
         from slam.datasets.robot_at_home2 import looks_like_robot_at_home2, open_robot_at_home2
 
-        # A session in a database has a path, too: DATABASE/SESSION.
+        # A session in a database also has a path: DATABASE/SESSION.
         if looks_like_robot_at_home2(path, b""):
             return open_robot_at_home2(path, strict)
         raise DatasetError(f"{path} does not exist; {_meant(path)}")
@@ -134,7 +134,7 @@ def open_dataset(
 
 
 def opened_by(sensors: SensorsConfig, log: Path | str | Dataset, *, strict: bool) -> Dataset:
-    """A log, opened as settings say, where it is a path; errors as in `open_dataset`."""
+    """Open a log according to the settings, if it is a path; errors as in `open_dataset`."""
     if not isinstance(log, str | Path) and hasattr(log, "groundtruth"):
         return log
     files = sensors.calibration_files
@@ -156,7 +156,7 @@ def _opened(known: DatasetFormat, path: Path, strict: bool, topics: tuple[str, .
 
 
 def _meant(path: Path) -> str:
-    """What somebody may have wanted who gave a path that leads nowhere."""
+    """Suggestions for a path that does not exist."""
     folder = path.parent
     names = [entry.name for entry in islice(folder.iterdir(), _LOOKED_AT)] if folder.is_dir() else []
     near = [str(folder / name) for name in get_close_matches(path.name, names)]
@@ -164,7 +164,7 @@ def _meant(path: Path) -> str:
 
 
 def _what_is_wrong(folder: Path) -> str:
-    """Why a folder is no dataset, as far as one can tell."""
+    """Why a folder is no dataset, as far as known."""
     names = {entry.name for entry in islice(folder.iterdir(), _LOOKED_AT)}
     if not names:
         return "is an empty folder"
@@ -178,7 +178,7 @@ def _what_is_wrong(folder: Path) -> str:
 
 
 def _recordings(folder: Path) -> list[Path]:
-    """Recordings in a folder, or else two folders below it, as data sets are unpacked."""
+    """Recordings in a folder, or up to two folders below it, as in unpacked archives."""
     level = [folder]
     for _ in range(_LEVELS):
         below = [

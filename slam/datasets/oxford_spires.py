@@ -1,4 +1,4 @@
-"""Clouds whose files are named by a clock: Oxford Spires, and what others export so.
+"""Clouds with stamps in their file names: Oxford Spires, and similar exports.
 
 Tao et al. 2025, "The Oxford Spires Dataset".
 """
@@ -26,18 +26,18 @@ from slam.estimates import Trajectory
 
 STAMPS_IN_NAMES = "stamps from the names of the clouds in {place}"
 
-# Seconds with a fraction behind a dot, seconds and nanoseconds, or a whole number of any unit.
+# Seconds with a decimal fraction, seconds and nanoseconds, or an integer of any unit.
 _NAME = r"(?:[a-z]+_)?(\d{9,19}(?:\.\d{1,9})?|\d{9,10}_\d{1,9})\." + CLOUD_NAMES
 _FOLDER = re.compile(r"cloud|lidar|hesai|ouster|velodyne|livox|pandar|points|scans", re.IGNORECASE)
 _TRUTH = "groundtruth.txt"
 _OWN_TRUTH = "gt-tum.txt", "processed/trajectory/gt-tum.txt", "trajectory/gt-tum.txt"
-# The publishers' sensor.yaml: the lidar in the frame of their poses.
+# From the publishers' sensor.yaml: pose of the lidar in the frame of their poses.
 _T_TRUTH_LIDAR = gtsam.Pose3(gtsam.Rot3.Yaw(np.pi), np.array([0.0, 0.0, 0.124]))
 _LOOKED_AT = 200
 
 
 def _load(path: Path, account: Account) -> Contents:
-    """The clouds of one folder; the lidar is the robot's frame."""
+    """The clouds of one folder; the robot's frame is that of the lidar."""
     place = _place(path)
     assert place is not None
     account.report.note(STAMPS_IN_NAMES.format(place=place.name), 1)
@@ -47,13 +47,13 @@ def _load(path: Path, account: Account) -> Contents:
 
 
 def _stamp(match: re.Match[str]) -> float:
-    """Seconds."""
+    """Stamp in seconds."""
     seconds, parted, rest = match[1].partition("_")
     return int(seconds) + int(rest) * 1e-9 if parted else by_its_size(float(seconds))
 
 
 def _place(path: Path) -> Path | None:
-    """The folder of the clouds, the nearest first."""
+    """The nearest folder with clouds."""
     name = re.compile(_NAME)
     for place in _folders(path):
         files = (file.name for file in islice(place.iterdir(), _LOOKED_AT) if file.suffix in CLOUD_SUFFIXES)
@@ -64,7 +64,7 @@ def _place(path: Path) -> Path | None:
 
 
 def _folders(path: Path) -> Iterator[Path]:
-    """The folder, and those below that are named after clouds or a lidar."""
+    """The folder, and its subfolders with names of clouds or of a lidar."""
     yield path
     below = sorted(one for one in islice(path.iterdir(), _LOOKED_AT) if one.is_dir())
     yield from (one for one in below if _FOLDER.search(one.name))
@@ -74,7 +74,7 @@ def _folders(path: Path) -> Iterator[Path]:
 
 
 def _groundtruth(path: Path, account: Account) -> Trajectory | None:
-    """Of the lidar: the publishers' poses turned into it, or a trajectory as it is."""
+    """Ground truth of the lidar: the publishers' poses transformed to it, or an unchanged trajectory."""
     above = path.resolve().parents
     if (path / _TRUTH).is_file():
         return read_poses(path / _TRUTH, account)

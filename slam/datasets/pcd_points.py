@@ -1,4 +1,4 @@
-"""The points of a PCD file of the Point Cloud Library: as text, binary, or binary and compressed."""
+"""Reads points of PCD files of the Point Cloud Library: text, binary, or compressed binary."""
 
 from __future__ import annotations
 
@@ -15,17 +15,17 @@ from slam.datasets.point_rows import binary_rows, check_bytes, header_line, row_
 _KINDS = {"F": "f", "I": "i", "U": "u"}
 _SIZES = {"F": (4, 8), "I": (1, 2, 4, 8), "U": (1, 2, 4, 8)}
 _PADDING = "_"
-# A reference back is three bytes at least and 264 bytes long at most.
+# A back reference takes at least three bytes and stands for at most 264 bytes.
 _MOST_GROWTH = 264 / 3
 
 
 def read_pcd_points(path: Path) -> dict[str, NDArray[Any]]:
-    """The fields of the points by their names, (N,) each, or (N, C) where a field has a count C.
+    """The fields of the points by name, (N,) each, or (N, C) if a field has a count C.
 
     Raises
     ------
     ValueError
-        The file is damaged, cut off, or no PCD file.
+        The file is damaged, truncated, or no PCD file.
     OSError
         It cannot be read.
     """
@@ -45,7 +45,7 @@ def read_pcd_points(path: Path) -> dict[str, NDArray[Any]]:
 
 
 def _header(stream: BinaryIO) -> dict[str, list[str]]:
-    """What each line of the header says, by its first word."""
+    """The lines of the header by their first word."""
     header: dict[str, list[str]] = {}
     while "DATA" not in header:
         name, *values = header_line(stream).split() or ["#"]
@@ -55,21 +55,21 @@ def _header(stream: BinaryIO) -> dict[str, list[str]]:
 
 
 def _fields(header: dict[str, list[str]]) -> list[tuple[str, str, int]]:
-    """Name, NumPy's code of the type and how many numbers there are of each field."""
+    """Name, NumPy type code and count of each field."""
     names, kinds, sizes = (header.get(key, []) for key in ("FIELDS", "TYPE", "SIZE"))
     counts = header.get("COUNT", ["1"] * len(names))
     fields = []
     for number, (name, kind, size, many) in enumerate(zip(names, kinds, sizes, counts, strict=True)):
         if not (size.isdecimal() and int(size) in _SIZES.get(kind, ()) and many.isdecimal() and int(many)):
             raise ValueError(f"field {name[:80]} of type {kind[:8]}, size {size[:8]}, count {many[:8]}")
-        # Any number of fields may be padding; rows want names that differ.
+        # Several fields may be padding; rows need distinct names.
         own_name = f"{_PADDING}{number}" if name == _PADDING else name
         fields.append((own_name, f"<{_KINDS[kind]}{size}", int(many)))
     return fields
 
 
 def _count(header: dict[str, list[str]]) -> int:
-    """How many points there are; told as columns times rows, as a number, or both."""
+    """Number of points; given as columns times rows, as a number, or both."""
     reported = {key: header[key] for key in ("WIDTH", "HEIGHT", "POINTS") if key in header}
     if not all(len(words) == 1 and words[0].isdecimal() for words in reported.values()):
         raise ValueError(f"{reported} points"[:200])
@@ -81,12 +81,12 @@ def _count(header: dict[str, list[str]]) -> int:
 
 
 def _without_padding(columns: dict[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
-    """The fields that mean something."""
+    """The fields without padding."""
     return {name: values for name, values in columns.items() if not name.startswith(_PADDING)}
 
 
 def _compressed(stream: BinaryIO, fields: list[tuple[str, str, int]], count: int) -> dict[str, NDArray[Any]]:
-    """Fields one after another, compressed by LZF."""
+    """Read LZF-compressed data, stored field by field."""
     packed_bytes, whole_bytes = (
         int(size) for size in binary_rows(stream, [("size", "<u4", 2)], 1)["size"][0]
     )
@@ -108,19 +108,19 @@ def _compressed(stream: BinaryIO, fields: list[tuple[str, str, int]], count: int
 
 @kernel
 def _unpack(packed: NDArray[np.uint8], whole: NDArray[np.uint8]) -> bool:
-    """Undo LZF (M. Lehmann's liblzf) into an array of the right length; whether all fits."""
+    """Decompress LZF (M. Lehmann's liblzf) to an array of the right length; returns whether it fits."""
     read = written = np.int64(0)
     while read < packed.size:
         control = np.int64(packed[read])
         read += 1
-        if control < 32:  # so many bytes, and one, as they are
+        if control < 32:  # control + 1 literal bytes
             length = control + 1
             if read + length > packed.size or written + length > whole.size:
                 return False
             for k in range(length):
                 whole[written + k] = packed[read + k]
             read += length
-        else:  # bytes that came before, which may overlap with what they give
+        else:  # earlier bytes, which may overlap with the output
             length = control >> 5
             if length == 7 and read < packed.size:
                 length += np.int64(packed[read])

@@ -1,6 +1,6 @@
-"""Logs of Player's writelog driver, of its versions 1 to 3: wheels and one flat lidar.
+"""Logs of Player's writelog driver, versions 1 to 3: wheel odometry and one 2D lidar.
 
-A line is a message: when, whose, and what its interface says (Player manual: writelog, laser, position2d).
+A line is a message: time, device, data of its interface (Player manual: writelog, laser, position2d).
 """
 
 from __future__ import annotations
@@ -18,19 +18,19 @@ from slam.datasets.recording import Contents
 
 _HEAD, _OLD = b"## Player version", b"## File version 0.1"
 _DATA, _GEOMETRY = (b"001",), (b"004", b"001")
-# How many fields are before the ranges, and which is the first angle: by versions, and with a pose.
+# Number of fields before the ranges, and index of the first angle: by version, and with a pose.
 _BEFORE_RANGES = {6: 1, 9: 4, 5: 0, 4: 0}
 _PARAMETERS = (b"frontlaser_offset", b"frontlaser_sideoffset", b"frontlaser_angularoffset")
 
 
 def _load(path: Path, account: Account) -> Contents:
-    """A log; poses in it are the robot's own belief."""
+    """A log; its poses are the robot's own estimates."""
     lines = numbered_lines(path, account, account.report.note_share)
     return Contents(log=read_messages(lines, _Words(account.report).of, path.name, account))
 
 
 class _Words:
-    """Lines in CARMEN's words; of several lidars the first to come is read."""
+    """Converts lines to CARMEN messages; of several lidars, the first that appears is read."""
 
     def __init__(self, report: ReadReport) -> None:
         self._report = report
@@ -38,7 +38,7 @@ class _Words:
         self._lidar = b""
 
     def of(self, line: bytes) -> Iterator[list[bytes]]:
-        """The messages of a line."""
+        """The CARMEN messages of a line."""
         if line.startswith(b"#"):
             self._old = self._old or line.startswith(_OLD)
             return
@@ -66,7 +66,7 @@ class _Words:
 
 
 def _scan(data: list[bytes], stamp: bytes) -> list[bytes]:
-    """A scan; how many ranges follow tells which fields are before them."""
+    """A scan; the number of ranges determines the fields before them."""
     for before, angles in _BEFORE_RANGES.items():
         count = data[before - 1] if before <= len(data) else b""
         if count.isdigit() and len(data) == before + 2 * int(count[:9]):

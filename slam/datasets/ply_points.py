@@ -1,4 +1,4 @@
-"""The points of a PLY file, as text or binary; faces and what else follows them is not looked at."""
+"""Reads points of PLY files, text or binary; faces and later elements are ignored."""
 
 from __future__ import annotations
 
@@ -18,12 +18,12 @@ _LIST = "list"
 
 
 def read_ply_points(path: Path) -> dict[str, NDArray[Any]]:
-    """The properties of the element ``vertex`` by their names, (N,) each.
+    """The properties of the element ``vertex`` by name, (N,) each.
 
     Raises
     ------
     ValueError
-        The file is damaged, cut off, or no PLY file.
+        The file is damaged, truncated, or no PLY file.
     OSError
         It cannot be read.
     """
@@ -41,7 +41,7 @@ def read_ply_points(path: Path) -> dict[str, NDArray[Any]]:
 
 
 def _header(stream: BinaryIO) -> tuple[str, list[tuple[str, int, list[tuple[str, str]]]]]:
-    """The format, and of each element its name, how many there are and the properties (name and type)."""
+    """The format, and the name, count and properties (name and type) of each element."""
     if header_line(stream) != "ply":
         raise ValueError("no PLY file")
     form, elements = "", list[tuple[str, int, list[tuple[str, str]]]]()

@@ -1,4 +1,4 @@
-"""Rows of points as PCD and PLY files hold them behind their headers, binary or as text."""
+"""Reads rows of points after the header of PCD and PLY files, binary or text."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ _MOST_HEADER_BYTES = 1 << 16
 
 
 def header_line(stream: BinaryIO) -> str:
-    """The next line of a header, without the blanks around it.
+    """The next line of a header, without surrounding blanks.
 
     Raises
     ------
     ValueError
-        The file ends before the header, or the header never does.
+        The file ends before the header, or the header has no end.
     """
     line = stream.readline(_MOST_HEADER_BYTES)
     if not line.endswith(b"\n") or stream.tell() > _MOST_HEADER_BYTES:
@@ -29,17 +29,17 @@ def header_line(stream: BinaryIO) -> str:
 
 
 def bytes_left(stream: BinaryIO) -> int:
-    """From here to the end of the file."""
+    """Number of bytes to the end of the file."""
     return os.fstat(stream.fileno()).st_size - stream.tell()
 
 
 def check_bytes(stream: BinaryIO, needed: int) -> None:
-    """Refuse a file that is shorter than its header says, before memory is taken for it.
+    """Reject a file that is shorter than its header says, before memory is allocated.
 
     Raises
     ------
     ValueError
-        It is.
+        The file is too short.
     """
     if needed > bytes_left(stream):
         start = stream.tell()
@@ -47,7 +47,7 @@ def check_bytes(stream: BinaryIO, needed: int) -> None:
 
 
 def row_bytes(fields: list[tuple[str, str, int]]) -> int:
-    """Length of a row, see `row_type`."""
+    """Length of a row in bytes, see `row_type`."""
     return sum(np.dtype(code).itemsize * many for _, code, many in fields)
 
 
@@ -57,12 +57,12 @@ def row_type(fields: list[tuple[str, str, int]]) -> np.dtype[np.void]:
     Parameters
     ----------
     fields
-        Name, NumPy's code of the type and how many there are of each.
+        Name, NumPy type code and count of each field.
 
     Raises
     ------
     ValueError
-        No field, two of one name, or no row of this length is possible.
+        There is no field, two have the same name, or the row length is impossible.
     """
     if not 0 < row_bytes(fields) <= LARGEST_BYTES:
         raise ValueError(f"{len(fields)} fields of {row_bytes(fields)} bytes")
@@ -81,14 +81,14 @@ def text_rows(stream: BinaryIO, fields: list[tuple[str, str, int]], count: int) 
     Raises
     ------
     ValueError
-        Fewer rows, more or fewer numbers in one, what is no number or does not fit its type.
+        There are too few rows, a row has too many or too few numbers, or a number is invalid for its type.
     """
-    # A number takes a digit and what parts it from the next.
+    # A number takes at least a digit and a separator.
     check_bytes(stream, 2 * count * sum(many for _, _, many in fields) - 1)
     if count == 0:
         return np.empty(0, row_type(fields))
     lines = (line.decode("ascii") for line in islice(stream, count))
-    # Zeros first: where all lines are empty loadtxt would warn, and give nothing.
+    # Zeros first: if all lines are empty, loadtxt warns and returns nothing.
     zeros = " ".join("0" for _, _, many in fields for _ in range(many))
     rows = np.loadtxt(chain([zeros], lines), row_type(fields), comments=None, ndmin=1)[1:]
     if len(rows) != count:

@@ -1,4 +1,4 @@
-"""Time and intensity of each point of a cloud, whatever the driver called them and in which unit."""
+"""Finds times and intensities of points in a cloud, for all names and units of drivers."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from fusion.estimation import FEWEST
 from slam.datasets.dataset import WARNING
 from slam.measurements import Float32Array, FloatArray
 
-# Ouster, Velodyne, Hesai and RoboSense, Livox, and what their users call it.
+# Ouster, Velodyne, Hesai and RoboSense, Livox, and names in common use.
 _NAMES = (
     "t",
     "time",
@@ -24,26 +24,26 @@ _NAMES = (
     "time_stamp",
     "times",
 )
-# Drivers, PCL, CloudCompare; a reflectivity is one whose range is reckoned out.
+# Drivers, PCL, CloudCompare; a reflectivity is an intensity corrected for range.
 _INTENSITIES = "intensity", "intensities", "i", "scalar_intensity", "reflectivity", "reflectance", "remission"
 _UNITS_S = {"seconds": 1.0, "milliseconds": 1e-3, "microseconds": 1e-6, "nanoseconds": 1e-9}
-# A turn of any lidar takes longer than the first and less than the second; they lie one unit apart.
+# Every revolution takes longer than the first and less than the second; their ratio is that of two units.
 _SHORTEST_TURN_S, LONGEST_TURN_S = 0.002, 2.0
 _SAME_CLOCK_S = 1.0
 
 
 class PointTimes:
-    """Times of the points of one lidar; what the first cloud that spans a turn tells of them holds for all.
+    """Point times of one lidar; the first cloud of a full revolution defines field and unit for all.
 
     Parameters
     ----------
     stamped
-        Whether clouds have stamps; where they have none a cloud is as old as its first point.
+        Whether clouds have stamps; otherwise the first point's time is that of the cloud.
 
     Attributes
     ----------
     choice
-        Field and unit for people; empty before the first cloud.
+        Field and unit as text; empty before the first cloud.
     """
 
     def __init__(self, stamped: bool = True) -> None:
@@ -54,14 +54,14 @@ class PointTimes:
         self._filled = False
 
     def told(self, sensor: str) -> list[str]:
-        """What people should know, of the lidar of a name."""
+        """Notes for the user about the lidar with this name."""
         zero = f"{WARNING}{sensor}: many points have no time; it is interpolated from their neighbours"
         return [f"{sensor}: {self.choice}"] * bool(self.choice) + [zero] * self._filled
 
     def of(
         self, names: Iterable[str], column: Callable[[str], NDArray[Any]], stamp_s: float
     ) -> FloatArray | None:
-        """Seconds after the stamp of a cloud, (N,); None where the cloud does not tell them.
+        """Point times in s after the stamp of a cloud, (N,); None if the cloud does not contain them.
 
         Parameters
         ----------
@@ -78,7 +78,7 @@ class PointTimes:
         with np.errstate(invalid="ignore", over="ignore"):
             times_s: FloatArray = column(self._field).astype(np.float64) * self._unit_s
         timed = np.flatnonzero(times_s)
-        if FEWEST < 4 * timed.size < 3 * times_s.size:  # a quarter was not seen at the stamp itself
+        if FEWEST < 4 * timed.size < 3 * times_s.size:  # a quarter is not at the stamp itself
             times_s = np.interp(np.arange(times_s.size), timed, times_s[timed])
             self._filled = True
         if not times_s.size or not np.isfinite(times_s).all() or np.ptp(times_s) > LONGEST_TURN_S:
@@ -88,11 +88,11 @@ class PointTimes:
             return times_s - first_s
         if abs(first_s) <= LONGEST_TURN_S:
             return times_s
-        # By another clock than the stamp's only the differences mean something.
+        # If the clock is not that of the stamp, only differences are meaningful.
         return times_s - (stamp_s if abs(first_s - stamp_s) < _SAME_CLOCK_S else first_s)
 
     def _choose(self, own: dict[str, str], column: Callable[[str], NDArray[Any]]) -> None:
-        """The field of times, and its unit by how long a turn can take."""
+        """Find the time field, and its unit from the possible durations of a revolution."""
         found = [own[name] for name in _NAMES if name in own]
         if not found:
             self.choice = "points without times"

@@ -1,4 +1,4 @@
-"""Polycam's raw data of a scan with lidar: key frames of an iPhone or iPad with depth and lenses."""
+"""Polycam's raw data of a scan with lidar: keyframes of an iPhone or iPad with depth and lenses."""
 
 from __future__ import annotations
 
@@ -19,12 +19,12 @@ from slam.errors import DatasetError
 from slam.estimates import Trajectory
 from slam.measurements import CameraIntrinsics
 
-_stamp = at_rate(1e6)  # names of files are microseconds since the phone started
+_stamp = at_rate(1e6)  # file names are microseconds since the phone started
 _STAMPED = r"(\d{1,18})\.%s"
 
 
 def _check(path: Path) -> None:
-    """Refuse a scan without depth."""
+    """Reject a scan without depth."""
     if not (_keyframes(path) / "depth").is_dir():
         raise DatasetError(
             f"{path} is a scan from photographs, without depth; scan in LiDAR mode and export the raw data"
@@ -32,7 +32,7 @@ def _check(path: Path) -> None:
 
 
 def _load(path: Path, account: Account) -> Contents:
-    """A folder of one scan; depth that the phone has no trust in is left out."""
+    """The folder of one scan, without depth in which the phone has no confidence."""
     account.report.note(COMPARED, 1)
     inside = _keyframes(path)
     images, cameras = _images_and_cameras(inside)
@@ -44,13 +44,13 @@ def _load(path: Path, account: Account) -> Contents:
 
 
 def _keyframes(path: Path) -> Path:
-    """Where the images are."""
+    """The folder of the images."""
     inside = path / "keyframes"
     return inside if (inside / "cameras").is_dir() and (inside / "images").is_dir() else path
 
 
 def _images_and_cameras(inside: Path) -> tuple[Path, Path]:
-    """The images and cameras of the app's bundle adjustment where it was done, else those of the phone."""
+    """Images and cameras from the app's bundle adjustment if it was done, else those of the phone."""
     corrected = inside / "corrected_images", inside / "corrected_cameras"
     return (
         corrected if all(place.is_dir() for place in corrected) else (inside / "images", inside / "cameras")
@@ -58,7 +58,7 @@ def _images_and_cameras(inside: Path) -> tuple[Path, Path]:
 
 
 def _lens(cameras: Path, account: Account) -> CameraIntrinsics:
-    """The median of the key frames'."""
+    """The median lens of the keyframes."""
     files = numbered_files(cameras, _STAMPED % "json").values()
     lenses = [lens_of_json(file, json_object(file)) for file in files]
     if not lenses:

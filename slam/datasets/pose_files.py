@@ -1,4 +1,4 @@
-"""Poses as data sets write them: matrices, tables of any columns, blocks; and trajectories made of them."""
+"""Reads poses and trajectories in the forms of data sets: matrices, tables with any columns, blocks."""
 
 from __future__ import annotations
 
@@ -17,29 +17,29 @@ from slam.datasets.stamped_files import BAD_POSE, BAD_STAMP, PARTED, fields_of
 from slam.estimates import Trajectory
 from slam.measurements import FloatArray, row_from_pose
 
-# ARKit's camera has x right, y up and looks along -z; an optical frame y down and z forward.
+# ARKit's camera has x right, y up and looks along -z; an optical frame has y down and z forward.
 T_ARKIT_OPTICAL = gtsam.Pose3(gtsam.Rot3(np.diag([1.0, -1.0, -1.0])), np.zeros(3))
 COMPARED = "the phone's own tracking is used only for comparison"
 BAD_MATRIX = "pose without a 4 x 4 rigid transform"
 
-# A clock that was ever set tells its unit by its size: seconds until the year 5138, and so on.
+# The size of an absolute stamp shows its unit: seconds until the year 5138, and so on.
 _LARGEST = ((1e11, 1.0), (1e14, 1e-3), (1e17, 1e-6), (1e20, 1e-9))
 
 
 @dataclass(frozen=True, slots=True)
 class PoseTable:
-    """Which columns of a table hold what; a comma, a semicolon or blanks part them.
+    """The columns of a table, separated by commas, semicolons or blanks.
 
     Attributes
     ----------
     stamp_units_s
-        Of the first columns, whose sum is the stamp: (1.0, 1e-9) for seconds and nanoseconds beside them.
-        A single zero where the size of the number tells its unit, none where there are no stamps.
+        Units of the first columns, whose sum is the stamp: (1.0, 1e-9) for seconds and nanoseconds. A single
+        zero if the size of the number shows its unit, none without stamps.
     position, rotation
         Columns of x and of the first number of the rotation.
     order
-        Of the rotation: ``xyzw`` and ``wxyz`` for quaternions, ``rpy`` for roll, pitch and yaw in radians,
-        ``xyz`` for a rotation vector.
+        Format of the rotation: ``xyzw`` and ``wxyz`` for quaternions, ``rpy`` for roll, pitch and yaw in
+        radians, ``xyz`` for a rotation vector.
     """
 
     stamp_units_s: tuple[float, ...] = (1.0,)
@@ -48,7 +48,7 @@ class PoseTable:
     order: str = "xyzw"
 
     def rows(self, path: Path, account: Account) -> Iterator[tuple[int, float, gtsam.Pose3]]:
-        """Line number, stamp and pose of each line; what is none is counted, a heading is not."""
+        """Line number, stamp and pose of each line; invalid lines except a header are counted."""
         least = max(self.position + 3, self.rotation + len(self.order))
         for number, fields in fields_of(path, account, least):
             try:
@@ -59,7 +59,7 @@ class PoseTable:
                     account.refuse(RecordFault(BAD_POSE, str(error)), path.name, number)
 
     def _stamp(self, numbers: FloatArray) -> float:
-        """Seconds."""
+        """Stamp in seconds."""
         units_s = self.stamp_units_s
         if not np.isfinite(numbers[: len(units_s)]).all():
             raise ValueError("stamp not finite")
@@ -79,17 +79,17 @@ class PoseTable:
         return gtsam.Pose3(gtsam.Rot3.Ypr(*turn[::-1]) if by_angles else gtsam.Rot3.Expmap(turn), position)
 
     def read(self, path: Path, account: Account) -> Trajectory | None:
-        """The trajectory of a file, None where it holds no pose."""
+        """The trajectory in a file, None if it contains no pose."""
         return trajectory_of((stamp_s, pose) for _, stamp_s, pose in self.rows(path, account))
 
 
 def by_its_size(number: float) -> float:
-    """Seconds of a stamp since 1970 in seconds, milli-, micro- or nanoseconds.
+    """Convert a stamp since 1970 in seconds, milli-, micro- or nanoseconds to seconds.
 
     Raises
     ------
     ValueError
-        No clock shows that.
+        The number is impossible for a clock.
     """
     for largest, unit_s in _LARGEST:
         if abs(number) < largest:
@@ -98,7 +98,7 @@ def by_its_size(number: float) -> float:
 
 
 def trajectory_of(stamped: Iterable[tuple[float, gtsam.Pose3]]) -> Trajectory | None:
-    """Poses as a trajectory; None where there is none."""
+    """Poses as a trajectory; None if there are none."""
     stamps, rows = [], []
     for stamp_s, pose in stamped:
         stamps.append(stamp_s)
@@ -110,7 +110,7 @@ def trajectory_of(stamped: Iterable[tuple[float, gtsam.Pose3]]) -> Trajectory | 
 
 
 def numbers_of(path: Path) -> FloatArray | None:
-    """The finite numbers of a small text file without comments, None where it holds anything else."""
+    """The finite numbers of a small text file without comments, None if it contains anything else."""
     try:
         if path.stat().st_size > MAX_LINE_BYTES:
             return None
@@ -122,13 +122,13 @@ def numbers_of(path: Path) -> FloatArray | None:
 
 
 def square_matrix(path: Path, size: int) -> FloatArray | None:
-    """Square matrix of finite numbers in a text file, None where it holds anything else."""
+    """Square matrix of finite numbers in a text file, None if it contains anything else."""
     numbers = numbers_of(path)
     return None if numbers is None or numbers.size != size * size else numbers.reshape(size, size)
 
 
 def pose_file(path: Path) -> gtsam.Pose3:
-    """The 4 x 4 transform in a text file, its rotation replaced by the nearest true one.
+    """The 4 x 4 transform in a text file; its rotation is replaced by the nearest orthonormal one.
 
     Raises
     ------
@@ -145,7 +145,7 @@ def pose_file(path: Path) -> gtsam.Pose3:
 
 
 def pose_lines(path: Path, account: Account) -> list[gtsam.Pose3 | None]:
-    """A pose a line by the rows of its matrix, 12 or 16 numbers; None where the line has none."""
+    """One pose per line from the rows of its matrix, 12 or 16 numbers; None if the line has none."""
     poses: list[gtsam.Pose3 | None] = []
     for number, fields in fields_of(path, account, 1):
         try:
@@ -157,7 +157,7 @@ def pose_lines(path: Path, account: Account) -> list[gtsam.Pose3 | None]:
 
 
 def pose_of_row(fields: list[bytes]) -> gtsam.Pose3:
-    """A pose from the rows of its matrix; ValueError where it is none."""
+    """A pose from the rows of its matrix; ValueError if it is none."""
     numbers: FloatArray = np.array([float(field) for field in fields])
     if numbers.size not in (12, 16):
         raise ValueError(f"{numbers.size} numbers")
@@ -165,7 +165,7 @@ def pose_of_row(fields: list[bytes]) -> gtsam.Pose3:
 
 
 def rotation_and_shift(file: Path, account: Account) -> gtsam.Pose3 | None:
-    """The transform of a line ``R:`` of nine numbers and one ``T:`` of three; what is none is counted."""
+    """The transform in a line ``R:`` of nine numbers and a line ``T:`` of three; invalid ones are counted."""
     rows: dict[bytes, list[bytes]] = {}
     for _, line in numbered_lines(file, account):
         name, _, numbers = line.partition(b":")

@@ -1,6 +1,6 @@
-"""Every format but CARMEN's, in the order in which they are asked: a log of that waits for no other reader.
+"""All formats except CARMEN, in the order in which they are tried; CARMEN logs load no other reader.
 
-A reader of a public data set or of a phone is one file with the name of the layout and a ``FORMAT``.
+The reader of a public data set or a phone app is one file, named after its layout, with a ``FORMAT``.
 """
 
 from __future__ import annotations
@@ -18,12 +18,12 @@ _LAYOUTS = (
     "nyu_dumps player rawseeds captures nuscenes kitti_raw nclt mulran helipr boreas newer_college euroc "
     "seven_scenes recorded_folder tum open_loris"
 )
-# Of names that others have, too: asked when nobody else knows a folder.
+# These use common file names, so they are tried last.
 _LOOSE = "cloud_folder open3d_folder oxford_spires"
 
 
 def _formats_of(layouts: str) -> list[DatasetFormat]:
-    """What their files tell."""
+    """The formats of these layouts."""
     return [import_module(f"slam.datasets.{name}").FORMAT for name in layouts.split()]
 
 

@@ -1,6 +1,6 @@
-"""OpenCV's decoders made to tell damage to us and not to the user.
+"""Detects damaged images with OpenCV's decoders, and hides their messages from the user.
 
-Their JPEG library fills what it cannot decode with grey, and says so only on the standard error stream.
+Their JPEG library fills damaged parts with grey, and reports this only on the standard error stream.
 """
 
 from __future__ import annotations
@@ -17,30 +17,30 @@ from numpy.typing import NDArray
 
 from slam.datasets.budget import MOST_PIXELS, Budget
 
-# OpenCV takes it when it is loaded: a few bytes may say that they are a gigapixel.
+# OpenCV reads this when it is loaded. A few bytes may claim to be a gigapixel image.
 os.environ.setdefault("OPENCV_IO_MAX_IMAGE_PIXELS", str(MOST_PIXELS))
 _STDERR = 2
 _PNG = b"\x89PNG\r\n\x1a\n"
-# libjpeg's own words, libpng's, and OpenCV's log.
+# Messages of libjpeg and libpng, and OpenCV's log.
 _CHATTER = re.compile(
     rb"^(?:Corrupt JPEG|Premature end of JPEG|Invalid JPEG|Inconsistent|Unsupported|libpng |\[ ?\w+:).*\n?",
     re.MULTILINE,
 )
-# A few bytes too many before a marker are padding of some cameras; all other words mean lost pixels.
+# Some cameras write a few padding bytes before a marker; all other messages mean lost pixels.
 _HARMLESS = re.compile(rb" \d{1,2} extraneous bytes before marker|libpng warning|\[ ?(?:INFO|WARN)")
 
-# There is one standard error stream: two threads that redirect it would each restore the other's.
+# There is one standard error stream: two threads that redirect it would interfere.
 _one_at_a_time = threading.Lock()
 
 
 def decode_quietly(content: bytes, budget: Budget) -> NDArray[Any] | None:
-    """Pixels of an image file as they are stored, None where any of them could not be decoded.
+    """Pixels of an image file as stored, None if any of them could not be decoded.
 
-    The pixels are taken from the budget; `RecordFault` where nothing of it is left.
+    The pixels are charged to the budget; `RecordFault` if it is exhausted.
 
-    Bytes changed so that they are again a valid JPEG are not noticed: the format has no checksum.
+    Changes that leave a valid JPEG are not detected, because the format has no checksum.
 
-    What others write to the standard error stream meanwhile is passed on.
+    Other output to the standard error stream is passed on.
     """
     import cv2
 
@@ -53,7 +53,7 @@ def decode_quietly(content: bytes, budget: Budget) -> NDArray[Any] | None:
             os.dup2(sink.fileno(), _STDERR)
             try:
                 image = cv2.imdecode(np.frombuffer(content, np.uint8), cv2.IMREAD_UNCHANGED)
-            except cv2.error:  # a header that asks for more pixels than OpenCV grants
+            except cv2.error:  # a header with more pixels than OpenCV allows
                 image = None
             finally:
                 os.dup2(stderr, _STDERR)
@@ -69,7 +69,7 @@ def decode_quietly(content: bytes, budget: Budget) -> NDArray[Any] | None:
 
 
 def _chunks_fit(content: bytes) -> bool:
-    """Whether no chunk of a PNG is longer than the file: OpenCV takes the memory that one names."""
+    """Whether no chunk of a PNG is longer than the file; OpenCV allocates the stated size."""
     at = len(_PNG)
     while at + 8 <= len(content):
         size, kind = struct.unpack_from(">I4s", content, at)

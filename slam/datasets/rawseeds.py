@@ -1,4 +1,4 @@
-"""Rawseeds: a robot with four flat lidars in offices and on a campus.
+"""Rawseeds: a robot with four 2D lidars in offices and on a campus.
 
 Ceriani et al. 2009, "Rawseeds ground truth collection systems for indoor self-localization and mapping".
 """
@@ -29,12 +29,12 @@ _SCANS, _WHEELS, _TRUTH = "*SICK_FRONT.csv", "*ODOMETRY_XYT.csv", "*GROUNDTRUTH.
 _OTHERS = ("*SICK_REAR.csv", "*HOKUYO_*.csv")
 _NOT_PLACED = "its pose relative to SICK_FRONT is in none of the files"
 _CENTRE = f"{WARNING}SICK_FRONT: its mounting is in none of the files; assumed at the robot's centre"
-# The scanner turns in steps of a degree, its first beam so many quarters of one after -90 degrees.
+# The scanner has steps of a degree; its first beam is this many quarter degrees after -90 degrees.
 _STEP_DEG, _QUARTERS, _GREATEST_M = 1.0, 4.0, b"81.91"
 
 
 def _load(path: Path, account: Account) -> Contents:
-    """The front scanner and the wheels, by their stamps."""
+    """The front scanner and the wheel odometry, merged by stamp."""
     for other in (file for pattern in _OTHERS for file in sorted(path.glob(pattern))):
         account.report.ignore(other.name, _NOT_PLACED)
     account.report.note(_CENTRE, 1)
@@ -46,7 +46,7 @@ def _load(path: Path, account: Account) -> Contents:
 
 
 def _rows(file: Path, account: Account) -> Iterator[tuple[float, int, bytes]]:
-    """Stamps and lines of a table; one before the line before it comes with that."""
+    """Stamps and lines of a table; a stamp that runs backward is replaced by the previous one."""
     newest_s = -math.inf
     for number, line in numbered_lines(file, account, account.report.note_share):
         with account.refusing(file.name, number):
@@ -56,7 +56,7 @@ def _rows(file: Path, account: Account) -> Iterator[tuple[float, int, bytes]]:
 
 
 def _words(line: bytes) -> Iterator[list[bytes]]:
-    """A row in CARMEN's words: stamp, three counts, x, y, yaw; or stamp, count, first bearing, ranges."""
+    """A row (stamp, 3 counts, x, y, yaw; or stamp, count, first bearing, ranges) as CARMEN message."""
     stamp, *fields = [field.strip() for field in line.split(b",")]
     if len(fields) == 6:
         yield [b"ODOM", *fields[3:6], b"0", b"0", b"0", stamp, b"rawseeds", stamp]

@@ -1,6 +1,6 @@
-"""Record3D, an app for iPhones and iPads: a ``.r3d`` file, which is a ZIP archive, or one unpacked.
+"""Record3D, an app for iPhones and iPads: a ``.r3d`` file, which is a ZIP archive, or its contents.
 
-Depth is packed by Apple's LZFSE, which the extra ``phones`` unpacks.
+Depth is compressed with Apple's LZFSE, which the extra ``phones`` decompresses.
 """
 
 from __future__ import annotations
@@ -35,12 +35,12 @@ from slam.measurements import CameraIntrinsics, ColorImage, Float32Array
 
 _METADATA, _IMAGES = "metadata", "rgbd"
 _ZIP_MAGIC = b"PK\x03\x04"
-# Blocks of LZFSE begin so, and with how many bytes they unpack to: as they are, by LZVN, by LZFSE, the end.
+# LZFSE blocks start with a type and their decompressed size: uncompressed, LZVN, LZFSE, end.
 _PLAIN, _LZVN, _LZFSE, _END = b"bvx-", b"bvxn", b"bvx2", b"bvx$"
 
 
 class _Archive:
-    """The files of a recording, packed or not; see `slam.datasets.image_files.ImageSource`."""
+    """The files of a recording, archived or not; see `slam.datasets.image_files.ImageSource`."""
 
     def __init__(self, path: Path) -> None:
         self._path = path
@@ -56,7 +56,7 @@ class _Archive:
         Raises
         ------
         RecordFault
-            Missing, damaged, or larger than any.
+            The file is missing, damaged, or too large.
         """
         try:
             if self._zip is None:
@@ -84,14 +84,14 @@ class _Archive:
         return color_of(self._paid(f"{_IMAGES}/{file.number}.jpg", budget), f"{file.number}.jpg", budget)
 
     def depth(self, file: StampedFile, calibration: Calibration, budget: Budget) -> Float32Array:
-        """See `slam.datasets.image_files.ImageSource`; what the phone has no trust in is left out."""
+        """See `slam.datasets.image_files.ImageSource`; depth without confidence is omitted."""
         name = f"{_IMAGES}/{file.number}.depth"
         metres = self._unpacked(name, "<f4", budget)
         depth_m = usable_metres(metres, name, budget)
         try:
             trust = self._unpacked(f"{_IMAGES}/{file.number}.conf", "u1", budget)
         except RecordFault as fault:
-            if fault.reason == MISSING:  # cameras without lidar have none
+            if fault.reason == MISSING:  # cameras without lidar have no confidence
                 return depth_m
             raise
         if trust.shape != depth_m.shape:
@@ -100,7 +100,7 @@ class _Archive:
         return depth_m
 
     def _unpacked(self, name: str, kind: str, budget: Budget) -> NDArray[Any]:
-        """An image of depth or of trust in it."""
+        """A depth image or a confidence image."""
         import liblzfse
 
         packed = self._paid(name, budget)
@@ -118,19 +118,19 @@ class _Archive:
         return np.frombuffer(content, kind).reshape(height, width)
 
     def _paid(self, name: str, budget: Budget) -> bytes:
-        """A file's bytes, taken from the budget."""
+        """A file's bytes, charged to the budget."""
         content = self.content(name)
         budget.add_file(self._path / name, len(content))
         return content
 
 
 def unpacked_bytes(packed: bytes) -> int:
-    """How much the blocks of LZFSE say that they unpack to: a few bytes could be made into gigabytes.
+    """Decompressed size of LZFSE blocks, because a few bytes could decompress to gigabytes.
 
     Raises
     ------
     ValueError, struct.error
-        They are damaged, or of a kind that nobody writes.
+        They are damaged, or of an unknown type.
     """
     at, total = 0, 0
     while (magic := packed[at : at + 4]) != _END:
@@ -141,7 +141,7 @@ def unpacked_bytes(packed: bytes) -> int:
         elif magic == _LZVN:
             at += 12 + struct.unpack_from("<I", packed, at + 8)[0]
         elif magic == _LZFSE:
-            # Sizes of literals and of matches, 20 bits each, and of the head itself.
+            # Sizes of literals and of matches, 20 bits each, and of the header.
             first, second, third = struct.unpack_from("<3Q", packed, at + 8)
             at += max(32, third & 0xFFFFFFFF) + (first >> 20 & 0xFFFFF) + (second >> 40 & 0xFFFFF)
         else:
@@ -150,14 +150,14 @@ def unpacked_bytes(packed: bytes) -> int:
 
 
 def looks_like_record3d(path: Path, head: bytes) -> bool:
-    """Whether a path is such an archive or what was in it."""
+    """Whether a path is such an archive or its contents."""
     if path.is_dir():
         return (path / _METADATA).is_file() and (path / _IMAGES).is_dir()
     return path.suffix.lower() == ".r3d" and head.startswith(_ZIP_MAGIC)
 
 
 def _check(path: Path) -> None:
-    """Refuse where what unpacks its depth is not installed."""
+    """Fail if the package that decompresses depth is not installed."""
     try:
         import liblzfse  # noqa: F401
     except ImportError as error:
@@ -167,7 +167,7 @@ def _check(path: Path) -> None:
 
 
 def _load(path: Path, account: Account) -> Contents:
-    """One recording; depth that the phone has no trust in is left out."""
+    """One recording, without depth in which the phone has no confidence."""
     account.report.note(COMPARED, 1)
     archive = _Archive(path)
     metadata = _metadata(path, archive)
@@ -181,7 +181,7 @@ def _load(path: Path, account: Account) -> Contents:
 
 
 def _metadata(path: Path, archive: _Archive) -> dict[str, Any]:
-    """What the app says of a recording."""
+    """The app's metadata of a recording."""
     try:
         content = from_json(archive.content(_METADATA))
     except (RecordFault, ValueError) as error:
@@ -192,7 +192,7 @@ def _metadata(path: Path, archive: _Archive) -> dict[str, Any]:
 
 
 def _lens(path: Path, metadata: dict[str, Any], account: Account) -> CameraIntrinsics:
-    """Of the colour image: the median of the frames' where they are told, else the one matrix."""
+    """Lens of the colour image: the median over the frames if they have lenses, else the single matrix."""
     try:
         size = int(metadata["w"]), int(metadata["h"])
         frames = metadata.get("perFrameIntrinsicCoeffs") or []
@@ -207,7 +207,7 @@ def _lens(path: Path, metadata: dict[str, Any], account: Account) -> CameraIntri
 
 
 def _depth_size(path: Path, metadata: dict[str, Any]) -> tuple[int, int]:
-    """Width and height of the depth images; recordings before they were told are of the lidar's size."""
+    """Width and height of the depth images; older recordings without them have the lidar's size."""
     try:
         across = int(metadata["w"]) >= int(metadata["h"])
         usual = (256, 192) if across else (192, 256)
@@ -220,7 +220,7 @@ def _depth_size(path: Path, metadata: dict[str, Any]) -> tuple[int, int]:
 
 
 def _stamps(metadata: dict[str, Any], account: Account) -> Iterator[tuple[int, float]]:
-    """Frames with their stamps; without stamps, by the rate of the recording."""
+    """Frames with their stamps; without stamps, from the frame rate of the recording."""
     told = metadata.get("frameTimestamps")
     if not isinstance(told, list) or not told:
         poses, rate = metadata.get("poses"), metadata.get("fps")
@@ -233,7 +233,7 @@ def _stamps(metadata: dict[str, Any], account: Account) -> Iterator[tuple[int, f
 
 
 def _truth(path: Path, account: Account) -> Trajectory | None:
-    """What ARKit says: quaternion and position of each frame."""
+    """ARKit's poses: quaternion and position of each frame."""
     metadata = _metadata(path, _Archive(path))
     poses = metadata.get("poses")
 

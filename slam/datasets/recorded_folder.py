@@ -1,4 +1,4 @@
-"""A robot's folder: a CARMEN log, beside it cameras in the TUM layout, clouds. The simulator writes such."""
+"""A robot's folder: a CARMEN log with cameras in TUM layout and clouds. The simulator writes this format."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ _NO_LOGS = frozenset(
 
 
 def _check(path: Path) -> None:
-    """Refuse several logs: which one belongs to the images is not to be guessed."""
+    """Reject several logs, because it is unknown which one belongs to the images."""
     if len(logs := _carmen_logs(path)) > 1:
         names = ", ".join(log.name for log in logs[:4])
         raise DatasetError(
@@ -44,7 +44,7 @@ def _load(path: Path, account: Account) -> Contents:
 
 
 def _cameras(path: Path) -> dict[str, Path]:
-    """Cameras' folders by the name of the camera: RGBD_1 for ``rgbd_1``, left for ``rgbd_left``."""
+    """Folders of cameras by camera name: RGBD_1 for ``rgbd_1``, left for ``rgbd_left``."""
     if has_tum_layout(path):
         return {"camera": path}
     folders = {}
@@ -60,7 +60,7 @@ def _camera_folders(path: Path) -> list[Path]:
 
 
 def _carmen_logs(path: Path) -> list[Path]:
-    """Files directly in a folder that hold CARMEN messages."""
+    """Files directly in a folder that contain CARMEN messages."""
     return sorted(
         file
         for file in path.iterdir()

@@ -1,4 +1,4 @@
-"""A recording of several files as one stream: a log of readings, and cameras merged into it by time."""
+"""Reads a recording of several files as one stream: a log of readings, with cameras merged by time."""
 
 from __future__ import annotations
 
@@ -26,16 +26,16 @@ from slam.measurements import LaserScan, Measurement, PointCloud, RgbdFrame
 Numbered: TypeAlias = tuple[int, Measurement]
 
 
-# Ranges of a log that is kept in memory: 11,000 scans of 360 beams; what goes with them takes as much again.
+# Ranges of a log kept in memory: 11,000 scans of 360 beams; their other data take as much again.
 _MOST_KEPT_BYTES = 1 << 24
 
-# Of a camera's next frames, by their stamps, which are read.
+# Chooses by stamp which of a camera's next frames are read.
 FrameChoice: TypeAlias = Callable[[str, Sequence[float]], Sequence[bool]]
 
 
 @contextmanager
 def fewer_frames(log: Any, choose: FrameChoice | None) -> Iterator[None]:
-    """A log, corrected or as it is, that reads only some frames, or None, meanwhile, where it can do so."""
+    """While active, a log (corrected or not) reads only some frames, or all if None, if it supports this."""
     while hasattr(log, "log"):
         log = log.log
     name, value = ("read_images", False) if choose is None else ("choose_frames", choose)
@@ -51,10 +51,10 @@ def fewer_frames(log: Any, choose: FrameChoice | None) -> Iterator[None]:
 
 @contextmanager
 def read_once(log: Any, then: Callable[[], None] | None = None) -> Iterator[None]:
-    """A log of scans and odometry is decoded once, meanwhile: further passes take it from memory.
+    """While active, a log of scans and odometry is decoded only once; further passes read it from memory.
 
-    The first pass afterwards does so too, and frees it. One with cameras or clouds, one of more than
-    `_MOST_KEPT_BYTES` and one of another reader is read anew. ``then`` is called once it is in memory.
+    So does the first pass afterwards, which frees the memory. Logs with cameras or clouds, logs larger than
+    `_MOST_KEPT_BYTES` and logs of other readers are read again. ``then`` is called when the log is in memory.
     """
     while hasattr(log, "log"):
         log = log.log
@@ -73,14 +73,14 @@ def read_once(log: Any, then: Callable[[], None] | None = None) -> Iterator[None
 
 @dataclass(frozen=True, slots=True)
 class Contents:
-    """What a recording holds.
+    """The contents of a recording.
 
     Attributes
     ----------
     cameras
-        With their lists of images; their names differ.
+        Cameras with their image lists; their names are distinct.
     log
-        Scans and odometry with their line numbers, in the order of their file.
+        Scans and odometry with line numbers, in file order.
     """
 
     cameras: list[Camera] = field(default_factory=list)
@@ -90,31 +90,32 @@ class Contents:
 class Recording:
     """A folder as a dataset; see `slam.datasets.dataset.Dataset`.
 
-    The log keeps its order. A frame follows the first reading of the log at or after its own stamp, so
-    that the readings around a frame are known when it comes; frames of several cameras are in the order
-    of time, those of one camera in the order of its list.
+    The log keeps its order. A frame follows the first reading of the log at or after its own stamp, so that
+    the readings around a frame are known when it is returned; frames of several cameras are in time order,
+    those of one camera in the order of its list.
 
     Parameters
     ----------
     path
         The folder.
     load
-        Lists the contents, anew for each pass; what it must refuse goes to the account.
+        Lists the contents, again for each pass; rejected records go to the account.
     truth
-        Reads the true trajectory, None where there is none.
+        Reads the ground truth trajectory, None if there is none.
     strict
         Stop at the first damaged record instead of counting and skipping it.
     remedy
-        What to do where nothing usable is found.
+        Advice if nothing usable is found.
 
     Attributes
     ----------
     read_images
-        Whether frames come at all; without them a log beside the cameras is read many times as fast.
+        Whether to read frames; without them, reading the log is many times faster.
     choose_frames
-        Asked once a camera which of its frames come; None for all.
+        Called once per camera to choose its frames; None for all.
     keeps, kept, when_kept
-        Whether a whole pass is kept, what one has left, and what is done then; see `read_once`.
+        Whether a complete pass is kept in memory, its measurements, and a callback afterwards; see
+        `read_once`.
     """
 
     __repr__ = one_line
@@ -140,14 +141,14 @@ class Recording:
         self._load, self._truth, self._strict, self._remedy = load, truth, strict, remedy
 
     def __iter__(self) -> Iterator[Measurement]:
-        """Read the recording from its beginning, with a new report.
+        """Read the recording from its start, with a new report.
 
         Raises
         ------
         BadRecordError
             A damaged record, under ``strict``.
         DatasetError
-            A file that all depends on cannot be read, or nothing usable is found.
+            An essential file cannot be read, or nothing usable is found.
         """
         if self.kept is not None:
             yield from self._again(*self.kept, free=not self.keeps)
@@ -158,7 +159,7 @@ class Recording:
         kept: list[Measurement] | None = [] if self.keeps and not contents.cameras else None
         kept_bytes = 0
         cameras = self._chosen(contents.cameras if self.read_images else [], account)
-        # Frames take the time, where there are any; else the log beside them tells how far it was read.
+        # With frames, progress is counted in frames, which take most of the time; else by the log.
         frames_in_all, frames_read = sum(len(camera.pairs) for camera in cameras), 0
         with closing(read_frames(_by_time(cameras), account)) as frames:
             for number, measurement in _frames_after_log(contents.log, frames):
@@ -174,7 +175,7 @@ class Recording:
                     kept = kept if fits else None
                 yield measurement
         if report.measurement_count == 0 and cameras and (choice := self.choose_frames):
-            self.choose_frames = None  # what was chosen is damaged, and the rest may not be
+            self.choose_frames = None  # the chosen frames are damaged, others may not be
             try:
                 yield from self
             finally:
@@ -187,7 +188,7 @@ class Recording:
                 self.when_kept()
 
     def _chosen(self, cameras: list[Camera], account: Account) -> list[Camera]:
-        """The cameras by what calibration files tell, with the frames of each that come."""
+        """The cameras corrected by calibration files, with their chosen frames."""
         if cameras or self.calibration_files:
             known = known_beside(self.path, self.calibration_files)
             cameras = [by_files(camera, known, account) for camera in cameras]
@@ -211,12 +212,12 @@ class Recording:
             yield measurement
 
     def groundtruth(self) -> Trajectory | None:
-        """The true trajectory that lies beside the readings; its damaged lines are left out."""
+        """The ground truth trajectory next to the readings, without damaged lines."""
         return self._truth(Account(self.name, ReadReport(), self._strict))
 
 
 def _by_time(cameras: list[Camera]) -> Iterator[tuple[Camera, FramePair]]:
-    """All cameras' pairs; a stamp that runs backward comes with the one before it."""
+    """Pairs of all cameras by time; a stamp that runs backward counts as the previous one."""
 
     def keyed(place: int, camera: Camera) -> Iterator[tuple[float, int, FramePair]]:
         newest_s = -math.inf
@@ -230,7 +231,7 @@ def _by_time(cameras: list[Camera]) -> Iterator[tuple[Camera, FramePair]]:
 
 
 def _frames_after_log(log: Iterable[Numbered], frames: Iterator[tuple[int, RgbdFrame]]) -> Iterator[Numbered]:
-    """The log in its order, each frame once the log's newest stamp has reached it."""
+    """The log in its order; each frame follows when the newest stamp of the log has reached it."""
     newest_s = -math.inf
     waiting = next(frames, None)
     for number, reading in log:

@@ -1,4 +1,4 @@
-"""Replica as NICE-SLAM and iMAP render it: ``results/`` of images, and a trajectory.
+"""Replica as rendered by NICE-SLAM and iMAP: images in ``results/``, and a trajectory.
 
 Zhu et al. 2022, "NICE-SLAM: Neural Implicit Scalable Encoding for SLAM".
 """
@@ -20,12 +20,12 @@ from slam.estimates import Trajectory
 from slam.measurements import CameraIntrinsics
 
 _LENS_FILE = "cam_params.json"
-# What cam_params.json, which is published beside the rooms, says for all of them.
+# From cam_params.json, which is published with the rooms and applies to all of them.
 _PUBLISHED = Calibration(CameraIntrinsics(600.0, 600.0, 599.5, 339.5, 1200, 680), 6553.5)
 
 
 def _load(path: Path, account: Account) -> Contents:
-    """A folder of one room; frame N is N / 30 s old."""
+    """The folder of one room; frame N has the stamp N / 30 s."""
     account.report.note(NO_STAMPS.format(rate=RATE_HZ), 1)
     colors = numbered_files(path / "results", r"frame(\d{1,9})\.(?:jpe?g|png)")
     calibration = read_calibration(path, _calibration(path))
@@ -37,7 +37,7 @@ def _depths(path: Path) -> dict[int, Path]:
 
 
 def _calibration(path: Path) -> Calibration:
-    """By the file in the folder or above it, else as published."""
+    """Calibration from the file in the folder or above, else as published."""
     found = first_file((path / _LENS_FILE, path.resolve().parent / _LENS_FILE))
     if found is None:
         return _PUBLISHED
@@ -54,7 +54,7 @@ def _calibration(path: Path) -> Calibration:
 
 
 def _groundtruth(path: Path, account: Account) -> Trajectory | None:
-    """Camera to world, line N of frame N."""
+    """Camera to world, line N for frame N."""
     file = path / "traj.txt"
     poses = enumerate(pose_lines(file, account)) if file.is_file() else ()
     return trajectory_of((number / RATE_HZ, pose) for number, pose in poses if pose)

@@ -1,4 +1,4 @@
-"""Robot@Home, first edition: plain text indexes, a folder of scans or images beside each."""
+"""Robot@Home, first edition: text indexes, each with a folder of scans or images."""
 
 from __future__ import annotations
 
@@ -30,12 +30,12 @@ _INDEX_LINE = re.compile(rb"^\s*\d+\s+(?:HOKUYO|RGBD_)\d+(?:\s+\S+){6}\s+\d{15,2
 _FIELDS = 9
 _SESSION = re.compile(r"[a-z0-9]+-s\d+")  # alma-s1
 _DEPTH_OF_TREE, _FOLDERS_SEEN = 4, 500  # a whole download is four folders deep
-_TREES = ("laser_scans", "rgbd_data")  # a session's scans and images lie in two trees of the same shape
+_TREES = ("laser_scans", "rgbd_data")  # folder trees of the same structure
 
 
 @dataclass(frozen=True, slots=True)
 class _Observation:
-    """A line of an index; ``folder`` holds its files, named after ``key``."""
+    """A line of an index; ``folder`` contains its files, named after ``key``."""
 
     stamp_s: float
     number: int
@@ -44,17 +44,17 @@ class _Observation:
 
 
 def looks_like_robot_at_home(path: Path, head: bytes) -> bool:
-    """Whether a path is a folder with an index of observations somewhere below."""
+    """Whether a path is a folder that contains an index of observations at some level."""
     return path.is_dir() and next(_indexes(path), None) is not None
 
 
 def open_robot_at_home(path: Path, strict: bool) -> Recording:
-    """A session, or a room of one: its scans and images, also when the path leads to only one of them.
+    """Open a session or one of its rooms: scans and images, even if the path leads to only one of them.
 
     Raises
     ------
     DatasetError
-        There are several sessions below the path.
+        There are several sessions under the path.
     """
     indexes = sorted({index for tree in _both_trees(path) for index in _indexes(tree)})
     sessions = sorted({_session(index) for index in indexes})
@@ -132,7 +132,7 @@ def _scan_lines(path: Path) -> list[FloatArray]:
 
 
 def _both_trees(path: Path) -> list[Path]:
-    """The path, and its counterpart in the tree of the other sensors where there is one."""
+    """The path, and its counterpart in the tree of the other sensors if there is one."""
     other = str(path.resolve())
     scans, images = _TREES
     other = other.replace(scans, images) if scans in other else other.replace(images, scans)
@@ -163,7 +163,7 @@ def _indexes(path: Path) -> Iterator[Path]:
 
 
 def _entries(folder: Path) -> dict[str, bool]:
-    """Names in a folder, and whether each is a folder itself; none where it may not be read."""
+    """Names in a folder, and whether each is a folder; none if access is denied."""
     try:
         with os.scandir(folder) as entries:
             return {entry.name: entry.is_dir() for entry in islice(entries, _FOLDERS_SEEN)}

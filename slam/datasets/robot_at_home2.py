@@ -1,4 +1,4 @@
-"""Robot@Home2: the same recordings as a SQLite database, with the image files beside it.
+"""Robot@Home2: the same recordings as an SQLite database with separate image files.
 
 Ambrosio-Cestero et al. 2023, "Robot@Home2, a robotic dataset of home environments"; tables and columns after
 its toolbox.
@@ -30,7 +30,7 @@ from slam.foreign import plain
 NO_FILES = "observation without image files in the database"
 
 _IMAGES = Path("files") / "rgbd"
-# The view leaves out what is twice in the tables; a database without it has only the raw ones.
+# The view omits duplicates in the tables; a database without the view has only the raw tables.
 _OBSERVATIONS = ("rh2_sensor_observations", "rh_raw")
 _SCANS = ("rh_lsrscan_scans", "rh_raw_scans")
 
@@ -55,7 +55,7 @@ def open_robot_at_home2(path: Path, strict: bool) -> Recording:
     Raises
     ------
     DatasetError
-        The database holds several sessions and the path names none, or one that is not in it.
+        The database contains several sessions, and the path names none of them.
     """
     chosen = _selection(path)
     if chosen is None:
@@ -74,7 +74,7 @@ def open_robot_at_home2(path: Path, strict: bool) -> Recording:
 
 
 def _selection(path: Path) -> _Selection | None:
-    """The database that a path leads to or into, with the names that follow; None where there is none."""
+    """The database that a path leads to or into, with the names after it; None if there is none."""
     names: list[str] = []
     while not path.exists() and len(names) < 2 and path.name:
         names.insert(0, path.name)
@@ -85,7 +85,7 @@ def _selection(path: Path) -> _Selection | None:
                 return _Selection(database, *names)
         except DatasetError:
             if database == path and not names:
-                raise  # else it was not asked for
+                raise  # otherwise the user did not name it
     return None
 
 
@@ -124,7 +124,7 @@ def _load(chosen: _Selection, account: Account) -> Contents:
 
 
 def _observations(database: sqlite3.Connection, chosen: _Selection) -> Iterator[dict[str, Any]]:
-    """Observations of the selection in the order of time, with the names of their files."""
+    """Observations of the selection in time order, with their file names."""
     tables = _tables(database)
     source = next(name for name in _OBSERVATIONS if name in tables)
     renamed = "rh2_old2new_rgbd_files" in tables
@@ -163,7 +163,7 @@ def _pair(folder: Path, row: dict[str, Any]) -> FramePair:
 
 
 def _scans(chosen: _Selection, account: Account) -> Iterator[Numbered]:
-    """Scans of the selection in the order of time."""
+    """Scans of the selection in time order."""
     with _connected(chosen.database) as database:
         tables = [name for name in _SCANS if name in _tables(database)]
         for row in _observations(database, chosen):
@@ -182,7 +182,7 @@ def _scans(chosen: _Selection, account: Account) -> Iterator[Numbered]:
 def _shots(
     database: sqlite3.Connection, tables: list[str], number: int
 ) -> np.ndarray[Any, np.dtype[np.float64]]:
-    """(N, 2) range and validity of the beams of an observation, from the table that has it."""
+    """(N, 2) range and validity of the beams of an observation, from the table that contains it."""
     for table in tables:
         query = f"select scan, valid_scan from {table} where sensor_observation_id = ? order by shot_id"
         if rows := database.execute(query, (number,)).fetchall():
@@ -191,5 +191,5 @@ def _shots(
 
 
 def _number(value: Any) -> float:
-    """A number of a column that may hold anything, NaN where it holds none."""
+    """A number of a column with any contents, NaN if it is no number."""
     return float(value) if isinstance(value, int | float) else float("nan")

@@ -1,4 +1,4 @@
-"""The robot of Robot@Home: what both layouts of the dataset share.
+"""The robot of Robot@Home, common to both layouts of the dataset.
 
 Ruiz-Sarmiento et al. 2017, "Robot@Home, a robotic dataset for semantic mapping of home environments".
 """
@@ -25,15 +25,15 @@ BAD_TIME = "observation without a time of this age"
 BAD_SCAN = "scan with inconsistent values"
 
 T_BASE_LASER = gtsam.Pose2(0.205, 0.0, 0.0)
-# x, y, z of the optical centres and the yaw of their axes; the cameras lie on their sides.
+# x, y, z of the optical centres and the yaw of their axes; the cameras are rotated by 90 degrees.
 _CAMERAS = {
     "RGBD_1": ((0.271, -0.031, 1.045), -45.0),
     "RGBD_2": ((0.240, -0.045, 1.045), -90.0),
     "RGBD_3": ((0.271, 0.031, 1.045), 45.0),
     "RGBD_4": ((0.285, 0.000, 1.045), 0.0),
 }
-# Of the stored 320 x 240: fx 286.441, fy 271.370, cx 157.325, cy 120.080. Turned counter-clockwise, the
-# pixel (u, v) goes to (v, 319 - u).
+# Intrinsics of the stored 320 x 240 images: fx 286.441, fy 271.370, cx 157.325, cy 120.080. Rotated
+# counter-clockwise, the pixel (u, v) goes to (v, 319 - u).
 _UPRIGHT = CameraIntrinsics(271.370, 286.441, 120.080, 319.0 - 157.325, 240, 320)
 _QUARTER_TURNS = 1
 _DEPTH_STEPS_PER_M = 6553.5
@@ -42,7 +42,7 @@ _EPOCH_S = 11644473600  # from 1601 to 1970
 
 
 def camera(sensor: str, pairs: list[FramePair]) -> Camera:
-    """A camera with its images turned upright; one of another name has no known mounting."""
+    """A camera with upright images; the mounting is unknown for other camera names."""
     mount = None
     if sensor in _CAMERAS:
         position_m, yaw_deg = _CAMERAS[sensor]
@@ -52,12 +52,12 @@ def camera(sensor: str, pairs: list[FramePair]) -> Camera:
 
 
 def unix_stamp_s(ticks: Any) -> float:
-    """Seconds since 1970 of 100 ns ticks since 1601.
+    """Convert 100 ns ticks since 1601 to seconds since 1970.
 
     Raises
     ------
     RecordFault
-        Before 1970 or far ahead, or no number: no tick count.
+        It is no number, before 1970, or far in the future.
     """
     try:
         whole, rest = divmod(int(ticks), _TICKS_PER_S)
@@ -76,17 +76,17 @@ def laser_scan(
     max_m: float,
     account: Account,
 ) -> LaserScan:
-    """A scan whose beams spread over the aperture, both edges measured, from the right.
+    """A scan whose beams cover the aperture including both edges, starting at the right.
 
     Parameters
     ----------
     ranges_m, valid
-        (N,) readings and flags, 0 where there is no reading.
+        (N,) readings and flags, 0 for no reading.
 
     Raises
     ------
     RecordFault
-        Counts that differ, a wrong aperture or maximum, or no valid reading at all.
+        The counts differ, the aperture or maximum is wrong, or no reading is valid.
     """
     if ranges_m.size < 2 or ranges_m.size != valid.size:
         raise RecordFault(BAD_SCAN, f"{ranges_m.size} ranges, {valid.size} flags")

@@ -1,6 +1,6 @@
 """Databases of RTAB-Map (``rtabmap.db``, SQLite): images, depth, scans, lenses, odometry.
 
-The tables are those of its own driver (DBDriverSqlite3) since version 0.10 of 2015.
+The tables are those of RTAB-Map's driver (DBDriverSqlite3) since version 0.10 of 2015.
 """
 
 from __future__ import annotations
@@ -37,14 +37,14 @@ from slam.estimates import Trajectory
 from slam.measurements import ColorImage, Float32Array, LaserScan, PointCloud, WheelOdometry, planar
 
 _RUNS = b"DEPTHRVL"
-_LEVEL_RAD, _LEVEL_M = 1e-3, 1e-3  # poses held in the plane are so to the last digit of their floats
+_LEVEL_RAD, _LEVEL_M = 1e-3, 1e-3  # planar poses are exact to the last digit of their floats
 OWN_ODOMETRY = "RTAB-Map's own odometry in 3D is not used: the cameras are tracked anew"
 BAD_NODE = "node without a stamp or a pose"
 
 
 @dataclass(frozen=True, slots=True)
 class _Node:
-    """A row of the map: what the robot kept at one moment."""
+    """A node of the map: the data that the robot stored at one time."""
 
     number: int
     stamp_s: float
@@ -53,7 +53,7 @@ class _Node:
 
 
 class _Database:
-    """The file, asked from two threads in turn; see `slam.datasets.image_files.ImageSource`."""
+    """The file, used alternately by two threads; see `slam.datasets.image_files.ImageSource`."""
 
     def __init__(self, path: Path) -> None:
         self.path = path
@@ -78,9 +78,9 @@ class _Database:
             ) from error
 
     def blob(self, column: str, number: int, budget: Budget | None = None) -> bytes:
-        """What a node keeps in a column; RecordFault where there is nothing."""
+        """The data of a node in a column; RecordFault if there are none."""
         try:
-            found = self.rows(f"SELECT {column} FROM Data WHERE id = ?", number)  # of our own names
+            found = self.rows(f"SELECT {column} FROM Data WHERE id = ?", number)  # fixed column names
         except DatasetError as error:
             raise RecordFault(DAMAGED, str(error)) from error
         content = found[0][0] if found else None
@@ -91,7 +91,7 @@ class _Database:
         return content
 
     def nodes(self, account: Account) -> list[_Node]:
-        """In the order of time."""
+        """All nodes in time order."""
         truth = "ground_truth_pose" if self.has("Node", "ground_truth_pose") else "NULL"
         found: list[_Node] = []
         for number, stamp, pose, true in self.rows(f"SELECT id, stamp, pose, {truth} FROM Node ORDER BY id"):
@@ -107,7 +107,7 @@ class _Database:
         return any(row[1] == column for row in self.rows(f"PRAGMA table_xinfo({table})"))
 
     def color(self, file: StampedFile, budget: Budget) -> ColorImage:
-        """See `slam.datasets.image_files.ImageSource`; names of files are columns of images side by side."""
+        """See `slam.datasets.image_files.ImageSource`; file names are columns of images side by side."""
         image = color_of(self.blob("image", file.number, budget), f"node {file.number}", budget)
         return np.ascontiguousarray(_part(image, file.path))
 
@@ -133,12 +133,12 @@ def looks_like_rtabmap_database(path: Path, head: bytes) -> bool:
 
 
 def open_rtabmap_database(path: Path, strict: bool) -> Recording:
-    """All that the robot kept.
+    """All data that the robot stored.
 
     Raises
     ------
     DatasetError
-        It was written before RTAB-Map 0.10, or holds nothing.
+        It was written before RTAB-Map 0.10, or is empty.
     """
     database = _Database(path)
     if not database.has("Data", "calibration"):
@@ -161,7 +161,7 @@ def open_rtabmap_database(path: Path, strict: bool) -> Recording:
 
 
 def _pose(blob: Any) -> gtsam.Pose3 | None:
-    """A pose of a node; None where there is none, as for lost odometry."""
+    """The pose of a node; None if there is none, as for lost odometry."""
     if not isinstance(blob, bytes) or len(blob) != 48:
         return None
     try:
@@ -171,14 +171,14 @@ def _pose(blob: Any) -> gtsam.Pose3 | None:
 
 
 def _part(image: Any, place: Path) -> Any:
-    """The image of one of several cameras that are kept side by side; ``place`` is NUMBER/COUNT."""
+    """The image of one of several cameras, stored side by side; ``place`` is NUMBER/COUNT."""
     number, count = int(place.parent.name), int(place.name)
     width = image.shape[1] // count
     return image[:, number * width : (number + 1) * width]
 
 
 def _cameras(database: _Database, nodes: list[_Node], account: Account) -> list[Camera]:
-    """The cameras of the nodes that have images and depth, their lenses the median over all."""
+    """The cameras of the nodes with images and depth; lenses are the median over all."""
     kept: list[tuple[_Node, Any]] = []
     with_images = "length(image) > 4 AND length(depth) > 4"
     numbers = {row[0] for row in database.rows(f"SELECT id FROM Data WHERE {with_images}")}
@@ -209,7 +209,7 @@ def _camera(
 
 
 def _log(database: _Database, nodes: list[_Node], account: Account) -> Iterator[Numbered]:
-    """Odometry where it is that of a robot on a floor, and scans."""
+    """Odometry if it is that of a robot on a floor, and scans."""
     posed = [node.T_odom_base for node in nodes if node.T_odom_base]
     sessions = database.rows("SELECT count(DISTINCT map_id) FROM Node")[0][0]
     level = all(_is_level(pose) for pose in posed) and sessions == 1
@@ -241,12 +241,12 @@ def _is_level(pose: gtsam.Pose3) -> bool:
 
 
 def _scan(stamp_s: float, info: ScanInfo, points: Any) -> LaserScan | PointCloud:
-    """A scan of a 2D lidar by its angles, or a cloud.
+    """A scan of a 2D lidar with its angles, or a cloud.
 
     Raises
     ------
     RecordFault
-        A scan in the plane without angles, a cloud without a point.
+        A planar scan without angles, or a cloud without points.
     """
     plane = points.shape[1] == 2 if info.in_the_plane is None else info.in_the_plane
     coordinates = points[:, : 2 if plane else 3].astype(np.float32)
@@ -264,13 +264,13 @@ def _scan(stamp_s: float, info: ScanInfo, points: Any) -> LaserScan | PointCloud
     if not 2 <= beams <= MOST_BEAMS:
         raise RecordFault("scan without angles", f"{beams} beams")
     turn = info.T_base_laser.rotation().matrix()
-    # Upside down on the robot the angles run the other way.
+    # The angles of an upside-down lidar are reversed.
     side = 1.0 if turn[2, 2] > 0.0 else -1.0
     step_rad, first_rad = side * info.angle_step_rad, side * info.angle_min_rad
     angles = np.arctan2(side * coordinates[:, 1], coordinates[:, 0])
     from_first = np.remainder((angles - first_rad) * np.sign(step_rad) + 0.5 * abs(step_rad), 2.0 * math.pi)
     index = (from_first / abs(step_rad)).astype(np.intp)
-    ranges = np.full(beams, np.nan, dtype=np.float32)  # met nothing, or nothing known
+    ranges = np.full(beams, np.nan, dtype=np.float32)  # no return, or unknown
     inside = index < beams
     ranges[index[inside]] = np.hypot(coordinates[inside, 0], coordinates[inside, 1])
     place = gtsam.Pose2(info.T_base_laser.x(), info.T_base_laser.y(), math.atan2(turn[1, 0], turn[0, 0]))

@@ -1,4 +1,4 @@
-"""Cameras and scans as the databases of RTAB-Map write them, by the versions of their format."""
+"""Decodes cameras and scans of RTAB-Map databases, by format version."""
 
 from __future__ import annotations
 
@@ -24,14 +24,14 @@ BAD_PACKING = "packed data damaged"
 _HEAD = struct.Struct("<11i")
 _POSE_NUMBERS = 12
 _MONO = 0
-# Kinds of OpenCV: the low three bits tell the numbers, those above how many belong together.
+# OpenCV types: the low three bits are the number type, the higher ones the channel count.
 _KINDS = {0: "u1", 1: "i1", 2: "<u2", 3: "<i2", 4: "<i4", 5: "<f4", 6: "<f8"}
 _IN_THE_PLANE = frozenset({1, 2, 3, 4})  # formats of scans
 
 
 @dataclass(frozen=True, slots=True)
 class ScanInfo:
-    """What is known of a scan: its angles, where it has any, and its place on the robot."""
+    """Metadata of a scan: its angles, if it has any, and the pose of its lidar on the robot."""
 
     in_the_plane: bool | None
     range_max_m: float
@@ -42,15 +42,15 @@ class ScanInfo:
 
 
 def camera_models(blob: bytes) -> list[tuple[CameraIntrinsics, gtsam.Pose3]]:
-    """Lens and mounting of each camera of a node.
+    """Intrinsics and pose of each camera of a node.
 
     Raises
     ------
     RecordFault
-        A damaged model, or one of a stereo camera.
+        A model is damaged, or belongs to a stereo camera.
     """
     try:
-        # The first number of a serialised model is the major version, of older ones a focal length.
+        # The first number of a serialised model is the major version; of older models, a focal length.
         if len(blob) >= _HEAD.size and 0 <= struct.unpack_from("<i", blob)[0] < 1000:
             return _serialised(blob)
         return _plain(floats_of(blob))
@@ -59,7 +59,7 @@ def camera_models(blob: bytes) -> list[tuple[CameraIntrinsics, gtsam.Pose3]]:
 
 
 def _serialised(blob: bytes) -> list[tuple[CameraIntrinsics, gtsam.Pose3]]:
-    """Since 0.18: a head of whole numbers, then K, D, R, P and the mounting."""
+    """Since 0.18: a header of integers, then K, D, R, P and the pose."""
     models, at = [], 0
     while at < len(blob):
         head = _HEAD.unpack_from(blob, at)
@@ -73,14 +73,14 @@ def _serialised(blob: bytes) -> list[tuple[CameraIntrinsics, gtsam.Pose3]]:
         at += numbers.nbytes
         mounting = floats_of(blob[at : at + 4 * head[10]])
         at += 4 * head[10]
-        # Images are kept rectified: P holds for them where there is one.
+        # Images are stored rectified: P applies to them if there is one.
         matrix = numbers[-12:].reshape(3, 4) if sizes[3] else numbers[:9].reshape(3, 3)
         models.append((lens_of(matrix, head[4], head[5]), pose_of(mounting)))
     return models
 
 
 def _plain(numbers: FloatArray) -> list[tuple[CameraIntrinsics, gtsam.Pose3]]:
-    """Before 0.18: fx, fy, cx, cy, the size since 0.11.2, and the mounting."""
+    """Before 0.18: fx, fy, cx, cy, the size (since 0.11.2), and the pose."""
     for lens_numbers in (6, 4):
         row = lens_numbers + _POSE_NUMBERS
         if numbers.size and numbers.size % row == 0:
@@ -96,20 +96,20 @@ def _plain(numbers: FloatArray) -> list[tuple[CameraIntrinsics, gtsam.Pose3]]:
 
 
 def floats_of(blob: bytes) -> FloatArray:
-    """Floats of four bytes as doubles; ValueError where the bytes are not that many."""
+    """Convert four-byte floats to doubles; ValueError if the number of bytes is wrong."""
     with np.errstate(invalid="ignore"):
         return np.frombuffer(blob, "<f4").astype(np.float64)
 
 
 def pose_of(numbers: FloatArray) -> gtsam.Pose3:
-    """A pose from three rows of its matrix, or the robot's own place; ValueError where it is none."""
+    """A pose from three rows of its matrix, or the identity; ValueError if it is invalid."""
     if not numbers.size:
         return gtsam.Pose3()
     return pose_from_matrix(np.vstack([numbers.reshape(3, 4), [0.0, 0.0, 0.0, 1.0]]))
 
 
 def scan_info(blob: bytes) -> ScanInfo:
-    """What stands beside a scan; RecordFault where it is damaged."""
+    """The metadata of a scan; RecordFault if they are damaged."""
     numbers = floats_of(blob[: len(blob) // 4 * 4])
     before = numbers.size - _POSE_NUMBERS
     try:
@@ -126,12 +126,12 @@ def scan_info(blob: bytes) -> ScanInfo:
 
 
 def scan_points(blob: bytes, budget: Budget) -> NDArray[Any]:
-    """The rows of a packed scan, (N, C): coordinates first.
+    """The rows of a compressed scan, (N, C): coordinates first.
 
     Raises
     ------
     RecordFault
-        They cannot be unpacked, or are not what they say.
+        They cannot be decompressed, or contradict their header.
     """
     if len(blob) < 12:
         raise RecordFault(BAD_PACKING, f"{len(blob)} bytes")

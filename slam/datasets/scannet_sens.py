@@ -1,4 +1,4 @@
-"""ScanNet's ``.sens``: a scan in one file, frames of JPEG colour and packed depth behind the lenses.
+"""ScanNet's ``.sens``: one file per scan, with lenses, then frames of JPEG colour and compressed depth.
 
 The format is documented with ScanNet's own reader (SensReader, MIT).
 """
@@ -44,7 +44,7 @@ _JPEG_AND_PNG, _PLAIN, _ZLIB = (1, 2), 0, 1
 
 @dataclass(frozen=True, slots=True)
 class _Head:
-    """What stands before the frames."""
+    """The header before the frames."""
 
     color_lens: FloatArray
     depth_lens: FloatArray
@@ -57,7 +57,7 @@ class _Head:
 
 @dataclass(frozen=True, slots=True)
 class _Frame:
-    """A frame by where its images are in the file."""
+    """A frame with the offsets of its images in the file."""
 
     number: int
     T_world_camera: FloatArray
@@ -76,7 +76,7 @@ class _Scan:
 
     @cached_property
     def frames(self) -> dict[int, _Frame]:
-        """By their numbers; the last that is whole ends the list."""
+        """Frames by number, up to the last complete one."""
         return {frame.number: frame for frame in _frames(self.path, self.head)}
 
     def color(self, file: StampedFile, budget: Budget) -> ColorImage:
@@ -112,7 +112,7 @@ class _Scan:
 
 
 def _load(path: Path, account: Account) -> Contents:
-    """One scan; colour is drawn as the depth camera's lens sees it."""
+    """One scan; colour is warped to the depth camera's lens."""
     scan = _Scan(_file(path))
     file, head, stamps_s = scan.path, scan.head, _stamps(scan.frames, account)
     for _ in range(_announced(file, head) - len(scan.frames)):
@@ -126,7 +126,7 @@ def _load(path: Path, account: Account) -> Contents:
 
 
 def _file(path: Path) -> Path:
-    """The one such file in a folder, else the path."""
+    """The only such file in a folder, else the path."""
     found = list(path.glob("*.sens")) if path.is_dir() else []
     return found[0] if len(found) == 1 else path
 
@@ -166,7 +166,7 @@ def _read_head(path: Path) -> _Head:
 
 
 def _announced(path: Path, head: _Head) -> int:
-    """Frames that the head promises, no more than the file could hold."""
+    """Number of frames in the header, limited by the file size."""
     with path.open("rb") as stream:
         stream.seek(head.begin - 8)
         (count,) = struct.unpack("<Q", stream.read(8))
@@ -174,7 +174,7 @@ def _announced(path: Path, head: _Head) -> int:
 
 
 def _frames(path: Path, head: _Head) -> Iterator[_Frame]:
-    """The frames that are whole."""
+    """The complete frames."""
     size = path.stat().st_size
     with path.open("rb") as stream:
         stream.seek(head.begin)
@@ -196,7 +196,7 @@ def _frame(stream: BinaryIO, number: int) -> _Frame | None:
 
 
 def _stamps(frames: dict[int, _Frame], account: Account) -> dict[int, float]:
-    """Microseconds of the colour camera where they run, else frame N at N / 30 s."""
+    """Stamps from the colour camera's microseconds if they increase, else N / 30 s for frame N."""
     ticks = [frame.stamp_us for frame in frames.values()]
     if ticks and all(before < after < 1 << 53 for before, after in pairwise(ticks)):
         return {number: frame.stamp_us * 1e-6 for number, frame in frames.items()}
@@ -205,7 +205,7 @@ def _stamps(frames: dict[int, _Frame], account: Account) -> dict[int, float]:
 
 
 def _groundtruth(path: Path, account: Account) -> Trajectory | None:
-    """Camera to world, of the frames that were placed."""
+    """Camera to world, of the frames with a pose."""
 
     def placed() -> Iterator[tuple[float, gtsam.Pose3]]:
         frames = _Scan(_file(path)).frames
@@ -213,7 +213,7 @@ def _groundtruth(path: Path, account: Account) -> Trajectory | None:
             try:
                 yield stamp_s, pose_from_matrix(frames[number].T_world_camera)
             except ValueError:
-                continue  # of frames that were lost all numbers are infinite
+                continue  # lost frames have infinite poses
 
     return trajectory_of(placed())
 

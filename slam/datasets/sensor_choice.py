@@ -1,4 +1,4 @@
-"""What of a log is used, by its first seconds, and why the rest is not."""
+"""Chooses the sensors of a log from its first seconds, and explains why others are not used."""
 
 from __future__ import annotations
 
@@ -35,16 +35,16 @@ _KINDS = {
 
 @dataclass(frozen=True, slots=True)
 class SensorUse:
-    """A sensor or topic of a log, and what became of it.
+    """A sensor or topic of a log, and its use.
 
     Attributes
     ----------
     sensor, kind
-        Its name, and what it is; of what was never read, the type of its records.
+        Its name and type; the record type if it was not read.
     readings
-        How many of them the log holds.
+        Number of readings in the log.
     why_not
-        Why it is not used; empty where it is.
+        Why it is not used; empty if it is used.
     """
 
     sensor: str
@@ -54,7 +54,7 @@ class SensorUse:
 
     @property
     def text(self) -> str:
-        """Name, kind and count for people."""
+        """Name, type and count as text."""
         return f"{self.sensor} ({self.kind}, {self.readings:,})"
 
 
@@ -65,21 +65,20 @@ class SensorChoice:
     Attributes
     ----------
     spatial
-        Whether the robot is a camera that moves freely, not a vehicle on a floor.
+        Whether the robot is a camera that moves freely, rather than a vehicle on a floor.
     cameras
         Names of the RGB-D cameras that are used, in the order in which they appear.
     cloud
-        Whether a 3D lidar makes the map.
+        Whether a 3D lidar is used for mapping.
     wheels
-        Name of the odometry that is used, the first that appears; empty where there is none.
+        Name of the odometry that is used (the first in the log); empty if there is none.
     imu
-        Name of the IMU that helps: the first that appears, of those whose mounting is told if
-        any; empty where there is none.
-    gnss
-        Name of the satellite receiver that lays the map on the earth, the first that appears; empty where
+        Name of the IMU that is used: the first in the log, preferably one with a known mounting; empty if
         there is none.
+    gnss
+        Name of the GNSS receiver that georeferences the map (the first in the log); empty if there is none.
     config
-        What was asked for.
+        The settings.
     """
 
     spatial: bool
@@ -92,7 +91,7 @@ class SensorChoice:
 
     @classmethod
     def of(cls, log: Iterable[Measurement], config: SensorsConfig) -> SensorChoice:
-        """Choose by configuration, and else by what the first seconds hold."""
+        """Choose by the settings, or else by the first seconds."""
         beginning = _Beginning()
         for measurement in UsedMeasurements(log, config):
             if not beginning.add(measurement):
@@ -100,16 +99,16 @@ class SensorChoice:
         return beginning.choice(config)
 
     def used(self, log: Iterable[Measurement]) -> Iterator[Measurement]:
-        """The measurements of a log in its order, without those of sensors that are not used."""
+        """The measurements of a log in order, without those of unused sensors."""
         for one in UsedMeasurements(log, self.config):
-            # Wheels that are left out still get poses; of two odometries, mixed, nothing can be made.
+            # Excluded wheels still get poses; two mixed odometries would be useless.
             if isinstance(one, WheelOdometry) and one.sensor != (self.wheels or one.sensor):
                 continue
             if not isinstance(one, ImuReading | GnssFix) or not self.why_not(type(one), one.sensor):
                 yield one
 
     def why_not(self, kind: type, sensor: str) -> str:
-        """Why a sensor of a type of measurement is not used; empty where it is."""
+        """Why a sensor of a measurement type is not used; empty if it is used."""
         if left_out(self.config.calibration, kind, sensor):
             return "the calibration leaves it out"
         if kind is RgbdFrame:
@@ -135,7 +134,7 @@ class SensorChoice:
         return "a robot on a floor is led by its 2D lidar; --set sensors.motion=spatial maps by this 3D lidar"
 
     def _why_not_camera(self, sensor: str) -> str:
-        """Of a camera."""
+        """See `why_not`, for a camera."""
         if not self.config.rgbd:
             return "sensors.rgbd=false leaves it out"
         if not self.cameras:
@@ -145,7 +144,7 @@ class SensorChoice:
         return ""
 
     def _why_not_imu(self, sensor: str) -> str:
-        """Of an IMU."""
+        """See `why_not`, for an IMU."""
         if not self.config.imu:
             return "sensors.imu=false leaves it out"
         if sensor != self.imu:
@@ -153,7 +152,7 @@ class SensorChoice:
         return ""
 
     def _why_not_wheels(self, sensor: str) -> str:
-        """Of wheels."""
+        """See `why_not`, for wheel odometry."""
         if not self.config.wheels:
             return "sensors.wheels=false (--no-odometry) leaves it out"
         if self.spatial and not self.cloud:
@@ -176,7 +175,7 @@ class _Beginning:
     count: int = 0
 
     def add(self, measurement: Measurement) -> bool:
-        """Take the next measurement; whether those after it still belong to the beginning."""
+        """Add the next measurement; returns whether later ones still belong to the first seconds."""
         self.first_s = measurement.stamp_s if self.first_s is None else self.first_s
         self.kinds.add(type(measurement))
         if isinstance(measurement, RgbdFrame):
@@ -185,7 +184,7 @@ class _Beginning:
             self.wheels = self.wheels or measurement.sensor
         elif isinstance(measurement, ImuReading):
             self.imus[measurement.sensor] = measurement.T_base_imu is not None
-            # Hundreds a second: they would fill the beginning alone.
+            # IMU readings come at hundreds of hertz and would fill the buffer.
             self.count -= 1
         elif isinstance(measurement, GnssFix):
             self.gnss = self.gnss or measurement.sensor
@@ -193,7 +192,7 @@ class _Beginning:
         return measurement.stamp_s - self.first_s <= _LOOK_S and self.count <= _LOOK_COUNT
 
     def choice(self, config: SensorsConfig) -> SensorChoice:
-        """By configuration, and else by what there was."""
+        """The choice by the settings, or else by the sensors found."""
         vehicle = not self.kinds.isdisjoint({LaserScan, WheelOdometry})
         spatial = config.motion == "spatial"
         cloud = spatial
@@ -211,7 +210,7 @@ class SensorTally:
     Attributes
     ----------
     choice
-        How the log is mapped; where it is not given, the beginning decides by the settings.
+        How the log is mapped; None: chosen from the first seconds by the settings.
     """
 
     choice: SensorChoice | None = None
@@ -219,7 +218,7 @@ class SensorTally:
     counts: Counter[tuple[type, str]] = field(default_factory=Counter)
 
     def counted(self, log: Iterable[Measurement]) -> Iterator[Measurement]:
-        """A log as it is."""
+        """The unchanged log, while its readings are counted."""
         beginning = _Beginning() if self.choice is None else None
         try:
             for measurement in log:
@@ -232,12 +231,12 @@ class SensorTally:
                 self.choice = beginning.choice(self.config)
 
     def uses(self, report: ReadReport, unused: Mapping[str, str] | None = None) -> list[SensorUse]:
-        """What became of everything in the log: its sensors by name, then what the reader did not read.
+        """The use of everything in the log: sensors by name, then what was not read.
 
         Parameters
         ----------
         report
-            Of the pass that was counted.
+            Report of the counted pass.
         unused
             Why the run could not use a sensor that was chosen, by name.
         """
@@ -265,13 +264,13 @@ class SensorTally:
 
 @dataclass(frozen=True, slots=True)
 class UsedMeasurements:
-    """The measurements of a log as they are corrected, without those of sorts that are left out."""
+    """The corrected measurements of a log, without excluded types."""
 
     log: Iterable[Measurement]
     config: SensorsConfig
 
     def __iter__(self) -> Iterator[Measurement]:
-        """From the beginning, each time."""
+        """Iterate from the start, each time."""
         for measurement in corrected(self.log, self.config.calibration):
             if isinstance(measurement, RgbdFrame):
                 if self.config.rgbd:
@@ -281,7 +280,7 @@ class UsedMeasurements:
 
 
 def use_lines(uses: Iterable[SensorUse]) -> list[str]:
-    """What became of sensors, for people: a line for those that are used, one for each reason why not."""
+    """The use of sensors as text: one line for the used ones, one for each reason why others are not."""
     by_reason = groupby(sorted(uses, key=lambda use: use.why_not), key=lambda use: use.why_not)
     return [
         (f"not used, because {reason}: " if reason else "used: ") + ", ".join(use.text for use in group)
@@ -290,6 +289,6 @@ def use_lines(uses: Iterable[SensorUse]) -> list[str]:
 
 
 def _name_and_kind(text: str) -> tuple[str, str]:
-    """A topic and its type from a reader's key; a type of record is both."""
+    """A topic and its type from a reader's key; a record type stands for both."""
     name, opened, kind = text.partition(" (")
     return name, kind.removesuffix(")") if opened else "record"

@@ -1,4 +1,4 @@
-"""Numbered colour, depth and pose files in one folder: 7-Scenes, what ScanNet's tool extracts, and their kin.
+"""Numbered colour, depth and pose files in one folder: 7-Scenes, ScanNet as extracted, and others.
 
 Shotton et al. 2013, "Scene Coordinate Regression Forests for Camera Relocalization in RGB-D Images";
 Wald et al. 2019, "RIO: 3D Object Instance Re-Localization" (3RScan); Lai et al. 2014, "Unsupervised Feature
@@ -41,7 +41,7 @@ _SEVEN = Calibration(
 )
 
 
-# The names of colour and depth files, and the camera that the publishers specify.
+# The names of colour and depth files, and the published camera.
 _KNOWN = {
     r"frame-(\d{1,9})\.%s\.(?:png|jpe?g|pgm)": _SEVEN,
     r"(\d{1,9})-%s\.png": Calibration(CameraIntrinsics(570.3, 570.3, 320.0, 240.0, 640, 480), 10_000.0),
@@ -49,13 +49,13 @@ _KNOWN = {
 
 
 def _names(folder: Path) -> str | None:
-    """How the frames of a folder are called."""
+    """The naming scheme of the frames in a folder."""
     kinds = ("color", "depth")
     return next((one for one in _KNOWN if any(numbered_files(folder, one % kind) for kind in kinds)), None)
 
 
 def _camera(folder: Path, account: Account) -> Camera:
-    """Colour and depth of the same number are a pair; frame N is N / 30 s old."""
+    """Colour and depth with the same number are a pair; frame N has the stamp N / 30 s."""
     names = _names(folder)
     assert names is not None
     colors, depths = (numbered_files(folder, names % kind) for kind in ("color", "depth"))
@@ -64,7 +64,7 @@ def _camera(folder: Path, account: Account) -> Camera:
 
 
 def _calibration(folder: Path, published: Calibration) -> Calibration:
-    """By a matrix beside the frames, of unstated size, or both lenses of an info file; else as published."""
+    """From a matrix without image size, or from both lenses of an info file; else as published."""
     if (folder / _MATRIX_FILE).is_file():
         return replace(published, intrinsics=camera_matrix(folder / _MATRIX_FILE), assumed="")
     info = first_file(folder / name for name in _INFOS)

@@ -1,4 +1,4 @@
-"""Scans of a lidar that spins while the robot moves, as if all beams had been taken at the stamp."""
+"""Deskews scans of a 2D lidar that spins while the robot moves."""
 
 from __future__ import annotations
 
@@ -16,20 +16,20 @@ from slam.datasets.corrections_in_space import turn_times
 from slam.datasets.wheels_between import WHEELS_KEPT
 from slam.measurements import FloatArray, LaserScan, Measurement, WheelOdometry
 
-# Neighbours that lie further apart, in steps across the beam, are not on one surface.
+# Neighbours that are farther apart, in steps across the beam, are not on one surface.
 _STEEPEST = 10
 
 
 def straightened(log: Iterable[Measurement], lidars: Mapping[str, LidarCorrection]) -> Iterator[Measurement]:
-    """A log whose scans of some lidars are straightened by the wheels; without wheels they stay as they are.
+    """Deskew the scans of some lidars by wheel odometry; without wheels, they remain unchanged.
 
-    A scan, and all that comes after it, waits for the wheels at the end of its turn.
+    A scan and everything after it wait for the wheel odometry at the end of its revolution.
 
     Parameters
     ----------
     lidars
-        By name, each with its ``turn_s`` and ``cut_deg``; a scan is stamped in the middle of its turn, or
-        by its first beam where it tells ``beam_s``.
+        By name, each with its ``turn_s`` and ``cut_deg``; the stamp of a scan is the middle of its
+        revolution, or its first beam if it has ``beam_s``.
     """
     wheels, waiting = deque[WheelOdometry](maxlen=WHEELS_KEPT), deque[Measurement]()
 
@@ -55,26 +55,26 @@ def straightened(log: Iterable[Measurement], lidars: Mapping[str, LidarCorrectio
 
 
 def straight(scan: LaserScan, twist: FloatArray, turn_s: float, cut_rad: float) -> LaserScan:
-    """A scan as if all its beams had been taken at its stamp, on the same bearings.
+    """Deskew a scan to its stamp, with unchanged bearings.
 
     Parameters
     ----------
     twist
-        (3,) motion of the base a second, GTSAM's tangent.
+        (3,) motion of the base per second, in GTSAM's tangent space.
     turn_s, cut_rad
-        As of `turn_times`.
+        As for `turn_times`.
     """
     twist = scan.T_base_laser.inverse().AdjointMap() @ twist
     bearings, met = scan.bearings_rad(), np.isfinite(scan.ranges_m)
     ranges_m = np.where(met, scan.ranges_m, scan.range_max_m).astype(np.float64)
     times_s = turn_times(np.column_stack([np.cos(bearings), np.sin(bearings)]), turn_s, cut_rad)
     times_s += middle_s(scan)
-    # As complex numbers: shifted along the chord, turned by all of the angle.
+    # As complex numbers: translated along the chord, rotated by the full angle.
     turned_rad = twist[2] * times_s
     shift = times_s * complex(twist[0], twist[1]) * np.exp(0.5j * turned_rad)
     placed = shift + ranges_m * np.exp(1j * (bearings + turned_rad))
     far_m, seen = np.abs(placed), bearings + np.angle(placed * np.exp(-1j * bearings))
-    # Once round, with the ends of the turn before and after it.
+    # One revolution, extended by its end before and its start after it.
     order = np.argsort(seen, kind="stable")
     seen, order = np.concatenate([seen[order] + lap * math.tau for lap in (-1, 0, 1)]), np.tile(order, 3)
     after = np.clip(np.searchsorted(seen, bearings), 1, len(seen) - 1)
@@ -84,7 +84,7 @@ def straight(scan: LaserScan, twist: FloatArray, turn_s: float, cut_rad: float) 
     step_rad = abs(scan.step_rad)
     on_one = met[order[ends]].all(axis=0)
     on_one &= np.abs(other - one) < _STEEPEST * step_rad * np.minimum(one, other)
-    # A wall is straight in the inverse of its range.
+    # Interpolate inverse range linearly, as for a straight wall.
     with np.errstate(divide="ignore", invalid="ignore"):
         between_m = one * other * gaps.sum(axis=0) / (gaps[0] * one + gaps[1] * other)
     nearest = order[np.where(gaps[0] < gaps[1], after - 1, after)]
@@ -95,12 +95,12 @@ def straight(scan: LaserScan, twist: FloatArray, turn_s: float, cut_rad: float) 
 
 
 def middle_s(scan: LaserScan) -> float:
-    """From the stamp of a scan to the middle of its turn."""
+    """Time from the stamp of a scan to the middle of its revolution."""
     return 0.5 * abs(scan.beam_s) * (scan.ranges_m.size - 1)
 
 
 def _twist(wheels: Iterable[WheelOdometry], stamp_s: float, half_s: float) -> FloatArray | None:
-    """(3,) motion of the base a second over a turn; None where the wheels do not tell it."""
+    """(3,) motion of the base per second over a revolution; None without wheel odometry at that time."""
     before = [one for one in wheels if one.stamp_s <= stamp_s - half_s]
     after = [one for one in wheels if one.stamp_s >= stamp_s + half_s]
     if not (before and after) or (span_s := after[0].stamp_s - before[-1].stamp_s) > GAP_S:

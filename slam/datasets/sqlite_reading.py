@@ -1,4 +1,4 @@
-"""SQLite databases of strangers: read only, and what their views may ask of the machine is bounded."""
+"""Opens untrusted SQLite databases: read-only, and with limited resources for their views."""
 
 from __future__ import annotations
 
@@ -9,26 +9,26 @@ from slam.datasets.budget import LARGEST_BYTES
 
 SQLITE_MAGIC = b"SQLite format 3\0"
 _STEPS_AT_ONCE = 1 << 12
-# Of SQLite's machine; it does some ten million a second. A row of a bag takes twenty, of a join some hundred.
+# Steps of SQLite's virtual machine (some ten million per second). Row of a bag: 20, of a join: some 100.
 _FREE_STEPS, _STEPS_A_BYTE = 1 << 24, 16
-# What views of a data set may use: what makes or unpacks large values is not among it.
+# Functions that views of a data set may use; none of them creates or decompresses large values.
 _FUNCTIONS = frozenset({"coalesce", "ifnull", "nullif", "length", "substr", "like", "max", "min", "count"})
 
 
 def foreign_database(
     path: Path, *, immutable: bool = False, views: bool = True, any_thread: bool = False
 ) -> sqlite3.Connection:
-    """A database that is read only.
+    """Open a database read-only.
 
     Parameters
     ----------
     immutable
-        Nothing at all is written, not even a lock; a journal beside it is not looked at.
+        Nothing is written, not even a lock; a journal is ignored.
     views
-        Whether a query may read through a view; else it is an error, as other functions than the few of data
-        sets, recursion, and endless work are. Errors are those of `sqlite3`.
+        Whether a query may read through a view; else it is an error, like other functions than those above,
+        recursion, and endless work. Errors are those of `sqlite3`.
     any_thread
-        Whether other threads than this one may use it, one at a time.
+        Whether other threads may use it, one at a time.
     """
     how = "mode=ro&immutable=1" if immutable else "mode=ro"
     name = f"{path.resolve().as_uri()}?{how}"
@@ -48,7 +48,7 @@ def foreign_database(
 
 
 def bound_steps(database: sqlite3.Connection, path: Path) -> None:
-    """Let queries of a file that lead in circles end with an error."""
+    """Let endless queries of a file end with an error."""
     left = (_FREE_STEPS + _STEPS_A_BYTE * path.stat().st_size) // _STEPS_AT_ONCE
 
     def is_too_long() -> bool:
@@ -60,12 +60,12 @@ def bound_steps(database: sqlite3.Connection, path: Path) -> None:
 
 
 def free_steps(database: sqlite3.Connection) -> None:
-    """Bound queries no longer: no table of the file is endless."""
+    """Remove the limit of queries, because no table of the file is endless."""
     database.set_progress_handler(None, 0)
 
 
 def tables_of(database: sqlite3.Connection) -> set[str]:
-    """The names of the true tables: no view, nothing virtual, none with columns that are worked out."""
+    """The names of ordinary tables, without views, virtual tables, and tables with generated columns."""
     found = database.execute(
         "SELECT name FROM sqlite_master WHERE type = 'table' AND rootpage > 0"
     ).fetchall()

@@ -1,4 +1,4 @@
-"""Text files whose lines begin with a stamp: image lists, poses, associations of images."""
+"""Reads text files whose lines start with a stamp: image lists, poses, associations of images."""
 
 from __future__ import annotations
 
@@ -23,12 +23,12 @@ BAD_STAMP = "index line without a stamp of this age, in seconds"
 BAD_NAME = "index line without a usable file name"
 BAD_POSE = "pose line without finite numbers or a unit quaternion"
 
-_QUATERNION_TOLERANCE = 1e-2  # public ground truths carry four decimals
+_QUATERNION_TOLERANCE = 1e-2  # public ground truths have four decimals
 
 
 @dataclass(frozen=True, slots=True)
 class StampedFile:
-    """An image as an index lists it; ``number`` is the line."""
+    """An image in an index; ``number`` is the line."""
 
     stamp_s: float
     path: Path
@@ -36,9 +36,9 @@ class StampedFile:
 
 
 def fields_of(path: Path, account: Account, least: int, most: int = 0) -> Iterator[tuple[int, list[bytes]]]:
-    """Line numbers and fields of a text file, comments and empty lines left out, short lines counted.
+    """Line numbers and fields of a text file without comments and empty lines; short lines are counted.
 
-    Commas, semicolons or blanks part them; the last keeps its own where there would be more than ``most``.
+    Commas, semicolons or blanks separate fields; the last one keeps them if there are more than ``most``.
     """
     for number, line in numbered_lines(path, account):
         text = line.strip(b",; \t\r\n")
@@ -52,7 +52,7 @@ def fields_of(path: Path, account: Account, least: int, most: int = 0) -> Iterat
 
 
 def read_image_list(path: Path, account: Account) -> list[StampedFile]:
-    """Lines ``stamp name``, in the order of the file; names are relative to the list's folder.
+    """Read lines ``stamp name`` in file order; names are relative to the folder of the list.
 
     Parameters
     ----------
@@ -69,7 +69,7 @@ def read_image_list(path: Path, account: Account) -> list[StampedFile]:
 def read_associations(path: Path, account: Account) -> tuple[list[StampedFile], list[StampedFile]]:
     """Lines ``stamp name stamp name``, colour first or depth first, as colour and depth lists.
 
-    Of each line the name that contains "depth" is the depth image; where none does, it is the second.
+    The name that contains "depth" is the depth image; if there is none, it is the second name.
     """
     colors, depths = [], []
     for number, fields in fields_of(path, account, 4, 4):
@@ -85,9 +85,9 @@ def read_associations(path: Path, account: Account) -> tuple[list[StampedFile], 
 
 
 def read_poses(path: Path, account: Account) -> Trajectory | None:
-    """Lines ``stamp x y z qx qy qz qw`` in the order of the file, None when there is no good one.
+    """Read lines ``stamp x y z qx qy qz qw`` in file order, None if no line is valid.
 
-    Fields beyond the eighth are ignored. Quaternions are brought to unit length.
+    Fields beyond the eighth are ignored. Quaternions are normalised.
     """
     rows = [row for _, row in numbered_poses(path, account)]
     if not rows:
@@ -130,7 +130,7 @@ def stamp_of(field: bytes) -> float:
 
 
 def image_path(folder: Path, name: bytes) -> Path:
-    """The file that a name in an index means.
+    """The file that a name in an index refers to.
 
     Raises
     ------

@@ -32,7 +32,7 @@ _VIDEO, _POSES, _MATRIX, _IMU = "rgb.mp4", "odometry.csv", "camera_matrix.csv", 
 
 @dataclass(slots=True)
 class _VideoAndDepth:
-    """Frames of a video by their numbers, and depth in files; see `slam.datasets.image_files.ImageSource`."""
+    """Frames of a video by number, and depth in files; see `slam.datasets.image_files.ImageSource`."""
 
     video: Path
     depths: ImageFiles
@@ -40,7 +40,7 @@ class _VideoAndDepth:
     _next: int = field(default=0)
 
     def color(self, file: StampedFile, budget: Budget) -> ColorImage:
-        """See `slam.datasets.image_files.ImageSource`; frames in between are passed over."""
+        """See `slam.datasets.image_files.ImageSource`; frames in between are skipped."""
         if self._reader is None or file.number < self._next:
             self._reader, self._next = _opened(self.video), 0
         while self._next <= file.number:
@@ -61,7 +61,7 @@ class _VideoAndDepth:
 
 
 def _load(path: Path, account: Account) -> Contents:
-    """A folder of one scan; depth that ARKit has no trust in is left out."""
+    """The folder of one scan, without depth in which ARKit has no confidence."""
     account.report.note(COMPARED, 1)
     if (path / _IMU).is_file():
         account.report.ignore(_IMU, "its pose relative to the camera is unknown")
@@ -107,7 +107,7 @@ def _rows(path: Path, account: Account) -> dict[int, _Row]:
 
 
 def _lens(path: Path, rows: dict[int, _Row], account: Account) -> CameraIntrinsics:
-    """Of the video's size: the median of the frames' where they are told, else the matrix of the scan."""
+    """Lens for the video's size: the median over the frames if they have lenses, else the scan's matrix."""
     import cv2
 
     reader = _opened(path / _VIDEO)
@@ -122,7 +122,7 @@ def _lens(path: Path, rows: dict[int, _Row], account: Account) -> CameraIntrinsi
 
 
 def _opened(video: Path) -> Any:
-    """A reader of a video whose frames keep the way they are stored, as depth does."""
+    """A reader of a video that does not rotate frames, because depth is not rotated either."""
     import cv2
 
     reader = cv2.VideoCapture(str(video), cv2.CAP_FFMPEG)
@@ -133,7 +133,7 @@ def _opened(video: Path) -> Any:
 
 
 def _truth(path: Path, account: Account) -> Trajectory | None:
-    """What ARKit says."""
+    """The trajectory of ARKit."""
     return trajectory_of((row.stamp_s, row.T_world_optical) for row in _rows(path / _POSES, account).values())
 
 

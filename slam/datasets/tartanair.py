@@ -1,4 +1,4 @@
-"""TartanAir and TartanAir V2: simulated cameras, depth in metres, poses in north-east-down.
+"""TartanAir and TartanAir V2: simulated cameras, depth in metres, north-east-down poses.
 
 Wang et al. 2020, "TartanAir: A Dataset to Push the Limits of Visual SLAM".
 """
@@ -21,12 +21,12 @@ from slam.estimates import Trajectory
 from slam.measurements import CameraIntrinsics
 
 _RATE_HZ = 10.0  # of the publishers' recordings
-# The camera's own axes, forward, right and down, hold the optical ones: right, down, forward.
+# The optical axes (right, down, forward) in the camera's axes (forward, right, down).
 _T_NED_OPTICAL = gtsam.Pose3(gtsam.Rot3(np.array([[0.0, 0, 1], [1, 0, 0], [0, 1, 0]])), np.zeros(3))
 _POSES = PoseTable(stamp_units_s=(), position=0, rotation=3)
 
 
-# The camera in the names of files of both releases, and its lens of 90 degrees across.
+# The camera in the file names of both releases, and its lens with a horizontal view of 90 degrees.
 _RELEASES = {
     "left": CameraIntrinsics(320.0, 320.0, 320.0, 240.0, 640, 480),
     "lcam_front": CameraIntrinsics(320.0, 320.0, 320.0, 320.0, 640, 640),
@@ -34,7 +34,7 @@ _RELEASES = {
 
 
 def _load(path: Path, account: Account) -> Contents:
-    """A folder of one trajectory, its left camera; frame N is N / 10 s old."""
+    """The folder of one trajectory, left camera; frame N has the stamp N / 10 s."""
     release = _release(path)
     assert release is not None
     account.report.note(NO_STAMPS.format(rate=_RATE_HZ), 1)
@@ -46,13 +46,13 @@ def _load(path: Path, account: Account) -> Contents:
 
 
 def _release(path: Path) -> str | None:
-    """Which of the two it is."""
+    """The release of a folder."""
     kinds = ("image", "depth")
     return next((one for one in _RELEASES if all((path / f"{kind}_{one}").is_dir() for kind in kinds)), None)
 
 
 def _groundtruth(path: Path, account: Account) -> Trajectory | None:
-    """Of the optical frame; the world stays north-east-down."""
+    """Ground truth of the optical frame; the world frame remains north-east-down."""
     release = _release(path)
     file = path / f"pose_{release}.txt" if release else path
     rows = _POSES.rows(file, account) if file.is_file() else ()

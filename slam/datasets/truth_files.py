@@ -1,4 +1,4 @@
-"""True trajectories in files of their own, in the forms in which data sets publish them."""
+"""Reads separate ground truth files in the formats of public data sets."""
 
 from __future__ import annotations
 
@@ -23,16 +23,16 @@ _KITTI, _MULRAN, _NEWER, _NCLT, _BLOCK = 12, 13, 9, 7, 3
 
 
 def read_truth(path: Path) -> Trajectory | None:
-    """A trajectory in a form other than TUM's; None where it is TUM's or none that is known.
+    """A trajectory in another format than TUM's; None if it is TUM's or unknown.
 
-    Known are EuRoC's and TUM-VI's ``data.csv``, KITTI's poses with ``times.txt`` in the folder or in that
-    of the sequence, Newer College's, NCLT's, Boreas' and MulRan's tables, and Redwood's ``.log``. Poses are
-    those of the file, in the frame of the robot, camera or lidar that it means. Bad lines are left out.
+    Known formats are EuRoC's and TUM-VI's ``data.csv``, KITTI's poses with ``times.txt`` in the folder or in
+    that of the sequence, the tables of Newer College, NCLT, Boreas and MulRan, and Redwood's ``.log``. Poses
+    are those in the file, of the robot, camera or lidar frame that it defines. Invalid lines are skipped.
 
     Raises
     ------
     DatasetError
-        The file holds no pose, or KITTI's poses are without their times.
+        The file contains no pose, or KITTI's poses have no times.
     """
     head = read_head(path, _HEAD_BYTES).decode("ascii", "replace")
     account = Account.quiet(path)
@@ -40,7 +40,7 @@ def read_truth(path: Path) -> Trajectory | None:
     counts = [len(fields) for _, fields in lines]
     if not counts:
         raise DatasetError(f"{path} holds no pose; give a trajectory")
-    # Of the poses: a comment may have some, too.
+    # Count the numbers in poses, because comments may contain numbers, too.
     commas = any("," in line for line in head.splitlines() if not line.lstrip().startswith("#"))
     truth: Trajectory | None
     if "GPSTime" in head:
@@ -66,7 +66,7 @@ def read_truth(path: Path) -> Trajectory | None:
 
 
 def _kitti(path: Path, account: Account) -> Trajectory | None:
-    """Lines of twelve numbers by the times of the sequence that they belong to."""
+    """Read lines of twelve numbers, with the times of their sequence."""
     places = (path.parent, path.resolve().parent.parent / "sequences" / path.stem)
     file = first_file(place / "times.txt" for place in places)
     stamps_s = None if file is None else numbers_of(file)

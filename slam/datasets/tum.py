@@ -1,7 +1,7 @@
 """The layout of the TUM RGB-D benchmark: lists of colour and depth images, and a trajectory, in a folder.
 
-Sturm et al. 2012, "A Benchmark for the Evaluation of RGB-D SLAM Systems". So are published Bonn RGB-D Dynamic
-(Palazzolo et al. 2019, "ReFusion"), and ETH3D SLAM (Schöps et al. 2019, "BAD SLAM") with its lens in a file.
+Sturm et al. 2012, "A Benchmark for the Evaluation of RGB-D SLAM Systems". Bonn RGB-D Dynamic (Palazzolo et
+al. 2019, "ReFusion") and ETH3D SLAM (Schöps et al. 2019, "BAD SLAM"), with its lens in a file, use it, too.
 """
 
 from __future__ import annotations
@@ -25,8 +25,8 @@ _ASSOCIATIONS = ("associations.txt", "associate.txt", "association.txt", "associ
 _GROUNDTRUTH, _LENS_FILE = "groundtruth.txt", "calibration.txt"
 DEPTH_STEPS_PER_M = 5000.0
 
-# By words in a folder's name: the publishers' own calibrations of the colour image, to which depth is
-# registered as it is, distortion left aside.
+# By words in a folder name: the published calibrations of the colour image, to which depth is already
+# registered, without distortion.
 _PUBLISHED = {
     "freiburg1": CameraIntrinsics(517.3, 516.5, 318.6, 255.3, 640, 480),
     "freiburg2": CameraIntrinsics(520.9, 521.0, 325.1, 249.7, 640, 480),
@@ -40,17 +40,17 @@ ASSUMED = (
 
 
 def has_tum_layout(folder: Path) -> bool:
-    """Whether a folder holds both lists of images, or one that associates them."""
+    """Whether a folder contains both image lists, or one that associates them."""
     if all((folder / name).is_file() for name in _LISTS):
         return True
     return any((folder / name).is_file() for name in _ASSOCIATIONS)
 
 
 def tum_camera(folder: Path, sensor: str, account: Account) -> Camera:
-    """The camera whose lists lie in a folder.
+    """The camera whose image lists are in a folder.
 
     Without ``calibration.yaml`` the intrinsics are those of ``calibration.txt`` (fx fy cx cy), else those
-    that are published for folders of such a name (freiburg1 to 3, rgbd_bonn), else assumed.
+    that are published for folders with such a name (freiburg1 to 3, rgbd_bonn), else assumed.
     """
     known = [lens for name, lens in _PUBLISHED.items() if name in folder.resolve().name.lower()]
     if (folder / _LENS_FILE).is_file():
@@ -62,12 +62,12 @@ def tum_camera(folder: Path, sensor: str, account: Account) -> Camera:
 def listed_camera(
     folder: Path, sensor: str, default: Calibration, account: Account, rate_hz: float = 1.0
 ) -> Camera:
-    """The camera whose lists lie in a folder, its calibration corrected by the one beside them.
+    """The camera whose image lists are in a folder; a calibration file there overrides its calibration.
 
     Parameters
     ----------
     rate_hz
-        What a stamp is to be divided by, where the lists count frames.
+        Divisor of the stamps, if the lists contain frame numbers.
     """
     colors, depths = (
         [replace(image, stamp_s=image.stamp_s / rate_hz) for image in images]
@@ -77,13 +77,13 @@ def listed_camera(
 
 
 def read_groundtruth(folder: Path, account: Account) -> Trajectory | None:
-    """The trajectory beside the lists, None where there is none."""
+    """The trajectory next to the lists, None if there is none."""
     path = folder / _GROUNDTRUTH
     return read_poses(path, account) if path.is_file() else None
 
 
 def _image_lists(folder: Path, account: Account) -> tuple[list[StampedFile], list[StampedFile]]:
-    """Colour and depth images by the two lists, or by the one that associates them."""
+    """Colour and depth images from the two lists, or from the one that associates them."""
     paths = [folder / name for name in _LISTS]
     if all(path.is_file() for path in paths):
         return read_image_list(paths[0], account), read_image_list(paths[1], account)

@@ -1,4 +1,4 @@
-"""The wheels at a moment between two of their readings."""
+"""Interpolates wheel odometry between two readings."""
 
 from __future__ import annotations
 
@@ -8,12 +8,12 @@ import gtsam
 
 from slam.measurements import WheelOdometry
 
-WHEELS_KEPT = 400  # readings that are worth keeping to ask
-_LONGEST_STEP_S = 0.5  # between two readings; what a robot did in a longer one is not known
+WHEELS_KEPT = 400  # readings that are kept for interpolation
+_LONGEST_STEP_S = 0.5  # between two readings; motion in a longer interval is unknown
 
 
 def wheels_at(readings: deque[WheelOdometry], stamp_s: float) -> WheelOdometry | None:
-    """The wheels between two readings, as tf tells them; None at a reading, or without one on either side."""
+    """Interpolated wheel odometry, as tf does it; None at a reading, or without one on either side."""
     after: WheelOdometry | None = None
     for before in reversed(readings):
         if before.stamp_s == stamp_s:
