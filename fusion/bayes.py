@@ -33,12 +33,12 @@ STEPS_A_UNIT = 1024
 
 # Rows are the lidar's states, columns the camera's, both in the order occupied, empty, uncertain.
 _RULES: dict[Rule, States] = {
-    # Not of Li2020: what the lidar alone calls empty is empty at its own height, and nobody knows what stands
-    # below or above.
+    # Not in Li2020: a cell that only the lidar sees as empty is empty at the height of the lidar, and unknown
+    # below and above.
     "cautious": np.array(
         [[OCCUPIED, OCCUPIED, OCCUPIED], [OCCUPIED, FREE, UNKNOWN], [OCCUPIED, FREE, UNKNOWN]], dtype=np.int8
     ),
-    # The last row is printed the other way round, which contradicts Li2020's own Fig. 13.
+    # The last row is printed in reverse order, which contradicts Li2020's own Fig. 13.
     "corrected": np.array(
         [[OCCUPIED, OCCUPIED, OCCUPIED], [OCCUPIED, FREE, FREE], [OCCUPIED, FREE, UNKNOWN]], dtype=np.int8
     ),

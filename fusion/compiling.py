@@ -32,10 +32,10 @@ log = logging.getLogger(__name__)
 
 def dispatcher_of(kernel: Any) -> Dispatcher:
     """Return numba's dispatcher of a `fusion.kernel.Kernel`; it stores compiled code if possible."""
-    # What numba takes a kernel for that another one calls.
+    # The numba type of a kernel that another kernel calls.
     typeof_impl.register(type(kernel), lambda called, _: numba.types.Dispatcher(called.dispatcher))
     _loaded_ns.update(kernel.loaded_ns)
-    # Nobody calls kernels by their C address.
+    # Kernels are never called by their C address.
     found = numba.njit(**{"no_cfunc_wrapper": True, **kernel.options})(kernel.py_func)
     try:
         found._cache = _Cache(kernel.py_func)
@@ -97,7 +97,7 @@ class _Cache(caching.FunctionCache):  # type: ignore[misc]
         For at most ten seconds, so that a stopped process does not block others.
         """
         lock = _locks[self._file] = os.open(self._file, os.O_RDONLY)
-        with suppress(OSError):  # of a file system without locks
+        with suppress(OSError):  # on a file system without locks
             for _ in range(2000):
                 with suppress(BlockingIOError):
                     fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
@@ -107,7 +107,7 @@ class _Cache(caching.FunctionCache):  # type: ignore[misc]
 
 @cache
 def _tell_linker() -> None:
-    """Give the linker the addresses of the functions in numba's runtime that compiled code calls."""
+    """Pass the linker the addresses of the numba runtime functions that compiled code calls."""
     for name, address in _nrt_python.c_helpers.items():
         binding.add_symbol(name if name.startswith("_") else f"NRT_{name}", address)
 
@@ -122,7 +122,7 @@ def _stamp(function: FunctionType) -> str:
         digest = sha256(Path(file).read_bytes())
         changed_ns = Path(file).stat().st_mtime_ns
         if changed_ns != _loaded_ns.get(file, changed_ns):
-            digest.update(os.urandom(16))  # edited since: what is compiled is not what is there now
+            digest.update(os.urandom(16))  # edited since it was loaded: the compiled code is older
         for name, value in sorted(function.__globals__.items()):
             if isinstance(value, (int, float, str, np.generic)) and not name.startswith("__"):
                 digest.update(f"{name}={value!r}".encode())

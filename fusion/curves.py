@@ -24,14 +24,14 @@ BoolArray: TypeAlias = NDArray[np.bool_]
 IntArray: TypeAlias = NDArray[np.int32]
 
 SAMPLE_STEP_RAD = math.radians(1.0)  # Xu2024, 3.2.1: 180 samples of 180 degrees, 240 of 240
-HEIGHT_STEP_M = 0.02  # between the heights that are told apart
+HEIGHT_STEP_M = 0.02  # between distinct heights
 NEAREST_M = 0.25  # no depth camera measures nearer
 CAMERA_REACH_M = 6.0  # a structured-light camera's readings beyond are mostly noise
 STEEPEST = 2.0  # slope: beyond, a camera looks at the floor before the robot's feet
-SLACK_M = 0.04  # what the readings of one surface may differ by at any range
-EDGE_M = 0.15  # neighbouring samples farther apart are of two surfaces
-NEAR_SAMPLES = 2  # what is this near is the same place
-BESIDE = 4  # samples to each side of one that make a surface
+SLACK_M = 0.04  # maximum difference of readings of one surface at any range
+EDGE_M = 0.15  # neighbouring samples farther apart belong to two surfaces
+NEAR_SAMPLES = 2  # samples this close count as the same position
+BESIDE = 4  # samples on either side that form a surface
 
 
 @dataclass(frozen=True)
@@ -103,8 +103,8 @@ class Intrinsics:
     Examples
     --------
     >>> import fusion, math
-    >>> camera = fusion.Intrinsics(fx=120.0, fy=120.0, cx=79.5, cy=59.5)  # of 160 by 120 pixels
-    >>> round(math.degrees(2 * math.atan(80 / camera.fx)))  # how wide it looks
+    >>> camera = fusion.Intrinsics(fx=120.0, fy=120.0, cx=79.5, cy=59.5)  # 160 by 120 pixels
+    >>> round(math.degrees(2 * math.atan(80 / camera.fx)))  # field of view in degrees
     67
     """
 
@@ -137,14 +137,14 @@ class DepthImage:
 
     Examples
     --------
-    A camera that looks 20 degrees down; columns are its right, down and ahead in the level frame.
+    A camera that looks 20 degrees down; columns are its right, down and forward axes in the level frame.
 
     >>> import fusion, numpy as np
     >>> tilt = np.radians(20)
     >>> R = np.array([[0, -np.sin(tilt), np.cos(tilt)], [-1, 0, 0], [0, -np.cos(tilt), -np.sin(tilt)]])
     >>> camera = fusion.Intrinsics(fx=120, fy=120, cx=79.5, cy=59.5)
     >>> image = fusion.DepthImage(np.full((120, 160), 2.0, np.float32), camera, R)
-    >>> (image.R_level_camera @ [0.0, 0.0, 1.0]).round(2).tolist()  # ahead, and down
+    >>> (image.R_level_camera @ [0.0, 0.0, 1.0]).round(2).tolist()  # forward, and down
     [0.94, 0.0, -0.34]
     """
 
@@ -265,7 +265,7 @@ def _fill_medians(ranges, samples_a_beam, held, medians):  # type: ignore[no-unt
         found = ZERO
         for beam in range(low, high + 1):
             if not math.isnan(ranges[beam]):
-                # In order; numba takes a second to compile a sort.
+                # Insertion sort, because numba takes a second to compile a library sort.
                 place = found
                 while place > 0 and held[place - 1] > ranges[beam]:
                     held[place] = held[place - 1]
@@ -273,5 +273,5 @@ def _fill_medians(ranges, samples_a_beam, held, medians):  # type: ignore[no-unt
                 held[place] = ranges[beam]
                 found += 1
         if 2 * found >= high - low + 1 and found > 0:
-            # The lower of two middle ones: a mean of two surfaces would be neither.
+            # The lower of two middle values, because a mean of two surfaces would be neither.
             medians[sample] = held[(found - 1) // 2]

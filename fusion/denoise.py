@@ -31,7 +31,7 @@ from fusion.rigid_fit import EPS_OVER_E, rigid_fit
 from fusion.showing import one_line, shaded, with_pictures
 from fusion.similarity import Grade
 
-LEAST_EPS_SHARE = 0.025  # of the range: below, the lidar's own noise would be called burrs
+LEAST_EPS_SHARE = 0.025  # of the range: below, the lidar's own noise would be classified as burrs
 _BURR_RAD = math.radians(1.4)  # longest run of readings that can be a burr; two squares of pixels
 _LONE_RAD = math.radians(0.3)  # single readings of a camera
 _LIDAR_SLACK, _CAMERA_SLACK = 0.04, 0.01  # noise of the difference of two neighbours, as a share of the range
@@ -105,9 +105,9 @@ def denoise(
     A lidar beam has no return, and a camera sees the surface there.
 
     >>> import fusion, numpy as np
-    >>> def ranges_m(bearings):  # of the walls of a room of 6 m by 4 m, from a place in it
-    ...     ways = np.column_stack([np.cos(bearings), np.sin(bearings)])
-    ...     return ((np.array([3.0, 2.0]) - np.sign(ways) * [0.5, 0.3]) / np.abs(ways)).min(axis=1)
+    >>> def ranges_m(bearings):  # to the walls of a room of 6 m by 4 m, from a position in it
+    ...     rays = np.column_stack([np.cos(bearings), np.sin(bearings)])
+    ...     return ((np.array([3.0, 2.0]) - np.sign(rays) * [0.5, 0.3]) / np.abs(rays)).min(axis=1)
     >>> beams, slopes = np.linspace(-np.pi, np.pi, 721, endpoint=False), (79.5 - np.arange(160)) / 120
     >>> camera = fusion.Intrinsics(fx=120, fy=120, cx=79.5, cy=59.5)
     >>> depth_m = ranges_m(np.arctan(slopes) + 0.9) * np.cos(np.arctan(slopes))  # looks 0.9 rad to the left
@@ -229,13 +229,13 @@ def find_candidates(
         )
         for camera, (view, matrix) in seen.items()
     }
-    # What agrees differs by the noise of both, and by how well one is carried to the other.
+    # Agreeing readings differ by the noise of both, and by the error of the reprojection.
     agreed = source == Provenance.AVERAGED
     apart = float(np.median(np.abs(own - other)[agreed] / own[agreed])) if agreed.any() else share
     carried = math.sqrt(max(apart**2 - mine**2, theirs**2)) if np.isfinite(mine + theirs) else share
     mean = math.hypot((1.0 - trust) * mine, trust * carried)
     shares = median_to_sigma() * np.array([math.nan, carried, mine, math.nan, mean])
-    # A pixel's value is a smoothed range, of at least so many readings, on the image's own surfaces.
+    # A pixel's value is a range smoothed over at least `BESIDE` readings, on the image's own surfaces.
     smoothed = median_to_sigma() * math.hypot(carried, mine / math.sqrt(BESIDE))
     return Candidates(source, kinds, beams, pixels, shares, smoothed)
 
@@ -250,7 +250,7 @@ def _put_in(
     chance = judged[best, beam]
     hole = found.source == Provenance.HOLE
     kind = np.where(hole, np.where(best == 0, Provenance.FILLED, Provenance.INTERPOLATED), found.source)
-    # A line over a hole is right where both of its ends are: they may have gone through one pane together.
+    # A line across a hole is right if both of its ends are; both may have passed through the same pane.
     line = hole & (kind == Provenance.INTERPOLATED)
     least = np.where(line, math.sqrt(max(least_probability, 0.0)), least_probability)
     least = np.where(kind == Provenance.AVERAGED, 0.0, least)
@@ -264,7 +264,7 @@ def _put_in(
         pixel, kinds = rows[:, 0].astype(np.intp), rows[:, 1].astype(np.intp)
         chance = probabilities(kinds, rows[:, 3:], PIXEL_ODDS)
         taken = np.flatnonzero(chance >= least_probability)
-        taken = taken[np.argsort(chance[taken])]  # of several heights, what is likeliest comes last
+        taken = taken[np.argsort(chance[taken])]  # of several heights, the most likely comes last
         at, value = pixel[taken], rows[taken, 2]
         depth, source = result.depth_m[camera].ravel(), result.depth_source[camera].ravel()
         burrs = pixel[kinds != 0]

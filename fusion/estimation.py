@@ -5,13 +5,13 @@ from __future__ import annotations
 import math
 from functools import cache
 
-# A true pair is turned away once in a thousand times.
+# A true pair is rejected once in a thousand times.
 CONFIDENCE = 0.999
-# Fewer readings are no statistic.
+# Fewer readings are not enough for statistics.
 FEWEST = 20
-# Rounds of an iteration that nearly always ends before, by a step shorter than this, metres or radians.
+# Maximum rounds of an iteration; it normally ends earlier, with a step below this, metres or radians.
 ROUNDS, SETTLED = 20, 1e-4
-# What is smaller, in shares of what it is compared with, is rounding.
+# Relative differences below this are rounding.
 TINY = 1e-9
 
 
@@ -32,7 +32,7 @@ def gate(degrees: int = 1, confidence: float = CONFIDENCE) -> float:
     >>> round(gate(2, 0.95), 2)  # chi-square of two degrees of freedom
     5.99
     """
-    from scipy.special import chdtri  # here, for it takes longer to load than the rest of a short command
+    from scipy.special import chdtri  # imported here because it loads slowly
 
     return float(chdtri(degrees, 1.0 - confidence))
 

@@ -17,7 +17,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-# Numbers to begin with for what a loop changes: after a literal, numba infers the types once more a loop.
+# Initial values of loop variables: with a literal, numba infers the types once more per loop.
 ZERO: Any = np.int64(0)
 ONE: Any = np.int64(1)
 NONE: Any = np.int64(-1)
@@ -42,7 +42,7 @@ class Kernel:
         update_wrapper(self, function)
         self.py_func, self.options = function, options
         self.run: Any = self._first_run
-        with suppress(OSError):  # typed in, by nobody's file
+        with suppress(OSError):  # interactive code has no file
             file = function.__code__.co_filename
             self.loaded_ns[file] = Path(file).stat().st_mtime_ns
 
@@ -51,7 +51,7 @@ class Kernel:
         return self.run(*arguments)
 
     def __getattr__(self, name: str) -> Any:
-        if name.startswith("__"):  # what inspecting programs ask for is no reason to load numba
+        if name.startswith("__"):  # requested by inspection tools, no reason to load numba
             raise AttributeError(name)
         return getattr(self.dispatcher, name)
 

@@ -18,9 +18,9 @@ from numpy.typing import NDArray
 from fusion.curves import Curve, Float32Array, FloatArray
 from fusion.kernel import kernel
 
-OFFSETS_M = (-0.2, -0.1, 0.0, 0.1, 0.2)  # ranges of the camera less those of the lidar: sensors of one robot
+OFFSETS_M = (-0.2, -0.1, 0.0, 0.1, 0.2)  # ranges of the camera minus those of the lidar: sensors of one robot
 SIGMA_SHARE = 0.02  # noise of both sensors, and half a step of the offsets: of the range and two metres more
-SAME_SHARE = 0.6  # of the samples that see the same surface, where curves belong together
+SAME_SHARE = 0.6  # of samples see the same surface if curves match
 ELSEWHERE_PER_M = 0.4  # density of the difference of two unrelated ranges, about zero
 
 
@@ -67,7 +67,7 @@ def log_ratio_map(candidates_m: Float32Array, curve_m: Float32Array) -> Float32A
     weight, sharpness, floor = sample_weights(curve_m)
     ranges = np.where(np.isfinite(curve_m), curve_m, 0.0).astype(np.float32)
     offsets = np.array(OFFSETS_M, dtype=np.float32)
-    # The kernel's arithmetic knows no nan: a hole is a range that nothing can have.
+    # The kernel's arithmetic does not handle nan: a hole is an impossible range.
     candidates = np.where(np.isfinite(candidates_m), candidates_m, -1.0).astype(np.float32)
     return _log_ratios(candidates, ranges, weight, sharpness, floor, offsets)
 
@@ -128,7 +128,7 @@ def log_ratios_at(
     expected = np.where(inside, curve.ranges_m[at], np.nan)
     both = np.isfinite(candidates_m) & np.isfinite(expected)
     apart = np.where(both, candidates_m - np.where(inside, np.nan_to_num(expected), 0.0), 0.0)
-    # A camera an offset ahead measures less, the more so straight ahead.
+    # A camera in front of the lidar measures shorter ranges, most of all straight ahead.
     shifts = offsets_m[:, None, None] * np.cos(bearings_rad)
     scaled = (apart + shifts) * sharpness[at]
     gained = np.where(both, np.maximum(weight[at] - scaled * scaled, floor), 0.0)

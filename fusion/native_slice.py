@@ -52,7 +52,7 @@ class ImageView:
         nearest_m
             Smallest range of the lidar's surfaces: there the rows are closest to each other.
         """
-        # A step beyond the heights that are as good: walls are upright.
+        # One step beyond the equally good heights, because walls are vertical.
         low, high = self.low_m - HEIGHT_STEP_M, self.high_m + HEIGHT_STEP_M
         fall = float(self.lookup.slopes[0] - self.lookup.slopes[1])
         rows = min(_MOST_ROWS, 2 + int(np.ceil((high - low) / (nearest_m * fall))))
@@ -107,7 +107,7 @@ def _slice(
                 continue
             reach = value * range_of_depth[row, col]
             off = abs(slope * reach - height_m)
-            # Beyond half a pixel: noise, and a height that is known in steps.
+            # The tolerance is half a pixel, plus noise and the quantisation of the height.
             if off > 0.5 * (fall * reach + HEIGHT_STEP_M):
                 continue
             nearer = reach < best[col] - EDGE_M

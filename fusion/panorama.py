@@ -101,7 +101,7 @@ def lookup_of(image: DepthImage, step_rad: float) -> Lookup:
     yaw = yaw_of(image)
     c, s = math.cos(yaw), math.sin(yaw)
     R = np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]]) @ image.R_level_camera
-    # Rounded: the yaw comes and goes with the robot's motion, and the rest must be found again.
+    # Rounded because the yaw varies with the robot's motion; the rest must match the cached key.
     tilt = tuple(np.round(R, 5).ravel().tolist())
     camera = image.intrinsics
     height, width = image.depth_m.shape

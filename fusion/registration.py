@@ -29,8 +29,8 @@ from fusion.showing import drawn, one_line, shaded, with_pictures
 from fusion.similarity import Grade, grade_of, masked_sums, pearson
 
 HEIGHTS_M = HEIGHT_STEP_M * np.arange(-60.0, 21.0)  # of the lidar's plane above the camera
-CONFIDENT = 0.9  # share of the belief within them, for a high grade
-_SOFTNESS = 0.1  # neighbouring samples see one surface: their evidence counts for a tenth
+CONFIDENT = 0.9  # probability share within them, for a high grade
+_SOFTNESS = 0.1  # neighbouring samples see one surface, so their evidence counts a tenth
 
 
 @dataclass(frozen=True)
@@ -115,9 +115,9 @@ def register(
     A camera looks 0.9 rad to the left of the lidar's zero; this yaw is not given.
 
     >>> import fusion, numpy as np
-    >>> def ranges_m(bearings):  # of the walls of a room of 6 m by 4 m, from a place in it
-    ...     ways = np.column_stack([np.cos(bearings), np.sin(bearings)])
-    ...     return ((np.array([3.0, 2.0]) - np.sign(ways) * [0.5, 0.3]) / np.abs(ways)).min(axis=1)
+    >>> def ranges_m(bearings):  # to the walls of a room of 6 m by 4 m, from a position in it
+    ...     rays = np.column_stack([np.cos(bearings), np.sin(bearings)])
+    ...     return ((np.array([3.0, 2.0]) - np.sign(rays) * [0.5, 0.3]) / np.abs(rays)).min(axis=1)
     >>> beams, slopes = np.linspace(-np.pi, np.pi, 721, endpoint=False), (79.5 - np.arange(160)) / 120
     >>> camera = fusion.Intrinsics(fx=120, fy=120, cx=79.5, cy=59.5)
     >>> depth_m = ranges_m(np.arctan(slopes) + 0.9) * np.cos(np.arctan(slopes))  # looks 0.9 rad to the left
@@ -133,7 +133,7 @@ def register(
     stacks = tuple(height_slices(image, heights_m) for image in as_images(depth))
     curve, stack = resample(scan), join(stacks)
     scores = log_ratio_map(stack.ranges_m, curve.ranges_m)
-    # A wall is upright: all heights speak for the offset, and then one of them for itself.
+    # Walls are vertical: all heights together select the offset, then the best height is chosen.
     profile = scores.mean(axis=0)
     u = int(np.argmax(profile))
     found = registration_at(curve, stacks, scores, int(np.argmax(scores[:, u])), u, _belief_near(profile, u))
@@ -144,7 +144,7 @@ def _swings(found: Registration) -> bool:
     """Return whether the offset changes once the camera may have another position than the lidar."""
     aligned = align([found.curve], [join(found.stacks).curve(found.v)], found.yaw_rad)
     if aligned is None:
-        return False  # a single wall: the motion stays open
+        return False  # a single wall does not determine the motion
     T = aligned.T_laser_level
     apart = math.remainder(math.atan2(T[1, 0], T[0, 0]) - found.yaw_rad, 2.0 * math.pi)
     return abs(apart) > NEAR_SAMPLES * found.curve.step_rad

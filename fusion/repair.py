@@ -18,7 +18,7 @@ class Provenance(IntEnum):
     Examples
     --------
     >>> import fusion, numpy as np
-    >>> source = np.array([0, 1, 1, 3], np.uint8)  # as `fusion.denoise` tells it of each beam
+    >>> source = np.array([0, 1, 1, 3], np.uint8)  # as returned by `fusion.denoise` for each beam
     >>> int((source == fusion.Provenance.FILLED).sum()), fusion.Provenance(3).name
     (2, 'HOLE')
     """
@@ -35,7 +35,7 @@ MEASURED, FILLED, INTERPOLATED, HOLE, AVERAGED = (np.uint8(kind) for kind in Pro
 ProvenanceArray = NDArray[np.uint8]
 BoolArray = NDArray[np.bool_]
 
-_SLANT_SHARE = 0.06  # what noise and slant add to a surface over a few readings
+_SLANT_SHARE = 0.06  # noise and slant of a surface over a few readings
 
 
 @kernel
@@ -96,8 +96,8 @@ def smooth_outliers(
         jut = own[i] - steady[i]
         if source[i] != MEASURED or not jut > max(SLACK_M, jut_share * own[i]):
             continue
-        # Two in a row may be what is seen past an edge, and so may the last one before a jump; where its
-        # neighbours jut too there is a corner.
+        # Two in a row, or the last one before a jump, may be a surface behind an edge; if its neighbours
+        # deviate too, it is a corner.
         alone = max(own[i - 1] - steady[i - 1], own[i + 1] - steady[i + 1]) < 0.5 * jut
         for j in range(max(0, i - BESIDE), min(own.size, i + BESIDE + 1)):
             alone = alone and (j == i or abs(own[j] - steady[i]) < 0.7 * jut + _SLANT_SHARE * own[i])

@@ -1,7 +1,8 @@
 # mypy: allow-untyped-decorators
 """Probability that a repaired value is right: logistic regression on features measured around it.
 
-``python tools/learn_repair_odds.py`` learns the weights from simulated homes that no figure is measured on.
+``python tools/learn_repair_odds.py`` learns the weights from simulated homes that are not used for any
+figure.
 """
 
 from __future__ import annotations
@@ -15,9 +16,9 @@ from fusion.curves import SLACK_M, BoolArray, Float32Array, FloatArray
 from fusion.kernel import kernel
 from fusion.repair import AVERAGED, FILLED, HOLE, INTERPOLATED, ProvenanceArray
 
-# Of beams: what the camera puts into a hole, the line between its ends there, the camera in the place of a
-# reading, the line there, the mean of both. Of pixels: into a hole, in the place of a reading. What takes the
-# place of a beam's reading, and the mean, are learned from the simulator's own sensors alone.
+# Rows for beams: the camera fills a hole, a line fills a hole, the camera replaces a reading, a line replaces
+# a reading, the mean of both. Rows for pixels: fills a hole, replaces a reading. Replaced readings of beams,
+# and the mean, are learned from the simulator's own sensors only.
 # fmt: off
 BEAM_ODDS = np.array([[ 3.930e+00, -2.260e+00,  1.040e+00, -1.330e+00, -8.800e-01, -6.000e-02,  0.000e+00,
    7.500e-01, -2.600e-01,  1.300e-01,  2.700e-01, -1.310e+00,  0.000e+00, -3.700e-01,
@@ -165,7 +166,7 @@ def describe_beams(
             continue
         width = right - left - 1
         line = width + 1.0
-        # A straight wall is straight in one over the range.
+        # A straight wall is almost a straight line in 1 / range.
         line /= (right - i) / steady[left] + (i - left) / steady[right]
         put = line if np.isnan(value[i]) else value[i]
         low, high = max(0, i - crowd), min(count, i + crowd + 1)

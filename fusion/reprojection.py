@@ -71,7 +71,7 @@ def reproject(
             if wide * other_step < 4.0 * step and joined(reach[i], reach[i + 1], step, slack):
                 _draw(seen, bearing[i], bearing[i + 1], reach[i], reach[i + 1])
                 continue
-        # At an edge: as wide as the reading itself.
+        # At an edge, as wide as the reading itself.
         half = 0.5 * step / other_step
         _draw(seen, bearing[i] - half, bearing[i] + half, reach[i], reach[i])
     for k in range(count):
@@ -88,7 +88,7 @@ def _draw(seen: Float32Array, from_at: float, to_at: float, from_m: float, to_m:
     wide = max(to_at - from_at, 1e-9)
     for k in range(max(0, math.ceil(from_at)), min(seen.size - 1, math.floor(to_at)) + 1):
         share = (k - from_at) / wide
-        # A straight wall is straight in one over the range.
+        # A straight wall is almost a straight line in 1 / range.
         here = 1.0 / ((1.0 - share) / from_m + share / to_m)
         if here < seen[k]:
             seen[k] = here
@@ -152,7 +152,7 @@ def without_bumps(
             before, after = _valid_before(ranges, first), _valid_after(ranges, last)
             drop = length <= lone
             if not drop and before >= 0 and after >= 0 and after - before <= 2 * bump:
-                # Behind the line of its neighbours: light that came by a detour.
+                # Behind the line of its neighbours: multipath.
                 level = 0.5 * (ranges[before] + ranges[after])
                 drop = joined(ranges[before], ranges[after], step * (after - before), SLACK_M) and (
                     ranges[first] > level

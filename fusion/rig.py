@@ -70,9 +70,9 @@ class Rig:
     A robot rotates on the spot; its camera looks 0.3 rad to the left of the lidar's zero.
 
     >>> import fusion, numpy as np
-    >>> def ranges_m(bearings):  # of the walls of a room of 6 m by 4 m, from a place in it
-    ...     ways = np.column_stack([np.cos(bearings), np.sin(bearings)])
-    ...     return ((np.array([3.0, 2.0]) - np.sign(ways) * [0.5, 0.3]) / np.abs(ways)).min(axis=1)
+    >>> def ranges_m(bearings):  # to the walls of a room of 6 m by 4 m, from a position in it
+    ...     rays = np.column_stack([np.cos(bearings), np.sin(bearings)])
+    ...     return ((np.array([3.0, 2.0]) - np.sign(rays) * [0.5, 0.3]) / np.abs(rays)).min(axis=1)
     >>> beams, slopes = np.linspace(-np.pi, np.pi, 721, endpoint=False), (79.5 - np.arange(160)) / 120
     >>> camera = fusion.Intrinsics(fx=120, fy=120, cx=79.5, cy=59.5)
     >>> rig = fusion.Rig()
@@ -146,7 +146,7 @@ class Rig:
     def _first_height(self, yaw_rad: float) -> tuple[int, float]:
         """Return the candidate whose samples fit best on average, and the camera offset where they do."""
         assert self._sum is not None
-        offsets_m = np.linspace(2.0 * OFFSETS_M[0], 2.0 * OFFSETS_M[-1], 17)  # of the camera before the lidar
+        offsets_m = np.linspace(2.0 * OFFSETS_M[0], 2.0 * OFFSETS_M[-1], 17)  # camera in front of the lidar
         ratio = np.zeros((offsets_m.size, len(self._sum)))
         count = np.zeros(len(self._sum))
         for pair in self._last:

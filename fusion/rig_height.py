@@ -16,8 +16,8 @@ from fusion.kernel import kernel
 from fusion.likelihood import ELSEWHERE_PER_M, SAME_SHARE, SIGMA_SHARE
 from fusion.panorama import CurveStack
 
-LEAST_COVER = 0.1  # of the samples of the best covered height: what the camera hardly sees cannot win
-_AS_GOOD = 0.12  # nats a sample: less is no difference between two heights
+LEAST_COVER = 0.1  # of the samples of the best covered height: excludes heights that the camera hardly sees
+_AS_GOOD = 0.12  # nats per sample: less is no difference between two heights
 _MOST_STEPS = 4
 
 

@@ -49,7 +49,7 @@ def ransac(
         chosen = rng.choice(len(source), size, replace=False)
         matrix = solve(source[chosen], target[chosen])
         if matrix is not None:
-            # E is by the mean over all pairs, which one wild pair can carry off: the median ranks draws.
+            # E uses the mean over all pairs, which one outlier can dominate, so the median ranks draws.
             cost = float(np.median(residuals(matrix, source, target)))
             if best is None or cost < best[0]:
                 best = cost, matrix

@@ -54,7 +54,7 @@ def _shown(name: str, value: Any) -> str:
         return _counted(name, value)
     if isinstance(value, np.generic | Path):
         value = str(value) if isinstance(value, Path) else value.item()
-    # What dataclasses generate would go through all that a large record holds.
+    # The generated __repr__ of dataclasses would format all contents of a large record.
     text = one_line(value) if hasattr(type(value).__repr__, "__wrapped__") else repr(value)
     return text if len(text) <= 140 and "\n" not in text else f"{kind}(...)"
 

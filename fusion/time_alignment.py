@@ -12,9 +12,9 @@ from fusion.curves import FloatArray
 from fusion.estimation import FEWEST, TINY
 from fusion.similarity import MIDDLE_MAX
 
-# Between readings further apart than this nobody knows what happened.
+# Motion between readings farther apart than this is unknown.
 GAP_S = 0.5
-# Offsets of clocks are sought in such steps first.
+# Step of the first search for the clock offset.
 STEP_S = 0.01
 _PEAK_STEPS = 6
 _LEAST_TURN_RAD_S = 0.02  # standard deviation of a yaw rate: below, the robot hardly turns
@@ -78,13 +78,13 @@ def clock_offset(
     second_spans_s, second_turned_rad = _rising(second_spans_s, second_turned_rad)
     if min(len(first_spans_s), len(second_spans_s)) < FEWEST:
         return None
-    # Turns taken as even are smooth where stamps lie halfway and rough where they meet. Averaged over a whole
-    # reading's time they are the same anywhere, so that noise prefers no offset.
+    # Interpolated rotations have less noise halfway between stamps than at stamps. Averaged over the period
+    # of a reading, noise is equal for all offsets, so that it prefers none.
     half = round(0.5 * float(np.median(np.diff(second_spans_s))) / STEP_S)
     steps = math.ceil(most_s / STEP_S)
     every_shift = np.arange(-steps - half, steps + half + 1) * STEP_S
-    told = _told_throughout(first_spans_s, second_spans_s, float(every_shift[-1]))
-    spans_s, turned = first_spans_s[told], first_turned_rad[told]
+    covered = _covered(first_spans_s, second_spans_s, float(every_shift[-1]))
+    spans_s, turned = first_spans_s[covered], first_turned_rad[covered]
     if turned.size < FEWEST:
         return None
     moved = turns_between(second_spans_s, second_turned_rad, spans_s + every_shift[:, None, None])
@@ -96,14 +96,14 @@ def clock_offset(
     best = int(np.argmax(correlation))
     if not 0 < best < shifts.size - 1 or correlation[best] < MIDDLE_MAX:
         return None
-    # A parabola through the whole peak: single samples of it are rough with noise.
+    # Fit a parabola to the whole peak, because single samples are noisy.
     low_k, high_k = max(0, best - _PEAK_STEPS), min(shifts.size, best + _PEAK_STEPS + 1)
     bend, tilt, _ = np.polyfit(shifts[low_k:high_k] - shifts[best], correlation[low_k:high_k], 2)
     if bend >= 0.0:
         return None
     offset = float(shifts[best] + np.clip(-0.5 * tilt / bend, -_PEAK_STEPS * STEP_S, _PEAK_STEPS * STEP_S))
-    # Of least squares: noise over slopes. The peak's curvature has the product of both sensors' slopes, for
-    # noise makes slopes of its own, but not the same ones in both.
+    # Least squares: noise divided by slopes. The curvature of the peak contains the product of both sensors'
+    # slopes, because noise also causes slopes, but not the same ones in both.
     slopes_squared = -2.0 * bend * turned.std() * moved[best].std() * min(turned.size, len(second_spans_s))
     sigma_s = math.sqrt(max(float((moved[best] - turned).var()), TINY**2) / slopes_squared)
     return ClockOffset(offset, sigma_s, float(correlation[best]))
@@ -116,29 +116,29 @@ def _rising(spans_s: FloatArray, turned_rad: FloatArray) -> tuple[FloatArray, Fl
     return spans_s[rising], turned_rad[rising]
 
 
-def turns_between(told_s: FloatArray, turned_rad: FloatArray, spans_s: FloatArray) -> FloatArray:
+def turns_between(known_s: FloatArray, turned_rad: FloatArray, spans_s: FloatArray) -> FloatArray:
     """Return (...) rotations over spans (..., 2) from (M,) over (M, 2) rising spans, at constant rates.
 
     Examples
     --------
     >>> import numpy as np
     >>> from fusion.time_alignment import turns_between
-    >>> told_s, turned_rad = np.array([[0.0, 1.0], [1.0, 2.0]]), np.array([0.2, 0.4])
-    >>> turns_between(told_s, turned_rad, np.array([[0.5, 1.5]])).round(3).tolist()
+    >>> known_s, turned_rad = np.array([[0.0, 1.0], [1.0, 2.0]]), np.array([0.2, 0.4])
+    >>> turns_between(known_s, turned_rad, np.array([[0.5, 1.5]])).round(3).tolist()
     [0.3]
     """
     yaw_rad = np.column_stack([np.cumsum(turned_rad) - turned_rad, np.cumsum(turned_rad)])
-    found = np.interp(spans_s, told_s.ravel(), yaw_rad.ravel())
+    found = np.interp(spans_s, known_s.ravel(), yaw_rad.ravel())
     return np.asarray(found[..., 1] - found[..., 0])
 
 
-def _told_throughout(spans_s: FloatArray, told_s: FloatArray, margin_s: float) -> NDArray[np.bool_]:
+def _covered(spans_s: FloatArray, known_s: FloatArray, margin_s: float) -> NDArray[np.bool_]:
     """Return (N,) whether spans cover each span (N, 2) without gaps, with a margin on both sides."""
-    told_s = told_s[told_s[:, 1] - told_s[:, 0] < GAP_S]
-    if not len(told_s):
+    known_s = known_s[known_s[:, 1] - known_s[:, 0] < GAP_S]
+    if not len(known_s):
         return np.zeros(len(spans_s), np.bool_)
-    gaps = np.flatnonzero(told_s[1:, 0] > told_s[:-1, 1])
-    begun, ended = told_s[np.append(0, gaps + 1), 0], told_s[np.append(gaps, -1), 1]
+    gaps = np.flatnonzero(known_s[1:, 0] > known_s[:-1, 1])
+    begun, ended = known_s[np.append(0, gaps + 1), 0], known_s[np.append(gaps, -1), 1]
     piece = np.searchsorted(begun, spans_s[:, 0] - margin_s, side="right") - 1
     return (piece >= 0) & (spans_s[:, 1] + margin_s <= ended[piece])
 

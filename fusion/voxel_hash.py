@@ -1,4 +1,4 @@
-"""Voxels in a hash table: slots with the numbers of entries, -1 for an empty slot."""
+"""A voxel hash table: slots contain indices of entries, -1 for an empty slot."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from fusion.kernel import ZERO, kernel
 
-# Three axes make a key, and a level above them.
+# A key consists of three axes, and a level in the upper bits.
 AXIS_BITS = 20
 HALF, AXIS = 1 << AXIS_BITS - 1, (1 << AXIS_BITS) - 1
 # Teschner 2003, "Optimized spatial hashing for collision detection of deformable objects", section 4.1.
@@ -17,13 +17,13 @@ _PRIMES = (73856093, 19349663)
 
 
 def table_for(count: int) -> NDArray[np.int32]:
-    """Empty slots for so many entries: a power of two, at least half of them left empty."""
+    """Empty slots for ``count`` entries: a power of two, of which at least half remain empty."""
     return np.full(1 << max(2 * count - 1, 1).bit_length(), -1, np.int32)
 
 
 @kernel(inline="always")
 def key_of_cell(column, row, layer):  # type: ignore[no-untyped-def]
-    """One integer for a voxel by its place; it comes again 2^20 voxels farther."""
+    """The key of a voxel by its position; it repeats after 2^20 voxels."""
     return (
         ((column + HALF & AXIS) << 2 * AXIS_BITS) | ((row + HALF & AXIS) << AXIS_BITS) | (layer + HALF & AXIS)
     )
@@ -31,13 +31,13 @@ def key_of_cell(column, row, layer):  # type: ignore[no-untyped-def]
 
 @kernel(inline="always")
 def key_of(x, y, z, size_m):  # type: ignore[no-untyped-def]
-    """One integer for the voxel of a point."""
+    """The key of the voxel of a point."""
     return key_of_cell(math.floor(x / size_m), math.floor(y / size_m), math.floor(z / size_m))
 
 
 @kernel(inline="always")
 def slot_of(key, table, keys):  # type: ignore[no-untyped-def]
-    """The slot of a key; an empty one where it has no entry."""
+    """The slot of a key; an empty one if it has no entry."""
     mask = table.shape[0] - 1
     slot = (key ^ ((key >> AXIS_BITS) * _PRIMES[0]) ^ ((key >> 2 * AXIS_BITS) * _PRIMES[1])) & mask
     while table[slot] >= 0 and keys[table[slot]] != key:
@@ -47,34 +47,34 @@ def slot_of(key, table, keys):  # type: ignore[no-untyped-def]
 
 @kernel(inline="always")
 def entry_of(key, table, keys):  # type: ignore[no-untyped-def]
-    """The number of a key's entry; -1 where there is none."""
+    """The index of a key's entry; -1 if there is none."""
     return np.int64(table[slot_of(key, table, keys)])
 
 
 @kernel
 def index_keys(keys, table):  # type: ignore[no-untyped-def]
-    """Enter the numbers of keys (V,), each of them once, into empty slots."""
+    """Insert the indices of distinct keys (V,) into empty slots."""
     for i in range(keys.shape[0]):
         table[slot_of(keys[i], table, keys)] = i
 
 
 @kernel(nogil=True)
 def entries_at(points, size_m, table, keys, entries):  # type: ignore[no-untyped-def]
-    """Numbers (N,) of the entries that the voxels of points (N, 3) have; -1 where they have none."""
+    """Write indices (N,) of the entries of the voxels of points (N, 3); -1 if there is none."""
     for i in range(points.shape[0]):
         entries[i] = entry_of(key_of(points[i, 0], points[i, 1], points[i, 2], size_m), table, keys)
 
 
 @kernel(nogil=True)
 def first_in_voxels(points, size_m, step, table, keys, first):  # type: ignore[no-untyped-def]
-    """Numbers of the first point (N, 3) of each voxel into ``first`` (N,); how many there are.
+    """Write the index of the first point (N, 3) of each voxel into ``first`` (N,); return their number.
 
     Parameters
     ----------
     step
-        From one point that is asked to the next, round and round; it shares no divisor with N.
+        Stride between visited points, cyclic; coprime to N.
     table, keys
-        Empty slots for N entries, and room (N,) for their keys.
+        Empty slots for N entries, and a buffer (N,) for their keys.
     """
     count = i = ZERO
     for _ in range(points.shape[0]):

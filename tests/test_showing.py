@@ -23,8 +23,8 @@ LONGEST = 420
 
 def ranges_m(bearings: Any) -> Any:
     """Of the walls of a room of 6 m by 4 m, from a place in it."""
-    ways = np.column_stack([np.cos(bearings), np.sin(bearings)])
-    return ((np.array([3.0, 2.0]) - np.sign(ways) * [0.5, 0.3]) / np.abs(ways)).min(axis=1)
+    rays = np.column_stack([np.cos(bearings), np.sin(bearings)])
+    return ((np.array([3.0, 2.0]) - np.sign(rays) * [0.5, 0.3]) / np.abs(rays)).min(axis=1)
 
 
 @pytest.fixture(scope="module")
