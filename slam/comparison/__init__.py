@@ -1,1 +1,1 @@
-"""Research comparison runs: data sets x configurations x seeds, each run in a process of its own, on Dask."""
+"""Comparison runs for research: data sets x configurations x seeds, each in its own process, on Dask."""

@@ -1,7 +1,7 @@
-"""The process that does one run: `python -m slam.comparison.child JOB.json FOLDER`.
+"""The process of one run: `python -m slam.comparison.child JOB.json FOLDER`.
 
-It ends with its parent: standard input is a pipe, and when that closes, the whole process group is killed, so
-that nothing of a run outlives a killed worker.
+It ends with its parent: standard input is a pipe, and when it closes, the whole process group is killed, so
+that no process of a run outlives a killed worker.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from slam.errors import EvaluationError, ScanweaveError
 
 
 def main() -> None:
-    """Do a job; what stopped it is told in a file of one line, with the whole story in the log."""
+    """Do a job; an error is written as one line to a file, with details in the log."""
     job_path, folder, heap.own_process = Path(sys.argv[1]), Path(sys.argv[2]), True
     threading.Thread(target=_end_with_parent, daemon=True).start()
     logging.basicConfig(level=logging.INFO, format="%(message)s", stream=sys.stderr)
@@ -49,14 +49,14 @@ def main() -> None:
 
 
 def _end_with_parent() -> None:
-    """Wait for the parent's end of the pipe to close."""
+    """Wait until the parent closes the pipe."""
     while os.read(0, 4096):
         pass
     os.killpg(os.getpgrp(), signal.SIGKILL)
 
 
 def _measured(run: Run, folder: Path) -> dict[str, Any]:
-    """Make the trajectory, score it, and leave it with its maps in the folder."""
+    """Compute the trajectory, score it, and save it with its maps in the folder."""
     from slam.comparison.methods import ODOMETRIES, STOCK, WITHOUT_IMAGES, by_odometry, scanweave
     from slam.comparison.product import Product
     from slam.config import Config
@@ -86,14 +86,14 @@ def _measured(run: Run, folder: Path) -> dict[str, Any]:
 
 
 def _timed(work: Callable[[], Any]) -> tuple[Any, dict[str, float]]:
-    """The result of some work, with its wall and CPU seconds."""
+    """The result of a function, with its wall and CPU time."""
     wall_s, cpu_s = time.perf_counter(), time.process_time()
     result = work()
     return result, {"wall_s": time.perf_counter() - wall_s, "cpu_s": time.process_time() - cpu_s}
 
 
 def _scored(run: Run, product: Any, folder: Path) -> dict[str, Any]:
-    """Score a product and write what the report draws."""
+    """Score a product and write the data for the report."""
     import numpy as np
 
     from slam.comparison.scoring import Truths, scores_of
@@ -128,7 +128,7 @@ def _scored(run: Run, product: Any, folder: Path) -> dict[str, Any]:
 
 
 def _command(run: Run, folder: Path) -> dict[str, Any]:
-    """Run a program of the user's own, and take what it leaves."""
+    """Run a program of the user, and read its output files."""
     reported = {"{out}": str(folder), "{python}": sys.executable}
     words = []
     for word in run.command:
@@ -137,7 +137,7 @@ def _command(run: Run, folder: Path) -> dict[str, Any]:
         words.append(word)
     started = time.perf_counter()
     try:
-        # A closed standard input: it shall not swallow the pipe by which this process knows its parent.
+        # Closed standard input: the program must not read the pipe to the parent.
         ended = subprocess.run(words, stdin=subprocess.DEVNULL, check=False)
     except OSError as error:
         raise EvaluationError(f"cannot start {words[0]}: {error.strerror or error}") from error
@@ -167,7 +167,7 @@ def _reported_figures(path: Path) -> dict[str, float]:
 
 
 def _numbers(value: Any, name: str) -> list[tuple[str, float]]:
-    """Numbers in a tree of dictionaries; lists are data, not figures."""
+    """Numbers in a tree of dictionaries; lists are data, not metrics."""
     if isinstance(value, dict):
         return [
             pair for key, inner in value.items() for pair in _numbers(inner, f"{name}.{key}" if name else key)
@@ -176,7 +176,7 @@ def _numbers(value: Any, name: str) -> list[tuple[str, float]]:
 
 
 def _peak_mb() -> float:
-    """Greatest resident size of this process; the kernel's account begins with the parent's on Linux."""
+    """Peak resident size of this process; on Linux the kernel's value starts with that of the parent."""
     try:
         for line in Path("/proc/self/status").read_text(encoding="ascii").splitlines():
             if line.startswith("VmHWM:"):
@@ -188,7 +188,7 @@ def _peak_mb() -> float:
 
 
 def _write_json(path: Path, content: dict[str, Any]) -> None:
-    """Write a small file; nobody looks at it before this process has ended."""
+    """Write a small file; it is only read after this process has ended."""
     path.write_text(json.dumps(content), encoding="utf-8")
 
 

@@ -1,4 +1,4 @@
-"""Runs on Dask: a local cluster of one process with as many slots as wanted, or any scheduler."""
+"""Runs on Dask: a local cluster of one process with any number of slots, or any scheduler."""
 
 from __future__ import annotations
 
@@ -20,21 +20,21 @@ if TYPE_CHECKING:
     from distributed import Client
 
 _CONNECT_S = 10.0
-_LOOPBACK = "127.0.0.1:0"  # Dask insists on a status server; nobody else shall reach it
+_LOOPBACK = "127.0.0.1:0"  # Dask requires a status server; it must not be reachable from outside
 
 
 def check_installed() -> None:
-    """Tell how to install what comparisons need beyond mapping.
+    """Check that the additional packages for comparisons are installed.
 
     Raises
     ------
     ScanweaveError
-        If it is missing.
+        If one is missing; the message says how to install it.
     """
     try:
         import dask
 
-        # Read once, when distributed is first imported: what Dask does is no news to whoever waits for runs.
+        # Read once, when distributed is first imported: Dask's own log messages are of no interest to users.
         dask.config.set({"logging.distributed": "error"})
         import distributed  # noqa: F401
         import psutil  # noqa: F401
@@ -47,12 +47,12 @@ def check_installed() -> None:
 
 @contextmanager
 def client_of(workers: int, scheduler: str | None) -> Iterator[Client]:
-    """A Dask client, on a cluster of its own where no scheduler is given.
+    """A Dask client, on its own cluster if no scheduler is given.
 
     Raises
     ------
     ScanweaveError
-        If the scheduler does not answer, has no workers, or they run other code than this.
+        If the scheduler does not answer, has no workers, or they run another version of the code.
     """
     from distributed import Client
 
@@ -73,7 +73,7 @@ def client_of(workers: int, scheduler: str | None) -> Iterator[Client]:
 
 @contextmanager
 def _local_client(workers: int) -> Iterator[Client]:
-    """A client of a cluster in this process: slots are threads that wait for the process of their run."""
+    """A client of a cluster in this process; slots are threads that wait for the processes of their runs."""
     from distributed import Client, LocalCluster
 
     try:
@@ -92,13 +92,13 @@ def _local_client(workers: int) -> Iterator[Client]:
             try:
                 yield client
             finally:
-                STOPPING.set()  # a thread cannot be interrupted: closing would wait for the end of its run
+                STOPPING.set()  # threads cannot be interrupted: closing would wait for the end of their runs
     finally:
         STOPPING.clear()
 
 
 def _check_workers(client: Client, scheduler: str) -> None:
-    """Refuse a cluster that would not do what it is asked."""
+    """Reject a cluster that cannot do the work."""
     try:
         codes: Mapping[str, Any] = client.run(current_versions, on_error="return")
     except Exception as error:
@@ -121,10 +121,10 @@ def run_all(
     root: Path,
     on_row: Callable[[Row], None],
 ) -> list[Row]:
-    """Do runs on a cluster; each gives exactly one row, whatever becomes of it.
+    """Do runs on a cluster; each returns exactly one row, whatever happens.
 
-    A run whose worker dies is started anew elsewhere by Dask; where that has happened too often, it is a row
-    ``killed``.
+    Dask restarts a run on another worker if its worker dies; if this happens too often, its row has the
+    status ``killed``.
     """
     from distributed import as_completed
 
@@ -169,7 +169,7 @@ def _drives(client: Client, runs: Sequence[Run], sources: Sequence[Source], root
 
 
 def _row(future: Any, run: Run, root: Path) -> Row:
-    """The row of a task that ended; one that Dask gave up becomes a row too."""
+    """The row of a task that has ended, also of one that Dask gave up."""
     from slam.comparison.store import ResultStore
 
     try:

@@ -1,4 +1,4 @@
-"""A comparison from its experiment file to its tables and its page."""
+"""Runs a comparison, from the experiment file to its tables and its page."""
 
 from __future__ import annotations
 
@@ -23,13 +23,13 @@ class Comparison:
     Attributes
     ----------
     plan
-        What was to be run.
+        The planned runs.
     rows
-        One row a run, in the order of the plan.
+        One row per run, in the order of the plan.
     done_now
-        How many of them were run, not known before.
+        Number of runs done now, because they had no result before.
     written
-        Tables, page, and results for evo.
+        Written files: tables, page, and results for evo.
     """
 
     plan: Plan
@@ -49,24 +49,24 @@ def compare(
     resume: bool = False,
     on_row: Callable[[Row, int, int], None] | None = None,
 ) -> Comparison:
-    """Do all runs of an experiment and write what came out.
+    """Do all runs of an experiment and write the results.
 
     Parameters
     ----------
     out
-        Folder for results; made where missing. With ``scheduler`` all workers must see it under this path.
+        Folder for results; created if missing. With ``scheduler``, all workers must see it under this path.
     data
-        Folder from which relative paths are taken; the experiment file's own if None.
+        Base folder of relative paths; the folder of the experiment file if None.
     cache
         Folder of simulated drives; ``out/drives`` if None.
     workers
-        Runs at once on this machine; as many as it has cores if None.
+        Number of parallel runs on this machine; the number of cores if None.
     scheduler
         Address of a Dask scheduler, instead of this machine.
     resume
-        Keep the results that are there, but for those that a limit or a kill has stopped.
+        Keep existing results, except those of runs that were stopped by a limit or killed.
     on_row
-        Told every row as it comes, with how many are done and how many are to be done.
+        Called with each new row, the number of finished runs and their total number.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""Dense RGB-D odometry by Open3D's multi-scale method (Park 2017), started from ORB (Yang2021) or a guess."""
+"""Dense RGB-D odometry with Open3D (Park 2017), initialised by ORB features (Yang2021) or a guess."""
 
 from __future__ import annotations
 
@@ -15,18 +15,18 @@ from slam.vision.frame_matcher import FrameMatcher
 from slam.vision.prepared_frame import PreparedFrame
 from slam.vision.visual_match import VisualKeyframe, VisualMatch, covariance_of
 
-# So many surface points count as one reading that features alone decide: `rgbd_odometry.correlated_points`.
+# With this `rgbd_odometry.correlated_points`, surface points have no weight, so that features decide.
 POINTS_IGNORED = 1e9
-_ITERATIONS = (6, 4, 3)  # a level, coarse to fine
+_ITERATIONS = (6, 4, 3)  # per level, coarse to fine
 _INTENSITY_SCALE = 0.1  # of the Huber kernel on brightness, 0..1
-# Open3D has rotation first as GTSAM has, but it counts every pixel as an independent reading of 1 m^-2.
+# Like GTSAM, Open3D has rotation first, but it counts each pixel as an independent reading of 1 m^-2.
 _LEAST_FITNESS = 0.3
-# From farther away the method finds other minima: a result that left its start so far is not believed.
+# Far from the initial guess, the method finds other minima, so such results are rejected.
 _REACH_RAD, _REACH_M = 0.07, 0.13
 
 
 class DenseOdometry:
-    """The nearest keyframe against the frame, surfaces and brightness; features alone where that fails."""
+    """Aligns a frame to the nearest keyframe by surfaces and brightness; by features if that fails."""
 
     def __init__(self, config: Config) -> None:
         self._match, self._config = config.match, config.rgbd_odometry
@@ -63,7 +63,7 @@ class DenseOdometry:
                 loss,
             )
         except RuntimeError:
-            return seed  # Open3D's word for a singular system
+            return seed  # Open3D's result for a singular system
         step: FloatArray = result.transformation.numpy()
         if not np.isfinite(step).all() or result.fitness < _LEAST_FITNESS:
             return seed
@@ -86,11 +86,11 @@ class DenseOdometry:
         fitness: float,
         seed: VisualMatch | None,
     ) -> VisualMatch:
-        """Rescale Open3D's information from a metre to the measured residual, and from pixels to readings."""
+        """Rescale Open3D's information from 1 m to the measured residual, and from pixels to readings."""
         config = self._config
         variance = max(residual_m, config.depth_floor_m) ** 2
         T_keyframe_camera = _exact(step)
-        # Open3D's matrix is of a motion of the target's frame; the covariance is wanted in the camera's.
+        # Open3D's matrix is for a motion of the target frame; the covariance must be in the camera frame.
         adjoint = T_keyframe_camera.AdjointMap()
         scaled = adjoint.T @ information @ adjoint / (config.correlated_points * variance)
         covariance, weak = covariance_of(scaled, fitness, self._match)
@@ -113,12 +113,12 @@ class DenseOdometry:
 
 
 def _exact(step: FloatArray) -> gtsam.Pose3:
-    """A transform (4, 4) of single precision as a pose: its rotation made orthonormal."""
+    """A pose from a transform (4, 4) in single precision, with orthonormalised rotation."""
     return gtsam.Pose3(gtsam.Rot3.ClosestTo(step[:3, :3]), step[:3, 3])
 
 
 def _image(frame: PreparedFrame) -> Any:
-    """The frame as an RGBDImage of Open3D, reduced as its depth image is."""
+    """The frame as an RGBDImage of Open3D, reduced to the size of its depth image."""
     import cv2
 
     o3d = load_open3d()

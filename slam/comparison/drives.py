@@ -1,4 +1,4 @@
-"""Simulated drives of an experiment: named by all that decides them, made once, kept in a cache."""
+"""Simulated drives of an experiment: identified by all their inputs, simulated once, and cached."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from slam.errors import ConfigError, DatasetError
 
 @dataclass(frozen=True, slots=True)
 class Drive:
-    """One drive through one home, as `slam.simulation.record.record_drive` takes it."""
+    """One drive through one home, see `slam.simulation.record.record_drive`."""
 
     rig: str
     home: int
@@ -27,23 +27,23 @@ class Drive:
 
     @property
     def name(self) -> str:
-        """In the tables."""
+        """Name in the tables."""
         return f"{self.rig} {self.group} drive {self.seed}"
 
     @property
     def group(self) -> str:
-        """Drives through one home are not independent."""
+        """Group: drives through the same home are not independent."""
         return f"{'office' if self.office else 'home'} {self.home}"
 
     @property
     def identity(self) -> str:
-        """Hash of the drive and of the simulator's own code: another simulator, another drive."""
+        """Hash of the drive and of the simulator's code, because another simulator gives another drive."""
         reported = json.dumps([asdict(self), _simulator_digest()], sort_keys=True)
         return hashlib.blake2b(reported.encode(), digest_size=8).hexdigest()
 
     @property
     def folder_name(self) -> str:
-        """In the cache."""
+        """Folder name in the cache."""
         return f"{self.rig}-{self.group.replace(' ', '-')}-{self.seed}-{self.identity}"
 
 
@@ -69,7 +69,7 @@ def drives_of(simulation: Simulation) -> Iterator[Drive]:
 
 
 def record(drive: Drive, folder: Path) -> None:
-    """Simulate a drive into a folder, where it is not there yet.
+    """Simulate a drive into a folder, unless it exists.
 
     Raises
     ------
@@ -97,12 +97,12 @@ def record(drive: Drive, folder: Path) -> None:
             formats=("folder",),
         )
     except DatasetError:
-        if not is_recorded(folder):  # another experiment may have been quicker
+        if not is_recorded(folder):  # another experiment may have been faster
             raise
 
 
 def is_recorded(folder: Path) -> bool:
-    """Whether a drive is in the cache; it appears there whole."""
+    """Whether a drive is in the cache; only complete drives appear there."""
     return (folder / "groundtruth.txt").is_file()
 
 

@@ -1,7 +1,7 @@
-"""Results in the format of evo_res: a zip of info.json, stats.json and an array a file.
+"""Results in the format of evo_res: a zip of info.json, stats.json and one file per array.
 
-M. Grupp, evo: Python package for the evaluation of odometry and SLAM. Written here by ourselves, since evo is
-GPL.
+M. Grupp, evo: Python package for the evaluation of odometry and SLAM. Not written with evo itself, because
+evo is GPL.
 """
 
 from __future__ import annotations
@@ -26,9 +26,9 @@ from slam.storage.files import make_folder, write_bytes
 
 
 def write_evo_results(folder: Path, rows: Sequence[Row], store: ResultStore) -> list[Path]:
-    """A zip for every run with a truth; ``evo_res FOLDER/*.zip`` compares them.
+    """Write a zip for every run with a ground truth; ``evo_res FOLDER/*.zip`` compares them.
 
-    What an earlier comparison left in the folder goes.
+    Files of an earlier comparison in the folder are deleted.
 
     Raises
     ------
@@ -71,7 +71,7 @@ def _zipped(label: str, errors: Path, trajectory: Path) -> bytes:
     }
     buffer = io.BytesIO()
     with zipfile.ZipFile(buffer, "w", zipfile.ZIP_DEFLATED) as archive:
-        # A name given as text would take the present time: the same result gives the same bytes.
+        # With a plain name, zipfile would store the current time; equal results must give equal bytes.
         for name, content in (
             ("info.json", json.dumps(info).encode()),
             ("stats.json", json.dumps(statistics).encode()),
@@ -83,7 +83,7 @@ def _zipped(label: str, errors: Path, trajectory: Path) -> bytes:
 
 
 def _path_m(positions_m: FloatArray) -> FloatArray:
-    """(N,) path from the start."""
+    """(N,) path length from the start."""
     steps = np.linalg.norm(np.diff(positions_m, axis=0), axis=1)
     return np.concatenate([[0.0], np.cumsum(steps)])
 

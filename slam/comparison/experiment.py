@@ -1,4 +1,4 @@
-"""An experiment file: which logs are run with which configurations, and against what they are measured."""
+"""An experiment file: logs, configurations, and the references for the scores."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ import slam
 from slam.config.files import find_file, model_of, nearest_field, read_tree
 from slam.config.strict import StrictModel
 
-# By way of the link to the top-level configs/, so that a wheel carries them as the presets.
+# Via the link to the top-level configs/, so that a wheel contains them like the presets.
 _READY = Path(slam.__file__).parent / "presets" / "experiments"
 
 Value: TypeAlias = bool | int | float | str | list[Any] | None
@@ -33,7 +33,7 @@ Baseline: TypeAlias = Literal[
 
 
 class Simulation(StrictModel):
-    """Drives of the simulator, one a home and seed; they are made once and kept in the cache."""
+    """Drives of the simulator, one per home and seed; they are simulated once and cached."""
 
     rig: str = Field(default="xu2024", description="which robot, as in scanweave simulate")
     homes: list[int] = Field(min_length=1, description="seeds of plan and furniture")
@@ -58,7 +58,7 @@ class DatasetEntry(StrictModel):
 
     @model_validator(mode="after")
     def _one_source(self) -> DatasetEntry:
-        """Refuse an entry that says nothing or too much."""
+        """Reject an entry without source or with several."""
         given = [name for name in ("path", "glob", "simulate") if getattr(self, name) is not None]
         if len(given) != 1:
             raise ValueError(f"has {' and '.join(given) or 'none'} of path, glob and simulate; give one")
@@ -69,7 +69,7 @@ class DatasetEntry(StrictModel):
 
 
 class Configuration(StrictModel):
-    """A preset with overrides; a sweep makes one configuration of every combination of its values."""
+    """A preset with overrides; a sweep creates one configuration per combination of its values."""
 
     name: str = Field(min_length=1)
     preset: str | None = Field(default=None, description="name of a preset, or a YAML file")
@@ -78,23 +78,23 @@ class Configuration(StrictModel):
 
     @model_validator(mode="after")
     def _sweeps_something(self) -> Configuration:
-        """Refuse a sweep that leaves nothing to run."""
+        """Reject a sweep without any value."""
         if empty := [key for key, values in self.sweep.items() if not values]:
             raise ValueError(f"sweep of '{empty[0]}' has no values; give at least one")
         return self
 
 
 class External(StrictModel):
-    """Another system's trajectories, measured as ours are."""
+    """Trajectories of another system, scored like those of Scanweave."""
 
     name: str = Field(min_length=1)
     trajectory: str = Field(description="TUM file of the base; {dataset} stands for the data set's name")
 
 
 class Command(StrictModel):
-    """A program of one's own: {out}, {python}, {data} and, run on every data set, {dataset} are filled in.
+    """A program of the user; {out}, {python}, {data} and, if it runs per data set, {dataset} are replaced.
 
-    What it leaves as {out}/trajectory.tum is measured; numbers in its JSON file of figures join the table.
+    Its {out}/trajectory.tum is scored; numbers in its JSON file of figures are added to the table.
     """
 
     name: str = Field(min_length=1)
@@ -104,7 +104,7 @@ class Command(StrictModel):
 
 
 class Experiment(StrictModel):
-    """Everything that decides a comparison, besides the logs."""
+    """Everything that determines a comparison, except the logs."""
 
     name: str = Field(min_length=1)
     description: str = ""
@@ -124,7 +124,7 @@ class Experiment(StrictModel):
 
     @model_validator(mode="after")
     def _fits_together(self) -> Experiment:
-        """Refuse names that are not one, and an experiment without runs."""
+        """Reject duplicate names, and an experiment without runs."""
         names = self.names()
         if twice := [name for name, count in Counter(names).items() if count > 1]:
             raise ValueError(f"'{twice[0]}' names two configurations; give each its own name")
@@ -141,14 +141,14 @@ class Experiment(StrictModel):
         return self
 
     def names(self) -> list[str]:
-        """Of all that is compared, in the order of the tables; a sweep's parts are named after it."""
+        """Names of everything compared, in the order of the tables; parts of a sweep are named after it."""
         swept = [name for configuration in self.configurations for name, _ in swept_overrides(configuration)]
         others = [*(one.name for one in self.external), *(one.name for one in self.commands)]
         return [*swept, *map(baseline_name, self.baselines), *others]
 
 
 def swept_overrides(configuration: Configuration) -> list[tuple[str, dict[str, Value]]]:
-    """Name and overrides of every combination of a sweep; the configuration itself where it has none."""
+    """Name and overrides of every combination of a sweep; the configuration itself if there is no sweep."""
     found = [(configuration.name, dict(configuration.overrides))]
     for key, values in configuration.sweep.items():
         short = key.rpartition(".")[2]
@@ -176,12 +176,12 @@ def baseline_name(baseline: Baseline) -> str:
 
 
 def find_experiment(name_or_path: str) -> Path:
-    """Path of an experiment: what ends in .yaml or .yml is one, anything else is a ready one's name.
+    """Path of an experiment: a path if it ends in .yaml or .yml, else the name of a built-in one.
 
     Raises
     ------
     ConfigError
-        If there is none of that name.
+        If there is no experiment with that name.
     """
     return find_file(name_or_path, _READY, "experiment")
 
@@ -192,7 +192,8 @@ def load_experiment(path: Path) -> Experiment:
     Raises
     ------
     ConfigError
-        For a missing or malformed file, an unknown key (with the nearest valid one) or a bad value.
+        If the file is missing or malformed, a key is unknown (the message names the nearest valid one) or a
+        value is invalid.
     """
     models = (Experiment, DatasetEntry, Simulation, Configuration, External, Command)
     return model_of(Experiment, read_tree(path), path.name, nearest_field(models))

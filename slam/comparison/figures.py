@@ -1,4 +1,4 @@
-"""The figures of a run: their names in the tables, their units, and which way is better."""
+"""The metrics of a run: their names in the tables, their units, and which direction is better."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 from slam.comparison.perform import Row
 
-# Name: what it is, decimals, whether a smaller one is better; None where neither is.
+# Name: title, decimals, whether smaller is better (None if neither).
 _KNOWN: dict[str, tuple[str, int, bool | None]] = {
     "ate_m": ("ATE RMSE, m", 4, True),
     "ate_median_m": ("ATE median, m", 4, True),
@@ -39,7 +39,7 @@ _KNOWN: dict[str, tuple[str, int, bool | None]] = {
     "cpu_s": ("CPU, s", 1, True),
     "peak_mb": ("peak memory, MB", 0, True),
 }
-# Of these the page shows medians and plots; the rest is in its table of all runs.
+# The page shows medians and plots of these; the others are in its table of all runs.
 HEADLINE = (
     *("relations_m", "relations_deg", "ate_m", "rpe", "map_f1", "map_completeness", "map_false_occupied"),
     *("map_collide", "map_reach", "map_reach_near", "map_danger"),
@@ -50,16 +50,16 @@ _RPE = re.compile(r"^rpe_([0-9.e+-]+)m_(m|deg)$")
 
 @dataclass(frozen=True, slots=True)
 class Figure:
-    """How a figure is shown.
+    """How a metric is shown.
 
     Attributes
     ----------
     name, title
-        In files, and for people.
+        Name in files, and title for the user.
     decimals
-        Shown.
+        Number of decimals shown.
     smaller_is_better
-        None if neither is, or nobody knows.
+        None if neither is better, or unknown.
     """
 
     name: str
@@ -68,12 +68,12 @@ class Figure:
     smaller_is_better: bool | None
 
     def text(self, value: float) -> str:
-        """A value of it; a dash where there is none."""
+        """A value as text; a dash if there is none."""
         return f"{value:,.{self.decimals}f}" if value == value else "–"
 
 
 def figure_of(name: str) -> Figure:
-    """What a name stands for; what a user's program tells has its own name for a title."""
+    """The metric with a name; metrics of a user's program have their name as title."""
     if match := _RPE.match(name):
         unit = "m" if match[2] == "m" else "degrees"
         return Figure(name, f"RPE over {match[1]} m, {unit}", 4 if unit == "m" else 3, True)
@@ -82,7 +82,7 @@ def figure_of(name: str) -> Figure:
 
 
 def figures_in(rows: list[Row]) -> list[Figure]:
-    """Every figure that any row has: known ones in their usual order, others as they come."""
+    """All metrics in any row: known ones in their usual order, then others as they appear."""
     present = list(dict.fromkeys(name for row in rows for name in row["figures"]))
     known = [name for name in _KNOWN if name in present]
     rpe = [name for name in present if _RPE.match(name)]
@@ -92,7 +92,7 @@ def figures_in(rows: list[Row]) -> list[Figure]:
 
 
 def headline_in(rows: list[Row]) -> list[Figure]:
-    """The figures that the page shows first; where a user's program told them all, those."""
+    """The metrics that the page shows first; all metrics if they come from a user's program."""
     figures = figures_in(rows)
     return [
         figure

@@ -1,4 +1,4 @@
-"""One run, one process: stopped by time and by memory, and never more than a row in a table when it dies."""
+"""Runs each job in its own process, with limits of time and memory; a crash becomes a row in a table."""
 
 from __future__ import annotations
 
@@ -18,15 +18,15 @@ from slam.comparison.files import FAILURE, JOB, LOG
 
 Status: TypeAlias = Literal["ok", "failed", "timeout", "memory", "killed"]
 
-# One run uses one core: runs side by side shall not slow each other, nor be measured by it.
+# One run uses one core, so that parallel runs do not slow each other down and distort the measurement.
 _LIBRARIES = ("OMP", "OPENBLAS", "MKL", "NUMEXPR", "NUMBA", "TBB")
 THREAD_LIMITS = {
     **{f"{library}_NUM_THREADS": "1" for library in _LIBRARIES},
     "VECLIB_MAXIMUM_THREADS": "1",
     "OPENCV_FOR_THREADS_NUM": "1",
 }
-_LOOK_S = 0.5  # a look goes through all processes of the machine
-# Set by whoever stops a comparison in this process: its threads end their runs, and begin no more.
+_LOOK_S = 0.5  # each check goes through all processes of the machine
+# Set to stop a comparison in this process: its threads end their runs, and start no more.
 STOPPING = threading.Event()
 
 
@@ -37,13 +37,13 @@ class Outcome:
     Attributes
     ----------
     status
-        ok, or by what it was stopped.
+        ok, or the reason why it was stopped.
     reason
         One line; empty if it is ok.
     elapsed_s
-        From start to end, imports included.
+        Elapsed time, including imports.
     peak_mb
-        Greatest resident size seen of it and its children together.
+        Peak resident size of it and its children together.
     """
 
     status: Status
@@ -53,17 +53,17 @@ class Outcome:
 
 
 def run_isolated(job: dict[str, Any], folder: Path, timeout_s: float, memory_mb: float) -> Outcome:
-    """Do a job in a process of its own and watch it.
+    """Do a job in its own process and monitor it.
 
     Parameters
     ----------
     job
         Plain types, for `slam.comparison.child`.
     folder
-        Must exist; gets the job, the log, and what the run leaves.
+        Must exist; receives the job, the log, and the files of the run.
     timeout_s, memory_mb
-        Beyond either the process is killed, with all that it has started. Memory is the resident size, looked
-        at twice a second: a limit on the address space would count what libraries only reserve.
+        Limits beyond which the process and its children are killed. Memory is the resident size, checked
+        twice a second: a limit of the address space would include what libraries only reserve.
     """
     (folder / JOB).write_text(json.dumps(job, indent=1), encoding="utf-8")
     command = [sys.executable, "-m", "slam.comparison.child", str(folder / JOB), str(folder)]
@@ -80,7 +80,7 @@ def run_isolated(job: dict[str, Any], folder: Path, timeout_s: float, memory_mb:
         try:
             stopped, peak_mb = _watched(process, started + timeout_s, memory_mb)
         finally:
-            # Also where this process is interrupted: whatever it has started ends with it.
+            # Also if this process is interrupted: its children end with it.
             with suppress(ProcessLookupError):
                 os.killpg(process.pid, signal.SIGKILL)
             process.wait()
@@ -100,7 +100,7 @@ def run_isolated(job: dict[str, Any], folder: Path, timeout_s: float, memory_mb:
 def _watched(
     process: subprocess.Popen[bytes], deadline_s: float, memory_mb: float
 ) -> tuple[Literal["timeout", "memory", "interrupted"] | None, float]:
-    """Wait for the end of a process or for what stops it; and the greatest memory seen."""
+    """Wait for the end of a process or for a reason to stop it; also returns its peak memory."""
     import psutil
 
     peak_mb = 0.0
@@ -123,7 +123,7 @@ def _watched(
 
 
 def _resident_mb(process: Any) -> float:
-    """Memory of a process, 0 of one that has just ended."""
+    """Memory of a process, 0 if it has just ended."""
     import psutil
 
     try:
@@ -133,7 +133,7 @@ def _resident_mb(process: Any) -> float:
 
 
 def _ending(code: int, folder: Path) -> tuple[Status, str]:
-    """Status and reason of a process that ended by itself, or by somebody else."""
+    """Status and reason of a process that exited or was killed."""
     if code == 0:
         return "ok", ""
     if code < 0:

@@ -1,8 +1,8 @@
-"""Planar lidar odometry on KISS-ICP's registration (Vizzo 2023), its map updated by keyframes only.
+"""Planar lidar odometry with KISS-ICP's registration (Vizzo 2023), with a map of keyframes only.
 
-The stock pipeline updates its map with every scan and takes no guess; from its low-level parts, with a
-guess and keyframe-only updates, it is far more accurate on planar scans. Covariance and degeneracy are
-ours: KISS-ICP has none.
+The original pipeline updates its map with every scan and accepts no initial guess; with its low-level parts,
+an initial guess and keyframe updates, it is far more accurate on planar scans. Covariance and degeneracy are
+added here, because KISS-ICP has none.
 """
 
 from __future__ import annotations
@@ -23,8 +23,8 @@ from slam.matching.scan_points import ScanPoints
 from slam.matching.visibility import RangeImage
 from slam.measurements import AnyFloatArray, FloatArray
 
-# Of the voxel map: side of a voxel, what is forgotten, and points a voxel; of the pairs: how far apart, and
-# the scale of the robust kernel. KISS-ICP's defaults are for streets.
+# Voxel map: side of a voxel, maximum range, and points per voxel; pairs: maximum distance, and scale of the
+# robust kernel. KISS-ICP's defaults are for streets.
 _VOXEL_M, _MAP_RADIUS_M, _POINTS_A_VOXEL = 0.2, 60.0, 10
 _CORRESPONDENCE_M, _KERNEL_M = 0.3, 0.1
 _LEAST_POINTS = 10
@@ -33,7 +33,7 @@ _CONVERGED = 1e-5
 
 
 class KissOdometry:
-    """Point-to-point registration against a voxel map of the keyframes."""
+    """Point-to-point registration to a voxel map of the keyframes."""
 
     def __init__(self, config: Config) -> None:
         from kiss_icp.mapping import VoxelHashMap
@@ -51,7 +51,7 @@ class KissOdometry:
         self._local_map: LocalMap | None = None
 
     def add_keyframe(self, points: ScanPoints, pose: FloatArray) -> None:
-        """Take a scan at a pose (3,) of the odometry frame into the voxel map."""
+        """Add a scan at a pose (3,) in the odometry frame to the voxel map."""
         if len(points):
             self._map.update(_lifted(points.points_base), _matrix(pose))
         self._keyframes.append(OrientedPoints.from_scan(points).moved(pose))
@@ -59,7 +59,7 @@ class KissOdometry:
         self._local_map = LocalMap.build(list(self._keyframes), self._match, list(self._images))
 
     def match(self, points: ScanPoints, guesses: list[Motion]) -> MotionEstimate | None:
-        """Register from each guess until one is certain; the surfels judge how well it fits."""
+        """Register from each guess until one is certain; surfels measure the quality of the fit."""
         scan = OrientedPoints.from_scan(points)
         if self._local_map is None or len(scan) < _LEAST_POINTS or self._map.empty():
             return None
@@ -76,21 +76,21 @@ class KissOdometry:
         return motion_from_alignment(best, self._match)
 
     def match_near(self, points: ScanPoints, pose: FloatArray) -> MotionEstimate | None:
-        """How well the scan fits at ``pose`` (3,); KISS-ICP cannot be held there while it aligns."""
+        """How well the scan fits at ``pose`` (3,); KISS-ICP cannot be constrained to stay there."""
         scan = OrientedPoints.from_scan(points)
         if self._local_map is None or len(scan) < _LEAST_POINTS:
             return None
         return motion_from_alignment(self._local_map.judge(scan, pose), self._match)
 
     def evidence(self, points: ScanPoints, pose: FloatArray, other: Motion) -> FloatArray:
-        """What every object in a scan says for a pose (3,) against another one, in points; (2, K)."""
+        """Evidence of each object in a scan for a pose (3,) against another one, in points; (2, K)."""
         local_map = self._local_map
         if local_map is None:
             return np.zeros((2, 0))
         return local_map.evidence(OrientedPoints.from_scan(points), pose, other)
 
     def _register(self, points: ScanPoints, guess: FloatArray) -> FloatArray:
-        """KISS-ICP from a guess (3,): pose (3,) of the scan in the odometry frame."""
+        """Run KISS-ICP from a guess (3,); returns the pose (3,) of the scan in the odometry frame."""
         matrix = self._registration.align_points_to_map(
             points=_lifted(points.points_base),
             voxel_map=self._map,

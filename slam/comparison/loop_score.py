@@ -1,4 +1,4 @@
-"""Loops against the truth: how many of the accepted are right, how many of the true ones were found."""
+"""Precision and recall of loops against the ground truth."""
 
 from __future__ import annotations
 
@@ -11,9 +11,9 @@ from slam.estimates import Trajectory
 from slam.evaluation.association import nearest_indices
 from slam.measurements import BoolArray, FloatArray
 
-# A loop farther off than this closes the map to the wrong place.
+# A loop with a larger error connects the map to the wrong place.
 RIGHT_WITHIN_M, RIGHT_WITHIN_RAD = 0.3, 0.15
-# A revisit: so near to a place that was passed so long before, by the true path.
+# A revisit: this close to a position that was passed this much path length before, by the ground truth.
 REVISIT_M, LEAST_PATH_M = 1.0, 10.0
 _NEAR_S = 0.1
 
@@ -24,8 +24,9 @@ def loop_scores(
     """Precision and recall of accepted loops.
 
     Precision is the share of loops whose motion is right within 0.3 m and 0.15 rad; absent without loops.
-    Recall is the share of revisiting keyframes (truly within 1 m of where the robot was 10 m of path before)
-    that have a right loop from a keyframe less than 1 m of path away; absent without revisits.
+    Recall is the share of revisiting keyframes (by the ground truth within 1 m of where the robot was at
+    least 10 m of path before) that have a right loop from a keyframe less than 1 m of path away; absent
+    without revisits.
     """
     poses, reported = _true_poses(truth, keyframe_stamps_s)
     path_m = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(poses[:, :2], axis=0).T))])
@@ -43,7 +44,7 @@ def loop_scores(
 
 
 def _is_right(loop: AcceptedLoop, truth: Trajectory) -> bool:
-    """Whether a loop says what the truth says; one whose stamps the truth does not know is not."""
+    """Whether a loop agrees with the ground truth; false if the ground truth has no such stamps."""
     poses, reported = _true_poses(truth, np.array([loop.place_stamp_s, loop.keyframe_stamp_s]))
     if not reported.all():
         return False
@@ -56,7 +57,7 @@ def _is_right(loop: AcceptedLoop, truth: Trajectory) -> bool:
 
 
 def _revisits(poses: FloatArray, path_m: FloatArray) -> BoolArray:
-    """(K,) whether a keyframe is near an older one, with enough path between."""
+    """(K,) whether a keyframe is near an older one, with enough path length between."""
     found = np.zeros(len(poses), dtype=bool)
     for key in range(len(poses)):
         old = path_m <= path_m[key] - LEAST_PATH_M
@@ -66,7 +67,7 @@ def _revisits(poses: FloatArray, path_m: FloatArray) -> BoolArray:
 
 
 def _true_poses(truth: Trajectory, stamps_s: FloatArray) -> tuple[FloatArray, BoolArray]:
-    """(K, 3) true x, y, yaw at stamps, and whether the truth tells them."""
+    """(K, 3) true x, y, yaw at stamps, and whether the ground truth has them."""
     if not len(stamps_s):
         return np.zeros((0, 3)), np.zeros(0, dtype=bool)
     nearest = nearest_indices(truth.stamps_s, stamps_s)

@@ -1,4 +1,4 @@
-"""A map against the true plan of a home, cell by cell, within one cell."""
+"""Compares a map with the true plan of a home, cell by cell, with a tolerance of one cell."""
 
 from __future__ import annotations
 
@@ -17,13 +17,13 @@ from slam.measurements import FloatArray
 from slam.simulation.true_grid import TrueGrid
 
 Cells: TypeAlias = NDArray[np.bool_]
-# Walls behind a door that the robot never passed cannot be asked for.
+# A map cannot contain walls behind a door that the robot never passed.
 REACH_M = 4.0
 _AROUND = np.ones((3, 3), dtype=bool)
 
 
 def read_true_grid(path: Path) -> TrueGrid:
-    """A grid of truth as the simulator leaves it.
+    """Read a ground truth grid written by the simulator.
 
     Raises
     ------
@@ -48,14 +48,14 @@ def map_scores(
 ) -> dict[str, float]:
     """Completeness, share of false cells, and F1 of the occupied cells.
 
-    Completeness: of the true cells that border on the floor which the robot drove, at most `REACH_M` from its
-    way, those within one cell of one found. False: of the cells found, those farther than one cell from any
-    true one. F1: harmonic mean of completeness and the share that is not false.
+    Completeness: share of the true cells next to the floor connected to the robot's path, at most `REACH_M`
+    from the path, that are within one cell of a mapped one. False: share of the mapped cells that are farther
+    than one cell from any true one. F1: harmonic mean of completeness and the share that is not false.
 
     Parameters
     ----------
     T_true_map
-        (4, 4) rigid motion that brings the map onto the truth, as the trajectory's alignment gives it.
+        (4, 4) rigid transform from the map to the ground truth, from the alignment of the trajectories.
     true_xy
         (N, 2) true path of the robot.
     """
@@ -72,14 +72,14 @@ def map_scores(
 
 
 class Laid:
-    """Occupied cells on the truth's lattice, and how many lie outside it."""
+    """Occupied cells on the lattice of the ground truth, and how many are outside."""
 
     def __init__(self, inside: Cells, outside: int) -> None:
         self.inside, self.outside = inside, outside
 
 
 def on_truth(found: StateGrid, truth: TrueGrid, T_true_map: FloatArray) -> Laid:
-    """Bring the occupied cells of a map, by their centres, onto the truth's lattice."""
+    """Transform the occupied cells of a map, by their centres, to the lattice of the ground truth."""
     rows, cols = np.nonzero(found.states == OCCUPIED)
     corner = found.T_map_grid
     c, s = np.cos(corner.theta()), np.sin(corner.theta())
@@ -90,7 +90,7 @@ def on_truth(found: StateGrid, truth: TrueGrid, T_true_map: FloatArray) -> Laid:
 
 
 def _laid(truth: TrueGrid, points_xy: FloatArray) -> Laid:
-    """The cells of the truth's lattice that hold points (N, 2)."""
+    """The cells of the ground truth's lattice that contain points (N, 2)."""
     cells = np.floor((points_xy - truth.origin_xy) / truth.resolution_m).astype(int)
     within = ((cells >= 0) & (cells < truth.occupied.shape[::-1])).all(axis=1)
     inside = np.zeros(truth.occupied.shape, dtype=bool)
@@ -99,9 +99,9 @@ def _laid(truth: TrueGrid, points_xy: FloatArray) -> Laid:
 
 
 def to_be_seen(truth: TrueGrid, true_xy: FloatArray) -> Cells:
-    """True cells that border on the floor that hangs together with the robot's way, near enough to it.
+    """True cells next to the floor that is connected to the robot's path, and close enough to the path.
 
-    No sensor sees the inside of a wardrobe; a map can be asked for its faces.
+    No sensor sees the inside of a wardrobe, so a map can only contain its faces.
     """
     labels, _ = ndimage.label(~truth.occupied)
     passed = _laid(truth, true_xy).inside

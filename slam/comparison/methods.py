@@ -1,4 +1,4 @@
-"""The ways from a log to a trajectory that are compared: ours, ours by another's odometry, and stock ones."""
+"""Compared methods from log to trajectory: Scanweave, Scanweave with other odometries, and others."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ _FARTHEST_DEPTH_M = 4.0
 
 
 def scanweave(dataset: Dataset, config: Config) -> Product:
-    """Our own run, with the navigation map where cameras make one."""
+    """Run Scanweave, with the navigation map if there are cameras."""
     with closing(map_log(dataset, config)) as made:
         grid, layers = made.grid, made.layers
         decision = None
@@ -52,7 +52,7 @@ def scanweave(dataset: Dataset, config: Config) -> Product:
 
 
 def by_odometry(dataset: Dataset, config: Config, odometries: Odometries) -> Product:
-    """Our mapper with the odometry of others: a yardstick of ours."""
+    """Scanweave's mapper with the odometry of another system, to compare odometries."""
     result = build_map(dataset, config, odometries=odometries)
     made = result.map
     grid = made.grid
@@ -67,7 +67,7 @@ def by_odometry(dataset: Dataset, config: Config, odometries: Odometries) -> Pro
 
 
 def wheels(dataset: Dataset) -> Product:
-    """Wheel odometry alone, as recorded."""
+    """Recorded wheel odometry alone."""
     readings = [reading for reading in dataset if isinstance(reading, WheelOdometry)]
     if not readings:
         raise DatasetError(f"{dataset.name} holds no wheel odometry; leave 'wheels' out of its baselines")
@@ -76,9 +76,9 @@ def wheels(dataset: Dataset) -> Product:
 
 
 def kiss_icp(dataset: Dataset) -> Product:
-    """Stock KISS-ICP with its own defaults on each cloud of a 3D lidar, or else on the points of each scan.
+    """Unmodified KISS-ICP with its defaults on each cloud of a 3D lidar, or else on the points of each scan.
 
-    No deskewing: it aborts the process on points that bear no times of their own.
+    No deskewing, because it aborts the process for points without timestamps.
     """
     from kiss_icp.config import KISSConfig
     from kiss_icp.kiss_icp import KissICP
@@ -86,7 +86,7 @@ def kiss_icp(dataset: Dataset) -> Product:
     settings = KISSConfig()
     settings.data.deskew = False
     settings.registration.max_num_threads = 1
-    # KISS-ICP's own rule where no voxel is given.
+    # KISS-ICP's own rule if no voxel size is given.
     settings.mapping.voxel_size = settings.data.max_range / 100.0
     odometry = KissICP(settings)
     stamps, poses = [], []
@@ -96,7 +96,7 @@ def kiss_icp(dataset: Dataset) -> Product:
             continue
         mount, points = _cloud(reading)
         if not len(points):
-            continue  # KISS-ICP takes an empty cloud for a motion
+            continue  # KISS-ICP treats an empty cloud as a motion
         odometry.register_frame(points, np.zeros(len(points)))
         poses.append(mount.compose(gtsam.Pose3(odometry.last_pose)).compose(mount.inverse()))
         stamps.append(reading.stamp_s)
@@ -149,15 +149,15 @@ def open3d(dataset: Dataset) -> Product:
     return Product(_trajectory(stamps, poses), warnings=warnings)
 
 
-# Odometries of others in our mapper, by their name in a run.
+# Odometries of other systems for Scanweave's mapper, by their name in a run.
 ODOMETRIES = {"kiss_matching": Odometries(lidar=KissOdometry), "dense": Odometries(rgbd=DenseOdometry)}
-# Methods that need no configuration, by their name in a run; and those of them that look at no image.
+# Methods without configuration, by their name in a run; and those of them that use no images.
 STOCK: dict[str, Callable[[Dataset], Product]] = {"wheels": wheels, "kiss_icp": kiss_icp, "open3d": open3d}
 WITHOUT_IMAGES = frozenset({"wheels", "kiss_icp"})
 
 
 def _cloud(reading: LaserScan | PointCloud) -> tuple[gtsam.Pose3, FloatArray]:
-    """A lidar's mounting, and (N, 3) points in its frame; those of a scan have z = 0."""
+    """A lidar's pose, and (N, 3) points in its frame; those of a scan have z = 0."""
     if isinstance(reading, PointCloud):
         return reading.T_base_lidar, reading.points_lidar.astype(np.float64)
     points = reading.points_laser()
@@ -165,7 +165,7 @@ def _cloud(reading: LaserScan | PointCloud) -> tuple[gtsam.Pose3, FloatArray]:
 
 
 def _accepted(loops: Sequence[LoopCandidate], stamps: FloatArray) -> list[AcceptedLoop]:
-    """The accepted loops of a robot on a floor, by the stamps (K,) of the keyframes."""
+    """The accepted loops of a robot on a floor, with the stamps (K,) of the keyframes."""
     return [
         AcceptedLoop(
             float(stamps[loop.place]),

@@ -1,4 +1,4 @@
-"""Open3D, loaded where it is needed: it takes most of a second, and it needs libraries of the system."""
+"""Loads Open3D on demand: it takes most of a second, and needs system libraries."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ def load_open3d() -> Any:
     Raises
     ------
     LibraryError
-        It is not installed, or a library of the system that it needs is missing.
+        It is not installed, or a system library that it needs is missing.
     """
     try:
         import open3d

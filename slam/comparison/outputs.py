@@ -1,4 +1,4 @@
-"""What a comparison leaves: tables, the page, and results that evo opens."""
+"""Output files of a comparison: tables, the page, and results for evo."""
 
 from __future__ import annotations
 

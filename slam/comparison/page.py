@@ -1,4 +1,4 @@
-"""One self-contained report.html a comparison: who is ahead, how surely, and what each run looked like."""
+"""One self-contained report.html per comparison: ranking, significance, and pictures of each run."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from slam.comparison.store import ResultStore
 from slam.comparison.tables import configurations_of, difference_of, median_of, values_of
 from slam.evaluation import pages
 
-# Beyond this many data sets their pictures are folded, so that the page stays readable.
+# With more data sets, their pictures are collapsed, so that the page remains readable.
 _MOST_OPEN = 4
 # A text, or a text and the number to sort by.
 Cell: TypeAlias = str | tuple[str, float]
@@ -25,7 +25,7 @@ _ABSENT: Cell = ("–", float("nan"))
 
 
 def write_page(path: Path, plan: Plan, rows: Sequence[Row], store: ResultStore) -> None:
-    """Write the page as one file that asks nothing of the network.
+    """Write the page as one file without network access.
 
     Raises
     ------
@@ -70,7 +70,7 @@ def _headline(plan: Plan, rows: Sequence[Row]) -> list[tuple[str, str]]:
 
 
 def _named(row: Row) -> str:
-    """A run in words."""
+    """The name of a run."""
     return ", ".join(part for part in (row["dataset"], row["configuration"], f"seed {row['seed']}") if part)
 
 
@@ -93,7 +93,7 @@ def _median_cell(figure: Figure, median: Interval | None) -> Cell:
 
 
 def _differences(plan: Plan, rows: list[Row], figures: Sequence[Figure]) -> list[list[Cell]]:
-    """Every configuration against the reference, pair by pair."""
+    """Every configuration compared with the reference, pair by pair."""
     body: list[list[Cell]] = []
     for name in configurations_of(rows):
         for figure in figures if name != plan.reference else ():
@@ -110,7 +110,7 @@ def _differences(plan: Plan, rows: list[Row], figures: Sequence[Figure]) -> list
 
 
 def _distributions(rows: list[Row], figures: Sequence[Figure]) -> list[tuple[str, bytes]]:
-    """A plot of all values a figure."""
+    """A plot of all values per metric."""
     pictures = []
     for figure in figures:
         values = {
@@ -124,7 +124,7 @@ def _distributions(rows: list[Row], figures: Sequence[Figure]) -> list[tuple[str
 
 
 def _run_cells(row: Row, figures: Sequence[Figure]) -> list[Cell]:
-    """A run with every figure."""
+    """Cells of a run with all metrics."""
     cells = (
         _ABSENT if (value := row["figures"].get(figure.name)) is None else (figure.text(value), float(value))
         for figure in figures

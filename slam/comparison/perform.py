@@ -1,4 +1,4 @@
-"""What a Dask worker is asked to do. It may be asked twice: a run that is done is not done again."""
+"""The tasks of a Dask worker. A task may be sent twice; a finished run is not repeated."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ Row = dict[str, Any]
 
 
 def perform(run: Row, root: str, drive_fault: str = "") -> Row:
-    """Do one run in a process of its own.
+    """Do one run in its own process.
 
     Parameters
     ----------
@@ -24,11 +24,11 @@ def perform(run: Row, root: str, drive_fault: str = "") -> Row:
     root
         The comparison's folder.
     drive_fault
-        Why its data set could not be made; empty if it is there.
+        Why its data set could not be simulated; empty if it exists.
 
     Returns
     -------
-    The row of the table: what was run, ``status``, ``reason``, ``figures``, ``warnings``, ``log``.
+    The row of the table: the run, ``status``, ``reason``, ``figures``, ``warnings``, ``log``.
     """
     store = ResultStore(Path(root))
     known = store.row(run["key"])
@@ -43,7 +43,7 @@ def perform(run: Row, root: str, drive_fault: str = "") -> Row:
 
 
 def record_drive(drive: Row, folder: str, root: str, timeout_s: float, memory_mb: float) -> str:
-    """Make a simulated drive in a process of its own; what went wrong, or nothing."""
+    """Simulate a drive in its own process; returns an error message, or an empty text."""
     if is_recorded(Path(folder)):
         return ""
     with ResultStore(Path(root)).attempt() as attempt:
@@ -52,7 +52,7 @@ def record_drive(drive: Row, folder: str, root: str, timeout_s: float, memory_mb
 
 
 def row_of(run: Row, outcome: Outcome, folder: Path | None) -> Row:
-    """The row of a run that ended somehow."""
+    """The row of a run that has ended, for any reason."""
     import json
 
     measured: Row = {"figures": {}, "warnings": []}

@@ -1,4 +1,4 @@
-"""The pictures of a comparison's page, as PNG bytes of a bounded size."""
+"""Pictures of a comparison's page, as PNG bytes of limited size."""
 
 from __future__ import annotations
 
@@ -22,15 +22,15 @@ _PANEL_PX, _MOST_COLUMNS, _MAX_POINTS = 250, 4, 4000
 
 
 def trajectories_png(paths_m: Mapping[str, FloatArray], truth_m: FloatArray | None) -> bytes:
-    """Draw (N, 2) ways over each other, the true one beneath.
+    """Draw (N, 2) paths on top of each other, the ground truth at the bottom.
 
     Parameters
     ----------
     paths_m
-        By configuration, all in one frame.
+        Paths by configuration, all in one frame.
     truth_m
-        (N, 2); None if nobody knows, the first way then tells how far the picture reaches: one that got
-        lost shall not make the others small.
+        (N, 2) ground truth; if None, the first path defines the extent of the picture, so that a path that
+        got lost does not make the others small.
     """
     figure = figure_of(1000, 620)
     axes = figure.add_axes((0.065, 0.085, 0.67, 0.89))
@@ -50,7 +50,7 @@ def trajectories_png(paths_m: Mapping[str, FloatArray], truth_m: FloatArray | No
 
 
 def errors_png(errors: Mapping[str, tuple[FloatArray, FloatArray]]) -> bytes:
-    """Draw the distance to the truth over time, on a scale that shows small and large errors.
+    """Draw the distance to the ground truth over time, on a scale that shows small and large errors.
 
     Parameters
     ----------
@@ -70,9 +70,9 @@ def errors_png(errors: Mapping[str, tuple[FloatArray, FloatArray]]) -> bytes:
 
 
 def distribution_png(values: Mapping[str, Sequence[float]], title: str) -> bytes:
-    """Draw every value as a dot over a box of quartiles, a line a configuration.
+    """Draw every value as a dot over a box of quartiles, one row per configuration.
 
-    Where the values span more than a factor of fifty, on a logarithmic scale.
+    The scale is logarithmic if the values span more than a factor of fifty.
     """
     names = list(values)
     figure = figure_of(490, 90 + 26 * len(names))
@@ -83,7 +83,7 @@ def distribution_png(values: Mapping[str, Sequence[float]], title: str) -> bytes
         low, middle, high = np.quantile(found, [0.25, 0.5, 0.75])
         axes.barh(at, high - low, left=low, height=0.62, color=color, alpha=0.22, linewidth=0)
         axes.plot([middle, middle], [at - 0.33, at + 0.33], color=color, linewidth=2.0)
-        spread = 0.24 * np.cos(np.pi * np.arange(found.size))  # dots of one value do not hide each other
+        spread = 0.24 * np.cos(np.pi * np.arange(found.size))  # so that equal values do not hide each other
         axes.plot(found, at + spread * (found.size > 1), "o", color=color, markersize=3.5, alpha=0.75)
     every = np.concatenate([np.asarray(each, dtype=np.float64) for each in values.values()])
     if every.min() > 0.0 and every.max() > 50.0 * every.min():
@@ -95,12 +95,12 @@ def distribution_png(values: Mapping[str, Sequence[float]], title: str) -> bytes
 
 
 def maps_png(maps: Mapping[str, tuple[StateArray, float]]) -> bytes:
-    """Draw maps side by side, each cut to what it knows, all on one scale.
+    """Draw maps side by side, each cropped to its known part, all on one scale.
 
     Parameters
     ----------
     maps
-        By name, states (row 0 at the lowest y) and the side of a cell in metres.
+        States (row 0 at the lowest y) and the side of a cell in metres, by name.
     """
     pictures = {name: (_grey(_cut(states)), cell_m) for name, (states, cell_m) in maps.items()}
     columns = min(len(pictures), _MOST_COLUMNS)
@@ -122,7 +122,7 @@ def maps_png(maps: Mapping[str, tuple[StateArray, float]]) -> bytes:
 
 
 def _reach(path_m: FloatArray, wide: float) -> tuple[FloatArray, FloatArray]:
-    """Lowest and highest corner of a picture of that width over height around a way, with room to spare."""
+    """Lowest and highest corner of a picture with this aspect ratio around a path, with a margin."""
     low, high = path_m.min(axis=0), path_m.max(axis=0)
     size = high - low + 2.0 * max(float((high - low).max()) / 6.0, 0.5)
     size = np.maximum(size, [wide * size[1], size[0] / wide])  # the same scale on both axes
@@ -130,12 +130,12 @@ def _reach(path_m: FloatArray, wide: float) -> tuple[FloatArray, FloatArray]:
 
 
 def _colors(names: Mapping[str, object]) -> list[str]:
-    """A colour a configuration; the first ten differ."""
+    """One colour per configuration; the first ten are distinct."""
     return [COLORS[number % len(COLORS)] for number in range(len(names))]
 
 
 def _legend_beside(figure: Figure, axes: Axes) -> None:
-    """A legend at the right, where it hides nothing; names that do not fit are cut."""
+    """A legend at the right, where it hides nothing; long names are shortened."""
     handles, labels = axes.get_legend_handles_labels()
     figure.legend(
         handles,
@@ -148,7 +148,7 @@ def _legend_beside(figure: Figure, axes: Axes) -> None:
 
 
 def _short(name: str, length: int = 30) -> str:
-    """A name of at most so many characters."""
+    """A name shortened to ``length`` characters."""
     return name if len(name) <= length else name[: length - 1] + "…"
 
 
@@ -161,7 +161,7 @@ def _grey(states: StateArray) -> NDArray[np.uint8]:
 
 
 def _cut(states: StateArray) -> StateArray:
-    """The states without their unknown margin."""
+    """The states without unknown borders."""
     known = states != -1
     rows, columns = np.flatnonzero(known.any(axis=1)), np.flatnonzero(known.any(axis=0))
     if not rows.size:
@@ -170,7 +170,7 @@ def _cut(states: StateArray) -> StateArray:
 
 
 def _plain(axes: Axes) -> None:
-    """Small labels, a faint grid, no box at the right and the top."""
+    """Use small labels, a faint grid, and no frame at the right and the top."""
     axes.tick_params(labelsize=8, colors=GREY)
     axes.xaxis.label.set(fontsize=9, color=GREY)
     axes.yaxis.label.set(fontsize=9, color=GREY)
@@ -180,6 +180,6 @@ def _plain(axes: Axes) -> None:
 
 
 def _thinned(rows: FloatArray) -> FloatArray:
-    """At most _MAX_POINTS rows or so, evenly taken, the last one kept."""
+    """About _MAX_POINTS rows at equal intervals, including the last one."""
     step = max(1, len(rows) // _MAX_POINTS)
     return np.concatenate([rows[:-1:step], rows[-1:]])

@@ -1,4 +1,4 @@
-"""A map to drive by against the true plan of a home, as a robot would judge it: by driving over it."""
+"""Compares a navigation map with the true plan of a home by planning and driving on it."""
 
 from __future__ import annotations
 
@@ -17,13 +17,13 @@ from slam.measurements import FloatArray
 from slam.simulation.rigs import RIGS
 from slam.simulation.true_grid import TrueGrid
 
-_PLANS = 200  # a map
-_HARD_M = 0.10  # nearer to an obstacle than this with its middle the robot has not brushed it but hit it
-_EVERY = 5  # poses of the trajectory of which one may be a start
+_PLANS = 200  # per map
+_HARD_M = 0.10  # if its centre is closer to an obstacle, the robot has hit it, not only touched it
+_EVERY = 5  # every fifth pose of the trajectory may be a start
 
 
 def robot_radius_m(truth: Path) -> float | None:
-    """Of the robot whose drive a folder of truth belongs to; None if it does not tell."""
+    """Radius of the robot of a ground truth folder; None if the folder does not contain it."""
     try:
         return RIGS[json.loads((truth / "faults.json").read_text(encoding="utf-8"))["rig"]].robot_radius_m
     except (OSError, ValueError, KeyError, TypeError):
@@ -38,24 +38,24 @@ def plan_scores(
     map_xy: FloatArray,
     radius_m: float,
 ) -> dict[str, float]:
-    """What a robot that goes by the map meets, and how far it comes.
+    """Collisions and reach of a robot that navigates by the map.
 
     Parameters
     ----------
     T_true_map
-        (4, 4) rigid motion that brings the map onto the truth.
+        (4, 4) rigid transform from the map to the ground truth.
     true_xy, map_xy
-        (N, 2) the robot's way, true and in the map.
+        (N, 2) path of the robot, true and in the map.
     radius_m
-        Of the robot.
+        Radius of the robot.
 
     Returns
     -------
-    ``collide``: share of random plans, from the way to where the map says that it leads, on which the disc of
-    the robot covers a truly occupied cell by more than a cell; ``collide_hard``: its middle comes nearer than
-    0.1 m to one; both absent where the map leads nowhere. ``reach``: of the floor where the robot can truly
-    go, what the map says that it can reach; ``reach_near``: of that, within 4 m of its way. ``danger``: truly
-    occupied cells that the map calls free.
+    ``collide``: share of random plans, from the path to cells that are reachable by the map, on which the
+    disc of the robot covers a truly occupied cell by more than a cell; ``collide_hard``: its centre comes
+    closer than 0.1 m to one; both absent if nothing is reachable. ``reach``: share of the truly reachable
+    floor that is reachable by the map; ``reach_near``: the same within 4 m of its path. ``danger``: truly
+    occupied cells that are free in the map.
     """
     resolution = truth.resolution_m
     clearance = clearance_m(np.where(truth.occupied, OCCUPIED, FREE).astype(np.int8), resolution)
@@ -73,7 +73,7 @@ def plan_scores(
     goals = np.argwhere(np.isin(space.region, space.region[tuple(starts.T)]) & space.allowed)
 
     def at(values: NDArray[np.generic], cells: NDArray[np.int64]) -> FloatArray:
-        """Values of the truth at cells of the map, 0 outside: neither free nor far from anything."""
+        """Values of the ground truth at cells of the map, 0 outside: not free, at distance 0."""
         points = space.middle_of(cells) @ T_true_map[:2, :2].T + T_true_map[:2, 3]
         laid = _cells(points, truth)
         inside = _inside(laid, values.shape)
@@ -101,16 +101,16 @@ def _plans(space: FreeSpace, starts: NDArray[np.int64], goals: NDArray[np.int64]
         same = goals[space.region[tuple(goals.T)] == space.region[tuple(start)]]
         ends = space.middle_of(np.array([start, same[random.integers(len(same))]]))
         path = shortest_path(space, tuple(ends[0]), tuple(ends[1]))
-        assert path is not None  # both are of one region
+        assert path is not None  # both are in one region
         plans.append(np.array([space.cell_of((x, y)) for x, y in path.points_map]))
     return plans
 
 
 def _cells(xy: FloatArray, truth: TrueGrid) -> NDArray[np.int64]:
-    """(N, 2) rows and columns of points in the truth's frame."""
+    """(N, 2) rows and columns of points in the frame of the ground truth."""
     return np.floor((xy - truth.origin_xy) / truth.resolution_m).astype(np.int64)[:, ::-1]
 
 
 def _inside(cells: NDArray[np.int64], shape: tuple[int, ...]) -> Cells:
-    """(N,) which cells lie in a grid."""
+    """(N,) whether cells are inside a grid."""
     return np.asarray(((cells >= 0) & (cells < shape)).all(axis=1))

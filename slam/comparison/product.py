@@ -1,4 +1,4 @@
-"""What a run hands to its scores, whoever made it."""
+"""The result of a run of any method, for scoring."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ class StateGrid:
 
 @dataclass(frozen=True, slots=True)
 class AcceptedLoop:
-    """A loop of the final graph: pose of the base at the second stamp seen from the first, planar."""
+    """A loop of the final graph: planar pose of the base at the second stamp relative to the first."""
 
     place_stamp_s: float
     keyframe_stamp_s: float
@@ -50,19 +50,19 @@ class Product:
     Attributes
     ----------
     trajectory
-        Of the base, map frame.
+        Trajectory of the base in the map frame.
     plane
         The occupancy grid at the lidar's height; None if there is none.
     decision
-        The navigation map; None if no camera made one.
+        The navigation map; None without cameras.
     loops
-        Accepted ones; None if the method closes none or the robot leaves the floor.
+        Accepted loops; None if the method has no loop closure or the robot moves in 3D.
     keyframe_stamps_s
-        (K,) moments at which a loop could have been closed.
+        (K,) stamps at which a loop could have been closed.
     loops_tried
-        Candidates, accepted or not.
+        Number of candidates, accepted or not.
     warnings
-        One line each.
+        Warnings of one line each.
     """
 
     trajectory: Trajectory

@@ -1,4 +1,4 @@
-"""A comparison as a recording: every run's way and map beside the truth, its error over time."""
+"""A comparison as a viewer recording: path and map of each run with the ground truth, error over time."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ from slam.measurements import planar, pose2_from_row
 from slam.storage.tum import read_tum
 from slam.viewer.viewer import Viewer
 
-_MOST_ERRORS = 2000  # points of a curve
+_MOST_ERRORS = 2000  # points per curve
 
 
 def record_comparison(viewer: Viewer, rows: Sequence[Row], store: ResultStore) -> None:
-    """Show every run that has a result, under its data set, configuration and seed."""
+    """Show every run with a result, under its data set, configuration and seed."""
     for row in rows:
         if row["status"] != "ok" or not row["dataset"]:
             continue

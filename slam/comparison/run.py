@@ -1,24 +1,24 @@
-"""One run as it travels: to the worker, and from there to the process that does it."""
+"""One run, serialisable for the worker and for the process of the run."""
 
-# Only the standard library: the process of a run that needs nothing else starts at once.
+# Uses only the standard library, so that the process of a run starts fast.
 from __future__ import annotations
 
 from dataclasses import asdict, dataclass
 from typing import Any
 
 SCANWEAVE = "scanweave"
-# Our mapper with an odometry of others, see `slam.comparison.methods.ODOMETRIES`.
+# Scanweave's mapper with another odometry, see `slam.comparison.methods.ODOMETRIES`.
 OTHER_ODOMETRY = frozenset({"kiss_matching", "dense"})
 
 
 @dataclass(frozen=True, slots=True)
 class Run:
-    """One run, in plain types: it travels to the worker, and from there to the process that does it.
+    """One run in plain types, for the worker and for the process of the run.
 
     Attributes
     ----------
     key
-        Hash of data set, effective configuration and code: the same key, the same result.
+        Hash of data set, effective configuration and code; equal keys have equal results.
     configuration
         Name in the tables.
     method
@@ -27,11 +27,11 @@ class Run:
     dataset, group, log, relations, groundtruth
         As in `slam.comparison.runs.Source`; empty if there is none.
     seed
-        Of the configuration.
+        Seed of the configuration.
     config
-        The effective configuration as JSON; empty if none decides.
+        The effective configuration as JSON; empty if there is none.
     trajectory, command, figures
-        Of an outside system.
+        Inputs of an external system.
     timeout_s, memory_mb, rpe_m
         As in the experiment.
     """
@@ -54,10 +54,10 @@ class Run:
     key: str = ""
 
     def to_dict(self) -> dict[str, Any]:
-        """For JSON."""
+        """Convert to plain types for JSON."""
         return asdict(self)
 
     @classmethod
     def from_dict(cls, values: dict[str, Any]) -> Run:
-        """From JSON."""
+        """Create from plain types of JSON."""
         return cls(**{**values, "rpe_m": tuple(values["rpe_m"]), "command": tuple(values["command"])})

@@ -1,4 +1,4 @@
-"""From an experiment to its runs, each with a key: the hash of all that decides its result."""
+"""Expands an experiment to its runs, each with a key: the hash of everything that determines its result."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from slam.config import Config, load_config
 from slam.errors import DatasetError, MapFileError
 from slam.storage.map_identity import current_versions, fingerprint_of
 
-# A baseline is a configuration of ours, or a method of its own.
+# A baseline is a Scanweave configuration or a separate method.
 _NO_LOOPS: dict[str, Value] = {"loops.enabled": False}
 _OVERRIDES: dict[Baseline, dict[str, Value]] = {
     "scan_matching": {
@@ -49,13 +49,13 @@ class Source:
     Attributes
     ----------
     name, group
-        In the tables; data sets of one group are not independent.
+        Name and group in the tables; data sets of one group are not independent.
     path
-        Where the log lies; of a simulated drive, where it will lie.
+        Path of the log; for a simulated drive, its future path.
     drive
-        How it is simulated; None for a log that is there.
+        How it is simulated; None for an existing log.
     relations, groundtruth
-        What it is measured against, beside its own truth.
+        References for scoring, in addition to the ground truth in the log.
     """
 
     name: str
@@ -68,7 +68,7 @@ class Source:
 
 @dataclass(frozen=True, slots=True)
 class Plan:
-    """What an experiment comes to: its data sets, and its runs in the order of the tables."""
+    """The expanded experiment: its data sets, and its runs in the order of the tables."""
 
     experiment: Experiment
     sources: tuple[Source, ...]
@@ -83,7 +83,7 @@ def plan_of(experiment: Experiment, data: Path, cache: Path) -> Plan:
     Parameters
     ----------
     data
-        Folder from which relative paths are taken.
+        Base folder of relative paths.
     cache
         Folder of simulated drives.
 
@@ -129,14 +129,14 @@ def _sources(entry: DatasetEntry, data: Path, cache: Path) -> Iterator[Source]:
 
 
 def _existing(path: Path) -> Path:
-    """The path, if something is there."""
+    """The path, if it exists."""
     if not path.exists():
         raise DatasetError(f"{path} does not exist; relative paths are taken from --data")
     return path
 
 
 def _runs(experiment: Experiment, sources: Sequence[Source], data: Path) -> Iterator[Run]:
-    """All runs without their keys; what no seed decides is run once a data set."""
+    """All runs without their keys; runs that depend on no seed occur once per data set."""
     for configuration, method, config in _configs(experiment):
         for source in sources:
             for seed in experiment.seeds:
@@ -163,7 +163,7 @@ def _runs(experiment: Experiment, sources: Sequence[Source], data: Path) -> Iter
 
 
 def _configs(experiment: Experiment) -> Iterator[tuple[str, str, Config]]:
-    """Name, method and effective configuration of every configuration of ours."""
+    """Name, method and effective configuration of every Scanweave configuration."""
     for configuration in experiment.configurations:
         for name, overrides in swept_overrides(configuration):
             yield name, SCANWEAVE, _config(configuration.preset, {**experiment.common, **overrides})
@@ -175,7 +175,7 @@ def _configs(experiment: Experiment) -> Iterator[tuple[str, str, Config]]:
 
 
 def _config(preset: str | None, overrides: dict[str, Value]) -> Config:
-    """An effective configuration; JSON is YAML, so a value passes as the text of an override."""
+    """An effective configuration; JSON is valid YAML, so values are passed as text of overrides."""
     return load_config(preset, [f"{key}={json.dumps(value)}" for key, value in overrides.items()])
 
 
@@ -200,7 +200,7 @@ def _run(
 
 
 def _filled(word: str, reported: dict[str, str]) -> str:
-    """A word of a command with its place holders filled in; {out} and {python} are known to the worker."""
+    """A word of a command with placeholders replaced; the worker replaces {out} and {python}."""
     for name, value in reported.items():
         word = word.replace(name, value)
     return word
@@ -209,7 +209,7 @@ def _filled(word: str, reported: dict[str, str]) -> str:
 def _keyed(
     run: Run, versions: dict[str, str], fingerprints: dict[Path, str], sources: dict[Path, Source]
 ) -> Run:
-    """The run with its key; limits are no part of it, for they decide no result."""
+    """The run with its key, without the limits, which do not change the result."""
     drives = {str(path.resolve()): source.drive for path, source in sources.items()}
     files: dict[str, Any] = {}
     for name in ("log", "relations", "groundtruth", "trajectory"):
@@ -231,7 +231,7 @@ def _keyed(
 
 
 def _fingerprint(path: Path, known: dict[Path, str]) -> str:
-    """Of a file or folder, looked at once; a trajectory that is not there yet is none, its run will fail."""
+    """Fingerprint of a file or folder, cached; empty for a missing trajectory, whose run will fail."""
     if path not in known:
         try:
             known[path] = fingerprint_of(path) if path.exists() else "absent"

@@ -1,4 +1,4 @@
-"""What the runs on each data set looked like: ways over each other, error over time, maps side by side."""
+"""Pictures of the runs on each data set: paths, error over time, maps side by side."""
 
 from __future__ import annotations
 
@@ -21,13 +21,13 @@ from slam.evaluation.trajectory_error import associate
 from slam.measurements import FloatArray
 from slam.storage.tum import read_tum
 
-# What it shows, PNG, and its class in the style sheet.
+# Caption, PNG, and class in the style sheet.
 Picture: TypeAlias = tuple[str, bytes, str]
 _ALIGN_WITHIN_S = 0.1
 
 
 def scenes(plan: Plan, rows: Sequence[Row], store: ResultStore) -> Iterator[tuple[str, list[Picture]]]:
-    """The pictures of every data set by its name; of several seeds the first is shown."""
+    """The pictures of every data set, by name; only the first seed is shown."""
     for source in plan.sources:
         shown: dict[str, Row] = {}
         for row in rows:
@@ -57,7 +57,7 @@ def _pictures(source: Source, folders: dict[str, Path], reference: str) -> Itera
 
 
 def _arrays(path: Path) -> dict[str, Any] | None:
-    """What a run has left in an npz, None if it has not."""
+    """The arrays in an npz file of a run, None if there is none."""
     if not path.is_file():
         return None
     with np.load(path, allow_pickle=False) as file:
@@ -65,13 +65,13 @@ def _arrays(path: Path) -> dict[str, Any] | None:
 
 
 def _in_truth(found: dict[str, Any], name: str) -> FloatArray:
-    """(N, 2) positions in the truth's frame, which is one for all runs."""
+    """(N, 2) positions in the frame of the ground truth, which is the same for all runs."""
     T_true_map, positions = found["T_true_map"], found[name]
     return np.asarray((positions @ T_true_map[:3, :3].T + T_true_map[:3, 3])[:, :2])
 
 
 def _aligned_paths(folders: dict[str, Path], reference: str) -> dict[str, FloatArray]:
-    """(N, 2) ways, the reference's first, each brought onto it as well as it can be."""
+    """(N, 2) paths, the reference first, the others aligned to it as well as possible."""
     found = {name: read_tum(path) for name, f in folders.items() if (path := f / TRAJECTORY).is_file()}
     if not found:
         return {}
@@ -83,13 +83,13 @@ def _aligned_paths(folders: dict[str, Path], reference: str) -> dict[str, FloatA
             own, others = associate(trajectory, base, _ALIGN_WITHIN_S)
             T = align(own, others).T_target_point
         except EvaluationError:
-            T = np.eye(4)  # nothing in common: shown as it is
+            T = np.eye(4)  # nothing in common: not aligned
         paths[name] = (trajectory.positions_m @ T[:3, :3].T + T[:3, 3])[:, :2]
     return paths
 
 
 def _map(path: Path) -> tuple[StateArray, float] | None:
-    """The navigation map, or else the plane of the lidar."""
+    """The navigation map, or else the map at the lidar's height."""
     found = _arrays(path)
     if found is None:
         return None

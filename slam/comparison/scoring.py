@@ -1,4 +1,4 @@
-"""All figures of one run: what its log can be measured against decides which there are."""
+"""All metrics of one run; they depend on the references that its log has."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from slam.evaluation.truth_comparison import MAX_DIFFERENCE_S, TruthComparison, 
 
 @dataclass(frozen=True, slots=True)
 class Truths:
-    """What a run is measured against; any of it may be absent.
+    """References of a run; each may be missing.
 
     Attributes
     ----------
@@ -30,7 +30,7 @@ class Truths:
     relations
         File of relations.
     grids
-        The simulator's folder of truth.
+        The simulator's ground truth folder.
     """
 
     trajectory: Trajectory | None
@@ -40,7 +40,7 @@ class Truths:
 
 @dataclass(frozen=True, slots=True)
 class Scores:
-    """Figures by name, the trajectory laid over the truth, and what could not be measured."""
+    """Metrics by name, the trajectory aligned to the ground truth, and what could not be measured."""
 
     figures: dict[str, float]
     truth: TruthComparison | None
@@ -48,7 +48,7 @@ class Scores:
 
 
 def scores_of(product: Product, truths: Truths, rpe_m: tuple[float, ...]) -> Scores:
-    """Measure a run; what cannot be measured is a warning, not an end."""
+    """Score a run; metrics that cannot be computed give a warning, not an error."""
     figures: dict[str, float] = {}
     warnings: list[str] = []
     comparison = None
@@ -79,7 +79,7 @@ def scores_of(product: Product, truths: Truths, rpe_m: tuple[float, ...]) -> Sco
 
 
 def relation_figures(score: RelationScore) -> dict[str, float]:
-    """Kuemmerle 2009: mean and spread over all relations, means over the short and the long ones."""
+    """Kuemmerle 2009: mean and standard deviation over all relations, means over short and long ones."""
     figures = {
         "relations_m": score.all.translation_m.mean,
         "relations_std_m": score.all.translation_m.std,
@@ -93,7 +93,7 @@ def relation_figures(score: RelationScore) -> dict[str, float]:
 
 
 def absolute_figures(comparison: TruthComparison) -> dict[str, float]:
-    """ATE after a rigid alignment."""
+    """Compute the ATE after a rigid alignment."""
     error = comparison.error
     return {
         "ate_m": error.translation_m.rmse,
@@ -104,7 +104,7 @@ def absolute_figures(comparison: TruthComparison) -> dict[str, float]:
 
 
 def _relative_figures(trajectory: Trajectory, truth: Trajectory, length_m: float) -> dict[str, float]:
-    """RPE over one length; nothing if the drive is shorter."""
+    """Compute the RPE over one length; nothing if the drive is shorter."""
     error = relative_error(trajectory, truth, delta_m=length_m, max_difference_s=MAX_DIFFERENCE_S)
     if error is None:
         return {}
@@ -115,7 +115,7 @@ def _relative_figures(trajectory: Trajectory, truth: Trajectory, length_m: float
 
 
 def _grid_figures(product: Product, folder: Path, comparison: TruthComparison) -> dict[str, float]:
-    """Maps against the true plan: what stands in a robot's way, and what a lidar's plane meets."""
+    """Compare maps with the true plan: obstacles for a robot, and obstacles at the lidar's height."""
     figures: dict[str, float] = {}
     T_true_map, true_xy = comparison.error.T_reference_map, _true_xy(comparison)
     robot, lidar = folder / "grid_robot.npz", folder / "grid_lidar.npz"
@@ -134,7 +134,7 @@ def _grid_figures(product: Product, folder: Path, comparison: TruthComparison) -
 
 
 def _true_xy(comparison: TruthComparison) -> np.ndarray[tuple[int, ...], np.dtype[np.float64]]:
-    """(N, 2) true path of the robot in the truth's frame."""
+    """(N, 2) true path of the robot in the frame of the ground truth."""
     T = comparison.error.T_reference_map
     positions = comparison.true_positions_m @ T[:3, :3].T + T[:3, 3]
     return np.asarray(positions[:, :2])

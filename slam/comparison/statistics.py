@@ -1,4 +1,4 @@
-"""Medians with intervals, and configurations compared pair by pair on the same data."""
+"""Medians with intervals, and paired comparisons of configurations on the same data."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ from slam.measurements import FloatArray
 RESAMPLES = 2000
 SHARE = 0.95
 _SEED = 20
-# Of fewer pairs even a common sign is no evidence: 2 * 0.5**6 is the first below 0.05.
+# With fewer pairs, even a common sign is not significant: 2 * 0.5**6 is the first value below 0.05.
 LEAST_PAIRS = 6
 Verdict: TypeAlias = Literal["better", "worse", "undecided", "too few pairs"]
 
 
 @dataclass(frozen=True, slots=True)
 class Interval:
-    """A median with the bootstrap interval of 95 %; ``nan`` ends where fewer than two values are known."""
+    """A median with its 95 % bootstrap interval; limits are ``nan`` for fewer than two values."""
 
     median: float
     low: float
@@ -30,16 +30,16 @@ class Interval:
 
 @dataclass(frozen=True, slots=True)
 class PairedDifference:
-    """A configuration minus the reference, over what both have done.
+    """A configuration minus the reference, over the runs that both have.
 
     Attributes
     ----------
     difference
         Median of the differences with its interval.
     better
-        In how many pairs it is better than the reference.
+        Number of pairs in which it is better than the reference.
     verdict
-        ``better`` or ``worse`` where the interval leaves out zero and there are `LEAST_PAIRS`.
+        ``better`` or ``worse`` if the interval excludes zero and there are `LEAST_PAIRS`.
     """
 
     difference: Interval
@@ -48,9 +48,9 @@ class PairedDifference:
 
 
 def interval_of(groups: Mapping[str, Sequence[float]]) -> Interval:
-    """Median of all values; its interval by a bootstrap in two stages, groups first, then values in them.
+    """Median of all values, with the interval of a two-stage bootstrap: groups, then values in them.
 
-    Drives through one home resemble each other: drawing single drives would make the interval too narrow.
+    Drives through one home are similar: resampling single drives would make the interval too narrow.
     Davison and Hinkley 1997, section 3.8.
 
     Parameters
@@ -74,13 +74,13 @@ def paired(
     *,
     smaller_is_better: bool,
 ) -> PairedDifference | None:
-    """Compare with the reference on the same data sets and seeds; None without a common one.
+    """Compare with the reference on the same data sets and seeds; None if there is no common one.
 
     Parameters
     ----------
     values, reference
-        By group, data set and seed. What no seed decides has a single seed on a data set; it is compared with
-        every seed of the other.
+        Values by group, data set and seed. A side without seeds has a single seed per data set; it is
+        compared with every seed of the other side.
     """
     groups: dict[str, list[float]] = {}
     for group, difference in _pairs(values, reference):
@@ -103,14 +103,14 @@ def paired(
 def _pairs(
     values: Mapping[tuple[str, str, int], float], reference: Mapping[tuple[str, str, int], float]
 ) -> list[tuple[str, float]]:
-    """Group and difference of every pair, by the seeds of the side that has more of them."""
+    """Group and difference of every pair, for the seeds of the side with more seeds."""
     richer = values if len(values) >= len(reference) else reference
     differences = [(key[0], _of(values, *key) - _of(reference, *key)) for key in richer]
     return [(group, difference) for group, difference in differences if not np.isnan(difference)]
 
 
 def _of(values: Mapping[tuple[str, str, int], float], group: str, dataset: str, seed: int) -> float:
-    """The value of a pair, or of the data set where it has only one; nan where there is none."""
+    """The value of a pair, or of the data set if it has only one; nan if there is none."""
     if (group, dataset, seed) in values:
         return values[group, dataset, seed]
     only = [value for (g, d, _), value in values.items() if (g, d) == (group, dataset)]
@@ -118,10 +118,10 @@ def _of(values: Mapping[tuple[str, str, int], float], group: str, dataset: str, 
 
 
 def _resampled_medians(samples: Sequence[FloatArray], rng: np.random.Generator) -> FloatArray:
-    """(RESAMPLES,) medians; groups are drawn, and in each drawn group its values."""
+    """(RESAMPLES,) medians of resampled groups with resampled values."""
     sizes = np.array([each.size for each in samples])
     drawn = rng.integers(sizes.size, size=(RESAMPLES, sizes.size))
-    # Each place in a drawn group is one of its values; places that a smaller group lacks sort to the end.
+    # Each element of a drawn group is one of its values; missing elements of smaller groups sort last.
     within = (rng.random((*drawn.shape, sizes.max())) * sizes[drawn][..., None]).astype(np.int64)
     values = np.concatenate(samples)[(np.cumsum(sizes) - sizes)[drawn][..., None] + within]
     values[np.arange(sizes.max()) >= sizes[drawn][..., None]] = np.inf

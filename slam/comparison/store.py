@@ -1,4 +1,4 @@
-"""Results on disk: a folder a run, named by its key, which appears whole or not at all."""
+"""Results on disk: one folder per run, named by its key, published atomically."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ from slam.errors import MapFileError
 from slam.storage.files import make_folder, write_bytes
 from slam.temporary import TemporaryFolder
 
-# What stopped these was the machine or a limit, not the run: they are tried again.
+# Stopped by the machine or a limit, not by the run itself: these are tried again.
 PASSING = frozenset({"timeout", "memory", "killed"})
 
 
 class ResultStore:
-    """The folder ``runs`` of a comparison; every worker sees the same one.
+    """The folder ``runs`` of a comparison, shared by all workers.
 
     Parameters
     ----------
@@ -36,12 +36,12 @@ class ResultStore:
         return self.folder / key
 
     def row(self, key: str) -> dict[str, Any] | None:
-        """A finished run's row, None if there is none.
+        """The row of a finished run, None if there is none.
 
         Raises
         ------
         MapFileError
-            If it is there and cannot be read.
+            If it exists and cannot be read.
         """
         path = self.of(key) / RESULT
         try:
@@ -55,12 +55,12 @@ class ResultStore:
         return content
 
     def forget(self, key: str) -> None:
-        """Make room for a run that is done anew."""
+        """Delete the result of a run that is repeated."""
         shutil.rmtree(self.of(key), ignore_errors=True)
 
     @contextmanager
     def attempt(self) -> Iterator[Path]:
-        """A folder to work in; what is not published is gone afterwards."""
+        """A working folder; it is deleted afterwards unless published."""
         folder = TemporaryFolder(self.folder, ".attempt-")
         try:
             yield folder.path
@@ -68,16 +68,16 @@ class ResultStore:
             folder.remove()
 
     def publish(self, folder: Path, key: str, row: dict[str, Any]) -> dict[str, Any]:
-        """Let a finished attempt be the run's result, unless another attempt was first.
+        """Publish a finished attempt as the run's result, unless another attempt was first.
 
         Returns
         -------
-        The row that holds.
+        The row that is valid.
         """
         write_bytes(folder / RESULT, json.dumps(row, indent=1).encode())
         folder.chmod(0o755)
         try:
-            folder.rename(self.of(key))  # fails where a folder with content is there: the first one stays
+            folder.rename(self.of(key))  # fails if a non-empty folder exists: the first one remains
         except OSError as error:
             known = self.row(key)
             if known is None:
@@ -86,7 +86,7 @@ class ResultStore:
         return row
 
     def missing(self, keys: Iterable[str], *, resume: bool) -> set[str]:
-        """Keys that are to be run: all, or those without a lasting result; others' remains are removed."""
+        """Keys to run: all, or those without a final result; their leftovers are removed."""
         wanted = set()
         for key in keys:
             row = self.row(key) if resume else None
@@ -96,6 +96,6 @@ class ResultStore:
         return wanted
 
     def sweep(self) -> None:
-        """Remove what killed workers have left."""
+        """Remove leftovers of killed workers."""
         for folder in self.folder.glob(".attempt-*"):
             shutil.rmtree(folder, ignore_errors=True)

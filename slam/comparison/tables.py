@@ -1,4 +1,4 @@
-"""Results as tables: results.csv and results.parquet, a line a run, and the medians of the page."""
+"""Results as tables: results.csv and results.parquet, one line per run, and the medians of the page."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ LAST = ("elapsed_s", "host", "key")
 
 
 def columns_of(rows: Sequence[Row]) -> dict[str, list[Any]]:
-    """Columns of the flat table; a figure that a run does not have is None."""
+    """Columns of the flat table; a metric that a run does not have is None."""
     columns: dict[str, list[Any]] = {name: [row[name] for row in rows] for name in TOLD}
     for figure in figures_in(list(rows)):
         columns[figure.name] = [row["figures"].get(figure.name) for row in rows]
@@ -47,7 +47,7 @@ def write_tables(folder: Path, rows: Sequence[Row]) -> list[Path]:
 
 
 def _write_parquet(path: Path, columns: dict[str, list[Any]]) -> None:
-    """Figures as doubles, seeds as integers, all else as text, also where a table has no row."""
+    """Write metrics as doubles, seeds as integers, everything else as text, also for an empty table."""
     import pyarrow as pa
     import pyarrow.parquet as pq
 
@@ -67,7 +67,7 @@ def configurations_of(rows: Sequence[Row]) -> list[str]:
 
 
 def values_of(rows: Sequence[Row], configuration: str, figure: Figure) -> dict[tuple[str, str, int], float]:
-    """A configuration's values of a figure by group, data set and seed."""
+    """A configuration's values of a metric by group, data set and seed."""
     return {
         (row["group"], row["dataset"], row["seed"]): row["figures"][figure.name]
         for row in rows
@@ -86,7 +86,7 @@ def median_of(rows: Sequence[Row], configuration: str, figure: Figure) -> Interv
 def difference_of(
     rows: Sequence[Row], configuration: str, reference: str, figure: Figure
 ) -> PairedDifference | None:
-    """A configuration against the reference; None if no data set has both, or neither way is better."""
+    """Compare a configuration with the reference; None without a common data set or a better direction."""
     if figure.smaller_is_better is None:
         return None
     return paired(

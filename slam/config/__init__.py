@@ -42,7 +42,7 @@ from slam.foreign import from_yaml
 
 DEFAULT_PRESET = "lidar2d"
 
-# What files of lenses and mountings begin with, or have at the beginning of a line.
+# Calibration files of other tools start with this, or contain it at the start of a line.
 _FOREIGN = re.compile(
     r"\A\s*<|^(%YAML|cam\d+:|Camera1?\.|transforms:|child_frame_id:|sensor_type:|trans_matrix:|intrinsics:"
     r"|depth_steps_per_m:|T_base_(camera|lidar):|\w*(camera|intrinsic)_?matrix\w*:|[kK]:|image_width:|distortion_model:)",
@@ -126,7 +126,7 @@ def load_config(
         raise ConfigError(f"a {given} is no configuration; give one by slam.load_config, or a preset or file")
     file = find_file(preset_or_path or DEFAULT_PRESET, _PRESET_FOLDER, "preset")
     tree = read_tree(file)
-    # The file is judged alone first, so that a message blames the file or the override, not both.
+    # The file is validated alone first, so that a message refers to the file or to the override.
     config = model_of(Config, tree, file.name)
     config = with_settings(config, overrides) if overrides else config
     return config if calibration is None else with_calibration(config, calibration)
@@ -243,14 +243,14 @@ def _apply_override(tree: dict[str, Any], override: str) -> None:
     node = tree
     for name in names[:-1]:
         child = node.get(name)
-        if not isinstance(child, dict):  # absent, or a value where a section belongs: the latter is unknown
+        if not isinstance(child, dict):  # absent, or a value instead of a section, which is unknown
             child = node[name] = {}
         node = child
     node[names[-1]] = value
 
 
 def _dump_lines(model: BaseModel, indent: str) -> Iterator[str]:
-    """Lines of one model: a comment and a value a field, sections nested."""
+    """Lines of one model: a comment and a value per field, sections nested."""
     values = model.model_dump(mode="json")
     for name, field in type(model).model_fields.items():
         section = getattr(model, name)

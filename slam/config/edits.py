@@ -15,7 +15,7 @@ from pydantic import Field, model_validator
 from slam.config.files import model_of, nearest_field, read_tree
 from slam.config.strict import StrictModel
 
-# Corners of a polygon, and entries of a list: no person draws more, and no check takes long.
+# Corners of a polygon, and entries of a list: enough for manual edits, and checks remain fast.
 _MOST_CORNERS, _MOST_ENTRIES = 1000, 10_000
 _FARTHEST_M = 1e6
 

@@ -86,15 +86,15 @@ def model_of(
     if not isinstance(tree, dict):
         raise ConfigError(f"{source} holds a {type(tree).__name__}; write 'section:' and its keys under it")
     try:
-        # By way of JSON, since there strict mode still takes a list for a tuple.
+        # Via JSON, because strict mode then still accepts a list for a tuple.
         return kind.model_validate_json(json.dumps(tree, default=str))
     except ValidationError as error:
-        # An unknown key says more than what is missing where it stands.
+        # An unknown key is more informative than the missing key that it replaces.
         faults = sorted(error.errors(), key=lambda fault: fault["type"] != "extra_forbidden")
         told = [_described(fault, hint or partial(_nearest_key, kind)) for fault in faults[:most]]
         more = [f"and {len(faults) - len(told)} more"] if len(faults) > len(told) else []
         raise ConfigError(f"{source}: {'; '.join(told + more)}") from None
-    except (TypeError, ValueError, RecursionError) as error:  # a date as a key, an anchor that holds itself
+    except (TypeError, ValueError, RecursionError) as error:  # a date as a key, a recursive anchor
         raise ConfigError(f"{source}: not plain keys and values ({error})") from error
 
 

@@ -8,7 +8,7 @@ from pydantic import Field, model_validator
 
 from slam.config.strict import StrictModel
 
-# Beside a recording, it is found by itself.
+# Next to a recording, it is found automatically.
 FILE_NAME = "tags.yaml"
 Place: TypeAlias = tuple[float, float] | tuple[float, float, float]
 

@@ -1,4 +1,4 @@
-"""Apply a file of edits to a map: names become keyframes, polygons become the evidence in them."""
+"""Apply a file of edits to a map: resolve names to keyframes, and polygons to the evidence inside."""
 
 from __future__ import annotations
 
@@ -26,18 +26,18 @@ from slam.storage.map_sessions import MapSession
 
 @dataclass(frozen=True, slots=True)
 class Known:
-    """A map that is edited.
+    """A map that is being edited.
 
     Attributes
     ----------
     file
-        That holds it.
+        File that contains it.
     contents
-        The map as people see it, with the edits so far.
+        The map with the edits so far, as the user sees it.
     base, before
-        The map without any, and its settings.
+        The map without edits, and its settings.
     sessions
-        Its logs.
+        Logs of the map.
     """
 
     file: MapFile
@@ -48,12 +48,12 @@ class Known:
 
 
 def understood(known: Known, edits: Edits) -> AppliedEdits:
-    """What edits mean in a map.
+    """Resolve edits in a map.
 
     Raises
     ------
     ScanweaveError
-        If a keyframe or a loop is none, two keyframes do not match, or a setting takes the log.
+        If a keyframe or a loop does not exist, two keyframes do not match, or a setting needs the log.
     """
     entries = known.contents.edits
     settings = tuple(_override(name, value) for name, value in edits.settings.items())
@@ -68,14 +68,14 @@ def understood(known: Known, edits: Edits) -> AppliedEdits:
 
 
 def _override(name: str, value: object) -> str:
-    """A setting as ``--set`` takes it."""
+    """A setting in the form of ``--set``."""
     if isinstance(value, dict):
         raise ConfigError(f"settings: '{name}' holds a mapping; write settings by their dotted names")
     return f"{name}={'true' if value is True else 'false' if value is False else value}"
 
 
 def _rows(pair: Pair, known: Known) -> tuple[int, int, str]:
-    """The rows of two keyframes, and what to call them."""
+    """The rows of two keyframes, and a name for the pair."""
     one, other = pair
     told = f"{one} and {other}"
     rows = row_of(one, known.base, known.sessions), row_of(other, known.base, known.sessions)
@@ -85,7 +85,7 @@ def _rows(pair: Pair, known: Known) -> tuple[int, int, str]:
 
 
 def _with_loops(entry: AppliedEdits, known: Known, edits: Edits, config: Config) -> AppliedEdits:
-    """The loops that are forbidden, forced and added."""
+    """Add the forbidden, forced and new loops to the entry."""
     wanted = []
     for added in edits.loops.add:
         one, other, told = _rows(added.pair, known)
@@ -103,7 +103,7 @@ def _with_loops(entry: AppliedEdits, known: Known, edits: Edits, config: Config)
 
 
 def _with_regions(known: Known, edits: Edits, config: Config) -> tuple[dict[Evidence, bytes], list[Region]]:
-    """What is erased, and everything that keyframes hold in its place."""
+    """The erased evidence, and the regions that keyframes hold in place."""
     poses, regions = known.contents.keyframe_poses, list[Region]()
     cuts = [Cut(np.array(one.polygon)) for one in edits.erase]
     cuts += [] if edits.crop is None else [Cut(np.array(edits.crop), outside=True)]
@@ -130,12 +130,12 @@ def _with_regions(known: Known, edits: Edits, config: Config) -> tuple[dict[Evid
 def later_evidence(
     contents: MapContents, entries: Sequence[AppliedEdits], first: int, config: Config
 ) -> list[AppliedEdits]:
-    """Edits of a map that a session has joined: what it sees where that is erased for all time goes, too.
+    """Extend the edits of a map after a session has joined: permanent erasures also apply to its readings.
 
     Parameters
     ----------
     contents
-        The joined map, with the edits.
+        The joined map with the edits.
     first
         The first keyframe of the session.
     """
@@ -151,7 +151,7 @@ def later_evidence(
 
 
 def _turned(entry: AppliedEdits, known: Known, edits: Edits, config: Config) -> AppliedEdits:
-    """The entry with how the map is turned: as its keyframes lie when all else is done."""
+    """The entry with the rotation of the map, from the keyframe poses after all other edits."""
     entries = [*known.contents.edits, entry]
     found = settled(known.base, entries, known.before, config, known.sessions)
     before, after = known.contents.keyframe_poses, found.keyframe_poses

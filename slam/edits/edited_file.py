@@ -80,6 +80,6 @@ def _write(path: Path, source: UneditedFile, contents: MapContents, config: Conf
         for table in (FRAMES, IMAGES, CLOUDS):
             copy_rows(source, file, table)
         write_contents(file, contents)
-        if contents.edits:  # else what this version draws is the map from now on
+        if contents.edits:  # otherwise the result of this version is the new map
             append_edits(file, source, contents.edits)
         file.seal()

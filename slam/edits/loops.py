@@ -49,7 +49,7 @@ def edited_loops(
     Factors without those of permanently rejected loops: no later optimisation brings these back.
     """
     loops = [*base.loops]
-    state: dict[int, bool] = {}  # true is forced, false forbidden
+    state: dict[int, bool] = {}  # True: forced, False: forbidden
     for entry in entries:
         for pair in entry.forbidden:
             state.update(dict.fromkeys(_numbers(loops, pair), False))
@@ -70,7 +70,7 @@ def edited_loops(
             factors.append(factor)
             continue
         there.add(number)
-        # Refused by a person or a setting, not by the others.
+        # Rejected by the user or a setting, not by other loops.
         if loops[number].reason in (FORBIDDEN, _OFF, *_FEW):
             continue
         factors.append(_trusted(factor) if number in forced else factor)
@@ -165,7 +165,7 @@ def matched_loops(
     found, loops = [], config.loops
     for first, second, guess, told in wanted:
         if guess is None:
-            # Somewhere about the same place, whichever way it looked.
+            # At about the same position, with any heading.
             wide = loops.greatest_half_width_m, np.pi
             expected = np.array([0.0, 0.0, between(poses[first], poses[second])[2]])
         else:

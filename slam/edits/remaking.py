@@ -31,9 +31,9 @@ from slam.storage.map_sessions import MapSession
 from slam.trajectory.poses import Poses
 from slam.trajectory.resettled import resettled
 
-# What is drawn and written of keyframes, and what only later commands ask for.
+# Settings of drawing and output of keyframes, and settings that only later commands use.
 _FREE = ("grid.", "layers.", "dense_map.", "cloud_map.", "localization.", "cloud_localization.")
-# Of the graph: which loops count.
+# Settings of the graph that decide which loops are used.
 _LOOPS = frozenset({"loops.enabled", "loops.inlier_probability", "loops.least_inlier_share"})
 _FUSION = "fusion.enabled"
 
@@ -115,7 +115,7 @@ def settled(
     """Return a map with its graph solved and rotated; scans, images and grids are unchanged."""
     factors, loops = edited_loops(base, entries, before, config)
     poses = base.node_poses
-    # Edges are compared by what made them.
+    # Edges are compared by their source.
     if list(map(id, factors)) != list(map(id, base.factors)) or config.loops != before.loops:
         factors, poses = solved(base.node_poses, factors, before, config)
         edges = [factor.edge for factor in factors]
@@ -143,7 +143,7 @@ def settled(
         factors=factors,
         loops=loops,
         covariances=covariances,
-        georeference=None,  # both stay in the file: where the first node lies
+        georeference=None,  # both remain in the file: the pose of the first node
         places=None,
     )
 
@@ -240,7 +240,7 @@ def _seen(
         same = mended is measured
         left = scans_without(mended, erased_bits(entries, REPAIRED))
         alone = scans_without(measured, erased_bits(entries, MEASURED))
-        # A scan that nothing has repaired stays one and the same.
+        # An unrepaired scan remains the same object.
         both = zip(measured, mended, alone, left, strict=True)
         mended = [one if same or scan is other else two for scan, other, one, two in both]
         measured = alone

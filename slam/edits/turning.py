@@ -13,7 +13,7 @@ from slam.matching.scan_points import points_by
 from slam.measurements import FloatArray
 from slam.storage.map_contents import MapContents
 
-# How far normals of one wall scatter, fitted to a few beams.
+# Scatter of the normals of one wall, fitted to a few beams.
 _NORMAL_SIGMA_RAD = math.radians(2.0)
 
 

@@ -28,13 +28,13 @@ from slam.mapping.occupancy_grid import FREE, OCCUPIED, THRESHOLDS, OccupancyGri
 from slam.measurements import BoolArray, FloatArray, LaserScan, one_line, pose2_from_row, row_from_pose2
 from slam.storage.map_contents import MapContents
 
-# Legs of one thing stand so far apart, and nobody is wider.
+# Maximum distance between legs of one object; also an upper limit for the width of a person.
 _APART_M = 0.5
-# Somebody who waits for a robot stands no longer: what is no larger must be met for longer to be a thing.
+# Longest time that a person waits for a robot: objects of this size must be seen for longer.
 _WAITING_S = 15.0
 
-# Covariance (2, 2) of where one visit has a point (2,) against the other, along the axes of the map: of the
-# keyframes of the first that saw it, and of the second.
+# Covariance (2, 2) of the position of a point (2,) in one visit relative to the other, along the map axes,
+# for the keyframes of both visits that saw it.
 Spread = Callable[[NDArray[np.int64], NDArray[np.int64], FloatArray], FloatArray]
 
 
@@ -110,13 +110,13 @@ def compare(before: Visit, after: Visit, spread: Spread, config: Config) -> Comp
     ScanweaveError
         If a visit has no scans, or is so large that its cells would be larger than those of the other.
     """
-    # What returns nothing may be a black thing as well as nothing.
+    # A beam without return may have met a black object or nothing.
     certain = config.model_copy(update={"grid": config.grid.model_copy(update={"clear_range_m": 0.0})})
     visits = before, after
     grids = [grid_of_keyframes(visit.scans, visit.poses, certain) for visit in visits]
     steps, resolution_m, corner_m = _on_one_lattice(grids)
     model = layer_settings(certain).lidar
-    # Of each cell and those beside: what is off by less than a cell lies in the next.
+    # Maximum over each cell and its neighbours, because errors below a cell shift evidence to the next one.
     beside = np.stack([ndimage.maximum_filter(one, 3) for one in steps])
     changes = []
     for appeared, own, other in ((False, 0, 1), (True, 1, 0)):
@@ -127,7 +127,7 @@ def compare(before: Visit, after: Visit, spread: Spread, config: Config) -> Comp
         for n, where in enumerate(ndimage.find_objects(labels)):
             cells = np.argwhere(labels[where] == n + 1) + [part.start for part in where]
             if len(cells) == 1:
-                continue  # noise fills a cell here and there
+                continue  # single cells are noise
             middles_m = (cells[:, ::-1] + 0.5) * resolution_m + corner_m
             met, through = seen[own][0][:, n].sum(), seen[own][1][:, n].sum()
             standing = _standing(int(met), int(through))
@@ -177,7 +177,7 @@ def spread_between(contents: MapContents, before: NDArray[np.int64], after: NDAr
         found = graph.relative_covariances(start, before[first], poses)
         x, y, yaw = poses[start]
         c, s = math.cos(yaw), math.sin(yaw)
-        # In GTSAM's tangent of the start a turn moves the point about it.
+        # In GTSAM's tangent space of the start, a rotation moves the point about the start.
         lever = np.array([[c, -s, -(point_m[1] - y)], [s, c, point_m[0] - x]])
         at_point = lever @ found @ lever.T
         return np.asarray(at_point[np.argmin(np.trace(at_point, axis1=1, axis2=2))])

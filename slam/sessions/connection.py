@@ -21,7 +21,7 @@ from slam.sessions.session_join import JoinedMap, join
 from slam.sessions.sides import Side, sides_of
 from slam.storage.map_contents import MapContents
 
-# Loops between two sessions at least.
+# Minimum number of loops between two sessions.
 _LEAST_LOOPS = 3
 
 
@@ -60,7 +60,7 @@ def connect(known: Map, session: Map) -> Connection:
     config = known.config
     own, keyframes = set(_readings(known.contents)), len(session.contents.node_poses)
     shared = sum(reading in own for reading in _readings(session.contents))
-    # Real readings never repeat to the last digit: where half are shared, one log is a part of the other.
+    # Real readings are never bit-identical: if half are shared, one log is a part of the other.
     if shared > 0.5 * min(keyframes, len(known.contents.node_poses)):
         reason = f"{shared} of its {keyframes} keyframes are in the map already"
         return Connection(Placing(), (), None, reason)

@@ -77,7 +77,7 @@ class ScanMatcher:
         loops, poses, path_m = self._loops, self._known.keyframe_poses, self._known.contents.path_m
         turns = np.abs((poses[:, 2] - expected[2] + np.pi) % (2.0 * np.pi) - np.pi)
         distances = np.hypot(*(poses[:, :2] - expected[:2]).T)
-        # A quarter turn apart counts as a metre: a lidar does not see all around.
+        # 90 degrees count as one metre, because the lidar may not see in all directions.
         order = np.argsort(distances + turns / (0.5 * np.pi), kind="stable")
         seen = [
             place

@@ -12,9 +12,9 @@ from scipy import optimize, spatial
 from slam.measurements import FloatArray, one_line
 from slam.sessions.changes import Change
 
-# Turns at which two shapes are laid over each other: a cell or less at the rim of a piece of furniture.
+# Rotation steps for comparing two shapes: at most a cell at the edge of a piece of furniture.
 _TURNS = np.linspace(0.0, 2.0 * np.pi, 72, endpoint=False)
-# Of two outlines, such a share lies on the other where they are of one thing.
+# Minimum overlap of two outlines of the same object, as a fraction.
 _ALIKE = 0.7
 
 
@@ -69,7 +69,7 @@ def changed_things(changes: Sequence[Change], cell_m: float) -> list[ChangedThin
     came = [one for one in changes if one.appeared]
     alike = np.array([[_likeness(old.cells_m, new.cells_m, cell_m) for new in came] for old in went])
     things, paired = [], set()
-    # Of things that look alike each has moved as little as may be.
+    # Among similar objects, assume the smallest total motion.
     ways_m = [[math.dist(old.cells_m.mean(axis=0), new.cells_m.mean(axis=0)) for new in came] for old in went]
     cost = np.where(alike > _ALIKE, ways_m, 1.0 + np.sum(ways_m)) if alike.size else np.zeros((0, 0))
     for n, m in zip(*optimize.linear_sum_assignment(cost), strict=True):

@@ -22,15 +22,14 @@ from slam.measurements import Pose, composed
 from slam.sessions.sides import Side
 from slam.sessions.whole_path import Followed, Sighting, follow
 
-# How well a sighting tells where its surroundings are, and maps bend over their length.
+# Uncertainty of a sighting, and distortion of maps over their length.
 SIGHT_SIGMA_M = 0.12
 SIGHT_SIGMA_RAD = 0.03
 BEND_RAD = 0.02
-# A stretch without a certain place ends after this; of a long session or map so many stretches are looked
-# for.
+# Maximum length of a stretch without a certain place; maximum number of stretches for a long session or map.
 _STRETCH_M = 8.0
 _MOST_STRETCHES = 24
-# Of all proposals, those that are followed.
+# Maximum number of proposals that are followed.
 _FOLLOWED = 8
 
 
@@ -80,7 +79,7 @@ def place(known: Side, session: Side, config: Config) -> Placing:
     paths: list[tuple[Sighting, Followed]] = []
     sensor = known.sensor()
     proposals = _distinct(_proposals(sensor, known, session, config), poses)[:_FOLLOWED]
-    # The session's sensor, which is of no more use, holds itself by its caches.
+    # Free the session's sensor, which its caches keep in memory by reference cycles.
     gc.collect()
     for proposal in proposals:
         path = follow(sensor, session, proposal, config)
@@ -127,7 +126,7 @@ def _stretches(sensor: Sensor[Any, Any], path: Side, config: Config) -> Iterator
         if view is None or not hypotheses.due(view, pose):
             continue
         hypotheses.add_keyframe(view, pose, None)
-        # No reading waits here.
+        # There is no next reading to process, so finish the search.
         while hypotheses.seeking:
             hypotheses.seek()
         members = sorted(hypotheses.members, key=lambda member: -member.total(kidnap_nats))

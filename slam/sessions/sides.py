@@ -73,7 +73,7 @@ class Side:
         seen, shown = (
             KeyframeStore(config.rgbd, config.match.local_map_keyframes, one.frames) for one in (known, other)
         )
-        locator.view(shown.keyframe(0))  # it tells how the other's camera sits
+        locator.view(shown.keyframe(0))  # it contains the camera pose of the other map
         return cls(
             bases_of(known, known.node_poses),
             known.path_m,
