@@ -1,1 +1,1 @@
-"""What the sensors of a log say of each other: mistakes of units, signs, mountings, clocks."""
+"""Compares the sensors of a log to find wrong units, signs, mountings and clocks."""

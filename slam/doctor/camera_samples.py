@@ -1,4 +1,4 @@
-"""What the doctor keeps of an RGB-D camera: its motions in stretches of the log, by matched features."""
+"""Data of an RGB-D camera for the doctor: its motions in stretches of the log, from matched features."""
 
 from __future__ import annotations
 
@@ -18,11 +18,12 @@ from slam.measurements import CameraIntrinsics, FloatArray, RgbdFrame
 from slam.vision.feature_pose import pose_from_features
 from slam.vision.features import Features, extract_features, gray_of, match_features
 
-# Every so manyth pixel along rows and columns tells what depths there are.
+# Pixel step along rows and columns for the sample of depths.
 _EVERY_PIXEL = 16
-# Frames of a stretch that are matched to the newest: the one before tells motion, an earlier one the lens.
+# Frames of a stretch that are matched to the newest: the previous one for motion, an earlier one for the
+# lens.
 _BACK = (1, 6)
-SPREAD = 0.2  # of the motions of a sensor, the largest share that a fit may leave over
+SPREAD = 0.2  # largest residual of a fit, as a fraction of a sensor's motions
 _MODELS, _WAYS = RgbdConfig(), RgbdOdometryConfig()
 
 
@@ -37,7 +38,7 @@ class SensorStep:
 
 @dataclass(frozen=True, slots=True)
 class MatchedPair:
-    """Features that two frames share, as columns, rows and depths: (N, 3) of either."""
+    """Features that two frames share, as columns, rows and depths: (N, 3) for each frame."""
 
     first: FloatArray
     second: FloatArray
@@ -45,18 +46,18 @@ class MatchedPair:
 
 @dataclass(slots=True)
 class CameraSamples:
-    """One camera.
+    """Samples of one camera.
 
     Attributes
     ----------
     steps
-        Motions, by stretch.
+        Motions by stretch.
     pairs
-        Features of frames some way apart, for the lens.
+        Features of frames that are some distance apart, for the lens.
     points
-        (N, 3) blocks of what it saw, camera frame, by the lens it is told to have.
+        (N, 3) blocks of points that it saw, camera frame, with the stated intrinsics.
     count, repeats
-        Frames in all, and those that are the one before to the bit.
+        Number of frames, and of those that are bit-identical to the previous one.
     """
 
     steps: list[list[SensorStep]] = field(default_factory=list)
@@ -72,7 +73,7 @@ class CameraSamples:
     _newest: RgbdFrame | None = None
 
     def add(self, frame: RgbdFrame, *, compared: bool) -> None:
-        """Take the next frame; its motion is found only where it will be compared with that of another."""
+        """Add the next frame; its motion is only computed if it will be compared with another sensor's."""
         self.count += 1
         if self.repeats.take(self._newest, frame):
             return
@@ -94,7 +95,7 @@ class CameraSamples:
         self._recent.append((frame.stamp_s, features))
 
     def _look(self, frame: RgbdFrame) -> None:
-        """Which depths there are, and where."""
+        """Sample depths and points."""
         depth_m, rays = frame.depth_m, pixel_rays(frame.depth_m.shape, frame.intrinsics)
         every = slice(None, None, _EVERY_PIXEL)
         points = back_project(depth_m[every, every], rays[every, every])
@@ -105,7 +106,7 @@ class CameraSamples:
     def _match(
         self, begun_s: float, known: Features, features: Features, frame: RgbdFrame, back: int
     ) -> None:
-        """The motion from the frame before, or the pair of an earlier one."""
+        """Match to the previous frame for motion, or to an earlier one for a pair."""
         matches = match_features(known.descriptors, features.descriptors, _WAYS.match_ratio, _WAYS.match_bits)
         one, other = known.where(matches.first), features.where(matches.second)  # type: ignore[arg-type]
         found = pose_from_features(

@@ -1,4 +1,4 @@
-"""What the doctor keeps of a 3D lidar: stretches of clouds spread over the log, and its motions in them."""
+"""Data of a 3D lidar for the doctor: stretches of clouds spread over the log, and its motions in them."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from slam.matching.cloud_points import at_middle_of_turn
 from slam.measurements import FloatArray, PointCloud
 from slam.odometry.cloud_tracker import CloudTracker, TrackedCloud
 
-# As many points as 16 rings have tell how a lidar moves, and what there is.
+# The points of 16 rings are enough for the motion of a lidar and its surroundings.
 _MOST_POINTS = 16_000
 _CONFIG = Config()
 
@@ -32,15 +32,15 @@ class CloudSamples:
     Attributes
     ----------
     clouds
-        Those of each stretch that wait to be matched, thinned.
+        Thinned clouds of each stretch that are not matched yet.
     between
-        Clouds of the turn of the one before, by another lidar.
+        Clouds of the same revolution as the previous one, by another lidar.
     interval_s, turn_s
-        Between clouds, and what the times of a cloud's points span.
+        Interval between clouds, and time span of a cloud's points.
     turn
-        How it spins, where its points do not tell their times and it shows.
+        Its rotation, if points have no timestamps and it can be estimated.
     backward
-        Whether their times run backward.
+        Whether point times run backward.
     """
 
     steps: list[list[SensorStep]] = field(default_factory=list)
@@ -62,11 +62,11 @@ class CloudSamples:
 
     @property
     def untimed_s(self) -> float:
-        """How long a turn takes of whose points nobody knows the times; 0 where they are known."""
+        """Duration of a revolution with unknown point times; 0 if they are known."""
         return 0.0 if self.turn_s.values or self.turn else self.interval_s.median() or 0.0
 
     def add(self, cloud: PointCloud) -> None:
-        """Take the next cloud."""
+        """Add the next cloud."""
         self.count += 1
         if self._newest is not None and begins_early(self._newest, cloud):
             self.between += 1
@@ -80,7 +80,7 @@ class CloudSamples:
         self._newest, self.T_base_lidar = cloud, cloud.T_base_lidar
         if not self._stretches.wants(cloud.stamp_s):
             return
-        step = max(-(-len(cloud.points_lidar) // _MOST_POINTS), 1)  # an empty cloud, too
+        step = max(-(-len(cloud.points_lidar) // _MOST_POINTS), 1)  # also for an empty cloud
         points = cloud.points_lidar[::step].copy()  # not a view, which would keep the whole
         times_s = None if cloud.times_s is None else cloud.times_s[::step]
         thinned = PointCloud(cloud.stamp_s, points, times_s, sensor=cloud.sensor)
@@ -89,11 +89,11 @@ class CloudSamples:
                 del self.clouds[1::2], self.points[1::2]
             self.clouds.append([])
             self.points.append(thinned.points_lidar.astype(np.float64))
-        # Stamped at its beginning, what straightens a turn would swing from step to step.
+        # With a stamp at the start of the revolution, deskewing would make the steps oscillate.
         self.clouds[-1].append(at_middle_of_turn(thinned, _CONFIG.cloud_odometry))
 
     def close(self, *, compared: bool) -> None:
-        """Find how it spins, and the motions of the stretches that were not given up."""
+        """Estimate its rotation, and the motions of the stretches that were kept."""
         if not self.turn_s.values:
             self.turn = turn_of(self.clouds, self.interval_s.median() or 0.0, _CONFIG)
         self.backward = bool(self.turn_s.values) and run_backward(self.clouds, _CONFIG)
@@ -105,17 +105,17 @@ class CloudSamples:
                 self._track(timed if self.turn is None else self.turn.timed(timed))
 
     def _track(self, cloud: PointCloud) -> None:
-        """The step from the cloud before; after a gap everything begins anew."""
+        """The step from the previous cloud; after a gap, tracking starts again."""
         before = self._tracked
         if before is None or not 0.0 < cloud.stamp_s - before[0] < GAP_S or self._tracker is None:
             self._tracker, before, self._first = CloudTracker(_CONFIG, None), None, None
         tracked = self._tracker.follow(cloud)
         if self._first is not None and tracked.motion is not None:
-            # The first was straightened as if the robot stood: both once more, by how it moves.
+            # The first was deskewed as if the robot stood still: repeat both with the estimated motion.
             self._tracker = CloudTracker(_CONFIG, None, twist=self._tracker.twist)
             before = self._first.stamp_s, self._tracker.follow(self._first)
             tracked = self._tracker.follow(cloud)
-        # What matched nothing is where it was guessed to be: no step begins there.
+        # A cloud without a match has only a predicted pose: no step starts there.
         self._tracked = (cloud.stamp_s, tracked) if before is None or tracked.motion else None
         self._first = cloud if before is None else None
         if before is not None and tracked.motion is not None:

@@ -1,4 +1,4 @@
-"""``scanweave doctor``: a log looked at, and what is wrong with it."""
+"""``scanweave doctor``: examine a log and report what is wrong with it."""
 
 from __future__ import annotations
 
@@ -35,32 +35,32 @@ from slam.doctor.wheels_and_lidar import compare
 from slam.measurements import LaserScan, Measurement
 from slam.vision.color_registration import ColorRegistration
 
-# Where the colour cameras of some names sit.
+# Returns the poses of colour cameras by name.
 Registrations: TypeAlias = Callable[[Sequence[str]], dict[str, ColorRegistration]]
 
 
 def diagnose(
     log: Iterable[Measurement] | Path | str, registrations: Registrations | None = None
 ) -> list[Finding]:
-    """What the sensors of a log say of each other that cannot be.
+    """Find contradictions between the sensors of a log.
 
-    What is matched is a bounded number of stretches spread over the log.
+    A limited number of stretches, spread over the log, is matched.
 
     Parameters
     ----------
     log
-        A dataset or its path, or a list of measurements in the order in which they came.
+        A dataset or its path, or a list of measurements in their order.
     registrations
-        Tells where colour cameras sit, for who asks for them again; None for `registrations_of` the log.
+        Returns the poses of colour cameras, to reuse known ones; None: `registrations_of` the log.
 
     Returns
     -------
-    What is wrong; nothing of a sound log.
+    The findings; none for a good log.
 
     Raises
     ------
     DatasetError
-        Where the log cannot be read.
+        If the log cannot be read.
 
     Examples
     --------
@@ -76,14 +76,14 @@ def diagnose(
 
 @dataclass(frozen=True, slots=True)
 class Diagnosis:
-    """What is wrong, and what the log leaves open, one line each."""
+    """Findings, and undetermined questions, one line each."""
 
     findings: list[Finding]
     open: list[str]
 
 
 def examine(log: Iterable[Measurement], registrations: Registrations | None = None) -> Diagnosis:
-    """As `diagnose`, with what could not be judged."""
+    """Like `diagnose`, with what could not be determined."""
     config = Config()
     with fewer_frames(log, lambda _, stamps_s: Stretches().choose(stamps_s)):
         samples = Samples.of(log)
@@ -113,7 +113,7 @@ def examine(log: Iterable[Measurement], registrations: Registrations | None = No
             one for one in found if one.kind in ("mirrored", "field of view") and "lidars" in one.remedies[0]
         ]
         if by_imus and own:
-            # What contradicts the IMU is the lidar's own mistake.
+            # The lidar's error may cause the contradiction with the IMU: compare again after correction.
             by_imus = _by_imus(samples, track_stretches(_mended(alone.stretches, own), config), config)
         findings += by_imus or []
     if agrees:
@@ -130,16 +130,16 @@ def examine(log: Iterable[Measurement], registrations: Registrations | None = No
 
 @dataclass(frozen=True, slots=True)
 class _Alone:
-    """A 2D lidar by itself: its scans as what they show mends them, and the motion that they tell.
+    """A 2D lidar alone: its corrected scans, and the motion from them.
 
     Attributes
     ----------
     scale
-        By what ranges were multiplied.
+        Factor of the ranges.
     turn
-        How it spins, where scans tell the time of their beams.
+        Its rotation, if scans contain beam times.
     floor, findings
-        That it sees the floor; all that is wrong, this too.
+        Finding that it sees the floor; all findings, including this.
     """
 
     stretches: list[list[LaserScan]]
@@ -151,7 +151,7 @@ class _Alone:
 
 
 def _alone(name: str, stretches: list[list[LaserScan]], config: Config, *, with_wheels: bool) -> _Alone:
-    """What scans show without another sensor."""
+    """Examine scans without another sensor."""
     findings = list[Finding]()
     blocked = blocked_beams(stretches, config)
     if blocked is not None and (finding := blocked_finding(name, blocked)):
@@ -177,7 +177,7 @@ def _alone(name: str, stretches: list[list[LaserScan]], config: Config, *, with_
 def _beside_wheels(
     log: Iterable[Measurement], pair: Pair, alone: _Alone, interval_s: float, config: Config
 ) -> tuple[list[Finding], list[str]]:
-    """What a lidar and wheels say of each other that cannot be, and what they leave open."""
+    """Contradictions between a lidar and wheel odometry, and undetermined questions."""
     found, left_open = compare(pair, alone.tracked, config)
     if not (found or left_open):
         with fewer_frames(log, None):
@@ -193,12 +193,12 @@ def _beside_wheels(
 def _in_space(
     samples: Samples, wheels: tuple[str, WheelSamples] | None, findings: list[Finding], *, vouched: bool
 ) -> list[Finding]:
-    """What cameras and 3D lidars say, against wheels as the findings mend them.
+    """Compare cameras and 3D lidars with the corrected wheel odometry.
 
     Parameters
     ----------
     vouched
-        Whether a 2D lidar was compared with the wheels: what they say then, as mended, is certain.
+        Whether a 2D lidar was compared with the wheels, so that the corrected odometry is certain.
     """
     rows = np.empty((0, 4)) if wheels is None else wheels[1].rows()
     found = [one for camera in samples.cameras.items() for one in in_space.camera_findings(*camera, rows)]
@@ -222,14 +222,14 @@ def _in_space(
     ]
     units = {one.sensor for one in found if one.kind == "depth scale"}
     against = in_space.findings_against(base, seen, doubtful)
-    # A depth that is measured is better than one by the usual units.
+    # A measured depth scale is better than one of the usual units.
     measured = {one.sensor for one in against if one.kind == "depth scale" and one.sensor in units}
     found = [one for one in found if one.kind != "depth scale" or one.sensor not in measured]
     return found + [replace(one, sure=one.sure or one.sensor in measured) for one in against]
 
 
 def _by_imus(samples: Samples, tracked: list[ScanMotion], config: Config) -> list[Finding] | None:
-    """What is wrong with IMUs beside a 2D lidar; None where there are none, or it tells no motion."""
+    """Findings about IMUs, compared with a 2D lidar; None without IMUs or without lidar motion."""
     steps = Steps.of(tracked, config).in_space()
     if not (steps and samples.imus):
         return None
@@ -237,13 +237,13 @@ def _by_imus(samples: Samples, tracked: list[ScanMotion], config: Config) -> lis
 
 
 def _mended(stretches: list[list[LaserScan]], findings: list[Finding]) -> list[list[LaserScan]]:
-    """Scans as findings have them."""
+    """Scans corrected by findings."""
     by = remedied(Calibration(), findings, only_sure=False)
     return [cast(list[LaserScan], list(corrected(scans, by))) for scans in stretches]
 
 
 def _of_the_lidar(finding: Finding) -> Finding:
-    """A clock that wheel odometry and a lidar disagree on, if another lidar agrees with the wheels."""
+    """Blame the lidar for a clock offset to the wheels, if another lidar agrees with the wheels."""
     if finding.kind != "clock" or len(finding.remedies) < 2:
         return finding
     (name,) = finding.remedies[1]["lidars"]
@@ -261,7 +261,7 @@ def _of_the_lidar(finding: Finding) -> Finding:
 
 
 def _or_upside_down(finding: Finding, lidar: str) -> Finding:
-    """Of an IMU beside a lidar alone: which of them is upside down nobody tells."""
+    """Extend a finding about an IMU with only a lidar: either of them may be upside down."""
     if finding.kind != "turn rates" or (finding.value or 0.0) > 0.0:
         return finding
     remedies = (*finding.remedies, {"lidars": {lidar: {"upside_down": True}}})
@@ -270,16 +270,16 @@ def _or_upside_down(finding: Finding, lidar: str) -> Finding:
 
 
 def _median_m(stretches: list[list[LaserScan]]) -> float:
-    """Of the ranges of scans, 0 where there is none."""
+    """Median of the ranges of scans, 0 if there are none."""
     ranges_m = [one for scans in stretches for one in scans[0].ranges_m if math.isfinite(one)]
     return float(np.median(ranges_m)) if ranges_m else 0.0
 
 
 def _within_reach(stretches: list[list[LaserScan]], far: float) -> tuple[list[list[LaserScan]], float]:
-    """Scans, and by what they were multiplied: millimetres are brought to what can be matched."""
+    """Scans and their factor: millimetres are scaled to ranges that can be matched."""
     if far < 0.5:
         return stretches, 1.0
-    # To a twentieth at most of what is matched, as rooms are.
+    # To at most a twentieth of the matching range, as in rooms.
     scale = 10 ** -math.ceil(math.log10(FEWEST * far))
     return [
         [replace(scan, ranges_m=scan.ranges_m * np.float32(scale)) for scan in scans] for scans in stretches
@@ -287,7 +287,7 @@ def _within_reach(stretches: list[list[LaserScan]], far: float) -> tuple[list[li
 
 
 def _stamps(samples: Samples) -> list[Finding]:
-    """Lidars whose stamps do not tell when they saw what they say."""
+    """Find lidars whose stamps are not the measuring times."""
     found, wheels = list[Finding](), [np.diff(one.rows()[:, 0]) for one in samples.wheels.values()]
     for name, lidar in samples.lidars.items():
         count = lidar.count - lidar.repeats.count

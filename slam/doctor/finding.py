@@ -1,4 +1,4 @@
-"""One thing that is wrong with a sensor, and what mends it."""
+"""An error of a sensor, and its remedies."""
 
 from __future__ import annotations
 
@@ -13,31 +13,31 @@ import numpy as np
 from slam.config import dump_calibration
 from slam.config.calibration import Calibration
 
-# Corrections as a calibration file has them: kind of sensor, its name, the entries.
+# Corrections in the form of a calibration file: type of sensor, its name, the entries.
 Remedy = Mapping[str, Mapping[str, Mapping[str, Any]]]
 
 
 @dataclass(frozen=True, slots=True)
 class Finding:
-    """What is wrong with a sensor.
+    """An error of a sensor.
 
     Attributes
     ----------
     sensor
         Its name in the log.
     kind
-        What is wrong, in a word or two: the same for every log.
+        The type of error in a word or two, the same for every log.
     text
-        What was found, in one line, with its interval.
+        The finding in one line, with its interval.
     effect
-        What it does to the map.
+        Its effect on the map.
     remedies
-        What mends it, as entries of a calibration file: the likeliest first. More than one where the log
-        does not tell which it is, none where no calibration helps.
+        Remedies as entries of a calibration file, the most likely first. Several if the log does not
+        determine which is right, none if no calibration helps.
     sure
-        Whether it is beyond doubt; then the mapper uses the remedy by itself.
+        Whether it is certain; then the mapper uses the remedy automatically.
     value, interval
-        What was measured, and its 95 % interval; None where nothing is measured.
+        The measured value and its 95 % interval; None if nothing is measured.
     """
 
     sensor: str
@@ -51,26 +51,26 @@ class Finding:
 
     @property
     def line(self) -> str:
-        """All of it in one line, for people."""
+        """The finding in one line of text."""
         trust = "" if self.sure else "perhaps "
         mend = " or ".join(remedy_text(remedy) for remedy in self.remedies)
         told = f"{self.sensor}: {trust}{self.text}; {self.effect}"
         return f"{told}; calibration: {mend}" if mend else told
 
     def plain(self) -> dict[str, Any]:
-        """As plain values, for JSON."""
+        """Convert to plain values for JSON."""
         interval = self.interval and list(self.interval)
         return {**asdict(self), "remedies": list(self.remedies), "interval": interval}
 
     @classmethod
     def from_plain(cls, row: dict[str, Any]) -> Finding:
-        """From what `plain` gave."""
+        """Create from the result of `plain`."""
         interval = row["interval"] and tuple(row["interval"])
         return cls(**{**row, "remedies": tuple(row["remedies"]), "interval": interval})
 
 
 def remedy_text(remedy: Remedy) -> str:
-    """A remedy as it may stand in a calibration file, in one line."""
+    """A remedy in the form of a calibration file, in one line."""
     return ", ".join(
         f"{kind}: {{{name}: {{{', '.join(f'{key}: {_shown(value)}' for key, value in entries.items())}}}}}"
         for kind, sensors in remedy.items()
@@ -79,7 +79,7 @@ def remedy_text(remedy: Remedy) -> str:
 
 
 def remedied(calibration: Calibration, findings: Iterable[Finding], *, only_sure: bool) -> Calibration:
-    """A calibration with the likeliest remedies of findings; what it says already stays."""
+    """A calibration with the most likely remedies of findings; existing entries are kept."""
     for finding in findings:
         if finding.remedies and (finding.sure or not only_sure):
             calibration = calibration.merged(finding.remedies[0])
@@ -87,7 +87,7 @@ def remedied(calibration: Calibration, findings: Iterable[Finding], *, only_sure
 
 
 def calibration_text(calibration: Calibration, findings: Sequence[Finding]) -> str:
-    """A calibration file; beneath what is not sure, what else may mend it."""
+    """A calibration file; uncertain entries are followed by alternatives."""
     lines = [dump_calibration(calibration)]
     for finding in findings:
         if not finding.sure and finding.remedies:
@@ -98,14 +98,14 @@ def calibration_text(calibration: Calibration, findings: Sequence[Finding]) -> s
 
 
 def mounting_entry(rotation: gtsam.Rot3, place_m: Sequence[float]) -> dict[str, float]:
-    """Where a sensor sits in space, as a calibration file has it."""
+    """The pose of a sensor in the form of a calibration file."""
     names = ("x_m", "y_m", "z_m", "roll_deg", "pitch_deg", "yaw_deg")
     values = [*(round(float(one), 3) for one in place_m), *np.degrees(rotation.rpy()).round(2).tolist()]
     return dict(zip(names, values, strict=True))
 
 
 def _shown(value: Any) -> str:
-    """A value as YAML has it."""
+    """A value as YAML text."""
     if isinstance(value, Mapping):
         return f"{{{', '.join(f'{key}: {_shown(one)}' for key, one in value.items())}}}"
     return json.dumps(value)

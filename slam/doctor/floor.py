@@ -1,4 +1,4 @@
-"""The floor under a sensor, by points that it sees."""
+"""Finds the floor under a sensor from its points."""
 
 from __future__ import annotations
 
@@ -7,20 +7,20 @@ import numpy as np
 from fusion.estimation import FEWEST
 from slam.measurements import FloatArray
 
-# A floor is seen by this share of the points at least, and by this share at most is anything seen below it.
+# Minimum share of points on the floor, and maximum share of points below it.
 _SEEN, _BELOW = 0.03, 0.02
-_BINS = 40  # of the height, so that a bin is as wide as a depth camera's noise
+_BINS = 40  # of the height, so that a bin is as wide as the noise of a depth camera
 
 
 def floor_below_m(points: FloatArray, up: FloatArray) -> float | None:
-    """How far below a sensor the lowest level surface is; None where there is none.
+    """Distance to the lowest horizontal surface below a sensor; None if there is none.
 
     Parameters
     ----------
     points
         (N, 3) in the sensor's frame.
     up
-        (3,) the upright there.
+        (3,) up direction in that frame.
     """
     heights = points @ up
     below = -heights[heights < 0.0]

@@ -1,4 +1,4 @@
-"""What an IMU says of itself, and how it sits and ticks beside a lidar that turns with it."""
+"""Examines an IMU alone, and its rotation and clock compared with a lidar on the same robot."""
 
 from __future__ import annotations
 
@@ -20,51 +20,51 @@ from slam.doctor.paired_motions import turns_of
 from slam.doctor.relation import fit_linear
 from slam.measurements import BoolArray, FloatArray, ImuReading
 
-# By so much may a clock and a mounting be off without harm: at a turn of 1 rad/s a hundredth of a radian.
+# Harmless errors of clock and mounting: 0.01 rad when turning at 1 rad/s.
 CLOCK_S, _ANGLE_RAD = 0.005, math.radians(2.0)
-# Turns about a second axis have this share of those about the first at least, or the mounting stays open.
+# Minimum ratio of rotations about a second axis to those about the first, to determine the mounting.
 _SECOND_AXIS = 0.05
 
 
 @dataclass(slots=True)
 class ImuSamples:
-    """One IMU: every reading."""
+    """All readings of one IMU."""
 
     T_base_imu: gtsam.Pose3 | None = None
     _rows: array[float] = field(default_factory=lambda: array("d"))
 
     def add(self, reading: ImuReading) -> None:
-        """Take the next reading."""
+        """Add the next reading."""
         self.T_base_imu = reading.T_base_imu
         self._rows.append(reading.stamp_s)
         self._rows.extend(reading.gyro_rad_s)
         self._rows.extend(reading.specific_force_m_s2)
 
     def rows(self) -> FloatArray:
-        """(N, 7) stamp, turn rate, force; stamps rise, a reading older than one before is left out."""
+        """(N, 7) stamp, angular rate, specific force, with increasing stamps; older readings are skipped."""
         return rising(np.array(self._rows).reshape(-1, 7))
 
 
 def rising(rows: FloatArray) -> FloatArray:
-    """Rows that begin with a stamp, without those older than one before."""
+    """Rows that start with a stamp, without those older than an earlier one."""
     newest = np.maximum.accumulate(np.concatenate([[-np.inf], rows[:-1, 0]]))
     return np.asarray(rows[rows[:, 0] > newest])
 
 
 @dataclass(frozen=True, slots=True)
 class TurnFit:
-    """How an IMU turns beside a lidar.
+    """Rotation of an IMU compared with a lidar.
 
     Attributes
     ----------
     ahead_s, ahead_sigma_s
-        By how much its stamps are ahead of the lidar's.
+        How far its stamps are ahead of the lidar's.
     R_lidar_imu
         (3, 3).
     sigma_rad
-        Of the worst axis of the rotation; infinite where the turns leave one open.
+        Of the least certain axis of the rotation; infinite if the motion does not determine it.
     left_share
-        How much of the lidar's turns the IMU's leave over.
+        Share of the lidar's rotation that the IMU does not explain.
     """
 
     ahead_s: float
@@ -81,10 +81,10 @@ def imu_findings(
     T_base_lidar: gtsam.Pose3 | None,
     untimed_s: float = 0.0,
 ) -> list[Finding]:
-    """What is wrong with an IMU, by itself and beside the lidar whose motions are given.
+    """Findings about an IMU, alone and compared with the motions of a lidar.
 
-    Beside a 2D lidar, whose ``T_base_lidar`` is None, its mounting does not matter. Turns that last
-    ``untimed_s`` and do not tell when a point was seen may be matched as of any moment of that.
+    For a 2D lidar, whose ``T_base_lidar`` is None, the mounting has no effect. Revolutions of ``untimed_s``
+    without point times may be matched as of any time within them.
     """
     rows = samples.rows()
     if len(rows) < FEWEST:
@@ -108,7 +108,7 @@ def imu_findings(
 
 
 def handed(found: Sequence[Finding]) -> float:
-    """Whether IMUs turn as a 2D lidar does (1) or the other way (-1), by what is found; 0: it is open."""
+    """Whether IMUs turn in the same direction as a 2D lidar (1) or opposite (-1), by findings; 0: unknown."""
     by_kind = {one.kind: one for one in found}
     if by_kind.keys() & {"axes", "no agreement"}:
         return 0.0
@@ -116,12 +116,12 @@ def handed(found: Sequence[Finding]) -> float:
 
 
 def turn_fit(rows: FloatArray, steps: Sequence[SensorStep]) -> TurnFit | None:
-    """Clock and rotation by which the turns of both fit best; None where there are too few of them.
+    """Clock offset and rotation with the best fit of both rotations; None if there are too few.
 
     Parameters
     ----------
     rows
-        As `ImuSamples.rows`.
+        Rows of `ImuSamples.rows`.
     """
     turns = _turns(rows, steps)
     if turns is None:
@@ -129,7 +129,7 @@ def turn_fit(rows: FloatArray, steps: Sequence[SensorStep]) -> TurnFit | None:
     seen, told = turns
 
     def error(ahead_s: float) -> float:
-        # Not their median: most steps may be straight.
+        # Not the median, because most steps may be straight.
         return float(np.linalg.norm(_apart(seen, told(ahead_s))[0], axis=1).sum())
 
     coarse = np.arange(-GAP_S, GAP_S + 0.5 * STEP_S, STEP_S)
@@ -143,17 +143,17 @@ def turn_fit(rows: FloatArray, steps: Sequence[SensorStep]) -> TurnFit | None:
     moved = np.sum(slope**2, axis=1)
     if not moved.any():
         return None
-    # Most steps may be straight and tell nothing: by least squares what is left, and its error by what those
-    # that tell leave over (White 1980).
+    # Most steps may be straight without information: final estimate by least squares, with a covariance from
+    # the residuals of the informative steps (White 1980).
     pulls = np.einsum("ij,ij->i", slope, apart)
     left_s = float(pulls.sum() / moved.sum())
     ahead_sigma_s = float(np.linalg.norm(pulls - left_s * moved) / moved.sum())
-    # As wide as Student's interval: three or four steps may have all the weight.
+    # Widened to Student's interval, because three or four steps may have all the weight.
     alike = float(moved.sum() ** 2 / (moved @ moved))
     student = float(special.stdtrit(max(alike - 1.0, 1.0), float(special.ndtr(half_interval(1.0)))))
     ahead_sigma_s *= student / half_interval(1.0)
     best_s += float(np.clip(left_s, -STEP_S, STEP_S))
-    # A rotation about an axis is told by what turns about the other two.
+    # A rotation about an axis is determined by rotations about the other two.
     information = np.linalg.eigvalsh(np.trace(spread) * np.eye(3) - spread)[0]
     main = np.linalg.eigvalsh(spread)
     open_ = main[1] < _SECOND_AXIS**2 * main[2]
@@ -165,13 +165,12 @@ def turn_fit(rows: FloatArray, steps: Sequence[SensorStep]) -> TurnFit | None:
 def _turns(
     rows: FloatArray, steps: Sequence[SensorStep]
 ) -> tuple[FloatArray, Callable[[float], FloatArray]] | None:
-    """Turns (K, 3) of the lidar, and what the IMU tells of them by how far its clock is ahead.
-
-    None where there are too few.
+    """Rotations (K, 3) of the lidar, and a function that returns those of the IMU for a clock offset. None if
+    there are too few.
     """
     spans = np.array([[step.begun_s, step.ended_s] for step in steps]).reshape(-1, 2)
     within = (spans[:, 0] - GAP_S > rows[0, 0]) & (spans[:, 1] + GAP_S < rows[-1, 0])
-    within &= np.diff(np.searchsorted(rows[:, 0], spans))[:, 0] > 0  # not in a gap
+    within &= np.diff(np.searchsorted(rows[:, 0], spans))[:, 0] > 0  # excluding gaps
     if within.sum() < FEWEST:
         return None
     seen = turns_of(steps)[within]
@@ -190,9 +189,9 @@ def _turns(
 
 
 def _apart(seen: FloatArray, told: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """What turns (N, 3) differ by, the rotation (3, 3) that fits best (Kabsch 1976), and their spread.
+    """Residuals of rotations (N, 3), the best rotation (3, 3) between them (Kabsch 1976), and their spread.
 
-    Means are taken off: the gyroscope has a bias.
+    Means are subtracted, because the gyroscope has a bias.
     """
     first, second = seen - seen.mean(axis=0), told - told.mean(axis=0)
     left, _, right = np.linalg.svd(first.T @ second)
@@ -202,7 +201,7 @@ def _apart(seen: FloatArray, told: FloatArray) -> tuple[FloatArray, FloatArray, 
 
 
 def _unit(rows: FloatArray, steps: Sequence[SensorStep]) -> float:
-    """What makes radians of turn rates: no clock, sign or axis changes how much an IMU turns in all."""
+    """Factor from angular rates to rad/s: total rotation does not depend on clock, sign and axes."""
     turns = _turns(rows, steps)
     if turns is None:
         return 1.0
@@ -212,7 +211,7 @@ def _unit(rows: FloatArray, steps: Sequence[SensorStep]) -> float:
 
 
 def _in_the_plane(name: str, rows: FloatArray, steps: Sequence[SensorStep], unit: float) -> list[Finding]:
-    """What is wrong with a gyroscope on a robot that turns about the vertical only."""
+    """Findings about a gyroscope on a robot that turns only about the vertical axis."""
     fit, turns = turn_fit(rows, steps), _turns(rows, steps)
     if turns is None or float(np.std(turns[0][:, 2])) < IN_ORDER:
         return []
@@ -243,7 +242,7 @@ def _in_the_plane(name: str, rows: FloatArray, steps: Sequence[SensorStep], unit
 
 
 def _turn_rates(name: str, what: str, factor: float, sigma: float = 0.0) -> Finding:
-    """Turn rates that are right once they are multiplied."""
+    """A scale error of the angular rates."""
     return Finding(
         name,
         "turn rates",
@@ -257,7 +256,7 @@ def _turn_rates(name: str, what: str, factor: float, sigma: float = 0.0) -> Find
 
 
 def _clock(name: str, fit: TurnFit, untimed_s: float = 0.0) -> list[Finding]:
-    """Stamps that are ahead of the lidar's or behind."""
+    """A clock offset to the lidar."""
     open_ = half_interval(fit.ahead_sigma_s) > GAP_S / FEWEST
     half_s = half_interval(fit.ahead_sigma_s) + 0.5 * untimed_s
     if open_ or abs(fit.ahead_s) <= CLOCK_S + half_s:
@@ -277,7 +276,7 @@ def _clock(name: str, fit: TurnFit, untimed_s: float = 0.0) -> list[Finding]:
 
 
 def _sits(name: str, samples: ImuSamples, fit: TurnFit, T_base_lidar: gtsam.Pose3) -> list[Finding]:
-    """A rotation that the log does not tell, or tells otherwise; of the place nothing is learned."""
+    """A rotation that is missing in the log or wrong; the position is not estimated."""
     if not math.isfinite(fit.sigma_rad):
         return []
     rotation = T_base_lidar.rotation().compose(gtsam.Rot3(fit.R_lidar_imu))
@@ -292,18 +291,18 @@ def _sits(name: str, samples: ImuSamples, fit: TurnFit, T_base_lidar: gtsam.Pose
         text, value = f"the log does not tell how it sits; it turns as if at {angles}, at the lidar", half_rad
     else:
         value = float(np.linalg.norm(gtsam.Rot3.Logmap(told.rotation().between(rotation))))
-        # Of a robot that hardly turns the rest is noise, and an interval of tens of degrees is none.
+        # If the robot hardly turns, the residual is noise, and an interval of tens of degrees is useless.
         if value <= _ANGLE_RAD + half_rad or half_rad >= 2.0 * _ANGLE_RAD:
             return []
         text = f"it turns as if it sat {math.degrees(value):.1f} degrees otherwise: {angles}"
     effect = "its readings are assigned to the wrong axes"
-    # Where nothing is told, any rotation that is known to some degrees is better than none.
+    # Without a stated rotation, one with an error of some degrees is better than none.
     sure = half_rad < (_ANGLE_RAD if told is not None else 2.0 * _ANGLE_RAD)
     return [Finding(name, "mounting", text, effect, (remedy,), sure=sure, value=math.degrees(value))]
 
 
 def _frozen(rows: FloatArray, steps: Sequence[SensorStep]) -> BoolArray:
-    """Which rows (N, 7) are the one before to the bit; none unless that lasts while the lidar turns."""
+    """Rows (N, 7) bit-identical to the previous one; none unless this lasts while the lidar turns."""
     same = np.append(False, (rows[1:, 1:] == rows[:-1, 1:]).all(axis=1))
     new_s = np.maximum.accumulate(np.where(same, -np.inf, rows[:, 0]))
     hung_s = rows[rows[:, 0] - new_s > GAP_S, 0]
@@ -312,7 +311,7 @@ def _frozen(rows: FloatArray, steps: Sequence[SensorStep]) -> BoolArray:
 
 
 def _saturated(name: str, rows: FloatArray) -> list[Finding]:
-    """Readings at the end of a range: the greatest of an axis comes again and again."""
+    """Saturated readings: the largest value of an axis repeats."""
     found = []
     for what, columns in (("turn rates", rows[:, 1:4]), ("forces", rows[:, 4:7])):
         greatest = np.abs(columns).max()

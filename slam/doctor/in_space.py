@@ -1,4 +1,4 @@
-"""What cameras and 3D lidars say that cannot be: of themselves, and against how the robot moves."""
+"""Finds errors of cameras and 3D lidars, alone and compared with the motion of the robot."""
 
 from __future__ import annotations
 
@@ -24,20 +24,20 @@ from slam.doctor.planar_hand_eye import PlanarHandEye, planar_hand_eye
 from slam.measurements import FloatArray
 from slam.vision.camera_frame import T_BODY_CAMERA
 
-# Offsets of clocks that are looked for, and those that mapping learns by itself, from turns.
+# Largest clock offset to search for, and those that mapping estimates itself from rotations.
 _MOST_S, _LEARNED_S = 0.7, 0.15
-# Smaller differences are what sensors on robots have: shares, radians, metres.
+# Smaller differences are normal for sensors on robots: shares, radians, metres.
 _SHARE, _LENS_SHARE, _ANGLE_RAD, _LEVER_M = 0.06, 0.14, math.radians(5.0), 0.15
-# Median depths between which a depth camera may see anything.
+# Limits of plausible median depths of a depth camera.
 _DEPTHS_M = (0.1, 30.0)
-# What files of depth are written in, over what they are taken for.
+# Ratios of the unit of depth files to the assumed one.
 _UNITS = (1000.0, 0.001, 5.0, 0.2, 10.0, 0.1, 100.0, 0.01)
-_JOINED = 5  # steps of a sensor that are one motion
+_JOINED = 5  # steps of a sensor that are joined to one motion
 
 
 @dataclass(frozen=True, slots=True)
 class Base:
-    """How the base moved, and whether more than the wheels says so."""
+    """Motion of the base, and whether it is confirmed by more than the wheels."""
 
     wheels: str
     track: BaseTrack
@@ -46,20 +46,20 @@ class Base:
 
 @dataclass(slots=True)
 class Seen:
-    """A camera or 3D lidar, as it sees the robot move.
+    """A camera or 3D lidar, and the robot's motion as seen by it.
 
     Attributes
     ----------
     kind, name
-        Kind of sensor as a calibration has it, and its name.
+        Type of sensor in a calibration file, and its name.
     R_base_sensor, told_m
-        What is told of where it sits: rotation (3, 3), translation (3,); None where nothing is.
+        Stated pose: rotation (3, 3), translation (3,); None if there is none.
     clock_s, clock_sigma_s
-        By how much its clock is ahead, 0 and infinite where that is open.
+        How far its clock is ahead; 0 and infinite if unknown.
     fit
-        None where its motions leave it open.
+        None if its motions do not determine it.
     floor_m
-        Height of the sensor over the floor that it sees, in its own metres; None where it sees none.
+        Height of the sensor above the floor that it sees, in its own units; None if it sees none.
     """
 
     kind: str
@@ -74,14 +74,14 @@ class Seen:
 
     @property
     def off(self) -> float:
-        """Its shifts over the base's, one where that is as good as right or open."""
+        """Ratio of its translations to the base's; one if that is nearly right or unknown."""
         if self.fit is None or _within(self.fit.scale - 1.0, self.fit.sigmas[1], _SHARE):
             return 1.0
         return self.fit.scale
 
 
 def camera_findings(name: str, samples: CameraSamples, rows: FloatArray) -> list[Finding]:
-    """What a camera says of itself, and of the (N, 4) rows of the wheels."""
+    """Findings about a camera alone, and compared with the (N, 4) rows of the wheels."""
     hangs = samples.repeats.driven(rows)
     found = samples.repeats.findings("cameras", name, samples.count, "frames", enough=hangs)
     found += unit_finding("cameras", name, samples.median_depth.median(), _DEPTHS_M)
@@ -91,14 +91,14 @@ def camera_findings(name: str, samples: CameraSamples, rows: FloatArray) -> list
 def unit_finding(
     group: str, name: str, median_m: float | None, limits_m: tuple[float, float] = (0.0, DEFAULT_NO_RETURN_M)
 ) -> list[Finding]:
-    """What a sensor says by itself of the unit of its lengths: a median that none sees."""
+    """Find a wrong unit of length of a sensor: an implausible median."""
     if not median_m or median_m < 0:
         return []
     what, seen_by = ("depth", "camera") if group == "cameras" else ("range", "lidar")
-    middle_m = math.sqrt(max(_DEPTHS_M[0], limits_m[0]) * _DEPTHS_M[1])  # of what they see, by ratio
+    middle_m = math.sqrt(max(_DEPTHS_M[0], limits_m[0]) * _DEPTHS_M[1])  # geometric mean of what they see
     unit = min(_UNITS, key=lambda one: abs(math.log(median_m / one / middle_m)))
     sure = not limits_m[0] <= median_m <= limits_m[1]
-    # As far from it as TUM's unit is from millimetres: some cameras do see that.
+    # As far from it as TUM's unit is from millimetres, because some cameras have such depths.
     if not sure and (what == "range" or max(median_m / middle_m, middle_m / median_m) < 5):
         return []
     seldom = "no" if sure else "hardly a"
@@ -110,10 +110,10 @@ def unit_finding(
 
 
 def lens_findings(name: str, samples: CameraSamples) -> list[Finding]:
-    """Whether the shape of what a camera sees asks for another lens."""
+    """Check whether the shape of the scene requires other intrinsics."""
     told = samples.intrinsics
     fit = None if told is None else lens_fit(samples.pairs, told)
-    # A lens that explains no more than the one that was told is no better.
+    # A lens that explains no more than the stated one is no better.
     if told is None or fit is None or fit.told_left_px < (1.0 + _SHARE) * fit.left_px:
         return []
     off_px = fit.center_px - (told.cx, told.cy)
@@ -144,7 +144,7 @@ def lens_findings(name: str, samples: CameraSamples) -> list[Finding]:
 def seen_by(
     kind: str, name: str, samples: CameraSamples | CloudSamples, T_base_sensor: gtsam.Pose3 | None, base: Base
 ) -> Seen:
-    """How a sensor sees the robot move."""
+    """The robot's motion as seen by a sensor."""
     told = None if T_base_sensor is None else np.asarray(T_base_sensor.rotation().matrix())
     seen = Seen(kind, name, told, None if T_base_sensor is None else np.asarray(T_base_sensor.translation()))
     runs = runs_of(samples.steps)
@@ -161,7 +161,7 @@ def seen_by(
     known = np.isfinite(moved).all(axis=1)
     shifts = np.array([step.motion.translation() for step in steps])
     fit = planar_hand_eye(turns_of(steps)[known], shifts[known], moved[known])
-    # What is left over by as much tells badly how the sensor moved, whatever it claims.
+    # With such a residual, the motion of the sensor is unreliable, whatever its covariance.
     seen.fit = fit if fit is not None and fit.spread < SPREAD else None
     if seen.fit is not None:
         up = seen.fit.up if told is None else told.T[:, 2]
@@ -169,18 +169,18 @@ def seen_by(
         seen.floor_m = floor_below_m(points, up)
         over_m = floor_below_m(points, -up)
         if seen.floor_m is not None or over_m is not None:
-            # Of floor and ceiling the nearer one is the floor: robots are low.
+            # Of floor and ceiling, the nearer one is the floor, because robots are low.
             seen.upside_down = (over_m or math.inf) < (seen.floor_m or math.inf)
     return seen
 
 
 def findings_against(base: Base, sensors: Sequence[Seen], doubtful: frozenset[str]) -> list[Finding]:
-    """What the sensors say against the base.
+    """Findings about sensors that contradict the base.
 
     Parameters
     ----------
     doubtful
-        Names of cameras whose lens is in question: what depends on it is not judged.
+        Names of cameras with uncertain intrinsics: what depends on them is not examined.
     """
     found: list[Finding] = []
     told = [seen for seen in sensors if seen.fit is not None]
@@ -192,14 +192,14 @@ def findings_against(base: Base, sensors: Sequence[Seen], doubtful: frozenset[st
         others = [one for one in told if one is not seen and one.name not in doubtful]
         found += _scale(base, seen, others)
         found += _mounting(base, seen, others)
-    first = dict[tuple[str, str], Finding]()  # what several sensors tell of the wheels is told once
+    first = dict[tuple[str, str], Finding]()  # report errors of the wheels once, not for each sensor
     for finding in found:
         first.setdefault((finding.sensor, finding.kind), finding)
     return list(first.values())
 
 
 def _clock(base: Base, seen: Seen, others: Sequence[Seen]) -> list[Finding]:
-    """A clock that is farther ahead or behind than mapping learns by itself."""
+    """A larger clock offset than mapping estimates itself."""
     if _within(seen.clock_s, seen.clock_sigma_s, _LEARNED_S):
         return []
     as_much = [one for one in others if abs(one.clock_s - seen.clock_s) < 0.5 * _LEARNED_S]
@@ -224,7 +224,7 @@ def _clock(base: Base, seen: Seen, others: Sequence[Seen]) -> list[Finding]:
 
 
 def _scale(base: Base, seen: Seen, others: Sequence[Seen]) -> list[Finding]:
-    """Lengths that are of another size than the way of the wheels."""
+    """A scale error relative to the wheels."""
     scale, fit = seen.off, seen.fit
     if scale == 1.0 or fit is None:
         return []
@@ -237,7 +237,7 @@ def _scale(base: Base, seen: Seen, others: Sequence[Seen]) -> list[Finding]:
         floor = seen.floor_m / seen.told_m[2]
         mine, yours = (abs(math.log(floor / one)) < 0.5 * abs(math.log(scale)) for one in (scale, 1.0))
     if base.certain and yours and not mine:
-        return []  # the floor is where it should be: the motions were told badly
+        return []  # the floor is where it should be, so the motions are unreliable
     if not base.certain:
         as_much = [one for one in others if abs(one.off / scale - 1.0) < _SHARE]
         yours = bool(as_much) or (yours and not mine)
@@ -262,13 +262,13 @@ def _scale(base: Base, seen: Seen, others: Sequence[Seen]) -> list[Finding]:
 
 
 def _mounting(base: Base, seen: Seen, others: Sequence[Seen]) -> list[Finding]:
-    """A place on the robot that is not where the sensor moves."""
+    """A stated pose that contradicts the motion of the sensor."""
     fit, told = seen.fit, seen.R_base_sensor
     if fit is None or told is None or seen.told_m is None:
         return []
     ahead, up = told @ fit.ahead, told @ fit.up
     tilt_rad = math.acos(float(np.clip(up[2], -1.0, 1.0)))
-    # The heading of what the sensor takes for ahead, seen by what was told: it is turned by as much too far.
+    # Heading of the sensor's estimated forward direction with the stated pose: its yaw error.
     yaw_rad = -math.atan2(float(ahead[1]), float(ahead[0]))
     lever_m = fit.lever_m - seen.told_m[:2]
     turned = not _within(yaw_rad, float(fit.sigmas[2]), _ANGLE_RAD)
@@ -303,7 +303,7 @@ def _mounting(base: Base, seen: Seen, others: Sequence[Seen]) -> list[Finding]:
     mirrored: Remedy = {seen.kind: {seen.name: {"mirrored": True}}}
     if seen.kind != "cameras" or seen.upside_down:
         return [finding]
-    # A mirror and a camera on its head turn alike; the floor tells them apart.
+    # A mirrored and an upside-down camera turn alike; the floor distinguishes them.
     text = "it rotates in the opposite direction: its images are mirrored, or it is mounted upside down"
     known = seen.upside_down is False
     remedies = (mirrored,) if known else (mirrored, remedy)
@@ -311,7 +311,7 @@ def _mounting(base: Base, seen: Seen, others: Sequence[Seen]) -> list[Finding]:
 
 
 def _sits(seen: Seen) -> bool:
-    """Whether a sensor moves as it is told to sit."""
+    """Whether the motion of a sensor agrees with its stated pose."""
     if seen.fit is None or seen.R_base_sensor is None:
         return False
     along = (seen.R_base_sensor @ seen.fit.ahead)[0], (seen.R_base_sensor @ seen.fit.up)[2]
@@ -319,7 +319,7 @@ def _sits(seen: Seen) -> bool:
 
 
 def _entry(kind: str, R_base_sensor: FloatArray, place_m: Sequence[float]) -> dict[str, Any]:
-    """A mounting as a calibration has it."""
+    """A pose in the form of a calibration file."""
     rotation = gtsam.Rot3(R_base_sensor)
     if kind == "cameras":
         rotation = rotation.compose(T_BODY_CAMERA.rotation().inverse())
@@ -328,12 +328,12 @@ def _entry(kind: str, R_base_sensor: FloatArray, place_m: Sequence[float]) -> di
 
 
 def cloud_findings(name: str, samples: CloudSamples) -> list[Finding]:
-    """What a 3D lidar says of itself."""
-    # A lidar has noise even at rest: one such cloud is one too many.
+    """Findings about a 3D lidar alone."""
+    # A lidar has noise even at rest, so one identical cloud is already an error.
     found = samples.repeats.findings("lidars_3d", name, samples.count, "clouds", enough=True)
     if samples.points:
         median_m = float(np.median(np.linalg.norm(np.concatenate(samples.points), axis=1)))
-        ways = CloudOdometryConfig()  # beyond its limits nothing can be mapped
+        ways = CloudOdometryConfig()  # nothing can be mapped beyond its limits
         found += unit_finding("lidars_3d", name, median_m, (ways.range_min_m, ways.range_max_m))
     if samples.turn is not None:
         found.append(samples.turn.finding("lidars_3d", name))
@@ -346,14 +346,14 @@ def cloud_findings(name: str, samples: CloudSamples) -> list[Finding]:
     if not interval_s or not turn_s:
         return found
     off = turn_s / interval_s
-    # One lidar whose turn is over when its next begins does not overlap itself.
+    # A lidar whose revolution ends before the next one starts does not overlap itself.
     if 4 * samples.between > samples.count and off < 1.0 + _SHARE:
         text = f"{samples.between} of {samples.count} clouds begin during the revolution of the one before"
         why = "they are from another lidar with the same name, and match nothing"
         remedy = {"lidars_3d": {name: {"drop_repeated": True}}}
         found.append(Finding(name, "several lidars", text, why, (remedy,), sure=True))
     units = [unit for unit in (1e3, 1e-3, 1e6, 1e-6, 1e9, 1e-9) if abs(math.log(off / unit)) < 1.0]
-    if abs(off / 2.0 - 1.0) < _SHARE:  # of turns at half the rate
+    if abs(off / 2.0 - 1.0) < _SHARE:  # revolutions at half the rate
         units = [2.0]
     if not units:
         return found
@@ -363,5 +363,5 @@ def cloud_findings(name: str, samples: CloudSamples) -> list[Finding]:
 
 
 def _within(off: float, sigma: float, limit: float) -> bool:
-    """Whether a difference may be smaller than what matters."""
+    """Whether a difference may be below a limit."""
     return not abs(off) > limit + gate() ** 0.5 * sigma

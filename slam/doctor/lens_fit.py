@@ -1,8 +1,9 @@
-"""The lens of a depth camera by the shape of what it sees: a scene keeps its shape while the camera turns.
+"""Estimates the intrinsics of a depth camera: a scene keeps its shape while the camera turns.
 
-By a wrong lens points lie too far or too near the optical axis, by a right depth; seen from two sides, the
-same points then are of two shapes. So focal length and principal point follow from matched features with
-depth, and nothing else is asked. The scale of depth does not follow: shapes of any scale are alike.
+With wrong intrinsics and correct depth, points are too far from or too close to the optical axis; seen from
+two sides, the same points then have two shapes. So matched features with depth determine focal length and
+principal point, without other inputs. The scale of depth is not determined, because shapes of any scale are
+similar.
 """
 
 from __future__ import annotations
@@ -16,23 +17,23 @@ from fusion.estimation import FEWEST, ROUNDS, SETTLED, gate, median_to_sigma
 from slam.doctor.camera_samples import MatchedPair
 from slam.measurements import CameraIntrinsics, FloatArray
 
-_KEPT = 48  # features of a pair
+_KEPT = 48  # features per pair
 
 
 @dataclass(frozen=True, slots=True)
 class LensFit:
-    """A lens, against the one that was told.
+    """Estimated intrinsics, relative to the stated ones.
 
     Attributes
     ----------
     focal_gain
-        Its focal lengths over those told.
+        Ratio of its focal lengths to the stated ones.
     center_px
         (2,) its principal point.
     sigmas
-        (3,) of focal_gain and center_px.
+        (3,) standard deviations of focal_gain and center_px.
     left_px, told_left_px
-        Robust standard deviation of what it leaves over, and of what the lens that was told does.
+        Robust standard deviation of its residuals, and of those of the stated lens.
     """
 
     focal_gain: float
@@ -43,7 +44,7 @@ class LensFit:
 
 
 def lens_fit(pairs: Sequence[MatchedPair], told: CameraIntrinsics) -> LensFit | None:
-    """The lens by which matched features move as one; None where there are too few."""
+    """The lens with which matched features move rigidly; None if there are too few."""
     chosen = [pair for pair in pairs if len(pair.first) >= FEWEST]
     if len(chosen) < FEWEST:
         return None
@@ -51,7 +52,7 @@ def lens_fit(pairs: Sequence[MatchedPair], told: CameraIntrinsics) -> LensFit | 
         np.stack([getattr(p, name)[np.linspace(0, len(p.first) - 1, _KEPT).astype(int)] for p in chosen])
         for name in ("first", "second")
     )
-    # Focal gain, and the principal point in shares of the focal length.
+    # Focal gain, and the principal point as a share of the focal length.
     lens = np.array([1.0, 0.0, 0.0])
     steps = np.diag([SETTLED] * 3)
     errors = _errors(first, second, lens, told)
@@ -67,14 +68,14 @@ def lens_fit(pairs: Sequence[MatchedPair], told: CameraIntrinsics) -> LensFit | 
             information + SETTLED**2 * np.eye(3), np.einsum("pn,pnki,pnk->i", weights, slopes, errors)
         )
         lens = lens + np.clip(change, -0.1, 0.1)
-        # Weights that follow the median never quite come to rest.
+        # Weights that depend on the median do not converge completely.
         if np.abs(change).max() < 10 * SETTLED:
             break
         errors = _errors(first, second, lens, told)
         sigma = max(_sigma(errors), SETTLED)
     else:
         return None
-    # Features of a pair share what is wrong with its motion.
+    # Features of a pair share the error of its motion.
     covariance = sigma**2 * np.linalg.inv(information) * first.shape[1] ** 0.5
     center = np.array([told.cx + lens[1] * told.fx, told.cy + lens[2] * told.fy])
     sigmas = np.sqrt(np.diag(covariance)) * [1.0, told.fx, told.fy]
@@ -82,7 +83,7 @@ def lens_fit(pairs: Sequence[MatchedPair], told: CameraIntrinsics) -> LensFit | 
 
 
 def _points(rows: FloatArray, lens: FloatArray, told: CameraIntrinsics) -> FloatArray:
-    """(..., 3) in the camera frame."""
+    """(..., 3) points in the camera frame."""
     x = ((rows[..., 0] - told.cx) / told.fx - lens[1]) / lens[0]
     y = ((rows[..., 1] - told.cy) / told.fy - lens[2]) / lens[0]
     z = rows[..., 2]
@@ -90,13 +91,13 @@ def _points(rows: FloatArray, lens: FloatArray, told: CameraIntrinsics) -> Float
 
 
 def _errors(first: FloatArray, second: FloatArray, lens: FloatArray, told: CameraIntrinsics) -> FloatArray:
-    """(P, N, 3) of points moved into the second view: by their bearing, and in depth by its share.
+    """(P, N, 3) errors of points moved to the second view: of bearings, and of relative depth.
 
-    Bearings count in focal lengths told, depths not: else a short lens would leave over less of what depths
-    are wrong by, and where the camera turns little the fit would shrink it for that alone.
+    Bearings are in units of the stated focal length, depths are not: otherwise a shorter focal length would
+    reduce the residuals of depth, and with little rotation the fit would shrink it only for that.
     """
     a, b = _points(first, lens, told), _points(second, lens, told)
-    # Depth is as uncertain as it is far.
+    # The error of depth grows with the depth.
     weights = 1.0 / np.maximum(a[..., 2:], SETTLED) ** 2
     for _ in range(3):
         moved = _moved(a, b, weights)
@@ -107,7 +108,7 @@ def _errors(first: FloatArray, second: FloatArray, lens: FloatArray, told: Camer
 
 
 def _moved(a: FloatArray, b: FloatArray, weights: FloatArray) -> FloatArray:
-    """(P, N, 3) the first points by the rigid motion that brings them nearest to the second (Kabsch 1976)."""
+    """(P, N, 3) the first points after the best rigid motion to the second ones (Kabsch 1976)."""
     total = weights.sum(axis=1, keepdims=True)
     from_a, to_b = (
         (weights * a).sum(axis=1, keepdims=True) / total,

@@ -1,4 +1,4 @@
-"""Wheels that tell speed without its sign: whatever they roll, they roll ahead."""
+"""Detects wheel odometry that lost the sign of the speed and always rolls forward."""
 
 from __future__ import annotations
 
@@ -19,9 +19,9 @@ from slam.measurements import FloatArray, LaserScan, Measurement
 
 
 def starts_after_stops(rows: FloatArray, distance_m: float) -> FloatArray:
-    """When wheels that never roll back leave a stop, and when they have then gone some way.
+    """Times at which wheels that never roll back leave a stop, and have then moved some distance.
 
-    A robot turns round only where it stops. Wheels that ever tell a way back have their sign.
+    A robot reverses direction only at a stop. Wheels that ever report backward motion have their sign.
 
     Parameters
     ----------
@@ -30,7 +30,7 @@ def starts_after_stops(rows: FloatArray, distance_m: float) -> FloatArray:
 
     Returns
     -------
-    (K, 2) stamps, rising; none where the wheels do tell of ways back.
+    (K, 2) increasing stamps; none if the wheels report backward motion.
     """
     steps = np.diff(rows[:, 1:3], axis=0)
     headings_rad = rows[:-1, 3]
@@ -39,34 +39,35 @@ def starts_after_stops(rows: FloatArray, distance_m: float) -> FloatArray:
     if len(rows) < FEWEST or -ahead_m[ahead_m < 0.0].sum() > max(distance_m, SETTLED * way_m[-1]):
         return np.zeros((0, 2))
     stamps_s = rows[:, 0]
-    # By time, not by readings: these may come every millisecond.
+    # By time, not by readings, which may come every millisecond.
     still = way_m - np.interp(stamps_s - SPACING_S, stamps_s, way_m) < distance_m / FEWEST
     leaves = np.nonzero(still[:-1] & ~still[1:])[0]
     gone = np.searchsorted(way_m, way_m[leaves] + distance_m)
-    # Who stops again before may have gone both ways.
+    # A robot that stops again earlier may have moved in both directions.
     alone = gone <= np.append(leaves[1:], len(rows) - 1)
     spans_s = np.column_stack([stamps_s[leaves[alone]], stamps_s[gone[alone]]])
     spans_s = spans_s[np.ptp(spans_s, axis=1) < FEWEST * GAP_S]
-    most = 10 * FEWEST  # half a CPU second
+    most = 10 * FEWEST  # 0.5 s of CPU time
     return np.asarray(spans_s[:: -(-len(spans_s) // most) or 1])
 
 
 def lost_sign(
     log: Iterable[Measurement], wheels: str, lidar: str, rows: FloatArray, config: Config
 ) -> Finding | None:
-    """Wheels that tell a way ahead where the lidar goes back; None where it does not, or tells too little.
+    """Wheels that report forward motion while the lidar moves back; None if it does not, or with too few
+    data.
 
     Parameters
     ----------
     log
         The measurements again.
     wheels, lidar
-        Names of two sensors that agree otherwise.
+        Names of two sensors that agree in everything else.
     rows
-        (N, 4) of the wheels.
+        (N, 4) rows of the wheels.
     """
     spans_s = starts_after_stops(rows, config.keyframes.distance_m)
-    enough = FEWEST // 4  # one scan may be matched wrongly; not so many, all the same way
+    enough = FEWEST // 4  # one scan may be matched wrongly, but not so many with the same sign
     if len(spans_s) < enough:
         return None
     ways = [
@@ -75,7 +76,7 @@ def lost_sign(
         if (way := _way_ahead_m(*pair, rows, config)) is not None
     ]
     back = sum(way < 0.0 for way in ways)
-    # Matches that are wrong say so as often elsewhere, where neither way can be.
+    # Wrong matches are as frequent elsewhere, where neither direction is possible.
     if back - ways.count(0.0) < enough:
         return None
     return Finding(
@@ -109,10 +110,10 @@ def _scans_at(
 
 
 def _way_ahead_m(first: LaserScan, last: LaserScan, rows: FloatArray, config: Config) -> float | None:
-    """How far the robot went ahead between two scans, by them alone; None where they leave it open.
+    """Forward motion of the robot between two scans, from the scans alone; None if not determined.
 
-    The wheels' step, and the same step back, are where the search begins; the one that fits better counts, as
-    0 where it is neither.
+    The search starts at the wheels' step and at the same step back; the better fit is used, or 0 if it is
+    neither.
     """
     limits = config.match
     stamps_s = np.array([first.stamp_s, last.stamp_s])
@@ -121,7 +122,7 @@ def _way_ahead_m(first: LaserScan, last: LaserScan, rows: FloatArray, config: Co
     told = np.column_stack([np.interp(stamps_s, rows[:, 0], column) for column in rows[:, 1:].T])
     step = between(told[0], told[1])
     if 2.0 * step[0] < config.keyframes.distance_m:
-        return None  # by fewer scans than that takes, both ways fit
+        return None  # with too few scans, both directions fit
     points = [OrientedPoints.from_scan(points_by(config.scan, scan)) for scan in (first, last)]
     local_map = LocalMap.build(points[:1], limits)
     found = [local_map.align(points[1], guess) for guess in (step, step * [-1.0, -1.0, 1.0])]

@@ -1,4 +1,4 @@
-"""Beams of a lidar that always see the robot itself."""
+"""Finds lidar beams that always hit the robot itself."""
 
 from __future__ import annotations
 
@@ -14,10 +14,10 @@ from slam.measurements import BoolArray, Float32Array, LaserScan
 
 
 def blocked_beams(stretches: Sequence[Sequence[LaserScan]], config: Config) -> BoolArray | None:
-    """(N,) which beams tell the same wherever the robot is; None where it does not tell.
+    """(N,) beams with the same range wherever the robot is; None if not determined.
 
-    A beam is blocked where it is as long in nearly all scans of places that differ, to half a cell of the
-    matcher's, and longer than what the matcher leaves out as the robot itself.
+    A beam is blocked if its range is equal (to half a cell of the matcher) in nearly all scans of different
+    places, and larger than the range that the matcher excludes as the robot itself.
     """
     ends = [scan for scans in stretches for scan in scans[:: FEWEST // 4]]  # half a second apart
     count = int(np.median([scan.ranges_m.size for scan in ends])) if ends else 0
@@ -27,7 +27,7 @@ def blocked_beams(stretches: Sequence[Sequence[LaserScan]], config: Config) -> B
         ranges = scan.ranges_m
         if ranges.size != count or not np.isfinite(ranges).any():
             continue
-        # Another place: some beams tell something else by far.
+        # Another place: some beams differ by far.
         if not kept or _far_apart(ranges, kept[-1], 2.0 * config.match.cell_m):
             kept.append(ranges)
     if len(kept) < FEWEST:
@@ -39,7 +39,7 @@ def blocked_beams(stretches: Sequence[Sequence[LaserScan]], config: Config) -> B
     middle[told > 0.0] = np.nanmedian(table[:, told > 0.0], axis=0)
     with np.errstate(invalid="ignore"):
         differ = (~(np.abs(table - middle) < same_m)).mean(axis=0)
-    # People and sunlight come between.
+    # Allows for people and sunlight.
     return np.asarray((differ < 1.0 / FEWEST) & (middle > config.scan.range_min_m))
 
 
@@ -51,7 +51,7 @@ def without(scan: LaserScan, blocked: BoolArray) -> LaserScan:
 
 
 def blocked_finding(name: str, blocked: BoolArray) -> Finding | None:
-    """What is said of blocked beams; None of a lidar without any."""
+    """The finding about blocked beams; None without any."""
     edges = np.flatnonzero(np.diff(np.concatenate([[False], blocked, [False]]).astype(np.int8)))
     runs = [(int(first), int(last) - 1) for first, last in edges.reshape(-1, 2)]
     if not runs:
@@ -69,6 +69,6 @@ def blocked_finding(name: str, blocked: BoolArray) -> Finding | None:
 
 
 def _far_apart(a: Float32Array, b: Float32Array, least_m: float) -> bool:
-    """Whether a tenth of the beams that both had a return differ by more than that."""
+    """Whether a tenth of the beams with returns in both differ by more than ``least_m``."""
     both = np.isfinite(a) & np.isfinite(b)
     return bool(10 * np.count_nonzero(np.abs(a[both] - b[both]) > least_m) > np.count_nonzero(both))

@@ -1,4 +1,4 @@
-"""Wheels and a lidar that are compared."""
+"""A pair of wheel odometry and lidar to compare."""
 
 from __future__ import annotations
 
@@ -11,14 +11,14 @@ from fusion.estimation import half_interval
 from slam.doctor.finding import Remedy
 from slam.measurements import FloatArray, LaserScan
 
-# Lengths, angles and mountings in order are off by no more: shares and radians. The wheels of the two real
-# logs are off by up to 0.044 of the way, those of simulated drives by up to 0.03.
+# Maximum errors of correct lengths, angles and mountings: shares and radians. The wheels of the two real logs
+# have errors up to 0.044 of the distance, those of simulated drives up to 0.03.
 IN_ORDER = 0.06
 
 
 @dataclass(frozen=True, slots=True)
 class Pair:
-    """What is compared.
+    """The compared sensors.
 
     Attributes
     ----------
@@ -29,9 +29,9 @@ class Pair:
     stretches
         Scans of the lidar.
     range_scale
-        What their ranges have been multiplied by to be a lidar's at all.
+        Factor of their ranges, to be plausible for a lidar.
     handed
-        As `slam.doctor.imu.handed`; 0 without an IMU.
+        See `slam.doctor.imu.handed`; 0 without an IMU.
     """
 
     wheels: str
@@ -43,7 +43,7 @@ class Pair:
 
     @property
     def mounting(self) -> gtsam.Pose2:
-        """Of the lidar, as stated."""
+        """Stated pose of the lidar."""
         return self.stretches[0][0].T_base_laser
 
     def of_wheels(self, **entries: Any) -> Remedy:
@@ -56,6 +56,6 @@ class Pair:
 
 
 def interval(value: float, sigma: float) -> tuple[float, float]:
-    """95 % of a normal distribution."""
+    """95 % interval of a normal distribution."""
     half = half_interval(sigma)
     return value - half, value + half

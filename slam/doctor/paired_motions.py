@@ -1,4 +1,4 @@
-"""Motions of a sensor and of the robot's base over the same time."""
+"""Motions of a sensor and of the robot's base over the same times."""
 
 from __future__ import annotations
 
@@ -20,18 +20,18 @@ from slam.measurements import FloatArray, WheelOdometry
 
 @dataclass(frozen=True, slots=True)
 class BaseTrack:
-    """Where the base was, by wheels or a lidar.
+    """Poses of the base over time, from wheels or a lidar.
 
     Attributes
     ----------
     rows
-        (N, 4) stamp, x, y, heading, stamps rising.
+        (N, 4) stamp, x, y, heading, with increasing stamps.
     """
 
     rows: FloatArray
 
     def poses(self, stamps_s: FloatArray) -> FloatArray:
-        """(K, 3) x, y, unwound heading between readings; NaN where none is near."""
+        """(K, 3) interpolated x, y, unwrapped heading; NaN if no reading is near."""
         told_s = self.rows[:, 0]
         columns = [*self.rows[:, 1:3].T, np.unwrap(self.rows[:, 3])]
         found = np.stack([np.interp(stamps_s, told_s, column) for column in columns], axis=1)
@@ -41,7 +41,7 @@ class BaseTrack:
         return found
 
     def steps(self, begun_s: FloatArray, ended_s: FloatArray) -> FloatArray:
-        """(K, 3) x, y and turn from one stamp to another, in the base frame at the first."""
+        """(K, 3) x, y and rotation from one stamp to another, in the base frame at the first."""
         before, after = self.poses(begun_s), self.poses(ended_s)
         cos, sin = np.cos(before[:, 2]), np.sin(before[:, 2])
         x, y, turn = (after - before).T
@@ -49,9 +49,9 @@ class BaseTrack:
 
 
 def clock_of(runs: Sequence[Sequence[SensorStep]], base: BaseTrack, most_s: float) -> ClockOffset | None:
-    """By how much a sensor's clock is ahead of the base's, by when both turn; None where that is open.
+    """How far a sensor's clock is ahead of the base's, from the rotation of both; None if not determined.
 
-    A sensor of which it is not known how it sits turns about the axis about which it turns most.
+    For a sensor with unknown mounting, the axis with most rotation is used.
     """
     steps = [step for run in runs for step in run]
     if not steps:
@@ -62,14 +62,14 @@ def clock_of(runs: Sequence[Sequence[SensorStep]], base: BaseTrack, most_s: floa
     spans = np.array([(step.begun_s, step.ended_s) for step in steps])
     told = base.rows[:, 0]
     base_spans, base_turns = np.stack([told[:-1], told[1:]], axis=1), np.diff(np.unwrap(base.rows[:, 3]))
-    # The wheels tell all the time, the sensor in stretches: each of its steps is sought among theirs.
+    # The wheels cover all the time, the sensor only stretches, so its steps are searched in theirs.
     found = [clock_offset(spans, sign * about, base_spans, base_turns, most_s) for sign in (1.0, -1.0)]
     best = max((one for one in found if one is not None), key=lambda one: one.correlation, default=None)
     return None if best is None else replace(best, offset_s=-best.offset_s)
 
 
 def runs_of(stretches: Sequence[Sequence[SensorStep]]) -> list[list[SensorStep]]:
-    """Steps that follow each other without a gap, also from one stretch to the next."""
+    """Runs of consecutive steps without a gap, also across stretches."""
     found: list[list[SensorStep]] = []
     for step in itertools.chain.from_iterable(stretches):
         if found and found[-1][-1].ended_s == step.begun_s:
@@ -80,12 +80,12 @@ def runs_of(stretches: Sequence[Sequence[SensorStep]]) -> list[list[SensorStep]]
 
 
 def turns_of(steps: Sequence[SensorStep]) -> FloatArray:
-    """(N, 3) rotation vectors of steps."""
+    """(N, 3) rotation vectors of the steps."""
     return np.array([gtsam.Rot3.Logmap(step.motion.rotation()) for step in steps]).reshape(-1, 3)
 
 
 def joined(runs: Sequence[Sequence[SensorStep]], count: int) -> list[SensorStep]:
-    """Steps of ``count`` that follow each other as one, each half way into the one before."""
+    """Join ``count`` consecutive steps to one; joined steps overlap by half."""
     found = []
     for run in runs:
         for first in range(0, len(run) - count + 1, max(1, count // 2)):
@@ -97,7 +97,7 @@ def joined(runs: Sequence[Sequence[SensorStep]], count: int) -> list[SensorStep]
 
 
 def mended_rows(wheels: str, rows: FloatArray, findings: Sequence[Finding]) -> FloatArray | None:
-    """(N, 4) rows of wheels as findings mend them; None where one leaves open how, or there are too few.
+    """(N, 4) rows of wheels corrected by findings; None if a correction is ambiguous, or for too few rows.
 
     Parameters
     ----------

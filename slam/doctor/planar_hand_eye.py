@@ -1,7 +1,8 @@
-"""How a sensor that moves in space sits on a robot that moves in the plane, by the motions of both.
+"""Pose of a sensor with motion in 3D on a robot with motion in the plane, from the motions of both.
 
-A turn of the robot is a turn of the sensor about the robot's upright; across that axis the sensor's shifts
-are the robot's, turned, scaled, and swung by the lever: linear in four numbers.
+A rotation of the robot is a rotation of the sensor about the robot's vertical axis; perpendicular to that
+axis, the sensor's translations are those of the robot, rotated, scaled, and changed by the lever arm: linear
+in four numbers.
 """
 
 from __future__ import annotations
@@ -17,26 +18,26 @@ from slam.measurements import FloatArray
 
 @dataclass(frozen=True, slots=True)
 class PlanarHandEye:
-    """What paired motions tell of a sensor.
+    """Estimates about a sensor from paired motions.
 
     Attributes
     ----------
     up
-        (3,) the robot's upright in the sensor's frame, unit length.
+        (3,) the robot's vertical axis in the sensor's frame, unit length.
     ahead
-        (3,) the robot's forward there.
+        (3,) the robot's forward axis in that frame.
     scale
-        The sensor's shifts over the robot's.
+        Ratio of the sensor's translations to the robot's.
     lever_m
-        (2,) where the sensor sits on the robot, x and y, in the robot's metres.
+        (2,) position of the sensor on the robot, x and y, in the robot's metres.
     sigmas
-        (5,) standard deviations of the gain of turns, scale, the angle of ``ahead`` (radians), the lever.
+        (5,) standard deviations of the rotation gain, scale, the angle of ``ahead`` (radians), the lever arm.
     tilt_sigma_rad
-        Of ``up``.
+        Standard deviation of ``up``, radians.
     spread
-        Share of the sensor's shifts that the fit leaves over, robust.
+        Robust residual of the fit as a share of the sensor's translations.
     count
-        Pairs that agree.
+        Number of pairs that agree.
     """
 
     up: FloatArray
@@ -50,18 +51,18 @@ class PlanarHandEye:
 
 
 def planar_hand_eye(turns: FloatArray, shifts_m: FloatArray, base: FloatArray) -> PlanarHandEye | None:
-    """Fit the mounting, the gain of turns and the scale of shifts.
+    """Fit the pose, the rotation gain and the scale of translations.
 
     Parameters
     ----------
     turns, shifts_m
         (N, 3) rotation vectors and translations of the sensor's steps, in its frame at the start of each.
     base
-        (N, 3) x, y and turn of the robot's steps, in its frame at the start of each.
+        (N, 3) x, y and rotation of the robot's steps, in its frame at the start of each.
 
     Returns
     -------
-    None where the motions leave it open: few, without turns, or without shifts.
+    None if the motions do not determine it: too few, without rotations, or without translations.
     """
     if len(base) < FEWEST:
         return None
@@ -70,7 +71,8 @@ def planar_hand_eye(turns: FloatArray, shifts_m: FloatArray, base: FloatArray) -
     if gain < gate() ** 0.5 * math.sqrt(float(np.trace(slope_cov))):
         return None
     up = slopes / gain
-    # Any two axes across the upright: of the optical axis and the right what is less upright.
+    # Any two axes perpendicular to the vertical: from the optical axis or the right axis, whichever is less
+    # vertical.
     first = np.eye(3)[int(np.argmin(np.abs(up)))]
     first = first - (first @ up) * up
     first /= np.linalg.norm(first)
@@ -99,7 +101,7 @@ def planar_hand_eye(turns: FloatArray, shifts_m: FloatArray, base: FloatArray) -
 
 
 def _robust(design: FloatArray, seen: FloatArray) -> tuple[FloatArray, FloatArray, int]:
-    """Least squares with Geman-McClure's loss: (k,) solution, (k, k) covariance, rows that agree.
+    """Least squares with Geman-McClure's loss: (k,) solution, (k, k) covariance, number of inlier rows.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Frame pairs from the beginning of a log, by which the colour camera's place is estimated."""
+"""Frame pairs from the start of a log, to estimate the pose of the colour camera."""
 
 from __future__ import annotations
 
@@ -23,15 +23,15 @@ log = logging.getLogger(__name__)
 
 Seen: TypeAlias = tuple[RgbdFrame, Features]
 
-_EVERY_S = 0.19  # less than six frames at 30 Hz: stamps of two logs of one drive round apart
+_EVERY_S = 0.19  # less than six frames at 30 Hz, because two logs of one drive round stamps differently
 _LONGEST_S = 40.0
 _PAIRS = 24
-# Median motion of the matched features, in shares of the image's width: enough to tell, and still matched.
+# Limits of the features' median motion, as a share of the image width: informative, and still matched.
 _LEAST_MOTION, _GREATEST_MOTION = 0.03, 0.25
 
 
 def paired_frames(_: str, stamps_s: Sequence[float]) -> list[bool]:
-    """Of a camera's frames those that `registrations_of` looks at first, by their stamps."""
+    """The frames of a camera that `registrations_of` reads first, by stamp."""
     looked_s, chosen = -np.inf, []
     for stamp_s in stamps_s:
         chosen.append(stamp_s - looked_s >= _EVERY_S)
@@ -42,16 +42,15 @@ def paired_frames(_: str, stamps_s: Sequence[float]) -> list[bool]:
 def registrations_of(
     log: Iterable[Measurement], cameras: Sequence[str], config: Config
 ) -> dict[str, ColorRegistration]:
-    """Where the colour camera sits beside the depth camera, and why, for every camera that was seen.
+    """Pose of the colour camera in the depth camera, with the reason, for every camera in the log.
 
-    Where a camera moved too far from one frame that is looked at to the next, and in a short log, every frame
-    is looked at.
+    If a camera moved too far between two of these frames, and for a short log, every frame is used.
 
     Parameters
     ----------
     log
-        From its beginning, once or twice; it is read until every camera has shown enough, at most 40 seconds,
-        and of its images no others where it can be asked so.
+        Read from its start, once or twice, until every camera has enough pairs, at most 40 seconds; only the
+        needed images are read if the log supports that.
     cameras
         Names of the cameras.
     """
@@ -70,7 +69,7 @@ def registrations_of(
 
 
 def _collect(log: Iterable[Measurement], collectors: Mapping[str, _Collector]) -> None:
-    """Show the cameras' frames to their collectors."""
+    """Pass the cameras' frames to their collectors."""
     first_s: float | None = None
     for measurement in log:
         first_s = measurement.stamp_s if first_s is None else first_s
@@ -88,29 +87,29 @@ class _Collector:
         self._pairs: list[FramePair] = []
         self._anchors: list[Seen] = []
         self._looked_s: list[float] = []
-        self._missed_s: list[tuple[float, float]] = []  # from frame to frame, where it moved too far
+        self._missed_s: list[tuple[float, float]] = []  # intervals between frames with too much motion
         self._known_s: frozenset[float] = frozenset()
 
     @property
     def done(self) -> bool:
-        """Whether there are enough."""
+        """Whether there are enough pairs."""
         return len(self._pairs) >= _PAIRS
 
     def look_closer(self) -> bool:
-        """Whether frames between those that were looked at may tell more; these are asked for then."""
+        """Whether frames between those that were read may help; they are then requested."""
         if 0 < len(self._looked_s) < _PAIRS:
             self._missed_s = [(-math.inf, math.inf)]
         self._known_s = frozenset(self._looked_s)
         return not self.done and bool(self._missed_s)
 
     def asks(self, stamp_s: float) -> bool:
-        """Whether a frame of that time is looked at."""
+        """Whether the frame with this stamp is used."""
         if self._known_s:
             return any(first_s <= stamp_s <= last_s for first_s, last_s in self._missed_s)
         return not self._looked_s or stamp_s - self._looked_s[-1] >= _EVERY_S
 
     def add(self, frame: RgbdFrame) -> None:
-        """Pair a frame with the anchor before it, if the motion between suits."""
+        """Pair a frame with the anchor before it, if the motion between them is suitable."""
         if self.done or not self.asks(frame.stamp_s):
             return
         self._looked_s.append(frame.stamp_s)
@@ -130,7 +129,7 @@ class _Collector:
             del self._anchors[:-_PAIRS]
 
     def registration(self, seed: int) -> ColorRegistration | None:
-        """The estimate, which may be that colour is registered; None without a frame."""
+        """The estimate, which may be that colour is already registered; None without frames."""
         if not self._anchors:
             return None
         pairs = [*self._pairs, *islice(self._farther_pairs(), _PAIRS - len(self._pairs))]
@@ -140,7 +139,7 @@ class _Collector:
         return registration
 
     def _farther_pairs(self) -> Iterator[FramePair]:
-        """Pairs of anchors with others between: what a short log tells beyond its few steps."""
+        """Pairs of anchors that are not consecutive, to get more pairs from a short log."""
         for gap in range(2, len(self._anchors)):
             for before, after in zip(self._anchors, self._anchors[gap:], strict=False):
                 pair, _ = _pair(before, after, self._config.rgbd_odometry)
@@ -149,7 +148,7 @@ class _Collector:
 
 
 def _pair(before: Seen, after: Seen, config: RgbdOdometryConfig) -> tuple[FramePair | None, float]:
-    """The matched pair, None where the motion between is too small or too large; and the motion."""
+    """The matched pair, None if the motion is too small or too large; and the motion."""
     (frame_a, known), (frame_b, features) = before, after
     matches = match_features(known.descriptors, features.descriptors, config.match_ratio, config.match_bits)
     if len(matches) < 3 * FEWEST:  # a third of them must agree on a motion

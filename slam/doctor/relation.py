@@ -1,13 +1,13 @@
-"""How the steps of wheels and of a lidar belong together: a hand-eye calibration in the plane.
+"""Relation of the steps of wheels and of a lidar: a planar hand-eye calibration.
 
 Censi 2013 ("Simultaneous calibration of odometry and sensor parameters for mobile robots", Sec. V): the
-lidar's step l, seen in its own frame, the wheels' step w and the turn phi belong together by
+lidar's step l in its own frame, the wheels' step w and the rotation phi satisfy
 s w + (R(phi) - 1) t = r R(psi) l. With steps as complex numbers that is linear,
 
     l = alpha w + beta (exp(i phi) - 1),    alpha = s / r exp(-i psi),    beta = t / r exp(-i psi):
 
-psi is how the lidar is turned, t where it sits, s and r by what the lengths of wheels and lidar are to be
-multiplied. What wheels may have got wrong besides (a sign, an axis) are different w; the right one fits.
+psi is the yaw of the lidar, t its position, s and r are factors for the lengths of wheels and lidar. Other
+errors of the wheels (a sign, an axis) give other w; the right one fits.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ class Linear:
     values
         (P,) estimates.
     covariance
-        (P, P), of whole stretches against each other: steps of one share their errors.
+        (P, P), from the differences between stretches, because steps of one stretch share errors.
     sigma
         Robust standard deviation of a residual.
     """
@@ -43,12 +43,12 @@ class Linear:
 
 
 def fit_linear(design: FloatArray, measured: FloatArray, stretch: FloatArray) -> Linear | None:
-    """Least squares with Geman and McClure's weights about the residuals' own scale; None of too few.
+    """Least squares with Geman-McClure weights at the scale of the residuals; None for too few.
 
     Parameters
     ----------
     design, measured, stretch
-        (N, P), (N,) and (N,) the stretch that each belongs to.
+        (N, P), (N,), and (N,) index of the stretch of each.
     """
     weights = np.ones(len(measured))
     if len(measured) < FEWEST or np.linalg.matrix_rank(design) < design.shape[1]:
@@ -66,7 +66,7 @@ def fit_linear(design: FloatArray, measured: FloatArray, stretch: FloatArray) ->
     sums = np.zeros((number.max() + 1, design.shape[1]))
     np.add.at(sums, number, scores)
     meat = sums.T @ sums * len(sums) / max(1, len(sums) - 1)
-    # Stretches that agree by chance are no more certain than their residuals.
+    # If stretches agree by chance, the residuals limit the certainty.
     floor_of = bread * sigma**2
     covariance = bread @ meat @ bread + floor_of
     return Linear(values, covariance, sigma)
@@ -74,14 +74,14 @@ def fit_linear(design: FloatArray, measured: FloatArray, stretch: FloatArray) ->
 
 @dataclass(frozen=True, slots=True)
 class Relation:
-    """How wheels and lidar belong together, see above.
+    """The relation of wheels and lidar, see above.
 
     Attributes
     ----------
     alpha, beta
         As above.
     covariance
-        (4, 4) of the real and imaginary parts of alpha, then of beta.
+        (4, 4) covariance of the real and imaginary parts of alpha, then of beta.
     sigma_m
         Robust standard deviation of a residual along an axis.
     """
@@ -93,51 +93,51 @@ class Relation:
 
     @property
     def yaw_rad(self) -> float:
-        """How the lidar is turned on the robot."""
+        """Yaw of the lidar on the robot."""
         return float(-np.angle(self.alpha))
 
     @property
     def sigma_alpha(self) -> float:
-        """Standard deviation of alpha along an axis, as a share of it; of its angle, radians."""
+        """Relative standard deviation of alpha along an axis; also that of its angle, radians."""
         return float(np.sqrt(0.5 * np.trace(self.covariance[:2, :2])) / abs(self.alpha))
 
     @property
     def sigma_beta(self) -> float:
-        """Standard deviation of beta along its worst axis."""
+        """Standard deviation of beta along its least certain axis."""
         return float(np.sqrt(np.linalg.eigvalsh(self.covariance[2:, 2:])[-1]))
 
     def mirrored(self) -> Relation:
-        """Of what both say with left for right."""
+        """The relation with left and right exchanged in both."""
         signs = np.array([1.0, -1.0, 1.0, -1.0])
         covariance = self.covariance * np.outer(signs, signs)
         return replace(self, alpha=self.alpha.conjugate(), beta=self.beta.conjugate(), covariance=covariance)
 
     def of_ranges_scaled(self, scale: float) -> Relation:
-        """Of the ranges as they were before they were multiplied by a scale."""
+        """The relation for the ranges before they were multiplied by a scale."""
         covariance = self.covariance / scale**2
         return replace(self, alpha=self.alpha / scale, beta=self.beta / scale, covariance=covariance)
 
     def with_lever_scaled(self, scale: float) -> Relation:
-        """Of ranges and wheels that were both multiplied by a scale."""
+        """The relation if ranges and wheels are both multiplied by a scale."""
         scales = np.array([1.0, 1.0, scale, scale])
         covariance = self.covariance * np.outer(scales, scales)
         return replace(self, beta=self.beta * scale, covariance=covariance)
 
     def with_wheels_turned(self, turned: complex) -> Relation:
-        """Of wheels whose steps are turned by a complex number of length one."""
+        """The relation if the wheels' steps are rotated by a complex number of length one."""
         return replace(self, alpha=self.alpha / turned)
 
     def position(self, range_scale: float = 1.0) -> complex:
-        """Where the lidar sits, x and y as a complex number."""
+        """Position of the lidar, x and y as a complex number."""
         return self.beta * np.exp(1j * self.yaw_rad) * range_scale
 
 
 def relate(
     lidar: ComplexArray, turns_rad: FloatArray, wheels: ComplexArray, stretch: FloatArray
 ) -> Relation | None:
-    """Fit the relation to (K,) steps; None where they are too few or never turn."""
+    """Fit the relation to (K,) steps; None if there are too few, or no rotations."""
     swung = np.exp(1j * turns_rad) - 1.0
-    # Wheels may be in any unit: their steps are brought to a length that others have.
+    # Wheels may have any unit, so their steps are scaled to a usual length.
     unit = max(float(np.median(np.abs(wheels))), np.finfo(float).tiny)
     columns = [wheels / unit, 1j * wheels / unit, swung, 1j * swung]
     design = np.column_stack([np.concatenate([column.real, column.imag]) for column in columns])

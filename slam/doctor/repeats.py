@@ -1,4 +1,4 @@
-"""Readings that a sensor tells again and again: it hangs, or is handed on twice."""
+"""Detects repeated readings: the sensor is stuck, or readings are sent twice."""
 
 from __future__ import annotations
 
@@ -16,13 +16,13 @@ from slam.measurements import FloatArray, Measurement
 
 @dataclass(slots=True)
 class Repeats:
-    """How many readings are the one before to the bit, and when each run of them began and ended."""
+    """Number of readings that are bit-identical to the previous one, with start and end of each run."""
 
     count: int = 0
     _runs_s: array[float] = field(default_factory=lambda: array("d"))
 
     def take(self, newest: Measurement | None, reading: Measurement) -> bool:
-        """Whether a reading is the newest that was none."""
+        """Add a reading; returns whether it repeats the newest one."""
         if newest is None or not repeats(newest, reading):
             return False
         self.count += 1
@@ -33,14 +33,14 @@ class Repeats:
         return True
 
     def driven(self, rows: FloatArray) -> bool:
-        """Whether wheels drive on during a run of them; (N, 4) stamps, x, y, headings unwound."""
+        """Whether the wheels move during a run; (N, 4) stamps, x, y, unwrapped headings."""
         if not (self._runs_s and len(rows)):
             return False
         poses = np.stack([np.interp(self._runs_s, rows[:, 0], column) for column in rows[:, 1:].T], axis=1)
         return any(KeyframeConfig().due(*moved) for moved in (poses[1::2] - poses[::2]).tolist())
 
     def findings(self, kind: str, name: str, count: int, what: str, *, enough: bool) -> list[Finding]:
-        """What they are of so many readings: most of them, where few are not ``enough``."""
+        """Findings for ``count`` readings; if few repeats are not ``enough``, most readings must repeat."""
         if self.count < (1 if enough else max(FEWEST, count // 2 + 1)):
             return []
         same = "identical to the one before" + (", or have its stamp" if what == "clouds" else "")
@@ -51,7 +51,7 @@ class Repeats:
                 f"{self.count} of {count} {what} are {same}",
                 "the robot seems to stand still",
                 ({kind: {name: {"drop_repeated": True}}},),
-                sure=self.count + 1 < count,  # else nothing would be left
+                sure=self.count + 1 < count,  # otherwise nothing would be left
                 value=self.count / count,
             )
         ]

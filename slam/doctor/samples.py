@@ -1,4 +1,4 @@
-"""What the doctor keeps of a log: all that the wheels tell, and short stretches of scans spread over it."""
+"""Data of a log for the doctor: all wheel readings, and short stretches of scans spread over the log."""
 
 from __future__ import annotations
 
@@ -25,21 +25,21 @@ from slam.measurements import (
     WheelOdometry,
 )
 
-# Scans of a stretch lie no nearer: a robot hardly moves between.
+# Minimum interval of scans in a stretch: a robot hardly moves within it.
 SPACING_S = 0.1
 _STRETCHES = 2 * FEWEST
 
 
 @dataclass(slots=True)
 class WheelSamples:
-    """One set of wheels: every reading, stamps as they came."""
+    """All readings of one wheel odometry, with their original stamps."""
 
     _rows: array[float] = field(default_factory=lambda: array("d"))
     count: int = 0
     _heading: Unwound = field(default_factory=Unwound)
 
     def add(self, reading: WheelOdometry) -> None:
-        """Take the next reading."""
+        """Add the next reading."""
         pose = reading.T_odom_base
         self.count += 1
         self._rows.extend(
@@ -47,22 +47,23 @@ class WheelSamples:
         )
 
     def rows(self) -> FloatArray:
-        """(N, 4) stamp, x, y, heading unwound; stamps rise, a reading older than one before is left out."""
+        """(N, 4) stamp, x, y, unwrapped heading, with increasing stamps; older readings are skipped."""
         return rising(np.array(self._rows).reshape(-1, 4))
 
 
 @dataclass(slots=True)
 class LidarSamples:
-    """One lidar: stretches of scans spread evenly over the log, and how often a scan was the one before.
+    """Samples of one lidar: stretches of scans spread evenly over the log, and the number of repeats.
 
     Attributes
     ----------
     stretches
-        Lists of scans, each within a few seconds.
+        Lists of scans of a few seconds each.
     count, repeats, undated
-        Scans in all, those that are the one before to the bit, and others that are stamped no later than it.
+        Number of scans, of bit-identical repeats of the previous scan, and of other scans without a later
+        stamp.
     interval_s
-        From scan to scan.
+        Interval between scans.
     """
 
     stretches: list[list[LaserScan]] = field(default_factory=list)
@@ -76,9 +77,9 @@ class LidarSamples:
     _newest: LaserScan | None = None
 
     def add(self, scan: LaserScan) -> None:
-        """Take the next scan."""
+        """Add the next scan."""
         self.count += 1
-        # Few beams may well meet the same again, as those of a robot that a post goes along with.
+        # With few returns, equal scans are no repeat: these may come from the robot's own parts.
         sees = 2 * np.count_nonzero(np.isfinite(scan.ranges_m)) > scan.ranges_m.size
         if sees and self.repeats.take(self._newest, scan):
             return
@@ -95,7 +96,7 @@ class LidarSamples:
         self._open.append(scan)
 
     def close(self) -> None:
-        """End a stretch: every so many of them are kept, so that they are spread over the log."""
+        """End a stretch; stretches are thinned so that they are spread over the log."""
         if self._begun % self._stride == 0 and len(self._open) > 1:
             self.stretches.append(self._open)
         self._begun += 1
@@ -107,7 +108,7 @@ class LidarSamples:
 
 @dataclass(frozen=True, slots=True)
 class Samples:
-    """All of a log, by the sensors' names."""
+    """Samples of a whole log, by sensor name."""
 
     wheels: dict[str, WheelSamples]
     lidars: dict[str, LidarSamples]

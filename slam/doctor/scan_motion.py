@@ -1,4 +1,4 @@
-"""How a lidar moved over short stretches, by its scans alone."""
+"""Motion of a lidar over short stretches, from its scans alone."""
 
 from __future__ import annotations
 
@@ -19,16 +19,16 @@ from slam.measurements import FloatArray, LaserScan, pose2_from_row
 
 @dataclass(frozen=True, slots=True)
 class ScanMotion:
-    """One stretch, or a piece of it.
+    """One stretch, or a part of it.
 
     Attributes
     ----------
     stamps_s
-        (N,) of the scans that were matched.
+        (N,) stamps of the matched scans.
     poses
-        (N, 3) of the laser in its first frame.
+        (N, 3) poses of the laser in its first frame.
     fits
-        (N - 1,) shares of each scan's points, robustly weighted, that lie on what they were matched to.
+        (N - 1,) robust share of each scan's points that agree with the matched surfaces.
     """
 
     stamps_s: FloatArray
@@ -46,7 +46,7 @@ class Steps:
 
     @classmethod
     def of(cls, tracked: Sequence[ScanMotion], config: Config) -> Steps:
-        """Steps end to end, each as short as a new keyframe wants it."""
+        """Consecutive steps, each as short as the distance to a new keyframe."""
         rows = list[tuple[float, ...]]()
         for number, one in enumerate(tracked):
             first = 0
@@ -62,7 +62,7 @@ class Steps:
         return len(self.stretch)
 
     def in_space(self) -> list[SensorStep]:
-        """As steps of a sensor that might move otherwise."""
+        """Convert to steps of a sensor in 3D."""
         return [
             SensorStep(begun_s, ended_s, gtsam.Pose3(pose2_from_row(motion)))
             for (begun_s, ended_s), motion in zip(self.spans_s.tolist(), self.motions, strict=True)
@@ -72,14 +72,14 @@ class Steps:
 def track_stretches(
     stretches: Iterable[Sequence[LaserScan]], config: Config, angle_scale: float = 1.0
 ) -> list[ScanMotion]:
-    """Match the scans of each stretch to its beginning, guided by nothing but their own motion so far.
+    """Match the scans of each stretch to its start, predicted only by their own motion so far.
 
-    A stretch begins anew where a match fails or leaves a direction open (a corridor).
+    A stretch starts again if a match fails or is degenerate (a corridor).
 
     Parameters
     ----------
     angle_scale
-        Of all bearings, about the middle of the field of view.
+        Factor of all bearings, about the centre of the field of view.
     """
     return [
         one for scans in stretches for one in _track([_turned(scan, angle_scale) for scan in scans], config)
@@ -87,7 +87,7 @@ def track_stretches(
 
 
 def _turned(scan: LaserScan, angle_scale: float) -> LaserScan:
-    """A scan in the laser's own frame, with another angle from beam to beam."""
+    """A scan in the laser's own frame, with another angular step."""
     half_rad = 0.5 * scan.step_rad * (scan.ranges_m.size - 1)
     return replace(
         scan,
@@ -98,7 +98,7 @@ def _turned(scan: LaserScan, angle_scale: float) -> LaserScan:
 
 
 def _track(scans: Sequence[LaserScan], config: Config) -> Iterator[ScanMotion]:
-    """One stretch, in as many pieces as matches fail."""
+    """Track one stretch; failed matches split it into parts."""
     limits = config.match
     points = [OrientedPoints.from_scan(points_by(config.scan, scan)) for scan in scans]
     begun = 0

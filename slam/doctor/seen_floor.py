@@ -1,4 +1,4 @@
-"""The floor where a lidar that tilts sees it: a straight line ahead that goes wherever the robot goes."""
+"""Detects the floor in scans of a tilted lidar: a straight line ahead that moves with the robot."""
 
 from __future__ import annotations
 
@@ -17,10 +17,10 @@ from slam.measurements import BoolArray, FloatArray, LaserScan
 def floor_findings(
     name: str, stretches: Sequence[Sequence[LaserScan]], tracked: Sequence[ScanMotion], config: Config
 ) -> list[Finding]:
-    """What is said of a lidar that sees the floor; nothing where it sees none, or hardly turns.
+    """Findings about a lidar that sees the floor; none if it does not see it, or hardly turns.
 
-    While a robot turns, walls turn with what it sees. A line that stays through two turns, on both sides of
-    its middle, and behind which nothing ever is, is the floor.
+    While a robot turns, walls rotate in its view. A line that stays through two rotations, on both sides of
+    its middle, with nothing behind it, is the floor.
     """
     known = {scan.stamp_s: scan for scans in stretches for scan in scans}
     scans, turns, headings = list[LaserScan](), list[int](), list[float]()
@@ -32,12 +32,12 @@ def floor_findings(
     if len(scans) < FEWEST or len({scan.ranges_m.size for scan in scans}) > 1:
         return []
     table = np.array([np.where(np.isfinite(scan.ranges_m), scan.ranges_m, 0.0) for scan in scans])
-    # As far as the lidar reaches it sees no line, but an arc.
+    # At its maximum range, the lidar sees an arc, not a line.
     most_m = math.cos(math.pi / 4) * float(np.quantile(table, 1.0 - FEWEST**-2))
     angles, rows = scans[0].bearings_rad(), np.array([turns, headings])
 
     def through(seen: BoolArray) -> tuple[int, float]:
-        """Through how many turns, and through which angle in all."""
+        """Number of turns, and their total angle."""
         spans = [np.ptp(rows[1, seen & (rows[0] == turn)]) for turn in np.unique(rows[0, seen])]
         return sum(span > config.keyframes.angle_rad for span in spans), float(sum(spans))
 
@@ -59,9 +59,9 @@ def floor_findings(
 
 
 def _line(ranges_m: FloatArray, aside_rad: FloatArray, most_m: float) -> tuple[float, BoolArray]:
-    """How far away the farthest line across a bearing is; which scans (S, N) see it, on both sides.
+    """Distance of the farthest line perpendicular to a bearing; and which scans (S, N) see it, on both sides.
 
-    None does where things are behind, or it is farther than ``most_m``.
+    None do if something is behind it, or if it is farther than ``most_m``.
     """
     none, near = np.zeros(len(ranges_m), np.bool_), np.abs(aside_rad) < math.pi / 4
     ahead_m, left = ranges_m[:, near] * np.cos(aside_rad[near]), aside_rad[near] > 0.0
@@ -73,7 +73,7 @@ def _line(ranges_m: FloatArray, aside_rad: FloatArray, most_m: float) -> tuple[f
     if at_m > most_m or np.mean(farthest > (1.0 + 2.0 / FEWEST) * at_m) >= 1.0 / FEWEST:
         return at_m, none
     on_line = np.abs(ahead_m - at_m) < at_m / FEWEST
-    # Where scans are cut off, nothing is seen more often.
+    # Beams without return (0) must be fewer, otherwise the line is the maximum range.
     sides = [(on_line[:, one], ahead_m[:, one] == 0.0) for one in (left, ~left)]
     seen = [np.count_nonzero(on, axis=1) > np.maximum(FEWEST // 4, np.sum(no, axis=1)) for on, no in sides]
     return at_m, seen[0] & seen[1]

@@ -1,4 +1,4 @@
-"""Which readings of a long log are looked at: stretches of even length, spread over it as it goes on."""
+"""Chooses readings of a long log: stretches of equal length, spread evenly over the log."""
 
 from __future__ import annotations
 
@@ -8,24 +8,24 @@ from dataclasses import dataclass
 
 from fusion.time_alignment import GAP_S
 
-# Seconds of a stretch, stretches that are kept: between half as many and so many.
+# Duration of a stretch in s, and maximum number of stretches (at least half of it are kept).
 LASTS_S, MOST = 2.0, 12
-# Readings lie no nearer: ten a second, with slack for stamps that jitter.
+# Minimum interval of readings: 10 Hz, with a margin for jitter of stamps.
 _LEAST_STEP_S = 0.09
 
 
 @dataclass(slots=True)
 class Stretches:
-    """Says which readings belong to a stretch.
+    """Decides which readings belong to a stretch.
 
-    A stretch follows the other; of a log that is long every second is left out, then of the rest, and so on.
+    Stretches are consecutive; in a long log, every second one is dropped, then every second of the rest, etc.
 
     Attributes
     ----------
     begins
-        Whether the reading that was last wanted begins a stretch.
+        Whether the last chosen reading starts a stretch.
     thinned
-        Whether, as it began, every second of those before was given up.
+        Whether every second of the earlier stretches was dropped when it started.
     """
 
     begins: bool = False
@@ -36,12 +36,12 @@ class Stretches:
     _stride: int = 1
 
     def choose(self, stamps_s: Sequence[float]) -> list[bool]:
-        """Which of the next readings are looked at and not given up again when the last of them has come."""
+        """Which of the next readings are chosen, and still kept after the last of them."""
         looked_at = [(self.wants(stamp_s), self._number) for stamp_s in stamps_s]
         return [wanted and number % self._stride == 0 for wanted, number in looked_at]
 
     def wants(self, stamp_s: float) -> bool:
-        """Whether the reading of a stamp is looked at."""
+        """Whether the reading with this stamp is chosen."""
         since_s = stamp_s - self._newest_s
         self.begins = self.thinned = False
         if not 0.0 <= since_s < 2.0 * GAP_S or stamp_s - self._begun_s > LASTS_S:

@@ -1,4 +1,4 @@
-"""What must be right before steps can be compared: the clocks, and the angle from beam to beam."""
+"""Checks what must be right before steps can be compared: clocks and the angular step of beams."""
 
 from __future__ import annotations
 
@@ -19,12 +19,12 @@ from slam.doctor.wheel_steps import WheelSteps, clock_of
 def clock_finding(
     pair: Pair, tracked: list[ScanMotion], steps: Steps, config: Config
 ) -> tuple[float, list[Finding]]:
-    """By how much the wheels' clock is ahead where that matters, and the finding."""
+    """How far the wheels' clock is ahead, if it matters, and the finding."""
     offsets = [clock_of(tracked, pair.rows, sign) for sign in (1.0, -1.0)]
     found = max((one for one in offsets if one is not None), key=lambda one: one.correlation, default=None)
     if found is None:
         return 0.0, []
-    # Once more about the first estimate, by steps long enough to average a match's errors.
+    # Repeat around the first estimate, with steps long enough to average errors of matches.
     around_s = np.linspace(-0.5 * GAP_S, 0.5 * GAP_S, FEWEST + 1)
     tried_s = [0.0, *(found.offset_s + around_s).tolist()]
     misfits = [_misfit(WheelSteps.of(steps, pair.rows, ahead_s)) for ahead_s in tried_s]
@@ -32,7 +32,7 @@ def clock_finding(
     offset_s = tried_s[best]
     turned = steps.motions[:, 2] / (steps.spans_s[:, 1] - steps.spans_s[:, 0])
     wrong_rad = 2.0 * abs(offset_s) * float(turned.std())
-    # What the wheels are allowed for a keyframe's turn is no mistake, nor is what helps little.
+    # An offset within the wheels' tolerance for a keyframe's rotation, or with little effect, is no error.
     allowed_rad = config.wheels.turn_share * config.keyframes.angle_rad + config.wheels.floor_rad
     if wrong_rad < allowed_rad or 2.0 * misfits[best] > misfits[0]:
         return 0.0, []
@@ -55,7 +55,7 @@ def clock_finding(
 
 
 def _misfit(wheels: WheelSteps) -> float:
-    """How badly turns fit, in mean radians, whatever their scale; infinite where too few do."""
+    """Mean misfit of rotations in radians, independent of scale; infinite for too few."""
     turn = wheels.turn_scale()
     if turn is None:
         return math.inf
@@ -65,17 +65,17 @@ def _misfit(wheels: WheelSteps) -> float:
 def angle_scale(
     pair: Pair, tracked: list[ScanMotion], wheels: WheelSteps, ahead_s: float, config: Config
 ) -> tuple[Finding, list[ScanMotion]] | None:
-    """Whether the angle from beam to beam is another than stated, and the motion by the right one.
+    """Whether the angular step of beams differs from the stated one, and the motion with the right one.
 
-    A stretched fan of beams shows every turn stretched, as wheels of a wrong base do; but it also bends all
-    walls, so that scans from two places fit each other badly.
+    A stretched field of view scales every rotation, like a wrong wheel base; but it also bends walls, so that
+    scans from two places do not fit.
     """
     scale, better = 1.0, tracked
     turn = wheels.turn_scale()
     for _ in range(3):
         if turn is None or turn.values[0] == 0.0:
             return None
-        # Beyond this it is no fan of beams, but a unit.
+        # A larger factor is an error of units, not of the field of view.
         scale = float(np.clip(scale / abs(turn.values[0]), 1.0 / math.pi, math.pi))
         if abs(math.log(scale)) < 0.5 * IN_ORDER:
             return None
@@ -91,7 +91,8 @@ def angle_scale(
     scan = pair.stretches[0][0]
     beams = scan.ranges_m.size
     stated_deg = math.degrees(scan.step_rad) * (beams - 1)
-    # Wheels are a per cent off; makers make whole tens of degrees: the one in which scans fit best.
+    # Wheels have errors of a percent; fields of view are multiples of ten degrees: use the one with the
+    # best fit of scans.
     near_deg = [stated_deg * scale, *(round(stated_deg * scale + shift, -1) for shift in (-5, 5))]
     views = [
         (deg, track_stretches(pair.stretches, config, deg / stated_deg))
@@ -124,7 +125,7 @@ def angle_scale(
 
 
 def _fits_better(tracked: Sequence[ScanMotion], other: Sequence[ScanMotion]) -> bool:
-    """Whether scans fit each other better than in another try, beyond chance, and no fewer of them."""
+    """Whether scans fit significantly better than in another attempt, and not fewer of them."""
     fits = [
         {stamp_s: fit for one in tries for stamp_s, fit in zip(one.stamps_s[1:], one.fits, strict=True)}
         for tries in (tracked, other)
@@ -132,7 +133,7 @@ def _fits_better(tracked: Sequence[ScanMotion], other: Sequence[ScanMotion]) -> 
     both = sorted(fits[0].keys() & fits[1].keys())
     if len(both) < 2 * FEWEST or 2 * len(fits[0]) < len(fits[1]):
         return False
-    # Scans of one place share their fate.
+    # Scans of one place are not independent.
     parts = np.array_split([fits[0][stamp_s] - fits[1][stamp_s] for stamp_s in both], FEWEST)
     gains = [float(part.mean()) for part in parts]
     return float(np.mean(gains)) > math.sqrt(gate()) * float(np.std(gains)) / math.sqrt(len(gains))

@@ -1,10 +1,10 @@
-"""The turn of a spinning lidar whose points do not tell when they were seen, by what its own motion bends.
+"""Estimates the rotation of a spinning lidar without point times from the distortion by its own motion.
 
-A point that was seen ``t`` after the middle of a turn lies off by ``t (v + w x p)``, v and w the lidar's
-velocities. As it was seen by its bearing, ``t`` is ``turn_s`` times the share of the circle from where a turn
-begins, less a half. Two clouds of different places see the same walls at different bearings: their
-distances from each other's planes, linear in the pose as in the alignment, are so in ``turn_s``. Its sign is
-the sense of the turn, and the beginning that explains most is the cut.
+A point measured ``t`` after the middle of a revolution is displaced by ``t (v + w x p)``, with the lidar's
+velocities v and w. By its bearing, ``t`` is ``turn_s`` times (its share of the circle from the start of a
+revolution, minus one half). Two clouds from different places see the same walls at different bearings: their
+distances from each other's planes are linear in the pose, as in the alignment, and in ``turn_s``. Its sign is
+the direction of rotation, and the start that explains most is the cut.
 """
 
 from __future__ import annotations
@@ -33,21 +33,21 @@ from slam.measurements import FloatArray, LaserScan, PointCloud, pose2_from_row
 from slam.odometry.cloud_tracker import CloudTracker
 
 T = TypeVar("T")
-# Of so many turns one is recorded at least; planes of bent clouds are so thick, in voxels.
+# At least one of this many revolutions is recorded; thickness of planes in distorted clouds, in voxels.
 _TURNS, _THICKNESS = 5, 0.2
 _CUTS_RAD = np.arange(SLICES) * math.tau / SLICES
 
 
 @dataclass(frozen=True, slots=True)
 class Turn:
-    """How a lidar spins.
+    """The rotation of a lidar.
 
     Attributes
     ----------
     turn_s, sigma_s
-        How long a turn takes, < 0 clockwise seen from above.
+        Duration of a revolution, < 0 clockwise seen from above.
     cut_rad
-        Bearing at which it begins and ends.
+        Bearing of its start and end.
     """
 
     turn_s: float
@@ -55,7 +55,7 @@ class Turn:
     cut_rad: float
 
     def finding(self, kind: str, name: str) -> Finding:
-        """What the log does not tell of the lidar of a name; the kind is that of a calibration."""
+        """The finding for a lidar; ``kind`` is its type in a calibration file."""
         sense, turn_s = "clockwise" if self.turn_s < 0.0 else "counter-clockwise", round(self.turn_s, 4)
         cut_deg = round(math.degrees(math.remainder(self.cut_rad, math.tau)), 1)
         return Finding(
@@ -70,9 +70,10 @@ class Turn:
         )
 
     def stamped(self, clock: Finding, name: str) -> Finding:
-        """What an IMU's clock is off by, of the lidar of a name where it is half a turn.
+        """An IMU's clock offset, attributed to the lidar if it is half a revolution.
 
-        Drivers stamp the beginning of a turn or its end, and points without times are taken about its middle.
+        Drivers stamp the start or the end of a revolution, and points without times are assumed around its
+        middle.
         """
         half_s = math.copysign(0.5 * self.turn_s, clock.value or 0.0)
         if clock.kind != "clock" or abs((clock.value or 0.0) - half_s) > CLOCK_S:
@@ -86,13 +87,13 @@ class Turn:
         )
 
     def timed(self, cloud: PointCloud) -> PointCloud:
-        """A cloud whose points tell their times, its stamp in the middle of its turn."""
+        """The cloud with point times, and the stamp in the middle of its revolution."""
         return replace(cloud, times_s=turn_times(cloud.points_lidar, self.turn_s, self.cut_rad))
 
 
 @dataclass(frozen=True, slots=True)
 class _Moving:
-    """A cloud, where it was seen, and the (6,) twist of the lidar then."""
+    """A cloud, its pose, and the (6,) twist of the lidar."""
 
     cloud: PointCloud
     pose: gtsam.Pose3
@@ -110,29 +111,29 @@ def turn_of(
     config: Config,
     by_scans: Iterable[Sequence[_Pair]] | None = None,
 ) -> Turn | None:
-    """How a lidar spins whose points tell no times; None where nothing is bent, or nothing tells.
+    """Rotation of a lidar without point times; None if nothing is distorted, or if it is not determined.
 
     Parameters
     ----------
     stretches
-        Clouds one after the other, lidar's frame, thinned: as many stretches are looked at as it takes.
+        Consecutive thinned clouds in the lidar's frame; as many stretches are used as needed.
     interval_s
-        From cloud to cloud: a whole number of turns.
+        Interval of clouds: a whole number of revolutions.
     by_scans
-        Of a 2D lidar, see `_pairs_of_scans`: of most logs they tell soon that nothing is bent.
+        For a 2D lidar, see `_pairs_of_scans`: in most logs it is soon clear that nothing is distorted.
     """
     if interval_s <= 0.0 or not stretches:
         return None
     if by_scans is not None and not (_looks_round(stretches[0]) and _bends(by_scans, interval_s, config)):
         return None
-    while len(stretches) < 4 and len(stretches[0]) >= FEWEST:  # of a short log
+    while len(stretches) < 4 and len(stretches[0]) >= FEWEST:  # for a short log
         stretches = [half for one in stretches for half in (one[: len(one) // 2], one[len(one) // 2 :])]
     bends = _bends((_pairs(clouds, config) for clouds in _spread_out(stretches)), interval_s, config)
     return _settled(*bends, interval_s, config, by_scans is not None) if bends else None
 
 
 def run_backward(stretches: Sequence[Sequence[PointCloud]], config: Config) -> bool:
-    """Whether clouds of four stretches fit better with reversed times, by twice what chance may do."""
+    """Whether clouds of four stretches fit better with reversed times, by twice the significance limit."""
     pairs = [pair for clouds in islice(_spread_out(stretches), 5) for pair in _pairs(clouds, config)]
     gain = _gain(pairs, turned_round, lambda cloud: cloud, config) if len(pairs) > 9 else 0.0
     return gain > 2
@@ -141,7 +142,7 @@ def run_backward(stretches: Sequence[Sequence[PointCloud]], config: Config) -> b
 def turn_in_the_plane(
     stretches: Sequence[Sequence[LaserScan]], interval_s: float, config: Config
 ) -> Turn | None:
-    """As `turn_of`, of a 2D lidar."""
+    """Like `turn_of`, for a 2D lidar."""
     short = _short(stretches)
     walls = [[_stood_up(scan) for scan in scans] for scans in short]
     by_scans = (_pairs_of_scans(scans, config) for scans in _spread_out(short))
@@ -149,7 +150,7 @@ def turn_in_the_plane(
 
 
 def told_turn(stretches: Sequence[Sequence[LaserScan]], config: Config) -> Turn | None:
-    """The turn of a 2D lidar whose scans tell ``beam_s``, where it shows: which way, drivers take lightly."""
+    """The rotation of a 2D lidar with ``beam_s``, if visible; drivers often have the wrong direction."""
     scan = stretches[0][0]
     turn_s = abs(scan.beam_s / scan.step_rad) * math.tau if scan.step_rad else 0.0
     if not 0.0 < turn_s <= GAP_S:
@@ -161,7 +162,7 @@ def told_turn(stretches: Sequence[Sequence[LaserScan]], config: Config) -> Turn 
 
 
 def _short(stretches: Sequence[Sequence[LaserScan]]) -> list[list[LaserScan]]:
-    """Stretches spread over a log, the first seconds of each."""
+    """The first seconds of stretches spread over a log."""
     return [
         [scan for scan in scans if scan.stamp_s - scans[0].stamp_s <= LASTS_S]
         for scans in stretches[:: -(-len(stretches) // MOST)]
@@ -169,7 +170,7 @@ def _short(stretches: Sequence[Sequence[LaserScan]]) -> list[list[LaserScan]]:
 
 
 def _stood_up(scan: LaserScan) -> PointCloud:
-    """A scan of the plane as a cloud: walls half a metre up and down, with a floor before them."""
+    """A planar scan as a cloud: walls extended by half a metre up and down, with a floor in front."""
     walls, shares = scan.points_laser(), np.arange(1, 5) / 4
     heights_m = np.linspace(-0.5, 0.5, 5)
     rows = [np.column_stack([walls, np.full(len(walls), height_m)]) for height_m in heights_m]
@@ -180,7 +181,7 @@ def _stood_up(scan: LaserScan) -> PointCloud:
 def _bends(
     stretches: Iterable[Sequence[_Pair]], interval_s: float, config: Config
 ) -> tuple[list[_Pair], Turn] | None:
-    """Pairs of as many stretches as it takes, and the turn they tell as bent; None where that is none."""
+    """Pairs of as many stretches as needed, and the rotation from distorted clouds; None without one."""
     pairs, told, bent, fit, number = list[_Pair](), list[_Told](), Turn(0.0, 0.0, 0.0), None, 0
     for number, new in enumerate(stretches, 1):
         pairs += new
@@ -189,7 +190,7 @@ def _bends(
         if fit is None:
             continue
         within_s = math.sqrt(gate()) * fit.sigma_s
-        # Planes of bent clouds hold back: at first it looks half as long.
+        # Planes of distorted clouds bias the estimate: at first, the duration appears half as long.
         if abs(fit.turn_s) + within_s < 0.5 * interval_s / (_TURNS + 0.5):
             return None
         if abs(fit.turn_s) > within_s and number > 3:
@@ -198,18 +199,18 @@ def _bends(
 
 
 def _settled(pairs: Sequence[_Pair], fit: Turn, interval_s: float, config: Config, flat: bool) -> Turn | None:
-    """The whole share of the interval that clouds tell once straightened, and where they agree best."""
-    own = np.array([fit.cut_rad])  # straightened in part, another cut may explain the rest, and lead astray
+    """The duration after deskewing (a whole fraction of the interval), and the best cut."""
+    own = np.array([fit.cut_rad])  # after partial deskewing, another cut may explain the rest wrongly
     for _ in range(ROUNDS):
         before, fit = fit, _fit(_told_by(pairs, fit, config, own), own) or fit
         if abs(fit.turn_s - before.turn_s) <= fit.sigma_s:
             break
-    # Bent clouds tell it surely only once they are straightened: then from one that takes half as long.
+    # The estimate is certain only after deskewing, so start with half the duration.
     if abs(fit.turn_s) < max(interval_s / (_TURNS + 0.5), 2 * math.sqrt(gate()) * fit.sigma_s):
         return None
     shares = [math.copysign(interval_s / turns, fit.turn_s) for turns in range(1, _TURNS + 1)]
     again = [_fit(_told_by(pairs, replace(fit, turn_s=share), config, own), own) or fit for share in shares]
-    # What straightens them as it should, they tell once more.
+    # If deskewing is right, the clouds give the same estimate again.
     told, turn_s = min(zip(again, shares, strict=True), key=lambda one: abs(one[0].turn_s / one[1] - 1.0))
     best = replace(told, turn_s=turn_s)
     for slices in (4, 2, 1):
@@ -220,18 +221,18 @@ def _settled(pairs: Sequence[_Pair], fit: Turn, interval_s: float, config: Confi
 
 
 def _bent(pairs: Sequence[_Pair], turn: Turn, config: Config) -> Turn | None:
-    """The turn where flat scans fit better by it."""
+    """The rotation, if planar scans fit better with it."""
     return turn if _gain(pairs, turn.timed, replace(turn, turn_s=TINY).timed, config) > 2 else None
 
 
 def _gain(pairs: Sequence[_Pair], one: _Timed, other: _Timed, config: Config) -> float:
-    """How many more points fit by one way to time them than by another, over what chance may do."""
+    """Additional share of fitting points with one timing compared with another, beyond chance."""
     gains = np.subtract(_agreed(pairs, one, config), _agreed(pairs, other, config))
     return float(gains.mean() / max(gains.std() / math.sqrt(len(gains)), TINY)) if len(gains) else 0.0
 
 
 def _agreed(pairs: Sequence[_Pair], timed: _Timed, config: Config) -> list[float]:
-    """Of each pair the share of a cloud's points on planes of the other, both straightened as timed."""
+    """For each pair, the share of a cloud's points on planes of the other, both deskewed."""
     found, ways = list[float](), config.cloud_odometry
     for first, second, voxel_m in pairs:
         known, seen = (base_points(timed(one.cloud), one.twist, ways) for one in (first, second))
@@ -243,11 +244,11 @@ def _agreed(pairs: Sequence[_Pair], timed: _Timed, config: Config) -> list[float
 
 
 def _fit(told: Sequence[_Told], cuts_rad: FloatArray) -> Turn | None:
-    """The turn that explains most by what pairs have told of each cut; sigma by how they differ."""
+    """The rotation that explains most, from the sums of all pairs for each cut; sigma from their scatter."""
     if not told:
         return None
     weights, sums = (np.array(one) for one in zip(*told, strict=True))
-    # In a sharp turn points leave their planes: what it claims to tell is no more than others do.
+    # In a sharp turn, points leave their planes, so limit the weight of a pair to that of others.
     most = 1.0 / (1.0 + weights / np.maximum(np.median(weights, axis=0), TINY))
     weights, sums = weights * most, sums * most
     whole = np.maximum(weights.sum(axis=0), TINY)
@@ -258,7 +259,7 @@ def _fit(told: Sequence[_Told], cuts_rad: FloatArray) -> Turn | None:
 
 
 def _told_by(pairs: Sequence[_Pair], now: Turn, config: Config, cuts_rad: FloatArray) -> list[_Told]:
-    """What each pair tells as a turn straightens it, of those that tell something."""
+    """The sums of each pair after deskewing, for pairs with information."""
     found = (_told(*pair, now, config, cuts_rad) for pair in pairs)
     return [one for one in found if one is not None]
 
@@ -266,7 +267,7 @@ def _told_by(pairs: Sequence[_Pair], now: Turn, config: Config, cuts_rad: FloatA
 def _told(
     first: _Moving, second: _Moving, voxel_m: float, now: Turn, config: Config, cuts_rad: FloatArray
 ) -> _Told | None:
-    """Least squares of the turn for each cut (C,), the pose between left open."""
+    """Least squares of the rotation for each cut (C,), with free relative pose."""
     ways = config.cloud_odometry
     known, seen = (base_points(now.timed(one.cloud), one.twist, ways) for one in (first, second))
     planes = PlaneVoxels.build(known, voxel_m, _THICKNESS * voxel_m)
@@ -282,7 +283,7 @@ def _told(
     off_m = np.sum(normals * (there - paired.centers), axis=1)
     weights = 1.0 / ((_THICKNESS * voxel_m) ** 2 + off_m**2)  # Cauchy
     slopes = np.hstack([np.cross(own, normals @ turned), normals @ turned])
-    # What a second of the turn moves a point by, across the plane, and the plane itself.
+    # Displacement of a point perpendicular to the plane per second of the revolution, and the plane itself.
     moved, moves = (
         np.sum(normals * (one[3:] + np.cross(one[:3], points)) @ rotation.T, axis=1)
         for one, points, rotation in ((second.twist, own, turned), (first.twist, there, np.eye(3)))
@@ -300,7 +301,7 @@ def _told(
 
 
 def _pairs(clouds: Sequence[PointCloud], config: Config) -> list[_Pair]:
-    """The `_ends` of a stretch, by a tracker of its own."""
+    """The `_ends` of a stretch, from a separate tracker."""
     tracker, tracked = CloudTracker(config, None), list[tuple[PointCloud, gtsam.Pose3]]()
     for cloud in clouds:
         found = tracker.follow(cloud)
@@ -310,7 +311,7 @@ def _pairs(clouds: Sequence[PointCloud], config: Config) -> list[_Pair]:
 
 
 def _pairs_of_scans(scans: Sequence[LaserScan], config: Config) -> list[_Pair]:
-    """As `_pairs`, of the longest piece of a stretch that is matched in the plane: a tenth of the time."""
+    """Like `_pairs`, for the longest part of a stretch matched in the plane: ten times as fast."""
     motion = max(track_stretches([scans], config), key=lambda one: len(one.stamps_s), default=None)
     if motion is None:
         return []
@@ -322,7 +323,7 @@ def _pairs_of_scans(scans: Sequence[LaserScan], config: Config) -> list[_Pair]:
 
 
 def _ends(tracked: Sequence[tuple[PointCloud, gtsam.Pose3]], voxel_m: float) -> list[_Pair]:
-    """Begin, middle and end of a stretch against each other, with the voxel of their planes."""
+    """Pairs of start, middle and end of a stretch, with the voxel size of their planes."""
     if len(tracked) < 3 or any(one[0].stamp_s >= other[0].stamp_s for one, other in pairwise(tracked)):
         return []
     chosen = []
@@ -334,13 +335,13 @@ def _ends(tracked: Sequence[tuple[PointCloud, gtsam.Pose3]], voxel_m: float) -> 
 
 
 def _looks_round(walls: Sequence[PointCloud]) -> bool:
-    """Whether a 2D lidar sees more than half a circle: what sees less may not spin."""
+    """Whether a 2D lidar sees more than half a circle; otherwise it may not spin."""
     bearings = [bearings_rad(one.points_lidar) for one in walls]
     slices = np.floor(np.concatenate([*bearings, np.zeros(1)]) / math.tau * SLICES)
-    return len(np.unique(slices[np.isfinite(slices)])) > SLICES // 2 + 1  # half a circle touches one more
+    return len(np.unique(slices[np.isfinite(slices)])) > SLICES // 2 + 1  # a half circle touches one more
 
 
 def _spread_out(stretches: Sequence[T]) -> Iterator[T]:
-    """Every fourth first, then those between."""
+    """Every fourth stretch first, then those between."""
     for begin in (0, 2, 1, 3):
         yield from stretches[begin::4]

@@ -1,4 +1,4 @@
-"""What wheels say of the steps that a lidar has made, under whatever they may have got wrong."""
+"""Wheel odometry at the steps of a lidar, under different assumptions about its errors."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ from slam.measurements import BoolArray, FloatArray
 
 @dataclass(frozen=True, slots=True)
 class Reading:
-    """One way to read what the wheels write.
+    """One interpretation of the written wheel odometry.
 
     Attributes
     ----------
     heading_scale
-        Of the written heading.
+        Factor of the written heading.
     flipped
         Whether one of the written axes has the wrong sign.
     """
@@ -31,14 +31,14 @@ class Reading:
 
 @dataclass(frozen=True, slots=True)
 class WheelSteps:
-    """Wheels at both ends of a lidar's steps, (K,) each.
+    """Wheel odometry at both ends of a lidar's steps, (K,) each.
 
     Attributes
     ----------
     places
-        (K, 2) written position as a complex number, before and after.
+        (K, 2) written positions as complex numbers, at start and end.
     headings_rad
-        (K, 2) written heading, unwound.
+        (K, 2) written headings, unwrapped.
     """
 
     lidar: ComplexArray
@@ -49,7 +49,7 @@ class WheelSteps:
 
     @classmethod
     def of(cls, steps: Steps, rows: FloatArray, ahead_s: float) -> WheelSteps:
-        """The steps whose both ends the wheels' readings (N, 4) reach, their clock being ahead by so much."""
+        """The steps with both ends in the wheels' readings (N, 4), whose clock is ahead by ``ahead_s``."""
         asked_s = steps.spans_s + ahead_s
         after = np.clip(np.searchsorted(rows[:, 0], asked_s), 1, len(rows) - 1)
         told = (rows[after, 0] - rows[after - 1, 0] < 2.0 * GAP_S) & (asked_s >= rows[0, 0])
@@ -64,7 +64,7 @@ class WheelSteps:
 
     @property
     def turns_rad(self) -> FloatArray:
-        """(K,) written turns."""
+        """(K,) written rotations."""
         return np.asarray(self.headings_rad[:, 1] - self.headings_rad[:, 0])
 
     def steps(self, reading: Reading) -> ComplexArray:
@@ -75,20 +75,20 @@ class WheelSteps:
         )
 
     def turn_scale(self) -> Linear | None:
-        """By what the written turns are to be multiplied to be the lidar's; None of too few."""
+        """Factor from written rotations to the lidar's; None for too few."""
         return fit_linear(self.turns_rad[:, None], self.lidar_turns_rad, self.stretch)
 
     def related(self, reading: Reading) -> Relation | None:
-        """The relation under a reading; None where it is open."""
+        """The relation under an interpretation; None if not determined."""
         return relate(self.lidar, self.lidar_turns_rad, self.steps(reading), self.stretch)
 
     def misfits(self, reading: Reading, found: Relation) -> FloatArray:
-        """(K,) metres by which each step misses the relation."""
+        """(K,) residual of each step, metres."""
         swung = np.exp(1j * self.lidar_turns_rad) - 1.0
         return np.abs(self.lidar - found.alpha * self.steps(reading) - found.beta * swung)
 
     def best(self, readings: list[Reading]) -> tuple[Reading, Relation] | None:
-        """The reading that most steps agree with; the first, unless another is so beyond doubt."""
+        """The interpretation that most steps agree with; the first, unless another is clearly better."""
         found = [(one, relation) for one in readings if (relation := self.related(one)) is not None]
         if not found:
             return None
@@ -97,13 +97,13 @@ class WheelSteps:
         agree: BoolArray = misfits**2 < gate(2) * sigma_m**2
         best = int(np.argmax(agree.sum(axis=1)))
         alone = int((agree[best] & ~agree[0]).sum()), int((agree[0] & ~agree[best]).sum())
-        # Steps that only one of the two explains fall to either like a coin, were both as good.
+        # If both were equally good, steps that only one explains would be divided like coin tosses.
         beyond = alone[0] - alone[1] > np.sqrt(gate() * max(sum(alone), 1)) and alone[0] >= FEWEST // 2
         return found[best] if beyond else found[0]
 
 
 def clock_of(tracked: list[ScanMotion], rows: FloatArray, sign: float) -> ClockOffset | None:
-    """By how much the wheels' clock is ahead of the lidar's; None where the turns do not tell."""
+    """How far the wheels' clock is ahead of the lidar's; None if the rotations do not determine it."""
     spans = np.concatenate(
         [np.column_stack([one.stamps_s[:-1], one.stamps_s[1:]]) for one in tracked] or [np.zeros((0, 2))]
     )

@@ -1,4 +1,4 @@
-"""Wheels against a lidar: which of the two is read, mounted or scaled wrongly, and how."""
+"""Compares wheels with a lidar: which of them is interpreted, mounted or scaled wrongly, and how."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from slam.doctor.wheel_steps import Reading, WheelSteps
 from slam.matching.planar import wrap
 from slam.measurements import FloatArray
 
-# What a length may be multiplied with by a mistake of units: millimetres, centimetres, feet, inches, doubled.
+# Factors of lengths caused by wrong units: millimetres, centimetres, feet, inches, doubled.
 _UNITS = (1e-3, 1e-2, 0.3048, 0.0254, 0.5, 2.0)
 _QUARTERS = ("x y", "-y x", "-x -y", "y -x")
 _FLIPPED_QUARTERS = ("x -y", "y x", "-x y", "-y -x")
@@ -27,7 +27,7 @@ _GARBLED = "each step of the wheels has a wrong direction, so they cannot be use
 
 
 def compare(pair: Pair, tracked: list[ScanMotion], config: Config) -> tuple[list[Finding], list[str]]:
-    """What wheels and a lidar say of each other that cannot be, and what they leave open."""
+    """Contradictions between wheels and a lidar, and undetermined questions."""
     steps = Steps.of(tracked, config)
     if len(steps) < FEWEST:
         return [], [f"{pair.lidar}: the scans do not determine its motion (corridors, or it stands)"]
@@ -73,7 +73,7 @@ def compare(pair: Pair, tracked: list[ScanMotion], config: Config) -> tuple[list
 
 
 def _frozen(pair: Pair) -> Finding:
-    """Wheels that never tell any motion."""
+    """Wheels that never report any motion."""
     return Finding(
         pair.wheels,
         "frozen wheels",
@@ -84,7 +84,7 @@ def _frozen(pair: Pair) -> Finding:
 
 
 def _explains(turn: Linear | None, turns_rad: FloatArray) -> bool:
-    """Whether written turns explain most of the lidar's; true where that hardly turns."""
+    """Whether written rotations explain most of the lidar's; true if it hardly turns."""
     scatter_rad = float(np.std(turns_rad))
     if scatter_rad < IN_ORDER:
         return True
@@ -92,9 +92,9 @@ def _explains(turn: Linear | None, turns_rad: FloatArray) -> bool:
 
 
 def fits_as_read(wheels: WheelSteps, reading: Reading, relation: Relation, config: Config) -> bool:
-    """Whether wheels tell half of the way as well as wheels do: to a share of it, and of what a turn swings.
+    """Whether half of the distance is as accurate as usual for wheels: to a share of distance and rotation.
 
-    Who mostly turns in place makes steps so short that what a match is off by is much of them.
+    A robot that mostly turns on the spot has steps so short that errors of matches are a large part.
     """
     way_m = np.abs(wheels.lidar)
     allowed_m = IN_ORDER * way_m + config.wheels.swing_m_per_rad * np.abs(wheels.lidar_turns_rad)
@@ -105,7 +105,7 @@ def fits_as_read(wheels: WheelSteps, reading: Reading, relation: Relation, confi
 
 
 def _unfit(pair: Pair) -> Finding:
-    """Wheels that fit the scans however they are read."""
+    """Wheels that do not fit the scans under any interpretation."""
     return Finding(
         pair.wheels,
         "no agreement",
@@ -117,7 +117,7 @@ def _unfit(pair: Pair) -> Finding:
 def _axes(
     pair: Pair, wheels: WheelSteps, reading: Reading, relation: Relation
 ) -> tuple[list[Finding], Relation, bool]:
-    """Signs and axes; the relation without these, and whether the wheels roll along their x axis."""
+    """Findings about signs and axes; the corrected relation; whether the wheels roll along their x axis."""
     findings = list[Finding]()
     steps = wheels.steps(reading)
     entries: dict[str, Any] = {}
@@ -130,14 +130,14 @@ def _axes(
         entries["heading_scale"] = reading.heading_scale
     if entries.get("heading_scale", 1.0) != 1.0:
         findings.append(_heading(pair, entries["heading_scale"]))
-    # Robots roll ahead: the way they mostly go is their x axis.
+    # Robots mostly drive forward, which is their x axis.
     heading = float(np.angle((steps * np.abs(steps)).sum()))
     off_rad = wrap(relation.yaw_rad - pair.mounting.theta())
     names = _QUARTERS
     quarter = round(off_rad / (0.5 * math.pi)) % 4
     if reading.flipped and reading.heading_scale > 0.0:
         names = _FLIPPED_QUARTERS
-        # Of the four ways to mend a mirrored axis, the one that leaves the lidar where it is said to be.
+        # Of the four corrections of a mirrored axis, use the one that keeps the lidar at its stated pose.
         quarter = -quarter % 4
     elif quarter and 2.0 * abs(wrap(heading - off_rad)) > 0.5 * math.pi:
         quarter = 0
@@ -159,10 +159,11 @@ def _axes(
 
 
 def _mirrored(pair: Pair, relation: Relation) -> Finding:
-    """A lidar that turns the other way than the wheels, in all it says."""
+    """A lidar that consistently turns opposite to the wheels."""
     of_lidar, of_wheels = pair.of_lidar(upside_down=True), pair.of_wheels(mirrored=True)
     stated = complex(pair.mounting.x(), pair.mounting.y())
-    # A mounting aside, or turned, is a mirrored one for the wrong remedy. Most lidars look straight ahead.
+    # With the wrong remedy, a lateral or rotated mounting would be mirrored. Most lidars point straight
+    # ahead.
     misses = [
         abs(one.position() - stated) ** 2 / one.sigma_beta**2
         + wrap(one.yaw_rad - pair.mounting.theta()) ** 2 / (one.sigma_alpha + IN_ORDER) ** 2
@@ -186,7 +187,7 @@ def _mirrored(pair: Pair, relation: Relation) -> Finding:
 
 
 def _heading(pair: Pair, scale: float) -> Finding:
-    """A heading in other units, or of the other sign."""
+    """A heading in other units, or with the opposite sign."""
     in_degrees = math.isclose(abs(scale), math.radians(1.0))
     what = (
         "in degrees" if in_degrees else "" if abs(scale) == 1.0 else f"{1.0 / abs(scale):.3g} times too large"
@@ -197,7 +198,7 @@ def _heading(pair: Pair, scale: float) -> Finding:
 
 
 def _crab(pair: Pair, heading_rad: float) -> Finding:
-    """A heading that is off by always the same: the robot seems to go aside, as wheels cannot."""
+    """A heading with a constant offset: the robot seems to move sideways, which wheels cannot do."""
     turned_deg = math.degrees(heading_rad)
     text = f"its heading is off by {-turned_deg:.1f} degrees: it moves sideways, and the lidar does not"
     offset_deg = round(turned_deg, 2)
@@ -205,11 +206,11 @@ def _crab(pair: Pair, heading_rad: float) -> Finding:
 
 
 def _mounting(pair: Pair, relation: Relation, forward: bool, config: Config) -> list[Finding]:
-    """How the lidar is turned, and where it sits."""
+    """Yaw and position of the lidar."""
     stated, yaw_rad = pair.mounting, relation.yaw_rad
     off_rad = wrap(yaw_rad - stated.theta())
     turned = abs(off_rad) > IN_ORDER + math.sqrt(gate()) * relation.sigma_alpha
-    # A lever is as long as the lidar's ranges say; where lengths are in doubt, see `_lengths`.
+    # The lever arm is scaled like the lidar's ranges; if lengths are in doubt, see `_lengths`.
     place = relation.position(1.0 if _in_order(relation) else 1.0 / abs(relation.alpha))
     shift = place - complex(stated.x(), stated.y())
     least_m = config.wheels.swing_m_per_rad + math.sqrt(gate(2)) * relation.sigma_beta
@@ -257,13 +258,13 @@ def _mounting(pair: Pair, relation: Relation, forward: bool, config: Config) -> 
 
 
 def _in_order(relation: Relation) -> bool:
-    """Whether lengths of wheels and lidar are as alike as those of sound ones."""
+    """Whether lengths of wheels and lidar agree as well as those of correct sensors."""
     off = abs(math.log(abs(relation.alpha)))
     return off < IN_ORDER + math.sqrt(gate()) * relation.sigma_alpha
 
 
 def _lengths(pair: Pair, relation: Relation) -> list[Finding]:
-    """Lengths of wheels and lidar that differ, and whose are wrong as far as anything tells."""
+    """Different lengths of wheels and lidar, and which are wrong, if it can be determined."""
     if _in_order(relation):
         return []
     scale = abs(relation.alpha)
@@ -271,15 +272,15 @@ def _lengths(pair: Pair, relation: Relation) -> list[Finding]:
     of_wheels, of_ranges = _unit(scale), _unit(1.0 / scale)
     wheels = pair.of_wheels(scale=float(f"{of_wheels or scale:.4g}"))
     ranges = pair.of_lidar(range_scale=float(f"{of_ranges or 1.0 / scale:.4g}"))
-    # The lever of the lidar is known in metres: in turns its ranges are measured against it.
+    # The lidar's lever arm is known in metres: in rotations, its ranges are compared with it.
     stated = complex(pair.mounting.x(), pair.mounting.y())
     by_wheels, by_ranges = (
         abs(relation.position(one) - stated) ** 2 / (one * relation.sigma_beta) ** 2
         for one in (1.0, 1.0 / scale)
     )
-    # No one's unit makes lengths larger by 3.28 in the wheels, or smaller in the lidar.
+    # No unit makes lengths larger by 3.28 in the wheels, or smaller in the lidar.
     hint = (of_ranges is not None and of_ranges < 0.5) - (of_wheels is not None and of_wheels < 0.5)
-    # One lever is as stated, beyond chance, and the other at least twice as far from it.
+    # One lever arm agrees with the stated one within the noise, and the other is at least twice as far away.
     nearer, farther = sorted((by_wheels, by_ranges))
     sure = bool(hint or (farther - nearer > gate() and farther > 2.0 * 2.0 * nearer))
     of_lidar = hint > 0 or (hint == 0 and sure and by_ranges < by_wheels)
@@ -302,9 +303,10 @@ def _lengths(pair: Pair, relation: Relation) -> list[Finding]:
 
 
 def _both_lengths(pair: Pair, relation: Relation) -> tuple[list[Finding], Relation]:
-    """Ranges beyond those of rooms, and wheels of the same lengths: both in one unit; the relation in metres.
+    """Ranges too large for rooms, and wheels with the same scale: both in one unit; also the relation in
+    metres.
 
-    The lever of the lidar, which is known in metres, tells which; without one only what no lidar reaches.
+    The lidar's lever arm, known in metres, determines the unit; without one, only ranges beyond any lidar do.
     """
     lever_m = abs(complex(pair.mounting.x(), pair.mounting.y()))
     told = _unit(lever_m / abs(relation.beta)) if lever_m and relation.beta else None
@@ -322,12 +324,12 @@ def _both_lengths(pair: Pair, relation: Relation) -> tuple[list[Finding], Relati
 
 
 def _unit(scale: float) -> float | None:
-    """The unit that a scale stands for, None for none."""
+    """The unit that a scale corresponds to, or None."""
     return next((unit for unit in _UNITS if abs(math.log(scale / unit)) < IN_ORDER), None)
 
 
 def _turns(pair: Pair, scale: float, sigma: float) -> Finding:
-    """Turns of the wheels that are too large or too small."""
+    """Rotations of the wheels that are too large or too small."""
     low, high = interval(scale, sigma)
     text = f"it rotates {1.0 / scale:.3f} times as far as the lidar (scale, 95 %: {low:.3f} to {high:.3f})"
     found = _surely(
@@ -344,5 +346,5 @@ def _turns(pair: Pair, scale: float, sigma: float) -> Finding:
 def _surely(
     pair: Pair, kind: str, text: str, effect: str, value: float | None = None, **mended: object
 ) -> Finding:
-    """What is beyond doubt wrong with the wheels, mended by entries of their calibration."""
+    """A certain error of the wheels, with a remedy for their calibration."""
     return Finding(pair.wheels, kind, text, effect, (pair.of_wheels(**mended),), sure=True, value=value)
