@@ -33,8 +33,7 @@ STEPS_A_UNIT = 1024
 
 # Rows are the lidar's states, columns the camera's, both in the order occupied, empty, uncertain.
 _RULES: dict[Rule, States] = {
-    # Not in Li2020: a cell that only the lidar sees as empty is empty at the height of the lidar, and unknown
-    # below and above.
+    # Not in Li2020: if only the lidar sees a cell as empty, it is unknown below and above the lidar.
     "cautious": np.array(
         [[OCCUPIED, OCCUPIED, OCCUPIED], [OCCUPIED, FREE, UNKNOWN], [OCCUPIED, FREE, UNKNOWN]], dtype=np.int8
     ),

@@ -1,8 +1,7 @@
 # mypy: allow-untyped-decorators
 """Probability that a repaired value is right: logistic regression on features measured around it.
 
-``python tools/learn_repair_odds.py`` learns the weights from simulated homes that are not used for any
-figure.
+``python tools/learn_repair_odds.py`` learns the weights from simulated homes that no figure uses.
 """
 
 from __future__ import annotations

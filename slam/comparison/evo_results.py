@@ -1,7 +1,6 @@
 """Results in the format of evo_res: a zip of info.json, stats.json and one file per array.
 
-M. Grupp, evo: Python package for the evaluation of odometry and SLAM. Not written with evo itself, because
-evo is GPL.
+M. Grupp, evo: Python package for the evaluation of odometry and SLAM. Written without evo, which is GPL.
 """
 
 from __future__ import annotations

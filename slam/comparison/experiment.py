@@ -192,8 +192,7 @@ def load_experiment(path: Path) -> Experiment:
     Raises
     ------
     ConfigError
-        If the file is missing or malformed, a key is unknown (the message names the nearest valid one) or a
-        value is invalid.
+        If the file is missing or malformed, a key is unknown (with the nearest one) or a value is invalid.
     """
     models = (Experiment, DatasetEntry, Simulation, Configuration, External, Command)
     return model_of(Experiment, read_tree(path), path.name, nearest_field(models))

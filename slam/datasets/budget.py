@@ -28,8 +28,7 @@ class Budget:
     size
         Size of its files on disk, in bytes.
     text
-        Whether they are lines of text: numbers as text compress to a fifth, and a line has at least 16
-        characters.
+        Whether they are lines of text: numbers compress to a fifth, and a line has at least 16 letters.
     """
 
     def __init__(self, size: int, *, text: bool = False) -> None:

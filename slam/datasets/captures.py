@@ -1,8 +1,7 @@
 """Network captures (``.pcap``, ``.pcapng``) of lidar packets, decoded as in bags.
 
 Packets are those of an Ouster if its metadata is next to the capture, else of a Velodyne. dpkt (part of the
-extra 'velodyne') reads the containers; packets are parsed here because those of a lidar are often sent in
-fragments (RFC 791, 3.2).
+extra 'velodyne') reads the containers; packets are parsed here because lidars often send fragments (RFC 791).
 """
 
 from __future__ import annotations

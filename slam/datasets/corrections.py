@@ -239,9 +239,7 @@ class _Wheels:
 
 
 def _in_time(stream: Iterable[Measurement], spread_s: float) -> Iterator[Measurement]:
-    """Sort by corrected stamp and keep the order of each sensor; the waiting time is limited by the
-    difference of the clocks.
-    """
+    """Sort by corrected stamp, each sensor in its own order, with a delay up to the clock difference."""
     waiting: list[tuple[float, int, Measurement]] = []
     reached: dict[str, float] = {}
     newest_s = -math.inf

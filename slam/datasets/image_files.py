@@ -54,8 +54,7 @@ class ImageFiles:
     Attributes
     ----------
     confidence
-        The folder of confidence images with the same names; depth with confidence 0 is omitted. None if there
-        are none.
+        The folder of confidence images with the same names, or None; depth with confidence 0 is omitted.
     float_png
         Whether the four bytes of a depth PNG's pixel are a float in metres.
     """

@@ -1,7 +1,6 @@
 """Sweeps of nuScenes: a car with a lidar of 32 rings.
 
-Caesar et al. 2020, "nuScenes: A Multimodal Dataset for Autonomous Driving". The stamp of a sweep is its end;
-points have no timestamps.
+Caesar et al. 2020, "nuScenes: A Multimodal Dataset for Autonomous Driving". Stamps: end of a sweep.
 """
 
 from __future__ import annotations

@@ -72,8 +72,7 @@ def open_dataset(
     strict
         Stop at the first damaged record instead of counting and skipping it.
     topics
-        Topics to read, for a ROS bag with several topics of one type. Types of which none is named are read
-        as by default.
+        Topics to read, for a ROS bag with several topics of one type. Other types are read as usual.
     images
         False skips the images of a folder, if they are not needed.
     calibration

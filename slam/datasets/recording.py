@@ -114,8 +114,7 @@ class Recording:
     choose_frames
         Called once per camera to choose its frames; None for all.
     keeps, kept, when_kept
-        Whether a complete pass is kept in memory, its measurements, and a callback afterwards; see
-        `read_once`.
+        Whether a complete pass is kept, its measurements, and a callback afterwards; see `read_once`.
     """
 
     __repr__ = one_line

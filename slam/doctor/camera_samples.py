@@ -20,8 +20,7 @@ from slam.vision.features import Features, extract_features, gray_of, match_feat
 
 # Pixel step along rows and columns for the sample of depths.
 _EVERY_PIXEL = 16
-# Frames of a stretch that are matched to the newest: the previous one for motion, an earlier one for the
-# lens.
+# Frames that are matched to the newest: the previous one for motion, an earlier one for the lens.
 _BACK = (1, 6)
 SPREAD = 0.2  # largest residual of a fit, as a fraction of a sensor's motions
 _MODELS, _WAYS = RgbdConfig(), RgbdOdometryConfig()

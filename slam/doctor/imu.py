@@ -165,9 +165,7 @@ def turn_fit(rows: FloatArray, steps: Sequence[SensorStep]) -> TurnFit | None:
 def _turns(
     rows: FloatArray, steps: Sequence[SensorStep]
 ) -> tuple[FloatArray, Callable[[float], FloatArray]] | None:
-    """Rotations (K, 3) of the lidar, and a function that returns those of the IMU for a clock offset. None if
-    there are too few.
-    """
+    """Rotations (K, 3) of the lidar, and those of the IMU by clock offset; None if there are too few."""
     spans = np.array([[step.begun_s, step.ended_s] for step in steps]).reshape(-1, 2)
     within = (spans[:, 0] - GAP_S > rows[0, 0]) & (spans[:, 1] + GAP_S < rows[-1, 0])
     within &= np.diff(np.searchsorted(rows[:, 0], spans))[:, 0] > 0  # excluding gaps

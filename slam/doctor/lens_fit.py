@@ -2,8 +2,7 @@
 
 With wrong intrinsics and correct depth, points are too far from or too close to the optical axis; seen from
 two sides, the same points then have two shapes. So matched features with depth determine focal length and
-principal point, without other inputs. The scale of depth is not determined, because shapes of any scale are
-similar.
+principal point, without other inputs. The scale of depth is not determined: shapes of any scale are similar.
 """
 
 from __future__ import annotations

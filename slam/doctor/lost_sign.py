@@ -54,8 +54,7 @@ def starts_after_stops(rows: FloatArray, distance_m: float) -> FloatArray:
 def lost_sign(
     log: Iterable[Measurement], wheels: str, lidar: str, rows: FloatArray, config: Config
 ) -> Finding | None:
-    """Wheels that report forward motion while the lidar moves back; None if it does not, or with too few
-    data.
+    """Wheels that report forward motion while the lidar moves back; None if not, or with too few data.
 
     Parameters
     ----------
@@ -112,8 +111,7 @@ def _scans_at(
 def _way_ahead_m(first: LaserScan, last: LaserScan, rows: FloatArray, config: Config) -> float | None:
     """Forward motion of the robot between two scans, from the scans alone; None if not determined.
 
-    The search starts at the wheels' step and at the same step back; the better fit is used, or 0 if it is
-    neither.
+    The search starts at the wheels' step and at the same step back; the better fit is used, or else 0.
     """
     limits = config.match
     stamps_s = np.array([first.stamp_s, last.stamp_s])

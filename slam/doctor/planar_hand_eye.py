@@ -1,8 +1,7 @@
 """Pose of a sensor with motion in 3D on a robot with motion in the plane, from the motions of both.
 
 A rotation of the robot is a rotation of the sensor about the robot's vertical axis; perpendicular to that
-axis, the sensor's translations are those of the robot, rotated, scaled, and changed by the lever arm: linear
-in four numbers.
+axis, the sensor's translations are the robot's, rotated, scaled, plus the lever arm: linear in four numbers.
 """
 
 from __future__ import annotations
@@ -71,8 +70,7 @@ def planar_hand_eye(turns: FloatArray, shifts_m: FloatArray, base: FloatArray) -
     if gain < gate() ** 0.5 * math.sqrt(float(np.trace(slope_cov))):
         return None
     up = slopes / gain
-    # Any two axes perpendicular to the vertical: from the optical axis or the right axis, whichever is less
-    # vertical.
+    # Two axes perpendicular to the vertical, from the less vertical one of the optical and the right axis.
     first = np.eye(3)[int(np.argmin(np.abs(up)))]
     first = first - (first @ up) * up
     first /= np.linalg.norm(first)

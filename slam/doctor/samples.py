@@ -60,8 +60,7 @@ class LidarSamples:
     stretches
         Lists of scans of a few seconds each.
     count, repeats, undated
-        Number of scans, of bit-identical repeats of the previous scan, and of other scans without a later
-        stamp.
+        Numbers of scans, of bit-identical repeats, and of other scans whose stamp is not later.
     interval_s
         Interval between scans.
     """

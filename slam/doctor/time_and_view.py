@@ -91,8 +91,7 @@ def angle_scale(
     scan = pair.stretches[0][0]
     beams = scan.ranges_m.size
     stated_deg = math.degrees(scan.step_rad) * (beams - 1)
-    # Wheels have errors of a percent; fields of view are multiples of ten degrees: use the one with the
-    # best fit of scans.
+    # Wheels have errors of a percent; fields of view are tens of degrees: use the best fit of scans.
     near_deg = [stated_deg * scale, *(round(stated_deg * scale + shift, -1) for shift in (-5, 5))]
     views = [
         (deg, track_stretches(pair.stretches, config, deg / stated_deg))

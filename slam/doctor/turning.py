@@ -72,8 +72,7 @@ class Turn:
     def stamped(self, clock: Finding, name: str) -> Finding:
         """An IMU's clock offset, attributed to the lidar if it is half a revolution.
 
-        Drivers stamp the start or the end of a revolution, and points without times are assumed around its
-        middle.
+        Drivers stamp its start or its end, and points without times are assumed around its middle.
         """
         half_s = math.copysign(0.5 * self.turn_s, clock.value or 0.0)
         if clock.kind != "clock" or abs((clock.value or 0.0) - half_s) > CLOCK_S:

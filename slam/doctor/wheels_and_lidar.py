@@ -162,8 +162,7 @@ def _mirrored(pair: Pair, relation: Relation) -> Finding:
     """A lidar that consistently turns opposite to the wheels."""
     of_lidar, of_wheels = pair.of_lidar(upside_down=True), pair.of_wheels(mirrored=True)
     stated = complex(pair.mounting.x(), pair.mounting.y())
-    # With the wrong remedy, a lateral or rotated mounting would be mirrored. Most lidars point straight
-    # ahead.
+    # The wrong remedy would mirror a lateral or rotated mounting. Most lidars point straight ahead.
     misses = [
         abs(one.position() - stated) ** 2 / one.sigma_beta**2
         + wrap(one.yaw_rad - pair.mounting.theta()) ** 2 / (one.sigma_alpha + IN_ORDER) ** 2
@@ -303,8 +302,7 @@ def _lengths(pair: Pair, relation: Relation) -> list[Finding]:
 
 
 def _both_lengths(pair: Pair, relation: Relation) -> tuple[list[Finding], Relation]:
-    """Ranges too large for rooms, and wheels with the same scale: both in one unit; also the relation in
-    metres.
+    """Ranges too large for rooms, wheels with the same scale: both in one unit; the relation in metres.
 
     The lidar's lever arm, known in metres, determines the unit; without one, only ranges beyond any lidar do.
     """

@@ -66,8 +66,7 @@ class BagCamera:
         Raises
         ------
         RecordFault
-            An image is damaged or has an unsupported encoding, the sizes fit no known lens, or the budget is
-            exhausted.
+            An image is damaged, its encoding is unsupported, its size fits no lens, or the budget is used up.
         """
         depth_m = depth_of(pair.depth.message, budget, self.depth_steps_per_m)
         depth_m = self.flat_depth(depth_m)

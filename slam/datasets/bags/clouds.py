@@ -127,8 +127,7 @@ class CloudView:
     rows
         Number of point rows; 1 if the points are not ordered like an image.
     along
-        The axis, x, y or z, around which all points are within a camera's field of view; empty if there is
-        none.
+        The axis, x, y or z, around which all points are in a camera's field of view; else empty.
     points
         Number of points.
     around
