@@ -1,1 +1,1 @@
-"""Synthetic logs with exact truth."""
+"""Synthetic logs with exact ground truth."""

@@ -1,4 +1,4 @@
-"""A drive as a rosbag2 in MCAP, written as a stream and byte for byte the same for the same drive."""
+"""Writes a drive as a rosbag2 in MCAP, as a stream; equal drives give equal bytes."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ class BagWriter:
     Parameters
     ----------
     folder
-        Created; gets ``log.mcap`` and ``metadata.yaml`` and must be called ``log``.
+        Created, with ``log.mcap`` and ``metadata.yaml``; its name must be ``log``.
     compress
         Compress the chunks with zstd.
     """
@@ -78,7 +78,7 @@ class BagWriter:
         error: BaseException | None,
         trace: TracebackType | None,
     ) -> None:
-        """Close the bag; after an error without its index, so that it does not look whole."""
+        """Close the bag; after an error without its index, so that it does not look complete."""
         self._writer.__exit__(kind, error, trace)
 
     def write(self, event: DriveEvent) -> None:
@@ -125,7 +125,7 @@ class BagWriter:
         self._writer.write(connection, messages.nanoseconds(true_stamp_s), content)
 
     def _scan(self, event: ScanEvent) -> None:
-        """The lidar."""
+        """Write a scan."""
         lidar = self._drive.rig.lidar
         if lidar is not None:
             model = lidar.model

@@ -1,4 +1,4 @@
-"""A long drive through a campus on disk: a CARMEN log, the truth, relations between places seen again."""
+"""Records a long drive through a campus: a CARMEN log, the ground truth, relations of revisited places."""
 
 from __future__ import annotations
 
@@ -24,14 +24,14 @@ from slam.simulation.steering import STEP_S
 from slam.storage.files import write_lines
 from slam.storage.tum import write_tum
 
-_SHORTEST_M, _LONGEST_M = 1800.0, 2900.0  # of the planned way; a drive is some metres longer
+_SHORTEST_M, _LONGEST_M = 1800.0, 2900.0  # of the planned path; a drive is some metres longer
 _STEPS_A_READING = round(1.0 / (RATE_HZ * STEP_S))
-_NEAR_M, _WAY_BETWEEN_M = 2.0, 30.0  # two scans at the same place, and when the second is another visit
+_NEAR_M, _WAY_BETWEEN_M = 2.0, 30.0  # distance of two scans at one place, and path length between visits
 
 
 @dataclass(frozen=True, slots=True)
 class CampusDrive:
-    """What was recorded.
+    """Summary of a recording.
 
     Attributes
     ----------
@@ -40,13 +40,13 @@ class CampusDrive:
     path_m, duration_s
         Length of the drive.
     scans, readings
-        Lines of the lidar and of the wheels.
+        Number of lidar and wheel readings.
     lag_s
         Delay of the lidar's stamps.
     gaps_s
         Gaps of the lidar of 5 s and more.
     gross_errors
-        Of the wheels.
+        Gross errors of the wheels.
     """
 
     corridor_m: float
@@ -60,7 +60,7 @@ class CampusDrive:
 
     @property
     def text(self) -> str:
-        """In a line."""
+        """Return the summary as one line."""
         return (
             f"{self.duration_s:.0f} s, {self.path_m:.1f} m through {self.corridor_m:.0f} m of corridors: "
             f"{self.readings} odometry, {self.scans} lidar, {len(self.gaps_s)} gaps, "
@@ -76,23 +76,23 @@ def record_campus(
     duration_s: float | None = None,
     progress: Progress | None = None,
 ) -> CampusDrive:
-    """Drive through the campus of seed ``home`` and write the log with its truth.
+    """Drive through the campus of seed ``home`` and write the log with its ground truth.
 
     Parameters
     ----------
     out_dir
-        Made at the very end, whole; must not exist yet, or be empty. It holds ``scans.log`` (CARMEN);
-        ``groundtruth.txt`` (TUM) and ``campus.relations`` (R. Kuemmerle's form), both of the base where a
-        scan was taken, at that scan's stamp; ``truth/plan.txt`` and ``truth/faults.json``.
+        Created atomically at the end; must not exist yet, or be empty. It contains ``scans.log`` (CARMEN);
+        ``groundtruth.txt`` (TUM) and ``campus.relations`` (R. Kuemmerle's form), both of the base at the time
+        of each scan, with the scan's stamp; ``truth/plan.txt`` and ``truth/faults.json``.
     duration_s
-        Cut the drive there; it is planned whole, so it is the beginning of the one that is not cut.
+        End the drive there; the plan is unchanged, so it equals the start of the full drive.
     progress
-        Called at each scan with the seconds done and those in all.
+        Called at each scan with the seconds done and their total.
 
     Raises
     ------
     DatasetError
-        ``out_dir`` holds something, or cannot be written.
+        ``out_dir`` is not empty, or cannot be written.
     """
     campus = generate_campus(home)
     rng = generator(seed, "campus", home)
@@ -156,14 +156,15 @@ def _write_log(
 
 
 def relation_lines(stamps_s: FloatArray, poses_xyt: FloatArray, rng: np.random.Generator) -> Iterator[str]:
-    """Lines ``t1 t2 x y z roll pitch yaw``: to each scan from the one before and from an earlier visit.
+    """Return lines ``t1 t2 x y z roll pitch yaw``: to each scan from the previous one and from an earlier
+    visit.
 
     Parameters
     ----------
     stamps_s, poses_xyt
-        (N,) and (N, 3) of the scans.
+        (N,) stamps and (N, 3) poses of the scans.
     rng
-        Which of several earlier ones.
+        Chooses one of several earlier scans.
     """
     driven_m, places = travelled_m(poses_xyt), spatial.cKDTree(poses_xyt[:, :2])
     poses = [pose2_from_row(row) for row in poses_xyt]
@@ -178,6 +179,6 @@ def relation_lines(stamps_s: FloatArray, poses_xyt: FloatArray, rng: np.random.G
 
 
 def _plan_lines(campus: Campus) -> Iterator[str]:
-    """``wall`` or ``glass``, and the ends x1 y1 x2 y2."""
+    """Return lines ``wall`` or ``glass`` with the ends x1 y1 x2 y2."""
     for kind, segments in (("wall", campus.walls_m), ("glass", campus.glass_m)):
         yield from (f"{kind} {' '.join(f'{value:.4f}' for value in row)}" for row in segments)

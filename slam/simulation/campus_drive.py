@@ -1,4 +1,4 @@
-"""A long drive through a campus: the way, the motion along it, and when the lidar fires."""
+"""Plans a long drive through a campus: the path, the motion along it, and the times of the scans."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ _SPACING_M, _LOOKAHEAD_M = 0.1, 0.6
 _ASIDE_M, _WALL_M = 0.35, 0.75  # lateral offset of the robot from the middle, and its distance from the walls
 _STOP_EVERY_M, _STOP_S = 45.0, 12.0  # mean distance between two stops, mean duration of one
 _LONGEST_LEG_S = 3600.0
-# A scan is due by way, 3700 of them evenly over the drive; by turn; and at last by time.
+# A scan is due by distance (3700 evenly over the drive), by rotation, or by time.
 _SCANS_BY_WAY, _SCAN_RAD, _SCAN_S = 3700, 0.35, 4.0
 _GAP_S = (5.0, 28.0)
 

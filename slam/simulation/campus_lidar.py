@@ -1,4 +1,4 @@
-"""What a lidar sees of a campus: walls, glass, and people who walk by."""
+"""Simulates a lidar on a campus: walls, glass, and people who walk by."""
 
 from __future__ import annotations
 
@@ -26,14 +26,14 @@ _CORNERS = 8
 class CampusLidar:
     """A lidar, and the people of a drive.
 
-    Each walks on a straight line ahead of the robot and beside its way, for a while, towards it or away.
+    Each person walks for a while on a straight line ahead of the robot beside its path, towards it or away.
 
     Parameters
     ----------
     poses_xyt
-        (N, 3) of the base during the drive, `STEP_S` apart.
+        (N, 3) poses of the base during the drive, `STEP_S` apart.
     rng
-        Of the people first, then of each sweep.
+        Random generator, used first for people, then for each scan.
     """
 
     def __init__(

@@ -1,4 +1,4 @@
-"""A large building by its seed: wings of corridors that look alike, joined to a ring by long corridors."""
+"""Generates a large building from a seed: wings of similar corridors, connected by long corridors."""
 
 from __future__ import annotations
 
@@ -11,9 +11,9 @@ import numpy as np
 from slam.measurements import FloatArray
 from slam.simulation.campus_walls import Corridor, campus_walls, overlapping
 
-_APART_M = 5.0  # between a corridor that joins two wings and all that it does not join
-_CROSSING_M = 60.0  # of detour that are taken rather than crossing another corridor
-_STRAIGHT_SLANT = 0.2  # two junctions as nearly on a line along x or y are joined without a corner
+_APART_M = 5.0  # between a corridor that connects two wings and everything else
+_CROSSING_M = 60.0  # detour that is preferred to crossing another corridor
+_STRAIGHT_SLANT = 0.2  # junctions this close to a line along x or y are connected without a corner
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -23,13 +23,13 @@ class Campus:
     Attributes
     ----------
     junctions_m
-        (J, 2) where corridors begin and end, map frame.
+        (J, 2) ends of corridors, map frame.
     corridors
         All of them.
     ring
-        Junctions on the way through all wings; from the last one leads back to the first.
+        Junctions of the loop through all wings; the last is connected to the first.
     walls_m, glass_m
-        (W, 4) and (G, 4) rows of x1, y1, x2, y2: what a lidar sees, and what it may see through.
+        (W, 4) and (G, 4) rows of x1, y1, x2, y2: opaque walls, and glass.
     """
 
     junctions_m: FloatArray
@@ -40,12 +40,12 @@ class Campus:
 
     @property
     def corridor_m(self) -> float:
-        """Length of all corridors together."""
+        """Total length of all corridors."""
         return sum(corridor.length_m for corridor in self.corridors)
 
 
 def generate_campus(seed: int) -> Campus:
-    """The building of a seed: four or six wings after two patterns, turned, mirrored, some a little askew."""
+    """Generate a building: four or six wings with two patterns, rotated, mirrored, some slightly oblique."""
     rng = np.random.default_rng([seed, 0])
     columns = int(rng.integers(2, 4))
     pitch_m, longest_m = (
@@ -68,7 +68,7 @@ def generate_campus(seed: int) -> Campus:
 
 @dataclass(frozen=True, slots=True)
 class _Pattern:
-    """A wing that is not placed yet: a ladder of parallel corridors, about the origin."""
+    """A wing before placement: a ladder of parallel corridors, around the origin."""
 
     number: int
     along_m: FloatArray  # of the rungs
@@ -78,7 +78,7 @@ class _Pattern:
 
 
 def _pattern(rng: np.random.Generator, number: int, longest_m: float) -> _Pattern:
-    """A ladder of two or three rails; its rungs are evenly spaced as often as not."""
+    """Draw a ladder of two or three rails; half of them have evenly spaced rungs."""
     gaps = int(rng.integers(1, 4))
     along = rng.uniform(15.0, 32.0, gaps if rng.random() < 0.5 else 1) * np.ones(gaps)
     across = rng.uniform(15.0, 28.0, 2 if gaps < 3 and rng.random() < 0.4 else 1)
@@ -97,7 +97,7 @@ class _Net:
     corridors: list[Corridor] = field(default_factory=list)
 
     def add_wing(self, pattern: _Pattern, centre_m: FloatArray) -> list[int]:
-        """Place a pattern, turned by quarters and perhaps some degrees, perhaps mirrored; its junctions."""
+        """Place a pattern, rotated by 90 degrees and slightly more, or mirrored; return its junctions."""
         askew_rad = math.radians(self.rng.uniform(-8.0, 8.0)) if self.rng.random() < 0.4 else 0.0
         angle, hand = 0.5 * math.pi * self.rng.integers(0, 4) + askew_rad, int(self.rng.choice([1, -1]))
         axes = np.array([[math.cos(angle), math.sin(angle)], [-math.sin(angle), math.cos(angle)]])
@@ -111,7 +111,7 @@ class _Net:
         return list(numbers.ravel().tolist())
 
     def connect(self, here: list[int], there: list[int], style: int) -> list[int]:
-        """Join two wings, straight or round a corner, where it is short and crosses little; its junctions."""
+        """Connect two wings, maybe with a corner, by a short path with few crossings; return junctions."""
         others = np.array([corridor.box(0.0, corridor.length_m, -1.0, 1.0) for corridor in self.corridors])
         ways: list[tuple[float, int, int, list[FloatArray]]] = []
         for a, b in itertools.product(here, there):
@@ -131,14 +131,14 @@ class _Net:
     def _add(
         self, nodes: list[int], width_m: float, style: tuple[int, int], door_pitch_m: float, hand: int = 1
     ) -> None:
-        """A corridor from each junction of a line to the next."""
+        """Add a corridor from each junction of a line to the next."""
         for piece, (a, b) in enumerate(itertools.pairwise(nodes)):
             ends_m = np.array([self.junctions[a], self.junctions[b]])
             self.corridors.append(Corridor((a, b), ends_m, width_m, (*style, piece), door_pitch_m, hand))
 
 
 def _cost_m(way: list[FloatArray], corridors: FloatArray) -> float:
-    """Length of a way, and a detour for each corridor (N, 4, 2) that it would meet between its ends."""
+    """Length of a path, plus a detour for each corridor (N, 4, 2) that it would cross between its ends."""
     cost = 0.0
     for place, (p, q) in enumerate(itertools.pairwise(way)):
         piece = Corridor((0, 0), np.array([p, q]), 0.0, (), 0.0)

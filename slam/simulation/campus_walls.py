@@ -1,4 +1,4 @@
-"""The walls of a campus: what bounds its corridors, doorways and rooms, and what stands in them."""
+"""Generates the walls of a campus, around corridors, doorways and rooms, and the objects in them."""
 
 from __future__ import annotations
 
@@ -9,9 +9,9 @@ import numpy as np
 
 from slam.measurements import BoolArray, FloatArray
 
-_INWARD_M = 1e-6  # a wall that only touches another free area stays
-_WALL_M = 0.45  # between a corridor and the rooms along it: more than a closed door is set back
-_CLEAR_M = 1.3  # of wall beside a junction
+_INWARD_M = 1e-6  # a wall that only touches another free area is kept
+_WALL_M = 0.45  # between a corridor and its rooms: more than the recess of a closed door
+_CLEAR_M = 1.3  # of wall next to a junction
 _HALL_M = 4.0  # a wider corridor has two rows of pillars
 
 
@@ -22,17 +22,17 @@ class Corridor:
     Attributes
     ----------
     junctions
-        Their numbers.
+        Indices of the junctions.
     ends_m
-        (2, 2) their places, map frame.
+        (2, 2) their positions, map frame.
     width_m
-        Between the walls.
+        Distance between the walls.
     style
-        Seed of the doors' rhythm, which wings of the same pattern have in common.
+        Seed of the door positions, equal for wings with the same pattern.
     door_pitch_m
-        From one place for a door to the next.
+        Distance between door positions.
     hand
-        1, or -1 where the wing is mirrored.
+        1, or -1 if the wing is mirrored.
     """
 
     junctions: tuple[int, int]
@@ -44,7 +44,7 @@ class Corridor:
 
     @property
     def length_m(self) -> float:
-        """From junction to junction."""
+        """Distance between the junctions."""
         return float(np.linalg.norm(self.ends_m[1] - self.ends_m[0]))
 
     def box(self, u0: float, u1: float, v0: float, v1: float) -> FloatArray:
@@ -55,12 +55,12 @@ class Corridor:
 
 
 def campus_walls(corridors: Sequence[Corridor], rng: np.random.Generator) -> tuple[FloatArray, FloatArray]:
-    """Walls and glass, (W, 4) and (G, 4) rows of x1, y1, x2, y2.
+    """Return walls and glass, (W, 4) and (G, 4) rows of x1, y1, x2, y2.
 
     Parameters
     ----------
     rng
-        Of what differs between wings of one pattern: open doors and their rooms, furniture.
+        For what differs between wings of one pattern: open doors and their rooms, furniture.
     """
     building = _Building(corridors, rng)
     for corridor in corridors:
@@ -75,7 +75,7 @@ def campus_walls(corridors: Sequence[Corridor], rng: np.random.Generator) -> tup
 
 @dataclass
 class _Building:
-    """Convex areas, (4, 2) each: walls stand about the free ones, holes only take walls away."""
+    """Convex areas, (4, 2) each: free areas are surrounded by walls, holes only remove walls."""
 
     corridors: Sequence[Corridor]
     rng: np.random.Generator
@@ -85,13 +85,13 @@ class _Building:
     glass: list[FloatArray] = field(default_factory=list)
 
     def __post_init__(self) -> None:
-        """The bare corridors."""
+        """Create the empty corridors."""
         for corridor in self.corridors:
             (before, after), half = self._reaches_m(corridor), 0.5 * corridor.width_m
             self.free.append(corridor.box(-before, corridor.length_m + after, -half, half))
 
     def furnish(self, corridor: Corridor, side: int) -> None:
-        """What stands along one wall, by the rhythm of the pattern and the wing's own numbers."""
+        """Add objects along one wall, at the positions of the pattern and with random numbers of the wing."""
         rhythm = np.random.default_rng([*corridor.style, 1 + side])
         (before, after), wall = self._reaches_m(corridor), 0.5 * corridor.width_m
         setback_m, half_door_m = rhythm.uniform(0.08, 0.35), rhythm.uniform(0.45, 0.58)
@@ -122,7 +122,7 @@ class _Building:
                 self.solid.append(box(u, 0.2 + 0.6 * share, -0.45, 0.0))
 
     def _reaches_m(self, corridor: Corridor) -> list[float]:
-        """How far a corridor goes on beyond its two junctions: to the far wall of the widest one there."""
+        """How far a corridor extends beyond its junctions: to the far wall of the widest corridor there."""
         return [
             max(
                 (0.5 * o.width_m for o in self.corridors if o is not corridor and junction in o.junctions),
@@ -132,7 +132,7 @@ class _Building:
         ]
 
     def _add_room(self, room: FloatArray) -> bool:
-        """A room with some boxes, unless another part of the building stands there."""
+        """Add a room with some boxes, unless another part of the building is there."""
         middle = room.mean(axis=0)
         if overlapping(middle + 1.2 * (room - middle), np.array(self.free)).any():
             return False
@@ -144,14 +144,14 @@ class _Building:
 
 
 def outline(free: list[FloatArray], holes: list[FloatArray]) -> FloatArray:
-    """What bounds the union of convex areas: their edges without what lies inside another, (N, 4).
+    """Return the boundary of a union of convex areas: their edges without parts inside others, (N, 4).
 
     Parameters
     ----------
     free
-        Corners of each area, (4, 2), either way round.
+        Corners of each area, (4, 2), in either orientation.
     holes
-        Areas that take away from the edges of others and have none themselves.
+        Areas that remove edges of others and have none themselves.
     """
     areas = np.array(free + holes)
     pieces = []
@@ -171,7 +171,7 @@ def outline(free: list[FloatArray], holes: list[FloatArray]) -> FloatArray:
 
 
 def overlapping(area: FloatArray, others: FloatArray) -> BoolArray:
-    """Which convex areas (N, 4, 2) an area (4, 2) meets, one wholly inside the other included."""
+    """Return which convex areas (N, 4, 2) an area (4, 2) overlaps, also if one contains the other."""
     enter, leave = _inside(_edges(area[None]), others)
     met = (enter < leave).any(axis=0)
     enter, leave = _inside(_edges(others), area[None])
@@ -179,15 +179,16 @@ def overlapping(area: FloatArray, others: FloatArray) -> BoolArray:
 
 
 def _inside(edges: FloatArray, areas: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Between which shares of its length each edge (E, 4) is inside each area (N, 4, 2); (E, N) twice.
+    """Return the shares of its length between which each edge (E, 4) is inside each area (N, 4, 2), (E, N)
+    each.
 
-    Nowhere if the second is not greater. M. Cyrus and J. Beck, "Generalized two- and three-dimensional
+    It is outside if the second is not greater. M. Cyrus and J. Beck, "Generalized two- and three-dimensional
     clipping", Computers and Graphics 3(1), 1978.
     """
     sides = np.roll(areas, -1, axis=1) - areas
     normals = np.stack([sides[..., 1], -sides[..., 0]], axis=2)
     normals /= np.linalg.norm(normals, axis=2, keepdims=True)
-    # Outward whichever way round the corners are.
+    # Normals point outward for either orientation of the corners.
     normals *= np.sign(((areas - areas.mean(axis=1, keepdims=True)) * normals).sum(axis=2, keepdims=True))
     # Inside is where normal . (start + t step - corner) < 0 for all four sides.
     slope = np.einsum("nsk,ek->ens", normals, edges[:, 2:] - edges[:, :2])
@@ -201,5 +202,5 @@ def _inside(edges: FloatArray, areas: FloatArray) -> tuple[FloatArray, FloatArra
 
 
 def _edges(areas: FloatArray) -> FloatArray:
-    """Sides of areas (N, 4, 2), (4 N, 4) rows of x1, y1, x2, y2."""
+    """Return the edges of areas (N, 4, 2) as (4 N, 4) rows of x1, y1, x2, y2."""
     return np.concatenate([areas, np.roll(areas, -1, axis=1)], axis=2).reshape(-1, 4)

@@ -1,4 +1,4 @@
-"""What goes wrong on a drive through a campus, and wheels that are grossly wrong now and then."""
+"""Faults of a drive through a campus, and wheel odometry with occasional gross errors."""
 
 from __future__ import annotations
 
@@ -26,14 +26,14 @@ class CampusFaults:
     gaps
         Number of gaps of the lidar, 5 to 28 s each.
     gross_errors
-        How often the wheels are wrong at once: by a heading (10 to 180 degrees), by a position (0.5 to 3 m),
-        or for a stretch (2 to 8 s) that they neither count nor tell.
+        Number of sudden errors of the wheels: of the heading (10 to 180 degrees), of the position (0.5 to 3
+        m), or an interval (2 to 8 s) that is neither counted nor recorded.
     largest_lag_s
-        The lidar's stamps are late by this at most, by a third of it at least. The wheels' clock is right.
+        Maximum delay of the lidar's stamps; the minimum is a third of it. The wheels' clock is correct.
     largest_scale
-        The wheels' common error of scale at most, a third of it at least.
+        Maximum common scale error of the wheels; the minimum is a third of it.
     wheels
-        Their small errors: unequal radii, noise, slip.
+        Small errors of the wheels: unequal radii, noise, slip.
     encounters_per_m
         Number of persons walking by per metre.
     """
@@ -70,7 +70,7 @@ class GrossError:
     kind
         ``heading``, ``position`` or ``standstill``.
     first, last
-        Readings: a jump falls between the one before and this one, a standstill is from the one to the other.
+        Readings: a jump is between the previous one and this one, a standstill from the first to the last.
     size
         Radians, metres or seconds.
     """
@@ -90,11 +90,11 @@ class CampusWheels:
     poses_xyt
         (N, 3) at each reading, odom frame.
     onward_xyt
-        (N, 3) counted motion to the next reading, seen from this one; a jump is not part of it.
+        (N, 3) counted motion to the next reading, relative to this one, without jumps.
     told
         (N,) whether the reading is in the log.
     errors
-        In the order of time.
+        In time order.
     """
 
     poses_xyt: FloatArray

@@ -1,4 +1,4 @@
-"""Scans and odometry as a CARMEN log (`scans.log`)."""
+"""Writes scans and odometry as a CARMEN log (`scans.log`)."""
 
 from __future__ import annotations
 
@@ -61,7 +61,7 @@ class CarmenWriter:
         if half:
             self._file.write(f"FLASER {scan.ranges_m.size} {ranges} {poses} {tail}\n")
             return
-        # Single precision, as messages of ROS have angles: the bag of a drive and its log hold the same scan.
+        # Single precision, like angles in ROS messages, so that the bag and the log contain the same scan.
         start, step = float(np.float32(scan.start_angle_rad)), float(np.float32(scan.step_rad))
         angles = f"{start:.17g} {step * (scan.ranges_m.size - 1):.17g} {step:.17g}"
         head = f"0 {angles} {scan.range_max_m:.3f} 0.010 0 {scan.ranges_m.size}"

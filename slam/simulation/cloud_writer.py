@@ -1,4 +1,4 @@
-"""Clouds of a 3D lidar as KITTI's files: four little-endian floats a point, one file a turn."""
+"""Writes clouds of a 3D lidar as KITTI files: four little-endian floats per point, one file per cloud."""
 
 from __future__ import annotations
 
@@ -13,10 +13,10 @@ from slam.simulation.tum_writer import transform_fields, write_yaml
 
 
 class CloudWriter:
-    """``points/`` with its index ``points.txt`` beside it; use it as a context manager.
+    """Writes ``points/`` and its index ``points.txt``; use it as a context manager.
 
-    A point is x, y, z in the frame of the lidar, and its ring where KITTI has the intensity. The mounting of
-    the lidar is in ``points/calibration.yaml``.
+    A point is x, y, z in the frame of the lidar, and its ring in place of KITTI's intensity. The pose of the
+    lidar is in ``points/calibration.yaml``.
     """
 
     def __init__(self, folder: Path, T_base_lidar: gtsam.Pose3, pool: OrderedPool) -> None:

@@ -1,8 +1,8 @@
-"""A simulated drive: the robot tours a home and its sensors fire, each in its own rhythm, by its own clock.
+"""A simulated drive: the robot tours a home, and each sensor fires at its own rate, by its own clock.
 
-Readings come in the order of true time, one after another, so memory stays flat. Every reading draws from
-random numbers of its own: the same seed gives the same bits, and a sensor that is switched off, or loses
-frames, changes nothing in the others.
+Readings are returned one by one in the order of true time, so memory is constant. Every reading has its own
+random numbers: equal seeds give equal bits, and a sensor that is switched off, or loses frames, does not
+change the others.
 """
 
 from __future__ import annotations
@@ -48,17 +48,17 @@ class Drive:
     home, rig, seed, faults
         Inputs of the planning.
     tour
-        The truth.
+        True trajectory.
     schedules
-        Of the lidars and the cameras, by the sensor's name.
+        Schedules of lidars and cameras, by sensor name.
     odometry_s
         (N,) time of each wheel reading since the start, seconds.
     wheels
-        What the wheels say.
+        Wheel odometry.
     walk
         The person, if there is one.
     imu
-        What the IMU says, if there is one.
+        IMU readings, if there is an IMU.
     """
 
     home: Home
@@ -197,7 +197,7 @@ def prepare_drive(
     seed
         Seed of the tour's order, all noise and all faults.
     faults
-        None: only the wheels' usual slip.
+        None: only the usual wheel slip.
     duration_s
         None: one tour through all rooms.
 

@@ -1,4 +1,4 @@
-"""What may go wrong on a simulated drive, beyond what each sensor's own physics does."""
+"""Faults of a simulated drive, in addition to the physics of each sensor."""
 
 from __future__ import annotations
 
@@ -8,26 +8,26 @@ from slam.errors import ConfigError
 from slam.simulation.imu import ImuFaults
 from slam.simulation.wheel_odometry import WheelModel
 
-# The names of a rig's lidars among its sensors; cameras have their own.
+# Names of the lidars of a rig; cameras have individual names.
 LIDAR, LIDAR_3D = "lidar", "lidar_3d"
 
 
 @dataclass(frozen=True, slots=True)
 class DriveFaults:
-    """Faults of clocks, transport and the world; the defaults are a drive without any but wheel slip.
+    """Faults of clocks, transport and the world; by default, there is only wheel slip.
 
     Attributes
     ----------
     lidar_clock_offset_s, camera_clock_offset_s
         Offset of the sensor's clock from the true time; the wheels' clock is correct.
     camera_clock_spread_s
-        Standard deviation of a further offset of each camera's own, drawn once.
+        Standard deviation of an additional offset of each camera, drawn once.
     period_jitter_s
         Standard deviation of the firing time around its regular period. The stamp is that time.
     stamp_jitter_s
         Standard deviation of the stamp from the firing time.
     dropped_scan_share, dropped_frame_share
-        Share of readings that are lost, 0 to 1.
+        Fraction of lost readings, 0 to 1.
     person
         A person walks through the rooms, and avoids the robot.
     dying_sensor
@@ -37,7 +37,7 @@ class DriveFaults:
     wheels
         The encoders and their slip.
     imu
-        What the IMU is off by.
+        Errors of the IMU.
     """
 
     lidar_clock_offset_s: float = 0.0

@@ -1,4 +1,4 @@
-"""What a simulated drive yields, reading by reading, each with its truth."""
+"""Events of a simulated drive: readings with their ground truth."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ class ScanEvent:
     T_map_base
         Pose of the robot at that time.
     scan
-        What the sensor says.
+        The sensor's reading.
     true_ranges_m
         (N,) distance of the first surface on each beam, ``inf`` if there is none.
     fault
@@ -74,7 +74,7 @@ class ImageEvent:
     true_stamp_s, T_map_base
         As in `ScanEvent`.
     frame
-        What the camera says.
+        The camera's reading.
     true_depth_m
         (height, width) depth of the first surface at each pixel.
     fault

@@ -1,4 +1,4 @@
-"""Where faults can be: the borders of things, and what a sensor's second eye cannot see."""
+"""Finds where faults can occur: edges of objects, and areas occluded for a sensor's second view."""
 
 from __future__ import annotations
 
@@ -17,19 +17,19 @@ _SHADOW_PX = 1.0  # less than this is a slanted surface, not a shadow
 def depth_edges(
     distance_m: Float32Array, face: Int32Array, jump_m: float, jump_share: float
 ) -> tuple[BoolArray, Float32Array, Float32Array]:
-    """Readings next to a jump in depth from one face to another.
+    """Find readings next to a jump in depth from one face to another.
 
     Parameters
     ----------
     distance_m, face
-        (H, W) a row of beams is an image of one row. A slanted wall jumps from beam to beam too, but it is
+        (H, W); a scan is an image of one row. Ranges on a slanted wall also jump from beam to beam, but it is
         one face.
     jump_m, jump_share
-        A jump is more than the first and this share of the nearer distance.
+        A jump exceeds the first and this share of the nearer distance.
 
     Returns
     -------
-    (H, W) whether it is an edge, and there the distances of what is before and behind.
+    (H, W) whether it is an edge, and the distances of the surfaces before and behind it.
     """
     height, width = distance_m.shape
     edge = np.zeros((height, width), np.bool_)
@@ -57,15 +57,15 @@ def depth_edges(
 
 @kernel(nogil=True)
 def stereo_shadow(depth_m: Float32Array, focal_baseline_px_m: float) -> BoolArray:
-    """Pixels that the projector, or the second camera, on the right of the first cannot see.
+    """Find pixels that are occluded for the projector, or for the second camera, to the right of the first.
 
-    A pixel in column u at depth z lies in the other eye's column u - f b / z. From right to left these
-    columns fall; one that lies right of an earlier one is hidden behind a nearer surface.
+    A pixel in column u at depth z is in column u - f b / z of the other view. From right to left, these
+    columns decrease; one to the right of an earlier one is occluded by a nearer surface.
 
     Parameters
     ----------
     depth_m
-        (H, W), ``inf`` where there is nothing.
+        (H, W), ``inf`` without a surface.
     focal_baseline_px_m
         Focal length times baseline.
     """

@@ -1,7 +1,8 @@
 """Faults that act on single readings: holes and burrs, each with its cause as ground truth.
 
-One model serves lidars and depth cameras: a scan is an image of one row. What differs is in `FaultConfig`.
-Sensor noise and quantisation are no faults; they come after (`slam.simulation.sensors`).
+One model applies to lidars and depth cameras: a scan is an image of one row. `FaultConfig` contains the
+differences.
+Sensor noise and quantisation are no faults; they are added later (`slam.simulation.sensors`).
 """
 
 from __future__ import annotations
@@ -40,32 +41,32 @@ class Fault(IntEnum):
 
 @dataclass(frozen=True, slots=True)
 class FaultConfig:
-    """Rates and places of faults; all zeros disable everything except the sensor's range.
+    """Rates and conditions of faults; all zeros disable everything except the sensor's range.
 
     Attributes
     ----------
     glass_mirror_cos
-        Glass returns the beam where the cosine of incidence is above this; 1 or more: never.
+        Glass returns the beam if the cosine of incidence is above this; 1 or more: never.
     glass_hole_share
-        Share of the other readings of glass without return; the rest see what is behind.
+        Share of the other readings of glass without return; the others see what is behind.
     dark_range_m
-        Beyond this, dark surfaces give nothing; from half of it on, more and more. A slanted surface counts
-        as farther. 0: dark surfaces are like all others.
+        Beyond this, dark surfaces give no return; from half of it on, with increasing probability. A slanted
+        surface counts as farther. 0: dark surfaces are like all others.
     grazing_cos, grazing_hole_share
         Below this cosine of incidence, this share of the readings is lost.
     backlight_reach, backlight_hole_share
-        Around a window, as far as this many readings, this share of the patches is lost; the window itself
-        is lost as a whole. 0: the sensor sees through windows as through glass.
+        Around a window, up to this many readings, this share of the patches is lost; the window itself is
+        lost completely. 0: the sensor sees through windows as through glass.
     random_hole_share
-        Of all readings, one by one.
+        Share of all readings, independently.
     edge_jump_m, edge_jump_share, edge_burr_share
-        What counts as an edge, see `depth_edges`, and the share of readings there that turn into burrs.
+        Definition of an edge, see `depth_edges`, and the share of readings there that become burrs.
     multipath_share, multipath_m
-        Share of the patches on shiny surfaces that are too far, and least and greatest by how much.
+        Share of the patches on shiny surfaces that are too far, and the minimum and maximum error.
     shadow_focal_baseline_px_m
-        Focal length times baseline of a stereo or structured-light camera; 0: one eye, no shadow.
+        Focal length times baseline of a stereo or structured-light camera; 0: one view, no shadow.
     patch
-        Side in readings of the patches that share a fate: faults of light come in blobs.
+        Side, in readings, of patches with a common fault, because faults of light are blobs.
     """
 
     glass_mirror_cos: float = 1.0
@@ -100,15 +101,15 @@ class Surfaces:
     Attributes
     ----------
     distance_m, behind_m
-        First surface, and first one that is not of glass; ``inf`` where there is none.
+        First surface, and first one that is not glass; ``inf`` if there is none.
     material
         `Material` of the first surface.
     cos_incidence
-        0 at a grazing ray, 1 at a right angle.
+        0 for a grazing ray, 1 for a right angle.
     face
         One number for each flat face.
     person
-        Where the first surface is the person.
+        Whether the first surface is the person.
     """
 
     distance_m: Float32Array
@@ -146,7 +147,7 @@ def corrupt(
     range_min_m, range_max_m
         Distances outside are holes.
     rng
-        Drawn from in a fixed order, so that the same seed gives the same faults.
+        Used in a fixed order, so that equal seeds give equal faults.
     """
     distance = surfaces.distance_m.copy()
     fault: FaultMask = surfaces.person * np.uint8(Fault.PERSON)
@@ -169,7 +170,7 @@ def corrupt(
 
 
 def _patches(shape: tuple[int, ...], patch: int, rng: np.random.Generator) -> Float32Array:
-    """(H, W) uniform numbers that are equal within patches; the patches' lattice is shifted at random."""
+    """(H, W) uniform numbers that are equal within patches; the lattice of patches has a random offset."""
     if patch == 1:
         return rng.random(shape, dtype=np.float32)
     shift = rng.integers(patch, size=2)
@@ -186,9 +187,9 @@ def _meet_glass(
     range_max_m: float,
     rng: np.random.Generator,
 ) -> None:
-    """Glass mirrors the beam back only near the right angle; else it is lost, or goes through."""
+    """Glass reflects the beam back only near a right angle; else it is lost, or goes through."""
     if config.glass_mirror_cos >= 1.0 and config.glass_hole_share == 0.0:
-        return  # this sensor's glass is like any wall
+        return  # for this sensor, glass is like any wall
     glass = surfaces.material == Material.GLASS
     if config.backlight_reach == 0:
         glass |= surfaces.material == Material.WINDOW
@@ -209,13 +210,13 @@ def _burr_edges(
     config: FaultConfig,
     rng: np.random.Generator,
 ) -> None:
-    """A reading at an edge mixes what is before with what is behind: it flies between them."""
+    """A reading at an edge mixes foreground and background: a flying point between them."""
     if config.edge_burr_share == 0.0:
         return
     edge, fore, back = depth_edges(
         surfaces.distance_m, surfaces.face, config.edge_jump_m, config.edge_jump_share
     )
-    # Glass mixes by rules of its own.
+    # Glass mixes by other rules.
     places = np.flatnonzero(edge & (fault != Fault.THROUGH_GLASS) & (fault != Fault.HOLE_GLASS))
     places = places[rng.random(places.size) < config.edge_burr_share]
     before, behind = fore.ravel()[places], back.ravel()[places]
@@ -236,7 +237,7 @@ def _reflect(
         return
     chosen = _patches(distance.shape, config.patch, rng)
     places = shiny & (chosen < config.multipath_share)
-    # The chosen numbers are uniform below the share: they serve as the amount too.
+    # The selected numbers are uniform below the share, so they also define the amount.
     low, high = config.multipath_m
     distance[places] += low + (high - low) * chosen[places] / config.multipath_share
     fault[places] = Fault.BURR_MULTIPATH
@@ -262,7 +263,7 @@ def _blinded(surfaces: Surfaces, config: FaultConfig, rng: np.random.Generator) 
 
 
 def _swallowed(surfaces: Surfaces, config: FaultConfig, rng: np.random.Generator) -> BoolArray | None:
-    """Dark surfaces, the farther and the more slanted the more certain."""
+    """Dark surfaces, with a probability that increases with distance and slant."""
     dark = surfaces.material == Material.DARK
     if config.dark_range_m == 0.0 or not dark.any():
         return None
@@ -272,7 +273,7 @@ def _swallowed(surfaces: Surfaces, config: FaultConfig, rng: np.random.Generator
 
 
 def _too_slanted(surfaces: Surfaces, config: FaultConfig, rng: np.random.Generator) -> BoolArray | None:
-    """Surfaces along which the light only brushes."""
+    """Surfaces at a grazing angle."""
     if config.grazing_hole_share == 0.0:
         return None
     slanted = (surfaces.cos_incidence < config.grazing_cos) & np.isfinite(surfaces.distance_m)
@@ -280,7 +281,7 @@ def _too_slanted(surfaces: Surfaces, config: FaultConfig, rng: np.random.Generat
 
 
 def _in_shadow(surfaces: Surfaces, config: FaultConfig) -> BoolArray | None:
-    """What only one eye sees."""
+    """Areas that only one view sees."""
     if config.shadow_focal_baseline_px_m == 0.0:
         return None
     return np.asarray(stereo_shadow(surfaces.distance_m, config.shadow_focal_baseline_px_m))

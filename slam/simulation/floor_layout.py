@@ -1,4 +1,4 @@
-"""The bare home: rooms on both sides of a corridor, their walls, doors, windows, floors and the ceiling."""
+"""Generates an empty home: rooms on both sides of a corridor, with walls, doors, windows, floors, ceiling."""
 
 from __future__ import annotations
 
@@ -12,14 +12,14 @@ from slam.simulation.home_model import Color, Door, Part, Rectangle, Room, Style
 from slam.simulation.walls import HEIGHT_M, Kind, Opening, WallLine, wall_things
 
 _SLAB_M = 0.1
-_EDGE_M = 0.22  # of wall that stays beside an opening
-_SWING_M = 0.85  # in front of a door that furniture leaves free
+_EDGE_M = 0.22  # of wall that remains next to an opening
+_SWING_M = 0.85  # in front of a door, kept free of furniture
 _LEAF_HALF_M = 0.02
 
 
 @dataclass(frozen=True, slots=True)
 class LayoutStyle:
-    """The measures of a kind of building; pairs are the least and the greatest."""
+    """Dimensions of a type of building; pairs are minimum and maximum."""
 
     purposes: tuple[str, ...]
     rooms: tuple[int, int]
@@ -59,13 +59,13 @@ class RoomPlan:
     Attributes
     ----------
     room, purpose
-        ``bedroom2`` is for ``bedroom``.
+        Room and purpose: ``bedroom2`` has the purpose ``bedroom``.
     doorways
         Points inside the room in front of its doors.
     kept_clear
-        Rectangles that furniture leaves free.
+        Rectangles without furniture.
     fixed
-        Things that stand there from the start: open doors.
+        Objects that exist from the start: open doors.
     """
 
     room: Room
@@ -77,7 +77,7 @@ class RoomPlan:
 
 @dataclass(frozen=True, slots=True)
 class Layout:
-    """The bare home: its rooms, the corridor last; its doors; floors, ceiling and walls."""
+    """The empty home: its rooms, the corridor last; its doors; floors, ceiling and walls."""
 
     plans: list[RoomPlan]
     doors: list[Door]
@@ -90,7 +90,7 @@ def draw_layout(style: LayoutStyle, rooms: int, rng: np.random.Generator) -> Lay
     Parameters
     ----------
     rooms
-        Two or more, without the corridor.
+        Number of rooms, two or more, without the corridor.
     """
     south = rooms // 2
     depths = rng.uniform(*style.depth_m, 2)
@@ -113,19 +113,19 @@ def draw_layout(style: LayoutStyle, rooms: int, rng: np.random.Generator) -> Lay
 
 
 def _divide(length: float, count: int, rng: np.random.Generator) -> FloatArray:
-    """Uneven borders of rooms that share a length, (count + 1,)."""
+    """Unequal borders of rooms that share a length, (count + 1,)."""
     shares = rng.uniform(0.8, 1.25, count)
     return np.concatenate([[0.0], np.cumsum(shares / shares.sum())]) * length
 
 
 def _purposes(style: LayoutStyle, rooms: int, rng: np.random.Generator) -> list[str]:
-    """What the rooms are for: the first of the style are always there, the order is random."""
+    """Purposes of the rooms: the first ones of the style always exist, the order is random."""
     names = [style.purposes[index % len(style.purposes)] for index in range(rooms)]
     return [names[index] for index in rng.permutation(rooms)]
 
 
 def _name_rooms(purposes: Sequence[str], cells: Sequence[Rectangle], thickness: float) -> list[RoomPlan]:
-    """Number the rooms of a kind and cut their walls off."""
+    """Number the rooms of each type and subtract their walls."""
     half = 0.5 * thickness
     plans: list[RoomPlan] = []
     for index, (purpose, (x0, y0, x1, y1)) in enumerate(zip(purposes, cells, strict=True)):
@@ -136,9 +136,9 @@ def _name_rooms(purposes: Sequence[str], cells: Sequence[Rectangle], thickness: 
 
 
 def _slabs(cells: Sequence[Rectangle], thickness: float, rng: np.random.Generator) -> list[Thing]:
-    """A floor of its own under each room, so that rooms look different, and one ceiling over all."""
+    """A separate floor for each room, so that rooms look different, and one ceiling for all."""
     things = []
-    # Under the outer walls too; the outermost cells reach half a wall farther.
+    # Also under the outer walls; the outermost cells extend by half a wall.
     east, north = max(cell[2] for cell in cells), max(cell[3] for cell in cells)
     half = 0.5 * thickness
     for x0, y0, x1, y1 in cells:
@@ -159,7 +159,7 @@ def _slab(cell: Rectangle, z_low: float, style: Style, color: Color) -> Part:
 
 
 def _tint(color: Color, rng: np.random.Generator, spread: int) -> Color:
-    """A colour near another: lighter or darker, and a little of another hue."""
+    """A similar colour: lighter or darker, with a slightly different hue."""
     shade = int(rng.integers(-spread, spread + 1))
     r, g, b = (int(np.clip(c + shade + rng.integers(-12, 13), 20, 245)) for c in color)
     return r, g, b
@@ -180,14 +180,14 @@ class _Builder:
     def add_line(
         self, along_x: bool, at: float, low: float, high: float, openings: Sequence[Opening]
     ) -> None:
-        """A wall between two others: it ends at their faces, but an outer one along x takes the corners."""
+        """Add a wall between two others: it ends at their faces; an outer one along x has the corners."""
         half = 0.5 * self._thickness
         ends = (low - half, high + half) if along_x else (low + half, high - half)
         line = WallLine(along_x, float(at), float(ends[0]), float(ends[1]), tuple(openings))
         self.things += wall_things(line, self._thickness, _tint(self._color, self._rng, 14))
 
     def corridor_openings(self, index: int, *, lower: bool) -> list[Opening]:
-        """The door from a room to the corridor, and beside it a pane of glass where there is space."""
+        """The door from a room to the corridor, and next to it a pane of glass if there is space."""
         x0, y0, x1, y1 = self._plans[index].room.rectangle
         wide = self._plans[index].purpose in {"living", "openplan"}
         width = float(self._rng.uniform(*self._style.door_m)) * (1.5 if wide else 1.0)
@@ -205,7 +205,7 @@ class _Builder:
         return openings
 
     def add_side_walls(self, borders: FloatArray, span: tuple[float, float], first: int) -> None:
-        """The walls between neighbours on one side of the corridor, some with a door."""
+        """Add the walls between neighbours on one side of the corridor, some with a door."""
         for place in range(1, len(borders) - 1):
             openings = []
             if self._rng.random() < self._style.side_door_share:
@@ -216,7 +216,7 @@ class _Builder:
             self.add_line(False, borders[place], *span, openings)
 
     def add_outside(self, cells: Sequence[Rectangle], y: FloatArray, length: float, south: int) -> None:
-        """The outer walls: a window for each room, one of them a glass door from the floor up."""
+        """Add the outer walls: one window per room, one of them a glass door down to the floor."""
         rooms = len(cells) - 1
         balcony = int(self._rng.integers(rooms))
         sides: tuple[list[Opening], list[Opening]] = ([], [])
@@ -240,7 +240,7 @@ class _Builder:
     def _door(
         self, a: int, b: int, along_x: bool, at: float, low: float, width: float, *, leaf: bool
     ) -> Opening:
-        """A doorway between two rooms, with the space that it needs in both."""
+        """Add a doorway between two rooms, with the space that it needs in both."""
         middle, offset = low + 0.5 * width, 0.5 * self._thickness
         center = (middle, float(at)) if along_x else (float(at), middle)
         self.doors.append(Door(self._plans[a].room.name, self._plans[b].room.name, center, width))
@@ -257,7 +257,7 @@ class _Builder:
         return Opening(low, low + width, Kind.DOOR, float(self._rng.choice([0.0, 0.006, 0.009])))
 
     def _leaf(self, low: float, width: float, at: float, room: Room) -> Thing:
-        """A door that stands open at right angles to a wall along x, outside its doorway."""
+        """A door open at a right angle to a wall along x, outside its doorway."""
         left = self._rng.random() < 0.5
         x = low - _LEAF_HALF_M if left else low + width + _LEAF_HALF_M
         inward = 1.0 if room.rectangle[1] > at else -1.0

@@ -1,4 +1,4 @@
-"""A small building in the plane: walls, furniture, a tour through it, and exact ray casting."""
+"""A small 2D building: walls, furniture, a tour through it, and exact ray casting."""
 
 from __future__ import annotations
 
@@ -11,7 +11,8 @@ _WEST, _EAST, _SOUTH, _NORTH = 0.0, 12.0, 0.0, 9.0
 _CORRIDOR_SOUTH, _CORRIDOR_NORTH = 3.0, 5.0
 _HALF_DOOR = 0.55
 
-# Furniture: x, y of the lower left corner, width, depth. Uneven on purpose, so that no two rooms look alike.
+# Furniture: x, y of the lower left corner, width, depth. Irregular on purpose, so that no two rooms look
+# alike.
 _BOXES = (
     (0.0, 0.0, 1.0, 0.6),  # cupboard, room A
     (3.2, 2.3, 0.5, 0.5),
@@ -26,8 +27,8 @@ _BOXES = (
     (5.9, 3.1, 0.3, 0.3),  # pillar, corridor
 )
 
-# Two rounds that both come back to the first point: through the rooms on the north side, then those
-# on the south side.
+# Two loops that both return to the first point: through the rooms on the north side, then those on the south
+# side.
 TOUR_M = np.array(
     [
         [1.0, 4.0],
@@ -47,9 +48,9 @@ TOUR_M = np.array(
 
 
 def walls() -> FloatArray:
-    """All wall and furniture edges, (N, 4) rows of x1, y1, x2, y2 in the map frame.
+    """Return all wall and furniture edges, (N, 4) rows of x1, y1, x2, y2 in the map frame.
 
-    The east end of the corridor is open and room E has a window: beams that leave there meet nothing.
+    The east end of the corridor is open and room E has a window: beams that leave there have no return.
     """
     lines: list[tuple[float, float, float, float]] = []
     lines += _horizontal(_SOUTH, _WEST, _EAST)
@@ -68,12 +69,12 @@ def walls() -> FloatArray:
 
 
 def _door(center: float) -> tuple[float, float]:
-    """The opening of a door along its wall."""
+    """Return the interval of a door along its wall."""
     return center - _HALF_DOOR, center + _HALF_DOOR
 
 
 def _pieces(low: float, high: float, openings: tuple[tuple[float, float], ...]) -> list[tuple[float, float]]:
-    """What openings leave of an interval."""
+    """Subtract openings from an interval."""
     edges = [low, *(edge for opening in openings for edge in opening), high]
     return list(zip(edges[::2], edges[1::2], strict=True))
 
@@ -93,14 +94,14 @@ def _vertical(
 
 
 def cast_rays(segments: FloatArray, origin_m: FloatArray, bearings_rad: FloatArray) -> FloatArray:
-    """Exact distance along every ray to the nearest segment, ``inf`` where there is none.
+    """Compute the exact distance along every ray to the nearest segment, ``inf`` if there is none.
 
     Parameters
     ----------
     segments
         (S, 4) rows of x1, y1, x2, y2, same frame as the origin.
     origin_m
-        (2,) where all rays begin.
+        (2,) origin of all rays.
     bearings_rad
         (N,) directions in that frame.
 

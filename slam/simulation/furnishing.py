@@ -1,4 +1,4 @@
-"""Puts furniture into rooms so that a robot still gets everywhere."""
+"""Furnishes rooms so that a robot can still reach everything."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from slam.simulation.floor_layout import RoomPlan
 from slam.simulation.home_model import Part, Rectangle, Thing
 from slam.simulation.true_grid import drivable_cells, largest_region, occupied_cells
 
-# Of the robot that must get everywhere: 0.25 m, and a margin for the cells of other people's grids.
+# Radius of the robot: 0.25 m, plus a margin for the cells of other grids.
 PASSABLE_RADIUS_M = 0.32
 OBSTACLE_Z_M = (0.01, 1.2)
 _CELL_M = 0.05
@@ -51,13 +51,13 @@ _FREE: dict[str, tuple[f.Piece, ...]] = {
     "corridor": (f.rug,),
 }
 
-# What may stand in a room, by its purpose: at the walls, and anywhere.
+# Furniture of a room by its purpose: at the walls, and anywhere.
 OF_ROOMS = {purpose: (_WALL[purpose], _FREE[purpose]) for purpose in _WALL}
 
 
 @dataclass
 class _Site:
-    """A room while it is furnished: what stands in it, in pieces and in cells."""
+    """A room while it is furnished: its contents, as pieces and as cells."""
 
     plan: RoomPlan
     placed: list[Thing]
@@ -68,17 +68,17 @@ class _Site:
 def furnish(plan: RoomPlan, rng: np.random.Generator) -> list[Thing]:
     """Furnish one room.
 
-    Every piece is tried at random places; it stays where it overlaps nothing, leaves the space at doors
+    Every piece is tried at random positions; it is placed if it overlaps nothing, keeps the space at doors
     free, and leaves all doorways and nearly all free floor of the room in one drivable region.
 
     Parameters
     ----------
     plan
-        The room, its doors, and what stands there already.
+        The room, its doors, and its fixed contents.
 
     Returns
     -------
-    The pieces in the map frame, without what was fixed.
+    The pieces in the map frame, without fixed ones.
     """
     site = _site(plan, plan.fixed, [part for thing in plan.fixed for part in thing.parts])
     for piece in _WALL[plan.purpose]:
@@ -91,7 +91,7 @@ def furnish(plan: RoomPlan, rng: np.random.Generator) -> list[Thing]:
 def place_once_more(
     plan: RoomPlan, others: Sequence[Thing], thing: Thing, rng: np.random.Generator, at_wall: bool
 ) -> Thing | None:
-    """A piece, given by itself, where it fits among what stands in a room; None if it fits nowhere."""
+    """Place a piece in a furnished room; None if it fits nowhere."""
     standing = [*plan.fixed, *others]
     site = _site(plan, standing, _low(standing))
     _try_places(site, thing, rng, at_wall=at_wall)
@@ -99,20 +99,20 @@ def place_once_more(
 
 
 def _site(plan: RoomPlan, standing: Sequence[Thing], parts: Sequence[Part]) -> _Site:
-    """A room, what stands in it, and the parts of that which block the way."""
+    """A room, its contents, and those parts that are obstacles."""
     x0, y0, x1, y1 = plan.room.rectangle
     shape = (math.ceil((y1 - y0) / _CELL_M), math.ceil((x1 - x0) / _CELL_M))
     return _Site(plan, list(standing), occupied_cells(parts, (x0, y0), shape, _CELL_M), (x0, y0))
 
 
 def _low(things: Sequence[Thing]) -> list[Part]:
-    """The parts that a robot could meet."""
+    """The parts that a robot could hit."""
     parts = [part for thing in things for part in thing.parts]
     return [part for part in parts if part.z_high_m > OBSTACLE_Z_M[0] and part.z_low_m < OBSTACLE_Z_M[1]]
 
 
 def _try_places(site: _Site, thing: Thing, rng: np.random.Generator, *, at_wall: bool) -> None:
-    """Put a piece where it fits, or leave it out."""
+    """Place a piece where it fits, or omit it."""
     for _ in range(_TRIES):
         pose = _wall_pose(site.plan, thing, rng) if at_wall else _free_pose(site.plan, rng)
         candidate = Thing(thing.kind, tuple(part.placed(*pose) for part in thing.parts))
@@ -128,7 +128,7 @@ def _try_places(site: _Site, thing: Thing, rng: np.random.Generator, *, at_wall:
 
 
 def _wall_pose(plan: RoomPlan, thing: Thing, rng: np.random.Generator) -> tuple[float, float, float]:
-    """Back to a random wall, now and then not quite parallel to it."""
+    """A pose with the back to a random wall, sometimes not quite parallel to it."""
     x0, y0, x1, y1 = plan.room.rectangle
     width = np.ptp([corner for part in thing.parts for corner in part.corners_xy()[:, 0]])
     side = int(rng.choice(4, p=_side_shares(x1 - x0, y1 - y0)))
@@ -146,19 +146,19 @@ def _wall_pose(plan: RoomPlan, thing: Thing, rng: np.random.Generator) -> tuple[
 
 
 def _side_shares(width: float, depth: float) -> list[float]:
-    """How often each wall is tried: by its length, so that a corridor is furnished along its sides."""
+    """Probability of each wall by its length, so that a corridor is furnished along its sides."""
     total = 2.0 * (width**2 + depth**2)
     return [width**2 / total, depth**2 / total, width**2 / total, depth**2 / total]
 
 
 def _free_pose(plan: RoomPlan, rng: np.random.Generator) -> tuple[float, float, float]:
-    """Anywhere, turned by any angle."""
+    """A random position with a random rotation."""
     x0, y0, x1, y1 = plan.room.rectangle
     return float(rng.uniform(x0, x1)), float(rng.uniform(y0, y1)), float(rng.uniform(-math.pi, math.pi))
 
 
 def _fits(site: _Site, candidate: Thing) -> bool:
-    """Inside the room, apart from all other pieces, and not in a space that is kept clear."""
+    """Whether it is inside the room, apart from all other pieces, and outside of free spaces."""
     x0, y0, x1, y1 = site.plan.room.rectangle
     corners = np.concatenate([part.corners_xy() for part in candidate.parts])
     if (corners < (x0 + 0.001, y0 + 0.001)).any() or (corners > (x1 - 0.001, y1 - 0.001)).any():
@@ -168,7 +168,7 @@ def _fits(site: _Site, candidate: Thing) -> bool:
     return not any(
         _meets(mine, theirs)
         for thing in site.placed
-        # Things stand on rugs.
+        # Objects may stand on rugs.
         if "rug" not in {thing.kind, candidate.kind}
         for theirs in thing.parts
         for mine in candidate.parts
@@ -176,13 +176,13 @@ def _fits(site: _Site, candidate: Thing) -> bool:
 
 
 def _patch(area: Rectangle) -> Part:
-    """A rectangle as a part, to test it like one."""
+    """A rectangle as a part, for overlap tests."""
     x0, y0, x1, y1 = area
     return Part((0.5 * (x0 + x1), 0.5 * (y0 + y1)), (0.5 * (x1 - x0), 0.5 * (y1 - y0)), 0.0, 2.0)
 
 
 def _meets(a: Part, b: Part) -> bool:
-    """Whether two footprints come nearer than the least gap (separating axes)."""
+    """Whether two footprints are closer than the minimum gap (separating axes)."""
     dx, dy = b.center_xy[0] - a.center_xy[0], b.center_xy[1] - a.center_xy[1]
     if math.hypot(dx, dy) > math.hypot(*a.half_xy) + math.hypot(*b.half_xy) + _APART_M:
         return False
@@ -200,13 +200,13 @@ def _reach(part: Part, yaw_rad: float) -> float:
 
 
 def _passable(site: _Site, blocked: BoolArray) -> bool:
-    """Whether a robot still gets from every doorway to every other, and nothing large is cut off."""
+    """Whether a robot can still drive from every doorway to every other, and nothing large is cut off."""
     region, drivable = _region(site, blocked)
     if not _all_inside(region, site.plan.doorways, site.origin_xy):
         return False
     bare, _ = _region(site, np.zeros_like(blocked))
     inside = int(np.count_nonzero(region))
-    # Small pockets behind furniture may be cut off; a robot has no business there.
+    # Small areas behind furniture may be cut off; a robot need not go there.
     whole = inside >= _WHOLE_SHARE * int(np.count_nonzero(drivable))
     return whole and inside >= _LEAST_DRIVABLE_SHARE * int(np.count_nonzero(bare))
 
@@ -220,6 +220,6 @@ def _region(site: _Site, blocked: BoolArray) -> tuple[BoolArray, BoolArray]:
 def _all_inside(
     region: BoolArray, points: Sequence[tuple[float, float]], origin_xy: tuple[float, float]
 ) -> bool:
-    """Whether all points lie in the region."""
+    """Whether all points are in the region."""
     cells = [(int((y - origin_xy[1]) / _CELL_M), int((x - origin_xy[0]) / _CELL_M)) for x, y in points]
     return all(region[row, col] for row, col in cells)

@@ -1,7 +1,7 @@
-"""The catalogue: pieces of furniture made of boxes, each drawn with measures and colours of its own.
+"""The furniture catalogue: pieces made of boxes, with random dimensions and colours.
 
-A piece has its origin on the floor in the middle of its back, x to its right, y out of the wall.
-Heights are spread on purpose over the planes that sensors see: toys and rugs below every lidar, a low
+The origin of a piece is on the floor in the middle of its back, x to its right, y away from the wall.
+Heights are deliberately distributed over the scan planes of sensors: toys and rugs below every lidar, a low
 cupboard and a bench between a low and a higher one (0.20-0.30 m), table tops and shelves above them.
 """
 
@@ -23,7 +23,7 @@ _BLACK: Color = (24, 23, 26)
 
 
 def _pick(colors: tuple[Color, ...], rng: np.random.Generator) -> Color:
-    """One of the colours, a little changed."""
+    """One of the colours, slightly varied."""
     base = colors[int(rng.integers(len(colors)))]
     r, g, b = (int(np.clip(c + rng.integers(-14, 15), 8, 245)) for c in base)
     return r, g, b
@@ -37,7 +37,7 @@ def _box(
     style: Style = Style.WOOD,
     material: Material = Material.MATTE,
 ) -> Part:
-    """A part from its extent along the piece's axes."""
+    """A part defined by its extent along the piece's axes."""
     center = (0.5 * (x[0] + x[1]), 0.5 * (y[0] + y[1]))
     half = (0.5 * (x[1] - x[0]), 0.5 * (y[1] - y[0]))
     return Part(center, half, z[0], z[1], color=color, style=style, material=material)
@@ -50,7 +50,7 @@ def _solid(
     style: Style = Style.WOOD,
     material: Material = Material.MATTE,
 ) -> Thing:
-    """A piece of one box: width, depth, height."""
+    """A piece that is one box: width, depth, height."""
     width, depth, height = size
     half = 0.5 * width
     return Thing(kind, (_box((-half, half), (0.0, depth), (0.0, height), color, style, material),))
@@ -110,7 +110,7 @@ def chair(rng: np.random.Generator) -> Thing:
 
 
 def bed(rng: np.random.Generator) -> Thing:
-    """A bed with a mattress over a gap that a low sensor looks into, and a headboard."""
+    """A bed with a mattress over a gap that is visible to a low sensor, and a headboard."""
     width, length, top = rng.uniform(0.95, 1.65), rng.uniform(1.95, 2.1), rng.uniform(0.45, 0.55)
     half, color = 0.5 * width, _pick(_WOODS, rng)
     parts = (
@@ -147,7 +147,7 @@ def wardrobe(rng: np.random.Generator) -> Thing:
 
 
 def low_cupboard(rng: np.random.Generator) -> Thing:
-    """A cupboard that ends between the planes of a low lidar and a higher one, under a camera's view."""
+    """A cupboard with its top between the planes of a low lidar and a higher one, below a camera's view."""
     size = (rng.uniform(0.6, 1.1), rng.uniform(0.3, 0.42), rng.uniform(0.2, 0.29))
     return _solid("low_cupboard", size, _pick(_WOODS, rng))
 
@@ -183,19 +183,19 @@ def television(rng: np.random.Generator) -> Thing:
 
 
 def dark_cabinet(rng: np.random.Generator) -> Thing:
-    """A black lacquered cabinet: it swallows infrared light from floor to top."""
+    """A black lacquered cabinet, which absorbs infrared light at all heights."""
     size = (rng.uniform(0.6, 1.0), rng.uniform(0.4, 0.5), rng.uniform(0.8, 1.4))
     return _solid("dark_cabinet", size, _BLACK, Style.SMOOTH, Material.DARK)
 
 
 def fridge(rng: np.random.Generator) -> Thing:
-    """A metal door that mirrors light."""
+    """A metal door that reflects light."""
     size = (0.6, 0.62, rng.uniform(1.5, 1.9))
     return _solid("fridge", size, _METAL, Style.SMOOTH, Material.SHINY)
 
 
 def counter(rng: np.random.Generator) -> Thing:
-    """A kitchen counter, its top standing out over the toe space."""
+    """A kitchen counter whose top protrudes over the toe space."""
     width, color = rng.uniform(1.2, 2.0), _pick(_WOODS, rng)
     half = 0.5 * width
     parts = (
@@ -214,7 +214,7 @@ def bathtub(rng: np.random.Generator) -> Thing:
 
 
 def basin(rng: np.random.Generator) -> Thing:
-    """A wash basin that hangs over the floor."""
+    """A wash basin that is mounted above the floor."""
     parts = (
         _box((-0.3, 0.3), (0.0, 0.45), (0.68, 0.86), (230, 232, 234), Style.SMOOTH),
         _box((-0.09, 0.09), (0.0, 0.18), (0.0, 0.68), (230, 232, 234), Style.SMOOTH),
@@ -264,6 +264,6 @@ def copier(rng: np.random.Generator) -> Thing:
 
 
 def rug(rng: np.random.Generator) -> Thing:
-    """A rug under 1 cm: it stops no robot."""
+    """A rug thinner than 1 cm, which stops no robot."""
     size = (rng.uniform(1.0, 1.9), rng.uniform(0.8, 1.3), 0.006)
     return _solid("rug", size, _pick(_FABRICS, rng), Style.FABRIC)

@@ -1,4 +1,4 @@
-"""Fixes of a satellite receiver on the move: noise, errors that stay for a while, mirrored signals."""
+"""Simulates fixes of a moving GNSS receiver: noise, drift, multipath."""
 
 from __future__ import annotations
 

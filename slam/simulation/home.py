@@ -1,4 +1,4 @@
-"""Draws furnished homes and offices from a seed; a robot gets into every room of each."""
+"""Generates furnished homes and offices from a seed; a robot can reach every room."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ log = logging.getLogger(__name__)
 _CELL_M = 0.05
 _FEWEST_ROOMS, _MOST_ROOMS = 2, 40
 _TRIES = 16
-_SMALLEST_AREA_M2 = 0.3  # of drivable floor, for a room to count as reached
+_SMALLEST_AREA_M2 = 0.3  # of drivable floor, for a room to count as reachable
 
 
 def generate_home(
@@ -52,20 +52,21 @@ def generate_home(
     kind
         ``home`` or ``office``.
     rooms
-        How many, without the corridor; None draws a usual number.
+        Number of rooms, without the corridor; None draws a usual number.
     moved
-        So many pieces of its furniture stand elsewhere, have gone or come; see `Home.changes`.
+        Number of pieces of furniture that are moved, removed or added; see `Home.changes`.
     day
-        The seed of which, and where.
+        Seed of these changes.
 
     Returns
     -------
-    A home with one corridor and rooms on both sides of it. A robot of radius 0.25 m gets into all of them.
+    A home with one corridor and rooms on both sides of it. A robot of radius 0.25 m can reach all of them.
 
     Raises
     ------
     ConfigError
-        An unknown kind, a number of rooms outside 2..40, or a seed without a way through (none is known).
+        An unknown kind, a number of rooms outside 2..40, or a seed without a path to all rooms (none is
+        known).
     """
     if kind not in STYLES:
         raise ConfigError(f"kind of home is {kind!r}; choose one of {', '.join(STYLES)}")
@@ -77,7 +78,7 @@ def generate_home(
     layout = draw_layout(style, count, rng)
     furnished = [furnish(plan, rng) for plan in layout.plans]
     home = _build(layout, furnished)
-    # Each room was checked by itself; this is the proof for the whole, and the way out if it fails.
+    # Each room was checked separately; check the whole home, and try again if that fails.
     while blocked := rooms_out_of_reach(home, PASSABLE_RADIUS_M - _CELL_M):
         inside = [i for i, plan in enumerate(layout.plans) if plan.room.name in blocked and furnished[i]]
         anywhere = [i for i, pieces in enumerate(furnished) if pieces]
@@ -114,7 +115,7 @@ def rooms_out_of_reach(home: Home, radius_m: float) -> list[str]:
 
 
 def _build(layout: Layout, furnished: Sequence[Sequence[Thing]]) -> Home:
-    """The home with what is left of its furniture, and a start in the corridor, looking along it."""
+    """Build the home with its remaining furniture, and a start pose along the corridor."""
     things = list(layout.things)
     for plan, pieces in zip(layout.plans, furnished, strict=True):
         things += [*plan.fixed, *pieces]
@@ -139,7 +140,7 @@ def _roomiest_in(room: Room, grid: TrueGrid, region: BoolArray) -> tuple[float, 
 
 
 def _cells_of(rectangle: tuple[float, float, float, float], grid: TrueGrid) -> tuple[slice, slice]:
-    """The cells that hold a rectangle, or a point."""
+    """The cells that contain a rectangle or a point."""
     x0, y0, x1, y1 = rectangle
     col, row = (int((v - o) / grid.resolution_m) for v, o in zip((x0, y0), grid.origin_xy, strict=True))
     col_end, row_end = (

@@ -1,4 +1,4 @@
-"""What a simulated home is: solid parts, the mesh made of them, and what each part belongs to.
+"""The model of a simulated home: solid parts, their mesh, and the object that each part belongs to.
 
 Frame map: x and y in the plane of the floor, z up, floor at z = 0. Metres and radians.
 """
@@ -23,17 +23,17 @@ Int32Array: TypeAlias = NDArray[np.int32]
 
 
 class Material(IntEnum):
-    """What a surface does to light: the cause of most faults."""
+    """Optical behaviour of a surface, the cause of most faults."""
 
     MATTE = 0
-    DARK = 1  # swallows the light of the sensor
-    GLASS = 2  # lets it through, or mirrors it away
+    DARK = 1  # absorbs the light of the sensor
+    GLASS = 2  # transmits it, or reflects it away
     WINDOW = 3  # glass with daylight behind it, which blinds a depth camera
-    SHINY = 4  # metal, lacquer: throws light on to another surface
+    SHINY = 4  # metal, lacquer: reflects light to another surface
 
 
 class Style(IntEnum):
-    """How a surface is painted; see `slam.simulation.texture`."""
+    """Pattern of a surface; see `slam.simulation.texture`."""
 
     PLASTER = 0
     PLANKS = 1
@@ -48,18 +48,18 @@ class Style(IntEnum):
 
 @dataclass(frozen=True, slots=True)
 class Part:
-    """An upright box, turned about its vertical axis.
+    """An upright box, rotated about its vertical axis.
 
     Attributes
     ----------
     center_xy, half_xy
-        Centre of the footprint, and half its extent along its own axes.
+        Centre of the footprint, and half its size along its own axes.
     yaw_rad
-        Turn of these axes in the frame.
+        Rotation of these axes in the frame.
     z_low_m, z_high_m
-        From where to where it stands.
+        Lowest and highest z.
     color, style, material
-        Of all its faces.
+        Appearance of all its faces.
     """
 
     center_xy: tuple[float, float]
@@ -72,7 +72,7 @@ class Part:
     material: Material = Material.MATTE
 
     def placed(self, x_m: float, y_m: float, yaw_rad: float) -> Part:
-        """The same part, given in the frame of a piece of furniture that stands at this pose."""
+        """Transform a part from the frame of a piece of furniture at this pose."""
         c, s = math.cos(yaw_rad), math.sin(yaw_rad)
         px, py = self.center_xy
         center = (x_m + c * px - s * py, y_m + s * px + c * py)
@@ -88,7 +88,7 @@ class Part:
 
 @dataclass(frozen=True, slots=True)
 class Thing:
-    """Parts that make one obstacle: a wall, a table with its legs."""
+    """Parts that form one obstacle: a wall, a table with its legs."""
 
     kind: str
     parts: tuple[Part, ...]
@@ -96,12 +96,12 @@ class Thing:
 
 @dataclass(frozen=True, slots=True)
 class Rearrangement:
-    """A piece of furniture that stands elsewhere than on another day.
+    """A piece of furniture that was moved between two days.
 
     Attributes
     ----------
     before, after
-        As it stood, and as it stands; None if it was brought, or carried away.
+        Before and after the change; None if it was added or removed.
     """
 
     before: Thing | None
@@ -110,7 +110,7 @@ class Rearrangement:
 
 @dataclass(frozen=True, slots=True)
 class Obstacle:
-    """One thing of the home.
+    """One object of the home.
 
     Attributes
     ----------
@@ -119,7 +119,7 @@ class Obstacle:
     kind
         ``floor``, ``ceiling``, ``wall``, ``table``, ...
     box
-        (2, 3) least and greatest corner, map frame.
+        (2, 3) minimum and maximum corner, map frame.
     """
 
     id: int
@@ -137,7 +137,7 @@ class Room:
 
 @dataclass(frozen=True, slots=True)
 class Door:
-    """An open doorway between two rooms; the width is the clear one."""
+    """An open doorway between two rooms, with its clear width."""
 
     room_a: str
     room_b: str
@@ -152,13 +152,14 @@ class WallTag:
     Attributes
     ----------
     number
-        In its family.
+        Number in the tag family.
     T_map_tag
-        Its middle: x to the right of who looks at it, y up, z out of the wall.
+        Its centre: x to the right as seen by a viewer, y up, z out of the wall.
     side_m
-        Of the black square.
+        Side of the black square.
     cells
-        (n, n) white cells of the paper: a white rim, the black one, and the bits within; the upper row first.
+        (n, n) white cells of the paper: a white border, a black one, and the bits inside; the upper row
+        first.
     """
 
     number: int
@@ -178,15 +179,15 @@ class Home:
     obstacle_of_triangle, material_of_triangle, style_of_triangle, color_of_triangle
         (T,) index into the obstacles; (T,) `Material`; (T,) `Style`; (T, 3) RGB.
     obstacles, parts, obstacle_of_part
-        The things, the solids they are made of, and (P,) which solid is whose.
+        The objects, their solids, and (P,) the object of each solid.
     rooms, doors
         Corridors are rooms too.
     start_xy_yaw
-        A place where a robot can stand.
+        A pose where a robot fits.
     changes
-        What is not where the home's seed alone would have it.
+        Differences to the home of the seed alone.
     tags
-        On its walls.
+        Tags on its walls.
     """
 
     vertices: Float32Array
@@ -222,7 +223,7 @@ def assemble(
     doors: Sequence[Door],
     start_xy_yaw: tuple[float, float, float],
 ) -> Home:
-    """Make the mesh of all things.
+    """Create the mesh of all objects.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""What an inertial measurement unit on a body in motion says, and its files."""
+"""Simulates an IMU on a moving body, and writes its files."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from slam.simulation import ros_messages as ros
 from slam.simulation.sensor_clock import generator, schedule
 from slam.storage.files import write_lines
 
-# Rotations (N, 3, 3) and positions (N, 3) of a body in an upright map by times (N,).
+# Function from times (N,) to rotations (N, 3, 3) and positions (N, 3) of a body in a map with z up.
 PosesAt = Callable[[FloatArray], tuple[FloatArray, FloatArray]]
 _HEAD = (
     "#timestamp [ns],w_RS_S_x [rad s^-1],w_RS_S_y [rad s^-1],w_RS_S_z [rad s^-1],"
@@ -32,11 +32,11 @@ class ImuModel:
     Attributes
     ----------
     rate_hz
-        Readings a second.
+        Readings per second.
     gyro_density, force_density
-        White noise in rad/s and m/s^2 for the square root of a hertz.
+        White noise density in rad/s and m/s^2 per square root of a hertz.
     gyro_walk, force_walk
-        By how much the biases wander, in rad/s and m/s^2 for the square root of a second.
+        Random walk of the biases, in rad/s and m/s^2 per square root of a second.
     most_gyro_rad_s, most_force_m_s2
         Range limit of an axis.
     """

@@ -1,4 +1,4 @@
-"""A few threads that write while the drive goes on, with a bound on what waits in memory."""
+"""A few threads that write while the drive continues, with a limit of pending jobs."""
 
 from __future__ import annotations
 
@@ -12,14 +12,14 @@ P = ParamSpec("P")
 
 
 class OrderedPool:
-    """Jobs for threads; `submit` waits for the oldest job when too many are pending, and tells its error.
+    """Jobs for threads; `submit` waits for the oldest job if too many are pending, and raises its error.
 
     Parameters
     ----------
     workers
-        Threads. With one, jobs are done in the order in which they came.
+        Number of threads. With one, jobs are done in order.
     pending
-        Most jobs that wait or run.
+        Maximum number of jobs that wait or run.
     """
 
     def __init__(self, workers: int, pending: int) -> None:
@@ -47,7 +47,7 @@ class OrderedPool:
         error: BaseException | None,
         trace: TracebackType | None,
     ) -> None:
-        """Finish after success; after an error drop what has not begun."""
+        """Finish after success; after an error, drop jobs that have not started."""
         try:
             if kind is None:
                 self.finish()

@@ -1,7 +1,7 @@
-"""Triangles on the pixels of a camera: what `RayCaster` finds for a whole image, some times as fast.
+"""Rasterises triangles for a camera: equivalent to `RayCaster` for a whole image, several times as fast.
 
 Homogeneous rasterization (Olano and Greer 1997, Triangle Scan Conversion using 2D Homogeneous Coordinates):
-whether a pixel's ray lies inside a triangle, and the inverse of its depth there, are affine in the pixel. So
+the edge functions of a triangle, and the inverse depth in it, are affine in the pixel coordinates. So
 no triangle is clipped, and each row of a triangle is one run of pixels.
 """
 

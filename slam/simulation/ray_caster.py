@@ -1,4 +1,4 @@
-"""Rays against triangles, by Embree."""
+"""Casts rays at triangles with Embree."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ class RayCaster:
     Raises
     ------
     LibraryError
-        Embree's binding does not load.
+        Embree's Python binding cannot be loaded.
     """
 
     def __init__(self, vertices: Float32Array, triangles: NDArray[np.int32]) -> None:

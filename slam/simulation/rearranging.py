@@ -1,4 +1,4 @@
-"""Some days later: the same home with some of its furniture moved, carried away or brought."""
+"""Changes a home between two days: some furniture is moved, removed or added."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from slam.simulation.floor_layout import RoomPlan
 from slam.simulation.furnishing import OF_ROOMS, place_once_more
 from slam.simulation.home_model import Rearrangement, Thing
 
-# Each is as likely: moved twice as often as carried away or brought.
+# Equally likely entries: moved twice as often as removed or added.
 _WAYS = ("moved", "moved", "went", "appeared")
 _TRIES = 8
 # A shorter motion does not count.
@@ -25,12 +25,12 @@ def rearrange(
     count: int,
     rng: np.random.Generator,
 ) -> tuple[list[list[Thing]], list[Rearrangement]]:
-    """Move, remove or add so many pieces of furniture, each once.
+    """Move, remove or add a number of pieces of furniture, each once.
 
     Parameters
     ----------
     plans, furnished
-        The rooms, and what stands in each beside what is fixed.
+        The rooms, and the movable furniture of each.
 
     Returns
     -------
@@ -65,13 +65,13 @@ def rearrange(
 
 
 def _middle(thing: Thing) -> FloatArray:
-    """(2,) of the box around a piece."""
+    """(2,) centre of the bounding box of a piece."""
     corners = np.concatenate([part.corners_xy() for part in thing.parts])
     return np.asarray(0.5 * (corners.min(axis=0) + corners.max(axis=0)))
 
 
 def _by_itself(thing: Thing) -> Thing:
-    """A piece in its own frame: the origin in the middle of its back, x to its right."""
+    """A piece in its own frame: origin in the middle of its back, x to its right."""
     yaw = thing.parts[0].yaw_rad
     upright = [part.placed(0.0, 0.0, -yaw) for part in thing.parts]
     corners = np.concatenate([part.corners_xy() for part in upright])

@@ -1,4 +1,4 @@
-"""A simulated drive on disk: as folders of plain files, as a rosbag2, or both, in one pass."""
+"""Records a simulated drive as folders of plain files, as a rosbag2, or both, in one pass."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ BAG = "log"  # rosbags names the file in a bag after the bag
 _FLOOR_M = 0.012  # lower thresholds are driven over, and are no obstacle in the ground truth grids
 _LIDAR_BAND_M = 0.02  # about the lidar's height
 _WORKERS = 2
-_PENDING_IMAGES = 24  # bound the memory: some 5 MB of 320 x 240 frames
+_PENDING_IMAGES = 24  # limits the memory: about 5 MB of 320 x 240 frames
 _PENDING_MESSAGES = 16
 
 
@@ -46,7 +46,7 @@ class DriveSummary:
     Attributes
     ----------
     folder
-        Where it is.
+        Folder of the recording.
     duration_s, path_m
         Length of the drive in time and space.
     counts
@@ -85,14 +85,15 @@ def record_drive(
     Parameters
     ----------
     out_dir
-        Made at the very end, whole; must not exist yet, or be empty. With ``folder`` it holds ``scans.log``
+        Created atomically at the end; must not exist yet, or be empty. With ``folder``, it contains
+        ``scans.log``
         (CARMEN) and the images as in the TUM benchmark (in ``rgbd_<name>/`` each when there are several
         cameras), ``points/`` of a 3D lidar and ``imu0/`` of an IMU (EuRoC); with ``mcap`` it is a rosbag2
         (``log.mcap``, ``metadata.yaml``). Always ``groundtruth.txt`` and ``truth/``.
     faults, duration_s
         As for `slam.simulation.drive.prepare_drive`.
     progress
-        Called fifty times a simulated second with the seconds done and those in all.
+        Called fifty times per simulated second with the seconds done and their total.
     formats
         Any of `FORMATS`.
     compress_bag
@@ -103,7 +104,7 @@ def record_drive(
     ConfigError
         An unknown format, or a drive that cannot be planned.
     DatasetError
-        ``out_dir`` holds something, or cannot be written.
+        ``out_dir`` is not empty, or cannot be written.
     """
     unknown = sorted(set(formats) - set(FORMATS))
     if unknown or not formats:
@@ -140,7 +141,7 @@ def _open_sinks(
     if "folder" in formats:
         sinks.append(_FolderSink(stack, folder, drive, images))
     if "mcap" in formats:
-        # One thread of its own for the bag, closed before the bag is: messages keep their order.
+        # A separate thread for the bag, closed before the bag, so that messages keep their order.
         bag = stack.enter_context(BagWriter(folder / BAG, drive, FIRST_STAMP_S, compress=compress_bag))
         messages = stack.enter_context(OrderedPool(1, _PENDING_MESSAGES))
         sinks.append(lambda event: messages.submit(bag.write, event))
@@ -174,7 +175,7 @@ class _FolderSink:
         if isinstance(event, OdometryEvent):
             self._log.odometry(event.reading, event.twist, event.true_stamp_s)
         elif isinstance(event, ScanEvent):
-            # By the stamp, not the true time: the pose in the line belongs to its stamp.
+            # At the stamp, not at the true time, because the pose in the line belongs to its stamp.
             pose = self._drive.odometry_at(event.scan.stamp_s)
             self._log.scan(event.scan, pose, event.true_stamp_s)
         elif isinstance(event, ImageEvent):

@@ -1,8 +1,8 @@
-"""Robots with their sensors mounted: the rigs of the three papers, and two plain ones.
+"""Robots with mounted sensors: the rigs of the three papers, and two simple ones.
 
 Frame base: on the floor under the robot's centre, x forward, y left, z up. Camera poses are of the optical
-frame: z forward, x right and y down in the image. Where a paper gives no offset, the sensor is over the
-centre and the comment says so.
+frame: z forward, x right and y down in the image. If a paper gives no offset, the sensor is above the centre
+and a comment says so.
 """
 
 from __future__ import annotations
@@ -77,10 +77,10 @@ def camera_pose(
     Parameters
     ----------
     position_m
-        Of the optical centre, base frame.
+        Position of the optical centre, base frame.
     yaw_rad, pitch_rad, roll_rad
-        Of the body, about z, then y, then x (the optical axis): a positive pitch looks down, a roll of
-        pi / 2 lets the image's right edge point to the floor, one of -pi / 2 to the ceiling.
+        Rotation of the body about z, then y, then x (the optical axis): a positive pitch looks down; with a
+        roll of pi / 2, the right edge of the image points to the floor, with -pi / 2 to the ceiling.
     """
     body = gtsam.Rot3.Ypr(yaw_rad, pitch_rad, roll_rad)
     # Columns are the optical x, y, z in the body: right, down, forward.
@@ -93,7 +93,7 @@ def laser_pose(x_m: float, y_m: float, z_m: float) -> gtsam.Pose3:
     return gtsam.Pose3(gtsam.Rot3(), np.array([x_m, y_m, z_m]))
 
 
-# IMU of `simulate --imu`: behind and beside the centre, looking left, not exactly level.
+# IMU of `simulate --imu`: behind and beside the centre, pointing left, not exactly level.
 ROBOT_IMU = MountedImu(
     ADIS_16448, gtsam.Pose3(gtsam.Rot3.Ypr(0.5 * math.pi, 0.05, -0.03), np.array([-0.06, 0.04, 0.12]))
 )
@@ -104,7 +104,7 @@ def _li2020() -> Rig:
     return Rig(
         "li2020",
         MountedLidar(RPLIDAR_A2, laser_pose(0.0, 0.0, 0.3)),
-        # Over the lidar, a little down, so that the floor is seen from 0.8 m on.
+        # Above the lidar, pitched down slightly, so that it sees the floor from 0.8 m on.
         (MountedCamera(KINECT_V1, camera_pose((0.1, 0.0, 0.45), pitch_rad=math.radians(8.0)), "camera"),),
         robot_radius_m=0.2,
         robot_height_m=0.5,
@@ -112,12 +112,12 @@ def _li2020() -> Rig:
 
 
 def _yang2021(name: str, lidar: MountedLidar | None) -> Rig:
-    """Camera at h = 0.68 m; workspace and offsets are not given: over the centre, 15 degrees down."""
+    """Camera at h = 0.68 m; workspace and offsets are not given: above the centre, 15 degrees down."""
     camera = camera_pose((0.0, 0.0, 0.68), pitch_rad=math.radians(15.0))
     return Rig(name, lidar, (MountedCamera(REALSENSE_D435I, camera, "camera"),), 0.2, 0.75)
 
 
-# Robot@Home: x, y and yaw of RGBD_1 ... RGBD_4 by the dataset; height 0.92 m by Xu2024.
+# Robot@Home: x, y and yaw of RGBD_1 ... RGBD_4 from the dataset; height 0.92 m from Xu2024.
 _ROBOT_AT_HOME_CAMERAS = (
     ("RGBD_1", 0.271, -0.031, -45.0),
     ("RGBD_2", 0.240, -0.045, -90.0),
@@ -127,10 +127,11 @@ _ROBOT_AT_HOME_CAMERAS = (
 
 
 def _xu2024() -> Rig:
-    """Robot@Home: four cameras on their sides make 180 degrees.
+    """Robot@Home: four cameras, rotated by 90 degrees, cover 180 degrees.
 
-    An image turned 90 degrees counter-clockwise is upright. Each then sees 48 degrees across, 45 apart, so
-    neighbours overlap by 3; the panorama reaches from 114 degrees on the right to 69 on the left.
+    An image rotated by 90 degrees counter-clockwise is upright. Each then has a horizontal view of 48
+    degrees, at intervals of 45, so neighbours overlap by 3; the panorama extends from 114 degrees right to 69
+    left.
     """
     cameras = tuple(
         MountedCamera(
@@ -145,9 +146,9 @@ def _xu2024() -> Rig:
 
 
 def _turtlebot(name: str, lidar_z_m: float, camera_z_m: float) -> Rig:
-    """Xu2024's own robot at one of its two pairs of heights; offsets are a Turtlebot 2's plates.
+    """Xu2024's own robot with one of its two pairs of heights; offsets are those of a Turtlebot 2's plates.
 
-    The paper has a Kinect 2; the first one stands in for it, since its faults are those of the papers.
+    The paper uses a Kinect 2; here it is a Kinect 1, because its faults are those in the papers.
     """
     camera = MountedCamera(KINECT_V1, camera_pose((-0.087, 0.0, camera_z_m)), "camera")
     lidar = MountedLidar(HOKUYO_URG_04LX, laser_pose(0.1, 0.0, lidar_z_m))
@@ -155,12 +156,12 @@ def _turtlebot(name: str, lidar_z_m: float, camera_z_m: float) -> Rig:
 
 
 def _sick2d() -> Rig:
-    """A research robot of the logs' time: a SICK on the front, nothing else."""
+    """A research robot like those of the logs: only a SICK at the front."""
     return Rig("sick2d", MountedLidar(SICK_LMS_180, laser_pose(0.1, 0.0, 0.35)), (), 0.25, 0.5)
 
 
 def _lidar3d() -> Rig:
-    """16 rings on a mast, and a camera before and under it."""
+    """A 16-ring lidar on a mast, and a camera in front of it and below."""
     return Rig(
         "lidar3d",
         None,

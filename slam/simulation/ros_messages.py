@@ -1,4 +1,4 @@
-"""Readings as ROS 2 messages, by the message types of Humble, without ROS."""
+"""Converts readings to ROS 2 messages (types of Humble), without ROS."""
 
 from __future__ import annotations
 
@@ -23,11 +23,11 @@ DEPTH_STEPS_PER_M = 1000.0  # 16UC1 depth is in millimetres, by REP-118
 
 
 def laser_scan(scan: LaserScan, frame_id: str, range_min_m: float, period_s: float) -> Any:
-    """A LaserScan message; no return is ``inf``, invalid ``nan``, by REP-117, ranges in whole millimetres.
+    """A LaserScan message with ranges in whole millimetres; no return is ``inf``, invalid ``nan`` (REP-117).
 
-    The sweep is taken at an instant, so the time between beams is zero.
+    The scan is instantaneous, so the time between beams is zero.
     """
-    # As the log of the drive has them.
+    # As in the log of the drive.
     printed = np.round(written_ranges_m(scan), 3)
     ranges = np.where(np.isfinite(scan.ranges_m), printed, scan.ranges_m)
     return new(
@@ -58,7 +58,7 @@ def point_cloud(
 
 
 def imu(stamp_s: float, gyro_rad_s: FloatArray, specific_force_m_s2: FloatArray, frame_id: str) -> Any:
-    """An Imu message without an orientation; covariances of zero say that they are not known."""
+    """An Imu message without orientation; covariances of zero mean unknown."""
     return new(
         IMU,
         header=header(stamp_s, frame_id),
@@ -121,7 +121,7 @@ def camera_info(intrinsics: CameraIntrinsics, stamp_s: float, frame_id: str) -> 
 def odometry(
     stamp_s: float, pose: gtsam.Pose3, twist: tuple[float, float], frame_id: str, child_frame_id: str
 ) -> Any:
-    """An Odometry message; covariances of zero say that they are not known."""
+    """An Odometry message; covariances of zero mean unknown."""
     twist_message = new(
         "geometry_msgs/msg/Twist",
         linear=vector(np.array([twist[0], 0.0, 0.0])),

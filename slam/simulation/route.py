@@ -1,4 +1,4 @@
-"""Planning on a grid of truth: clearance, cheapest ways that keep away from walls, and their smoothing."""
+"""Path planning on a ground truth grid: clearance, cheapest paths away from walls, and smoothing."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Casts rays into a home: Embree for the mesh, or a whole image at once; closed form for a walking person."""
+"""Casts rays into a home: Embree or rasterisation for the mesh; closed form for a walking person."""
 
 from __future__ import annotations
 

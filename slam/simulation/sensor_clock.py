@@ -1,4 +1,4 @@
-"""When a sensor fires, what its clock says then, and which of its readings are lost."""
+"""Simulates firing times and stamps of a sensor, and its lost readings."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Sensors as their data sheets have them: rate, field of view, range, resolution, noise, and usual faults."""
+"""Sensor models from data sheets: rate, field of view, range, resolution, noise, and usual faults."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ class LidarModel:
     Attributes
     ----------
     rate_hz
-        Sweeps a second.
+        Scans per second.
     beams, start_angle_rad, step_rad
         Beams counter-clockwise in the laser frame.
     range_min_m, range_max_m, resolution_m
         Range limits and resolution of its readings.
     sigma_m, sigma_share, sigma_share_far
-        Standard deviation: the first and a share of the range, which grows with the square of the range
-        from the second to the third at the greatest range.
+        Standard deviation: the first plus a share of the range, which grows with the square of the range from
+        the second to the third at maximum range.
     faults
         Faults of single readings.
     """
@@ -127,7 +127,7 @@ _LIDAR_FAULTS = FaultConfig(
     patch=2,
 )
 
-# 0.15-12 m, 400 points a turn at 10 Hz (Li2020); triangulation, so its error grows with the range.
+# 0.15-12 m, 400 points per revolution at 10 Hz (Li2020); triangulation, so its error grows with the range.
 RPLIDAR_A2 = LidarModel(
     "rplidar_a2",
     rate_hz=10.0,
@@ -169,8 +169,8 @@ HOKUYO_URG_04LX = LidarModel(
     ),
 )
 
-# 181 beams of 1 degree, 80 m. The mirror makes 75 turns a second, but a sweep has 372 bytes and the usual
-# serial line of 38400 baud carries 10 of them.
+# 181 beams of 1 degree, 80 m. The mirror rotates at 75 Hz, but a scan has 372 bytes, and the usual serial
+# line of 38400 baud transmits 10 scans per second.
 SICK_LMS_180 = LidarModel(
     "sick_lms_180",
     rate_hz=10.0,
@@ -213,7 +213,7 @@ VLP_16 = RingLidarModel(
     ),
 )
 
-# 64 rings from 2 degrees up to 24.8 down, 120 m, 2 cm; at 10 Hz some 2,000 firings a turn.
+# 64 rings from 2 degrees up to 24.8 down, 120 m, 2 cm; at 10 Hz about 2,000 firings per revolution.
 HDL_64E = RingLidarModel(
     "hdl_64e",
     rate_hz=10.0,
@@ -262,7 +262,7 @@ KINECT_V1 = CameraModel(
     faults=_structured_light_faults(_KINECT_INTRINSICS.fx * 0.075, 1.0),
 )
 
-# As Robot@Home stores it: 320 x 240, every second pixel of the device, 10.7 Hz.
+# As stored by Robot@Home: 320 x 240, every second pixel of the device, 10.7 Hz.
 XTION_PRO_LIVE = CameraModel(
     "xtion_pro_live",
     rate_hz=10.7,

@@ -1,7 +1,7 @@
-"""The sensors at work: a scan, a turn of a 3D lidar, a colour and a depth image, each with its truth.
+"""Simulates sensors: a scan, a revolution of a 3D lidar, colour and depth images, each with ground truth.
 
-A reading is the true distance, then what the faults make of it, then noise, then the device's own steps.
-All of a reading is taken at one instant: the robot does not move while a lidar turns.
+A reading is the true distance, changed by faults, then noise, then quantisation. Each reading is
+instantaneous: the robot does not move during a revolution of a lidar.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ class SimulatedScan:
     ranges_m
         (N,) as in `LaserScan`: ``inf`` no return, ``nan`` invalid (nearer than the lidar measures).
     true_ranges_m
-        (N,) to the first surface, glass and person included; ``inf`` where there is none.
+        (N,) to the first surface, glass and person included; ``inf`` if there is none.
     fault
         (N,) `Fault` of each beam.
     """
@@ -79,7 +79,7 @@ class SimulatedImage:
     depth_m
         (H, W) along the optical axis, in the device's steps; 0 invalid.
     true_depth_m
-        (H, W) to the first surface, glass and person included; ``inf`` where there is none.
+        (H, W) to the first surface, glass and person included; ``inf`` if there is none.
     fault
         (H, W) `Fault` of each pixel.
     """

@@ -51,11 +51,11 @@ def follow_path(
     path_m
         (N, 2) closely spaced points, map frame.
     speed_share
-        (N,) share of the top speed allowed at each point, over 0 up to 1.
+        (N,) allowed share of the top speed at each point, above 0 up to 1.
     duration_s
         Longest drive.
     closed
-        The path begins anew at its end; otherwise the robot brakes and stops there.
+        The path is a loop; otherwise the robot brakes and stops at its end.
 
     Returns
     -------

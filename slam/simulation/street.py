@@ -1,4 +1,4 @@
-"""A car's drive through streets on disk: a KITTI odometry folder, a bag of lidar and IMU, the truth."""
+"""Records a car's drive: a KITTI odometry folder, a bag of lidar and IMU, the ground truth."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class StreetRig:
-    """Sensors of a car: a lidar, and in its frame an IMU and the antenna of a satellite receiver."""
+    """Sensors of a car: a lidar, and in its frame an IMU and the antenna of a GNSS receiver."""
 
     lidar: MountedRingLidar
     imu: MountedImu | None
@@ -58,7 +58,7 @@ STREET_RIGS = {
     "car64": StreetRig(MountedRingLidar(HDL_64E, laser_pose(0.0, 0.0, 1.73)), _IMU),
     "car16": StreetRig(MountedRingLidar(VLP_16, laser_pose(0.0, 0.0, 1.73)), _IMU),
 }
-# KITTI's left camera: x right, y down, z ahead.
+# KITTI's left camera: x right, y down, z forward.
 _T_CAMERA_LIDAR = gtsam.Pose3(
     gtsam.Rot3(np.array([[0.0, -1.0, 0.0], [0.0, 0.0, -1.0], [1.0, 0.0, 0.0]])), np.zeros(3)
 )
@@ -74,11 +74,11 @@ class StreetFaults:
     Attributes
     ----------
     density
-        Cars, cyclists and people per 100 m of street.
+        Number of cars, cyclists and people per 100 m of street.
     lost_share
         Share of lost revolutions.
     imu, gnss
-        Errors of the IMU and the satellite receiver.
+        Errors of the IMU and the GNSS receiver.
     """
 
     density: float = 0.0
@@ -107,7 +107,7 @@ class StreetSummary:
 
     @property
     def text(self) -> str:
-        """In a line."""
+        """Return the summary as one line."""
         return (
             f"{self.duration_s:.0f} s, {self.path_m:.1f} m of streets: {self.turns} clouds, {self.points:,} "
             f"points, {self.moving:,} of them on traffic"
@@ -133,27 +133,27 @@ def record_street(
     Parameters
     ----------
     out_dir
-        Made at the very end, whole; must not exist yet, or be empty. With ``folder`` it holds
+        Created atomically at the end; must not exist yet, or be empty. With ``folder``, it contains
         ``velodyne/`` (x, y, z, intensity), ``times.txt``, ``calib.txt`` and ``poses.txt`` of KITTI, all at
-        the middle of a turn, and ``imu0/data.csv`` of EuRoC; with ``mcap`` a rosbag2 with ``/points``,
-        stamped at the beginning of a turn, with ``intensity``, ``ring`` and ``t`` (ns after the stamp),
+        the middle of a revolution, and ``imu0/data.csv`` of EuRoC; with ``mcap`` a rosbag2 with ``/points``,
+        stamped at the start of a revolution, with ``intensity``, ``ring`` and ``t`` (ns after the stamp),
         ``/imu``, and outside of tunnels ``/gnss/fix`` (NavSatFix). Always ``groundtruth.txt`` (TUM, the
-        lidar in an upright map, 100 Hz) and ``labels/``, a file a turn, of SemanticKITTI.
+        lidar in an upright map, 100 Hz) and ``labels/`` of SemanticKITTI, one file per revolution.
     duration_s
-        34 s if not given: 340 turns.
+        34 s if not given: 340 revolutions.
     progress
-        Called at each turn with the seconds done and those in all.
+        Called at each revolution with the seconds done and their total.
     tunnel
         A single street through a tunnel instead of the grid.
     undistorted
-        Clouds of the folder as if taken at once; the bag's always are as measured.
+        Deskewed clouds in the folder; the clouds in the bag are always raw.
     sideward_m_s2
         Lateral acceleration in corners, see `drive_street`.
 
     Raises
     ------
     DatasetError
-        ``out_dir`` holds something, or cannot be written.
+        ``out_dir`` is not empty, or cannot be written.
     """
     town = generate_town(home, tunnel=tunnel)
     drive = drive_street(town, generator(seed, "street", home), sideward_m_s2)
@@ -204,7 +204,7 @@ def record_street(
 
 
 def _outside(tunnel_m: tuple[float, float], fixes: list[GnssFix], lidar: StreetLidar) -> list[GnssFix]:
-    """Return the fixes before and behind a tunnel."""
+    """Return the fixes before and after a tunnel."""
     _, positions = lidar.poses_at(np.array([fix.stamp_s - FIRST_STAMP_S for fix in fixes]))
     entry_m, exit_m = tunnel_m
     in_sight = (positions[:, 0] < entry_m) | (positions[:, 0] > exit_m)
@@ -258,7 +258,7 @@ class _StreetBag:
 
     def __enter__(self) -> Self:
         self._writer.open()
-        # The robot's frame is the lidar's, as in the folder and in the truth.
+        # The robot's frame is the lidar's, as in the folder and in the ground truth.
         frames = {LASER_3D_FRAME: gtsam.Pose3()}
         topics = {"/tf_static": messages.TRANSFORMS, "/points": messages.POINT_CLOUD}
         if self._rig.imu is not None:

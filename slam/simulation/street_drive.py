@@ -1,4 +1,4 @@
-"""A car's way through a town: along its lane, round sharp corners, as fast as it holds the road."""
+"""Plans a car's drive through a town: along its lane, around sharp corners, at the fastest safe speed."""
 
 from __future__ import annotations
 
@@ -16,21 +16,21 @@ _SPEED_M_S, _SLOWEST_M_S = 8.0, 0.5
 SIDEWARD_M_S2, _ONWARD_M_S2 = 2.5, 1.5
 _CORNER_M = 5.0  # radius
 _SPACING_M, _SMOOTHING_M = 0.25, 0.8
-_TOWN_M = 1500.0  # of the way that is planned
+_TOWN_M = 1500.0  # of planned path
 
 
 @dataclass(frozen=True, slots=True)
 class StreetDrive:
-    """Where the car is: twice differentiable in time.
+    """Motion of the car, twice differentiable in time.
 
     Attributes
     ----------
     planar
-        x, y and yaw (not wrapped) of the base by the seconds since the drive began.
+        x, y and yaw (not wrapped) of the base as functions of seconds since the start.
     duration_s
-        The planned way takes as long.
+        Duration of the planned drive.
     path_m
-        Way driven by the seconds.
+        Distance driven as a function of seconds.
     """
 
     planar: interpolate.CubicSpline
@@ -39,12 +39,12 @@ class StreetDrive:
     ground: Ground
 
     def poses_at(self, times_s: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Rotations (N, 3, 3) and positions (N, 3) of the base in the map: on the road, upright to it.
+        """Rotations (N, 3, 3) and positions (N, 3) of the base in the map: on the road, perpendicular to it.
 
         Parameters
         ----------
         times_s
-            (N,) seconds since the drive began.
+            (N,) seconds since the start.
         """
         x, y, yaw = self.planar(times_s).T
         return road_poses(self.ground, x, y, yaw)
@@ -53,7 +53,7 @@ class StreetDrive:
 def road_poses(
     ground: Ground, x: FloatArray, y: FloatArray, yaw: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Rotations (N, 3, 3) and positions (N, 3) of what stands on the road and looks along a yaw."""
+    """Rotations (N, 3, 3) and positions (N, 3) of objects on the road with a heading."""
     rise_x, rise_y = ground.slope(x, y)
     up = np.column_stack([-rise_x, -rise_y, np.ones_like(x)])
     up /= np.linalg.norm(up, axis=1)[:, None]
@@ -64,12 +64,12 @@ def road_poses(
 
 
 def drive_street(town: Town, rng: np.random.Generator, sideward_m_s2: float = SIDEWARD_M_S2) -> StreetDrive:
-    """Round one block first, so that places are seen again, then on at random; straight through a tunnel.
+    """Drive around one block first, to revisit places, then at random; or straight through a tunnel.
 
     Parameters
     ----------
     sideward_m_s2
-        How hard corners are taken.
+        Lateral acceleration in corners.
     """
     corners = _lane(town, _junctions(town, rng))
     path = resample(_rounded(corners), _SPACING_M)
@@ -96,7 +96,7 @@ def drive_street(town: Town, rng: np.random.Generator, sideward_m_s2: float = SI
 
 
 def _junctions(town: Town, rng: np.random.Generator) -> FloatArray:
-    """Crossings (N, 2) of a walk that never turns on the spot."""
+    """Crossings (N, 2) of a random walk without U-turns."""
     if town.tunnel_m is not None:
         return np.array([[town.low_m[0] + 5.0, 0.0], [town.high_m[0] - 20.0, 0.0]])
     column, row = int(rng.integers(0, 3)), int(rng.integers(0, 3))
@@ -121,7 +121,7 @@ def _junctions(town: Town, rng: np.random.Generator) -> FloatArray:
 
 
 def _lane(town: Town, junctions: FloatArray) -> FloatArray:
-    """Corners (N, 2) of the way on the right of the streets."""
+    """Corners (N, 2) of the path on the right side of the streets."""
     steps = np.diff(junctions, axis=0)
     along = steps / np.linalg.norm(steps, axis=1)[:, None]
     right = LANE_M * np.column_stack([along[:, 1], -along[:, 0]])
@@ -135,7 +135,7 @@ def _lane(town: Town, junctions: FloatArray) -> FloatArray:
 
 
 def _rounded(corners: FloatArray) -> FloatArray:
-    """A line whose corners are arcs, (N, 2)."""
+    """Replace the corners of a polyline by arcs, (N, 2)."""
     points = [corners[:1]]
     for before, corner, after in zip(corners, corners[1:], corners[2:], strict=False):
         back = (before - corner) / np.linalg.norm(before - corner)

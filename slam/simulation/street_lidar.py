@@ -1,4 +1,4 @@
-"""What a lidar on a car's roof sees of a street while it turns and the car drives."""
+"""Simulates a lidar on a car's roof that rotates while the car drives."""
 
 from __future__ import annotations
 
@@ -15,21 +15,21 @@ from slam.simulation.street_drive import StreetDrive
 from slam.simulation.street_plan import Town
 from slam.simulation.street_traffic import Traffic
 
-_GRAZING_COS = 0.015  # flatter than that nothing comes back
+_GRAZING_COS = 0.015  # no return at flatter angles
 
 
 @dataclass(frozen=True, slots=True)
 class StreetTurn:
-    """The points of a turn, in the order of their firing.
+    """The points of a revolution, in firing order.
 
     Attributes
     ----------
     points_lidar
-        (N, 3) as measured: each in the frame that the lidar had at its own time.
+        (N, 3) as measured: each in the lidar frame at its own time.
     undistorted_lidar
-        (N, 3) the same in the frame of the middle of the turn.
+        (N, 3) the same points in the frame at the middle of the revolution.
     after_s
-        (N,) seconds after the turn's beginning.
+        (N,) seconds after the start of the revolution.
     ring, brightness, label
         (N,) number of the ring from below, 0 to 1, `slam.simulation.street_traffic.MovingBoxes.label`.
     """
@@ -43,7 +43,7 @@ class StreetTurn:
 
 
 class StreetLidar:
-    """A lidar that turns clockwise and begins a turn looking back, as Velodyne's do in KITTI."""
+    """A lidar that rotates clockwise and starts a revolution at the rear, like the Velodyne in KITTI."""
 
     def __init__(
         self,
@@ -70,7 +70,7 @@ class StreetLidar:
         return mounted, positions + rotations @ self._T_base_lidar.translation()
 
     def turn(self, begin_s: float, rng: np.random.Generator) -> StreetTurn:
-        """One turn that begins at a time of the drive."""
+        """One revolution that starts at a time of the drive."""
         model, rings = self._model, len(self._model.elevations_rad)
         middle_s = begin_s + 0.5 / model.rate_hz
         rotations, positions = self.poses_at(begin_s + self._column_s)

@@ -1,4 +1,4 @@
-"""Triangles of a street gathered piece by piece: boxes, prisms, leaves; what each is, and how bright."""
+"""Builds the mesh of a street from boxes, prisms and leaves, with label and brightness of each."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from slam.simulation.home_model import BOX_TRIANGLES
 
 
 class Label(IntEnum):
-    """What a point lies on, by the numbers of SemanticKITTI."""
+    """Class of a point, with the numbers of SemanticKITTI."""
 
     CAR = 10
     ROAD = 40
@@ -29,7 +29,7 @@ class Label(IntEnum):
 
 @dataclass(frozen=True, slots=True)
 class StreetMesh:
-    """What stands still.
+    """The static scene.
 
     Attributes
     ----------
@@ -38,7 +38,7 @@ class StreetMesh:
     label
         (T,) `Label`.
     brightness
-        (T,) share of the light that comes back from straight ahead.
+        (T,) share of the light that is reflected at normal incidence.
     """
 
     vertices: Float32Array
@@ -48,7 +48,7 @@ class StreetMesh:
 
 
 class MeshBuilder:
-    """Gathers triangles."""
+    """Collects triangles."""
 
     def __init__(self) -> None:
         self._vertices: list[FloatArray] = []
@@ -59,7 +59,7 @@ class MeshBuilder:
     def add(
         self, vertices: FloatArray, triangles: NDArray[np.int32], label: Label, brightness: float
     ) -> None:
-        """Vertices (V, 3) and triangles (T, 3) of one kind."""
+        """Add vertices (V, 3) and triangles (T, 3) of one class."""
         self._vertices.append(vertices)
         self._triangles.append(triangles + self._count)
         self._marks.append((len(triangles), label, brightness))
@@ -74,7 +74,7 @@ class MeshBuilder:
         label: Label,
         brightness: float,
     ) -> None:
-        """An upright box: its middle, its length and width, from where to where it stands."""
+        """Add an upright box: its centre, length, width, lowest and highest z."""
         half = 0.5 * np.array(size_m)
         corners = np.array([(-1.0, -1.0), (1.0, -1.0), (1.0, 1.0), (-1.0, 1.0)]) * half
         cos, sin = np.cos(yaw_rad), np.sin(yaw_rad)
@@ -90,19 +90,19 @@ class MeshBuilder:
         label: Label,
         brightness: float,
     ) -> None:
-        """A pole or a trunk of eight sides, open at its ends."""
+        """Add a pole or a trunk with eight sides and open ends."""
         turn = np.linspace(0.0, 2.0 * np.pi, 8, endpoint=False)
         flat = radius_m * np.column_stack([np.cos(turn), np.sin(turn)]) + centre_m
         vertices = np.vstack([np.column_stack([flat, np.full(8, z)]) for z in height_m])
         self.add(vertices, _strip(8, closed=True), label, brightness)
 
     def sheet(self, lower: FloatArray, upper: FloatArray, label: Label, brightness: float) -> None:
-        """A strip of quadrangles between two lines of points (N, 3) each."""
+        """Add a strip of quadrangles between two lines of points (N, 3) each."""
         triangles = _strip(len(lower), closed=False)
         self.add(np.vstack([lower, upper]), triangles, label, brightness)
 
     def leaves(self, centre_m: FloatArray, radius_m: float, rng: np.random.Generator) -> None:
-        """A crown: small triangles in a ball, most of them near its edge."""
+        """Add a tree crown: small triangles in a ball, most of them near its surface."""
         count = 220
         outward = rng.normal(size=(count, 3))
         outward *= (rng.uniform(0.3, 1.0, count) ** (1.0 / 3.0) / np.linalg.norm(outward, axis=1))[:, None]
@@ -111,7 +111,7 @@ class MeshBuilder:
         self.add(corners.reshape(-1, 3), triangles, Label.LEAVES, rng.uniform(0.2, 0.5))
 
     def built(self) -> StreetMesh:
-        """All together."""
+        """Return the whole mesh."""
         counts = [count for count, _, _ in self._marks]
         return StreetMesh(
             np.vstack(self._vertices).astype(np.float32),

@@ -1,4 +1,4 @@
-"""A town drawn by its seed: streets with kerbs on hills, houses, parked cars, trees, poles; a tunnel."""
+"""Generates a town: streets with kerbs on hills, houses, parked cars, trees, poles; or a tunnel."""
 
 from __future__ import annotations
 
@@ -11,15 +11,15 @@ from slam.measurements import FloatArray
 from slam.simulation.sensor_clock import generator
 from slam.simulation.street_mesh import Label, MeshBuilder, StreetMesh
 
-LANE_M, KERB_M, BESIDE_M = 1.6, 5.0, 5.7  # off the middle of a street: lanes, kerb, and where trees stand
+LANE_M, KERB_M, BESIDE_M = 1.6, 5.0, 5.7  # distances from the middle of a street: lanes, kerb, trees
 _PARKED_M, _FRONT_M = 4.0, 8.0  # parked cars, fronts of houses
 KERB_HEIGHT_M = 0.12
-_OUTSKIRTS_M = 30.0  # from the outermost street to where the town ends
-_CORNER_M = 9.0  # no parked car nearer to a crossing
-_STEP_M = 2.0  # of the ground's triangles
-_STEEPEST = 0.04  # of each of the two waves of a hill
+_OUTSKIRTS_M = 30.0  # from the outermost street to the end of the town
+_CORNER_M = 9.0  # minimum distance of a parked car to a crossing
+_STEP_M = 2.0  # of the triangles of the ground
+_STEEPEST = 0.04  # for each of the two waves of a hill
 _TUNNEL_HALF_M, _TUNNEL_WALL_M, _TUNNEL_TOP_M = 5.5, 4.0, 6.5
-# (length, width) and from where to where above the road: body and cabin.
+# (length, width), lowest and highest z above the road: body and cabin.
 CAR_PARTS = (((4.3, 1.8), (0.25, 0.85)), ((2.3, 1.6), (0.85, 1.45)))
 
 
@@ -36,14 +36,14 @@ class Ground:
     waves: FloatArray
 
     def height_m(self, x: FloatArray, y: FloatArray) -> FloatArray:
-        """Of the road, of the shape of x."""
+        """Height of the road, with the shape of x."""
         kx, ky, phase, height = self.waves.T
         angle = np.multiply.outer(x, kx) + np.multiply.outer(y, ky) + phase
         found: FloatArray = (height * np.sin(angle)).sum(axis=-1)
         return found
 
     def slope(self, x: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Rise along x and along y."""
+        """Slope along x and along y."""
         kx, ky, phase, height = self.waves.T
         cos = height * np.cos(np.multiply.outer(x, kx) + np.multiply.outer(y, ky) + phase)
         return (cos * kx).sum(axis=-1), (cos * ky).sum(axis=-1)
@@ -51,18 +51,18 @@ class Ground:
 
 @dataclass(frozen=True)
 class Town:
-    """Streets and what stands at them.
+    """Streets and the objects along them.
 
     Attributes
     ----------
     across_x, across_y
-        Middles of the streets along y, and of those along x.
+        Centre lines of the streets along y, and of those along x.
     low_m, high_m
-        Corners of it all.
+        Corners of the whole town.
     mesh
-        What stands still.
+        The static scene.
     tunnel_m
-        From where to where along x; None without.
+        Start and end along x; None without a tunnel.
     """
 
     across_x: FloatArray
@@ -75,7 +75,7 @@ class Town:
 
 
 def generate_town(home: int, *, tunnel: bool = False) -> Town:
-    """Four streets each way; or a single one through a tunnel of 200 m without features."""
+    """Generate four streets in each direction; or a single one through a tunnel of 200 m without features."""
     rng = generator(home, "town")
     if tunnel:
         across_x, across_y, inside = np.zeros(0), np.zeros(1), (70.0, 270.0)
@@ -100,7 +100,7 @@ def generate_town(home: int, *, tunnel: bool = False) -> Town:
 
 
 def _hills(rng: np.random.Generator) -> Ground:
-    """Waves of 90 to 160 m, a little across each other."""
+    """Two waves of 90 to 160 m with slightly different directions."""
     lengths, turns = rng.uniform(90.0, 160.0, 2), rng.uniform(0.0, np.pi) + np.array([0.0, 1.3])
     numbers = 2.0 * np.pi / lengths
     return Ground(
@@ -116,7 +116,7 @@ def _hills(rng: np.random.Generator) -> Ground:
 
 
 def _between(streets: FloatArray, low: float, high: float) -> list[tuple[float, float]]:
-    """What lies between the kerbs of parallel streets."""
+    """Intervals between the kerbs of parallel streets."""
     edges = [low, *np.ravel([(at - KERB_M, at + KERB_M) for at in streets]), high]
     return list(zip(edges[::2], edges[1::2], strict=True))
 
@@ -129,7 +129,7 @@ def _lay_ground(
     low: FloatArray,
     high: FloatArray,
 ) -> None:
-    """Road everywhere, pavement over the blocks, and kerbs about them."""
+    """Add road everywhere, pavement on the blocks, and kerbs around them."""
     _patch(builder, ground, (low[0], high[0], low[1], high[1]), 0.0, Label.ROAD)
     for (west, east), (south, north) in itertools.product(blocks_x, blocks_y):
         _patch(builder, ground, (west, east, south, north), KERB_HEIGHT_M, Label.PAVEMENT)
@@ -148,7 +148,7 @@ def _patch(
     above_m: float,
     label: Label,
 ) -> None:
-    """Ground between x from, x to, y from, y to."""
+    """Add ground between minimum and maximum of x and y."""
     west, east, south, north = edges
     x = np.linspace(west, east, max(2, round((east - west) / _STEP_M) + 1))
     y = np.linspace(south, north, max(2, round((north - south) / _STEP_M) + 1))
@@ -162,7 +162,7 @@ def _patch(
 
 
 def _dig(builder: MeshBuilder, ground: Ground, inside: tuple[float, float]) -> None:
-    """A smooth tube over the road, the same all along."""
+    """Add a smooth tube over the road, with constant cross-section."""
     turn = np.linspace(0.0, np.pi, 9)
     arch = np.column_stack(
         [
@@ -179,7 +179,7 @@ def _dig(builder: MeshBuilder, ground: Ground, inside: tuple[float, float]) -> N
 
 
 class _Furnisher:
-    """Puts houses, trees, poles and parked cars along the edges of blocks that face a street."""
+    """Adds houses, trees, poles and parked cars along the edges of blocks that face a street."""
 
     def __init__(
         self,
@@ -191,7 +191,7 @@ class _Furnisher:
         self._builder, self._ground, self._rng, self._inside = builder, ground, rng, inside
 
     def furnish(self, block: tuple[float, float, float, float], low: FloatArray, high: FloatArray) -> None:
-        """A block: x from, x to, y from, y to."""
+        """Furnish a block, given by minimum and maximum of x and y."""
         west, east, south, north = block
         sides = (
             (south > low[1], (west, south), (east, south), (0.0, 1.0)),
@@ -206,7 +206,7 @@ class _Furnisher:
                 self._kerbside(edge, np.array(inward))
 
     def _houses(self, edge: FloatArray, inward: FloatArray) -> None:
-        """Fronts one after the other, with gaps, bays and doors."""
+        """Add a row of fronts, with gaps, bays and doors."""
         rng = self._rng
         along, length_m = _direction(edge)
         at_m, front_m = _FRONT_M - KERB_M, _FRONT_M - KERB_M
@@ -239,7 +239,7 @@ class _Furnisher:
             at_m += width_m + (rng.uniform(1.0, 4.0) if rng.random() < 0.3 else 0.0)
 
     def _kerbside(self, edge: FloatArray, inward: FloatArray) -> None:
-        """Parked cars before the kerb, trees and poles behind it."""
+        """Add parked cars in front of the kerb, trees and poles behind it."""
         rng = self._rng
         along, length_m = _direction(edge)
         yaw = float(np.arctan2(along[1], along[0]))
@@ -259,7 +259,7 @@ class _Furnisher:
             at_m += rng.uniform(6.0, 14.0)
 
     def _tree_or_pole(self, place: FloatArray) -> None:
-        """One of them."""
+        """Add one of them."""
         rng, x, y = self._rng, float(place[0]), float(place[1])
         foot_m = float(self._ground.height_m(place[0], place[1])) + KERB_HEIGHT_M
         if rng.random() < 0.5:
@@ -280,14 +280,14 @@ class _Furnisher:
         label: Label,
         brightness: float,
     ) -> None:
-        """A box whose heights count from the ground under its middle."""
+        """Add a box with heights relative to the ground under its centre."""
         foot_m = float(self._ground.height_m(place[0], place[1]))
         low_m, high_m = height_m
         middle = (float(place[0]), float(place[1]))
         self._builder.box(middle, size_m, (foot_m + low_m, foot_m + high_m), yaw_rad, label, brightness)
 
     def _covered(self, x: float) -> bool:
-        """Whether the tunnel is there."""
+        """Whether there is a tunnel at this x."""
         return self._inside is not None and self._inside[0] - 6.0 < x < self._inside[1] + 6.0
 
 

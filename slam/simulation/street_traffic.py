@@ -1,4 +1,4 @@
-"""What moves on a street: cars on their lanes, one ahead of the car that records, cyclists, people."""
+"""Simulates traffic: cars on their lanes, one in front of the recording car, cyclists, people."""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ from slam.simulation.street_drive import StreetDrive, road_poses
 from slam.simulation.street_mesh import Label
 from slam.simulation.street_plan import CAR_PARTS, KERB_HEIGHT_M, KERB_M, LANE_M, Town
 
-_AHEAD_S = 2.2  # the car in front is that much ahead on the same way
+_AHEAD_S = 2.2  # the car in front is this far ahead on the same path
 _SIGHT_M = 90.0
-_APART_M = (4.5, 2.4)  # along and across: nothing comes nearer to the recording car
+_APART_M = (4.5, 2.4)  # minimum distance to the recording car, along and across
 _TRIES = 60
 _LOOK_S = 0.1
 
@@ -53,7 +53,7 @@ _SHARES = [kind.share for kind in _KINDS]
 
 @dataclass(frozen=True, slots=True)
 class _Mover:
-    """One that goes straight along a street, again from its beginning at its end; or ahead on our way."""
+    """An object that moves straight along a street, repeatedly from its start; or ahead on the car's path."""
 
     kind: _Kind
     start: FloatArray
@@ -75,12 +75,12 @@ class _Mover:
 
 
 class Traffic:
-    """All that moves during a drive.
+    """All moving objects of a drive.
 
     Parameters
     ----------
     density
-        Movers in 100 m of street.
+        Moving objects per 100 m of street.
     """
 
     def __init__(self, town: Town, drive: StreetDrive, density: float, rng: np.random.Generator) -> None:
@@ -101,7 +101,7 @@ class Traffic:
         drive: StreetDrive,
         rng: np.random.Generator,
     ) -> _Mover:
-        """The mover, or another of its kind that never gets in the recording car's way."""
+        """The mover, or another of its type that never blocks the recording car."""
         times_s = np.arange(0.0, drive.duration_s, _LOOK_S)
         x, y, yaw = drive.planar(times_s).T
         for _ in range(_TRIES):
@@ -114,7 +114,7 @@ class Traffic:
         return mover
 
     def near(self, place: FloatArray, time_s: float) -> MovingBoxes:
-        """What may be seen from a place at a time."""
+        """The movers that may be visible from a position at a time."""
         rows, owners = [], []
         for number, mover in enumerate(self._movers):
             x, y, yaw = mover.at(np.array([time_s - 0.05, time_s, time_s + 0.05]))
@@ -122,7 +122,7 @@ class Traffic:
                 continue
             rotations, positions = road_poses(self._ground, x, y, yaw)
             velocity = (positions[2] - positions[0]) / 0.1
-            velocity = velocity if np.linalg.norm(velocity) < 40.0 else np.zeros(3)  # it begins anew
+            velocity = velocity if np.linalg.norm(velocity) < 40.0 else np.zeros(3)  # it restarts
             up = KERB_HEIGHT_M if mover.kind.label is Label.MOVING_PERSON else 0.0
             for size, height in mover.kind.parts:
                 half = [0.5 * size[0], 0.5 * size[1]]
@@ -137,12 +137,12 @@ class Traffic:
 
 @dataclass(frozen=True, slots=True)
 class MovingBoxes:
-    """Boxes that move straight on for a moment.
+    """Boxes that move with constant velocity for a short time.
 
     Attributes
     ----------
     table
-        (N, 21) position, velocity, rotation by rows, lowest and highest corner in its own frame.
+        (N, 21) position, velocity, rotation (row-major), minimum and maximum corner in its own frame.
     label
         (N,) `Label` in the lower half, the number of the mover, from 1, in the upper.
     brightness
@@ -156,16 +156,16 @@ class MovingBoxes:
     def meet(
         self, rays: Float32Array, late_s: FloatArray, range_m: Float32Array
     ) -> tuple[NDArray[np.int32], Float32Array]:
-        """The boxes that rays meet first; their range is replaced in place.
+        """Find the boxes that rays hit first; ranges are replaced in place.
 
         Parameters
         ----------
         rays
             (N, 6) origin and unit direction, map frame.
         late_s
-            (N,) after the moment at which the boxes were asked for.
+            (N,) time after that of the boxes.
         range_m
-            (N,) to what stands still.
+            (N,) range to the static scene.
 
         Returns
         -------
@@ -178,14 +178,14 @@ class MovingBoxes:
 
 
 def _streets(town: Town) -> list[tuple[FloatArray, FloatArray]]:
-    """Both ends of the middle of each street."""
+    """Both ends of the centre line of each street."""
     along_y = [(np.array([x, town.low_m[1]]), np.array([x, town.high_m[1]])) for x in town.across_x]
     along_x = [(np.array([town.low_m[0], y]), np.array([town.high_m[0], y])) for y in town.across_y]
     return along_y + along_x
 
 
 def _mover(streets: list[tuple[FloatArray, FloatArray]], rng: np.random.Generator, kind: int) -> _Mover:
-    """One of a kind, anywhere."""
+    """A mover of a type at a random position."""
     start, end = streets[rng.integers(len(streets))]
     if rng.random() < 0.5:
         start, end = end, start
@@ -214,7 +214,7 @@ def _meet_boxes(
     found: NDArray[np.int32],
     cosine: Float32Array,
 ) -> None:
-    """Slabs of each box in its own frame."""
+    """Intersect rays with the slabs of each box in its own frame."""
     for ray in range(len(rays)):
         for box in range(len(table)):
             row = table[box]

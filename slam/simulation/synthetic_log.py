@@ -1,4 +1,4 @@
-"""A small synthetic CARMEN log with its exact truth: what the demo and the tests run on.
+"""A small synthetic CARMEN log with its exact ground truth, for the demo and the tests.
 
 A differential-drive robot tours the building of `slam.simulation.floor_plan` with a SICK-like lidar;
 its wheels slip. The same seed gives the same bytes.
@@ -30,29 +30,29 @@ class SyntheticLogConfig:
     Attributes
     ----------
     duration_s
-        Length of the drive; each of the tour's two rounds takes about 40 s.
+        Duration of the drive; each of the tour's two loops takes about 40 s.
     speed_m_s, turn_rate_rad_s
         Largest speed and turn rate.
     acceleration_m_s2, turn_acceleration_rad_s2
         Largest change of them.
     lookahead_m
-        How far ahead on the tour the robot steers.
+        Lookahead distance of the steering.
     odometry_rate_hz, scan_every
-        Wheel readings a second, and how many of them lie between two scans.
+        Wheel readings per second, and number of them per scan.
     beams, fov_rad
-        Beams over the field of view, both edges measured.
+        Number of beams and field of view, including both edges.
     range_max_m, range_sigma_m, dropout_share
-        Beams beyond the maximum, and this share of the others, give no return.
+        Beams beyond the maximum, and this share of the others, have no return.
     laser_offset_m
-        The laser ahead of the robot's centre.
+        Forward offset of the laser from the robot's centre.
     wheel_base_m
         Distance between the wheels.
     wheel_scale_left, wheel_scale_right
-        What a wheel reports for a metre of true travel: tyres worn unevenly.
+        Distance that a wheel reports per metre of true travel, for unevenly worn tyres.
     wheel_sigma
-        Noise of a wheel, metres for the square root of a metre.
+        Noise of a wheel, metres per square root of a metre.
     slips_per_s, slip_duration_s, slip_share
-        How often one wheel slips while driving, for how long, and how much it over-reports then.
+        Rate, duration and excess of wheel slip while driving.
     first_stamp_s
         Stamp of the first reading.
     """
@@ -83,16 +83,16 @@ class SyntheticLogConfig:
 
 @dataclass(frozen=True, slots=True)
 class SyntheticLog:
-    """What was written.
+    """The written files.
 
     Attributes
     ----------
     log_path, truth_path
         ``scans.log`` (CARMEN) and ``groundtruth.txt`` (TUM, the robot in the map frame).
     truth
-        The true pose at every odometry stamp, map frame; it begins at the tour's first point.
+        The true pose at every odometry stamp, map frame; it starts at the tour's first point.
     scan_count, odometry_count
-        FLASER and ODOM lines.
+        Number of FLASER and ODOM lines.
     """
 
     log_path: Path
@@ -103,7 +103,7 @@ class SyntheticLog:
 
 
 _CONTROL_STEPS = 5  # steering steps between two odometry readings
-_SHORTEST_S = 10.0  # a drive that still leaves the place where it began
+_SHORTEST_S = 10.0  # a drive that still leaves its start
 
 
 def write_synthetic_log(
@@ -113,14 +113,14 @@ def write_synthetic_log(
     duration_s: float | None = None,
     config: SyntheticLogConfig | None = None,
 ) -> SyntheticLog:
-    """Drive the tour and write the log and its truth.
+    """Drive the tour and write the log and its ground truth.
 
     Parameters
     ----------
     directory
-        Where the two files go; made when absent, files of the same name are replaced.
+        Folder of the two files; created if missing, files of the same name are replaced.
     seed
-        Of all noise.
+        Seed of all noise.
     duration_s
         Overrides the configured duration. The robot repeats the tour until the time is up.
     config
@@ -168,7 +168,8 @@ def drive_tour(config: SyntheticLogConfig, duration_s: float) -> FloatArray:
         at = _advance(path, at, x, y, config.lookahead_m)
         goal_x, goal_y = path[at]
         bearing = math.remainder(math.atan2(goal_y - y, goal_x - x) - yaw, 2.0 * math.pi)
-        # Far off the heading the robot slows down to turn on the spot rather than to cut through a wall.
+        # With a large heading error, the robot slows down to turn on the spot, so that it does not hit a
+        # wall.
         wanted_speed = config.speed_m_s * max(0.0, 1.0 - abs(bearing) / 1.0)
         wanted_turn = float(np.clip(2.5 * bearing, -config.turn_rate_rad_s, config.turn_rate_rad_s))
         speed += limited(wanted_speed - speed, config.acceleration_m_s2 * step_s)
@@ -180,7 +181,7 @@ def drive_tour(config: SyntheticLogConfig, duration_s: float) -> FloatArray:
 
 
 def _dense_tour(spacing_m: float) -> FloatArray:
-    """The tour as closely spaced points, (N, 2), its last one left out: the first follows."""
+    """The tour as closely spaced points, (N, 2), without the last one, which equals the first."""
     pieces = []
     for start, end in itertools.pairwise(TOUR_M):
         count = max(1, round(float(np.linalg.norm(end - start)) / spacing_m))
@@ -189,17 +190,17 @@ def _dense_tour(spacing_m: float) -> FloatArray:
 
 
 def _advance(path: FloatArray, at: int, x: float, y: float, lookahead_m: float) -> int:
-    """The next point of the closed tour that is at least the lookahead away."""
+    """Index of the next point of the closed tour at the lookahead distance."""
     while math.hypot(path[at, 0] - x, path[at, 1] - y) < lookahead_m:
         at = (at + 1) % len(path)
     return at
 
 
 def wheel_odometry(config: SyntheticLogConfig, poses: FloatArray, rng: np.random.Generator) -> FloatArray:
-    """What the wheels say of a drive, (N, 3) rows of x, y, yaw in the odom frame, from zero.
+    """Simulate the wheel odometry of a drive, (N, 3) rows of x, y, yaw in the odom frame, from zero.
 
-    Each wheel's true travel is scaled by its tyre, blurred by noise that grows with the root of the
-    distance, and over-reported while it slips.
+    Each wheel's true travel is scaled by its tyre, with noise proportional to the square root of the
+    distance, and with excess while it slips.
     """
     step = np.diff(poses, axis=0)
     turned = np.arctan2(np.sin(step[:, 2]), np.cos(step[:, 2]))
@@ -221,7 +222,7 @@ def wheel_odometry(config: SyntheticLogConfig, poses: FloatArray, rng: np.random
 
 
 def _slipping(config: SyntheticLogConfig, count: int, rng: np.random.Generator) -> FloatArray:
-    """1 where a wheel slips, (count, 2) for left and right."""
+    """1 if a wheel slips, (count, 2) for left and right."""
     chance = config.slips_per_s / config.odometry_rate_hz
     length = max(1, round(config.slip_duration_s * config.odometry_rate_hz))
     begins = rng.random(count) < chance
@@ -262,7 +263,7 @@ def _log_lines(
 def simulate_scan(
     config: SyntheticLogConfig, segments: FloatArray, pose: FloatArray, rng: np.random.Generator
 ) -> FloatArray:
-    """One sweep from a robot pose (x, y, yaw) in the map, (beams,) metres; no return is the maximum."""
+    """Simulate a scan from a robot pose (x, y, yaw) in the map, (beams,) metres; no return is the maximum."""
     laser = _laser_pose(config, pose)
     bearings = laser[2] + np.linspace(-0.5 * config.fov_rad, 0.5 * config.fov_rad, config.beams)
     ranges = cast_rays(segments, laser[:2], bearings)

@@ -1,7 +1,7 @@
-"""Paints surfaces: a colour for every point of the home, the same from wherever it is seen.
+"""Computes a colour for every point of the home, independent of the viewpoint.
 
 All patterns are hashed from the point on the surface, so nothing is stored and two cameras agree. A pattern
-finer than a pixel fades into its mean, as it does on a real sensor; else it would crawl with the camera.
+finer than a pixel fades to its mean, as on a real sensor, to avoid aliasing.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ _PLASTER, _PLANKS, _TILES, _WOOD = int(Style.PLASTER), int(Style.PLANKS), int(St
 _FABRIC, _BOOKS, _PANELS, _SKY = int(Style.FABRIC), int(Style.BOOKS), int(Style.PANELS), int(Style.SKY)
 _PERSON = int(PERSON)
 _SKY_RGB = (222.0, 236.0, 250.0)
-# Where the ceiling lights shine from; never from below.
+# Direction of the ceiling lights, from above.
 _LIGHT_X, _LIGHT_Y, _LIGHT_Z = 0.36, 0.55, 0.75
 
 
@@ -34,22 +34,22 @@ def paint(
     pixel_rad: float,
     person_xy: tuple[float, float] | None = None,
 ) -> Float32Array:
-    """Colour of what each ray meets.
+    """Compute the colour of the surface on each ray.
 
     Parameters
     ----------
     origins_dirs
         (N, 6) the rays that were cast.
     hits
-        What they met.
+        Surfaces that they hit.
     pixel_rad
-        Angle of a pixel: patterns that are finer fade.
+        Angle of a pixel; finer patterns fade.
     person_xy
-        Where the person stands, so that the clothes walk along.
+        Position of the person, so that the clothes move along.
 
     Returns
     -------
-    (N, 3) RGB, 0..255; sky where nothing was met.
+    (N, 3) RGB, 0..255; sky without a surface.
     """
     person = (0.0, 0.0) if person_xy is None else (float(person_xy[0]), float(person_xy[1]))
     return np.asarray(
@@ -80,7 +80,7 @@ def _hash(a: int, b: int, c: int) -> float:
 
 @kernel(error_model="numpy")
 def _visible(size_m: float, footprint_m: float) -> float:
-    """How much of a pattern of this size is left at this pixel size, 0..1."""
+    """Contrast of a pattern of this size at this pixel size, 0..1."""
     return min(1.0, max(0.0, size_m / footprint_m - 1.0))
 
 
@@ -106,7 +106,7 @@ def _clouds(u: float, v: float, seed: int) -> float:
 
 @kernel(error_model="numpy")
 def _line(at: float, period_m: float, width_m: float, footprint_m: float) -> float:
-    """1 on thin lines that repeat, 0 between; fainter where a pixel is wider than the line."""
+    """1 on periodic thin lines, 0 between; fainter if a pixel is wider than the line."""
     if at - period_m * math.floor(at / period_m) >= max(width_m, min(footprint_m, 0.25 * period_m)):
         return 0.0
     return min(1.0, width_m / footprint_m)
@@ -114,7 +114,7 @@ def _line(at: float, period_m: float, width_m: float, footprint_m: float) -> flo
 
 @kernel(error_model="numpy")
 def _poster(u: float, v: float, pixel: float, seed: int) -> tuple[bool, float, float, float]:
-    """Pictures on a wall in two rows, one for low cameras: whether there is one here, and its colour."""
+    """Posters on a wall in two rows, one for low cameras: whether there is one here, and its colour."""
     row = 0 if v < 1.1 else 1
     low, high = (0.25, 1.0) if row == 0 else (1.2, 2.0)
     column = math.floor(u / 1.15)
@@ -168,7 +168,7 @@ def _books(u: float, v: float, pixel: float, seed: int, color: _Rgb) -> _Rgb:
 
 @kernel(error_model="numpy")
 def _brightness(style: int, u: float, v: float, pixel: float, seed: int) -> float:
-    """The patterns that only change the brightness of a surface."""
+    """Patterns that change only the brightness of a surface."""
     if style == _PLANKS:
         row = math.floor(v / 0.14)
         plank = math.floor((u + 1.2 * _hash(row, 0, seed)) / 1.2)
@@ -209,7 +209,7 @@ def _dress(u: float, z: float, pixel: float) -> _Rgb:
 
 @kernel(error_model="numpy")
 def _side(nx: float, ny: float, nz: float) -> int:
-    """Which of the six sides of a box a normal belongs to."""
+    """Index of the side of a box with this normal."""
     if abs(nz) > 0.7:
         return 4 if nz > 0.0 else 5
     if abs(nx) > abs(ny):
@@ -241,7 +241,7 @@ def _paint(
         x, y, z = rays[ray, 0] + t * dx, rays[ray, 1] + t * dy, rays[ray, 2] + t * dz
         nx, ny, nz = float(normal[ray, 0]), float(normal[ray, 1]), float(normal[ray, 2])
         facing = abs(nx * dx + ny * dy + nz * dz)
-        # Seen at a slant, a pixel covers more of the surface in one direction only: hence the root.
+        # At a slant, a pixel covers more of the surface in one direction only, therefore the square root.
         pixel = t * pixel_rad / math.sqrt(max(facing, 0.04))
         light = 0.66 + 0.3 * max(0.0, _LIGHT_X * nx + _LIGHT_Y * ny + _LIGHT_Z * nz)
         if face == _PERSON:
@@ -252,7 +252,7 @@ def _paint(
             color = (float(base[0]), float(base[1]), float(base[2]))
             flat = abs(nz) > 0.7
             u, v = (x, y) if flat else (y * nx - x * ny, z)
-            # One pattern a side of an obstacle, whatever parts it is made of.
+            # One pattern per side of an obstacle, independent of its parts.
             seed = 8 * obstacle[ray] + _side(nx, ny, nz)
             style = int(style_of_triangle[face])
             if style == _PLASTER:

@@ -1,4 +1,4 @@
-"""A tour through all rooms of a home and back, as a differential drive would take it."""
+"""Plans a tour through all rooms of a home and back, for a differential drive."""
 
 from __future__ import annotations
 
@@ -24,20 +24,20 @@ SHORTEST_S = 1.0
 _CELL_M = 0.05
 _DRIVEN_OVER_M = 0.012  # thresholds lower than this are no obstacle
 _MARGIN_M = 0.05  # planned clearance beyond the robot's radius
-_ROOMY_M = 0.40  # beyond the radius: more clearance than this is not sought
+_ROOMY_M = 0.40  # beyond the radius: more clearance is not preferred
 _SPACING_M = 0.04
-_REPEATED_M = 8.0  # how much of the tour's beginning is driven again at its end, so that a loop closes
-_SECOND_STOP_M = 1.8  # a room this long is looked at from two places
-_LOOKAHEADS_M = (0.40, 0.30, 0.20, 0.12)  # shorter keeps nearer to the path, and is tried when needed
+_REPEATED_M = 8.0  # length of the tour's start that is repeated at its end, so that a loop closes
+_SECOND_STOP_M = 1.8  # a room this long has two stops
+_LOOKAHEADS_M = (0.40, 0.30, 0.20, 0.12)  # shorter ones stay closer to the path, and are tried if needed
 _BACK_M = 0.5
-_CRUISE_M_S = 0.33  # what is left of the top speed after corners and narrow places
-_STREAM = 0x70  # keeps the planner's random numbers apart from all others of the seed
-_SLOWEST_SHARE = 0.6  # of the top speed, where it is narrowest
+_CRUISE_M_S = 0.33  # mean speed, including corners and narrow places
+_STREAM = 0x70  # separates the planner's random numbers from all others of the seed
+_SLOWEST_SHARE = 0.6  # of the top speed, at the narrowest places
 
 
 @dataclass(frozen=True, slots=True)
 class Tour:
-    """A drive in the map frame, exact at every time.
+    """A drive in the map frame, exact at all times.
 
     Attributes
     ----------
@@ -46,11 +46,11 @@ class Tour:
     twists
         (N, 2) speed and turn rate, constant from one row to the next.
     duration_s
-        Its length.
+        Duration of the drive.
     rooms
         Names of the rooms in the order of their first visit.
     lap_s
-        When the robot is back where it began, the first time; ``inf`` when it never is.
+        Time when the robot first returns to its start; ``inf`` if never.
     clearance_m
         Smallest distance between the robot's centre and an obstacle.
     """
@@ -63,7 +63,7 @@ class Tour:
     clearance_m: float
 
     def pose_at(self, time_s: float) -> tuple[float, float, float]:
-        """x, y, yaw at a time; before and after the drive the robot stands."""
+        """x, y, yaw at a time; before and after the drive, the robot stands still."""
         inside = min(max(time_s, 0.0), self.duration_s)
         index = min(int(inside / STEP_S), len(self.poses_xyt) - 1)
         x, y, yaw = map(float, self.poses_xyt[index])
@@ -75,9 +75,10 @@ class Tour:
         return np.array([self.pose_at(float(time_s)) for time_s in times_s]).reshape(-1, 3)
 
     def smooth_poses(self, times_s: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Rotations (N, 3, 3) and positions (N, 3), on the floor, of the drive made twice differentiable.
+        """Rotations (N, 3, 3) and positions (N, 3) on the floor, twice differentiable in time.
 
-        What accelerates in steps would be felt as blows: a cubic goes through the poses instead.
+        Poses are interpolated by a cubic spline, because an IMU would measure steps of acceleration as
+        shocks.
         """
         stamps_s = STEP_S * np.arange(len(self.poses_xyt))
         x, y, yaw = interpolate.CubicSpline(stamps_s, self.poses_xyt)(times_s).T
@@ -94,23 +95,24 @@ def plan_tour(
     duration_s: float | None = None,
     limits: DriveLimits | None = None,
 ) -> Tour:
-    """Plan a tour of every room, back to the start and then on along its own beginning.
+    """Plan a tour of all rooms, back to the start, and again along its first part.
 
-    The rooms are visited depth first through their doors, in an order that the seed decides, so that a
-    corridor is passed between any two of its rooms.
+    The rooms are visited depth first through their doors, in a random order, so that the robot passes the
+    corridor between any two of its rooms.
 
     Parameters
     ----------
     robot_radius_m, robot_height_m
-        The robot; it drives under what hangs higher, and over thresholds.
+        Size of the robot; it drives under higher objects, and over thresholds.
     duration_s
-        Visit as many rooms as leave time to come back, and begin anew until the time is up; too short for
-        a single room, the drive ends under way. None: all rooms, and a part of the next lap.
+        Visit as many rooms as possible in this time, including the return, and repeat until the time is up;
+        if it is too short for a single room, the drive ends on the way. None: all rooms, and a part of the
+        next lap.
 
     Raises
     ------
     ConfigError
-        The robot does not fit where it should start, or cannot follow any path without a collision.
+        The robot does not fit at its start, or cannot follow any path without a collision.
     """
     if duration_s is not None and not SHORTEST_S <= duration_s < math.inf:
         raise ConfigError(f"duration_s is {duration_s}; give {SHORTEST_S:.0f} s or more")
@@ -130,12 +132,12 @@ def plan_tour(
 
 
 def drivable_floor(home: Home, robot_radius_m: float, robot_height_m: float) -> FloorMap:
-    """Where the robot may be and can come to from its start.
+    """The floor that the robot can reach from its start.
 
     Raises
     ------
     ConfigError
-        It does not fit where it should start.
+        It does not fit at its start.
     """
     grid = true_grid(home, _DRIVEN_OVER_M, robot_height_m, _CELL_M)
     required, preferred = robot_radius_m + _MARGIN_M, robot_radius_m + _ROOMY_M
@@ -150,12 +152,12 @@ def _drive(
     limits: DriveLimits,
     duration_s: float | None,
 ) -> tuple[FloatArray, FloatArray]:
-    """Poses and twists of the first way of steering that keeps the robot off all obstacles."""
+    """Poses and twists with the first lookahead that avoids all obstacles."""
     closed = duration_s is not None
     path = lap_m[:-1] if closed else np.concatenate([lap_m, lap_m[1 : 1 + round(_REPEATED_M / _SPACING_M)]])
     roominess = floor.clearance_at_m(path) - floor.required_m
     share = np.clip(roominess / (floor.preferred_m - floor.required_m), _SLOWEST_SHARE, 1.0)
-    # A path that is followed at all is done within a few times what its allowed speed takes.
+    # A path that can be followed takes at most a few times the duration at its allowed speed.
     patience_s = 60.0 + 6.0 * _SPACING_M * float(np.sum(1.0 / share)) / limits.speed_m_s
     longest_s = patience_s if duration_s is None else duration_s
     clearance = 0.0
@@ -173,9 +175,9 @@ def _drive(
 
 
 def _laps(home: Home, floor: FloorMap, rng: np.random.Generator) -> list[FloatArray]:
-    """Smoothed paths (N, 2) that end where they begin: through all rooms, all but the last, and so on.
+    """Smoothed closed paths (N, 2): through all rooms, all but the last, and so on.
 
-    Each comes twice, with two stops and with one in a room; the longest is first, and there is one at least.
+    Each occurs twice, with two stops and with one stop per room; the longest is first; there is at least one.
     """
     start = floor.node_near(np.array(home.start_xy_yaw[:2]))
     if start < 0:
@@ -193,7 +195,7 @@ def _laps(home: Home, floor: FloorMap, rng: np.random.Generator) -> list[FloatAr
     laps: list[FloatArray] = []
     for last in range(len(groups), 0, -1):
         for stops_a_room in (2, 1):
-            # With one stop a room there is none where the robot is already.
+            # With one stop per room, there is none in the robot's first room.
             order = _order(groups[2 - stops_a_room : last], stops_a_room, costs)
             pieces = [paths[a][b] for a, b in itertools.pairwise([*order, 0])]
             nodes = np.concatenate([piece[:-1] for piece in pieces if piece is not None] + [[start]])
@@ -207,7 +209,7 @@ def _laps(home: Home, floor: FloorMap, rng: np.random.Generator) -> list[FloatAr
 
 
 def _order(groups: list[list[int]], stops_a_room: int, costs: FloatArray) -> list[int]:
-    """Stops in the order of the visit, from stop 0: of two in a room the nearer one first."""
+    """Stops in visiting order, from stop 0; of two in a room, the nearer one first."""
     order = [0]
     for group in groups:
         if stops_a_room == 1:
@@ -218,7 +220,7 @@ def _order(groups: list[list[int]], stops_a_room: int, costs: FloatArray) -> lis
 
 
 def _depth_first(home: Home, rng: np.random.Generator) -> list[Room]:
-    """The rooms from the one where the robot starts, each with all that lies behind it, in random order."""
+    """The rooms in depth-first order from the robot's first room, with random order of neighbours."""
     x, y, _ = home.start_xy_yaw
     by_name = {room.name: room for room in home.rooms}
     first = next((room.name for room in home.rooms if _inside(room, x, y)), home.rooms[0].name)
@@ -239,7 +241,7 @@ def _depth_first(home: Home, rng: np.random.Generator) -> list[Room]:
 def _stops(
     room: Room, floor: FloorMap, centres_m: FloatArray, reached: BoolArray, rng: np.random.Generator
 ) -> list[int]:
-    """Roomy places in a room among the cells that can be reached: two far apart and one between, or just one.
+    """Reachable positions with clearance in a room: two far apart and one between, or only one.
 
     None if the room cannot be entered.
     """
@@ -251,7 +253,7 @@ def _stops(
     clearance = np.minimum(floor.clearance_m[floor.nodes >= 0][nodes], floor.preferred_m)
     roomy = nodes[clearance >= 0.75 * clearance.max()]
     first = int(rng.choice(roomy))
-    # Farthest from a random place, and farthest from that one: nearly the two that are farthest apart.
+    # The farthest cell from a random one, and the farthest from that: nearly the largest distance.
     far = int(roomy[np.argmax(np.linalg.norm(centres_m[roomy] - centres_m[first], axis=1))])
     away = np.linalg.norm(centres_m[roomy] - centres_m[far], axis=1)
     if away.max() < _SECOND_STOP_M:
@@ -262,7 +264,7 @@ def _stops(
 
 
 def _inside(room: Room, x: float, y: float) -> bool:
-    """Whether a point lies in a room."""
+    """Whether a point is in a room."""
     x0, y0, x1, y1 = room.rectangle
     return x0 <= x <= x1 and y0 <= y <= y1
 
@@ -279,7 +281,7 @@ def _visited(home: Home, poses: FloatArray) -> tuple[str, ...]:
 
 
 def _back_s(poses: FloatArray, lap_m: float) -> float:
-    """When most of a lap is driven and the start is near again."""
+    """Time when most of a lap is driven and the start is close again."""
     driven = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(poses[:, :2], axis=0), axis=1))])
     near = np.linalg.norm(poses[:, :2] - poses[0, :2], axis=1) < _BACK_M
     back = np.flatnonzero(near & (driven > 0.8 * lap_m))

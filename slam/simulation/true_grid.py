@@ -1,4 +1,4 @@
-"""The exact plan of a home between two heights, and where a robot can drive in it."""
+"""The exact floor plan of a home in a height band, and the drivable cells in it."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ _HAIR_M = 1e-7  # parts that only touch a cell or a height do not fill it
 
 @dataclass(frozen=True, slots=True)
 class TrueGrid:
-    """What stands where.
+    """A ground truth grid.
 
     Attributes
     ----------
@@ -28,10 +28,10 @@ class TrueGrid:
     resolution_m
         Side of a cell.
     origin_xy
-        Lower left corner of cell (0, 0), a multiple of the resolution, map frame.
+        Lower-left corner of cell (0, 0), a multiple of the resolution, map frame.
     obstacle_id
-        (rows, cols) id of the obstacle, -1 where free. Where two share a cell: the one with the higher id,
-        so furniture before the wall that it stands at.
+        (rows, cols) id of the obstacle, -1 if free. If two share a cell: the higher id, so furniture has
+        priority over the wall behind it.
     """
 
     occupied: BoolArray
@@ -41,12 +41,12 @@ class TrueGrid:
 
 
 def true_grid(home: Home, z_low_m: float, z_high_m: float, resolution_m: float) -> TrueGrid:
-    """Rasterise every solid that reaches into a height band, exactly.
+    """Rasterise every solid in a height band, exactly.
 
     Parameters
     ----------
     z_low_m, z_high_m
-        The band; solids that only touch it from below or above are outside.
+        Limits of the band; solids that only touch it from below or above are outside.
     resolution_m
         Side of a cell.
 
@@ -75,7 +75,7 @@ def true_grid(home: Home, z_low_m: float, z_high_m: float, resolution_m: float) 
 def occupied_cells(
     parts: Iterable[Part], origin_xy: tuple[float, float], shape: tuple[int, int], resolution_m: float
 ) -> BoolArray:
-    """Cells (rows, cols) that any of the parts covers, whatever its height."""
+    """Cells (rows, cols) that any part covers, at any height."""
     cells = np.full(shape, FREE, dtype=np.int32)
     for part in parts:
         _stamp(cells, part, 0, origin_xy, resolution_m)
@@ -85,7 +85,7 @@ def occupied_cells(
 def _stamp(
     cells: Int32Array, part: Part, owner: int, origin_xy: tuple[float, float], resolution_m: float
 ) -> None:
-    """Write the owner into every cell whose square meets the footprint (separating axes)."""
+    """Write the owner into every cell that intersects the footprint (separating axes)."""
     corners = part.corners_xy() - origin_xy
     first = np.maximum(np.floor(corners.min(axis=0) / resolution_m).astype(int), 0)
     last = np.minimum(np.ceil(corners.max(axis=0) / resolution_m).astype(int), cells.shape[::-1])
@@ -106,16 +106,16 @@ def _stamp(
 def drivable_cells(occupied: BoolArray, resolution_m: float, radius_m: float) -> BoolArray:
     """Cells whose centre is farther than the radius from every occupied cell, (rows, cols).
 
-    What lies outside the grid counts as occupied.
+    Everything outside the grid counts as occupied.
     """
     padded = np.pad(occupied, 1, constant_values=True)
     distance: FloatArray = ndimage.distance_transform_edt(~padded)[1:-1, 1:-1]
-    # From centre to centre; the occupied cell reaches half a cell nearer.
+    # Distances are from centre to centre; the edge of the occupied cell is half a cell closer.
     return np.asarray((distance - 0.5) * resolution_m > radius_m)
 
 
 def largest_region(drivable: BoolArray) -> BoolArray:
-    """The largest part of the drivable cells that hangs together by edges; all False if there is none."""
+    """The largest region of drivable cells connected by edges; all False if there is none."""
     labels, count = ndimage.label(drivable)
     if count == 0:
         return np.zeros_like(drivable)

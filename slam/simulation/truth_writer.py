@@ -1,4 +1,4 @@
-"""The truth behind a drive: trajectory, faults of every reading, grids, obstacles, extrinsics, clocks."""
+"""Writes the ground truth of a drive: trajectory, faults, grids, obstacles, extrinsics, clocks."""
 
 from __future__ import annotations
 
@@ -28,21 +28,21 @@ _Row: TypeAlias = tuple[float, float, FloatArray, dict[str, NDArray[Any]]]  # st
 
 GRID_RESOLUTION_M = 0.05
 
-_CHUNK_BYTES = 4 << 20  # unpacked; a minute of scans, a few seconds of images
-_PACKING = 1  # zlib level: masks are nearly empty, and more buys little
+_CHUNK_BYTES = 4 << 20  # uncompressed; a minute of scans, a few seconds of images
+_PACKING = 1  # zlib level: masks are nearly empty, so higher levels gain little
 
 
 class TruthWriter:
-    """The truth of one drive; use it as a context manager.
+    """Writes the ground truth of one drive; use it as a context manager.
 
     Parameters
     ----------
     folder
-        Gets ``groundtruth.txt`` (TUM, the base in the map frame) and ``truth/``.
+        Receives ``groundtruth.txt`` (TUM, the base in the map frame) and ``truth/``.
     bands_m
-        Names and (low, high) of the bands of height for which a grid of truth is written.
+        Names and (low, high) of the height bands of ground truth grids.
     pool
-        Packs the masks.
+        Compresses the masks.
     """
 
     def __init__(
@@ -72,7 +72,7 @@ class TruthWriter:
                 chunks.flush()
 
     def write(self, event: DriveEvent) -> None:
-        """The truth of one event: where the robot was, what was wrong with each beam or depth pixel."""
+        """Write the ground truth of one event: pose of the robot, fault of each beam or depth pixel."""
         if isinstance(event, TruthEvent):
             self._groundtruth.write(f"{event.true_stamp_s:.9f} {_tum_pose(event.T_map_base)}\n")
         elif isinstance(event, ScanEvent):
@@ -82,12 +82,12 @@ class TruthWriter:
             arrays = {"fault": event.fault, "true_ranges_m": event.true_ranges_m}
             self._sensors[event.sensor].append(event.stamp_s, event, arrays)
         elif isinstance(event, ImageEvent):
-            # The true depth would be as large as the images themselves; the mask tells what is wrong.
+            # The true depth would be as large as the images themselves; the mask is sufficient.
             self._sensors[event.frame.sensor].append(event.frame.stamp_s, event, {"fault": event.fault})
 
 
 class _Chunks:
-    """One sensor's readings, gathered until there is enough for a file."""
+    """Collects readings of one sensor until there are enough for a file."""
 
     def __init__(self, folder: Path, pool: OrderedPool, *, ragged: bool) -> None:
         folder.mkdir()
@@ -97,14 +97,14 @@ class _Chunks:
         self._count = 0
 
     def append(self, stamp_s: float, event: _SensorEvent, arrays: dict[str, NDArray[Any]]) -> None:
-        """A reading; ``arrays`` have a value for each beam, return or pixel."""
+        """Add a reading; ``arrays`` have a value for each beam, return or pixel."""
         self._rows.append((stamp_s, event.true_stamp_s, row_from_pose2(event.T_map_base), arrays))
         self._bytes += sum(array.nbytes for array in arrays.values())
         if self._bytes >= _CHUNK_BYTES:
             self.flush()
 
     def flush(self) -> None:
-        """Hand what was gathered to the pool; files are named after their first reading."""
+        """Submit the collected readings to the pool; files are named after their first reading."""
         if self._rows:
             self._pool.submit(_write_rows, self._folder / f"{self._count:06d}.npz", self._rows, self._ragged)
             self._count += len(self._rows)
@@ -112,7 +112,7 @@ class _Chunks:
 
 
 def _write_rows(path: Path, rows: list[_Row], ragged: bool) -> None:
-    """Readings of one sensor, each field stacked; clouds, which differ in length, end to end."""
+    """Write readings of one sensor with stacked fields; clouds, which differ in length, are concatenated."""
     stamps_s, true_stamps_s, poses, arrays = zip(*rows, strict=True)
     fields = {
         "stamp_s": np.array(stamps_s),
@@ -128,16 +128,16 @@ def _write_rows(path: Path, rows: list[_Row], ragged: bool) -> None:
 
 
 def write_npz(path: Path, **arrays: NDArray[Any]) -> None:
-    """Arrays as a compressed npz, packed fast and without any time in it: `numpy.load` opens it."""
+    """Write arrays as a compressed npz for `numpy.load`, with fast compression and without any time in it."""
     with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED, compresslevel=_PACKING) as archive:
         for name, array in arrays.items():
-            # A name given as text takes the archive's packing, and the date 1980-01-01 at any time.
+            # With a plain name, the archive's compression and the fixed date 1980-01-01 are used.
             with archive.open(f"{name}.npy", "w", force_zip64=True) as entry:
                 np.lib.format.write_array(entry, np.asarray(array, order="C"), allow_pickle=False)
 
 
 def _write_obstacles(folder: Path, home: Home, bands_m: dict[str, tuple[float, float]]) -> None:
-    """The grids of truth, and what each obstacle id in them means."""
+    """Write the ground truth grids, and the meaning of each obstacle id in them."""
     for name, (low_m, high_m) in bands_m.items():
         grid = true_grid(home, low_m, high_m, GRID_RESOLUTION_M)
         write_npz(
@@ -162,7 +162,7 @@ def _write_obstacles(folder: Path, home: Home, bands_m: dict[str, tuple[float, f
 
 
 def _plain(thing: Thing | None) -> dict[str, Any] | None:
-    """A thing as its parts: the corners of each on the floor, and from where to where it stands."""
+    """An object as its parts: the corners of each on the floor, and its lowest and highest z."""
     if thing is None:
         return None
     parts = [
@@ -173,7 +173,7 @@ def _plain(thing: Thing | None) -> dict[str, Any] | None:
 
 
 def _write_faults(folder: Path, drive: Drive) -> None:
-    """Faults as configured, every reading that was due, and the slip of the wheels."""
+    """Write the configured faults, all scheduled readings, and wheel slip."""
     offsets = {name: readings.clock_offset_s for name, readings in drive.schedules.items()}
     lost = {name: int(np.count_nonzero(~readings.kept)) for name, readings in drive.schedules.items()}
     _write_json(
@@ -197,7 +197,7 @@ def _write_faults(folder: Path, drive: Drive) -> None:
 
 
 def _extrinsics(drive: Drive) -> dict[str, Any]:
-    """Where every sensor truly sits on the robot."""
+    """True poses of all sensors on the robot."""
     found: dict[str, Any] = {}
     if drive.rig.lidar is not None:
         found[LIDAR] = {"T_base_laser": transform_fields(drive.rig.lidar.T_base_laser)}
@@ -209,7 +209,7 @@ def _extrinsics(drive: Drive) -> dict[str, Any]:
 
 
 def _write_json(path: Path, content: dict[str, Any]) -> None:
-    """Write a JSON file in the order given."""
+    """Write a JSON file in the given order."""
     path.write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8", newline="\n")
 
 

@@ -1,4 +1,4 @@
-"""Colour and depth images in the layout of the TUM RGB-D benchmark, one folder a camera."""
+"""Writes colour and depth images in the layout of the TUM RGB-D benchmark, one folder per camera."""
 
 from __future__ import annotations
 
@@ -14,18 +14,18 @@ from slam.errors import DatasetError
 from slam.measurements import CameraIntrinsics, Float32Array, RgbdFrame
 from slam.simulation.ordered_pool import OrderedPool
 
-DEPTH_SCALE = 5000.0  # steps a metre, as in the benchmark
+DEPTH_SCALE = 5000.0  # steps per metre, as in the benchmark
 
 
 class TumWriter:
-    """One camera's folder; use it as a context manager.
+    """Writes the folder of one camera; use it as a context manager.
 
-    Images are packed by the pool's threads, so they are on disk only when the pool has finished.
+    The pool's threads compress images, so they are on disk only when the pool has finished.
 
     Parameters
     ----------
     folder
-        Gets ``rgb/``, ``depth/``, ``rgb.txt``, ``depth.txt`` and ``calibration.yaml``.
+        Receives ``rgb/``, ``depth/``, ``rgb.txt``, ``depth.txt`` and ``calibration.yaml``.
     """
 
     def __init__(
@@ -57,14 +57,14 @@ class TumWriter:
 
 
 def depth_steps(depth_m: Float32Array, steps_per_m: float) -> NDArray[np.uint16]:
-    """Depth as 16-bit steps, (height, width); 0 where there is none or it is too far for 16 bits."""
+    """Depth as 16-bit steps, (height, width); 0 for none or if it is too far for 16 bits."""
     with np.errstate(invalid="ignore"):
         steps = np.rint(depth_m * np.float32(steps_per_m))
         return np.where((steps > 0.0) & (steps <= 65535.0), steps, 0.0).astype(np.uint16)
 
 
 def calibration(intrinsics: CameraIntrinsics, T_base_camera: gtsam.Pose3) -> dict[str, Any]:
-    """What ``calibration.yaml`` says of a camera."""
+    """Contents of ``calibration.yaml`` for a camera."""
     return {
         "intrinsics": {
             **{name: float(getattr(intrinsics, name)) for name in ("fx", "fy", "cx", "cy")},
@@ -86,7 +86,7 @@ def transform_fields(transform: gtsam.Pose3) -> dict[str, list[float]]:
 
 
 def write_yaml(path: Path, content: dict[str, Any]) -> None:
-    """Write a small YAML file in the order given."""
+    """Write a small YAML file in the given order."""
     text = yaml.safe_dump(content, sort_keys=False, default_flow_style=None)
     path.write_text(text, encoding="utf-8", newline="\n")
 
@@ -95,18 +95,18 @@ def _write_color(path: Path, color: NDArray[np.uint8]) -> None:
     """RGB as PNG."""
     import cv2
 
-    # Noise does not pack: two fifths less to store would cost ten times the time, and as much to read.
+    # Noise is incompressible: 40 % less storage would take ten times the time, also for reading.
     _write_png(path, cv2.cvtColor(color, cv2.COLOR_RGB2BGR), 0)
 
 
 def _write_depth(path: Path, depth_m: Float32Array) -> None:
     """Depth as 16-bit PNG."""
-    # The device's own steps repeat as they are.
+    # Quantised depth compresses well without a filter.
     _write_png(path, depth_steps(depth_m, DEPTH_SCALE), 1)
 
 
 def _write_png(path: Path, image: NDArray[np.uint8] | NDArray[np.uint16], level: int) -> None:
-    """PNG, packed at a level of zlib's and not filtered."""
+    """PNG with a zlib level and without filter."""
     import cv2
 
     options = [

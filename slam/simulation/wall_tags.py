@@ -1,4 +1,4 @@
-"""Tags on the walls of a home: where they hang, and what a camera sees of them."""
+"""Tags on the walls of a home: their poses, and their images in a camera."""
 
 from __future__ import annotations
 
@@ -16,27 +16,27 @@ from slam.simulation.scene import Scene
 from slam.simulation.sensor_clock import generator
 from slam.vision.tags import tag_cells
 
-# How they hang: height of the middle, and room in front of one for a robot to see it.
+# Height of their centres, and free space in front of a tag for a robot.
 _Z_M, _FREE_M = (0.7, 1.3), 1.2
-# A robot sees one between these distances, within 20 degrees of its heading, slanted by less than 60.
+# A tag is visible between these distances, within 20 degrees of the robot's heading, below 60 degrees slant.
 _NEAR_M, _AHEAD, _FACING = (0.8, 2.5), 0.94, 0.5
 _FAMILY, _CANDIDATES_A_WALL = "36h11", 12
-# Black and white as printers make them, of 255; rays a pixel along an edge; depth of the paper.
+# Printed black and white, of 255; rays per pixel along an edge; depth of the paper.
 _INK, _PAPER, _RAYS, _THICK_M = 25.0, 225.0, 4, 0.01
 
 
 def hang_tags(home: Home, count: int, seed: int, way_xyt: FloatArray, side_m: float = 0.16) -> Home:
-    """A home with tags on its walls, far from each other, each where a robot on its way looks at it.
+    """A home with tags on its walls, far from each other, each visible from the robot's path.
 
     Parameters
     ----------
     way_xyt
-        (n, 3) x, y, yaw of the robot.
+        (n, 3) x, y, yaw along the robot's path.
 
     Raises
     ------
     ConfigError
-        If there are not so many free places.
+        If there are not enough free places.
     """
     rng, scene = generator(seed, "tags"), Scene(home)
     places = [place for room in home.rooms for place in _places(room.rectangle, rng)]
@@ -48,7 +48,7 @@ def hang_tags(home: Home, count: int, seed: int, way_xyt: FloatArray, side_m: fl
         )
     at = np.array([place.translation() for place in free])
     chosen = [int(rng.integers(len(free)))]
-    while len(chosen) < count:  # the place farthest from those that are taken
+    while len(chosen) < count:  # the place farthest from those already chosen
         apart_m = np.linalg.norm(at[:, None] - at[chosen], axis=2).min(axis=1)
         chosen.append(int(apart_m.argmax()))
     cells = [tag_cells(_FAMILY, number) for number in range(count)]
@@ -57,7 +57,7 @@ def hang_tags(home: Home, count: int, seed: int, way_xyt: FloatArray, side_m: fl
 
 
 def known_places(tags: Sequence[WallTag]) -> KnownPlaces:
-    """What a surveyor would write down of them: every second one to check by."""
+    """The survey of the tags: every second one is a check point."""
     surveyed = [
         SurveyedPlace(
             tag=tag.number,
@@ -77,14 +77,14 @@ def paint_tags(
     T_world_camera: gtsam.Pose3,
     intrinsics: CameraIntrinsics,
 ) -> None:
-    """Draw tags where a camera sees them; the mean of several rays a pixel, for edges tell where a corner is.
+    """Draw tags in a camera image with several rays per pixel, because edges define the corners.
 
     Parameters
     ----------
     image
         (H * W, 3) RGB 0..255, changed in place.
     range_m
-        (H * W,) depth of what the pixels meet.
+        (H * W,) depth of the surfaces at the pixels.
     """
     height, width = intrinsics.height, intrinsics.width
     for tag in tags:
@@ -115,7 +115,7 @@ def paint_tags(
                 inside += hit
                 seen += value * hit
         share = (inside / _RAYS**2)[:, None]
-        light = 0.66 + 0.3 * share  # as paper is lit, whatever wall it hangs on
+        light = 0.66 + 0.3 * share  # brightness of paper, independent of the wall
         drawn = np.where(inside > 0, seen / np.maximum(inside, 1), 0.0)[:, None]
         image[index] = (1.0 - share) * image[index] + share * light * drawn
 
@@ -127,7 +127,7 @@ def _rays(columns: FloatArray, rows: FloatArray, intrinsics: CameraIntrinsics) -
 
 
 def _ink_at(points_m: FloatArray, cells: BoolArray, across_m: float) -> tuple[FloatArray, BoolArray]:
-    """Brightness (N,) of points of the paper, and which lie on it; the first row of cells is on top."""
+    """Brightness (N,) of points, and whether they are on the paper; the first row of cells is on top."""
     place = (points_m * [1.0, -1.0] / across_m + 0.5) * len(cells)
     cell = np.floor(place).astype(int)
     hit: BoolArray = np.all((cell >= 0) & (cell < len(cells)), axis=1)
@@ -136,7 +136,7 @@ def _ink_at(points_m: FloatArray, cells: BoolArray, across_m: float) -> tuple[Fl
 
 
 def _places(rectangle: tuple[float, float, float, float], rng: np.random.Generator) -> list[gtsam.Pose3]:
-    """Where tags could hang in a room: x to the right of who looks at one, y up, z out of the wall."""
+    """Possible tag poses in a room: x to the right as seen by a viewer, y up, z out of the wall."""
     x0, y0, x1, y1 = rectangle
     found = list[gtsam.Pose3]()
     for _ in range(_CANDIDATES_A_WALL):
@@ -149,7 +149,7 @@ def _places(rectangle: tuple[float, float, float, float], rng: np.random.Generat
 
 
 def _is_seen(place: gtsam.Pose3, way_xyt: FloatArray) -> bool:
-    """Whether the robot comes near, looks there, and sees it not too slanted."""
+    """Whether the robot comes close, looks at it, and sees it without too much slant."""
     away = np.asarray(place.translation())[:2] - way_xyt[:, :2]
     far_m, out = np.linalg.norm(away, axis=1), np.asarray(place.rotation().matrix())[:2, 2]
     ahead = np.sum(away * np.column_stack([np.cos(way_xyt[:, 2]), np.sin(way_xyt[:, 2])]), axis=1)
@@ -158,7 +158,7 @@ def _is_seen(place: gtsam.Pose3, way_xyt: FloatArray) -> bool:
 
 
 def _is_free(scene: Scene, place: gtsam.Pose3, half_m: float) -> bool:
-    """Whether the wall is flat there, and nothing stands before it."""
+    """Whether the wall is flat there, and nothing is in front of it."""
     corners = np.array([[x, y, _FREE_M] for x in (-half_m, 0.0, half_m) for y in (-half_m, 0.0, half_m)])
     origins = np.array([place.transformFrom(corner) for corner in corners])
     inward = np.tile(-np.asarray(place.rotation().matrix())[:, 2], (len(corners), 1))

@@ -1,4 +1,4 @@
-"""Walls with thickness: doorways with lintel and threshold, windows, panes of glass."""
+"""Builds thick walls: doorways with lintel and threshold, windows, panes of glass."""
 
 from __future__ import annotations
 
@@ -11,23 +11,23 @@ from slam.simulation.home_model import Color, Material, Part, Style, Thing
 HEIGHT_M = 2.5
 _DOOR_TOP_M = 2.05
 _SILL_M = 0.9
-_PLINTH_M = 0.04  # what a pane of glass stands on
+_PLINTH_M = 0.04  # height of the plinth under a pane of glass
 _PANE_HALF_M = 0.006
 _GLASS_COLOR, _SKY_COLOR, _METAL_COLOR = (196, 214, 210), (214, 232, 250), (120, 116, 110)
 
 
 class Kind(IntEnum):
-    """What is in an opening."""
+    """Type of an opening."""
 
     DOOR = 0
-    PANE = 1  # glass from the floor up, a room behind it
+    PANE = 1  # glass down to the floor, with a room behind it
     WINDOW = 2
-    BALCONY = 3  # glass from the floor up, daylight behind it
+    BALCONY = 3  # glass down to the floor, with daylight behind it
 
 
 @dataclass(frozen=True, slots=True)
 class Opening:
-    """Part of a wall, from one place along it to another."""
+    """An interval along a wall."""
 
     low_m: float
     high_m: float
@@ -44,11 +44,11 @@ class WallLine:
     along_x
         Whether it runs along x; otherwise along y.
     at_m
-        Its middle line, the other coordinate.
+        Its centre line, the other coordinate.
     low_m, high_m
-        Where it begins and ends.
+        Its start and end.
     openings
-        Apart from each other and inside it.
+        Disjoint openings inside the wall.
     """
 
     along_x: bool
@@ -59,7 +59,7 @@ class WallLine:
 
 
 def wall_things(line: WallLine, thickness_m: float, color: Color) -> list[Thing]:
-    """The solids of one wall: the wall itself, then thresholds, panes and windows as things of their own."""
+    """The solids of one wall: the wall itself, then thresholds, panes and windows as separate objects."""
     openings = sorted(line.openings, key=lambda opening: opening.low_m)
     solid: list[Part] = []
     others: list[Thing] = []
@@ -78,7 +78,7 @@ def wall_things(line: WallLine, thickness_m: float, color: Color) -> list[Thing]
 def _piece(
     line: WallLine, low: float, high: float, thickness: float, z_low: float, z_high: float, color: Color
 ) -> Part:
-    """A box of wall between two places along it."""
+    """A box of wall between two positions along it."""
     middle, half = 0.5 * (low + high), 0.5 * (high - low)
     center, halves = (middle, line.at_m), (half, 0.5 * thickness)
     if not line.along_x:
@@ -98,7 +98,7 @@ def _frame(line: WallLine, opening: Opening, thickness: float, color: Color) -> 
 
 
 def _fill(line: WallLine, opening: Opening, thickness: float) -> list[Thing]:
-    """What is in the opening itself."""
+    """The objects in the opening itself."""
     span = (opening.low_m, opening.high_m)
     if opening.kind == Kind.DOOR:
         if opening.threshold_m <= 0.0:

@@ -1,4 +1,4 @@
-"""Wheels that slip: what the encoders of a differential drive make of a true drive."""
+"""Simulates wheel odometry with slip: the encoders of a differential drive."""
 
 from __future__ import annotations
 
@@ -18,22 +18,22 @@ class WheelModel:
     Attributes
     ----------
     rate_hz
-        Readings a second.
+        Readings per second.
     wheel_base_m
         Distance between the wheels.
     scale_sigma
-        Spread of what a wheel reports for a metre of true travel, drawn once a drive for each wheel: tyres
-        worn unevenly. The difference of the two makes the yaw drift.
+        Standard deviation of each wheel's scale, drawn once per drive, for unevenly worn tyres. The
+        difference between the wheels makes the yaw drift.
     wheel_base_sigma
-        Spread of the wheel base that the odometry believes, as a share of the true one.
+        Standard deviation of the assumed wheel base, as a share of the true one.
     noise
-        Standard deviation of a wheel's reading, metres for the square root of a metre.
+        Standard deviation of a wheel's reading, metres per square root of a metre.
     slips_per_s
-        How often a wheel slips while it turns.
+        Rate of slips of a turning wheel.
     slip_duration_s
-        Mean length of a slip.
+        Mean duration of a slip.
     slip_share
-        Mean share of the true travel that a slipping wheel reports in excess: it spins.
+        Mean excess that a slipping (spinning) wheel reports, as a share of the true travel.
     """
 
     rate_hz: float = 20.0
@@ -48,16 +48,16 @@ class WheelModel:
 
 @dataclass(frozen=True, slots=True)
 class WheelReadings:
-    """What the wheels said of a drive, and the truth about it.
+    """Wheel odometry of a drive, with ground truth.
 
     Attributes
     ----------
     poses_xyt
         (N, 3) rows of x, y, yaw (wrapped) in the odom frame, from zero.
     twists
-        (N, 2) speed and turn rate since the reading before, as the wheels tell them.
+        (N, 2) speed and angular rate since the previous reading, from the wheels.
     slipping
-        (N, 2) whether the left and the right wheel slipped since the reading before.
+        (N, 2) whether the left and the right wheel slipped since the previous reading.
     """
 
     poses_xyt: FloatArray
@@ -66,14 +66,14 @@ class WheelReadings:
 
 
 def wheel_readings(model: WheelModel, poses_xyt: FloatArray, rng: np.random.Generator) -> WheelReadings:
-    """What the wheels say of a drive.
+    """Simulate the wheel odometry of a drive.
 
     Parameters
     ----------
     poses_xyt
         (N, 3) true poses at the model's rate, map frame, N at least 1.
     rng
-        Its numbers do not depend on the drive, only on N: the same seed slips at the same times.
+        Its numbers depend only on N, not on the drive: equal seeds slip at equal times.
     """
     count = len(poses_xyt) - 1
     scales = 1.0 + model.scale_sigma * rng.standard_normal(2)
@@ -92,7 +92,7 @@ def wheel_readings(model: WheelModel, poses_xyt: FloatArray, rng: np.random.Gene
 
 
 def wheel_travel(poses_xyt: FloatArray, wheel_base_m: float) -> FloatArray:
-    """How far the left and the right wheel rolled between poses (N, 3), (N - 1, 2) metres."""
+    """Distance that the left and the right wheel rolled between poses (N, 3), (N - 1, 2) metres."""
     step = np.diff(poses_xyt, axis=0)
     turned = np.arctan2(np.sin(step[:, 2]), np.cos(step[:, 2]))
     middle = poses_xyt[:-1, 2] + 0.5 * turned
@@ -115,8 +115,8 @@ def dead_reckoning(travel_m: FloatArray, wheel_base_m: float) -> FloatArray:
 
 
 def _slips(model: WheelModel, count: int, rng: np.random.Generator) -> FloatArray:
-    """Share reported in excess, (count, 2) for left and right; zero while a wheel grips."""
-    # Slips begin at rate * probability each, drawn for every reading so that the times stay put.
+    """Excess as a share, (count, 2) for left and right; zero without slip."""
+    # Slips start at rate * probability each, drawn for every reading, so that times do not change.
     begins = rng.random(count) < model.slips_per_s / model.rate_hz
     wheel = rng.integers(0, 2, count)
     lengths = np.maximum(1, np.ceil(rng.exponential(model.slip_duration_s, count) * model.rate_hz)).astype(
