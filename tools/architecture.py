@@ -1,4 +1,4 @@
-"""The picture of the architecture, drawn from the imports of slam/ and fusion/."""
+"""Draws the picture of the architecture from the imports of slam/ and fusion/."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ STYLE = (
 
 
 def arrows() -> set[tuple[str, str]]:
-    """Rooms and the rooms that they import."""
+    """Packages and the packages that they import."""
     files = {module_name(f, REPO): f for top in ("slam", "fusion") for f in (REPO / top).rglob("*.py")}
     found = set()
     for module, file in files.items():
@@ -32,7 +32,7 @@ def arrows() -> set[tuple[str, str]]:
 
 
 def direct(edges: set[tuple[str, str]]) -> set[tuple[str, str]]:
-    """Without those that lead over another room, too: what a reader has to see."""
+    """Remove edges that are implied by a path through another package."""
     below: dict[str, set[str]] = {}
     for room in sorted({room for edge in edges for room in edge}, key=lambda room: -(floor_of(room) or 0)):
         mine = {other for one, other in edges if one == room}
@@ -45,7 +45,7 @@ def direct(edges: set[tuple[str, str]]) -> set[tuple[str, str]]:
 
 
 def drawing() -> str:
-    """An SVG: a row of rooms a floor, the roof on top, and a line to each room that is imported."""
+    """An SVG: one row of packages per layer, and a line to each imported package."""
     floors = [sorted(floor) for floor in FLOORS if floor != {"slam"}]
     place = {
         room: (WIDTH_PX * (number + 1) / (len(floor) + 1), FLOOR_PX * (row + 0.5))

@@ -1,14 +1,14 @@
-"""Scanweave beside KISS-ICP and small_gicp on the same clouds of a 3D lidar: CPU, memory, sharpness.
+"""Compare Scanweave with KISS-ICP and small_gicp on the same clouds of a 3D lidar: CPU, memory, sharpness.
 
     python tools/cloud_peers.py FOLDER [--repeat N]      a KITTI folder (velodyne/*.bin, times.txt)
 
-Scanweave is the whole command with all its files; the others are odometry alone, each with one thread and its
-own settings (KISS-ICP 1.3: voxels of a hundredth of the range; small_gicp, where it is installed: voxels
-of 1 m, clouds thinned to 0.25 m). They take turns, and the least of their CPU seconds count. A map is sharp
-where points of every other cloud lie on planes fitted to the rest: the mean distance, in voxels of a metre.
+Scanweave runs the whole command with all its output files; the others are odometry only, each with one thread
+and its own settings (KISS-ICP 1.3: voxels of a hundredth of the range; small_gicp, if installed: voxels of 1
+m, clouds thinned to 0.25 m). Runs alternate, and the minimum CPU time counts. Sharpness of a map is the mean
+distance of points of every second cloud from planes fitted to the others, in voxels of 1 m.
 """
 
-# Only the standard library here: a child begins with its parent's peak memory.
+# Only the standard library here, because a child starts with its parent's peak memory.
 from __future__ import annotations
 
 import argparse
@@ -24,7 +24,7 @@ _RANGE_M = 100.0
 
 
 def main() -> None:
-    """Measure and print a row a method."""
+    """Measure and print one row per method."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("folder", type=Path)
     parser.add_argument("--repeat", type=int, default=1)
@@ -49,9 +49,9 @@ def main() -> None:
 
 
 def child(name: str, folder: Path, out: Path) -> tuple[float, float] | None:
-    """CPU seconds and peak memory of a method, by the kernel's account; None where it is not installed."""
+    """CPU seconds and peak memory of a method from the kernel; None if it is not installed."""
     command = [sys.executable, __file__, str(folder), "--child", name, "--out", str(out)]
-    # Installed packages keep their bytecode; what compiles all sources anew spends 2 CPU seconds on that.
+    # Installed packages have bytecode; compiling all sources again would take 2 CPU seconds.
     kept = {"OMP_NUM_THREADS": "1", "PYTHONPATH": str(REPO), "PYTHONDONTWRITEBYTECODE": ""}
     process = subprocess.Popen(command, env={**os.environ, **kept})
     _, status, usage = os.wait4(process.pid, 0)
@@ -60,7 +60,7 @@ def child(name: str, folder: Path, out: Path) -> tuple[float, float] | None:
 
 
 def scanweave(folder: Path, out: Path) -> None:
-    """The whole command."""
+    """Run the whole command."""
     from slam.cli import main as command
 
     sys.argv = ["scanweave", "map", str(folder), "-o", str(out), "--force", "--quiet"]
@@ -108,7 +108,7 @@ def small_gicp(folder: Path, out: Path) -> None:
 
 
 def sharpness(folder: Path, out: Path) -> None:
-    """How far points of every other cloud lie from planes through the rest, printed."""
+    """Print the distance of points of every second cloud from planes through the others."""
     import numpy as np
     from scipy.spatial.transform import Rotation
 

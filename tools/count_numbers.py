@@ -2,9 +2,9 @@
 
     python tools/count_numbers.py
 
-A constant is a name in capitals that a module of the logic binds to numbers. Beside them stand the bare float
-literals in functions and classes, other than 0, 0.5, 1 and 2: a constant that is written out where it is
-used would be no gain. Of the logic are all rooms but those that read, write, show or simulate.
+A constant is a name in capitals that a module of the logic binds to numbers. Float literals in functions and
+classes, except 0, 0.5, 1 and 2, are counted as well, because an inlined constant would be no gain. The logic
+is all packages except those that read, write, display or simulate.
 """
 
 from __future__ import annotations
@@ -32,14 +32,14 @@ _CAPITALS = re.compile(r"_?[A-Z][A-Z0-9_]*")
 
 @dataclass(frozen=True)
 class Count:
-    """Of a room, or of all: module-level constants, bare float literals."""
+    """Counts by package: module-level constants, bare float literals."""
 
     constants: Counter[str]
     literals: Counter[str]
 
 
 def count_logic() -> Count:
-    """By room."""
+    """Count by package."""
     constants, literals = Counter[str](), Counter[str]()
     for room, path in _modules():
         if room not in NO_LOGIC:
@@ -58,7 +58,7 @@ def count_fields(model: type[BaseModel] = Config) -> int:
 
 
 def count_lines() -> int:
-    """Of the product: slam and fusion without the laboratory."""
+    """Lines of the product: slam and fusion without simulation and comparison."""
     return sum(
         len(path.read_text(encoding="utf-8").splitlines())
         for room, path in _modules()
@@ -98,7 +98,7 @@ def _is_number(node: ast.AST) -> bool:
 
 
 def _modules() -> Iterator[tuple[str, Path]]:
-    """The modules of slam and fusion, each with its room."""
+    """The modules of slam and fusion, each with its package."""
     for path in sorted((REPO / "slam").rglob("*.py")):
         inner = path.relative_to(REPO / "slam").parts
         yield inner[0] if len(inner) > 1 else "slam", path

@@ -1,8 +1,7 @@
-"""The picture of a map as nav2 reads it, and worse ones: what is left of a map that came without its scans.
+"""Reduces a map to a picture in nav2's format, as it is or degraded, without scans.
 
-``half`` has cells of twice the side, ``thick`` walls that are a cell thicker on every side, ``turned`` lies
-in a picture turned by 30 degrees; ``plan`` has nothing that spans less than a metre, as a plan of the
-building.
+``half`` has cells of twice the size, ``thick`` has walls that are one cell thicker on each side, ``turned``
+is rotated by 30 degrees; ``plan`` contains nothing smaller than a metre, like a floor plan.
 """
 
 from __future__ import annotations
@@ -25,7 +24,7 @@ DRAWN = ("whole", "half", "thick", "turned", "plan")
 
 
 def drawn(known_map: MapContents, kind: str) -> MapContents:
-    """The picture of a map, through its file."""
+    """The picture of a map, written to a file and read again."""
     grid = known_map.grid
     assert grid is not None
     states, side_m, corner = grid.states(), grid.resolution_m, grid.T_map_grid

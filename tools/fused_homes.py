@@ -1,4 +1,4 @@
-"""Simulated drives mapped by lidar, by cameras, by both, with either dead, and with mountings told wrongly.
+"""Map simulated drives by lidar, by cameras, by both, with one failed, and with wrong mountings.
 
 Usage: python tools/fused_homes.py DRIVE... [--variants fused,lidar,rgbd,dead,mounting] [--out table.md]
 A DRIVE is a folder of `scanweave simulate`.
@@ -34,7 +34,7 @@ _OVERRIDES = {
 
 
 class Altered:
-    """A drive with something wrong: dead sensors, or a mounting that is reported wrongly."""
+    """A drive with an error: failed sensors, or a wrong mounting."""
 
     def __init__(self, dataset: Dataset, variant: str) -> None:
         self._dataset = dataset
@@ -53,14 +53,14 @@ class Altered:
 
 
 def _is_dead(measurement: Measurement, since_s: float) -> bool:
-    """The lidar early, the cameras later; a short drive has less of both."""
+    """Whether the sensor has failed: the lidar early, the cameras later; both scaled for a short drive."""
     if isinstance(measurement, LaserScan):
         return 8.0 < since_s < 8.0 + _DEAD_S
     return isinstance(measurement, RgbdFrame) and 32.0 < since_s < 32.0 + _DEAD_S
 
 
 def _misplaced(frame: RgbdFrame) -> RgbdFrame:
-    """The frame with a mounting turned and shifted."""
+    """The frame with a rotated and shifted mounting."""
     if frame.T_base_camera is None:
         return frame
     wrong = gtsam.Pose3(gtsam.Rot3.Yaw(_WRONG_TURN_RAD), np.array([_WRONG_SHIFT_M, 0.0, 0.0]))

@@ -1,6 +1,6 @@
-"""One small, sound log, definition or map of each format, for `tools/fuzz.py` to spoil.
+"""Small valid logs, definitions and maps of each format, which `tools/fuzz.py` damages.
 
-Bags are written by the writers of rosbags and mcap, in ROS 1 and ROS 2.
+Bags are written with rosbags and mcap, for ROS 1 and ROS 2.
 """
 
 from __future__ import annotations
@@ -70,7 +70,7 @@ Sent = tuple[str, str, float, bytes]
 
 @cache
 def messages() -> list[Sent]:
-    """A robot that drives for a second with every sensor, as serialised messages."""
+    """Serialised messages of a robot that drives for one second with every sensor."""
     rng = np.random.default_rng(1)
     lens = CameraIntrinsics(30.0, 30.0, 16.0, 12.0, 32, 24)
     mounts = dict.fromkeys(
@@ -191,7 +191,7 @@ BAGS: dict[str, Callable[[Path, list[Sent], dict[str, str]], Path]] = {
 
 
 def write_log(folder: Path, name: str) -> Path:
-    """A log that is no bag; the path to open it by. What is to be spoilt are its files."""
+    """Write a log that is no bag; returns the path to open. Its files are to be damaged."""
     if name in _PUBLISHED:
         return _write_published(folder, name)
     if name in _SAMPLES:
@@ -210,7 +210,7 @@ def write_log(folder: Path, name: str) -> Path:
 
 
 def _write_published(folder: Path, name: str) -> Path:
-    """Three frames of a camera, or three turns of a lidar, in the layout of a data set."""
+    """Three frames of a camera, or three revolutions of a lidar, in the layout of a data set."""
     rng = np.random.default_rng(0)
     poses = [gtsam.Pose3(gtsam.Rot3.Yaw(0.1 * k), np.array([0.1 * k, 0.0, 0.0])).matrix() for k in range(3)]
     if name in LIDARS:

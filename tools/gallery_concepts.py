@@ -1,4 +1,4 @@
-"""The gallery's pictures of how it works: each calls the code that it tells of, and draws what came of it."""
+"""Pictures of the concepts for the gallery: each calls the code that it explains, and draws the result."""
 
 from __future__ import annotations
 
@@ -20,13 +20,13 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 SIGMAS_95 = 2.4477  # radius of the 95 % ellipse of two dimensions, in standard deviations
-# How far off the guess of the picture of a match is: x, y, yaw.
+# Error of the initial guess in the picture of a match: x, y, yaw.
 GUESS_OFF = np.array([0.25, -0.15, 0.12])
-BEGUN_S = 20.0  # the robot of another day is switched on then
+BEGUN_S = 20.0  # start of the robot of the other day
 
 
 def panels(count: int, width_px: int = 1500, height_px: int = 520) -> tuple[Figure, list[Axes]]:
-    """Square drawings beside each other, in metres, without axes."""
+    """Square drawings side by side, in metres, without axes."""
     figure = figure_of(width_px, height_px)
     found = []
     for number in range(count):
@@ -38,7 +38,7 @@ def panels(count: int, width_px: int = 1500, height_px: int = 520) -> tuple[Figu
 
 
 def titled(axes: Axes, title: str) -> None:
-    """What a drawing shows, in one line above it."""
+    """Add a title of one line above a drawing."""
     axes.set_title(title, fontsize=13, color=INK, loc="left")
 
 
@@ -57,14 +57,14 @@ def ellipse(axes: Axes, center: FloatArray, covariance: FloatArray, color: str, 
 
 
 def robot(axes: Axes, pose: FloatArray, color: str, length_m: float = 0.5) -> None:
-    """Where a robot is, and where it looks."""
+    """Draw the pose of a robot."""
     tip = pose[:2] + length_m * np.array([np.cos(pose[2]), np.sin(pose[2])])
     axes.plot(*np.stack([pose[:2], tip], axis=1), color=color, linewidth=2.4)
     axes.plot(*pose[:2], "o", color=color, markersize=8)
 
 
 def factors(work: Work) -> Image.Image:
-    """A scan before and after it was matched, and one in a corridor with what it leaves open."""
+    """A scan before and after matching, and one in a corridor with its covariance."""
     house = slam.load_map(work.visited)
     last = 12
     scans = [scan for scan in house.keyframe_scans[: last + 1] if scan is not None]
@@ -91,7 +91,7 @@ def factors(work: Work) -> Image.Image:
 
 
 def draw_corridor(axes: Axes) -> None:
-    """Two scans of a bare corridor, and the covariance of their match."""
+    """Two scans of an empty corridor, and the covariance of their match."""
     bearings_rad = np.linspace(-np.pi, np.pi, 360, endpoint=False)
     ranges_m = 0.9 / np.maximum(np.abs(np.sin(bearings_rad)), 1e-9)
     ranges_m[ranges_m > 4.5] = np.inf
@@ -117,7 +117,7 @@ def near(axes: Axes, center: FloatArray, reach_m: float) -> None:
 
 
 def loops(work: Work) -> Image.Image:
-    """A campus without loops and with them; the loops that were taken."""
+    """A campus without loops and with them; the accepted loops."""
     figure, drawn = panels(2, height_px=640)
     for axes, taken in zip(drawn, (False, True), strict=True):
         house = slam.load_map(work.campus(loops=taken))
@@ -173,7 +173,7 @@ def repair(_: Work) -> Image.Image:
 
 
 def layers(work: Work) -> Image.Image:
-    """What lidar and cameras say of one home, and the map to drive by."""
+    """The lidar layer and the camera layer of a home, and the navigation map."""
     found = {name: layer(work.home, name) for name in ("lidar", "depth", "decision")}
     seen = window(*(one.values for one in found.values()))
     figure, drawn = panels(3)
@@ -189,7 +189,7 @@ def layers(work: Work) -> Image.Image:
 
 
 def localisation(work: Work) -> Image.Image:
-    """Another day's robot in a map: where it may be at first, and its way once it is found."""
+    """Localisation on another day: hypotheses at the start, and the path once localised."""
     house = slam.load_map(work.visited)
     localizer = slam.Localizer(house)
     log = list(slam.open_dataset(work.visit(2)))
@@ -229,7 +229,7 @@ def draw_walls(axes: Axes, house: slam.Map) -> None:
 
 
 def uncertainty(work: Work) -> Image.Image:
-    """The way through the campus, and how uncertain it is."""
+    """The path through the campus, and its uncertainty."""
     house = slam.load_map(work.campus(loops=True))
     covariances, stamps_s = house.covariances, house.trajectory.stamps_s
     positions_m = house.trajectory.positions_m[:, :2]

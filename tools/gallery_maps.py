@@ -1,4 +1,4 @@
-"""The gallery's maps: what is simulated or mapped for them once, and how a grid with a way on it is drawn."""
+"""Maps for the gallery: simulates and maps what is needed, and draws a grid with a path."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ CAMPUS = 1
 WIDTH_PX = 1600
 GAP_PX, TITLE_PX, FOOT_PX = 24, 44, 36
 MARGIN_CELLS = 16
-STRAY_SHARE = 0.001  # of the obstacles, at either side: what a beam met far outside
+STRAY_SHARE = 0.001  # of the obstacles, on either side, which beams hit far outside
 COLORS = 64  # of the palette; the file is a third of the size
 WALL, UNSEEN, OPEN = (38, 50, 64), (223, 227, 232), (255, 255, 255)
 INK = "#26323f"

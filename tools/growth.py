@@ -2,12 +2,12 @@
 
     python tools/growth.py LOG [--scans 960] [--times 1 3 10 30] [--sparse]
 
-LOG is a CARMEN log. Its first ``--scans`` scans are driven forwards, backwards, forwards ... (time runs on;
-every place is seen at every pass) until the log is so many times as long; with ``--sparse`` the log is
-taken as it is, so far: a campus of ``scanweave simulate --campus`` is new ground nearly everywhere. Each log
-is mapped in a child that has loaded its libraries: CPU seconds of all and of the final optimisation, by CPU
-too, greatest memory, bytes of ``map.db`` and of the report. The exponent is that between the first and the
-last length: 1 grows with the log, 0 stays.
+LOG is a CARMEN log. Its first ``--scans`` scans are played forward, backward, forward ... (with increasing
+time; each pass sees every place) until the log has the wanted length; with ``--sparse``, the start of the log
+is used as it is: a campus of ``scanweave simulate --campus`` has new places nearly everywhere. Each log is
+mapped in a child process with loaded libraries: total CPU seconds, CPU seconds of the final optimisation,
+peak memory, bytes of ``map.db`` and of the report. The exponent between the first and the last length is 1 if
+the cost is proportional to the log, 0 if it is constant.
 """
 
 from __future__ import annotations
@@ -38,12 +38,12 @@ COLUMNS = (
     "map.db MB",
     "report MB",
 )
-# What a map of a planar log loads: what else lay in memory would count as the log's.
+# The libraries for a planar log; others in memory would be attributed to the log.
 LIBRARIES = ("slam.app.mapping", "slam.app.map_run", "slam.evaluation.pages", "slam.outputs.finished_map")
 
 
 def main() -> None:
-    """Map each length, and print a row each."""
+    """Map each length, and print one row for each."""
     options = parse_options()
     load_libraries(LIBRARIES)
     head, lines = read_lines(options.log)
@@ -51,19 +51,19 @@ def main() -> None:
     rows = []
     with tempfile.TemporaryDirectory(dir=options.scratch) as scratch:
         log, out = Path(scratch) / "long.log", Path(scratch) / "map"
-        for times in (1, *options.times):  # the first warms up: what is compiled is kept
+        for times in (1, *options.times):  # the first run compiles the kernels
             scans = options.scans * times
             drive = iter(lines) if options.sparse else back_and_forth(lines, options.scans)
             with log.open("w") as stream:
                 stream.writelines(chain(head, until(drive, scans)))
-            heap.give_back()  # a child begins with all that its parent holds
+            heap.give_back()  # a child starts with its parent's memory
             row = measured(log, out)
             rows.append(row)
             if len(rows) > 1:
                 cells = (f"{row[name]:.4g}" for name in COLUMNS)
                 print(f"| {times} | " + " | ".join(cells) + " |", flush=True)
     low, high = rows[1], rows[-1]
-    span = math.log(high["scans"] / low["scans"]) or math.nan  # of one length nothing is told
+    span = math.log(high["scans"] / low["scans"]) or math.nan  # undefined for one length
     powers = (f"{math.log(high[name] / low[name]) / span:.2f}" if low[name] else "" for name in COLUMNS)
     print("| exponent | " + " | ".join(powers) + " |")
     for row in rows[1:]:
@@ -71,18 +71,18 @@ def main() -> None:
 
 
 def parse_options() -> argparse.Namespace:
-    """What was asked for."""
+    """Parse the arguments."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("log", type=Path)
-    parser.add_argument("--scans", type=int, default=960, help="of the shortest log")
+    parser.add_argument("--scans", type=int, default=960, help="scans of the shortest log")
     parser.add_argument("--times", type=int, nargs="+", default=[1, 3, 10, 30])
-    parser.add_argument("--sparse", action="store_true", help="the log's own beginning, nothing driven twice")
+    parser.add_argument("--sparse", action="store_true", help="use the start of the log, nothing repeated")
     parser.add_argument("--scratch", type=Path, help="folder for logs and maps")
     return parser.parse_args()
 
 
 def read_lines(log: Path) -> tuple[list[str], list[str]]:
-    """What a CARMEN log begins with, and its readings."""
+    """The header of a CARMEN log, and its readings."""
     with (gzip.open if log.suffix == ".gz" else open)(log, "rt") as stream:
         lines = [line if line.endswith("\n") else f"{line}\n" for line in stream]
     readings = [line for line in lines if line.startswith((*LASERS, "ODOM"))]
@@ -90,7 +90,7 @@ def read_lines(log: Path) -> tuple[list[str], list[str]]:
 
 
 def back_and_forth(lines: list[str], scans: int) -> Iterator[str]:
-    """The first scans, again and again, the second time from their end; stamps run on."""
+    """The first scans repeatedly, forward and backward in turn; stamps increase."""
     part = list(until(iter(lines), scans))
     first_s, last_s = stamp_s(part[0]), stamp_s(part[-1])
     begun_s = first_s
@@ -104,12 +104,12 @@ def back_and_forth(lines: list[str], scans: int) -> Iterator[str]:
 
 
 def stamp_s(line: str) -> float:
-    """When a line was recorded."""
+    """The record time of a line."""
     return float(line.split()[-3])
 
 
 def until(lines: Iterator[str], scans: int) -> Iterator[str]:
-    """The lines up to so many scans."""
+    """The lines up to a number of scans."""
     for line in lines:
         scans -= line.startswith(LASERS)
         if scans < 0:
@@ -118,13 +118,13 @@ def until(lines: Iterator[str], scans: int) -> Iterator[str]:
 
 
 def measured(log: Path, out: Path) -> dict[str, Any]:
-    """What a map takes."""
+    """Measure the cost of a map."""
 
     def work() -> int:
         from slam.app.mapping import run_log
 
         heap.own_process = True  # as of the command
-        time.perf_counter = time.process_time  # stages by CPU: others may be at work on the machine
+        time.perf_counter = time.process_time  # CPU time of stages: other processes may run
         run = run_log(log, out=out, overwrite=True)
         assert run.report is not None
         stages = run.report.result.stage_seconds

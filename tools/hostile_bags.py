@@ -1,4 +1,4 @@
-"""Bags and databases that nobody recorded: part of the bank of `tools/hostile_files.py`."""
+"""Malicious bags and databases for `tools/hostile_files.py`."""
 
 from __future__ import annotations
 
@@ -61,7 +61,7 @@ def of(kind: str, **fields: Any) -> tuple[str, bytes]:
 
 
 def _nested(levels: int) -> str:
-    """Types that each hold the next twice."""
+    """Types that each contain the next one twice."""
     rest = [
         f"\n{'=' * 80}\nMSG: a/T{k}\n" + (f"T{k + 1} a\nT{k + 1} b" if k < levels else "int8 a")
         for k in range(levels + 1)
@@ -134,7 +134,7 @@ BAGS["points as a lie"] = mcap(
 
 
 def png(width: int, height: int, rows: bytes = b"", depth: int = 8, color: int = 2) -> bytes:
-    """A PNG that says to be so large."""
+    """A PNG with this size in its header."""
 
     def part(kind: bytes, body: bytes) -> bytes:
         return struct.pack(">I", len(body)) + kind + body + struct.pack(">I", zlib.crc32(kind + body))
@@ -146,7 +146,7 @@ def png(width: int, height: int, rows: bytes = b"", depth: int = 8, color: int =
 
 
 def _jpeg(width: int, height: int) -> bytes:
-    """A JPEG that says to be so large."""
+    """A JPEG with this size in its header."""
     import cv2
 
     content = bytearray(cv2.imencode(".jpg", np.zeros((16, 16, 3), np.uint8))[1].tobytes())
@@ -156,7 +156,7 @@ def _jpeg(width: int, height: int) -> bytes:
 
 
 def _image(form: str, content: bytes, **given: Any) -> Writer:
-    """A bag of images packed so, as colour and as depth."""
+    """A bag with compressed images, as colour and as depth."""
     forms = (
         ("16UC1; compressedDepth png", bytes(12) + png(4, 4, bytes(36), 16, 0)),
         ("png", png(4, 4, bytes(52))),
@@ -181,7 +181,7 @@ BAGS["pgm of a gigapixel"] = _image("png", b"P5 32768 32767 255\n")
 
 
 def _chunk(packing: str, pack: Callable[[bytes], bytes], unit: bytes, times: int, told: int = -1) -> Writer:
-    """An MCAP of one chunk that unpacks to a unit repeated."""
+    """An MCAP with one chunk that decompresses to a repeated unit."""
 
     def write(folder: Path) -> Path:
         packed, size = pack(unit * times), len(unit) * times if told < 0 else told

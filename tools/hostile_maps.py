@@ -1,4 +1,4 @@
-"""Maps with right checksums that no run has written: part of the bank of `tools/hostile_files.py`."""
+"""Malicious maps with valid checksums for `tools/hostile_files.py`."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ Writer = Callable[[Path], Path]
 
 
 def forge(path: Path, table: str, number: int, **values: object) -> Path:
-    """Change a row of a map, and make its checksum and the seal right again: not an accident, but a lie."""
+    """Change a row of a map, and correct its checksum and the seal: a forgery, not an accident."""
     spec = next(known for known in TABLES if known.name == table)
     with sqlite3.connect(path) as database:
         for name, value in values.items():
@@ -57,7 +57,7 @@ def sound_map() -> bytes:
 
 
 def hostile_maps(steering: str) -> dict[str, Writer]:
-    """What writes each of them, by name."""
+    """The writers of all malicious maps, by name."""
     nested, square = "[" * 100_000, 11_000
     zeros = pack_small(np.zeros((square, square), np.int16))
     values: dict[str, tuple[str, int, dict[str, Any]]] = {
@@ -142,14 +142,14 @@ def _with_script(script: str) -> Writer:
 
 
 def _looped(folder: Path) -> Path:
-    """Every inner page of a tree leads to its own last page, and its tables seem to have no end."""
+    """Every inner page of a tree refers to its own last page, so that tables appear endless."""
     content = _written(folder).read_bytes()
     (folder / "map.db").write_bytes(looped(content))
     return folder / "map.db"
 
 
 def looped(content: bytes) -> bytes:
-    """A database with trees in which every way leads to the same page."""
+    """A database with trees in which every path leads to the same page."""
     pages = [bytearray(content[at : at + 4096]) for at in range(0, len(content), 4096)]
     for page in pages[1:]:
         if page[0] == 5:

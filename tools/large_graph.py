@@ -1,10 +1,10 @@
-"""Measure what the pose graph of a very long drive costs: updates while mapping, the end, covariances.
+"""Measure the cost of the pose graph of a very long drive: updates, final optimisation, covariances.
 
     python tools/large_graph.py [--keyframes 100000]
 
-A robot drives at random through the streets of a town, 1 km by 1 km, a keyframe a metre; where it was
-before, three in five keyframes close a loop, one in fifty of these a false one. Nothing is matched: the graph
-alone is asked. CPU milliseconds a keyframe are those of the 5,000 before each line.
+A robot drives at random through the streets of a town of 1 km by 1 km, with one keyframe per metre; at
+revisited places, three in five keyframes close a loop, of which one in fifty is false. Nothing is matched:
+only the graph is measured. CPU milliseconds per keyframe are means over the 5,000 before each line.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ EVERY = 5000
 
 
 def main() -> None:
-    """Drive, and print a line now and then."""
+    """Drive, and print a line from time to time."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--keyframes", type=int, default=100_000)
     count = parser.parse_args().keyframes
@@ -79,7 +79,7 @@ def main() -> None:
 
 
 def streets(rng: np.random.Generator, count: int) -> list[gtsam.Pose2]:
-    """A pose a metre of a drive that never turns back."""
+    """One pose per metre of a drive without U-turns."""
     corner, way, found = np.array([BLOCKS // 2, BLOCKS // 2]), np.array([1, 0]), list[gtsam.Pose2]()
     while len(found) < count:
         ways = [np.array(one) for one in ((1, 0), (-1, 0), (0, 1), (0, -1)) if (np.array(one) != -way).any()]
@@ -92,12 +92,12 @@ def streets(rng: np.random.Generator, count: int) -> list[gtsam.Pose2]:
 
 
 def noisy(rng: np.random.Generator, one: gtsam.Pose2, other: gtsam.Pose2, sigmas: FloatArray) -> gtsam.Pose2:
-    """The other, seen from one with noise."""
+    """The relative pose of two poses, with noise."""
     return one.between(other) * gtsam.Pose2(*rng.normal(0.0, sigmas))
 
 
 def peak_mb() -> float:
-    """The most that this process had in memory so far."""
+    """Peak memory of this process so far."""
     (line,) = (one for one in Path("/proc/self/status").read_text().splitlines() if one.startswith("VmHWM"))
     return int(line.split()[1]) / 1024
 

@@ -1,4 +1,4 @@
-"""Fused maps of furnished homes against the true grid: occupied-cell F1 of each layer, and low obstacles."""
+"""Compare fused maps of furnished homes with the true grid: F1 of occupied cells per layer, low obstacles."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What the pages of the two map papers share: pictures of grids, tables, and one file with all in it."""
+"""Common parts of the pages of the two map papers: pictures of grids, tables, one self-contained file."""
 
 from __future__ import annotations
 

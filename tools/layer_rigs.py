@@ -1,4 +1,4 @@
-"""What each simulated rig tells a layered map: its sensors' ranges and noise."""
+"""Settings of a layered map for each simulated rig: ranges and noise of its sensors."""
 
 from __future__ import annotations
 

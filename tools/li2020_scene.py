@@ -1,7 +1,7 @@
-"""Li2020's experiment: a room with five obstacles, and a robot that looks at them while it drives a little.
+"""Li2020's experiment: a room with five obstacles, and a robot that sees them during a short drive.
 
-Obstacle 1 is a box that both sensors see, 2 one under the lidar's plane, 3 a chair, 4 a mat under 1 cm, and
-5 a box that stands beside the robot, outside the camera's view.
+Obstacle 1 is a box that both sensors see, 2 a box below the lidar's plane, 3 a chair, 4 a mat thinner than 1
+cm, and 5 a box next to the robot, outside the camera's view.
 """
 
 from __future__ import annotations

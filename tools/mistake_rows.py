@@ -1,4 +1,4 @@
-"""The table of the banks of mistakes: what was told of each, and the errors of the maps."""
+"""The table of sensor errors: the findings about each, and the errors of the maps."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ def mapped_m(log: Log, truth: Trajectory, config: Config) -> float:
 def told_row(
     drive: Path, name: str, size: float, findings: list[Finding], named: list[Finding], *, right: bool
 ) -> list[str]:
-    """What was told of a mistake."""
+    """The findings about an error."""
     others = [one.kind for one in findings if one not in named]
     sure = "sure" if any(one.sure for one in named) else ""
     said = ["yes" if named else "NO", "yes" if right else "NO", sure]
@@ -44,7 +44,7 @@ def told_row(
 
 
 def mapped_row(wrong: Log, truth: Trajectory, findings: list[Finding], sound_m: float) -> list[str]:
-    """Errors of the maps: sound, wrong with the doctor off, as mapped, mended."""
+    """Errors of the maps: correct log, wrong log without doctor, with doctor, corrected."""
     blind, config = CONFIGS
     mended = calibrated(config, remedied(Calibration(), findings, only_sure=False))
     errors_m = [mapped_m(wrong, truth, one) for one in (blind, config, mended)]
@@ -56,10 +56,10 @@ def main(text: str | None, rows_of: Callable[..., Iterator[list[str]]], *options
     """Print one Markdown table; ``options`` are names of whole numbers that ``rows_of`` takes."""
     parser = argparse.ArgumentParser(description=text)
     parser.add_argument("drives", nargs="+", type=Path)
-    parser.add_argument("--only", default="", help="mistakes whose name holds this")
-    parser.add_argument("--map", action="store_true", help="map each log, too")
+    parser.add_argument("--only", default="", help="only errors whose name contains this")
+    parser.add_argument("--map", action="store_true", help="also map each log")
     for option in options:
-        parser.add_argument(f"--{option}", type=int, default=3, help="of each camera every so manyth frame")
+        parser.add_argument(f"--{option}", type=int, default=3, help="use every N-th frame of each camera")
     arguments = vars(parser.parse_args())
     head = ["drive", "mistake", "size", "named", "right remedy", "sure", "also"]
     head += ["sound, m", "wrong", "as mapped", "mended", "within 1.5"] if arguments["map"] else []

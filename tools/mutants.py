@@ -1,10 +1,10 @@
-"""Break the code on purpose, one place at a time, and see whether its tests notice.
+"""Break the code on purpose, one place at a time, and check whether its tests fail.
 
     python tools/mutants.py slam/graph slam/mapper/planar_mapper.py --count 60 --seed 1
 
 A mutant swaps a comparison, plus and minus, or ``and`` and ``or``, drops ``not`` or a call, returns early, or
 scales a constant by 1000 or 1/1000. The tests of a file are those of its name, those that import it, and
-those of `BESIDE`. Everything happens in a copy of the tree, which is gone afterwards.
+those of `BESIDE`. All changes are made in a copy of the tree, which is deleted afterwards.
 """
 
 from __future__ import annotations
@@ -154,7 +154,7 @@ def passed(tests: Sequence[str], tree: Path, timeout_s: float | None = None) -> 
 
 
 def sample(root: Path, wanted: Sequence[str], count: int, seed: int) -> list[Mutant]:
-    """So many mutants of files and rooms of the tree, by file and line."""
+    """A number of mutants of files and packages of the tree, by file and line."""
     files = [
         file
         for name in wanted
@@ -185,12 +185,12 @@ def survivors(root: Path, mutants: Sequence[Mutant], timeout_s: float) -> Iterat
 
 
 def main() -> None:
-    """Try a sample of mutants, and tell how many died in each file."""
+    """Try a sample of mutants, and print how many were detected in each file."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("paths", nargs="+", help="rooms or files of the tree, such as slam/graph")
-    parser.add_argument("--count", type=int, default=60, help="mutants to try")
-    parser.add_argument("--seed", type=int, default=0, help="of the sample")
-    parser.add_argument("--timeout-s", type=float, default=300.0, help="a mutant that takes longer is killed")
+    parser.add_argument("paths", nargs="+", help="packages or files of the tree, such as slam/graph")
+    parser.add_argument("--count", type=int, default=60, help="number of mutants to try")
+    parser.add_argument("--seed", type=int, default=0, help="seed of the sample")
+    parser.add_argument("--timeout-s", type=float, default=300.0, help="limit of a mutant")
     reported = parser.parse_args()
     root = Path(__file__).resolve().parents[1]
     mutants = sample(root, reported.paths, reported.count, reported.seed)

@@ -1,7 +1,7 @@
-"""Footage of a depth camera, or turns of a lidar, written as public data sets and phones lay them out.
+"""Write frames of a depth camera or clouds of a lidar in the layouts of public data sets and phone apps.
 
-The writers follow the publishers' documentation, not our readers; `tools/layout_equivalence.py` maps what
-they write, `tools/fuzz_seeds.py` spoils it, the tests read it back.
+The writers follow the publishers' documentation, not Scanweave's readers; `tools/layout_equivalence.py` maps
+their output, `tools/fuzz_seeds.py` damages it, the tests read it back.
 """
 
 from __future__ import annotations

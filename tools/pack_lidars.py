@@ -1,4 +1,4 @@
-"""Turns of a lidar written as public data sets lay them out; see `tools/pack_layouts.py`."""
+"""Write clouds of a lidar in the layouts of public data sets; see `tools/pack_layouts.py`."""
 
 from __future__ import annotations
 

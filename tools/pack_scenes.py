@@ -1,4 +1,4 @@
-"""Footage written as layouts with all frames in one folder; see `tools/pack_layouts.py`."""
+"""Write frames in layouts with all frames in one folder; see `tools/pack_layouts.py`."""
 
 from __future__ import annotations
 

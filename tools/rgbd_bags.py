@@ -1,4 +1,4 @@
-"""RGB-D frames packed into bags as drivers of cameras record them: same pixels, lens and stamps in each."""
+"""Write RGB-D frames to bags in the formats of camera drivers, with the same pixels, lens and stamps."""
 
 from __future__ import annotations
 

@@ -1,8 +1,8 @@
-"""Stock RGB-D odometry of other libraries, frame to frame from identity; see ``benchmark_rgbd.py``.
+"""Run unmodified RGB-D odometry of other libraries, frame to frame from identity; see ``benchmark_rgbd.py``.
 
     python tools/rgbd_baselines.py BASELINE FOLDER OUT.tum
 
-Each uses its library's own defaults. A step that fails is taken as no motion; the count of them is printed.
+Each uses the defaults of its library. A failed step counts as no motion; their number is printed.
 """
 
 from __future__ import annotations

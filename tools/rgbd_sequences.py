@@ -1,9 +1,9 @@
-"""Write an RGB-D dataset anew in the TUM layout: with fewer pixels, or several times as long.
+"""Rewrite an RGB-D dataset in the TUM layout: with fewer pixels, or several times as long.
 
     python tools/rgbd_sequences.py FOLDER OUT SHRINK TIMES
 
-SHRINK 2 halves width and height. TIMES 4 is the log forward, backward, forward, backward: it stays
-continuous, and sees nothing new.
+SHRINK 2 halves width and height. TIMES 4 is the log forward, backward, forward, backward: it remains
+continuous, and contains nothing new.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Maps and drives that trials make once, by the command, and find again."""
+"""Creates maps and drives for trials with the command, and reuses them."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from slam.outputs.finished_map import Map, load_map
 
 
 def map_of(log: Path, folder: Path) -> Map:
-    """The map of a log in a folder, made where there is none, or one of another version."""
+    """The map of a log in a folder, created if it is missing or of another version."""
     try:
         return load_map(folder)
     except MapFileError:

@@ -1,11 +1,11 @@
-"""A second model of a lidar and a depth camera, by which the repair was not made: faults come by themselves.
+"""A second model of a lidar and a depth camera, not used to develop the repair: faults emerge from physics.
 
 The scenes and poses are those of a drive; nothing is shared with `slam.simulation.faults`. A beam of the
-lidar is a cone of rays whose returns are averaged by their strength, so readings at edges mix; glass lets
-light through and throws it back near the right angle; lacquer throws part of it on to what is beside; too
-weak a return is none. The camera matches the dots that its projector throws (OpenCV's block matching): it has
-holes where the projector is hidden, where too little light comes back, where daylight drowns the dots and
-nearer than its disparities reach, and its edges are as wide as its blocks.
+lidar is a cone of rays whose returns are averaged by intensity, so readings at edges mix; glass transmits
+light and reflects it near a right angle; lacquer reflects part of it to other surfaces; weak returns are
+lost. The camera matches the projected dots (OpenCV's block matching): it has holes where the projector is
+occluded, where too little light returns, where daylight is brighter than the dots and below its minimum
+depth, and its edges are as wide as its blocks.
 """
 
 from __future__ import annotations

@@ -1,9 +1,10 @@
-"""Drives with the mistakes that people make, of wheels and a 2D lidar: are they named, does the remedy mend?
+"""Drives with typical errors of wheels and a 2D lidar: are they found, and does the remedy correct them?
 
     python tools/sensor_mistakes.py DRIVE... [--only NAME] [--map]
 
-Told of each mistake, at each size, in drives of 'scanweave simulate': whether it is named, and mended; with
-``--map`` also the planar error of the maps of the sound log, the wrong one (doctor off, on) and the mended.
+Prints for each error, at each size, in drives of 'scanweave simulate', whether it is found and corrected;
+with ``--map`` also the planar error of the maps of the correct log, the wrong one (doctor off, on) and the
+corrected one.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""What mkdocs asks while it builds the documentation site: see mkdocs.yml."""
+"""Hooks for mkdocs when it builds the documentation site: see mkdocs.yml."""
 
 from __future__ import annotations
 
@@ -18,12 +18,12 @@ MEASURED = re.compile(r"^( *)<!-- measured: (\w+) ([\d-]+)(, earlier version)? -
 
 
 def on_page_markdown(markdown: str, **_: Any) -> str:
-    """Tell in words what the files of figures tell in comments."""
+    """Replace comments in the files of figures by visible text."""
     return MEASURED.sub(r'\n\1<p class="measured">oldest row: commit \2 of \3\4</p>\n', markdown)
 
 
 def on_files(files: Files, config: Any, **_: Any) -> Files:
-    """Add the page of all settings, which the program itself explains."""
+    """Add the page of all settings, generated from their descriptions."""
     files.append(File.generated(config, "settings.md", content="\n".join(_settings())))
     return files
 

@@ -1,4 +1,4 @@
-"""An extension of Griffe for the reference: what a function returns is told in words, its type by Python.
+"""An extension of Griffe for the reference: text describes return values, the signature their types.
 
 NumPy's form has the type on the first line of ``Returns``; here the signature has it, and the lines are text.
 """
@@ -14,7 +14,7 @@ class ReturnsInWords(griffe.Extension):
     """Read the lines of a ``Returns`` section as one text."""
 
     def on_function(self, *, func: griffe.Function, **_: Any) -> None:
-        """Mend the sections of a function's docstring."""
+        """Correct the sections of a function's docstring."""
         for section in func.docstring.parsed if func.docstring else ():
             if section.kind is griffe.DocstringSectionKind.returns and not any(
                 item.description for item in section.value

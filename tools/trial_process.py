@@ -1,4 +1,4 @@
-"""Commands in a child of this process, which has loaded the libraries: what they take, and how they end."""
+"""Runs commands in a child of this process with loaded libraries, and measures resources and exit."""
 
 from __future__ import annotations
 
@@ -26,12 +26,12 @@ _STEERING = frozenset(
 
 @dataclass(frozen=True, slots=True)
 class Outcome:
-    """How a child ended.
+    """Result of a child process.
 
     Attributes
     ----------
     fault
-        What must not be, in a few words; empty where all is well.
+        The violation in a few words; empty if there is none.
     said, lines
         The last line that it printed, and all of them.
     """
@@ -50,7 +50,7 @@ def load_libraries(names: Iterable[str] = _LIBRARIES) -> None:
 
 
 def run_command(arguments: list[str], cpu_s: float, memory_mb: float) -> Outcome:
-    """A command of scanweave, in a child with so much CPU time and memory."""
+    """Run a scanweave command in a child with limits of CPU time and memory."""
 
     def work() -> int:
         from slam.cli import main
@@ -66,7 +66,7 @@ def run_command(arguments: list[str], cpu_s: float, memory_mb: float) -> Outcome
 
 
 def run_child(work: Callable[[], int], cpu_s: float, memory_mb: float) -> Outcome:
-    """Work in a child; it must end by itself with 0 to 2, at 1 with one line, and print plain letters."""
+    """Run a function in a child; it must exit with 0 to 2, print one line for 1, and only printable text."""
     with tempfile.TemporaryFile() as said:
         child = os.fork()
         if child == 0:
@@ -109,7 +109,7 @@ def _work(work: Callable[[], int], output: int, cpu_s: float, memory_mb: float) 
 
 
 def _fault(code: int, text: str, lines: list[str]) -> str:
-    """What must not be."""
+    """Return the violation of a rule, or an empty text."""
     if code in (-signal.SIGXCPU, -signal.SIGKILL, -signal.SIGALRM):
         return "no end"
     if code < 0:

@@ -1,4 +1,4 @@
-"""Map the real logs after making them worse in ways that other people's logs are, and score the relations."""
+"""Degrade real logs in typical ways, map them, and score the relations."""
 
 from __future__ import annotations
 
@@ -50,10 +50,10 @@ LATE_S = 0.1
 def main() -> None:
     """Run the matrix and print one Markdown table."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--data", type=Path, default=Path("../shared/data"), help="holds lidar2d/")
+    parser.add_argument("--data", type=Path, default=Path("../shared/data"), help="folder of lidar2d/")
     parser.add_argument("--log", action="append", help="fr079 or intel; repeatable; both by default")
     parser.add_argument("--kind", action="append", choices=KINDS, help="repeatable; all by default")
-    parser.add_argument("--seed", action="append", type=int, help="of the draws; repeatable; 1 by default")
+    parser.add_argument("--seed", action="append", type=int, help="seed; repeatable; 1 by default")
     parser.add_argument("--set", action="append", default=[], help="as in scanweave map --set")
     arguments = parser.parse_args()
     logs = arguments.log or ["fr079", "intel"]

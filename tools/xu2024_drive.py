@@ -31,7 +31,7 @@ EVERY_MODEL = 5  # pairs of which one is repaired with every model, and scored f
 
 @dataclass
 class DriveResult:
-    """What one drive showed.
+    """Results of one drive.
 
     Attributes
     ----------

@@ -1,8 +1,8 @@
 """A half-real check: a real Kinect's noise, and a lidar curve cut from the mesh of all its frames.
 
 The lidar is virtual: 7-Scenes has none. The frames are fused into a TSDF with their own poses; the curve is
-cast through its mesh at a height below each camera, with a lidar's noise. What the repair puts into the raw
-depth is compared with the mesh.
+cast through its mesh at a height below each camera, with a lidar's noise. Depth inserted by the repair is
+compared with the mesh.
 """
 
 from __future__ import annotations

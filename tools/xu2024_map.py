@@ -17,7 +17,7 @@ from slam.measurements import LaserScan, row_from_pose2
 from slam.simulation.true_grid import TrueGrid
 
 RESOLUTION_M = 0.05
-NEAR_CELLS = 1  # a wall is met, and an occupied cell is right, within this many cells
+NEAR_CELLS = 1  # tolerance for walls and for occupied cells
 _MARGIN_CELLS = 20  # about the true grid, which ends with the outer walls: what is near them lies outside too
 _OCCUPIED = 100
 

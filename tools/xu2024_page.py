@@ -1,4 +1,4 @@
-"""The page of the reproduction: one HTML file, its pictures inside."""
+"""The page of the reproduction: one HTML file with embedded pictures."""
 
 from __future__ import annotations
 

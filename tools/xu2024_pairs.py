@@ -1,7 +1,7 @@
 """Pairs of a lidar scan and the depth images nearest to it, with their truth, from a simulated drive.
 
-Scans and images are taken at the times of the sensors' own schedules: a pair is as far apart in time as on a
-robot. The wheels tell how the robot moved in between, as in a log.
+Scans and images have the times of the sensors' own schedules, so a pair has the same time difference as on a
+robot. Wheel odometry gives the motion in between, as in a log.
 """
 
 from __future__ import annotations

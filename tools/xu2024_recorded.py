@@ -1,4 +1,4 @@
-"""A recorded session (Robot@Home) for the reproduction: no truth, so grades, figures and repairs only."""
+"""A recorded session (Robot@Home) for the reproduction: without ground truth, so only grades and repairs."""
 
 from __future__ import annotations
 

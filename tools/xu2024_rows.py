@@ -1,4 +1,4 @@
-"""Registration as Xu2024 has it: an image's rows as candidates, three similarities to choose by."""
+"""Registration as in Xu2024: image rows as candidates, selected by three similarities."""
 
 from __future__ import annotations
 

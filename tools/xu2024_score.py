@@ -1,4 +1,4 @@
-"""What a repair is worth against the simulator's fault masks: every reading that changed, and why."""
+"""Scores a repair with the simulator's fault masks: every changed reading, and the reason."""
 
 from __future__ import annotations
 

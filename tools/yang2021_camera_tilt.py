@@ -1,8 +1,8 @@
-"""A camera's height and tilt from what it saw, where nobody told them: the one fit of the ground.
+"""Estimates unknown height and tilt of a camera from its images: the only fit of the ground.
 
 Only for this calibration. A camera is fixed on its robot, so in its own frame the floor is the same plane in
-every image, while walls move about: a plane that fits many images at once is the floor. Afterwards Yang2021's
-height band needs no floor in view.
+every image, while walls move: a plane that fits many images at once is the floor. Afterwards, Yang2021's
+height band does not need a visible floor.
 """
 
 from __future__ import annotations

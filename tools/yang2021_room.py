@@ -1,7 +1,7 @@
 """Yang2021's experiment: a room of 5.20 m x 4.05 m, a D435i at 0.68 m, ten observation points, ten drives.
 
-The paper does not tell what stood in the room: a cupboard, a table, a chair, boxes of 5 to 40 cm and a low
-platform stand in for it. As in the paper the first pose of a drive is the world.
+The paper does not describe the objects in the room; here they are a cupboard, a table, a chair, boxes of 5 to
+40 cm and a low platform. As in the paper, the first pose of a drive is the world frame.
 """
 
 from __future__ import annotations

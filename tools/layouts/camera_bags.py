@@ -1,4 +1,4 @@
-"""Bags of cameras with depth, with the topics, frames and encodings of their drivers."""
+"""Bags of depth cameras with the topics, frames and encodings of their drivers."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Folders and files of cameras with depth: what `tools/pack_layouts.py` packs, and others."""
+"""Folders and files of depth cameras: those of `tools/pack_layouts.py`, and others."""
 
 from __future__ import annotations
 

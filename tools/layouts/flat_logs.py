@@ -1,4 +1,4 @@
-"""Robots with flat lidars: bags, CARMEN's logs, and others of their time."""
+"""Robots with 2D lidars: bags, CARMEN logs, and similar formats."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Whether what a reader makes of a sample is what is in it."""
+"""Checks whether a reader returns the contents of a sample."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ _GREYS = 14.0
 
 
 def problems(dataset: Any, sample: Sample) -> list[str]:
-    """What differs from the truth, read through the Python interface; nothing where all is right."""
+    """Differences from the truth, read through the Python interface; none if everything is right."""
     readings = list(dataset)
     found: list[str] = []
     frames: dict[str, list[RgbdFrame]] = {}

@@ -1,4 +1,4 @@
-"""Bags of public data sets with 3D lidars: topics, fields and frames as their publishers list them."""
+"""Bags of public data sets with 3D lidars: topics, fields and frames as documented by their publishers."""
 
 from __future__ import annotations
 

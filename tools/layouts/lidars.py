@@ -1,4 +1,4 @@
-"""Folders of 3D lidars: what `tools/pack_lidars.py` packs, and others."""
+"""Folders of 3D lidars: those of `tools/pack_lidars.py`, and others."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Bags written by the rosbags package from plain dictionaries; fields that are left out are zero or empty."""
+"""Bags written by the rosbags package from plain dictionaries; missing fields are zero or empty."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Bags of cameras in rarer encodings, without a lens, and recordings of cameras without depth."""
+"""Bags of cameras with rare encodings or without lens, and recordings of cameras without depth."""
 
 from __future__ import annotations
 

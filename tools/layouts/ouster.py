@@ -1,4 +1,4 @@
-"""Packets of an Ouster as its Software User Manual has them, with what the sensor tells of itself."""
+"""Packets of an Ouster as in its Software User Manual, with the metadata of the sensor."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a sample of a recording holds, as its writer knows it, and the list of all samples."""
+"""The true contents of a sample recording, from its writer, and the list of all samples."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
-"""A furnished room that samples of recordings are taken in: what a camera and a lidar see of it is known.
+"""A furnished room for sample recordings: the images and ranges in it are known exactly.
 
-All is computed: no noise, a still sensor during an image or a turn. So whatever a reader makes of a lens, a
-unit, a mounting or a registration shows as a difference from what the room looks like through that lens.
+Everything is computed, without noise and motion during an image or a revolution. So an error of a reader in a
+lens, a unit, a mounting or a registration is a difference from the true view of the room.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ import numpy as np
 
 from slam.measurements import CameraIntrinsics, FloatArray
 
-# Corners: of the room, seen from inside, and of what stands in it.
+# Corners of the room, seen from inside, and of the objects in it.
 _ROOM = np.array([[-4.0, -3.5, 0.0], [5.0, 4.0, 2.8]])
 _THINGS = np.array(
     [
@@ -39,7 +39,7 @@ class Seen:
 
 
 def hits(origin: FloatArray, rays: FloatArray) -> FloatArray:
-    """How many of its own lengths each of (N, 3) rays goes from a point inside the room to what it meets."""
+    """Distances along (N, 3) rays from a point in the room to the first surface, in lengths of the ray."""
     with np.errstate(divide="ignore", invalid="ignore"):
         inverse = 1.0 / rays
         far = np.nanmin(np.fmax(*((corner - origin) * inverse for corner in _ROOM)), axis=1)
@@ -86,7 +86,7 @@ def looked_at(lens: CameraIntrinsics, pose: FloatArray, distortion: Any = None) 
 
 
 def turn(pose: FloatArray, elevations_deg: Any, count: int = 360) -> tuple[Any, Any]:
-    """A turn of a lidar, from ahead and clockwise: (N, 3) points in its frame, and 0..1 of the turn, (N,)."""
+    """A clockwise revolution of a lidar from the front: (N, 3) points in its frame, (N,) shares 0..1."""
     part = np.repeat(np.arange(count) / count, len(elevations_deg))
     elevation = np.tile(np.radians(elevations_deg), count)
     bearing = -2.0 * np.pi * part
@@ -97,7 +97,7 @@ def turn(pose: FloatArray, elevations_deg: Any, count: int = 360) -> tuple[Any, 
 
 
 def scanned(pose: FloatArray, bearings_rad: FloatArray) -> FloatArray:
-    """Ranges (N,) of a flat scan at its bearings."""
+    """Ranges (N,) of a 2D scan at its bearings."""
     rays = np.column_stack([np.cos(bearings_rad), np.sin(bearings_rad), np.zeros(len(bearings_rad))])
     return hits(pose[:3, 3], rays @ pose[:3, :3].T)
 
