@@ -29,7 +29,7 @@ from slam.datasets.laser_geometry import (
     SICK_LARGEST_CODE_FREE_M,
     ZERO_BEAMS,
     BeamLayout,
-    ToldAlike,
+    RepeatedRange,
     beam_layout,
     classify_ranges,
 )
@@ -140,7 +140,7 @@ class _Decoder:
         self._preferred = preferred
         self._parameters: dict[str, float] = {}
         self._mounts: dict[str, gtsam.Pose2] = {}
-        self._told_alike = defaultdict[str, ToldAlike](ToldAlike)
+        self._repeated = defaultdict[str, RepeatedRange](RepeatedRange)
         self._last_odometry: OdometryRecord | None = None
 
     def decode(self, tokens: list[bytes], number: int) -> Iterator[Measurement]:
@@ -190,7 +190,7 @@ class _Decoder:
         layout = self._layout(record, number)
         stated_m = record.max_m or self._parameter(record.kind, "max") or 0.0
         limit_m = min(stated_m, SICK_LARGEST_CODE_FREE_M) if stated_m > 0.0 else DEFAULT_NO_RETURN_M
-        ranges_m, limit_m = classify_ranges(record.ranges_m, limit_m, self._told_alike[record.kind])
+        ranges_m, limit_m = classify_ranges(record.ranges_m, limit_m, self._repeated[record.kind])
         invalid = int(np.count_nonzero(np.isnan(ranges_m)))
         if invalid == ranges_m.size:
             raise RecordFault(NO_VALID_RANGE, f"{invalid} beams")

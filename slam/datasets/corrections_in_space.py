@@ -38,7 +38,7 @@ def corrected_frame(given: CameraCorrection, frame: RgbdFrame) -> RgbdFrame:
 
 def corrected_cloud(given: CloudCorrection, cloud: PointCloud) -> PointCloud:
     """Correct a cloud of a 3D lidar."""
-    times_s = (turned_round(cloud) if given.times_scale < 0.0 else cloud).times_s
+    times_s = (time_reversed(cloud) if given.times_scale < 0.0 else cloud).times_s
     if times_s is not None:
         times_s = times_s * abs(given.times_scale)
     elif given.turn_s != 0.0:
@@ -51,7 +51,7 @@ def corrected_cloud(given: CloudCorrection, cloud: PointCloud) -> PointCloud:
     )
 
 
-def turned_round(cloud: PointCloud) -> PointCloud:
+def time_reversed(cloud: PointCloud) -> PointCloud:
     """A cloud with reversed point times, within the same span."""
     told_s = cloud.times_s
     return cloud if told_s is None else replace(cloud, times_s=told_s.min() + told_s.max() - told_s)

@@ -106,7 +106,7 @@ def _is_angle(angle_rad: float | None) -> bool:
 
 
 @dataclass(slots=True)
-class ToldAlike:
+class RepeatedRange:
     """Counts how many beams repeat a sensor's longest range bit-identically; and the shortest.
 
     Codes repeat like this (8.183 m of a SICK). A different longest range counts `ALIKE` times against it.
@@ -126,7 +126,7 @@ class ToldAlike:
 
 
 def classify_ranges(
-    ranges_m: FloatArray, limit_m: float, told_alike: ToldAlike
+    ranges_m: FloatArray, limit_m: float, repeated: RepeatedRange
 ) -> tuple[Float32Array, float]:
     """Ranges as `slam.measurements.LaserScan` requires, (N,), and the limit that means no return.
 
@@ -152,11 +152,11 @@ def classify_ranges(
             limit_m *= next((one for one in _UNITS_IN_A_M if told.max() <= limit_m * one), _UNITS_IN_A_M[-1])
             ends = _classify(ranges_m, limit_m - _CODE_TOLERANCE_M, classified)[2:]
     most_m, alike, least_m, near = ends
-    if near >= FEWEST and told_alike.shortest_m == least_m:
+    if near >= FEWEST and repeated.shortest_m == least_m:
         others = np.unique(ranges_m[(ranges_m > least_m) & np.isfinite(classified)], return_counts=True)[1]
         classified[(ranges_m == least_m) & (near > ALIKE * max(others, default=0))] = math.nan
-    told_alike.shortest_m = least_m
-    code_m = told_alike.longest_m if told_alike.take(most_m, alike) else math.inf
+    repeated.shortest_m = least_m
+    code_m = repeated.longest_m if repeated.take(most_m, alike) else math.inf
     # Error codes may be above it, but there are few.
     if code_m <= most_m and 2 * np.count_nonzero(ranges_m == code_m) > np.count_nonzero(ranges_m >= code_m):
         limit_m = code_m

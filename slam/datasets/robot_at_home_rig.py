@@ -16,7 +16,7 @@ from slam.datasets.calibration import Calibration
 from slam.datasets.camera_frames import Camera
 from slam.datasets.dataset import STAMP_LIMIT_S, RecordFault
 from slam.datasets.frame_pairs import FramePair
-from slam.datasets.laser_geometry import NO_VALID_RANGE, ToldAlike, classify_ranges
+from slam.datasets.laser_geometry import NO_VALID_RANGE, RepeatedRange, classify_ranges
 from slam.measurements import CameraIntrinsics, FloatArray, LaserScan
 from slam.vision.camera_frame import T_BODY_CAMERA
 
@@ -92,7 +92,7 @@ def laser_scan(
         raise RecordFault(BAD_SCAN, f"{ranges_m.size} ranges, {valid.size} flags")
     if not (0.0 < aperture_rad <= 2.0 * math.pi + 1e-6 and 0.0 < max_m < math.inf):
         raise RecordFault(BAD_SCAN, f"aperture {aperture_rad} rad, maximum {max_m} m")
-    clean, max_m = classify_ranges(ranges_m, max_m, ToldAlike())
+    clean, max_m = classify_ranges(ranges_m, max_m, RepeatedRange())
     clean[(valid == 0.0) & np.isfinite(clean)] = np.nan
     invalid = int(np.count_nonzero(np.isnan(clean)))
     if invalid == clean.size:

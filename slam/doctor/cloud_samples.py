@@ -10,7 +10,7 @@ import numpy as np
 from fusion.time_alignment import GAP_S
 from slam.config import Config
 from slam.datasets.corrections import begins_early
-from slam.datasets.corrections_in_space import turned_round
+from slam.datasets.corrections_in_space import time_reversed
 from slam.datasets.dataset import Thinned
 from slam.doctor.camera_samples import SensorStep
 from slam.doctor.repeats import Repeats
@@ -101,7 +101,7 @@ class CloudSamples:
             clouds = self.clouds.pop(0)
             self.steps.append([])
             for cloud in clouds if compared else []:
-                timed = turned_round(cloud) if self.backward else cloud
+                timed = time_reversed(cloud) if self.backward else cloud
                 self._track(timed if self.turn is None else self.turn.timed(timed))
 
     def _track(self, cloud: PointCloud) -> None:

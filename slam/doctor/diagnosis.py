@@ -30,7 +30,7 @@ from slam.doctor.samples import Samples, WheelSamples
 from slam.doctor.scan_motion import ScanMotion, Steps, track_stretches
 from slam.doctor.seen_floor import floor_findings
 from slam.doctor.stretches import Stretches
-from slam.doctor.turning import Turn, told_turn, turn_in_the_plane
+from slam.doctor.turning import Turn, turn_by_beam_times, turn_in_the_plane
 from slam.doctor.wheels_and_lidar import compare
 from slam.measurements import LaserScan, Measurement
 from slam.vision.color_registration import ColorRegistration
@@ -161,7 +161,7 @@ def _alone(name: str, stretches: list[list[LaserScan]], config: Config, *, with_
     if not with_wheels:
         findings += in_space.unit_finding("lidars", name, middle_m)
     stretches, scale = _within_reach(stretches, middle_m / config.scan.range_max_m)
-    turn = told_turn(stretches, config) if with_wheels else None
+    turn = turn_by_beam_times(stretches, config) if with_wheels else None
     if turn:
         stretches = [
             [replace(scan, stamp_s=scan.stamp_s + middle_s(scan)) for scan in scans] for scans in stretches

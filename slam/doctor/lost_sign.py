@@ -70,9 +70,7 @@ def lost_sign(
     if len(spans_s) < enough:
         return None
     ways = [
-        way
-        for pair in _scans_at(log, lidar, spans_s)
-        if (way := _way_ahead_m(*pair, rows, config)) is not None
+        way for pair in _scans_at(log, lidar, spans_s) if (way := _forward_m(*pair, rows, config)) is not None
     ]
     back = sum(way < 0.0 for way in ways)
     # Wrong matches are as frequent elsewhere, where neither direction is possible.
@@ -108,7 +106,7 @@ def _scans_at(
             begun, asked = None, asked + 1
 
 
-def _way_ahead_m(first: LaserScan, last: LaserScan, rows: FloatArray, config: Config) -> float | None:
+def _forward_m(first: LaserScan, last: LaserScan, rows: FloatArray, config: Config) -> float | None:
     """Forward motion of the robot between two scans, from the scans alone; None if not determined.
 
     The search starts at the wheels' step and at the same step back; the better fit is used, or else 0.

@@ -21,7 +21,7 @@ import numpy as np
 from fusion.estimation import FEWEST, ROUNDS, TINY, gate
 from fusion.time_alignment import GAP_S
 from slam.config import Config
-from slam.datasets.corrections_in_space import bearings_rad, turn_times, turned_round
+from slam.datasets.corrections_in_space import bearings_rad, time_reversed, turn_times
 from slam.doctor.finding import Finding
 from slam.doctor.imu import CLOCK_S
 from slam.doctor.scan_motion import track_stretches
@@ -100,7 +100,7 @@ class _Moving:
 
 
 _Pair: TypeAlias = tuple[_Moving, _Moving, float]
-_Told: TypeAlias = tuple[FloatArray, FloatArray]  # weights and sums (C,) of each cut
+_Sums: TypeAlias = tuple[FloatArray, FloatArray]  # weights and sums (C,) of each cut
 _Timed: TypeAlias = Callable[[PointCloud], PointCloud]
 
 
@@ -123,7 +123,7 @@ def turn_of(
     """
     if interval_s <= 0.0 or not stretches:
         return None
-    if by_scans is not None and not (_looks_round(stretches[0]) and _bends(by_scans, interval_s, config)):
+    if by_scans is not None and not (_sees_around(stretches[0]) and _bends(by_scans, interval_s, config)):
         return None
     while len(stretches) < 4 and len(stretches[0]) >= FEWEST:  # for a short log
         stretches = [half for one in stretches for half in (one[: len(one) // 2], one[len(one) // 2 :])]
@@ -134,7 +134,7 @@ def turn_of(
 def run_backward(stretches: Sequence[Sequence[PointCloud]], config: Config) -> bool:
     """Whether clouds of four stretches fit better with reversed times, by twice the significance limit."""
     pairs = [pair for clouds in islice(_spread_out(stretches), 5) for pair in _pairs(clouds, config)]
-    gain = _gain(pairs, turned_round, lambda cloud: cloud, config) if len(pairs) > 9 else 0.0
+    gain = _gain(pairs, time_reversed, lambda cloud: cloud, config) if len(pairs) > 9 else 0.0
     return gain > 2
 
 
@@ -143,12 +143,12 @@ def turn_in_the_plane(
 ) -> Turn | None:
     """Like `turn_of`, for a 2D lidar."""
     short = _short(stretches)
-    walls = [[_stood_up(scan) for scan in scans] for scans in short]
+    walls = [[_extruded(scan) for scan in scans] for scans in short]
     by_scans = (_pairs_of_scans(scans, config) for scans in _spread_out(short))
     return turn_of(walls, interval_s, config, by_scans)
 
 
-def told_turn(stretches: Sequence[Sequence[LaserScan]], config: Config) -> Turn | None:
+def turn_by_beam_times(stretches: Sequence[Sequence[LaserScan]], config: Config) -> Turn | None:
     """The rotation of a 2D lidar with ``beam_s``, if visible; drivers often have the wrong direction."""
     scan = stretches[0][0]
     turn_s = abs(scan.beam_s / scan.step_rad) * math.tau if scan.step_rad else 0.0
@@ -168,7 +168,7 @@ def _short(stretches: Sequence[Sequence[LaserScan]]) -> list[list[LaserScan]]:
     ]
 
 
-def _stood_up(scan: LaserScan) -> PointCloud:
+def _extruded(scan: LaserScan) -> PointCloud:
     """A planar scan as a cloud: walls extended by half a metre up and down, with a floor in front."""
     walls, shares = scan.points_laser(), np.arange(1, 5) / 4
     heights_m = np.linspace(-0.5, 0.5, 5)
@@ -181,10 +181,10 @@ def _bends(
     stretches: Iterable[Sequence[_Pair]], interval_s: float, config: Config
 ) -> tuple[list[_Pair], Turn] | None:
     """Pairs of as many stretches as needed, and the rotation from distorted clouds; None without one."""
-    pairs, told, bent, fit, number = list[_Pair](), list[_Told](), Turn(0.0, 0.0, 0.0), None, 0
+    pairs, told, bent, fit, number = list[_Pair](), list[_Sums](), Turn(0.0, 0.0, 0.0), None, 0
     for number, new in enumerate(stretches, 1):
         pairs += new
-        told += _told_by(new, bent, config, _CUTS_RAD)
+        told += _all_sums(new, bent, config, _CUTS_RAD)
         fit = _fit(told, _CUTS_RAD) if number > 1 else None
         if fit is None:
             continue
@@ -201,14 +201,14 @@ def _settled(pairs: Sequence[_Pair], fit: Turn, interval_s: float, config: Confi
     """The duration after deskewing (a whole fraction of the interval), and the best cut."""
     own = np.array([fit.cut_rad])  # after partial deskewing, another cut may explain the rest wrongly
     for _ in range(ROUNDS):
-        before, fit = fit, _fit(_told_by(pairs, fit, config, own), own) or fit
+        before, fit = fit, _fit(_all_sums(pairs, fit, config, own), own) or fit
         if abs(fit.turn_s - before.turn_s) <= fit.sigma_s:
             break
     # The estimate is certain only after deskewing, so start with half the duration.
     if abs(fit.turn_s) < max(interval_s / (_TURNS + 0.5), 2 * math.sqrt(gate()) * fit.sigma_s):
         return None
     shares = [math.copysign(interval_s / turns, fit.turn_s) for turns in range(1, _TURNS + 1)]
-    again = [_fit(_told_by(pairs, replace(fit, turn_s=share), config, own), own) or fit for share in shares]
+    again = [_fit(_all_sums(pairs, replace(fit, turn_s=share), config, own), own) or fit for share in shares]
     # If deskewing is right, the clouds give the same estimate again.
     told, turn_s = min(zip(again, shares, strict=True), key=lambda one: abs(one[0].turn_s / one[1] - 1.0))
     best = replace(told, turn_s=turn_s)
@@ -242,7 +242,7 @@ def _agreed(pairs: Sequence[_Pair], timed: _Timed, config: Config) -> list[float
     return found
 
 
-def _fit(told: Sequence[_Told], cuts_rad: FloatArray) -> Turn | None:
+def _fit(told: Sequence[_Sums], cuts_rad: FloatArray) -> Turn | None:
     """The rotation that explains most, from the sums of all pairs for each cut; sigma from their scatter."""
     if not told:
         return None
@@ -257,15 +257,15 @@ def _fit(told: Sequence[_Told], cuts_rad: FloatArray) -> Turn | None:
     return Turn(turn_s, float(np.linalg.norm(apart) / whole[best]), float(cuts_rad[best]))
 
 
-def _told_by(pairs: Sequence[_Pair], now: Turn, config: Config, cuts_rad: FloatArray) -> list[_Told]:
+def _all_sums(pairs: Sequence[_Pair], now: Turn, config: Config, cuts_rad: FloatArray) -> list[_Sums]:
     """The sums of each pair after deskewing, for pairs with information."""
-    found = (_told(*pair, now, config, cuts_rad) for pair in pairs)
+    found = (_sums(*pair, now, config, cuts_rad) for pair in pairs)
     return [one for one in found if one is not None]
 
 
-def _told(
+def _sums(
     first: _Moving, second: _Moving, voxel_m: float, now: Turn, config: Config, cuts_rad: FloatArray
-) -> _Told | None:
+) -> _Sums | None:
     """Least squares of the rotation for each cut (C,), with free relative pose."""
     ways = config.cloud_odometry
     known, seen = (base_points(now.timed(one.cloud), one.twist, ways) for one in (first, second))
@@ -315,7 +315,7 @@ def _pairs_of_scans(scans: Sequence[LaserScan], config: Config) -> list[_Pair]:
     if motion is None:
         return []
     at, poses = {scan.stamp_s: scan for scan in scans}, map(pose2_from_row, motion.poses)
-    walls = [_stood_up(at[stamp_s]) for stamp_s in motion.stamps_s.tolist()]
+    walls = [_extruded(at[stamp_s]) for stamp_s in motion.stamps_s.tolist()]
     points = base_points(walls[0], np.zeros(6), config.cloud_odometry)
     voxel_m = voxel_of(points, config.cloud_odometry)
     return _ends(list(zip(walls, map(gtsam.Pose3, poses), strict=True)), voxel_m)
@@ -333,7 +333,7 @@ def _ends(tracked: Sequence[tuple[PointCloud, gtsam.Pose3]], voxel_m: float) -> 
     return [(one, other, voxel_m) for one, other in [*pairwise(chosen), (chosen[0], chosen[2])]]
 
 
-def _looks_round(walls: Sequence[PointCloud]) -> bool:
+def _sees_around(walls: Sequence[PointCloud]) -> bool:
     """Whether a 2D lidar sees more than half a circle; otherwise it may not spin."""
     bearings = [bearings_rad(one.points_lidar) for one in walls]
     slices = np.floor(np.concatenate([*bearings, np.zeros(1)]) / math.tau * SLICES)

@@ -62,7 +62,7 @@ def write_difference(
     """
     make_folder(folder)
     features = [
-        feature("Polygon", [_rounded([*corners, corners[0]])], what=thing.what, at=at, **_told(thing))
+        feature("Polygon", [_rounded([*corners, corners[0]])], what=thing.what, at=at, **_properties(thing))
         for thing in things
         for at, corners in (("before", thing.before_m), ("after", thing.after_m))
         if corners is not None
@@ -119,10 +119,14 @@ def _line(thing: ChangedThing) -> str:
 def _plain(thing: ChangedThing) -> dict[str, Any]:
     """Return an object as plain values."""
     corners = {"before_m": thing.before_m, "after_m": thing.after_m}
-    return {"what": thing.what, **_told(thing), **{key: _rounded(value) for key, value in corners.items()}}
+    return {
+        "what": thing.what,
+        **_properties(thing),
+        **{key: _rounded(value) for key, value in corners.items()},
+    }
 
 
-def _told(thing: ChangedThing) -> dict[str, Any]:
+def _properties(thing: ChangedThing) -> dict[str, Any]:
     """Return the properties of an object besides its corners."""
     return {
         "probability": round(thing.probability, 3),

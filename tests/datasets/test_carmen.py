@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 
 from slam.datasets import open_dataset, recording
 from slam.datasets.carmen_records import _numbers
-from slam.datasets.laser_geometry import ToldAlike, beam_layout, classify_ranges
+from slam.datasets.laser_geometry import RepeatedRange, beam_layout, classify_ranges
 from slam.datasets.recording import read_once
 from slam.errors import DatasetError
 from slam.measurements import LaserScan, WheelOdometry
@@ -217,7 +217,7 @@ def test_no_return_limit(tmp_path: Path, stated: float, limit: float) -> None:
 
 
 def test_a_code_of_few_beams_is_known_by_scan_after_scan() -> None:
-    told, rng = ToldAlike(), np.random.default_rng(0)
+    told, rng = RepeatedRange(), np.random.default_rng(0)
     for number in range(20):
         seen = rng.uniform(0.5, 7.5, 180)
         codes = [8.183, 8.183, 8.183] + ([8.191] if number % 2 else [])
@@ -229,7 +229,7 @@ def test_a_code_of_few_beams_is_known_by_scan_after_scan() -> None:
 
 
 def test_the_shortest_range_that_many_beams_tell_once_more_is_invalid() -> None:
-    told, seen = ToldAlike(), np.linspace(0.5, 4.5, 200)
+    told, seen = RepeatedRange(), np.linspace(0.5, 4.5, 200)
     ranges = np.append(seen, np.full(60, 0.1))
     assert np.isfinite(classify_ranges(ranges, 30.0, told)[0]).all()
     found, limit = classify_ranges(ranges, 30.0, told)
@@ -240,20 +240,20 @@ def test_the_shortest_range_that_many_beams_tell_once_more_is_invalid() -> None:
 def test_classify_ranges() -> None:
     raw = np.array([0.0, -1.0, np.nan, -np.inf, 0.01, 81.82, 81.83, 81.91, np.inf])
     expected = np.float32([np.nan, np.nan, np.nan, np.nan, 0.01, 81.82, np.inf, np.inf, np.inf])
-    np.testing.assert_array_equal(classify_ranges(raw, 81.83, ToldAlike())[0], expected)
+    np.testing.assert_array_equal(classify_ranges(raw, 81.83, RepeatedRange())[0], expected)
 
 
 @pytest.mark.parametrize(("unit", "limit"), [(1000.0, 12000.0), (100.0, 1200.0), (1.0, 12.0)])
 def test_a_maximum_in_another_unit_than_the_ranges_is_raised(unit: float, limit: float) -> None:
     ranges = unit * np.append(np.linspace(1.0, 9.0, 90), np.full(30, 12.0))
-    found, found_limit = classify_ranges(ranges, 12.0, ToldAlike())
+    found, found_limit = classify_ranges(ranges, 12.0, RepeatedRange())
     assert found_limit == limit
     np.testing.assert_array_equal(found, np.float32([*ranges[:90], *[math.inf] * 30]))
 
 
 def test_the_longest_range_that_many_beams_tell_to_the_bit_is_no_return() -> None:
     seen = np.linspace(0.5, 4.5, 200)
-    found, limit = classify_ranges(np.append(seen, np.full(60, 5.0)), 30.0, ToldAlike())
+    found, limit = classify_ranges(np.append(seen, np.full(60, 5.0)), 30.0, RepeatedRange())
     assert limit == 5.0
     np.testing.assert_array_equal(found, np.float32([*seen, *[math.inf] * 60]))
 
@@ -261,12 +261,12 @@ def test_the_longest_range_that_many_beams_tell_to_the_bit_is_no_return() -> Non
 @pytest.mark.parametrize("step_m", [0.001, 0.01, 0.1])
 def test_beams_on_a_wall_in_whole_steps_are_no_code(step_m: float) -> None:
     wall = np.round(1.0 / np.cos(np.linspace(-1.4, 1.4, 361)) / step_m) * step_m
-    np.testing.assert_array_equal(classify_ranges(wall, 30.0, ToldAlike())[0], np.float32(wall))
+    np.testing.assert_array_equal(classify_ranges(wall, 30.0, RepeatedRange())[0], np.float32(wall))
 
 
 def test_codes_beyond_the_maximum_are_no_other_unit() -> None:
     codes = np.resize([81.83, 81.87, 81.9, 81.91], 180)
-    assert np.isposinf(classify_ranges(codes, 50.0, ToldAlike())[0]).all()
+    assert np.isposinf(classify_ranges(codes, 50.0, RepeatedRange())[0]).all()
 
 
 def test_a_stray_line_does_not_decide_which_form_is_read(tmp_path: Path) -> None:

@@ -16,7 +16,7 @@ from slam.app.mapping import map_log
 from slam.config import Config, load_config
 from slam.config.calibration import Calibration, CloudCorrection
 from slam.datasets.corrections import corrected
-from slam.datasets.corrections_in_space import corrected_cloud, turn_times, turned_round
+from slam.datasets.corrections_in_space import corrected_cloud, time_reversed, turn_times
 from slam.doctor.cloud_samples import CloudSamples
 from slam.doctor.diagnosis import diagnose
 from slam.doctor.finding import remedied
@@ -108,7 +108,7 @@ def test_four_seconds_tell_a_turn() -> None:
 @pytest.mark.parametrize("backward", [False, True])
 def test_times_that_run_backward_are_told_and_turned_round(backward: bool) -> None:
     right = [replace(one, times_s=turn_times(one.points_lidar, -0.1, math.pi)) for one in clouds(-0.1, 180.0)]
-    log = [turned_round(one) for one in right] if backward else right
+    log = [time_reversed(one) for one in right] if backward else right
     found = [one for one in diagnose(log) if one.kind == "times of points"]
     assert len(found) == backward
     mended = corrected(log, remedied(Calibration(), found, only_sure=True))

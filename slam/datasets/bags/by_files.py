@@ -118,12 +118,12 @@ class FileFacts:
         """Report both values if a file and the bag contradict each other."""
         if differs(told.pose, other):
             self.notes.append(
-                f"warning: {what}: {told.source} says {_told(told.pose)}, the bag says {_told(other)}; "
+                f"warning: {what}: {told.source} says {_text(told.pose)}, the bag says {_text(other)}; "
                 f"that of {told.source if sure else 'the bag'} is used"
             )
 
 
-def _told(pose: gtsam.Pose3) -> str:
+def _text(pose: gtsam.Pose3) -> str:
     """A mounting as text for the user."""
     x, y, z = pose.translation()
     roll, pitch, yaw = np.degrees(pose.rotation().rpy())

@@ -24,7 +24,7 @@ NO_HALF = "IMU message without the quantity that its topic provides"
 NO_FORCES = "it has no accelerations, and no other topic has any"
 
 
-def told_by(message: Any) -> tuple[bool, bool]:
+def quantities_in(message: Any) -> tuple[bool, bool]:
     """Whether a message contains angular rates, and whether it contains accelerations.
 
     A missing quantity is zero on every axis, or its covariance starts with -1 (sensor_msgs).

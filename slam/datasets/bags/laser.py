@@ -16,7 +16,7 @@ from slam.datasets.laser_geometry import (
     DEFAULT_NO_RETURN_M,
     NO_VALID_RANGE,
     ZERO_BEAMS,
-    ToldAlike,
+    RepeatedRange,
     classify_ranges,
 )
 from slam.measurements import FloatArray, LaserScan
@@ -53,7 +53,7 @@ class LaserMount:
         return cls(flat, bool(axes[2, 2] < 0.0), math.acos(min(abs(axes[2, 2]), 1.0)))
 
 
-def scan_from(message: Any, mount: LaserMount, topic: str, told_alike: ToldAlike) -> LaserScan:
+def scan_from(message: Any, mount: LaserMount, topic: str, repeated: RepeatedRange) -> LaserScan:
     """A scan with counter-clockwise beams, as seen from above the robot.
 
     Of a MultiEchoLaserScan, the first (nearest) echo of each beam is used, because glass is an obstacle. NaN
@@ -77,7 +77,7 @@ def scan_from(message: Any, mount: LaserMount, topic: str, told_alike: ToldAlike
     stated_m, least_m = _as_meant(message.range_max), _as_meant(message.range_min)
     limit_m = stated_m if 0.0 < stated_m < math.inf else DEFAULT_NO_RETURN_M
     ranges_m = np.where(ranges_m < least_m, np.nan, ranges_m) if 0.0 < least_m < limit_m else ranges_m
-    classified, limit_m = classify_ranges(ranges_m, limit_m, told_alike)
+    classified, limit_m = classify_ranges(ranges_m, limit_m, repeated)
     if np.isnan(classified).all():
         raise RecordFault(NO_VALID_RANGE, f"{classified.size} beams")
     if mount.inverted:

@@ -37,7 +37,7 @@ from slam.datasets.bags.wheels import wheel_reader, wheels_from_tf
 from slam.datasets.calibration_files import KnownCalibration
 from slam.datasets.dataset import WARNING, RecordFault
 from slam.datasets.frame_pairs import tolerance_of
-from slam.datasets.laser_geometry import ToldAlike
+from slam.datasets.laser_geometry import RepeatedRange
 from slam.errors import DatasetError
 from slam.measurements import Measurement, WheelOdometry
 
@@ -266,8 +266,8 @@ def _scan_reader(survey: Survey, layout: Layout, topic: str) -> Callable[[Any], 
         layout.notes.append(f"{WARNING}{text} as level: ranges are up to {long:.0%} too long")
     if mount.inverted:
         layout.notes.append(f"{topic}: the laser is mounted upside down; its beams are reversed")
-    told_alike = ToldAlike()
-    return lambda message: scan_from(message, mount, topic, told_alike)
+    repeated = RepeatedRange()
+    return lambda message: scan_from(message, mount, topic, repeated)
 
 
 def _cloud_reader(

@@ -14,7 +14,7 @@ from slam.datasets.bags.clouds import CloudView, cloud_view
 from slam.datasets.bags.decoding import Decoder, frame_name, stamp_of
 from slam.datasets.bags.files import Bag
 from slam.datasets.bags.images import is_depth
-from slam.datasets.bags.imu import told_by
+from slam.datasets.bags.imu import quantities_in
 from slam.datasets.bags.ouster import Ousters
 from slam.datasets.bags.ouster_model import FRAMES, OusterModel
 from slam.datasets.bags.records import BagRecord, Channel
@@ -271,7 +271,7 @@ def _look_at_reading(survey: Survey, record: BagRecord, message: Any) -> None:
         view = span_rad, float(message.range_max)
         survey.scans[topic] = view if all(map(math.isfinite, view)) else (0.0, 0.0)
     elif kind == IMU:
-        survey.imus[topic] = told_by(message)
+        survey.imus[topic] = quantities_in(message)
     elif kind == ODOMETRY:
         survey.odometry[topic] = survey.frames[topic], frame_name(message.child_frame_id)
     elif kind in IMAGES:
