@@ -72,14 +72,14 @@ def map_scores(
 
 
 class Laid:
-    """Occupied cells on the lattice of the ground truth, and how many are outside."""
+    """Occupied cells on the truth's lattice, and how many lie outside it."""
 
     def __init__(self, inside: Cells, outside: int) -> None:
         self.inside, self.outside = inside, outside
 
 
 def on_truth(found: StateGrid, truth: TrueGrid, T_true_map: FloatArray) -> Laid:
-    """Transform the occupied cells of a map, by their centres, to the lattice of the ground truth."""
+    """Bring the occupied cells of a map, by their centres, onto the truth's lattice."""
     rows, cols = np.nonzero(found.states == OCCUPIED)
     corner = found.T_map_grid
     c, s = np.cos(corner.theta()), np.sin(corner.theta())
@@ -90,7 +90,7 @@ def on_truth(found: StateGrid, truth: TrueGrid, T_true_map: FloatArray) -> Laid:
 
 
 def _laid(truth: TrueGrid, points_xy: FloatArray) -> Laid:
-    """The cells of the ground truth's lattice that contain points (N, 2)."""
+    """The cells of the truth's lattice that hold points (N, 2)."""
     cells = np.floor((points_xy - truth.origin_xy) / truth.resolution_m).astype(int)
     within = ((cells >= 0) & (cells < truth.occupied.shape[::-1])).all(axis=1)
     inside = np.zeros(truth.occupied.shape, dtype=bool)
