@@ -17,7 +17,6 @@ Seconds drift between machines and from day to day; compare ratios within one ru
 # must stay small. What needs numpy runs as a child too.
 from __future__ import annotations
 
-import argparse
 import json
 import os
 import platform
@@ -25,6 +24,7 @@ import statistics
 import subprocess
 import sys
 import tempfile
+from argparse import SUPPRESS, ArgumentParser, Namespace, RawDescriptionHelpFormatter
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from time import perf_counter
@@ -80,11 +80,9 @@ def main() -> None:
         options.json.write_text(json.dumps(report, indent=2) + "\n", encoding="utf-8")
 
 
-def parse_options() -> argparse.Namespace:
+def parse_options() -> Namespace:
     """The command line."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = ArgumentParser(description=__doc__, formatter_class=RawDescriptionHelpFormatter)
     parser.add_argument("--data", type=Path, default=REPO.parent / "shared" / "data", help="holds lidar2d/")
     parser.add_argument("--log", action="append", help="fr079 or intel; repeatable; both by default")
     parser.add_argument("--variant", action="append", choices=VARIANTS, help="only this one; repeatable")
@@ -92,15 +90,15 @@ def parse_options() -> argparse.Namespace:
     parser.add_argument("--repeat", type=int, default=1, help="measured runs a row")
     parser.add_argument("--cold", action="store_true", help="also measure a first run ever")
     parser.add_argument("--json", type=Path, help="also write the figures here")
-    parser.add_argument("--child", choices=("profile", "wheels"), help=argparse.SUPPRESS)
-    parser.add_argument("arguments", nargs="*", help=argparse.SUPPRESS)
+    parser.add_argument("--child", choices=("profile", "wheels"), help=SUPPRESS)
+    parser.add_argument("arguments", nargs="*", help=SUPPRESS)
     return parser.parse_args()
 
 
 class Bench:
     """Runs the children in a folder of their own."""
 
-    def __init__(self, options: argparse.Namespace, folder: Path) -> None:
+    def __init__(self, options: Namespace, folder: Path) -> None:
         self._data: Path = options.data / "lidar2d"
         self._settings = [part for value in options.set for part in ("--set", value)]
         self._repeat: int = options.repeat

@@ -9,8 +9,8 @@ the 95 % ellipses hold it. What the runs say goes to stderr.
 
 from __future__ import annotations
 
-import argparse
 import sys
+from argparse import ArgumentParser, RawDescriptionHelpFormatter
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -45,9 +45,7 @@ class Cut:
 
 def main() -> None:
     """Map every street with and without fixes."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = ArgumentParser(description=__doc__, formatter_class=RawDescriptionHelpFormatter)
     parser.add_argument("streets", nargs="+", type=Path)
     parser.add_argument("--gap", nargs=2, type=float, default=(0.0, 0.0), help="seconds without clouds")
     parser.add_argument("--until", type=float, default=float("inf"), help="seconds that are mapped")

@@ -11,8 +11,8 @@ it is told how far off the robot then is, of the way driven in it. What the runs
 
 from __future__ import annotations
 
-import argparse
 import sys
+from argparse import ArgumentParser, RawDescriptionHelpFormatter
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -149,9 +149,7 @@ def trial(folder: Path, case: Case) -> FloatArray:
 
 def main() -> None:
     """Draw the streets, map them, print a row a case."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = ArgumentParser(description=__doc__, formatter_class=RawDescriptionHelpFormatter)
     parser.add_argument("folder", type=Path)
     parser.add_argument("--worlds", nargs="+", type=int, default=[11, 12, 13, 14])
     parser.add_argument("--rig", choices=sorted(STREET_RIGS), default="car16")

@@ -8,7 +8,7 @@ and with what was followed from scan to scan too. Lost: fixed, and taken out wit
 
 from __future__ import annotations
 
-import argparse
+from argparse import ArgumentParser, RawDescriptionHelpFormatter
 from dataclasses import replace
 
 import gtsam
@@ -55,9 +55,7 @@ def occupied(grid: OccupancyGrid, like: OccupancyGrid) -> BoolArray:
 
 def main() -> None:
     """Print one Markdown table."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = ArgumentParser(description=__doc__, formatter_class=RawDescriptionHelpFormatter)
     parser.add_argument("--rig", default="xu2024", choices=sorted(RIGS))
     parser.add_argument("--homes", type=int, nargs="+", default=[61])
     parser.add_argument("--duration", type=float, help="seconds; one tour if absent")

@@ -11,8 +11,8 @@ share of the glass doors within 4 m of the way of which half is in the map.
 
 from __future__ import annotations
 
-import argparse
 import json
+from argparse import ArgumentParser, RawDescriptionHelpFormatter
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -54,9 +54,7 @@ _STREAM = 77  # of its random numbers
 
 def main() -> None:
     """Score every home, and print the table."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = ArgumentParser(description=__doc__, formatter_class=RawDescriptionHelpFormatter)
     parser.add_argument("--homes", type=int, nargs="+", required=True)
     parser.add_argument("--seed", type=int, default=5)
     parser.add_argument("--seconds", type=float, default=40.0)

@@ -10,8 +10,8 @@ row against the first by the median of the paired differences with the bootstrap
 
 from __future__ import annotations
 
-import argparse
 import json
+from argparse import ArgumentParser, RawDescriptionHelpFormatter
 from collections.abc import Iterator, Sequence
 from contextlib import closing
 from dataclasses import replace
@@ -41,9 +41,7 @@ SHOWN = (*_SMALLER[:3], "reach", "reach_near", "false_occupied", "completeness",
 
 def main() -> None:
     """Score every drive, and print the table."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = ArgumentParser(description=__doc__, formatter_class=RawDescriptionHelpFormatter)
     parser.add_argument("pairs", nargs="+", type=Path, metavar="DRIVE MAP")
     parser.add_argument("--set", action="append", default=[], metavar="KEY=VALUE", help="of the layers")
     parser.add_argument("--radius", type=float, default=0.25, help="of the robot, metres")
