@@ -13,7 +13,7 @@ import numpy as np
 from slam.config import Config
 from slam.config.files import nearest
 from slam.errors import ScanweaveError
-from slam.mapping.dense_map import Colors, DenseMap, DenseMapSettings, fuse_keyframes
+from slam.mapping.dense_map import ColoredMesh, Colors, DenseMapSettings, fuse_keyframes
 from slam.mapping.elevation import Elevation, elevation
 from slam.mapping.floor_plan import FloorPlan
 from slam.mapping.layered_map import PASSED_BY, LayeredMap
@@ -148,7 +148,7 @@ class Exports:
             case "tum":
                 return write_trajectory(out, found.trajectory, found.covariances)
             case "glb":
-                write_mesh_glb(out, self._surface.mesh)
+                write_mesh_glb(out, self._surface)
             case "e57":
                 write_e57(out, self._scans())
             case "gpx":
@@ -238,7 +238,7 @@ class Exports:
         return [*written, folder / IMAGES]
 
     @cached_property
-    def _surface(self) -> DenseMap:
+    def _surface(self) -> ColoredMesh:
         """Return the surface of the images; empty if they show none."""
         found, dense = self.contents, self.config.dense_map
         settings = DenseMapSettings(dense.voxel_m, self.config.layers.depth_max_m, dense.nearest_m)
@@ -329,11 +329,11 @@ class Exports:
         write_octree(out, views, resolution_m, self.config.cloud_map.plan_range_m)
 
 
-def _save_surface(path: Path, surface: DenseMap) -> list[Path]:
+def _save_surface(path: Path, surface: ColoredMesh) -> list[Path]:
     """Write the coloured mesh of the camera keyframes and its points; nothing if there is no surface."""
     written = list[Path]()
-    if len(surface.mesh.faces):
-        write_mesh_ply(path, surface.mesh)
+    if len(surface.faces):
+        write_mesh_ply(path, surface)
         written.append(path)
     if len(surface.cloud.points_map):
         written.append(path.with_name("cloud.ply" if path.name == "mesh.ply" else f"{path.stem}-cloud.ply"))
