@@ -87,7 +87,7 @@ def main() -> None:
             for scan, pose in placed
         ]
         grid = drawn(placed, config)
-        static = without_passers_by(grid, placed, layer_settings(config).lidar).static
+        static, _ = without_passers_by(grid, placed, layer_settings(config).lidar)
         truth, before, passed, after = (
             occupied(one, grid) for one in (drawn(alone, config), grid, static, made.grids[OCCUPANCY])
         )
