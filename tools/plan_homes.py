@@ -100,7 +100,7 @@ def scores_of(drive: Drive, home: int) -> dict[str, dict[str, float]]:
         scores = plan_scores(*laid, poses[:, :2], RIG.robot_radius_m) | map_scores(*laid)
         lines = np.where((states.states == OCCUPIED) & ~thinned(states.states), UNKNOWN, states.states)
         scores["f1_thin"] = map_scores(replace(states, states=lines), *laid[1:])["f1"]
-        inside = ndimage.binary_dilation(on_truth(*laid[:3]).inside, np.ones((3, 3)))
+        inside = ndimage.binary_dilation(on_truth(*laid[:3])[0], np.ones((3, 3)))
         panes = [np.mean(share) >= 0.5 for share in panes_in(inside, drive, truth, way)]
         scores["panes"] = float(np.mean(panes)) if panes else np.nan
         found[name] = scores
