@@ -25,7 +25,6 @@ from scipy import ndimage
 
 from slam.comparison.map_score import REACH_M, map_scores, on_truth
 from slam.comparison.plan_score import plan_scores
-from slam.comparison.product import StateGrid
 from slam.config import load_config
 from slam.estimates import Trajectory
 from slam.evaluation.trajectory_error import absolute_error
@@ -95,7 +94,7 @@ def scores_of(drive: Drive, home: int) -> dict[str, dict[str, float]]:
         ("and what moves", with_glass(still, fixed, poses, config), DecisionRule()),
     ):
         layers = LayeredMap(grid, depth, rule)
-        states = StateGrid(layers.states("decision"), layers.resolution_m, layers.T_map_grid)
+        states = layers.decision()
         laid = (states, truth, T_true_map, way)
         scores = plan_scores(*laid, poses[:, :2], RIG.robot_radius_m) | map_scores(*laid)
         lines = np.where((states.states == OCCUPIED) & ~thinned(states.states), UNKNOWN, states.states)

@@ -21,7 +21,6 @@ import numpy as np
 
 from slam.comparison.map_score import map_scores, read_true_grid
 from slam.comparison.plan_score import plan_scores
-from slam.comparison.product import StateGrid
 from slam.comparison.statistics import paired
 from slam.config import Config, load_config
 from slam.datasets import open_dataset
@@ -55,7 +54,7 @@ def main() -> None:
         truth, way = read_true_grid(drive / "truth" / "grid_robot.npz"), read_tum(drive / "groundtruth.txt")
         with closing(load_map(folder)) as saved:
             for name, layers in variants(drive, saved, config):
-                states = StateGrid(layers.states("decision"), layers.resolution_m, layers.T_map_grid)
+                states = layers.decision()
                 T_true_map = absolute_error(saved.trajectory, way).T_reference_map
                 laid = (states, truth, T_true_map, way.positions_m[:, :2])
                 scores = plan_scores(*laid, saved.trajectory.positions_m[:, :2], arguments.radius)

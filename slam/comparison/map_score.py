@@ -10,9 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from slam.comparison.product import StateGrid
 from slam.errors import EvaluationError
-from slam.mapping.occupancy_grid import OCCUPIED
+from slam.mapping.occupancy_grid import OCCUPIED, StateGrid
 from slam.measurements import FloatArray
 from slam.simulation.true_grid import TrueGrid
 

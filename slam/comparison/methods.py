@@ -13,13 +13,14 @@ from slam.app.mapping import map_log
 from slam.comparison.dense_odometry import DenseOdometry
 from slam.comparison.kiss_odometry import KissOdometry
 from slam.comparison.open3d_library import load_open3d
-from slam.comparison.product import AcceptedLoop, Product, StateGrid
+from slam.comparison.product import AcceptedLoop, Product
 from slam.config import Config
 from slam.datasets import Dataset
 from slam.errors import DatasetError
 from slam.estimates import Trajectory
 from slam.graph.loop_candidate import LoopCandidate
 from slam.mapper.pipeline import build_map
+from slam.mapping.occupancy_grid import StateGrid
 from slam.measurements import (
     FloatArray,
     LaserScan,
@@ -38,9 +39,8 @@ _FARTHEST_DEPTH_M = 4.0
 def scanweave(dataset: Dataset, config: Config) -> Product:
     """Our own run, with the navigation map where cameras make one."""
     with closing(map_log(dataset, config)) as made:
-        layers, decision = made.layers, None
-        if layers is not None and layers.names:
-            decision = StateGrid(layers.states("decision"), layers.resolution_m, layers.T_map_grid)
+        layers = made.layers
+        decision = layers.decision() if layers is not None and layers.names else None
         return replace(_product(made.contents, made.planar, made.warnings), decision=decision)
 
 

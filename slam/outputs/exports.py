@@ -34,7 +34,7 @@ from slam.storage.lidar_cloud_files import CLOUD_FORMATS, export_cloud, write_li
 from slam.storage.map_contents import MapContents
 from slam.storage.map_edits import CLOUD, FRAME, erased_bits, regions_of
 from slam.storage.map_places import write_places_yaml
-from slam.storage.mcap_results import Plan, write_results_bag
+from slam.storage.mcap_results import write_results_bag
 from slam.storage.nav2_layers import MAP_YAML, write_driving_map, write_layers, write_passed_by
 from slam.storage.nav2_rooms import write_room_zones
 from slam.storage.nav2_zones import write_zones
@@ -283,10 +283,7 @@ class Exports:
 
     def _write_bag(self, folder: Path) -> Path:
         """Write the results for Foxglove; in an existing folder, into a folder of its own."""
-        found, plan = self.contents, None
-        if self.layers is not None:
-            layers = self.layers
-            plan = Plan(layers.states("decision"), layers.resolution_m, layers.T_map_grid)
+        found, plan = self.contents, None if self.layers is None else self.layers.decision()
         begun_s = float(found.trajectory.stamps_s.min())
         clouds = (
             (
