@@ -39,7 +39,7 @@ class Spool:
             while left:
                 left = left[os.pwrite(self._file.fileno(), left, end + len(content) - len(left)) :]
         except OSError as error:
-            raise _no_room(error) from error
+            raise no_room("what was read", error) from error
         self._ends.append(end + len(content))
 
     def __getitem__(self, index: int) -> bytes:
@@ -71,7 +71,7 @@ class ArraySpool:
                     file.flush()
                     self._rooms.append(mmap.mmap(file.fileno(), size))
             except OSError as error:
-                raise _no_room(error) from error
+                raise no_room("what was read", error) from error
         kept = np.frombuffer(self._rooms[-1], content.dtype, content.size, self._used)
         self._used += -(-content.nbytes // 8) * 8
         kept = kept.reshape(content.shape)
@@ -79,9 +79,9 @@ class ArraySpool:
         return kept
 
 
-def _no_room(error: OSError) -> ScanweaveError:
+def no_room(what: str, error: OSError) -> ScanweaveError:
     """What is told where the disk is full."""
     return ScanweaveError(
-        f"cannot keep what was read in {tempfile.gettempdir()}: {error.strerror or error}; "
+        f"cannot keep {what} in {tempfile.gettempdir()}: {error.strerror or error}; "
         "set TMPDIR to a folder with free space"
     )

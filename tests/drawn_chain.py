@@ -7,7 +7,7 @@ import numpy as np
 from slam.config.stages import GraphConfig
 from slam.graph.edge import Edge, EdgeKind
 from slam.graph.keyframe_graph import KeyframeGraph
-from slam.graph.settled_wheels import settle_wheels
+from slam.graph.wheel_edges import calibrate_wheel_edges
 from slam.matching.planar import compose
 from slam.measurements import FloatArray, pose2_from_row, row_from_pose2
 
@@ -50,4 +50,4 @@ def wheels_of(graph: KeyframeGraph) -> FloatArray:
 
 
 def settle(graph: KeyframeGraph, least_m: float, wheels: FloatArray) -> None:
-    settle_wheels(graph, least_m, wheels, np.arange(float(len(graph))), GraphConfig())
+    calibrate_wheel_edges(graph, least_m, wheels, np.arange(float(len(graph))), GraphConfig())

@@ -66,6 +66,15 @@ class Run:
         self.wheel_pose = np.array([7.0, -3.0, 1.0])  # the odom frame begins anywhere
         self.true_pose = np.zeros(3)
 
+    @classmethod
+    def sure(cls, scans: int = 0, wheels: bool = True) -> "Run":
+        """One that sees the truth, after some scans."""
+        run = cls(wheels)
+        run.see_the_truth()
+        for _ in range(scans):
+            run.scan()
+        return run
+
     def scan(self, wheel_step: FloatArray = STEP, true_step: FloatArray = STEP) -> TrackedScan:
         if self.stamp_s > 0.0:  # the first scan is the origin
             self.true_pose = compose(self.true_pose, true_step)

@@ -7,9 +7,9 @@ gives the largest distance of the poses, and how many cells of the plans differ.
 
 from __future__ import annotations
 
-import argparse
 import sys
 import tempfile
+from argparse import ArgumentParser, RawDescriptionHelpFormatter
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -44,9 +44,7 @@ class Difference:
 
 def main() -> None:
     """Record, map twice, compare."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = ArgumentParser(description=__doc__, formatter_class=RawDescriptionHelpFormatter)
     parser.add_argument("--rigs", nargs="+", choices=list(RIGS), default=list(RIGS))
     parser.add_argument("--home", type=int, default=1)
     parser.add_argument("--seed", type=int, default=0)

@@ -17,7 +17,6 @@ Seconds drift between machines and from day to day; compare ratios within one ru
 # must stay small. What needs numpy runs as a child too.
 from __future__ import annotations
 
-import argparse
 import json
 import os
 import platform
@@ -25,6 +24,7 @@ import statistics
 import subprocess
 import sys
 import tempfile
+from argparse import SUPPRESS, ArgumentParser, Namespace, RawDescriptionHelpFormatter
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from time import perf_counter
@@ -32,11 +32,11 @@ from typing import Any
 
 REPO = Path(__file__).parents[1]
 
-# Options of `scanweave map`, and the logs that they are measured on (None: all).
+# Settings of `scanweave map`, and the logs that they are measured on (None: all).
 VARIANTS: dict[str, tuple[list[str], set[str] | None]] = {
     "default": ([], None),
-    "no odometry": (["--no-odometry"], {"fr079"}),
-    "no loops": (["--no-loops"], None),
+    "no odometry": (["sensors.wheels=false"], {"fr079"}),
+    "no loops": (["loops.enabled=false"], None),
 }
 WHEELS = "wheels alone"
 
@@ -64,9 +64,9 @@ def main() -> None:
         bench = Bench(options, Path(folder))
         for name in options.log or ["fr079", "intel"]:
             rows.append(bench.wheels(name))
-            for variant, (arguments, logs) in VARIANTS.items():
+            for variant, (settings, logs) in VARIANTS.items():
                 if (options.variant is None or variant in options.variant) and (logs is None or name in logs):
-                    rows.append(bench.variant(name, variant, arguments))
+                    rows.append(bench.variant(name, variant, settings))
                     print(f"measured {name}, {variant}", file=sys.stderr)
         cold = bench.cold((options.log or ["fr079"])[0]) if options.cold else None
     report = {"machine": machine(), "settings": options.set, "repeat": options.repeat, "rows": rows}
@@ -80,11 +80,9 @@ def main() -> None:
         options.json.write_text(json.dumps(report, indent=2) + "\n", encoding="utf-8")
 
 
-def parse_options() -> argparse.Namespace:
+def parse_options() -> Namespace:
     """The command line."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = ArgumentParser(description=__doc__, formatter_class=RawDescriptionHelpFormatter)
     parser.add_argument("--data", type=Path, default=REPO.parent / "shared" / "data", help="holds lidar2d/")
     parser.add_argument("--log", action="append", help="fr079 or intel; repeatable; both by default")
     parser.add_argument("--variant", action="append", choices=VARIANTS, help="only this one; repeatable")
@@ -92,17 +90,17 @@ def parse_options() -> argparse.Namespace:
     parser.add_argument("--repeat", type=int, default=1, help="measured runs a row")
     parser.add_argument("--cold", action="store_true", help="also measure a first run ever")
     parser.add_argument("--json", type=Path, help="also write the figures here")
-    parser.add_argument("--child", choices=("profile", "wheels"), help=argparse.SUPPRESS)
-    parser.add_argument("arguments", nargs="*", help=argparse.SUPPRESS)
+    parser.add_argument("--child", choices=("profile", "wheels"), help=SUPPRESS)
+    parser.add_argument("arguments", nargs="*", help=SUPPRESS)
     return parser.parse_args()
 
 
 class Bench:
     """Runs the children in a folder of their own."""
 
-    def __init__(self, options: argparse.Namespace, folder: Path) -> None:
+    def __init__(self, options: Namespace, folder: Path) -> None:
         self._data: Path = options.data / "lidar2d"
-        self._settings = [part for value in options.set for part in ("--set", value)]
+        self._settings: list[str] = options.set
         self._repeat: int = options.repeat
         self._folder = folder
 
@@ -112,15 +110,14 @@ class Bench:
         run_helper("wheels", str(self._log(name)), str(out))
         return {"log": name, "variant": WHEELS, "relations": self._score(name, out)}
 
-    def variant(self, name: str, variant: str, arguments: list[str]) -> dict[str, Any]:
+    def variant(self, name: str, variant: str, settings: list[str]) -> dict[str, Any]:
         """One row: costs, time a scan, accuracy."""
         out = self._folder / "out"
-        command = self._map(name, out, arguments)
+        command = self._map(name, out, settings)
         run(command)
         costs = [run(command) for _ in range(self._repeat)]
         profile = self._folder / "profile.json"
-        overrides = [part for part in (*self._settings, *as_settings(arguments)) if part != "--set"]
-        run_helper("profile", str(self._log(name)), str(profile), *overrides)
+        run_helper("profile", str(self._log(name)), str(profile), *self._settings, *settings)
         measured: dict[str, Any] = json.loads(profile.read_text())
         wall_s = statistics.median(cost.wall_s for cost in costs)
         return {
@@ -140,10 +137,11 @@ class Bench:
         command = self._map(name, self._folder / "out", [])
         return {"log": name, **asdict(run(command, {**os.environ, "NUMBA_CACHE_DIR": str(cache)}))}
 
-    def _map(self, name: str, out: Path, arguments: list[str]) -> list[str]:
+    def _map(self, name: str, out: Path, settings: list[str]) -> list[str]:
         """The command line of a run."""
         where = [str(self._log(name)), "-o", str(out), "--force"]
-        return [*scanweave(), "map", *where, *self._settings, *arguments]
+        chosen = [part for value in (*self._settings, *settings) for part in ("--set", value)]
+        return [*scanweave(), "map", *where, *chosen]
 
     def _log(self, name: str) -> Path:
         """Path of a log."""
@@ -164,15 +162,6 @@ def score(trajectory: Path, option: str, truth: Path) -> Any:
 def scanweave() -> list[str]:
     """The installed command beside this interpreter."""
     return [str(Path(sys.executable).with_name("scanweave"))]
-
-
-def as_settings(arguments: list[str]) -> list[str]:
-    """The settings that options of ``scanweave map`` stand for."""
-    stands_for = {
-        "--no-odometry": "sensors.wheels=false",
-        "--no-loops": "loops.enabled=false",
-    }
-    return [stands_for.get(argument, argument) for argument in arguments]
 
 
 def run(command: list[str], environment: dict[str, str] | None = None) -> Cost:

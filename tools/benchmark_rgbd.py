@@ -17,11 +17,11 @@ first row.
 # Only the standard library here: on Linux a child begins with its parent's peak memory, see benchmark.py.
 from __future__ import annotations
 
-import argparse
 import json
 import os
 import sys
 import tempfile
+from argparse import ArgumentParser, Namespace, RawDescriptionHelpFormatter
 from pathlib import Path
 from typing import Any
 
@@ -67,11 +67,9 @@ def main() -> None:
         options.json.write_text(json.dumps(report, indent=2) + "\n", encoding="utf-8")
 
 
-def parse_options() -> argparse.Namespace:
+def parse_options() -> Namespace:
     """The command line."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = ArgumentParser(description=__doc__, formatter_class=RawDescriptionHelpFormatter)
     default = REPO.parent / "shared" / "data" / "rgbd" / "redkitchen"
     parser.add_argument("folder", type=Path, nargs="?", default=default, help="a dataset with its truth")
     parser.add_argument(

@@ -10,9 +10,9 @@ Releases are the tags that begin with v.
 
 from __future__ import annotations
 
-import argparse
 import re
 import subprocess
+from argparse import ArgumentParser, RawDescriptionHelpFormatter
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -23,9 +23,7 @@ RULE = re.compile(r"^ *\|(?:[ :]*-+[ :]*\|)+ *$")
 
 def main() -> None:
     """Mark, or check."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = ArgumentParser(description=__doc__, formatter_class=RawDescriptionHelpFormatter)
     parser.add_argument("--check", action="store_true", help="write nothing")
     if parser.parse_args().check:
         wrong = [fault for page in pages(REPO) for fault in faults(REPO, page)]

@@ -14,9 +14,9 @@ there; what is told of places that were in sight for less is neither right by ch
 
 from __future__ import annotations
 
-import argparse
 import json
 import time
+from argparse import ArgumentParser, Namespace, RawDescriptionHelpFormatter
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
@@ -62,9 +62,7 @@ class Place:
 
 def main() -> None:
     """Print a row a pair, and the figures of all."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = ArgumentParser(description=__doc__, formatter_class=RawDescriptionHelpFormatter)
     parser.add_argument("folder", type=Path)
     parser.add_argument("--homes", type=int, nargs=2, default=(1, 15), help="first and last")
     parser.add_argument("--moved", type=int, default=6, help="pieces of furniture; 0 for revisits")
@@ -127,7 +125,7 @@ def summary(rows: Sequence[Row]) -> str:
     )
 
 
-def trial(arguments: argparse.Namespace, home: int) -> Row | None:
+def trial(arguments: Namespace, home: int) -> Row | None:
     """One home; None, and a line, where the maps do not connect."""
     drives, maps = [], []
     for seed, moved in zip(arguments.seeds, (0, arguments.moved), strict=True):

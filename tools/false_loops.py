@@ -27,9 +27,9 @@ was beyond the gate.
 
 from __future__ import annotations
 
-import argparse
 import json
 import sys
+from argparse import ArgumentParser, Namespace, RawDescriptionHelpFormatter
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
@@ -123,11 +123,9 @@ def main() -> None:
         sys.exit(1)
 
 
-def parse_options() -> argparse.Namespace:
+def parse_options() -> Namespace:
     """The command line."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = ArgumentParser(description=__doc__, formatter_class=RawDescriptionHelpFormatter)
     default_data = Path(__file__).parents[1] / ".." / "shared" / "data"
     parser.add_argument("--data", type=Path, default=default_data, help="folder that holds lidar2d/")
     parser.add_argument("--log", default="fr079", help="a name, or a file with a .relations beside it")
@@ -203,7 +201,7 @@ def candidate(place: int, keyframe: int, pose: FloatArray, model: MotionEstimate
     return LoopCandidate(place, keyframe, 1.0, 0.3, 1.0, motion, True, "")
 
 
-def search(options: argparse.Namespace) -> None:
+def search(options: Namespace) -> None:
     """Force false loops into finished maps, and tell how soon they are found."""
     few, more = round(1.1 * options.count), round(1.5 * options.count)
     names = ("shift", "residual", "left out", "one by one", "and by stretches")

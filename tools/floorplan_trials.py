@@ -9,8 +9,8 @@ an area counts where the plan gives an interval.
 
 from __future__ import annotations
 
-import argparse
 import math
+from argparse import ArgumentParser, Namespace, RawDescriptionHelpFormatter
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -53,9 +53,7 @@ class Score:
 
 def main() -> None:
     """Score every home and all together."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = ArgumentParser(description=__doc__, formatter_class=RawDescriptionHelpFormatter)
     parser.add_argument("work", type=Path)
     parser.add_argument("--homes", default="1-15", help="first-last")
     parser.add_argument("--rig", default="sick2d", choices=sorted(RIGS))
@@ -86,7 +84,7 @@ def main() -> None:
     print(f"walls {shares}, RMSE of these {_rms(near):.4f} m")
 
 
-def _mapped(home: Home, seed: int, arguments: argparse.Namespace) -> tuple[Map, Path]:
+def _mapped(home: Home, seed: int, arguments: Namespace) -> tuple[Map, Path]:
     """The map of a drive through a home, made if need be."""
     folder = arguments.work / f"{arguments.kind}-{arguments.rig}-{seed}"
     drive, out = folder / "drive", folder / "map"

@@ -10,7 +10,6 @@ A container without checksums cannot tell a changed range from a range: only suc
 
 from __future__ import annotations
 
-import argparse
 import hashlib
 import json
 import re
@@ -19,6 +18,7 @@ import sqlite3
 import sys
 import tempfile
 import zlib
+from argparse import ArgumentParser, RawDescriptionHelpFormatter
 from collections import Counter
 from dataclasses import astuple, dataclass, field
 from pathlib import Path
@@ -367,9 +367,7 @@ def fuzz(name: str, seconds: float, seed: int, keep: Path | None, seed_map: Path
 
 def main() -> None:
     """Run the trials and tell the outcomes; exit code 1 where one of them must not be."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = ArgumentParser(description=__doc__, formatter_class=RawDescriptionHelpFormatter)
     parser.add_argument("formats", nargs="*", metavar="FORMAT", help=f"of {', '.join(FORMATS)}; else all")
     parser.add_argument("--seconds", type=float, default=60.0, help="CPU seconds a format")
     parser.add_argument("--seed", type=int, default=0)

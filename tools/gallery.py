@@ -9,9 +9,9 @@ without it its picture stays as it is. The picture of the report asks for Chromi
 
 from __future__ import annotations
 
-import argparse
 import io
 import shutil
+from argparse import ArgumentParser, Namespace, RawDescriptionHelpFormatter
 from collections.abc import Callable
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -57,11 +57,9 @@ def main() -> None:
             print(f"wrote {name}, {(IMAGES / name).stat().st_size / 1e3:.0f} kB")
 
 
-def parse_options() -> argparse.Namespace:
+def parse_options() -> Namespace:
     """The command line."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = ArgumentParser(description=__doc__, formatter_class=RawDescriptionHelpFormatter)
     parser.add_argument("names", nargs="*", metavar="NAME", choices=[*PICTURES, []], help=", ".join(PICTURES))
     parser.add_argument("--work", type=Path, help="folder that keeps the drives and the maps")
     parser.add_argument("--log", type=Path, help="a log of a 2D lidar")

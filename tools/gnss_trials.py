@@ -9,8 +9,8 @@ the 95 % ellipses hold it. What the runs say goes to stderr.
 
 from __future__ import annotations
 
-import argparse
 import sys
+from argparse import ArgumentParser, RawDescriptionHelpFormatter
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -23,31 +23,22 @@ from slam.measurements import GnssFix, ImuReading, Measurement, PointCloud
 from slam.storage.tum import read_tum
 
 
-class Cut:
-    """A log without what is left out."""
-
-    def __init__(self, log: Dataset, gap_s: tuple[float, float], until_s: float, *, fixes: bool) -> None:
-        self._log, self._gap_s, self._until_s, self._fixes = log, gap_s, until_s, fixes
-
-    def __iter__(self) -> Iterator[Measurement]:
-        """Without the IMU, the clouds of the gap, and perhaps the fixes."""
-        begun_s = None
-        for one in self._log:
-            begun_s = one.stamp_s if begun_s is None else begun_s
-            at_s = one.stamp_s - begun_s
-            blind = isinstance(one, PointCloud) and self._gap_s[0] < at_s < self._gap_s[1]
-            if at_s > self._until_s:
-                return
-            if blind or isinstance(one, ImuReading) or (isinstance(one, GnssFix) and not self._fixes):
-                continue
+def cut(log: Dataset, gap_s: tuple[float, float], until_s: float, *, fixes: bool) -> Iterator[Measurement]:
+    """A log without the IMU, the clouds of the gap, and perhaps the fixes."""
+    begun_s = None
+    for one in log:
+        begun_s = one.stamp_s if begun_s is None else begun_s
+        at_s = one.stamp_s - begun_s
+        blind = isinstance(one, PointCloud) and gap_s[0] < at_s < gap_s[1]
+        if at_s > until_s:
+            return
+        if not (blind or isinstance(one, ImuReading) or (isinstance(one, GnssFix) and not fixes)):
             yield one
 
 
 def main() -> None:
     """Map every street with and without fixes."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = ArgumentParser(description=__doc__, formatter_class=RawDescriptionHelpFormatter)
     parser.add_argument("streets", nargs="+", type=Path)
     parser.add_argument("--gap", nargs=2, type=float, default=(0.0, 0.0), help="seconds without clouds")
     parser.add_argument("--until", type=float, default=float("inf"), help="seconds that are mapped")
@@ -56,7 +47,7 @@ def main() -> None:
     for street in arguments.streets:
         truth = read_tum(street.parent / "groundtruth.txt")
         for fixes in (False, True):
-            log = Cut(open_dataset(street), tuple(arguments.gap), arguments.until, fixes=fixes)
+            log = cut(open_dataset(street), tuple(arguments.gap), arguments.until, fixes=fixes)
             made = slam.build_map(log)
             error = absolute_error(made.trajectory, truth).translation_m
             assert made.covariances is not None

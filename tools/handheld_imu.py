@@ -10,7 +10,7 @@ of the map leans from the true one, and the error of the way as laid on the trut
 
 from __future__ import annotations
 
-import argparse
+from argparse import ArgumentParser, RawDescriptionHelpFormatter
 from pathlib import Path
 
 import gtsam
@@ -83,9 +83,7 @@ def lean_degrees(found: Trajectory, truth: Trajectory) -> FloatArray:
 
 def main() -> None:
     """Run the trial."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = ArgumentParser(description=__doc__, formatter_class=RawDescriptionHelpFormatter)
     parser.add_argument("folder", type=Path)
     parser.add_argument("--home", type=int, default=3)
     parser.add_argument("--seconds", type=float, default=30.0)

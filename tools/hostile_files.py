@@ -10,11 +10,11 @@ libraries.
 
 from __future__ import annotations
 
-import argparse
 import gzip
 import os
 import struct
 import sys
+from argparse import ArgumentParser, RawDescriptionHelpFormatter
 from collections.abc import Callable, Iterator, Sequence
 from itertools import chain
 from pathlib import Path
@@ -227,9 +227,7 @@ def run_bank(folder: Path, wanted: Sequence[str] = ("",)) -> dict[str, Outcome]:
 
 def main() -> None:
     """Write, run and tell; exit code 1 where one of them must not be."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = ArgumentParser(description=__doc__, formatter_class=RawDescriptionHelpFormatter)
     parser.add_argument("folder", type=Path)
     parser.add_argument("--run", action="store_true")
     parser.add_argument("--only", nargs="+", default=[""], help="parts of the names")

@@ -11,8 +11,8 @@ it is told how far off the robot then is, of the way driven in it. What the runs
 
 from __future__ import annotations
 
-import argparse
 import sys
+from argparse import ArgumentParser, RawDescriptionHelpFormatter
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -70,35 +70,28 @@ CASES = (
 )
 
 
-class Cut:
-    """A log without clouds, and with wheels."""
-
-    def __init__(self, log: Dataset, case: Case, truth: Trajectory) -> None:
-        self._log, self._case, self._gap_s = log, case, case.gap_s(truth)
-        self._wheels = list(wheels(truth)) if case.wheels else []
-
-    def __iter__(self) -> Iterator[Measurement]:
-        """In order."""
-        begun_s, clouds, rolled = None, 0, iter(self._wheels)
-        wheel, case = next(rolled, None), self._case
-        for one in self._log:
-            begun_s = one.stamp_s if begun_s is None else begun_s
-            at_s = one.stamp_s - begun_s
-            if case.ends and at_s > self._gap_s[1]:
-                return
-            while wheel is not None and wheel.stamp_s <= one.stamp_s:
-                yield wheel
-                wheel = next(rolled, None)
-            if isinstance(one, PointCloud):
-                clouds += 1
-                if case.every and clouds % case.every == 0:
-                    continue
-                if self._gap_s[0] < at_s < self._gap_s[1] and one.times_s is not None:
-                    one = replace(
-                        one, points_lidar=one.points_lidar[:FEW], times_s=one.times_s[:FEW], intensities=None
-                    )
-            if not isinstance(one, GnssFix):
-                yield one
+def cut(log: Dataset, case: Case, truth: Trajectory) -> Iterator[Measurement]:
+    """A log without clouds, and with wheels, in order."""
+    begun_s, clouds, rolled = None, 0, wheels(truth) if case.wheels else iter(())
+    wheel, gap_s = next(rolled, None), case.gap_s(truth)
+    for one in log:
+        begun_s = one.stamp_s if begun_s is None else begun_s
+        at_s = one.stamp_s - begun_s
+        if case.ends and at_s > gap_s[1]:
+            return
+        while wheel is not None and wheel.stamp_s <= one.stamp_s:
+            yield wheel
+            wheel = next(rolled, None)
+        if isinstance(one, PointCloud):
+            clouds += 1
+            if case.every and clouds % case.every == 0:
+                continue
+            if gap_s[0] < at_s < gap_s[1] and one.times_s is not None:
+                one = replace(
+                    one, points_lidar=one.points_lidar[:FEW], times_s=one.times_s[:FEW], intensities=None
+                )
+        if not isinstance(one, GnssFix):
+            yield one
 
 
 def wheels(truth: Trajectory, every: int = 5) -> Iterator[WheelOdometry]:
@@ -135,7 +128,7 @@ def trial(folder: Path, case: Case) -> FloatArray:
     """ATE and worst in mm, lean in degrees and worst, percent at the end of the gap, share of ellipses."""
     truth = read_tum(folder / "groundtruth.txt")
     config = slam.load_config(None, [f"sensors.imu={case.imu}"])
-    made = slam.build_map(Cut(open_dataset(folder / "log.mcap"), case, truth), config)
+    made = slam.build_map(cut(open_dataset(folder / "log.mcap"), case, truth), config)
     error = absolute_error(made.trajectory, truth).translation_m
     lean = lean_degrees(made.trajectory, truth)
     assert made.covariances is not None
@@ -149,9 +142,7 @@ def trial(folder: Path, case: Case) -> FloatArray:
 
 def main() -> None:
     """Draw the streets, map them, print a row a case."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = ArgumentParser(description=__doc__, formatter_class=RawDescriptionHelpFormatter)
     parser.add_argument("folder", type=Path)
     parser.add_argument("--worlds", nargs="+", type=int, default=[11, 12, 13, 14])
     parser.add_argument("--rig", choices=sorted(STREET_RIGS), default="car16")

@@ -9,8 +9,8 @@ in the layout of TUM with the colours that JPEG leaves.
 
 from __future__ import annotations
 
-import argparse
 import shutil
+from argparse import ArgumentParser, RawDescriptionHelpFormatter
 from functools import partial
 from itertools import islice
 from pathlib import Path
@@ -87,9 +87,7 @@ def apart(first: Trajectory, second: Trajectory) -> tuple[float, float]:
 
 def main() -> None:
     """Pack, map, compare."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = ArgumentParser(description=__doc__, formatter_class=RawDescriptionHelpFormatter)
     parser.add_argument("recording", type=Path)
     parser.add_argument("layouts", nargs="*", default=list(LAYOUTS))
     parser.add_argument("--frames", type=int, default=60)

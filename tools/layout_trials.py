@@ -17,7 +17,6 @@ inspected and mapped by the commands, and read through Python. Told of each is
 
 from __future__ import annotations
 
-import argparse
 import json
 import os
 import re
@@ -28,6 +27,7 @@ import socket
 import sys
 import tempfile
 import traceback
+from argparse import ArgumentParser, RawDescriptionHelpFormatter
 from collections import Counter
 from dataclasses import replace
 from importlib import import_module
@@ -197,9 +197,7 @@ def _verdict(name: str, place: Path, nursery: Nursery, *, maps: bool) -> dict[st
 
 def main() -> None:
     """Try all, or those whose names hold some words."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = ArgumentParser(description=__doc__, formatter_class=RawDescriptionHelpFormatter)
     parser.add_argument("-o", "--output", type=Path, required=True)
     parser.add_argument("--only", nargs="*", default=[])
     parser.add_argument("--list", action="store_true", help="names and sources alone")

@@ -9,8 +9,8 @@ of one simulated drive are judged in the map of another one of the same home. Of
 
 from __future__ import annotations
 
-import argparse
 import math
+from argparse import ArgumentParser, RawDescriptionHelpFormatter
 from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any
@@ -38,9 +38,7 @@ WRONG_M = 1.0
 
 def main() -> None:
     """Print shares and log-likelihood ratios."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = ArgumentParser(description=__doc__, formatter_class=RawDescriptionHelpFormatter)
     parser.add_argument("logs", nargs="*", help="as in fr079.log.gz:0.6, a log and the share that is mapped")
     parser.add_argument("--clouds", nargs=2, type=Path, help="two simulated drives of a 3D lidar in a home")
     arguments = parser.parse_args()

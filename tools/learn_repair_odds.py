@@ -11,7 +11,7 @@ came true. What is told of the repair is told of others: `tools/repair_worth.py`
 
 from __future__ import annotations
 
-import argparse
+from argparse import ArgumentParser, RawDescriptionHelpFormatter
 from collections.abc import Iterator, Sequence
 
 import numpy as np
@@ -41,9 +41,7 @@ Samples = dict[str, tuple[Floats, NDArray[np.bool_]]]
 
 def main() -> None:
     """Learn on some homes, check on others, print the table."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = ArgumentParser(description=__doc__, formatter_class=RawDescriptionHelpFormatter)
     parser.add_argument("--pairs", type=int, default=PAIRS, help="most pairs a drive, evenly spread")
     arguments = parser.parse_args()
     learned, checked = (gather(homes, arguments.pairs) for homes in (LEARNED, CHECKED))

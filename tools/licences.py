@@ -9,9 +9,9 @@ It reads what the packages installed here say of themselves.
 
 from __future__ import annotations
 
-import argparse
 import json
 import re
+from argparse import ArgumentParser, RawDescriptionHelpFormatter
 from collections.abc import Iterable
 from dataclasses import dataclass
 from importlib.metadata import Distribution, PackageNotFoundError, distribution
@@ -92,9 +92,7 @@ def bill_of_materials(packages: Iterable[Package]) -> dict[str, object]:
 
 def main() -> None:
     """Print what is asked for."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = ArgumentParser(description=__doc__, formatter_class=RawDescriptionHelpFormatter)
     parser.add_argument(
         "--extra", action="append", default=[], help="with what this extra brings; repeatable"
     )

@@ -15,9 +15,9 @@ map is the localiser's, and the drive, tracked and found from random starts, has
 
 from __future__ import annotations
 
-import argparse
 import math
 import time
+from argparse import ArgumentParser, RawDescriptionHelpFormatter
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -79,9 +79,7 @@ class Case:
 
 def main() -> None:
     """Run all trials and print Markdown tables."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = ArgumentParser(description=__doc__, formatter_class=RawDescriptionHelpFormatter)
     parser.add_argument(
         "logs", nargs="+", help="as in fr079.log.gz:0.6, a log or a campus, and the share that is mapped"
     )

@@ -10,9 +10,9 @@ are off.
 
 from __future__ import annotations
 
-import argparse
 import dataclasses
 import math
+from argparse import ArgumentParser, RawDescriptionHelpFormatter
 from dataclasses import dataclass
 
 import gtsam
@@ -80,9 +80,7 @@ MOUNTINGS = (
 
 def main() -> None:
     """One line a mounting."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = ArgumentParser(description=__doc__, formatter_class=RawDescriptionHelpFormatter)
     parser.add_argument("--homes", type=int, nargs="+", default=[31, 32])
     parser.add_argument("--seed", type=int, default=5)
     parser.add_argument("--pairs", type=int, default=40, help="most pairs a drive, evenly spread")

@@ -8,7 +8,7 @@ and with what was followed from scan to scan too. Lost: fixed, and taken out wit
 
 from __future__ import annotations
 
-import argparse
+from argparse import ArgumentParser, RawDescriptionHelpFormatter
 from dataclasses import replace
 
 import gtsam
@@ -55,9 +55,7 @@ def occupied(grid: OccupancyGrid, like: OccupancyGrid) -> BoolArray:
 
 def main() -> None:
     """Print one Markdown table."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = ArgumentParser(description=__doc__, formatter_class=RawDescriptionHelpFormatter)
     parser.add_argument("--rig", default="xu2024", choices=sorted(RIGS))
     parser.add_argument("--homes", type=int, nargs="+", default=[61])
     parser.add_argument("--duration", type=float, help="seconds; one tour if absent")
@@ -89,7 +87,7 @@ def main() -> None:
             for scan, pose in placed
         ]
         grid = drawn(placed, config)
-        static = without_passers_by(grid, placed, layer_settings(config).lidar).static
+        static, _ = without_passers_by(grid, placed, layer_settings(config).lidar)
         truth, before, passed, after = (
             occupied(one, grid) for one in (drawn(alone, config), grid, static, made.grids[OCCUPANCY])
         )

@@ -11,8 +11,8 @@ share of the glass doors within 4 m of the way of which half is in the map.
 
 from __future__ import annotations
 
-import argparse
 import json
+from argparse import ArgumentParser, RawDescriptionHelpFormatter
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -25,7 +25,6 @@ from scipy import ndimage
 
 from slam.comparison.map_score import REACH_M, map_scores, on_truth
 from slam.comparison.plan_score import plan_scores
-from slam.comparison.product import StateGrid
 from slam.config import load_config
 from slam.estimates import Trajectory
 from slam.evaluation.trajectory_error import absolute_error
@@ -54,9 +53,7 @@ _STREAM = 77  # of its random numbers
 
 def main() -> None:
     """Score every home, and print the table."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = ArgumentParser(description=__doc__, formatter_class=RawDescriptionHelpFormatter)
     parser.add_argument("--homes", type=int, nargs="+", required=True)
     parser.add_argument("--seed", type=int, default=5)
     parser.add_argument("--seconds", type=float, default=40.0)
@@ -97,12 +94,12 @@ def scores_of(drive: Drive, home: int) -> dict[str, dict[str, float]]:
         ("and what moves", with_glass(still, fixed, poses, config), DecisionRule()),
     ):
         layers = LayeredMap(grid, depth, rule)
-        states = StateGrid(layers.states("decision"), layers.resolution_m, layers.T_map_grid)
+        states = layers.decision()
         laid = (states, truth, T_true_map, way)
         scores = plan_scores(*laid, poses[:, :2], RIG.robot_radius_m) | map_scores(*laid)
         lines = np.where((states.states == OCCUPIED) & ~thinned(states.states), UNKNOWN, states.states)
         scores["f1_thin"] = map_scores(replace(states, states=lines), *laid[1:])["f1"]
-        inside = ndimage.binary_dilation(on_truth(*laid[:3]).inside, np.ones((3, 3)))
+        inside = ndimage.binary_dilation(on_truth(*laid[:3])[0], np.ones((3, 3)))
         panes = [np.mean(share) >= 0.5 for share in panes_in(inside, drive, truth, way)]
         scores["panes"] = float(np.mean(panes)) if panes else np.nan
         found[name] = scores

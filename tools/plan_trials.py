@@ -10,8 +10,8 @@ row against the first by the median of the paired differences with the bootstrap
 
 from __future__ import annotations
 
-import argparse
 import json
+from argparse import ArgumentParser, RawDescriptionHelpFormatter
 from collections.abc import Iterator, Sequence
 from contextlib import closing
 from dataclasses import replace
@@ -21,7 +21,6 @@ import numpy as np
 
 from slam.comparison.map_score import map_scores, read_true_grid
 from slam.comparison.plan_score import plan_scores
-from slam.comparison.product import StateGrid
 from slam.comparison.statistics import paired
 from slam.config import Config, load_config
 from slam.datasets import open_dataset
@@ -41,9 +40,7 @@ SHOWN = (*_SMALLER[:3], "reach", "reach_near", "false_occupied", "completeness",
 
 def main() -> None:
     """Score every drive, and print the table."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = ArgumentParser(description=__doc__, formatter_class=RawDescriptionHelpFormatter)
     parser.add_argument("pairs", nargs="+", type=Path, metavar="DRIVE MAP")
     parser.add_argument("--set", action="append", default=[], metavar="KEY=VALUE", help="of the layers")
     parser.add_argument("--radius", type=float, default=0.25, help="of the robot, metres")
@@ -57,7 +54,7 @@ def main() -> None:
         truth, way = read_true_grid(drive / "truth" / "grid_robot.npz"), read_tum(drive / "groundtruth.txt")
         with closing(load_map(folder)) as saved:
             for name, layers in variants(drive, saved, config):
-                states = StateGrid(layers.states("decision"), layers.resolution_m, layers.T_map_grid)
+                states = layers.decision()
                 T_true_map = absolute_error(saved.trajectory, way).T_reference_map
                 laid = (states, truth, T_true_map, way.positions_m[:, :2])
                 scores = plan_scores(*laid, saved.trajectory.positions_m[:, :2], arguments.radius)

@@ -9,9 +9,9 @@ told is the ratio of the fastest of each.
 
 from __future__ import annotations
 
-import argparse
 import shutil
 import time
+from argparse import ArgumentParser, RawDescriptionHelpFormatter
 from collections import deque
 from collections.abc import Callable
 from pathlib import Path
@@ -91,9 +91,7 @@ def ratio(path: Path, alone: Callable[[Path], None], repeats: int) -> tuple[floa
 
 def main() -> None:
     """Pack, read, compare."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = ArgumentParser(description=__doc__, formatter_class=RawDescriptionHelpFormatter)
     parser.add_argument("-o", "--output", type=Path, required=True)
     parser.add_argument("--repeats", type=int, default=5)
     given = parser.parse_args()

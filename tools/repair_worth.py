@@ -11,7 +11,7 @@ have been put in, and for each tenth of what was filled. Intervals (95 %) are by
 
 from __future__ import annotations
 
-import argparse
+from argparse import ArgumentParser, RawDescriptionHelpFormatter
 from collections import defaultdict
 from collections.abc import Iterable, Sequence
 
@@ -148,9 +148,7 @@ def of_pairs(pairs: Sequence[TruePair], worth: Worth) -> None:
 
 def main() -> None:
     """Measure some homes."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = ArgumentParser(description=__doc__, formatter_class=RawDescriptionHelpFormatter)
     parser.add_argument("--homes", type=int, nargs="+", default=[31, 32, 33, 34])
     parser.add_argument("--rigs", nargs="+", default=["xu2024"])
     parser.add_argument("--seed", type=int, default=5)

@@ -6,8 +6,8 @@ scene in 3D: scene.ply and scene.bt. The robot's poses are the simulator's: this
 
 from __future__ import annotations
 
-import argparse
 import json
+from argparse import ArgumentParser, RawDescriptionHelpFormatter
 from pathlib import Path
 from typing import Any
 
@@ -39,9 +39,7 @@ CLIMB_M = 0.01  # obstacles lower than this are dropped
 
 def main() -> None:
     """Measure, write, say the headline."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = ArgumentParser(description=__doc__, formatter_class=RawDescriptionHelpFormatter)
     parser.add_argument("--out", type=Path, required=True, help="folder for the page and the figures")
     parser.add_argument("--seeds", type=int, default=20, help="scenes, from seed 0")
     parser.add_argument("--homes", type=int, default=0, help="also furnished homes, from seed 1; slow")

@@ -11,10 +11,10 @@ Homes 1 to 5 are scored. Every threshold of the repair was chosen on others: `--
 
 from __future__ import annotations
 
-import argparse
 import json
 import math
 import sys
+from argparse import ArgumentParser, RawDescriptionHelpFormatter
 from pathlib import Path
 from typing import Any
 
@@ -38,9 +38,7 @@ PUBLISHED = "zeros"  # E over all W pairs, holes too, as the paper has it
 
 def main() -> None:
     """Measure, write, say the headline."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = ArgumentParser(description=__doc__, formatter_class=RawDescriptionHelpFormatter)
     parser.add_argument("--out", type=Path, required=True, help="folder for the page and the figures")
     parser.add_argument("--robot-at-home", type=Path, help="a Robot@Home session: real data, no truth")
     parser.add_argument("--homes", type=int, default=5, help="how many simulated homes")

@@ -6,9 +6,9 @@ simulator's with smooth errors as RGB-D SLAM leaves them: this measures the map,
 
 from __future__ import annotations
 
-import argparse
 import json
 import math
+from argparse import ArgumentParser, RawDescriptionHelpFormatter
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -43,9 +43,7 @@ LEAST_POINTS, OCCUPIED_ABOVE = 9, 0.9
 
 def main() -> None:
     """Measure, write, say the headline."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = ArgumentParser(description=__doc__, formatter_class=RawDescriptionHelpFormatter)
     parser.add_argument("--out", type=Path, required=True, help="folder for the page and the figures")
     parser.add_argument("--runs", type=int, default=10, help="drives, from seed 1")
     arguments = parser.parse_args()

@@ -38,7 +38,6 @@ class Mistake:
     entry: str
     value: Callable[[float], Any]
     sizes: tuple[float, ...]
-    base: bool = True  # whether the robot has to move for it to show
 
 
 def _turned(pose: gtsam.Pose3, yaw_deg: float) -> gtsam.Pose3:
@@ -47,7 +46,7 @@ def _turned(pose: gtsam.Pose3, yaw_deg: float) -> gtsam.Pose3:
     return gtsam.Pose3(turn.compose(pose.rotation()), pose.translation())
 
 
-def _rolled(pose: gtsam.Pose3) -> gtsam.Pose3:
+def _rolled(pose: gtsam.Pose3, _: float) -> gtsam.Pose3:
     """A mounting told upside down."""
     turn = gtsam.Rot3.Roll(math.pi)
     return gtsam.Pose3(turn.compose(pose.rotation()), pose.translation())
@@ -56,10 +55,6 @@ def _rolled(pose: gtsam.Pose3) -> gtsam.Pose3:
 def _moved(pose: gtsam.Pose3, by_m: float) -> gtsam.Pose3:
     """A mounting told too far ahead."""
     return gtsam.Pose3(pose.rotation(), np.asarray(pose.translation()) + np.array([by_m, 0.0, 0.0]))
-
-
-def _depth(frame: RgbdFrame, factor: float) -> RgbdFrame:
-    return replace(frame, depth_m=frame.depth_m * np.float32(factor))
 
 
 def _lens(frame: RgbdFrame, focal: float = 1.0, center: float = 0.0) -> RgbdFrame:
@@ -72,18 +67,9 @@ def _late(reading: Any, late_s: float) -> Any:
     return replace(reading, stamp_s=reading.stamp_s + late_s)
 
 
-def _sits(frame: RgbdFrame, change: Callable[[gtsam.Pose3], gtsam.Pose3]) -> RgbdFrame:
-    assert frame.T_base_camera is not None
-    return replace(frame, T_base_camera=change(frame.T_base_camera))
-
-
-def _flipped(frame: RgbdFrame, rows: int, columns: int) -> RgbdFrame:
-    images = (frame.color[::rows, ::columns].copy(), frame.depth_m[::rows, ::columns].copy())
+def _flipped(frame: RgbdFrame, rows: int) -> RgbdFrame:
+    images = (frame.color[::rows, ::-1].copy(), frame.depth_m[::rows, ::-1].copy())
     return replace(frame, color=images[0], depth_m=images[1])
-
-
-def _cloud_sits(cloud: PointCloud, change: Callable[[gtsam.Pose3], gtsam.Pose3]) -> PointCloud:
-    return replace(cloud, T_base_lidar=change(cloud.T_base_lidar))
 
 
 def _times(cloud: PointCloud, factor: float) -> PointCloud:
@@ -92,20 +78,35 @@ def _times(cloud: PointCloud, factor: float) -> PointCloud:
     return replace(cloud, times_s=factor * turn_s)
 
 
-_ANY = lambda size: None  # noqa: E731
+def _mounting(sensor: type, change: Callable[[gtsam.Pose3, float], gtsam.Pose3], *sizes: float) -> Mistake:
+    """A mounting told wrongly."""
+    name = "T_base_camera" if sensor is RgbdFrame else "T_base_lidar"
+
+    def make(reading: Any, size: float) -> Any:
+        return replace(reading, **{name: change(getattr(reading, name), size)})
+
+    return Mistake(sensor, make, "mounting", name, lambda _: None, sizes)
+
+
+def _depth(*sizes: float) -> Mistake:
+    """Depth in another unit."""
+    return Mistake(
+        RgbdFrame,
+        lambda f, s: replace(f, depth_m=f.depth_m * np.float32(s)),
+        "depth scale",
+        "depth_scale",
+        lambda s: 1 / s,
+        sizes,
+    )
+
+
 MISTAKES: dict[str, Mistake] = {
-    "depth scaled a little": Mistake(
-        RgbdFrame, _depth, "depth scale", "depth_scale", lambda s: 1 / s, (1.1, 0.85)
-    ),
-    "depth scaled": Mistake(RgbdFrame, _depth, "depth scale", "depth_scale", lambda s: 1 / s, (2.0, 0.5)),
-    "depth in millimetres": Mistake(
-        RgbdFrame, _depth, "depth scale", "depth_scale", lambda s: 1 / s, (1000.0, 0.001), False
-    ),
-    "depth of 5000 steps": Mistake(
-        RgbdFrame, _depth, "depth scale", "depth_scale", lambda s: 1 / s, (5.0, 0.2)
-    ),
+    "depth scaled a little": _depth(1.1, 0.85),
+    "depth scaled": _depth(2.0, 0.5),
+    "depth in millimetres": _depth(1000.0, 0.001),
+    "depth of 5000 steps": _depth(5.0, 0.2),
     "focal length": Mistake(
-        RgbdFrame, lambda f, s: _lens(f, s), "lens", "intrinsics", lambda s: {"fx": 1 / s}, (1.2, 0.8), False
+        RgbdFrame, lambda f, s: _lens(f, s), "lens", "intrinsics", lambda s: {"fx": 1 / s}, (1.2, 0.8)
     ),
     "principal point": Mistake(
         RgbdFrame,
@@ -114,72 +115,25 @@ MISTAKES: dict[str, Mistake] = {
         "intrinsics",
         lambda s: {"cx": -s},
         (0.12, -0.2),
-        False,
     ),
     "camera clock": Mistake(RgbdFrame, _late, "clock", "clock_offset_s", lambda s: s, (0.5, -0.25)),
-    "camera yaw a little": Mistake(
-        RgbdFrame,
-        lambda f, s: _sits(f, lambda p: _turned(p, s)),
-        "mounting",
-        "T_base_camera",
-        _ANY,
-        (10.0, -15.0),
-    ),
-    "camera yaw": Mistake(
-        RgbdFrame,
-        lambda f, s: _sits(f, lambda p: _turned(p, s)),
-        "mounting",
-        "T_base_camera",
-        _ANY,
-        (90.0, 180.0),
-    ),
-    "camera told upside down": Mistake(
-        RgbdFrame, lambda f, s: _sits(f, _rolled), "mounting", "T_base_camera", _ANY, (0.0,)
-    ),
+    "camera yaw a little": _mounting(RgbdFrame, _turned, 10.0, -15.0),
+    "camera yaw": _mounting(RgbdFrame, _turned, 90.0, 180.0),
+    "camera told upside down": _mounting(RgbdFrame, _rolled, 0.0),
     "images upside down": Mistake(
-        RgbdFrame, lambda f, s: _flipped(f, -1, -1), "mounting", "T_base_camera", _ANY, (0.0,)
+        RgbdFrame, lambda f, s: _flipped(f, -1), "mounting", "T_base_camera", lambda _: None, (0.0,)
     ),
-    "camera off": Mistake(
-        RgbdFrame,
-        lambda f, s: _sits(f, lambda p: _moved(p, s)),
-        "mounting",
-        "T_base_camera",
-        _ANY,
-        (0.3, -0.5),
-    ),
+    "camera off": _mounting(RgbdFrame, _moved, 0.3, -0.5),
     "images mirrored": Mistake(
-        RgbdFrame, lambda f, s: _flipped(f, 1, -1), "mirrored", "mirrored", lambda s: True, (0.0,)
+        RgbdFrame, lambda f, s: _flipped(f, 1), "mirrored", "mirrored", lambda s: True, (0.0,)
     ),
     "frames repeated": Mistake(
-        RgbdFrame, lambda f, s: f, "repeated frames", "drop_repeated", lambda s: True, (3.0, 5.0), False
+        RgbdFrame, lambda f, s: f, "repeated frames", "drop_repeated", lambda s: True, (3.0, 5.0)
     ),
-    "3D lidar yaw a little": Mistake(
-        PointCloud,
-        lambda c, s: _cloud_sits(c, lambda p: _turned(p, s)),
-        "mounting",
-        "T_base_lidar",
-        _ANY,
-        (10.0, -15.0),
-    ),
-    "3D lidar yaw": Mistake(
-        PointCloud,
-        lambda c, s: _cloud_sits(c, lambda p: _turned(p, s)),
-        "mounting",
-        "T_base_lidar",
-        _ANY,
-        (90.0, 180.0),
-    ),
-    "3D lidar upside down": Mistake(
-        PointCloud, lambda c, s: _cloud_sits(c, _rolled), "mounting", "T_base_lidar", _ANY, (0.0,)
-    ),
-    "3D lidar off": Mistake(
-        PointCloud,
-        lambda c, s: _cloud_sits(c, lambda p: _moved(p, s)),
-        "mounting",
-        "T_base_lidar",
-        _ANY,
-        (0.3, -0.5),
-    ),
+    "3D lidar yaw a little": _mounting(PointCloud, _turned, 10.0, -15.0),
+    "3D lidar yaw": _mounting(PointCloud, _turned, 90.0, 180.0),
+    "3D lidar upside down": _mounting(PointCloud, _rolled, 0.0),
+    "3D lidar off": _mounting(PointCloud, _moved, 0.3, -0.5),
     "3D lidar clock": Mistake(PointCloud, _late, "clock", "clock_offset_s", lambda s: s, (0.3, -0.5)),
     "3D lidar ranges": Mistake(
         PointCloud,
@@ -190,10 +144,10 @@ MISTAKES: dict[str, Mistake] = {
         (1.1, 1 / 0.3048),
     ),
     "times of points": Mistake(
-        PointCloud, _times, "times of points", "times_scale", lambda s: 1 / s, (1000.0, 1e-6), False
+        PointCloud, _times, "times of points", "times_scale", lambda s: 1 / s, (1000.0, 1e-6)
     ),
     "clouds repeated": Mistake(
-        PointCloud, lambda c, s: c, "repeated clouds", "drop_repeated", lambda s: True, (3.0, 5.0), False
+        PointCloud, lambda c, s: c, "repeated clouds", "drop_repeated", lambda s: True, (3.0, 5.0)
     ),
 }
 

@@ -7,12 +7,12 @@ one rigid alignment to the truth: the simulator tells it in the frame of the hom
 
 from __future__ import annotations
 
-import argparse
 import dataclasses
 import gzip
 import itertools
 import shutil
 import time
+from argparse import ArgumentParser, Namespace, RawDescriptionHelpFormatter
 from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 
@@ -55,9 +55,7 @@ class Drive:
 
 def main() -> None:
     """Run the trials that are asked for and print Markdown tables."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = ArgumentParser(description=__doc__, formatter_class=RawDescriptionHelpFormatter)
     parser.add_argument("folder", type=Path, help="keeps drives and maps; what is there is used again")
     parser.add_argument("--rig", default="sick2d")
     parser.add_argument("--homes", type=int, default=3, help="homes, from seed 1")
@@ -208,7 +206,7 @@ def _scores(found: Connection, known: Drive, session: Drive) -> tuple[float, flo
     return joint.rmse, joint.max, alone
 
 
-def _simulated(arguments: argparse.Namespace, home: int, seed: int) -> Drive:
+def _simulated(arguments: Namespace, home: int, seed: int) -> Drive:
     """A drive of the simulator."""
     name = f"{arguments.rig}-{home}-{seed}"
     folder = arguments.folder / name
@@ -229,7 +227,7 @@ def _simulated(arguments: argparse.Namespace, home: int, seed: int) -> Drive:
     return Drive(name, f"home {home}", log, arguments.folder / map_name, truth)
 
 
-def _simulate_lidar(arguments: argparse.Namespace, home: int, seed: int, folder: Path) -> None:
+def _simulate_lidar(arguments: Namespace, home: int, seed: int, folder: Path) -> None:
     """A drive without cameras, and with nobody about unless people are asked for."""
     rig = dataclasses.replace(RIGS[arguments.rig], cameras=())
     faults = DriveFaults(person=arguments.people)

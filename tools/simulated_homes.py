@@ -6,11 +6,11 @@ measures the absolute trajectory error at the scans, after rigid alignment. The 
 
 from __future__ import annotations
 
-import argparse
 import dataclasses
 import json
 import statistics
 import sys
+from argparse import ArgumentParser, Namespace, RawDescriptionHelpFormatter
 from pathlib import Path
 
 import numpy as np
@@ -30,9 +30,7 @@ from slam.simulation.rigs import RIGS
 
 def main() -> None:
     """Run the matrix and print one Markdown table."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = ArgumentParser(description=__doc__, formatter_class=RawDescriptionHelpFormatter)
     parser.add_argument("--rig", action="append", help=f"repeatable; of {', '.join(sorted(RIGS))}")
     parser.add_argument("--homes", type=int, default=5, help="homes, from seed 1")
     parser.add_argument("--seeds", type=int, default=3, help="drives a home, from seed 0")
@@ -66,7 +64,7 @@ def main() -> None:
         arguments.json.write_text(json.dumps(rows, indent=2), encoding="utf-8")
 
 
-def run(rig_name: str, home_seed: int, seed: int, arguments: argparse.Namespace) -> dict[str, float | str]:
+def run(rig_name: str, home_seed: int, seed: int, arguments: Namespace) -> dict[str, float | str]:
     """One home, one drive: scores by name."""
     rig = dataclasses.replace(RIGS[rig_name], cameras=())
     home = generate_home(home_seed, arguments.kind)

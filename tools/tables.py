@@ -8,10 +8,10 @@ and ``<!-- /NAME -->``, which stand on one page of figures. All that is read is 
 
 from __future__ import annotations
 
-import argparse
 import re
 import subprocess
 import sys
+from argparse import ArgumentParser, RawDescriptionHelpFormatter
 from collections.abc import Iterable
 from itertools import groupby
 from pathlib import Path
@@ -22,9 +22,7 @@ PLACE = r"(?<=<!-- {0} -->\n).*?(?=<!-- /{0} -->\n)"
 
 def main() -> None:
     """Read a tool's output to its end, then write."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = ArgumentParser(description=__doc__, formatter_class=RawDescriptionHelpFormatter)
     parser.add_argument("names", nargs="+", metavar="NAME", help="of a place")
     names = parser.parse_args().names
     pages = [REPO / "docs" / "figures.md", *sorted((REPO / "docs" / "figures").glob("*.md"))]

@@ -12,8 +12,8 @@ truth, how often the 95 % ellipses hold it, the checks in units of their sigmas 
 
 from __future__ import annotations
 
-import argparse
 import time
+from argparse import ArgumentParser, RawDescriptionHelpFormatter
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -140,9 +140,7 @@ def lap_error_m(way: Trajectory, truth: Trajectory, lap_s: float) -> float:
 
 def main() -> None:
     """Map every drive in every way."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = ArgumentParser(description=__doc__, formatter_class=RawDescriptionHelpFormatter)
     parser.add_argument("folder", type=Path)
     parser.add_argument("homes", nargs="+", type=int)
     parser.add_argument("--lidar", action="store_true", help="with the lidar")

@@ -13,9 +13,9 @@ Left and lost are shares of points, and of voxels of 10 cm.
 
 from __future__ import annotations
 
-import argparse
 import csv
 import tempfile
+from argparse import ArgumentParser, RawDescriptionHelpFormatter
 from collections.abc import Iterator
 from contextlib import closing
 from pathlib import Path
@@ -40,9 +40,7 @@ _Marked = Iterator[tuple[str, str, FloatArray]]  # whether it moves, what it is,
 
 def main() -> None:
     """Print one Markdown table."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = ArgumentParser(description=__doc__, formatter_class=RawDescriptionHelpFormatter)
     parser.add_argument("map", type=Path)
     parser.add_argument("--boxes", type=Path, default=Path(__file__).with_name("city_boxes.csv"))
     parser.add_argument("--street", type=Path, help="the recording, with its labels")

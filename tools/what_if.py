@@ -14,8 +14,8 @@ Needs Playwright and Chromium. Of the page only the parts of its solver are load
 
 from __future__ import annotations
 
-import argparse
 import time
+from argparse import ArgumentParser, Namespace, RawDescriptionHelpFormatter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -96,9 +96,7 @@ class Graph:
 
 def main() -> None:
     """A row of each map, twice."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = ArgumentParser(description=__doc__, formatter_class=RawDescriptionHelpFormatter)
     parser.add_argument("maps", nargs="+", type=Path)
     parser.add_argument("--loops", type=int, default=40, help="left out, of each map")
     parser.add_argument("--forced", type=int, default=20, help="refused candidates forced in, of each map")
@@ -122,7 +120,7 @@ def main() -> None:
         browser.close()
 
 
-def row(path: Path, options: argparse.Namespace, evaluate: Callable[..., Any]) -> str:
+def row(path: Path, options: Namespace, evaluate: Callable[..., Any]) -> str:
     """Of one map."""
     found = slam.load_map(path)
     factors = found.factors

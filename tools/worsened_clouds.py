@@ -5,8 +5,8 @@ PYTHONPATH=. python tools/worsened_clouds.py FOLDER      a KITTI folder with its
 
 from __future__ import annotations
 
-import argparse
 import dataclasses
+from argparse import ArgumentParser, RawDescriptionHelpFormatter
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 
@@ -122,9 +122,7 @@ class Worse:
 
 def main() -> None:
     """Map each kind and print a row."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+    parser = ArgumentParser(description=__doc__, formatter_class=RawDescriptionHelpFormatter)
     parser.add_argument("folder", type=Path)
     parser.add_argument("--kind", action="append", choices=[kind.name for kind in KINDS])
     arguments = parser.parse_args()

@@ -158,7 +158,7 @@ def run_into(
 
 
 def _load_what_ends_a_run() -> None:
-    """Load it while a copy of the process tracks, see `slam.mapper.forerunner`, not before that begins."""
+    """Load it while a copy of the process tracks, see `slam.mapper.lookahead`, not before that begins."""
     import slam.evaluation.report
     import slam.outputs.exports  # noqa: F401
 

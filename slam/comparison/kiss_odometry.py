@@ -12,6 +12,7 @@ from collections import deque
 from collections.abc import Callable
 from functools import cache, partial
 
+import gtsam
 import numpy as np
 
 from slam.config import Config
@@ -21,7 +22,7 @@ from slam.matching.match_covariance import motion_from_alignment
 from slam.matching.motion import Motion
 from slam.matching.scan_points import ScanPoints
 from slam.matching.visibility import RangeImage
-from slam.measurements import AnyFloatArray, FloatArray
+from slam.measurements import AnyFloatArray, FloatArray, pose2_from_row
 
 # Voxel map: side of a voxel, maximum range, and points per voxel; pairs: maximum distance, and scale of the
 # robust kernel. KISS-ICP's defaults are for streets.
@@ -108,8 +109,4 @@ def _lifted(points: AnyFloatArray) -> FloatArray:
 
 def _matrix(pose: FloatArray) -> FloatArray:
     """A planar pose (3,) as a homogeneous matrix (4, 4)."""
-    matrix = np.eye(4)
-    cos, sin = math.cos(pose[2]), math.sin(pose[2])
-    matrix[:2, :2] = [[cos, -sin], [sin, cos]]
-    matrix[:2, 3] = pose[:2]
-    return matrix
+    return gtsam.Pose3(pose2_from_row(pose)).matrix()

@@ -9,6 +9,7 @@ import numpy as np
 from slam.comparison.product import AcceptedLoop
 from slam.estimates import Trajectory
 from slam.evaluation.association import nearest_indices
+from slam.matching.planar import between, wrap
 from slam.measurements import BoolArray, FloatArray
 
 # A loop with a larger error connects the map to the wrong place.
@@ -48,12 +49,9 @@ def _is_right(loop: AcceptedLoop, truth: Trajectory) -> bool:
     poses, reported = _true_poses(truth, np.array([loop.place_stamp_s, loop.keyframe_stamp_s]))
     if not reported.all():
         return False
-    (x, y, yaw), (x2, y2, yaw2) = poses
-    c, s = np.cos(yaw), np.sin(yaw)
-    moved = np.array([c * (x2 - x) + s * (y2 - y), c * (y2 - y) - s * (x2 - x)])
-    turn_rad = np.mod(yaw2 - yaw - loop.xyt[2] + np.pi, 2.0 * np.pi) - np.pi
-    near = float(np.linalg.norm(moved - loop.xyt[:2])) <= RIGHT_WITHIN_M
-    return near and bool(abs(turn_rad) <= RIGHT_WITHIN_RAD)
+    moved = between(*poses)
+    near = float(np.linalg.norm(moved[:2] - loop.xyt[:2])) <= RIGHT_WITHIN_M
+    return near and abs(wrap(moved[2] - loop.xyt[2])) <= RIGHT_WITHIN_RAD
 
 
 def _revisits(poses: FloatArray, path_m: FloatArray) -> BoolArray:

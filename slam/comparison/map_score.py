@@ -10,9 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from slam.comparison.product import StateGrid
 from slam.errors import EvaluationError
-from slam.mapping.occupancy_grid import OCCUPIED
+from slam.mapping.occupancy_grid import OCCUPIED, StateGrid
 from slam.measurements import FloatArray
 from slam.simulation.true_grid import TrueGrid
 
@@ -59,27 +58,20 @@ def map_scores(
     true_xy
         (N, 2) true path of the robot.
     """
-    laid = on_truth(found, truth, T_true_map)
+    inside, outside = on_truth(found, truth, T_true_map)
     wanted = to_be_seen(truth, true_xy)
     near_true = ndimage.binary_dilation(truth.occupied, _AROUND)
-    near_found = ndimage.binary_dilation(laid.inside, _AROUND)
-    count = int(laid.inside.sum()) + laid.outside
-    right = int((laid.inside & near_true).sum())
+    near_found = ndimage.binary_dilation(inside, _AROUND)
+    count = int(inside.sum()) + outside
+    right = int((inside & near_true).sum())
     completeness = float((wanted & near_found).sum() / max(wanted.sum(), 1))
     precision = right / max(count, 1)
     f1 = 2.0 * precision * completeness / max(precision + completeness, 1e-9)
     return {"completeness": completeness, "false_occupied": 1.0 - precision if count else 0.0, "f1": f1}
 
 
-class Laid:
-    """Occupied cells on the truth's lattice, and how many lie outside it."""
-
-    def __init__(self, inside: Cells, outside: int) -> None:
-        self.inside, self.outside = inside, outside
-
-
-def on_truth(found: StateGrid, truth: TrueGrid, T_true_map: FloatArray) -> Laid:
-    """Bring the occupied cells of a map, by their centres, onto the truth's lattice."""
+def on_truth(found: StateGrid, truth: TrueGrid, T_true_map: FloatArray) -> tuple[Cells, int]:
+    """Bring the occupied cells of a map, by their centres, onto the truth's lattice; count those outside."""
     rows, cols = np.nonzero(found.states == OCCUPIED)
     corner = found.T_map_grid
     c, s = np.cos(corner.theta()), np.sin(corner.theta())
@@ -89,13 +81,13 @@ def on_truth(found: StateGrid, truth: TrueGrid, T_true_map: FloatArray) -> Laid:
     return _laid(truth, points[:, :2])
 
 
-def _laid(truth: TrueGrid, points_xy: FloatArray) -> Laid:
-    """The cells of the truth's lattice that hold points (N, 2)."""
+def _laid(truth: TrueGrid, points_xy: FloatArray) -> tuple[Cells, int]:
+    """The cells of the truth's lattice that hold points (N, 2), and how many points lie outside it."""
     cells = np.floor((points_xy - truth.origin_xy) / truth.resolution_m).astype(int)
     within = ((cells >= 0) & (cells < truth.occupied.shape[::-1])).all(axis=1)
     inside = np.zeros(truth.occupied.shape, dtype=bool)
     inside[cells[within, 1], cells[within, 0]] = True
-    return Laid(inside, int(np.count_nonzero(~within)))
+    return inside, int(np.count_nonzero(~within))
 
 
 def to_be_seen(truth: TrueGrid, true_xy: FloatArray) -> Cells:
@@ -104,7 +96,7 @@ def to_be_seen(truth: TrueGrid, true_xy: FloatArray) -> Cells:
     No sensor sees the inside of a wardrobe, so a map can only contain its faces.
     """
     labels, _ = ndimage.label(~truth.occupied)
-    passed = _laid(truth, true_xy).inside
+    passed, _ = _laid(truth, true_xy)
     driven = np.unique(labels[passed])
     floor = np.isin(labels, driven[driven > 0])
     if not passed.any():

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from contextlib import closing
+from dataclasses import replace
 
 import gtsam
 import numpy as np
@@ -12,13 +13,14 @@ from slam.app.mapping import map_log
 from slam.comparison.dense_odometry import DenseOdometry
 from slam.comparison.kiss_odometry import KissOdometry
 from slam.comparison.open3d_library import load_open3d
-from slam.comparison.product import AcceptedLoop, Product, StateGrid
+from slam.comparison.product import AcceptedLoop, Product
 from slam.config import Config
 from slam.datasets import Dataset
 from slam.errors import DatasetError
 from slam.estimates import Trajectory
 from slam.graph.loop_candidate import LoopCandidate
 from slam.mapper.pipeline import build_map
+from slam.mapping.occupancy_grid import StateGrid
 from slam.measurements import (
     FloatArray,
     LaserScan,
@@ -29,6 +31,7 @@ from slam.measurements import (
     row_from_pose2,
 )
 from slam.odometry import Odometries
+from slam.storage.map_contents import MapContents
 
 _FARTHEST_DEPTH_M = 4.0
 
@@ -36,33 +39,27 @@ _FARTHEST_DEPTH_M = 4.0
 def scanweave(dataset: Dataset, config: Config) -> Product:
     """Run Scanweave, with the navigation map if there are cameras."""
     with closing(map_log(dataset, config)) as made:
-        grid, layers = made.grid, made.layers
-        decision = None
-        if layers is not None and layers.names:
-            decision = StateGrid(layers.states("decision"), layers.resolution_m, layers.T_map_grid)
-        return Product(
-            trajectory=made.trajectory,
-            plane=None if grid is None else StateGrid(grid.states(), grid.resolution_m, grid.T_map_grid),
-            decision=decision,
-            loops=_accepted(made.loops, made.contents.stamps_s) if made.planar else None,
-            keyframe_stamps_s=made.contents.stamps_s,
-            loops_tried=len(made.loops),
-            warnings=tuple(made.warnings),
-        )
+        layers = made.layers
+        decision = layers.decision() if layers is not None and layers.names else None
+        return replace(_product(made.contents, made.planar, made.warnings), decision=decision)
 
 
 def by_odometry(dataset: Dataset, config: Config, odometries: Odometries) -> Product:
     """Scanweave's mapper with the odometry of another system, to compare odometries."""
     result = build_map(dataset, config, odometries=odometries)
-    made = result.map
+    return _product(result.map, result.map.grid is not None, result.warnings)
+
+
+def _product(made: MapContents, on_floor: bool, warnings: Sequence[str]) -> Product:
+    """What is measured of a map; loops only of a robot on a floor."""
     grid = made.grid
     return Product(
         trajectory=made.trajectory,
         plane=None if grid is None else StateGrid(grid.states(), grid.resolution_m, grid.T_map_grid),
-        loops=None if grid is None else _accepted(made.loops, made.stamps_s),
+        loops=_accepted(made.loops, made.stamps_s) if on_floor else None,
         keyframe_stamps_s=made.stamps_s,
         loops_tried=len(made.loops),
-        warnings=tuple(result.warnings),
+        warnings=tuple(warnings),
     )
 
 

@@ -8,9 +8,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from slam.comparison.product import StateArray
 from slam.evaluation.figure_parts import BLUE, GREEN, GREY, ORANGE, RED, figure_of, png_of
-from slam.mapping.occupancy_grid import FREE, OCCUPIED
+from slam.mapping.occupancy_grid import FREE, OCCUPIED, StateArray
 from slam.measurements import FloatArray
 
 if TYPE_CHECKING:

@@ -10,9 +10,8 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from slam.comparison.map_score import REACH_M, Cells
-from slam.comparison.product import StateGrid
 from slam.mapping.navigation import FreeSpace, clearance_m, free_space, shortest_path
-from slam.mapping.occupancy_grid import FREE, OCCUPIED
+from slam.mapping.occupancy_grid import FREE, OCCUPIED, StateGrid
 from slam.measurements import FloatArray
 from slam.simulation.rigs import RIGS
 from slam.simulation.true_grid import TrueGrid

@@ -5,33 +5,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 
-import gtsam
 import numpy as np
-from numpy.typing import NDArray
 
 from slam.estimates import Trajectory
+from slam.mapping.occupancy_grid import StateGrid
 from slam.measurements import FloatArray
-
-StateArray = NDArray[np.int8]
-
-
-@dataclass(frozen=True, slots=True)
-class StateGrid:
-    """Cells of OCCUPIED (100), FREE (0) and UNKNOWN (-1).
-
-    Attributes
-    ----------
-    states
-        (rows, cols), row 0 at the lowest y of the grid.
-    resolution_m
-        Side of a cell.
-    T_map_grid
-        Lower-left corner of cell (0, 0).
-    """
-
-    states: StateArray
-    resolution_m: float
-    T_map_grid: gtsam.Pose2
 
 
 @dataclass(frozen=True, slots=True)

@@ -12,12 +12,12 @@ from slam.comparison.files import ERRORS, MAPS, TRAJECTORY
 from slam.comparison.map_score import read_true_grid
 from slam.comparison.perform import Row
 from slam.comparison.pictures import errors_png, maps_png, trajectories_png
-from slam.comparison.product import StateArray
 from slam.comparison.runs import Plan, Source
 from slam.comparison.store import ResultStore
 from slam.errors import EvaluationError
 from slam.evaluation.alignment import align
 from slam.evaluation.trajectory_error import associate
+from slam.mapping.occupancy_grid import StateArray
 from slam.measurements import FloatArray
 from slam.storage.tum import read_tum
 

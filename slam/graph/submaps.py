@@ -57,8 +57,7 @@ class SubmapStore:
         self._scans: list[OrientedPoints] = []
         self._surfaces: list[OrientedPoints] = []
         self._poses: list[FloatArray] = []
-        self._travelled_m: list[float] = []
-        self._ways_m = np.zeros(64)
+        self._travelled_m = np.zeros(64)
         self._sessions: list[int] = []
         self._begun: list[int] = []
         self._places: list[int] = []
@@ -89,10 +88,9 @@ class SubmapStore:
         self._scans.append(scan)
         self._surfaces.append(scan if surface is None else surface)
         self._poses.append(pose)
-        self._travelled_m.append(travelled_m)
-        if number == len(self._ways_m):
-            self._ways_m = np.concatenate([self._ways_m, np.zeros_like(self._ways_m)])
-        self._ways_m[number] = travelled_m
+        if number == len(self._travelled_m):
+            self._travelled_m = np.concatenate([self._travelled_m, np.zeros_like(self._travelled_m)])
+        self._travelled_m[number] = travelled_m
         self._sessions.append(session)
 
     def __len__(self) -> int:
@@ -108,11 +106,11 @@ class SubmapStore:
 
     def travelled_m(self, key: int | np.integer[Any]) -> float:
         """Return the path length from the start to a keyframe."""
-        return self._travelled_m[key]
+        return float(self._travelled_m[key])
 
     def ways_m(self) -> FloatArray:
         """Return (n,) the path lengths from the start to all keyframes."""
-        return self._ways_m[: len(self._scans)]
+        return self._travelled_m[: len(self)]
 
     def submap(self, key: int) -> Submap:
         """Return the surroundings of a keyframe."""
@@ -130,7 +128,7 @@ class SubmapStore:
 
     def wide_m(self, least_m: float, scans: float) -> float:
         """Return a length that usually contains so many scans, but at least ``least_m``."""
-        return max(least_m, scans * self._travelled_m[-1] / max(len(self), FEWEST))
+        return max(least_m, scans * self.ways_m()[-1] / max(len(self), FEWEST))
 
     @property
     def sparse(self) -> bool:

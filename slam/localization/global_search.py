@@ -62,29 +62,6 @@ class Window(NamedTuple):
         return cls(pose[:2] - half_m, pose[:2] + half_m, float(pose[2]), half_yaw)
 
 
-def search_map(
-    field: WholeMapField,
-    points: AnyFloatArray,
-    settings: LocalizationConfig,
-    most: int,
-    window: Window | None = None,
-) -> Steps[list[Place]]:
-    """Run `search_everywhere` for points (M, 2), base frame, by the settings, with a sample of them."""
-    if len(points) == 0:
-        return []
-    return (
-        yield from search_everywhere(
-            field,
-            points[:: -(-len(points) // _POINTS)],
-            settings.search_least_score,
-            settings.search_keep_share,
-            most,
-            settings.search_threads,
-            window,
-        )
-    )
-
-
 def at_once(steps: Steps[T]) -> T:
     """Return the result of stepwise work."""
     while True:
@@ -95,13 +72,11 @@ def at_once(steps: Steps[T]) -> T:
             return found
 
 
-def search_everywhere(
+def search_map(
     field: WholeMapField,
     points: AnyFloatArray,
-    least_score: float,
-    keep_share: float,
+    settings: LocalizationConfig,
     most: int,
-    threads: int = 1,
     window: Window | None = None,
 ) -> Steps[list[Place]]:
     """Return every place with a score near the best, best first, independent of the number of threads.
@@ -111,18 +86,18 @@ def search_everywhere(
     field
         The map.
     points
-        (M, 2) points as seen from the base, M > 0.
-    least_score
-        Poses below this mean likelihood are not searched.
-    keep_share
-        Poses with at least this share of the best score are reported too.
+        (M, 2) points as seen from the base, of which a sample is used.
+    settings
+        The mean likelihood below which poses are not searched, the share of the best score above which
+        others are reported too, and the number of threads, which share the yaws.
     most
         Largest number of places.
-    threads
-        Number of threads, which share the yaws.
     window
         Search window; None searches everywhere.
     """
+    if len(points) == 0:
+        return []
+    points, threads = points[:: -(-len(points) // _POINTS)], settings.search_threads
     reach_m = max(1.0, float(np.percentile(np.hypot(points[:, 0], points[:, 1]), 90)))
     turns = math.ceil(2.0 * math.pi * reach_m / field.cell_m)
     yaws: FloatArray = np.arange(turns, dtype=np.float64) * (2.0 * math.pi / turns)
@@ -134,7 +109,8 @@ def search_everywhere(
     columns, rows = _rotated_pixels(np.asarray(points, np.float64), yaws, field.cell_m)
     with ThreadPoolExecutor(threads) as pool:
         search = _Search(field, columns, rows, pool, threads, window)
-        nodes, scores = yield from search.descend(math.ceil(least_score * 255.0 * len(points)), keep_share)
+        bar = math.ceil(settings.search_least_score * 255.0 * len(points))
+        nodes, scores = yield from search.descend(bar, settings.search_keep_share)
     # By score, then position and yaw: independent of the thread.
     order = np.lexsort((nodes[:, 0], nodes[:, 2], nodes[:, 1], -scores))
     nodes, scores = nodes[order], scores[order]

@@ -21,12 +21,12 @@ from slam.graph.place_search import PlaceSearch
 from slam.heap import end_stage
 from slam.mapper.camera_keyframes import CameraKeyframes
 from slam.mapper.checkpoint import Checkpoint
-from slam.mapper.forerunner import Ahead
 from slam.mapper.keyframe_fusion import FusionSummary, KeyframeFusion
 from slam.mapper.keyframe_store import registration_notes
+from slam.mapper.lookahead import Ahead
 from slam.mapper.map_result import MapResult
 from slam.mapper.mount_learner import LearnedMounting
-from slam.mapper.planar_way import Moment, PlanarWay, Step, Steps
+from slam.mapper.planar_odometry import Moment, PlanarOdometry, Step, Steps
 from slam.mapper.protocol import FrontEnd, Tracked
 from slam.mapping.keyframe_grid import lidar_grids
 from slam.mapping.moving_things import MovingThings
@@ -43,7 +43,7 @@ class PlanarRobot(FrontEnd):
     Parameters
     ----------
     ahead
-        Process that tracks the scans of the same log ahead, see `slam.mapper.forerunner`.
+        Process that tracks the scans of the same log ahead, see `slam.mapper.lookahead`.
     """
 
     def __init__(
@@ -57,9 +57,9 @@ class PlanarRobot(FrontEnd):
     ) -> None:
         checkpoint, registrations = checkpoint or Checkpoint(), registrations or {}
         self._config, self._registrations = config, registrations
-        self._way = PlanarWay(config, checkpoint, odometries, registrations, mountings)
-        self._steps: Steps = self._way if ahead is None else ahead.followed_by(self._way)
-        self.readings, self._cameras = self._way.readings, self._way.cameras
+        self._odometry = PlanarOdometry(config, checkpoint, odometries, registrations, mountings)
+        self._steps: Steps = self._odometry if ahead is None else ahead.followed_by(self._odometry)
+        self.readings, self._cameras = self._odometry.readings, self._odometry.cameras
         self.tags = self._cameras.tags
         self._closer = LoopCloser(config.loops, config.match, checkpoint)
         self._places = PlaceSearch(self._closer, config.loops, config.match, config.graph, checkpoint)
@@ -122,7 +122,7 @@ class PlanarRobot(FrontEnd):
 
     def settle(self, graph: KeyframeGraph) -> None:
         """Recompute the steps of cameras and wheels with the clocks and mountings estimated in the run."""
-        self._way.settle(graph)
+        self._odometry.settle(graph)
         self._pictures.settle(graph, self.readings.scan_stamps_s()[self.readings.keyframe_scans()])
 
     def search_again(self, graph: KeyframeGraph, kept: BoolArray) -> list[LoopCandidate]:
@@ -146,7 +146,7 @@ class PlanarRobot(FrontEnd):
         """Add the repaired scans, and the grids drawn from scans and images."""
         started = time.perf_counter()
         result.notes += [*registration_notes(self._registrations), *self._cameras.notes()]
-        self._way.tell(result)
+        self._odometry.tell(result)
         scans, result.fused = self._still, self._fused
         result.notes += [] if result.fused is None else [result.fused.note]
         result.stage_seconds["fusion"] = time.perf_counter() - started

@@ -18,10 +18,10 @@ from slam.doctor.registration_pairs import paired_frames, registrations_of
 from slam.errors import DatasetError
 from slam.heap import end_stage
 from slam.mapper.checkpoint import Checkpoint
-from slam.mapper.forerunner import Ahead, Forerunner, LostError
 from slam.mapper.imu_start import after_readings, start_of
 from slam.mapper.lidar2d import PlanarRobot
 from slam.mapper.lidar3d import CloudLidar
+from slam.mapper.lookahead import Ahead, Lookahead, LostError
 from slam.mapper.map_result import MapResult
 from slam.mapper.mapper import Mapper
 from slam.mapper.mount_learner import LearnedMounting
@@ -66,8 +66,8 @@ def build_map(
         If the log has no data that can be mapped.
     """
     checkpoint = checkpoint or Checkpoint()
-    with Forerunner(dataset, odometries, checkpoint) as forerunner:
-        run = _Run(dataset, config, on_step, checkpoint, odometries, forerunner)
+    with Lookahead(dataset, odometries, checkpoint) as lookahead:
+        run = _Run(dataset, config, on_step, checkpoint, odometries, lookahead)
         run.look_at_sensors()
         mapper, tally = run.follow()
         return run.finish(mapper, tally)
@@ -83,10 +83,10 @@ class _Run:
         on_step: OnStep | None,
         checkpoint: Checkpoint,
         odometries: Odometries,
-        forerunner: Forerunner,
+        lookahead: Lookahead,
     ) -> None:
         self._dataset, self._config, self._on_step = dataset, config, on_step
-        self._checkpoint, self._odometries, self._forerunner = checkpoint, odometries, forerunner
+        self._checkpoint, self._odometries, self._lookahead = checkpoint, odometries, lookahead
         self._clock = [time.perf_counter()]
         end_stage()  # of imports
         self._registered = _Registered(dataset, config)
@@ -104,7 +104,7 @@ class _Run:
                 lambda: findings_of(self._dataset, self._config, self._registered)
             )
             if (mended := settled(self._config, self._findings)) != self._config:
-                self._forerunner.stop()
+                self._lookahead.stop()
                 self._config = mended
                 self._registered = _Registered(self._dataset, mended)
                 self._choice = self._chosen()
@@ -118,14 +118,14 @@ class _Run:
         self._run_ahead(self._registrations)
         if self._on_step:
             self._on_step("begun", 0)
-        mapper, tally = self._whole_way()
+        mapper, tally = self._map_whole_log()
         if not self._mountings and (mountings := mapper.learned_mountings()):
             # The path so far was mapped without these cameras; now they are known from its beginning.
             self._clock[2] = time.perf_counter()
             self._mountings = mountings
             self._begin_again()
             self._run_ahead(self._registrations)
-            mapper, tally = self._whole_way()
+            mapper, tally = self._map_whole_log()
         forget_keypoints()
         self._clock.append(time.perf_counter())
         return mapper, tally
@@ -168,18 +168,18 @@ class _Run:
 
     def _run_ahead(self, known: Mapping[str, ColorRegistration] | None = None) -> None:
         """Start tracking ahead on another core, if that is useful."""
-        self._forerunner.start(self._config, self._choice, self._registered, known)
+        self._lookahead.start(self._config, self._choice, self._registered, known)
 
     def _begin_again(self) -> None:
         """Discard the path, and the results tracked ahead."""
-        self._forerunner.stop()
+        self._lookahead.stop()
         self._checkpoint.begin_again(self._findings, self._registrations, self._mountings)
 
-    def _whole_way(self) -> tuple[Mapper, SensorTally]:
+    def _map_whole_log(self) -> tuple[Mapper, SensorTally]:
         """Run through the log; run again if an assumption was wrong."""
         while True:
             try:
-                return self._way(self._forerunner.ahead)
+                return self._map_log(self._lookahead.ahead)
             except LostError:
                 self._begin_again()
             except UnfitImuError as unfit:
@@ -191,7 +191,7 @@ class _Run:
                 self._choice = self._chosen()
                 self._begin_again()
 
-    def _way(self, ahead: Ahead | None = None) -> tuple[Mapper, SensorTally]:
+    def _map_log(self, ahead: Ahead | None = None) -> tuple[Mapper, SensorTally]:
         """Run through the log once, with frames prefetched."""
         mapper, tally = Mapper(self._config, self._front_end(ahead)), SensorTally(self._choice)
         used = self._used(tally.counted(self._dataset))

@@ -45,14 +45,6 @@ class DenseMapSettings:
     minimum_views: int = 3
     memory_limit_mb: float = 2000.0
 
-    def too_large(self) -> ScanweaveError:
-        """The error of a map beyond the memory limit."""
-        return ScanweaveError(
-            f"the dense map needs more than {self.memory_limit_mb:g} MB at voxels of "
-            f"{self.voxel_size_m:g} m; use a larger voxel_size_m, a smaller depth_max_m or a "
-            "larger memory_limit_mb"
-        )
-
 
 @dataclass(frozen=True, slots=True)
 class ColoredCloud:
@@ -97,19 +89,15 @@ class ColoredMesh:
     normals_map: Float32Array
     faces: Faces
 
-
-@dataclass(frozen=True, slots=True)
-class DenseMap:
-    """The fused surface, its vertices as a cloud, and how many frames had depth within the range."""
-
-    mesh: ColoredMesh
-    cloud: ColoredCloud
-    frames_fused: int
+    @property
+    def cloud(self) -> ColoredCloud:
+        """The vertices as a cloud."""
+        return ColoredCloud(self.vertices_map, self.colors, self.normals_map)
 
 
 def fuse_keyframes(
     frames: Iterable[RgbdFrame], poses: Sequence[gtsam.Pose3], settings: DenseMapSettings
-) -> DenseMap:
+) -> ColoredMesh:
     """Fuse frames into one surface; ``poses`` are T_map_camera in the order of the frames.
 
     Frames are taken one at a time: memory grows with the surface, not with their number. A frame with
@@ -126,10 +114,7 @@ def fuse_keyframes(
     told = prefetched(
         posed_frames(frames, poses), lambda posed: _integrate(blocks, settings, *posed), most_waiting=1
     )
-    fused = sum(told)
-    vertices, colors, normals, faces = surface_of_blocks(blocks, min(settings.minimum_views, fused))
-    cloud = ColoredCloud(vertices, colors, normals)
-    return DenseMap(ColoredMesh(vertices, colors, normals, faces), cloud, fused)
+    return ColoredMesh(*surface_of_blocks(blocks, min(settings.minimum_views, sum(told))))
 
 
 def _integrate(
@@ -142,7 +127,11 @@ def _integrate(
     keys = blocks.touched(depth_m, camera, T_map_camera.matrix())
     new = keys[blocks.find(keys) < 0]
     if (len(blocks) + len(new)) * VoxelBlocks.bytes_each() > 1e6 * settings.memory_limit_mb:
-        raise settings.too_large()
+        raise ScanweaveError(
+            f"the dense map needs more than {settings.memory_limit_mb:g} MB at voxels of "
+            f"{settings.voxel_size_m:g} m; use a larger voxel_size_m, a smaller depth_max_m or a "
+            "larger memory_limit_mb"
+        )
     blocks.add(new)
     blocks.integrate(blocks.find(keys), depth_m, frame.color, camera, T_map_camera.inverse().matrix())
     return len(keys) > 0

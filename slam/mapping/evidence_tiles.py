@@ -7,7 +7,6 @@ the boards does not matter.
 from __future__ import annotations
 
 import math
-import tempfile
 from collections import OrderedDict
 from collections.abc import Iterator
 from pathlib import Path
@@ -20,6 +19,7 @@ from fusion.kernel import kernel
 from slam.errors import ScanweaveError
 from slam.mapping.occupancy_grid import Steps
 from slam.mapping.ray_tracing import Box
+from slam.spool import no_room
 from slam.temporary import TemporaryFolder
 
 Tile: TypeAlias = NDArray[np.int32]
@@ -132,10 +132,7 @@ class EvidenceTiles:
                 self._folder = TemporaryFolder()
             tile.tofile(self._path(key))
         except OSError as error:
-            raise ScanweaveError(
-                f"cannot keep tiles of the map in {tempfile.gettempdir()}: {error.strerror or error}; "
-                "set TMPDIR to a folder with free space"
-            ) from error
+            raise no_room("tiles of the map", error) from error
         self._spilled.add(key)
 
     def _load(self, key: tuple[int, int]) -> Tile:

@@ -24,8 +24,8 @@ from slam.mapping.doors import crossed
 from slam.mapping.glass_panes import SHORTEST_M
 from slam.mapping.keyframe_grid import layer_settings
 from slam.mapping.occupancy_grid import OccupancyGrid, looked_up
-from slam.mapping.wall_gaps import THICKEST_WALL_M, Line, wall_gaps
-from slam.mapping.wall_segments import wall_points, wall_segments
+from slam.mapping.wall_gaps import THICKEST_WALL_M, wall_gaps
+from slam.mapping.wall_segments import Segment, wall_points, wall_segments
 from slam.measurements import BoolArray, FloatArray, LaserScan, pose2_from_row
 
 
@@ -81,7 +81,7 @@ def with_glass(
 
 def glass_gaps(
     grid: OccupancyGrid, scans: Sequence[LaserScan | None], poses: FloatArray, config: Config
-) -> list[Line]:
+) -> list[Segment]:
     """Find gaps in walls that contain glass; see `with_glass`.
 
     Gaps that the robot drove through, or that are shorter than the smallest pane, are excluded.
@@ -106,7 +106,7 @@ def glass_gaps(
 
 
 def _loss(
-    gap: Line, beams: _Beams, every: NDArray[np.int64], lost: NDArray[np.int64], cell_m: float
+    gap: Segment, beams: _Beams, every: NDArray[np.int64], lost: NDArray[np.int64], cell_m: float
 ) -> float:
     """The share of beams that a gap loses and the things behind it do not; 0 where that is not sure.
 
@@ -144,7 +144,7 @@ def _loss(
     return loss if told.sum() > least and against > -sure else 0.0
 
 
-def _crossings(gap: Line, beams: _Beams) -> tuple[FloatArray, BoolArray]:
+def _crossings(gap: Segment, beams: _Beams) -> tuple[FloatArray, BoolArray]:
     """Find where beams that end half a wall's thickness behind a gap cross it, and which pass its wall.
 
     Returns

@@ -13,7 +13,7 @@ from fusion import bayes
 from fusion.estimation import TINY
 from slam.errors import ConfigError, ScanweaveError
 from slam.mapping.evidence_tiles import SIDE, union
-from slam.mapping.occupancy_grid import THRESHOLDS, OccupancyGrid, StateArray, Steps, Thresholds
+from slam.mapping.occupancy_grid import THRESHOLDS, OccupancyGrid, StateArray, StateGrid, Steps, Thresholds
 from slam.mapping.ray_tracing import Box
 from slam.measurements import BoolArray, FloatArray
 
@@ -143,6 +143,10 @@ class LayeredMap:
                 own: Thresholds = getattr(rule, name)
                 states[part] = own.states(self._steps(name, part))
         return states
+
+    def decision(self) -> StateGrid:
+        """Return the combined decision and where it lies."""
+        return StateGrid(self.states("decision"), self.resolution_m, self.T_map_grid)
 
     def free_at_lidar_height(self) -> BoolArray:
         """Return (rows, cols) cells free for the lidar that no camera saw at all heights of the robot.

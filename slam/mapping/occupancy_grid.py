@@ -23,6 +23,15 @@ _Cell = TypeVar("_Cell", bound=np.generic)
 
 
 @dataclass(frozen=True, slots=True)
+class StateGrid:
+    """A grid of (rows, cols) states, row 0 at the lowest y, and the lower-left corner of cell (0, 0)."""
+
+    states: StateArray
+    resolution_m: float
+    T_map_grid: gtsam.Pose2
+
+
+@dataclass(frozen=True, slots=True)
 class Thresholds:
     """Thresholds of Li2020 Eq. (9): cells between them are uncertain. Each sensor has its own."""
 

@@ -9,7 +9,6 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable
 from dataclasses import replace
-from typing import NamedTuple
 
 import gtsam
 import numpy as np
@@ -25,16 +24,9 @@ from slam.mapping.occupancy_grid import THRESHOLDS, OccupancyGrid
 from slam.measurements import FloatArray, LaserScan
 
 
-class StaticGrid(NamedTuple):
-    """A static grid, and a grid of removed objects; None if nothing was removed."""
-
-    static: OccupancyGrid
-    passed_by: OccupancyGrid | None
-
-
 def without_passers_by(
     grid: OccupancyGrid, scans: Iterable[tuple[LaserScan, gtsam.Pose2]], model: LidarModel
-) -> StaticGrid:
+) -> tuple[OccupancyGrid, OccupancyGrid | None]:
     """Take out of a grid each thing all of whose cells were passed before the first hit or after the last.
 
     A thing is what hangs together of the occupied cells, corners included. In the mean its cells must have
@@ -53,12 +45,16 @@ def without_passers_by(
         With ``T_map_base`` of each, in the order of time.
     model
         The lidar's, as the grid was drawn with.
+
+    Returns
+    -------
+    The static grid, and a grid of removed objects; None if nothing was removed.
     """
     cell_m, miss = grid.resolution_m, evidence_steps(model.p_miss)
     enough = math.ceil(math.log(2.0) * STEPS_A_UNIT / -miss)
     cells = np.flatnonzero(THRESHOLDS.occupied(grid.steps))
     if not cells.size:
-        return StaticGrid(grid, None)
+        return grid, None
     before, since, missed = _passes(grid, cells, scans, model)
     of_cell = things_of(cells, grid.shape[1])
     rows_cols = np.column_stack(np.unravel_index(cells, grid.shape))
@@ -67,12 +63,12 @@ def without_passers_by(
     own = np.isin(of_cell, gone)
     taken = cells[own]
     if not taken.size:
-        return StaticGrid(grid, None)
+        return grid, None
     left = np.isin(of_cell[own], _not_there(of_cell, since, missed, enough))
     static, stood = grid.steps.copy(), np.zeros(grid.shape, grid.steps.dtype)
     stood.flat[taken] = static.flat[taken]
     static.flat[taken] = np.where(left, enough * miss, 0)
-    return StaticGrid(replace(grid, steps=static), replace(grid, steps=stood))
+    return replace(grid, steps=static), replace(grid, steps=stood)
 
 
 def things_of(cells: NDArray[np.intp], cols: int) -> NDArray[np.intp]:

@@ -16,7 +16,7 @@ import scipy
 from numpy.typing import NDArray
 
 from slam.mapping.occupancy_grid import FREE, OCCUPIED, OccupancyGrid, looked_up
-from slam.mapping.wall_gaps import THICKEST_WALL_M, WIDEST_DOOR_M, Line, wall_gaps
+from slam.mapping.wall_gaps import THICKEST_WALL_M, WIDEST_DOOR_M, wall_gaps
 from slam.mapping.wall_segments import Segment
 from slam.measurements import BoolArray, FloatArray
 
@@ -70,14 +70,13 @@ def segment_rooms(grid: OccupancyGrid, segments: Sequence[Segment], way_map: Flo
     """
     free = grid.states() == FREE
     gaps, walls = wall_gaps(segments, grid)
-    lines = [Line(wall.begin_m, wall.end_m) for wall in walls]
-    labels, real = _regions(free, [*gaps, *lines], grid, way_map)
+    labels, real = _regions(free, [*gaps, *walls], grid, way_map)
     labels = _merged(labels, gaps, real, grid)
     return RoomMap(labels, grid.resolution_m, grid.T_map_grid)
 
 
 def _regions(
-    free: BoolArray, lines: Sequence[Line], grid: OccupancyGrid, way_map: FloatArray
+    free: BoolArray, lines: Sequence[Segment], grid: OccupancyGrid, way_map: FloatArray
 ) -> tuple[Labels, BoolArray]:
     """Return the parts of free space between lines, and (parts + 1,) which are indoors; label 0 is, too."""
     labels = _wide_parts(free & ~_drawn(lines, grid), int(0.25 * THICKEST_WALL_M / grid.resolution_m))
@@ -105,7 +104,7 @@ def _wide_parts(free: BoolArray, radius: int) -> Labels:
     return np.where(strips[parts] & free, parts + labels.max(initial=0), labels).astype(np.int32)
 
 
-def _drawn(lines: Sequence[Line], grid: OccupancyGrid) -> BoolArray:
+def _drawn(lines: Sequence[Segment], grid: OccupancyGrid) -> BoolArray:
     """Return (rows, cols) the cells of lines, 4-connected."""
     drawn = np.zeros(grid.shape, np.bool_)
     for line in lines:
@@ -127,7 +126,7 @@ def _closed(labels: Labels, states: NDArray[np.int8]) -> BoolArray:
     return np.asarray(known > unknown)
 
 
-def _merged(labels: Labels, gaps: Sequence[Line], real: BoolArray, grid: OccupancyGrid) -> Labels:
+def _merged(labels: Labels, gaps: Sequence[Segment], real: BoolArray, grid: OccupancyGrid) -> Labels:
     """Merge parts without a wall between them, drop those that are no rooms, number the rest by size.
 
     Two rooms have wall between them, in line with their openings, two thirds as long as these are wide:
@@ -248,20 +247,20 @@ def _join(owner: NDArray[np.int64], areas: FloatArray, openings: Sequence[_Openi
         owner[owner == one] = other
 
 
-def _places(points_m: FloatArray, gap: Line, grid: OccupancyGrid) -> NDArray[np.int64]:
+def _places(points_m: FloatArray, gap: Segment, grid: OccupancyGrid) -> NDArray[np.int64]:
     """Return (n,) points along a gap's line in cells, independent of the side of the wall."""
     way = gap.end_m - gap.begin_m
     along = way * np.sign(way[np.argmax(np.abs(way))]) / max(gap.length_m, grid.resolution_m)
     return np.asarray(np.floor(points_m @ along / grid.resolution_m), dtype=np.int64)
 
 
-def _in_line(labels: Labels, free: BoolArray, gap: Line, grid: OccupancyGrid) -> _InLine:
+def _in_line(labels: Labels, free: BoolArray, gap: Segment, grid: OccupancyGrid) -> _InLine:
     """Return the objects in line with a gap, up to a door's width past each end."""
     step_m, cells, found, near = grid.resolution_m, [], [], []
     asides = np.arange(2.0 * step_m, THICKEST_WALL_M, step_m)
     for end_m, begin_m in ((gap.end_m, gap.begin_m), (gap.begin_m, gap.end_m)):
         along = (end_m - begin_m) / max(gap.length_m, step_m)
-        beyond = Line(end_m + step_m * along, end_m + WIDEST_DOOR_M * along)
+        beyond = Segment(end_m + step_m * along, end_m + WIDEST_DOOR_M * along)
         sides = []
         for side in (1.0, -1.0) if begin_m is gap.begin_m else (-1.0, 1.0):
             points = np.array([beyond.points(step_m, side * far) for far in asides])
@@ -275,14 +274,14 @@ def _in_line(labels: Labels, free: BoolArray, gap: Line, grid: OccupancyGrid) ->
     return _InLine(np.concatenate(cells), np.concatenate(found, axis=1), np.concatenate(near))
 
 
-def _open(free: BoolArray, line: Line, grid: OccupancyGrid) -> BoolArray:
+def _open(free: BoolArray, line: Segment, grid: OccupancyGrid) -> BoolArray:
     """Return (n,) where a line is open: there is no wall, seen or hidden."""
     step_m = grid.resolution_m
     across = np.array([line.points(step_m, side * step_m) for side in (-1.0, 0.0, 1.0)])
     return np.asarray(looked_up(free, grid.cells_of(across.reshape(-1, 2))).reshape(3, -1).all(axis=0))
 
 
-def _sides(labels: Labels, gap: Line, open_: BoolArray, grid: OccupancyGrid) -> list[int]:
+def _sides(labels: Labels, gap: Segment, open_: BoolArray, grid: OccupancyGrid) -> list[int]:
     """Return the most frequent labels on the left and right of its open cells; 0 if there is none."""
     found = []
     for side in (1.0, -1.0):

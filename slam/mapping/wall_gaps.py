@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 import scipy
@@ -18,33 +17,7 @@ THINNEST_WALL_M, THICKEST_WALL_M = 0.06, 0.45
 WIDEST_DOOR_M = 2.2
 
 
-@dataclass(frozen=True, slots=True)
-class Line:
-    """From one point to another, with the side that is looked at on its left.
-
-    Attributes
-    ----------
-    begin_m, end_m
-        (2,) map frame.
-    """
-
-    begin_m: FloatArray
-    end_m: FloatArray
-
-    @property
-    def length_m(self) -> float:
-        """From end to end."""
-        return float(np.hypot(*(self.end_m - self.begin_m)))
-
-    def points(self, step_m: float, aside_m: float = 0.0, beyond_m: float = 0.0) -> FloatArray:
-        """(n, 2) along it, two or more; so far on its left, and so far past its ends."""
-        along = (self.end_m - self.begin_m) / max(self.length_m, step_m)
-        count = max(2, 1 + int(np.ceil((self.length_m + 2.0 * beyond_m) / step_m)))
-        at = np.linspace(-beyond_m, self.length_m + beyond_m, count)[:, None]
-        return np.asarray(self.begin_m + at * along + aside_m * np.array([-along[1], along[0]]))
-
-
-def wall_gaps(segments: Sequence[Segment], grid: OccupancyGrid) -> tuple[list[Line], list[Segment]]:
+def wall_gaps(segments: Sequence[Segment], grid: OccupancyGrid) -> tuple[list[Segment], list[Segment]]:
     """All gaps, and the segments that are walls: what the grid knows, and what goes on in line."""
     met = grid.states() == OCCUPIED
     near = scipy.ndimage.binary_dilation(met)
@@ -53,7 +26,7 @@ def wall_gaps(segments: Sequence[Segment], grid: OccupancyGrid) -> tuple[list[Li
     lengths = _in_line(following, [s.length_m for s in segments])
     leaves = _leaves(segments, following)
     gaps = [
-        (Line(segments[index].end_m, segments[next_].begin_m), index, next_)
+        (Segment(segments[index].end_m, segments[next_].begin_m), index, next_)
         for index, next_ in following.items()
     ]
     gaps += _before_walls(segments, following, np.array(lengths) > WIDEST_DOOR_M, met, grid)
@@ -89,7 +62,7 @@ def _before_walls(
     long: BoolArray,
     met: BoolArray,
     grid: OccupancyGrid,
-) -> list[tuple[Line, int, int]]:
+) -> list[tuple[Segment, int, int]]:
     """Gaps between the end of a wall and another that stands across."""
     gaps = []
     for index, segment in enumerate(segments):
@@ -101,17 +74,17 @@ def _before_walls(
             if hit_m is not None:
                 # The side that was seen stays on the left.
                 ahead = along @ segment.along > 0.0
-                gaps.append((Line(end_m, hit_m) if ahead else Line(hit_m, end_m), index, index))
+                gaps.append((Segment(end_m, hit_m) if ahead else Segment(hit_m, end_m), index, index))
     return gaps
 
 
 def _share(such: BoolArray, segment: Segment, grid: OccupancyGrid) -> float:
     """Of a segment, over cells that are such."""
-    points = Line(segment.begin_m, segment.end_m).points(0.5 * grid.resolution_m)
+    points = segment.points(0.5 * grid.resolution_m)
     return float(looked_up(such, grid.cells_of(points)).mean())
 
 
-def _across(gap: Line, met: BoolArray, grid: OccupancyGrid) -> bool:
+def _across(gap: Segment, met: BoolArray, grid: OccupancyGrid) -> bool:
     """Whether it leads from one side of a corridor to the other: walls stand across before both its ends."""
     step_m = 0.5 * grid.resolution_m
     before = gap.points(step_m, aside_m=6 * step_m, beyond_m=0.5 * THICKEST_WALL_M)
@@ -120,7 +93,7 @@ def _across(gap: Line, met: BoolArray, grid: OccupancyGrid) -> bool:
 
 def _ahead(end_m: FloatArray, along: FloatArray, met: BoolArray, grid: OccupancyGrid) -> FloatArray | None:
     """The first obstacle in line with the end of a wall, no farther than a door is wide and not at once."""
-    points = Line(end_m, end_m + WIDEST_DOOR_M * along).points(0.5 * grid.resolution_m)
+    points = Segment(end_m, end_m + WIDEST_DOOR_M * along).points(0.5 * grid.resolution_m)
     there = looked_up(met, grid.cells_of(points)) > 0
     # The wall itself may go on for a while, as a pane seen from a slant does.
     clear = int(np.argmin(there))

@@ -92,19 +92,16 @@ def wall_points(
 
 @dataclass(frozen=True)
 class Segment:
-    """One side of a straight piece of wall, or of something that looks like one.
+    """One side of a straight piece of wall, of something that looks like one, or of a gap between two.
 
     Attributes
     ----------
     begin_m, end_m
         (2,) map frame; the side that was seen lies on the left on the way from one to the other.
-    weight
-        Readings on it.
     """
 
     begin_m: FloatArray
     end_m: FloatArray
-    weight: float
 
     @cached_property
     def length_m(self) -> float:
@@ -121,6 +118,13 @@ class Segment:
         """(2,) unit vector to the side that was seen."""
         x, y = self.along
         return np.array([-y, x])
+
+    def points(self, step_m: float, aside_m: float = 0.0, beyond_m: float = 0.0) -> FloatArray:
+        """(n, 2) along it, two or more; so far on its left, and so far past its ends."""
+        along = (self.end_m - self.begin_m) / max(self.length_m, step_m)
+        count = max(2, 1 + int(np.ceil((self.length_m + 2.0 * beyond_m) / step_m)))
+        at = np.linspace(-beyond_m, self.length_m + beyond_m, count)[:, None]
+        return np.asarray(self.begin_m + at * along + aside_m * np.array([-along[1], along[0]]))
 
 
 def wall_segments(points: WallPoints, cell_m: float, shortest_m: float) -> list[Segment]:
@@ -201,4 +205,4 @@ def _fitted(
     if 10 * values[0] > values[1] or weights.sum() < FEWEST:
         return None, members
     low, high = at.min(), at.max()
-    return Segment(middle + low * along, middle + high * along, float(weights.sum())), members
+    return Segment(middle + low * along, middle + high * along), members

@@ -19,9 +19,9 @@ from slam.measurements import Float32Array, FloatArray, ImuReading, PointCloud, 
 from slam.odometry.cloud_odometry import CloudOdometry
 from slam.odometry.cloud_velocity import LONGEST_STEP_S, CloudVelocity
 from slam.odometry.imu_tracker import ImuTracker
-from slam.odometry.open_way import OpenWay
 from slam.odometry.predictor import LEAST_SHARE, Predictor
 from slam.odometry.turn_matcher import DeskewedCloud, TurnMatcher, pose_of
+from slam.odometry.unobserved_path import UnobservedPath
 from slam.odometry.wheel_tracker import WheelMoment, WheelTracker
 from slam.result_cache import COMPUTED, ResultCache
 
@@ -80,7 +80,7 @@ class CloudTracker:
         self._matcher: TurnMatcher | None = None
         self._velocity = CloudVelocity(twist)
         # Without wheels or an IMU, the motion along a tunnel is unknown.
-        self._open = OpenWay(config.wheels.greatest_speed_m_s)
+        self._open = UnobservedPath(config.wheels.greatest_speed_m_s)
         self._cloud: PointCloud | None = None
         self._pose = gtsam.Pose3()
         self._keyframe = gtsam.Pose3()

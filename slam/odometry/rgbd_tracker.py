@@ -103,7 +103,7 @@ class RgbdTracker:
             return TrackedFrame(guess, None, new_keyframe=restart, restarted=restart)
         self._lost = 0
         pose = match.pose
-        return TrackedFrame(pose, match, self._moved_on(frame, pose, match), restarted=False)
+        return TrackedFrame(pose, match, self._moved_on(pose, match), restarted=False)
 
     def _turned(self, frame: PreparedFrame) -> gtsam.Pose3:
         """Return the last pose, rotated by the rotation between the two images, which needs no depth."""
@@ -145,7 +145,7 @@ class RgbdTracker:
         del self._in_use[: -2 * views]
         return alike
 
-    def _moved_on(self, frame: PreparedFrame, pose: gtsam.Pose3, match: VisualMatch) -> bool:
+    def _moved_on(self, pose: gtsam.Pose3, match: VisualMatch) -> bool:
         """Return whether parallax, rotation or lost overlap require a keyframe."""
         config = self._config.rgbd_odometry
         if match.overlap < config.keyframe_overlap:

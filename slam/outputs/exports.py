@@ -13,7 +13,7 @@ import numpy as np
 from slam.config import Config
 from slam.config.files import nearest
 from slam.errors import ScanweaveError
-from slam.mapping.dense_map import Colors, DenseMap, DenseMapSettings, fuse_keyframes
+from slam.mapping.dense_map import ColoredMesh, Colors, DenseMapSettings, fuse_keyframes
 from slam.mapping.elevation import Elevation, elevation
 from slam.mapping.floor_plan import FloorPlan
 from slam.mapping.layered_map import PASSED_BY, LayeredMap
@@ -34,7 +34,7 @@ from slam.storage.lidar_cloud_files import CLOUD_FORMATS, export_cloud, write_li
 from slam.storage.map_contents import MapContents
 from slam.storage.map_edits import CLOUD, FRAME, erased_bits, regions_of
 from slam.storage.map_places import write_places_yaml
-from slam.storage.mcap_results import Plan, write_results_bag
+from slam.storage.mcap_results import write_results_bag
 from slam.storage.nav2_layers import MAP_YAML, write_driving_map, write_layers, write_passed_by
 from slam.storage.nav2_rooms import write_room_zones
 from slam.storage.nav2_zones import write_zones
@@ -148,7 +148,7 @@ class Exports:
             case "tum":
                 return write_trajectory(out, found.trajectory, found.covariances)
             case "glb":
-                write_mesh_glb(out, self._surface.mesh)
+                write_mesh_glb(out, self._surface)
             case "e57":
                 write_e57(out, self._scans())
             case "gpx":
@@ -238,7 +238,7 @@ class Exports:
         return [*written, folder / IMAGES]
 
     @cached_property
-    def _surface(self) -> DenseMap:
+    def _surface(self) -> ColoredMesh:
         """Return the surface of the images; empty if they show none."""
         found, dense = self.contents, self.config.dense_map
         settings = DenseMapSettings(dense.voxel_m, self.config.layers.depth_max_m, dense.nearest_m)
@@ -283,10 +283,7 @@ class Exports:
 
     def _write_bag(self, folder: Path) -> Path:
         """Write the results for Foxglove; in an existing folder, into a folder of its own."""
-        found, plan = self.contents, None
-        if self.layers is not None:
-            layers = self.layers
-            plan = Plan(layers.states("decision"), layers.resolution_m, layers.T_map_grid)
+        found, plan = self.contents, None if self.layers is None else self.layers.decision()
         begun_s = float(found.trajectory.stamps_s.min())
         clouds = (
             (
@@ -329,11 +326,11 @@ class Exports:
         write_octree(out, views, resolution_m, self.config.cloud_map.plan_range_m)
 
 
-def _save_surface(path: Path, surface: DenseMap) -> list[Path]:
+def _save_surface(path: Path, surface: ColoredMesh) -> list[Path]:
     """Write the coloured mesh of the camera keyframes and its points; nothing if there is no surface."""
     written = list[Path]()
-    if len(surface.mesh.faces):
-        write_mesh_ply(path, surface.mesh)
+    if len(surface.faces):
+        write_mesh_ply(path, surface)
         written.append(path)
     if len(surface.cloud.points_map):
         written.append(path.with_name("cloud.ply" if path.name == "mesh.ply" else f"{path.stem}-cloud.ply"))

@@ -138,8 +138,8 @@ class BagWriter:
         topic, frame_id = camera_topic(frame.sensor), camera_frame(frame.sensor)
         depth = depth_steps(frame.depth_m, ros.DEPTH_STEPS_PER_M)
         images = {
-            "color": ros.color_image(frame, frame_id),
-            "depth": ros.depth_image(depth, frame.stamp_s, frame_id),
+            "color": ros.image(frame.color, "rgb8", frame.stamp_s, frame_id),
+            "depth": ros.image(depth, "16UC1", frame.stamp_s, frame_id),
         }
         info = ros.camera_info(frame.intrinsics, frame.stamp_s, frame_id)
         for kind, image in images.items():

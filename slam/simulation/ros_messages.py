@@ -8,7 +8,7 @@ import gtsam
 import numpy as np
 from numpy.typing import NDArray
 
-from slam.measurements import CameraIntrinsics, Float32Array, FloatArray, GnssFix, LaserScan, RgbdFrame
+from slam.measurements import CameraIntrinsics, Float32Array, FloatArray, GnssFix, LaserScan
 from slam.simulation.carmen_writer import written_ranges_m
 from slam.storage.ros_messages import cloud_message, header, new, pose_message, vector
 
@@ -86,16 +86,6 @@ def navsat(fix: GnssFix, frame_id: str) -> Any:
     )
 
 
-def color_image(frame: RgbdFrame, frame_id: str) -> Any:
-    """An Image message, rgb8."""
-    return _image(frame.color, "rgb8", frame.stamp_s, frame_id)
-
-
-def depth_image(steps: NDArray[np.uint16], stamp_s: float, frame_id: str) -> Any:
-    """An Image message, 16UC1, from depth in steps of `DEPTH_STEPS_PER_M`."""
-    return _image(steps, "16UC1", stamp_s, frame_id)
-
-
 def camera_info(intrinsics: CameraIntrinsics, stamp_s: float, frame_id: str) -> Any:
     """A CameraInfo message of a pinhole camera without distortion."""
     k = [[intrinsics.fx, 0.0, intrinsics.cx], [0.0, intrinsics.fy, intrinsics.cy], [0.0, 0.0, 1.0]]
@@ -136,7 +126,7 @@ def odometry(
     )
 
 
-def _image(
+def image(
     pixels: NDArray[np.uint8] | NDArray[np.uint16], encoding: str, stamp_s: float, frame_id: str
 ) -> Any:
     """An Image message of little-endian rows without padding."""

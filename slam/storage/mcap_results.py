@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +12,7 @@ from numpy.typing import NDArray
 
 from slam.errors import MapFileError
 from slam.estimates import Trajectory
-from slam.mapping.occupancy_grid import StateArray
+from slam.mapping.occupancy_grid import StateGrid
 from slam.measurements import Float32Array, FloatArray
 from slam.storage import ros_messages as ros
 from slam.storage.files import make_folder
@@ -31,18 +30,9 @@ _TOPICS = {
 }
 
 
-@dataclass(frozen=True, slots=True)
-class Plan:
-    """A grid of (rows, cols) states, row 0 at the lowest y, and its lower-left corner."""
-
-    states: StateArray
-    resolution_m: float
-    T_map_grid: gtsam.Pose2
-
-
 def write_results_bag(
     folder: Path,
-    plan: Plan | None,
+    plan: StateGrid | None,
     trajectory: Trajectory,
     mounts: Mapping[str, gtsam.Pose3],
     points: Iterable[tuple[float, FloatArray, NDArray[np.uint8] | None, Float32Array | None]],
@@ -111,7 +101,7 @@ def write_results_bag(
     return folder / f"{folder.name}.mcap"
 
 
-def _grid(plan: Plan, stamp_s: float) -> Any:
+def _grid(plan: StateGrid, stamp_s: float) -> Any:
     """Return the message of the navigation map."""
     header = ros.header(stamp_s, _MAP)
     rows, columns = plan.states.shape

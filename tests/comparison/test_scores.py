@@ -12,10 +12,11 @@ import pytest
 from slam.comparison.loop_score import loop_scores
 from slam.comparison.map_score import map_scores, read_true_grid
 from slam.comparison.plan_score import plan_scores, robot_radius_m
-from slam.comparison.product import AcceptedLoop, Product, StateGrid
+from slam.comparison.product import AcceptedLoop, Product
 from slam.comparison.scoring import Truths, scores_of
 from slam.errors import EvaluationError
 from slam.estimates import Trajectory
+from slam.mapping.occupancy_grid import StateGrid
 from slam.simulation.true_grid import TrueGrid
 
 CELL_M = 0.1

@@ -64,8 +64,7 @@ def submaps() -> SubmapStore:
             way_m = 3.0 * AWAY_M * number + EVERY_M * n
             store.add(OrientedPoints.from_scan(points), pose, way_m, 0, OrientedPoints.surface(points))
     # By the way between the passes scans would seem to be rarer than they are.
-    store._travelled_m = [EVERY_M * (n + 10 * (n // SCANS)) for n in range(len(store))]
-    store._ways_m = np.array(store._travelled_m)
+    store._travelled_m = np.array([EVERY_M * (n + 10 * (n // SCANS)) for n in range(len(store))])
     store.lay(np.array(store._poses), [])
     return store
 

@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 from flat_worlds import points_at, room
 
+from slam.config.localization import LocalizationConfig
 from slam.localization import global_search
-from slam.localization.global_search import Window, at_once, search_everywhere
+from slam.localization.global_search import Place, Window, at_once, search_map
 from slam.localization.poses import Measured
 from slam.localization.whole_map_field import WholeMapField, build_whole_map_field
 from slam.mapping.occupancy_grid import OccupancyGrid
@@ -17,6 +18,23 @@ from slam.matching.planar import between, compose, transform_points
 from slam.measurements import FloatArray
 
 CELL_M = 0.1
+
+
+def settings(least_score: float, keep_share: float, threads: int = 1) -> LocalizationConfig:
+    values = {"search_least_score": least_score, "search_keep_share": keep_share, "search_threads": threads}
+    return LocalizationConfig().model_copy(update=values)
+
+
+def searched(
+    field: WholeMapField,
+    points: FloatArray,
+    least: float,
+    keep: float,
+    most: int,
+    threads: int = 1,
+    **given: Any,
+) -> list[Place]:
+    return at_once(search_map(field, points, settings(least, keep, threads), most, **given))
 
 
 def scores_of(field: WholeMapField, points: FloatArray) -> FloatArray:
@@ -51,7 +69,7 @@ def small_world(seed: int) -> tuple[WholeMapField, FloatArray]:
 def test_the_best_place_is_that_of_brute_force(seed: int) -> None:
     field, points = small_world(seed)
     scores = scores_of(field, points)
-    found = at_once(search_everywhere(field, points, 0.1, 1.0, 3))
+    found = searched(field, points, 0.1, 1.0, 3)
     assert found[0].score == pytest.approx(scores.max() / (255.0 * len(points)))
     turn, row, column = np.unravel_index(scores.argmax(), scores.shape)
     ties = np.argwhere(scores == scores.max())
@@ -63,7 +81,7 @@ def test_the_best_place_is_that_of_brute_force(seed: int) -> None:
 def test_no_place_near_the_best_is_left_out(seed: int) -> None:
     field, points = small_world(seed)
     scores = scores_of(field, points)
-    found = at_once(search_everywhere(field, points, 0.1, 0.9, 10_000))
+    found = searched(field, points, 0.1, 0.9, 10_000)
     yaws = np.arange(len(scores)) * (2.0 * math.pi / len(scores))
     for turn, row, column in np.argwhere(scores >= 0.95 * scores.max()):
         pose = np.array(
@@ -85,7 +103,7 @@ def test_each_place_has_the_score_of_its_pose(seed: int) -> None:
     points[:, 0] += 2.5
     scores = scores_of(field, points)
     yaw_rad = 2.0 * math.pi / len(scores)
-    found = at_once(search_everywhere(field, points, 0.1, 0.8, 40))
+    found = searched(field, points, 0.1, 0.8, 40)
     assert len(found) > 3
     for place in found:
         column, row = np.floor((place.pose[:2] - [field.origin_x, field.origin_y]) / CELL_M).astype(int)
@@ -107,7 +125,7 @@ def test_in_a_window_the_best_is_that_of_brute_force_there(seed: int) -> None:
     yaws = np.arange(len(scores)) * (2.0 * math.pi / len(scores))
     near = np.abs((yaws - 2.0 + np.pi) % (2.0 * np.pi) - np.pi) <= window.half_yaw
     best = scores[near][:, rows[0] : rows[1] + 1, columns[0] : columns[1] + 1].max()
-    found = at_once(search_everywhere(field, points, 0.1, 0.9, 50, window=window))
+    found = searched(field, points, 0.1, 0.9, 50, window=window)
     assert found[0].score == pytest.approx(best / (255.0 * len(points)))
     for place in found:
         away = np.abs(place.pose[:2] - [0.4, -0.6])
@@ -117,9 +135,9 @@ def test_in_a_window_the_best_is_that_of_brute_force_there(seed: int) -> None:
 
 def test_threads_change_nothing() -> None:
     field, points = small_world(7)
-    alone = at_once(search_everywhere(field, points, 0.1, 0.7, 12))
+    alone = searched(field, points, 0.1, 0.7, 12)
     for threads in (2, 3):
-        shared = at_once(search_everywhere(field, points, 0.1, 0.7, 12, threads))
+        shared = searched(field, points, 0.1, 0.7, 12, threads)
         np.testing.assert_array_equal([p.pose for p in alone], [p.pose for p in shared])
         assert [p.score for p in alone] == [p.score for p in shared]
 
@@ -135,7 +153,7 @@ def test_a_room_that_looks_the_same_turned_round_is_told_twice() -> None:
     field = build_whole_map_field(walls, None, CELL_M)
     truth = np.array([1.5, 1.0, 0.4])
     points = transform_points(walls, between(truth, np.zeros(3)))
-    found = at_once(search_everywhere(field, points, 0.8, 0.97, 10))
+    found = searched(field, points, 0.8, 0.97, 10)
     assert len(found) == 2
     turned = np.array([5.0 - truth[0], 3.0 - truth[1], truth[2] - math.pi])
     for expected in (truth, turned):
@@ -150,19 +168,19 @@ def test_finds_a_furnished_room_wherever_its_frame_is(frame: tuple[float, ...]) 
     seen = transform_points(points_at(room(), home, beams=721).points_base, compose(base, home))
     field = build_whole_map_field(seen, None, CELL_M)
     scan = points_at(room(), away).points_base[::3]
-    best = at_once(search_everywhere(field, scan, 0.4, 0.9, 5))[0]
+    best = searched(field, scan, 0.4, 0.9, 5)[0]
     error = between(compose(base, away), best.pose)
     assert np.hypot(error[0], error[1]) < 0.15 and abs(error[2]) < 0.06
 
 
 def test_a_high_bar_is_not_met() -> None:
     field, points = small_world(1)
-    assert at_once(search_everywhere(field, points, 0.99, 0.9, 5)) == []
+    assert searched(field, points, 0.99, 0.9, 5) == []
 
 
 def test_a_search_halts_after_so_many_blocks_and_finds_the_best(monkeypatch: pytest.MonkeyPatch) -> None:
     field, points = small_world(3)
-    whole = at_once(search_everywhere(field, points, 0.1, 0.8, 12))[0]
+    whole = searched(field, points, 0.1, 0.8, 12)[0]
     looked_at: list[int] = []
     bound = global_search._bound
 
@@ -172,7 +190,7 @@ def test_a_search_halts_after_so_many_blocks_and_finds_the_best(monkeypatch: pyt
 
     monkeypatch.setattr(global_search, "_MOST_BLOCKS", 2000)
     monkeypatch.setattr(global_search, "_bound", counted)
-    steps, halts = search_everywhere(field, points, 0.1, 0.8, 12, threads=2), 0
+    steps, halts = search_map(field, points, settings(0.1, 0.8, 2), 12), 0
     try:
         while True:
             next(steps)

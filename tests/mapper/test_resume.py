@@ -19,7 +19,7 @@ from slam.config import Config, load_config
 from slam.datasets import open_dataset
 from slam.datasets.dataset import ReadReport
 from slam.errors import MapFileError
-from slam.mapper import forerunner
+from slam.mapper import lookahead
 from slam.mapper.checkpoint import Checkpoint
 from slam.mapper.mapper import Mapper
 from slam.mapper.mount_learner import LearnedMounting
@@ -196,7 +196,7 @@ class TestASecondCore:
         patch.setattr(Checkpoint, "_found_ahead", count)
         (tmp_path / "log").write_text("the same")
         for free in (False, True):
-            for module in (forerunner, forked):
+            for module in (lookahead, forked):
                 patch.setattr(module, "is_core_free", lambda free=free: free)
             attempt(log, config, tmp_path / f"{free}.db")
         assert (tmp_path / "False.db").read_bytes() == (tmp_path / "True.db").read_bytes()

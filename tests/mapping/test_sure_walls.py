@@ -80,13 +80,13 @@ def test_what_is_behind_must_be_as_far_away_as_elsewhere() -> None:
 
 @pytest.mark.parametrize(("y", "wall"), [(-0.4, False), (-2.5, True)])
 def test_a_piece_behind_it_speaks_against_it_where_furniture_may_be(y: float, wall: bool) -> None:
-    piece = Segment(np.array([3.2, y]), np.array([3.9, y]), 50.0)
+    piece = Segment(np.array([3.2, y]), np.array([3.9, y]))
     assert south((0.0, 4.0), pieces=(piece,)) is wall
-    assert south((0.0, 4.0), pieces=(Segment(piece.end_m, piece.begin_m, 50.0),))
+    assert south((0.0, 4.0), pieces=(Segment(piece.end_m, piece.begin_m),))
 
 
 def test_a_piece_of_another_room_does_not() -> None:
-    piece = Segment(np.array([0.0, -1.4]), np.array([4.0, -1.4]), 50.0)
+    piece = Segment(np.array([0.0, -1.4]), np.array([4.0, -1.4]))
     assert south((0.0, 4.0), others=(room(0.0, -1.4, 4.0, -0.12),), pieces=(piece,))
 
 

@@ -34,10 +34,7 @@ def test_the_first_scan_is_the_origin() -> None:
 
 
 def test_the_wheels_guess_first_and_constant_velocity_second() -> None:
-    run = Run()
-    run.see_the_truth()
-    run.scan()
-    run.scan()
+    run = Run.sure(2)
     third = run.scan(wheel_step=np.array([0.12, 0.0, 0.0]))
     wheels, velocity = run.odometry.asked[1]
     np.testing.assert_allclose(wheels.pose, compose(STEP, np.array([0.12, 0.0, 0.0])), atol=1e-9)
@@ -47,8 +44,7 @@ def test_the_wheels_guess_first_and_constant_velocity_second() -> None:
 
 
 def test_without_wheels_velocity_is_the_only_guess() -> None:
-    run = Run(wheels=False)
-    run.see_the_truth()
+    run = Run.sure(wheels=False)
     for _ in range(3):
         tracked = run.scan()
     assert [len(guesses) for guesses in run.odometry.asked] == [1, 1]
@@ -61,10 +57,7 @@ def test_without_wheels_velocity_is_the_only_guess() -> None:
 )
 def test_velocity_is_stretched_over_a_gap_but_not_for_ever(gap_s: float, steps: float) -> None:
     """A stamp that stands or runs backward tells no time: then the last step is repeated."""
-    run = Run(wheels=False)
-    run.see_the_truth()
-    run.scan()
-    run.scan()
+    run = Run.sure(2, wheels=False)
     run.tracker.track(SOME, run.stamp_s + gap_s)
     np.testing.assert_allclose(run.odometry.asked[1][0].pose, compose(STEP, steps * STEP), atol=1e-9)
 
@@ -81,10 +74,7 @@ def test_a_failed_match_leaves_dead_reckoning() -> None:
 @pytest.mark.parametrize("jump", [(3.0, 0.0, 0.0), (0.0, -4.0, 0.0), (0.0, 0.0, 2.5), (900.0, 0.0, 0.0)])
 def test_a_jump_of_the_wheels_is_left_out(jump: tuple[float, ...]) -> None:
     """The robot is taken to have gone on as before."""
-    run = Run()
-    run.see_the_truth()
-    for _ in range(3):
-        run.scan()
+    run = Run.sure(3)
     doubt = run.wheel_doubt()
     tracked = run.scan(wheel_step=np.array(jump))
     for guess in run.odometry.asked[-1]:
@@ -97,8 +87,7 @@ def test_a_jump_of_the_wheels_is_left_out(jump: tuple[float, ...]) -> None:
 
 def test_wheels_that_prove_wrong_lose_the_first_word_and_get_it_back() -> None:
     """Wheels that have lost their sign: every step says backward what went forward."""
-    run = Run()
-    run.see_the_truth()
+    run = Run.sure()
     run.odometry.near_fit = 0.0
     fast = np.array([0.3, 0.0, 0.0])
     for _ in range(40):
@@ -111,10 +100,7 @@ def test_wheels_that_prove_wrong_lose_the_first_word_and_get_it_back() -> None:
 
 
 def test_good_wheels_are_not_doubted() -> None:
-    run = Run()
-    run.see_the_truth()
-    for _ in range(50):
-        run.scan()
+    run = Run.sure(50)
     assert run.wheel_doubt() == pytest.approx(1.0)
 
 
@@ -136,10 +122,7 @@ class TestContradiction:
         self, match_fit: float, near_fit: float | None, objects: int = 20
     ) -> tuple[TrackedScan, FloatArray, FloatArray]:
         """The disputed scan, where the match wanted it and where the wheels did."""
-        run = Run()
-        run.see_the_truth()
-        for _ in range(4):
-            run.scan()
+        run = Run.sure(4)
         by_wheels, by_match = compose(run.true_pose, STEP), compose(run.true_pose, self.ASIDE)
         run.odometry.answer = lambda guesses: motion_at(by_match, fit=match_fit)
         run.odometry.near_fit = near_fit
@@ -200,10 +183,7 @@ class TestContradiction:
     def test_after_a_gap_a_corridor_that_the_wheels_turned_away_from_may_be_another(
         self, step: tuple[float, ...], disputed: bool
     ) -> None:
-        run = Run()
-        run.see_the_truth()
-        for _ in range(4):
-            run.scan()
+        run = Run.sure(4)
         ahead = compose(run.true_pose, np.array([1.2, -0.25, 0.0] if disputed else [5.0, 0.0, 0.0]))
         run.odometry.answer = lambda guesses: motion_at(ahead, degenerate=True)
         run.odometry.near_fit = None
@@ -215,10 +195,7 @@ class TestContradiction:
         assert tracked.dispute.any() == disputed
 
     def test_a_dispute_widens_the_next_guess(self) -> None:
-        run = Run()
-        run.see_the_truth()
-        for _ in range(4):
-            run.scan()
+        run = Run.sure(4)
         by_match = compose(run.true_pose, self.ASIDE)
         run.odometry.answer = lambda guesses: motion_at(by_match, fit=0.95)
         run.odometry.near_fit = self.even_fit()
@@ -231,8 +208,7 @@ class TestContradiction:
 
 def drifted(objects: int) -> float:
     """How far a slow track is led astray by matches that err by 25 mm a scan, metres; wheels are exact."""
-    run = Run()
-    run.see_the_truth()
+    run = Run.sure()
     slow = 0.3 * STEP
     for _ in range(60):
         run.scan(slow, slow)
@@ -254,8 +230,7 @@ def test_matches_that_err_a_little_at_every_scan_contradict_the_way_of_the_wheel
 
 def test_wheels_that_prove_exact_are_believed_more_and_less_again_after_a_slip() -> None:
     """The way's variance shrinks, the turn's does not; a slip brings it back."""
-    run = Run()
-    run.see_the_truth()
+    run = Run.sure()
     variances = []
     for n in range(160):
         slips = 100 <= n < 110
@@ -271,10 +246,7 @@ def test_wheels_that_prove_exact_are_believed_more_and_less_again_after_a_slip()
 
 def test_wheels_that_prove_exact_on_the_straight_may_swing_in_a_turn() -> None:
     """The base sits beside the axle: each turn takes it aside, and that is no contradiction."""
-    run = Run()
-    run.see_the_truth()
-    for _ in range(160):
-        run.scan()
+    run = Run.sure(160)
     run.odometry.near_fit = 0.95
     tracked = run.scan(wheel_step=np.array([0.0, 0.0, 0.35]), true_step=np.array([0.0, 0.04, 0.35]))
     np.testing.assert_allclose(tracked.pose, run.true_pose, atol=1e-9)
@@ -326,8 +298,7 @@ def test_an_empty_scan_is_dead_reckoned_and_the_next_one_matched() -> None:
 def test_constant_velocity_leads_no_more_after_a_while() -> None:
     """The robot stood; half a minute later the wheels have counted 5 m: where it stood may look alike."""
     for wheels in (True, False):
-        run = Run(wheels=wheels)
-        run.see_the_truth()
+        run = Run.sure(wheels=wheels)
         for _ in range(3):
             run.scan(np.zeros(3), np.zeros(3))
         run.stamp_s += 30.0
@@ -342,20 +313,14 @@ def test_constant_velocity_leads_no_more_after_a_while() -> None:
 )
 def test_a_gap_that_nothing_bridges_leaves_a_match_open(gap_s: float, wheels: bool, variance: float) -> None:
     """1 m/s as a rule: anywhere within the way of then, evenly spread."""
-    run = Run(wheels=wheels)
-    run.see_the_truth()
-    for _ in range(5):
-        run.scan()
+    run = Run.sure(5, wheels=wheels)
     run.stamp_s += gap_s
     assert run.scan().dispute.diagonal()[:2] == pytest.approx([variance, variance])
 
 
 def test_the_end_of_a_corridor_makes_up_for_what_went_wrong_along_it() -> None:
     """The wheels jumped where nothing could tell: what makes up for it is no velocity."""
-    run = Run()
-    run.see_the_truth()
-    for _ in range(5):
-        run.scan()
+    run = Run.sure(5)
     along = np.array([0.4, 0.0, 0.0])
     ahead = motion_at(compose(run.true_pose, compose(STEP, along)), degenerate=True)
     ahead = replace(ahead, covariance=ahead.covariance + np.diag([900.0, 0.0, 0.0]))
@@ -371,10 +336,7 @@ def test_the_end_of_a_corridor_makes_up_for_what_went_wrong_along_it() -> None:
 
 def test_a_guess_that_the_match_has_refuted_leads_along_no_corridor() -> None:
     """The wheels turn and say that the robot stands; the walls say that it does not turn."""
-    run = Run()
-    run.see_the_truth()
-    for _ in range(5):
-        run.scan()
+    run = Run.sure(5)
     run.odometry.near_fit = None
 
     def along_the_first(guesses: list[Motion]) -> MotionEstimate:

@@ -10,10 +10,7 @@ from slam.matching.planar import between
 
 def test_what_nothing_tells_goes_on_for_half_a_second_and_then_stands() -> None:
     """Ten metres a second would be a hundred after ten seconds without a match."""
-    run = Run(wheels=False)
-    run.see_the_truth()
-    for _ in range(5):
-        run.scan()
+    run = Run.sure(5, wheels=False)
     run.odometry.answer = lambda guesses: None
     blind = [run.scan() for _ in range(100)]
     gone_m = float(np.hypot(*between(run.odometry.asked[4][0].pose, blind[-1].pose)[:2]))
@@ -22,10 +19,7 @@ def test_what_nothing_tells_goes_on_for_half_a_second_and_then_stands() -> None:
 
 def test_the_step_that_mends_a_guess_tells_no_velocity() -> None:
     """Blind for a scan the robot was 3 m off; where it is found again says nothing of its speed."""
-    run = Run(wheels=False)
-    run.see_the_truth()
-    for _ in range(5):
-        run.scan()
+    run = Run.sure(5, wheels=False)
     run.odometry.answer = lambda guesses: None
     run.scan(true_step=np.array([3.0, 0.0, 0.0]))
     run.see_the_truth()
@@ -35,10 +29,7 @@ def test_the_step_that_mends_a_guess_tells_no_velocity() -> None:
 
 
 def test_stamps_that_are_close_together_tell_no_velocity() -> None:
-    run = Run(wheels=False)
-    run.see_the_truth()
-    for _ in range(5):
-        run.scan()
+    run = Run.sure(5, wheels=False)
     run.stamp_s -= 0.09
     close = run.scan()
     run.scan()
@@ -47,8 +38,7 @@ def test_stamps_that_are_close_together_tell_no_velocity() -> None:
 
 
 def test_wheels_that_never_move_are_dead_once_the_robot_has_moved() -> None:
-    run = Run()
-    run.see_the_truth()
+    run = Run.sure()
     still, ahead = np.zeros(3), np.array([0.1, 0.0, 0.0])
     run.scan(still, ahead)
     run.scan(still, ahead)

@@ -94,10 +94,7 @@ def _packed(name: str) -> Any:
         if name == "icl_nuim":  # it numbers frames of 30 Hz from 1
             taken = footage(lens, first_s=1 / 30)
         path = CAMERAS[name](folder, taken)
-        sample = recorded(bare(path), taken, truth=name != "sun3d")
-        if name in ("scannet", "open3d"):  # frames are numbered, by the program at 30 Hz
-            return sample
-        return sample
+        return recorded(bare(path), taken, truth=name != "sun3d")
 
     return write
 

@@ -21,7 +21,7 @@ from slam.doctor.diagnosis import Registrations
 from slam.forked import Forked, Tell, is_core_free
 from slam.graph.edge import Edge, EdgeKind
 from slam.mapper.checkpoint import Checkpoint
-from slam.mapper.planar_way import Moment, PlanarWay, Step
+from slam.mapper.planar_odometry import Moment, PlanarOdometry, Step
 from slam.mapper.protocol import SENSORS
 from slam.matching.local_map import OrientedPoints
 from slam.measurements import LaserScan
@@ -42,7 +42,7 @@ class LostError(Exception):
 
 
 class Ahead:
-    """Results of the copy, read in log order; see `slam.mapper.planar_way.Steps`."""
+    """Results of the copy, read in log order; see `slam.mapper.planar_odometry.Steps`."""
 
     def __init__(self, receive: Callable[[], bytes | None], checkpoint: Checkpoint) -> None:
         self._receive, self._checkpoint = receive, checkpoint
@@ -79,9 +79,9 @@ class Ahead:
         assert self._step is not None
         return self._step
 
-    def followed_by(self, way: PlanarWay) -> Ahead:
+    def followed_by(self, odometry: PlanarOdometry) -> Ahead:
         """Let the path of these moments adopt at the end what the copy has learned; return self."""
-        self._way = way
+        self._odometry = odometry
         return self
 
     def end(self) -> None:
@@ -92,7 +92,7 @@ class Ahead:
         LostError
             If the copy does not send it.
         """
-        self._way.take_over(pickle.loads(self._next()))  # sent by our own copy
+        self._odometry.take_over(pickle.loads(self._next()))  # sent by our own copy
 
     def _next(self) -> bytes:
         """Return the next message of the copy."""
@@ -102,7 +102,7 @@ class Ahead:
         return content
 
 
-class Forerunner:
+class Lookahead:
     """Tracks scans or camera frames ahead of the mapper on a free core; not for 3D lidars.
 
     Parameters
@@ -121,7 +121,7 @@ class Forerunner:
         self._copy: Forked | None = None
         self.ahead: Ahead | None = None
 
-    def __enter__(self) -> Forerunner:
+    def __enter__(self) -> Lookahead:
         return self
 
     def __exit__(
@@ -163,16 +163,16 @@ class Forerunner:
     def _track_scans(self, config: Config, choice: SensorChoice, tell: Tell) -> None:
         """Track and send the path of a robot without cameras."""
         answers = _Answers()
-        way, key = PlanarWay(config, answers, self._odometries), 0
+        odometry, key = PlanarOdometry(config, answers, self._odometries), 0
         for measurement in choice.used(self._dataset):
             # The front end never gets the measurements of registered sensors.
-            moment = None if type(measurement) in SENSORS else way.observe(measurement)
+            moment = None if type(measurement) in SENSORS else odometry.observe(measurement)
             if moment is None:
                 continue
             step = None
             if moment.new_keyframe:
-                found = way.step(key)
-                way.readings.mark_keyframe()
+                found = odometry.step(key)
+                odometry.readings.mark_keyframe()
                 edges = [_plain(edge) for edge in found.edges]
                 step = found.step, edges, found.surface.points, found.surface.normals, found.seen
                 key += 1
@@ -181,7 +181,7 @@ class Forerunner:
             motion = None if moment.motion is None else next(which, moment.motion)
             tell(pack((moment.stamp_s, moment.pose, motion, answers.found, step)))
             answers.found = []
-        tell(pickle.dumps(way.learned(), pickle.HIGHEST_PROTOCOL))
+        tell(pickle.dumps(odometry.learned(), pickle.HIGHEST_PROTOCOL))
 
     def _track_frames(
         self, config: Config, choice: SensorChoice, known: Mapping[str, ColorRegistration], cache: ResultCache

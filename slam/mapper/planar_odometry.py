@@ -13,7 +13,7 @@ from slam.config import Config
 from slam.estimates import MotionEstimate
 from slam.graph.edge import Edge, EdgeKind
 from slam.graph.keyframe_graph import KeyframeGraph
-from slam.graph.settled_wheels import settle_wheels
+from slam.graph.wheel_edges import calibrate_wheel_edges
 from slam.mapper.map_result import MapResult
 from slam.mapper.mount_learner import LearnedMounting
 from slam.mapper.planar_chain import PlanarChain
@@ -82,7 +82,7 @@ class Step:
 
 
 class Steps(Protocol):
-    """Tracks the path of a robot: `PlanarWay`, or a process ahead, see `slam.mapper.forerunner`."""
+    """Tracks the path of a robot: `PlanarOdometry`, or a process ahead, see `slam.mapper.lookahead`."""
 
     def observe(self, measurement: Any) -> Moment | None:
         """Take the next measurement; where the robot is then, if it tells that."""
@@ -93,7 +93,7 @@ class Steps(Protocol):
         ...
 
 
-class PlanarWay:
+class PlanarOdometry:
     """Track a robot on a floor by its scans, wheel odometry, gyroscope and cameras.
 
     Attributes
@@ -177,7 +177,7 @@ class PlanarWay:
         stamps_s = self.readings.scan_stamps_s()[self.readings.keyframe_scans()]
         wheels, config = self.readings.keyframe_wheels(), self._config
         self._chain.settle(graph, stamps_s, before, wheels)
-        settle_wheels(graph, config.loops.reach_m, wheels, stamps_s, config.graph)
+        calibrate_wheel_edges(graph, config.loops.reach_m, wheels, stamps_s, config.graph)
 
     def learned(self) -> tuple[Any, ...]:
         """Return what was learned on the whole path: plain objects, for `take_over`."""

@@ -11,7 +11,7 @@ from slam.estimates import MotionEstimate
 from slam.measurements import FloatArray
 
 
-class OpenWay:
+class UnobservedPath:
     """Time since all directions were last determined, and covariance added to keyframes since then.
 
     Parameters

@@ -23,7 +23,7 @@ from slam.matching.planar import between, compose
 from slam.measurements import FloatArray, pose2_from_row
 
 
-def settle_wheels(
+def calibrate_wheel_edges(
     graph: KeyframeGraph, least_m: float, poses: FloatArray, stamps_s: FloatArray, config: GraphConfig
 ) -> None:
     """Give steps measured only by wheels the error that wheels have shown, unless loops reject that.

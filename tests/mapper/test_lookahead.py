@@ -10,8 +10,8 @@ import pytest
 import slam
 from slam import forked
 from slam.app.mapping import run_log
-from slam.mapper import forerunner, lidar2d, map_result, pipeline
-from slam.mapper.forerunner import Ahead
+from slam.mapper import lidar2d, lookahead, map_result, pipeline
+from slam.mapper.lookahead import Ahead
 from slam.simulation.synthetic_log import write_synthetic_log
 
 SCANS = 126  # of the drive
@@ -29,7 +29,7 @@ class Counted:
     def __init__(self, monkeypatch: pytest.MonkeyPatch, *, free: bool) -> None:
         self.found = self.made = 0
         observe, start = Ahead.observe, forked.Forked.__init__
-        for module in (forerunner, forked):
+        for module in (lookahead, forked):
             monkeypatch.setattr(module, "is_core_free", lambda: free)
 
         def count(ahead: Ahead, measurement: Any) -> Any:
@@ -38,7 +38,7 @@ class Counted:
             return moment
 
         def make(copy: forked.Forked, work: Any) -> None:
-            self.made += work.__qualname__.startswith("Forerunner")
+            self.made += work.__qualname__.startswith("Lookahead")
             start(copy, work)
 
         monkeypatch.setattr(Ahead, "observe", count)
