@@ -18,13 +18,7 @@ _FILES, _VALUES = 5, 60_000  # that are looked at, and of each file
 
 
 def rows_of(files: Sequence[Path]) -> Rows:
-    """The rows of clouds, by several of their files; KITTI's where there is too little to tell.
-
-    Raises
-    ------
-    DatasetError
-        They are no rows of coordinates.
-    """
+    """Return the row type of clouds by several files, KITTI's if unclear; DatasetError if none fits."""
     files = [path for path in files if is_bin(path) and path.is_file()]
     looked_at = files[:: max(1, len(files) // _FILES)][:_FILES]
     for kind in ("f4", "f8"):

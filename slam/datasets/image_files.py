@@ -83,13 +83,7 @@ FILES = ImageFiles()
 
 
 def color_of(content: bytes, name: str, budget: Budget) -> ColorImage:
-    """An 8-bit image as (H, W, 3) RGB; grey is spread over the channels, transparency is dropped.
-
-    Raises
-    ------
-    RecordFault
-        Damaged, not 8-bit, or beyond the budget.
-    """
+    """Decode an 8-bit image to (H, W, 3) RGB without transparency; RecordFault if damaged or not 8-bit."""
     image = decoded(content, name, budget)
     color = rgb_of(image)
     if color is None:

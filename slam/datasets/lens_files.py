@@ -20,13 +20,7 @@ _LARGEST_BYTES = 1 << 26  # of a JSON file; of a phone's with a pose a frame
 
 
 def four_numbers(path: Path) -> CameraIntrinsics:
-    """``fx fy cx cy`` in a text file; what follows them is left.
-
-    Raises
-    ------
-    DatasetError
-        They are not there.
-    """
+    """Read ``fx fy cx cy`` at the beginning of a text file; DatasetError if they are missing."""
     numbers = numbers_of(path)
     if numbers is None or numbers.size < 4:
         raise DatasetError(f"{path} does not begin with fx fy cx cy; correct it, or give a calibration.yaml")

@@ -70,13 +70,7 @@ def unpacked_chunk(packed: bytes, compression: str, size: int, budget: Budget, *
 
 
 def unpacked_message(content: bytes, channel: Channel, budget: Budget) -> bytes:
-    """A message as it was serialised, also where the recorder packed each one with zstd.
-
-    Raises
-    ------
-    RecordFault
-        It does not unpack, or is beyond the budget.
-    """
+    """Return a message as serialised, if packed with zstd, too; RecordFault if it does not unpack."""
     if channel.wire != "cdr" or not content.startswith(_ZSTD_MAGIC):
         return content
     budget.take(0, 0)  # where nothing is left, nothing is unpacked

@@ -68,13 +68,7 @@ class OusterModel:
 
     @staticmethod
     def of(text: str) -> OusterModel:
-        """By the text of a sensor's metadata, in any of its three forms (flat, flat with a format, sections).
-
-        Raises
-        ------
-        RecordFault
-            It is no metadata, lacks something, or is of a profile that is not read.
-        """
+        """Parse the metadata of a sensor (flat, with a format, or in sections); RecordFault if unreadable."""
         try:
             told = json.loads(text)
             whole = dict(told)

@@ -19,13 +19,7 @@ _SIZE_BYTES = 8  # width and height come first
 
 
 def unpacked(content: bytes, budget: Budget) -> NDArray[np.uint16]:
-    """(H, W) of an image with its size.
-
-    Raises
-    ------
-    RecordFault
-        Where the runs do not make up an image of that size, or it is beyond the budget.
-    """
+    """Return the (H, W) image; RecordFault if the runs have another size, or the budget is used up."""
     if len(content) < _SIZE_BYTES:
         raise RecordFault(DAMAGED_RUNS, f"{len(content)} bytes")
     width, height = (int(value) for value in np.frombuffer(content, "<u4", 2))

@@ -22,13 +22,7 @@ class VelodyneDecoder:
         self._decoder: Any = None
 
     def cloud(self, message: Any) -> SimpleNamespace:
-        """A VelodyneScan with the fields of a PointCloud2, stamped with its first packet.
-
-        Raises
-        ------
-        RecordFault
-            The extra is not installed, or the packets are damaged or of no known model.
-        """
+        """Return a VelodyneScan as a PointCloud2 stamped with its first packet; RecordFault if damaged."""
         velodyne_decoder, config = _library()
         if self._decoder is None:
             self._decoder = velodyne_decoder.ScanDecoder(config)
@@ -50,13 +44,7 @@ class VelodyneStream:
         self._decoder: Any = None
 
     def add(self, stamp_s: float, packet: bytes) -> SimpleNamespace | None:
-        """The turn that a packet completes, with the fields of a PointCloud2; None where it completes none.
-
-        Raises
-        ------
-        RecordFault
-            The extra is not installed, or the packet is damaged.
-        """
+        """Return the revolution that a packet completes, or None; RecordFault if the packet is damaged."""
         velodyne_decoder, config = _library()
         if len(packet) != velodyne_decoder.PACKET_SIZE:
             return None
