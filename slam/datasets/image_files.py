@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from slam.datasets.budget import LARGEST_BYTES, MOST_PIXELS, Budget
 from slam.datasets.calibration import Calibration
 from slam.datasets.dataset import RecordFault
+from slam.datasets.plain_points import load_array
 from slam.datasets.quiet_decoder import decode_quietly
 from slam.datasets.stamped_files import StampedFile
 from slam.measurements import ColorImage, Float32Array
@@ -105,13 +106,7 @@ def rgb_of(image: NDArray[Any]) -> ColorImage | None:
 def depth_of(
     content: bytes, name: str, calibration: Calibration, budget: Budget, *, float_png: bool = False
 ) -> Float32Array:
-    """A 16-bit PNG or PGM, or an array of metres by NumPy, as metres, (H, W).
-
-    Raises
-    ------
-    RecordFault
-        Damaged, beyond the budget, of 8 bits or of several channels: its metres would be a guess.
-    """
+    """Decode a 16-bit PNG or PGM, or an array of metres, to metres (H, W); RecordFault if it is neither."""
     if content.startswith(_NPY_MAGIC):
         array = _array(content, name)
         steps_of_array = array.ndim == 2 and array.dtype == np.uint16
@@ -151,8 +146,8 @@ def usable_metres(depth: NDArray[Any], name: str, budget: Budget) -> Float32Arra
 def _array(content: bytes, name: str) -> NDArray[Any]:
     """An array that NumPy wrote; of objects there is none."""
     try:
-        return np.asarray(np.load(io.BytesIO(content), allow_pickle=False))
-    except (ValueError, EOFError, OSError, SyntaxError, MemoryError) as error:
+        return load_array(io.BytesIO(content))
+    except (ValueError, OSError) as error:
         raise RecordFault(DAMAGED, f"{name}: {error}") from error
 
 
