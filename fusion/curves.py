@@ -15,6 +15,7 @@ from typing import Any, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
+from fusion.checks import instance, numbers
 from fusion.kernel import ZERO, kernel
 from fusion.showing import drawn, one_line, shaded, with_pictures
 
@@ -66,10 +67,12 @@ class LidarCurve:
         return with_pictures(self, drawn(black=points, red=np.zeros((1, 2))))
 
     def __post_init__(self) -> None:
-        if np.ndim(self.ranges_m) != 1 or not np.isfinite([self.start_angle_rad, self.step_rad]).all():
-            raise ValueError("ranges_m must have one dimension, and the angles must be finite")
-        if self.step_rad == 0.0:
-            raise ValueError("step_rad is 0; give the angle between two beams")
+        object.__setattr__(self, "ranges_m", numbers(self.ranges_m, (None,), "ranges_m", finite=False))
+        numbers([self.start_angle_rad, self.step_rad], (2,), "start_angle_rad, step_rad")
+        if not numbers(self.range_max_m, (), "range_max_m", finite=False) > 0.0:
+            raise ValueError(f"range_max_m is {self.range_max_m}; give a maximum above 0")
+        if self.step_rad == 0.0 or not len(self.ranges_m):
+            raise ValueError(f"{self}: give one beam or more, and the angle between two")
 
     def bearings_rad(self) -> FloatArray:
         """(N,) bearing of each beam.
@@ -159,12 +162,18 @@ class DepthImage:
         return with_pictures(self, shaded(np.where(self.depth_m > 0.0, self.depth_m, np.nan)))
 
     def __post_init__(self) -> None:
-        if np.ndim(self.depth_m) != 2 or min(np.shape(self.depth_m)) < 2:
-            raise ValueError(f"depth_m has shape {np.shape(self.depth_m)}; give (H, W) with both above 1")
-        object.__setattr__(self, "depth_m", np.asarray(self.depth_m))
-        R = np.asarray(self.R_level_camera)
-        if R.shape != (3, 3) or not np.allclose(R @ R.T, np.eye(3), atol=1e-6):
+        object.__setattr__(self, "depth_m", numbers(self.depth_m, (None, None), "depth_m", finite=False))
+        lens = instance(self.intrinsics, Intrinsics, "intrinsics")
+        numbers([lens.fx, lens.fy, lens.cx, lens.cy], (4,), f"{lens}: fx, fy, cx, cy")
+        R = numbers(self.R_level_camera, (3, 3), "R_level_camera")
+        object.__setattr__(self, "R_level_camera", R)
+        if not np.allclose(R @ R.T, np.eye(3), atol=1e-6) or np.linalg.det(R) < 0.0:
             raise ValueError("R_level_camera is not a (3, 3) rotation")
+        numbers(self.range_max_m, (), "range_max_m", finite=False)
+        if not min(lens.fx, lens.fy, self.range_max_m) > 0.0:
+            raise ValueError(f"{lens}, range_max_m={self.range_max_m}: give values above 0")
+        if min(self.depth_m.shape) < 2:
+            raise ValueError(f"depth_m has shape {self.depth_m.shape}; give (H, W) with both above 1")
 
 
 @dataclass(frozen=True)

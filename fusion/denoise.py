@@ -17,6 +17,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from fusion.checks import instance, numbers
 from fusion.curves import BESIDE, HEIGHT_STEP_M, Curve, DepthImage, Float32Array, FloatArray, LidarCurve
 from fusion.estimation import gate, median_to_sigma
 from fusion.native_slice import ImageView, native_slice, native_step_rad
@@ -98,7 +99,7 @@ def denoise(
     Raises
     ------
     ValueError
-        If the cameras are not those that were registered.
+        If the cameras are not those that were registered, or an argument is of a wrong type.
 
     Examples
     --------
@@ -121,6 +122,10 @@ def denoise(
     >>> bool(np.abs(repaired.ranges_m - true_m).max() < 0.05)
     True
     """
+    instance(scan, LidarCurve, "scan")
+    instance(registration, (Registration, RigEstimate), "registration")
+    numbers(least_probability, (), "least_probability")
+    instance(least_grade, Grade, "least_grade")
     images = as_images(depth)
     if isinstance(registration, RigEstimate):
         matrices = [None if found is None else found.T_laser_level for found in registration.alignments]

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fusion.bayes import evidence_steps
+from fusion.checks import numbers
 
 Array = NDArray[np.floating[Any]]
 
@@ -40,6 +41,7 @@ class RangeNoise:
     per_m: float = 0.0
 
     def __post_init__(self) -> None:
+        numbers([self.floor_m, self.share, self.per_m], (3,), "floor_m, share, per_m")
         if not (self.floor_m > 0.0 and self.share >= 0.0 and self.per_m >= 0.0):
             raise ValueError(f"{self}: floor_m must be positive, share and per_m not negative")
 

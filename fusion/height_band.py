@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from fusion.checks import numbers
 from fusion.curves import Intrinsics
 from fusion.kernel import kernel
 from fusion.voxel_hash import first_in_voxels, table_for
@@ -51,6 +52,7 @@ class HeightBand:
     climb_m: float
 
     def __post_init__(self) -> None:
+        numbers([self.base_height_m, self.workspace_m, self.climb_m], (3,), "heights of a band")
         if not (self.climb_m >= 0.0 and self.base_height_m + self.workspace_m > 0.0):
             raise ValueError(f"{self} is empty: needs climb_m >= 0 and base_height_m + workspace_m > 0")
 

@@ -18,6 +18,7 @@ from typing import TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
+from fusion.checks import instance
 from fusion.curves import SAMPLE_STEP_RAD, STEEPEST, Curve, DepthImage, Float32Array, FloatArray, IntArray
 from fusion.kernel import kernel
 
@@ -83,11 +84,10 @@ def as_images(depth: Depths) -> tuple[DepthImage, ...]:
     ValueError
         If there is none, or it is no depth image.
     """
-    images = (depth,) if isinstance(depth, DepthImage) else tuple(depth)
-    if not images or not all(isinstance(image, DepthImage) for image in images):
-        given = type(images[0]).__name__ if images else "nothing"
-        raise ValueError(f"depth is {given}; give fusion.DepthImage(depth_m, intrinsics), or several")
-    return images
+    images = tuple(depth) if isinstance(depth, Sequence) else (depth,)
+    if not images:
+        raise ValueError("depth is empty; give fusion.DepthImage(depth_m, intrinsics), or several")
+    return tuple(instance(image, DepthImage, "depth") for image in images)
 
 
 def yaw_of(image: DepthImage) -> float:

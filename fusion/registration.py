@@ -14,6 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from fusion.alignment import align
+from fusion.checks import instance, numbers
 from fusion.curves import (
     HEIGHT_STEP_M,
     NEAR_SAMPLES,
@@ -108,7 +109,7 @@ def register(
     Raises
     ------
     ValueError
-        If there is no image, or the window is wider than the lidar sweep.
+        If an argument is of a wrong type, there is no image or height, or the window is wider than the sweep.
 
     Examples
     --------
@@ -127,9 +128,9 @@ def register(
     >>> round(pair.yaw_rad, 1), pair.grade.name
     (0.9, 'HIGH')
     """
-    if not isinstance(scan, LidarCurve):
-        given = type(scan).__name__
-        raise ValueError(f"scan is {given}; give fusion.LidarCurve(ranges_m, start_angle_rad, step_rad)")
+    instance(scan, LidarCurve, "scan")
+    if not len(heights_m := numbers(heights_m, (None,), "heights_m")):
+        raise ValueError("heights_m is empty; give the heights above the camera to try")
     stacks = tuple(height_slices(image, heights_m) for image in as_images(depth))
     curve, stack = resample(scan), join(stacks)
     scores = log_ratio_map(stack.ranges_m, curve.ranges_m)

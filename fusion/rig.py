@@ -13,6 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from fusion.alignment import Alignment, align
+from fusion.checks import instance, numbers
 from fusion.curves import Float32Array
 from fusion.likelihood import OFFSETS_M, log_ratios_at
 from fusion.registration import Registration
@@ -90,6 +91,8 @@ class Rig:
         return f"Rig({self._pairs} pairs)"
 
     def __init__(self, kept: int = 96) -> None:
+        if not numbers(kept, (), "kept") >= 1:
+            raise ValueError(f"kept is {kept}; give 1 or more")
         self._last: deque[Registration] = deque(maxlen=kept)
         self._sum: Float32Array | None = None
         self._first = 0
@@ -101,8 +104,9 @@ class Rig:
         Raises
         ------
         ValueError
-            If the pair has other candidates than the pairs before.
+            If it is no registration, or has other candidates than the pairs before.
         """
+        instance(pair, Registration, "pair")
         if self._sum is not None and len(pair.score_map) != len(self._sum):
             raise ValueError(
                 f"the pair has {len(pair.score_map)} candidates, those before {len(self._sum)};"

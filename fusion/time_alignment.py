@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from fusion.checks import numbers
 from fusion.curves import FloatArray
 from fusion.estimation import FEWEST, TINY
 from fusion.similarity import MIDDLE_MAX
@@ -63,6 +64,11 @@ def clock_offset(
     None if the offset is not determined: too few spans, too little rotation, or no clear peak in the range. A
     span is ignored if one of the tried offsets moves it to a time without data of the second sensor.
 
+    Raises
+    ------
+    ValueError
+        If the arrays have other shapes, or ``most_s`` is not above 0.
+
     Examples
     --------
     >>> import fusion, numpy as np
@@ -74,6 +80,8 @@ def clock_offset(
     >>> round(found.offset_s, 2)
     0.25
     """
+    if not numbers(most_s, (), "most_s") > 0.0:
+        raise ValueError(f"most_s is {most_s}; give seconds above 0")
     first_spans_s, first_turned_rad = _rising(first_spans_s, first_turned_rad)
     second_spans_s, second_turned_rad = _rising(second_spans_s, second_turned_rad)
     if min(len(first_spans_s), len(second_spans_s)) < FEWEST:
@@ -111,6 +119,8 @@ def clock_offset(
 
 def _rising(spans_s: FloatArray, turned_rad: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return spans and rotations without those that begin before an earlier one ends."""
+    spans_s = numbers(spans_s, (None, 2), "spans_s", finite=False)
+    turned_rad = numbers(turned_rad, (len(spans_s),), "turned_rad", finite=False)
     ended_s = np.maximum.accumulate(np.concatenate([[-np.inf], spans_s[:, 1]]))[:-1]
     rising = (spans_s[:, 0] >= ended_s) & (spans_s[:, 1] > spans_s[:, 0])
     return spans_s[rising], turned_rad[rising]

@@ -11,7 +11,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fusion.showing import drawn, one_line, with_pictures
-from slam.measurements import FloatArray, Pose
+from slam.errors import ScanweaveError
+from slam.measurements import FloatArray, Pose, numbers_of
+
+# Public ground truths have four decimals in each component; what is farther from unit length is no rotation.
+NORM_TOLERANCE = 1e-2
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,6 +78,11 @@ class Trajectory:
     quaternions_xyzw
         (N, 4), unit length.
 
+    Raises
+    ------
+    ScanweaveError
+        If the arrays have other shapes, a number is not finite, or a quaternion is not of unit length.
+
     Examples
     --------
     >>> import numpy as np, slam
@@ -86,6 +95,14 @@ class Trajectory:
     stamps_s: FloatArray
     positions_m: FloatArray
     quaternions_xyzw: FloatArray
+
+    def __post_init__(self) -> None:
+        length = np.shape(self.stamps_s)[:1] or (None,)
+        for name, shape in (("stamps_s", ()), ("positions_m", (3,)), ("quaternions_xyzw", (4,))):
+            object.__setattr__(self, name, numbers_of(getattr(self, name), (*length, *shape), name))
+        off = np.abs(np.linalg.norm(self.quaternions_xyzw, axis=1) - 1.0) > NORM_TOLERANCE
+        if off.any():
+            raise ScanweaveError(f"quaternion {off.argmax()} is not of unit length (order x, y, z, w)")
 
     __repr__ = one_line
 
@@ -110,13 +127,14 @@ class Trajectory:
         >>> way.quaternions_xyzw[1].round(3).tolist()  # half a turn about z
         [0.0, 0.0, 1.0, 0.0]
         """
-        count = len(stamps_s)
+        poses_xyt = numbers_of(poses_xyt, (None, 3), "poses_xyt")
+        count = len(poses_xyt)
         positions = np.zeros((count, 3))
         positions[:, :2] = poses_xyt[:, :2]
         quaternions = np.zeros((count, 4))
         quaternions[:, 2] = np.sin(0.5 * poses_xyt[:, 2])
         quaternions[:, 3] = np.cos(0.5 * poses_xyt[:, 2])
-        return cls(np.asarray(stamps_s, dtype=np.float64), positions, quaternions)
+        return cls(stamps_s, positions, quaternions)
 
     def poses(self) -> list[gtsam.Pose3]:
         """Return the N poses.

@@ -13,9 +13,11 @@ import gtsam
 import numpy as np
 from numpy.typing import NDArray
 
+from fusion.checks import numbers
 from fusion.curves import Intrinsics
 from fusion.showing import drawn, shaded, with_pictures
 from fusion.showing import one_line as one_line
+from slam.errors import ScanweaveError
 from slam.later import load_later
 
 # SciPy asks numpy for everything: ten megabytes that neither uses.
@@ -302,6 +304,16 @@ class GnssFix:
     sensor: str = "gnss"
 
     __repr__ = one_line
+
+
+def numbers_of(
+    value: Any, shape: tuple[int | None, ...], name: str, error: type[ScanweaveError] = ScanweaveError
+) -> FloatArray:
+    """Return finite numbers that a caller gave, see `fusion.checks.numbers`, or raise an error of a type."""
+    try:
+        return np.asarray(numbers(value, shape, name), np.float64)
+    except ValueError as fault:
+        raise error(str(fault)) from None
 
 
 Measurement: TypeAlias = LaserScan | WheelOdometry | RgbdFrame | PointCloud | ImuReading | GnssFix

@@ -77,11 +77,14 @@ class TestMatch:
     @pytest.mark.parametrize(
         ("arguments", "reported"),
         [
-            ((np.zeros((5, 3)), np.ones((5, 2))), r"a scan: an array of shape \(5, 3\), it must be \(5, 2\)"),
+            (
+                (np.zeros((5, 3)), np.ones((5, 2))),
+                r"a scan is float64\[5, 3\]; give numbers of shape \(N, 2\)",
+            ),
             ((np.full((5, 2), np.nan), np.ones((5, 2))), "a scan: 10 of 10 numbers are not finite"),
             (
                 (np.ones((5, 2)), np.ones((5, 2)), (0.0, 0.0)),
-                r"the guess: an array of shape \(2,\), it must be \(3,\)",
+                r"the guess is float64\[2\]; give numbers of shape \(3\)",
             ),
             (
                 (np.ones((5, 2)), np.ones((5, 2)), (0.0, 0.0, np.inf)),
@@ -96,7 +99,7 @@ class TestMatch:
             slam.match_scans(*arguments)
 
     def test_a_pose_for_every_reference(self) -> None:
-        with pytest.raises(slam.ScanweaveError, match=r"the poses of 2 scans: an array of shape \(3, 3\)"):
+        with pytest.raises(slam.ScanweaveError, match=r"the poses of 2 scans is float64\[3, 3\]; give"):
             slam.match_scans([np.ones((5, 2))] * 2, np.ones((5, 2)), reference_poses=np.zeros((3, 3)))
 
 
@@ -149,7 +152,7 @@ class TestLoop:
     @pytest.mark.parametrize("window", [(-1.0, 0.1), (np.inf, 0.1), (1.0, np.nan), (1.0, 4.0)])
     def test_a_window_that_is_none(self, window: tuple[float, float]) -> None:
         scan = sweep(room(), (0, 0, 0))
-        with pytest.raises(slam.ScanweaveError, match="cannot be searched: give finite sizes"):
+        with pytest.raises(slam.ScanweaveError, match=r"cannot be searched|not finite"):
             slam.check_loop(scan, scan, half_width_m=window[0], half_yaw_rad=window[1])
 
 
@@ -172,7 +175,7 @@ class TestGrid:
     def test_what_makes_no_grid(self) -> None:
         with pytest.raises(slam.ScanweaveError, match="no scan was given"):
             slam.grid_of_scans([], np.zeros((0, 3)))
-        with pytest.raises(slam.ScanweaveError, match="the poses of 1 scans: an array of shape"):
+        with pytest.raises(slam.ScanweaveError, match=r"the poses of 1 scans is float64\[2, 3\]; give"):
             slam.grid_of_scans([sweep(room(), (0, 0, 0))], self.POSES)
         with pytest.raises(slam.ScanweaveError, match="the poses of 1 scans: 1 of 3 numbers are not finite"):
             slam.grid_of_scans([sweep(room(), (0, 0, 0))], [[0.0, np.nan, 0.0]])

@@ -21,7 +21,7 @@ from slam.sessions.joined_files import write_joined
 from slam.storage.files import make_folder, write_bytes
 from slam.storage.map_file import MAP_NAME
 from slam.storage.map_identity import identity_of
-from slam.storage.whole_folder import holds, keep_report, move_into, only_one_in
+from slam.storage.whole_folder import REPORT, holds, keep_report, move_into, only_one_in
 
 # Where the session is mapped and the joined map is written until it is whole.
 WORK = "joining"
@@ -149,11 +149,12 @@ def _connected(log: Dataset, known: Map, session: MapRun, folder: Path) -> tuple
     whole = folder / WORK / "map"
     shutil.rmtree(whole, ignore_errors=True)  # of a run that was killed
     write_joined(whole, known, session.map, connection)
+    if not (work / REPORT).is_file():  # of a run that was stopped before it
+        write_saved_page(session.map)
     session.map.close()
     with load_map(whole) as saved:
         saved.write_files(whole)
-    report = (work / "report.html").read_bytes()
-    write_bytes(whole / f"report-{len(known.sessions) + 1}.html", report)
+    write_bytes(whole / f"report-{len(known.sessions) + 1}.html", (work / REPORT).read_bytes())
     keep_report(folder)
     written = move_into(folder, whole)
     shutil.rmtree(work)

@@ -11,8 +11,7 @@ from typing import TypeAlias
 import numpy as np
 from numpy.typing import ArrayLike
 
-from slam.app.measured import checked
-from slam.config import Config
+from slam.config import Config, config_of
 from slam.errors import ScanweaveError
 from slam.estimates import MotionEstimate
 from slam.graph.loop_candidate import LoopCandidate
@@ -23,7 +22,8 @@ from slam.mapping.occupancy_grid import OccupancyGrid
 from slam.matching.local_map import LocalMap, OrientedPoints
 from slam.matching.match_covariance import motion_from_alignment
 from slam.matching.scan_points import extract_points, orient_points
-from slam.measurements import AnyFloatArray, FloatArray, LaserScan
+from slam.measurements import AnyFloatArray, LaserScan, numbers_of
+from slam.storage.measurement_soundness import checked
 
 Scan: TypeAlias = LaserScan | AnyFloatArray
 
@@ -80,9 +80,9 @@ def match_scans(
     >>> bool(motion.inlier_share > 0.9), motion.degenerate, motion.covariance.shape
     (True, False, (3, 3))
     """
-    config = config or Config()
+    config = config_of(config)
     local_map = _local_map(reference, reference_poses, config)
-    alignment = local_map.align(_oriented(scan, config), _rows(guess, (3,), "the guess"))
+    alignment = local_map.align(_oriented(scan, config), numbers_of(guess, (3,), "the guess"))
     return motion_from_alignment(alignment, config.match)
 
 
@@ -146,11 +146,12 @@ def check_loop(
     >>> other.accepted, other.reason
     (False, 'no pose in the window scores high enough')
     """
-    config = config or Config()
+    config = config_of(config)
     loops = config.loops
-    width = 0.5 * loops.reach_m if half_width_m is None else float(half_width_m)
-    yaw = config.match.search_half_yaw_rad if half_yaw_rad is None else float(half_yaw_rad)
-    if not (0.0 <= width < np.inf and 0.0 <= yaw <= np.pi):
+    width = 0.5 * loops.reach_m if half_width_m is None else half_width_m
+    yaw = config.match.search_half_yaw_rad if half_yaw_rad is None else half_yaw_rad
+    width, yaw = numbers_of([width, yaw], (2,), "half_width_m, half_yaw_rad").tolist()
+    if not (width >= 0.0 and 0.0 <= yaw <= np.pi):
         raise ScanweaveError(
             f"a window of half_width_m={width:g} half_yaw_rad={yaw:g} cannot be searched: give finite sizes "
             "from 0 on, yaw up to pi"
@@ -160,7 +161,7 @@ def check_loop(
         LoopCandidate(0, 1, width, yaw, 1.0, None, False, ""),
         Submap(lambda: local_map, config.match.cell_m),
         _oriented(scan, config),
-        _rows(guess, (3,), "the guess"),
+        numbers_of(guess, (3,), "the guess"),
         loops,
         config.match,
     )
@@ -205,8 +206,11 @@ def grid_of_scans(
     >>> [round(np.ptp(cells) * grid.resolution_m) for cells in (columns, rows)]
     [6, 4]
     """
-    config = config or Config()
-    rows = _rows(poses, (len(scans), 3), f"the poses of {len(scans)} scans")
+    config = config_of(config)
+    if not isinstance(scans, Sequence) or not all(isinstance(scan, LaserScan) for scan in scans):
+        raise ScanweaveError("a grid is built from a list of slam.LaserScan; its poses are a second list")
+    scans = [checked(scan, f"scan {number}") for number, scan in enumerate(scans)]
+    rows = numbers_of(poses, (len(scans), 3), f"the poses of {len(scans)} scans")
     grid = grid_of_keyframes(scans, rows, config)
     if grid is None:
         raise ScanweaveError("no scan was given to build a grid from")
@@ -215,13 +219,13 @@ def grid_of_scans(
 
 def _local_map(scans: Scan | Sequence[Scan], poses: ArrayLike | None, config: Config) -> LocalMap:
     """Build a local map of one scan in its own frame, or of several at their poses."""
-    if isinstance(scans, LaserScan | np.ndarray):
+    if not isinstance(scans, Sequence):
         scans = [scans]
     if poses is None and len(scans) == 1:
         poses = np.zeros((1, 3))
     if poses is None or not len(scans):
         raise ScanweaveError(f"{len(scans)} scans without poses make no place; give each its x, y, yaw")
-    rows = _rows(poses, (len(scans), 3), f"the poses of {len(scans)} scans")
+    rows = numbers_of(poses, (len(scans), 3), f"the poses of {len(scans)} scans")
     parts = [_oriented(scan, config).moved(row) for scan, row in zip(scans, rows, strict=True)]
     return LocalMap.build(parts, config.match)
 
@@ -230,16 +234,5 @@ def _oriented(scan: Scan, config: Config) -> OrientedPoints:
     """Return the points of a scan that have a normal, base frame."""
     limits = config.scan.range_min_m, config.scan.range_max_m, config.scan.neighbours
     if isinstance(scan, LaserScan):
-        return OrientedPoints.from_scan(extract_points(checked(scan, 1), *limits))
-    points = np.asarray(scan, dtype=np.float64)
-    return OrientedPoints.from_scan(orient_points(_rows(points, (*points.shape[:1], 2), "a scan"), *limits))
-
-
-def _rows(values: ArrayLike, shape: tuple[int, ...], name: str) -> FloatArray:
-    """Check that an array is finite and has a given shape."""
-    rows = np.asarray(values, dtype=np.float64)
-    if rows.shape != shape:
-        raise ScanweaveError(f"{name}: an array of shape {rows.shape}, it must be {shape}")
-    if bad := int(np.count_nonzero(~np.isfinite(rows))):
-        raise ScanweaveError(f"{name}: {bad} of {rows.size} numbers are not finite; leave them out")
-    return rows
+        return OrientedPoints.from_scan(extract_points(checked(scan, "the scan"), *limits))
+    return OrientedPoints.from_scan(orient_points(numbers_of(scan, (None, 2), "a scan"), *limits))

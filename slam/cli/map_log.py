@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sqlite3
 import sys
 import time
 from collections.abc import Iterator
@@ -26,6 +27,7 @@ from slam.cli.app import (
     topics_override,
 )
 from slam.cli.progress import Show, interruptible, progress_bar
+from slam.errors import ScanweaveError
 
 if TYPE_CHECKING:
     from slam.app.joining import Joined
@@ -146,7 +148,7 @@ def map_into(
     if config is None and calibration is not None:
         config = with_calibration(known.config, calibration)
     work = (out or known.path.parent) / WORK / "session"
-    with _told_of(work, resume=resume) as on:
+    with _told_of(work, resume=resume, session=True) as on:
         joined = join(known, log, config, out=out, on_progress=on, resume=resume, strict=strict)
     if joined.session.report is not None:
         _tell(joined.session, "", f"{log.name} alone: ")
@@ -163,8 +165,11 @@ def map_into(
 
 
 @contextmanager
-def _told_of(folder: Path, *, resume: bool) -> Iterator[Show]:
-    """Show how far a map in a folder is: first what becomes of one that was begun, last how to go on."""
+def _told_of(folder: Path, *, resume: bool, session: bool = False) -> Iterator[Show]:
+    """Show how far a map in a folder is: first what becomes of one that was begun, last how to go on.
+
+    With ``session`` the map is added to another one afterwards.
+    """
     from slam.app.map_folder import Left, left_in
     from slam.storage.map_file import MAP_NAME
 
@@ -176,9 +181,12 @@ def _told_of(folder: Path, *, resume: bool) -> Iterator[Show]:
     try:
         with progress_bar(first=first) as bar, interruptible(bar) as show:
             yield show
-    except KeyboardInterrupt:
-        if left_in(folder) is Left.UNFINISHED:
-            tell(f"{path} is not finished; the same command with --resume continues it", sys.stderr)
+    except (KeyboardInterrupt, ScanweaveError, OSError) as error:
+        cause = error.__cause__ or error
+        stopped = isinstance(cause, KeyboardInterrupt | OSError | sqlite3.Error)  # not by what is in the log
+        left = left_in(folder) if stopped and not isinstance(cause, BlockingIOError) else Left.NOTHING
+        if left is Left.UNFINISHED or (left is Left.FINISHED and session):
+            tell(f"{path} is kept; the same command with --resume continues it", sys.stderr)
         raise
 
 

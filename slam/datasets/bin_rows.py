@@ -18,13 +18,7 @@ _FILES, _VALUES = 5, 60_000  # number of files examined, and values per file
 
 
 def rows_of(files: Sequence[Path]) -> Rows:
-    """The row format of clouds, from several of their files; KITTI's if there are too few data.
-
-    Raises
-    ------
-    DatasetError
-        The files contain no rows of coordinates.
-    """
+    """Return the row type of clouds by several files, KITTI's if unclear; DatasetError if none fits."""
     files = [path for path in files if is_bin(path) and path.is_file()]
     looked_at = files[:: max(1, len(files) // _FILES)][:_FILES]
     for kind in ("f4", "f8"):

@@ -44,13 +44,7 @@ class Budget:
             self._bytes += _GROWTH * size
 
     def take(self, size: int, records: int = 1) -> None:
-        """Charge for records with a total size in bytes.
-
-        Raises
-        ------
-        RecordFault
-            The budget is exceeded; reading should stop.
-        """
+        """Pay for records of so many bytes in all; RecordFault if the budget is used up."""
         self._records -= records
         self._bytes -= size
         if self._records < 0 or self._bytes < 0:

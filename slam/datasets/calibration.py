@@ -13,6 +13,7 @@ import numpy as np
 from slam.datasets.bags.lens import Lens
 from slam.datasets.dataset import RecordFault
 from slam.errors import DatasetError
+from slam.estimates import NORM_TOLERANCE
 from slam.foreign import from_yaml
 from slam.measurements import CameraIntrinsics, FloatArray
 
@@ -20,7 +21,6 @@ FILE_NAME = "calibration.yaml"
 OTHER_ASPECT = "image size does not fit the calibration"
 
 _SAME_ASPECT = 0.005  # rounding of sizes; 1280 x 720 and 848 x 480 already show other parts of the scene
-_NORM_TOLERANCE = 1e-2
 _FARTHEST_M = 1e8
 _STRETCH_TOLERANCE = 0.05  # published rotations have determinants of 0.9995; a scaled one is refused
 # Driver default of a Kinect without calibration; the TUM benchmark calls it the ROS default.
@@ -116,13 +116,7 @@ def read_calibration(folder: Path, default: Calibration) -> Calibration:
 
 
 def read_mounting(path: Path, name: str) -> gtsam.Pose3 | None:
-    """A pose by its name in a calibration; None if the file or the name does not exist.
-
-    Raises
-    ------
-    DatasetError
-        The file cannot be read, or its value is no pose.
-    """
+    """Return a named pose of a calibration, None if missing; DatasetError if it cannot be read."""
     try:
         return _mounting(read_yaml(path), name) if path.is_file() else None
     except (KeyError, TypeError, ValueError) as error:
@@ -136,13 +130,7 @@ def _mounting(content: dict[str, Any], name: str) -> gtsam.Pose3 | None:
 
 
 def read_yaml(path: Path) -> dict[str, Any]:
-    """Read a small YAML file of named values.
-
-    Raises
-    ------
-    DatasetError
-        It cannot be read, or contains something else.
-    """
+    """Read a small YAML file of named values; DatasetError if it is none."""
     try:
         text = path.read_text(encoding="utf-8")
         # OpenCV writes a first line and a tag that are not YAML.
@@ -155,13 +143,7 @@ def read_yaml(path: Path) -> dict[str, Any]:
 
 
 def pose_from(translation_m: Any, quaternion_xyzw: Any) -> gtsam.Pose3:
-    """A pose from two lists of numbers.
-
-    Raises
-    ------
-    ValueError
-        Not three and four finite numbers, no unit quaternion, or a translation beyond any place on Earth.
-    """
+    """Return a pose of two lists of numbers; ValueError if they are not finite, no pose, or too far away."""
     translation = np.asarray(translation_m, dtype=np.float64).ravel()
     x, y, z, w = unit_quaternion(np.asarray(quaternion_xyzw, dtype=np.float64).ravel())
     if translation.size != 3 or not (np.abs(translation) < _FARTHEST_M).all():
@@ -187,16 +169,10 @@ def pose_from_matrix(matrix: FloatArray) -> gtsam.Pose3:
 
 
 def unit_quaternion(quaternion: FloatArray) -> FloatArray:
-    """A quaternion normalised to unit length, (4,).
-
-    Raises
-    ------
-    ValueError
-        Not four finite numbers, or the length differs from 1 by more than rounding.
-    """
-    # Unlike NumPy's norm, it accepts the largest numbers of a damaged file without a warning.
+    """Return a quaternion at unit length, (4,); ValueError if it is none."""
+    # Unlike NumPy's norm it takes the hugest numbers of a damaged file without a warning.
     norm = math.hypot(*quaternion.tolist()) if quaternion.size == 4 else math.nan
-    if not abs(norm - 1.0) <= _NORM_TOLERANCE:
+    if not abs(norm - 1.0) <= NORM_TOLERANCE:
         raise ValueError(f"quaternion {quaternion.tolist()} is not four numbers of length 1")
     unit: FloatArray = quaternion / norm
     return unit

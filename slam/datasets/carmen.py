@@ -144,13 +144,7 @@ class _Decoder:
         self._last_odometry: OdometryRecord | None = None
 
     def decode(self, tokens: list[bytes], number: int) -> Iterator[Measurement]:
-        """The measurements of one line, odometry first; none for a comment or an empty line.
-
-        Raises
-        ------
-        RecordFault
-            The line is damaged; its valid part has already been returned.
-        """
+        """Return the measurements of a line, odometry first; RecordFault at the end of a damaged one."""
         if not tokens or tokens[0].startswith(b"#"):
             return
         if not _MESSAGE_NAME.fullmatch(tokens[0]):

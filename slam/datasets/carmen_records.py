@@ -63,26 +63,14 @@ class LaserRecord:
 
 
 def parse_odometry(tokens: list[bytes]) -> OdometryRecord:
-    """An ODOM line.
-
-    Raises
-    ------
-    RecordFault
-        Wrong count, not a number, not finite.
-    """
+    """Parse an ODOM line; RecordFault if its numbers are too few, too many or not finite."""
     _check_tail(tokens, 7)
     values = _numbers(tokens[1:8])
     return OdometryRecord(_stamp(values[6]), finite_row(values[0:3]))
 
 
 def parse_plain_laser(tokens: list[bytes]) -> LaserRecord:
-    """A FLASER or RLASER line: ranges and poses, no angles.
-
-    Raises
-    ------
-    RecordFault
-        Wrong count, not a number, pose or stamp not finite.
-    """
+    """Parse FLASER or RLASER: ranges and poses, no angles; RecordFault if a number is no finite one."""
     count = _count(tokens, 1)
     _check_tail(tokens, 2 + count + 6)
     values = _numbers(tokens[2 : count + 9])

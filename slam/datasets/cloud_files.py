@@ -1,4 +1,4 @@
-"""Point clouds from files: KITTI's ``.bin``, ``.pcd``, ``.ply``, ``.las`` and ``.laz``."""
+"""Point clouds from files: KITTI's ``.bin``, PCD, PLY, LAS, text and NumPy's arrays."""
 
 from __future__ import annotations
 
@@ -16,12 +16,14 @@ from slam.datasets.dataset import RecordFault
 from slam.datasets.las_points import read_las_points
 from slam.datasets.laser_geometry import ALIKE
 from slam.datasets.pcd_points import read_pcd_points
+from slam.datasets.plain_points import read_npy_points, read_text_points
 from slam.datasets.ply_points import read_ply_points
 from slam.measurements import Float32Array
 
-CLOUD_SUFFIXES = frozenset({".bin", ".pcd", ".ply", ".las", ".laz"})
-CLOUD_NAMES = "(?:bin|pcd|ply|la[sz])"  # as a pattern
-# Sample size; ranges that differ by less than the rounding of single precision count as equal.
+CLOUD_SUFFIXES = frozenset({".bin", ".pcd", ".ply", ".las", ".laz", ".xyz"})
+PLAIN_SUFFIXES = frozenset({".npy", ".txt", ".csv"})  # of clouds, if what is in them looks like points
+CLOUD_NAMES = "(?:bin|pcd|ply|la[sz]|xyz|npy|txt|csv)"  # as a pattern
+# Of so many points; ranges that differ by less than single precision leaves of them are one.
 _LOOKED_AT, _ALIKE_SHARE = 2000, 1e-6
 # Values of lidars are between these, also rounded heights of a plane; other data mostly are not.
 _LEAST, _GREATEST = 1e-30, 1e9
@@ -159,7 +161,8 @@ def row_of(fields: str) -> np.dtype[np.void]:
 KITTI_ROWS = Rows(row_of("x f4, y f4, z f4, intensity f4"))
 
 
-_READERS = {".pcd": read_pcd_points, ".ply": read_ply_points}
+_READERS = {".pcd": read_pcd_points, ".ply": read_ply_points, ".npy": read_npy_points}
+_READERS |= dict.fromkeys((".xyz", ".txt", ".csv"), read_text_points)
 
 
 def read_fields(path: Path) -> Parsed:

@@ -38,8 +38,8 @@ def read_clouds(path: Path, account: Account) -> CloudFolder:
     """The clouds of a folder and the pose of their lidar."""
     times = times_of(path)
     places = _cloud_places(path)
-    if times is None and (files := numbered_files(path, _NUMBERED)):
-        if above := times_of(path.resolve().parent):  # if only the folder velodyne/ is given
+    if times is None and (files := _numbered(path)):
+        if above := times_of(path.resolve().parent):  # as of a folder velodyne/ that is given alone
             return CloudFolder(tuple(stamped_clouds(above, path, account)), _mount(path))
         account.report.note(NO_STAMPS.format(rate=_RATE_HZ), 1)
         counted = [StampedFile(number / _RATE_HZ, file, number) for number, file in sorted(files.items())]
@@ -47,6 +47,12 @@ def read_clouds(path: Path, account: Account) -> CloudFolder:
     if times is None or not places:
         raise DatasetError(f"{path} holds no clouds with a list of stamps; give a folder with times.txt")
     return CloudFolder(tuple(stamped_clouds(times, places[0], account)), _mount(places[0]))
+
+
+def _numbered(path: Path) -> dict[int, Path]:
+    """Return the clouds of a folder by the numbers in their names."""
+    clouds = {*cloud_files(path)} if path.is_dir() else ()
+    return {number: file for number, file in numbered_files(path, _NUMBERED).items() if file in clouds}
 
 
 def _cloud_places(path: Path) -> list[Path]:
@@ -94,9 +100,9 @@ def _kitti_rows(path: Path, account: Account) -> dict[str, gtsam.Pose3]:
 
 
 FORMAT = recorded(
-    "folder of point clouds (KITTI odometry; .bin, .pcd, .ply or .las with a list of stamps)",
-    lambda path, head: path.is_dir() and (has_clouds(path) or len(numbered_files(path, _NUMBERED)) > 1),
-    # The lidar's frame is the robot's, unless ``calibration.yaml`` contains its pose.
+    "folder of point clouds (KITTI odometry; .bin, .pcd, .ply, .las, .xyz or .npy with a list of stamps)",
+    lambda path, head: path.is_dir() and (has_clouds(path) or len(_numbered(path)) > 1),
+    # The lidar's frame is the robot's unless ``calibration.yaml`` says where it sits.
     lambda path, account: Contents(
         log=beside_imu(read_clouds(path, account).numbered(account), imu_file(path), account)
     ),

@@ -12,9 +12,17 @@ import gtsam
 
 from slam.datasets.account import Account
 from slam.datasets.bin_rows import is_bin, rows_of
-from slam.datasets.cloud_files import CLOUD_SUFFIXES, KITTI_ROWS, CloudFile, Parsed, read_cloud
+from slam.datasets.cloud_files import (
+    CLOUD_SUFFIXES,
+    KITTI_ROWS,
+    PLAIN_SUFFIXES,
+    CloudFile,
+    Parsed,
+    read_cloud,
+)
 from slam.datasets.dataset import RecordFault
 from slam.datasets.log_file import files_inside, first_file
+from slam.datasets.plain_points import holds_points
 from slam.datasets.point_times import PointTimes, intensities_of
 from slam.datasets.pose_files import by_its_size
 from slam.datasets.recording import Numbered
@@ -88,10 +96,16 @@ def times_of(folder: Path) -> Path | None:
 
 
 def cloud_files(folder: Path) -> list[Path]:
-    """Clouds directly in a folder, sorted by the numbers in their names."""
-    found = files_inside(folder, CLOUD_SUFFIXES)
-    # Digits after a point are a fraction and sort as text.
+    """Clouds directly in a folder, numbers in their names in the order of numbers."""
+    found = files_inside(folder, CLOUD_SUFFIXES) or _plain_clouds(folder)
+    # What follows a point is a fraction, whose digits are in order as they are.
     return sorted(found, key=lambda path: re.sub(r"(?<![.\d])\d+", lambda one: one[0].zfill(20), path.stem))
+
+
+def _plain_clouds(folder: Path) -> list[Path]:
+    """Return texts or arrays with a number in their names if the first of them holds points."""
+    found = [file for file in files_inside(folder, PLAIN_SUFFIXES) if re.search(r"\d", file.stem)]
+    return found if len(found) > 1 and holds_points(min(found)) else []
 
 
 def stamped_clouds(times: Path, folder: Path, account: Account) -> list[StampedFile]:

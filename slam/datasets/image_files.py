@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from slam.datasets.budget import LARGEST_BYTES, MOST_PIXELS, Budget
 from slam.datasets.calibration import Calibration
 from slam.datasets.dataset import RecordFault
+from slam.datasets.plain_points import load_array
 from slam.datasets.quiet_decoder import decode_quietly
 from slam.datasets.stamped_files import StampedFile
 from slam.measurements import ColorImage, Float32Array
@@ -82,13 +83,7 @@ FILES = ImageFiles()
 
 
 def color_of(content: bytes, name: str, budget: Budget) -> ColorImage:
-    """Decode an 8-bit image to (H, W, 3) RGB; grey is copied to all channels, transparency is dropped.
-
-    Raises
-    ------
-    RecordFault
-        Damaged, not 8-bit, or over the budget.
-    """
+    """Decode an 8-bit image to (H, W, 3) RGB without transparency; RecordFault if damaged or not 8-bit."""
     image = decoded(content, name, budget)
     color = rgb_of(image)
     if color is None:
@@ -110,13 +105,7 @@ def rgb_of(image: NDArray[Any]) -> ColorImage | None:
 def depth_of(
     content: bytes, name: str, calibration: Calibration, budget: Budget, *, float_png: bool = False
 ) -> Float32Array:
-    """Depth in metres, (H, W), from a 16-bit PNG or PGM, or from a NumPy array in metres.
-
-    Raises
-    ------
-    RecordFault
-        Damaged, over the budget, or with 8 bits or several channels, whose scale is unknown.
-    """
+    """Decode a 16-bit PNG or PGM, or an array of metres, to metres (H, W); RecordFault if it is neither."""
     if content.startswith(_NPY_MAGIC):
         array = _array(content, name)
         steps_of_array = array.ndim == 2 and array.dtype == np.uint16
@@ -156,8 +145,8 @@ def usable_metres(depth: NDArray[Any], name: str, budget: Budget) -> Float32Arra
 def _array(content: bytes, name: str) -> NDArray[Any]:
     """An array in NumPy's format; arrays of objects are rejected."""
     try:
-        return np.asarray(np.load(io.BytesIO(content), allow_pickle=False))
-    except (ValueError, EOFError, OSError, SyntaxError, MemoryError) as error:
+        return load_array(io.BytesIO(content))
+    except (ValueError, OSError) as error:
         raise RecordFault(DAMAGED, f"{name}: {error}") from error
 
 

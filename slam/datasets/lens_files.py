@@ -20,13 +20,7 @@ _LARGEST_BYTES = 1 << 26  # of a JSON file, which may contain a pose per frame (
 
 
 def four_numbers(path: Path) -> CameraIntrinsics:
-    """``fx fy cx cy`` in a text file; the rest is ignored.
-
-    Raises
-    ------
-    DatasetError
-        The numbers are missing.
-    """
+    """Read ``fx fy cx cy`` at the beginning of a text file; DatasetError if they are missing."""
     numbers = numbers_of(path)
     if numbers is None or numbers.size < 4:
         raise DatasetError(f"{path} does not begin with fx fy cx cy; correct it, or give a calibration.yaml")

@@ -30,13 +30,7 @@ _LINES_A_SHARE = 64
 
 
 def open_log(path: Path) -> io.BufferedReader:
-    """Open a log for reading; the content, not the suffix, decides whether it is gzip.
-
-    Raises
-    ------
-    DatasetError
-        The file cannot be opened.
-    """
+    """Open a log, gzip or not by its content; DatasetError if it cannot be opened."""
     try:
         raw = path.open("rb")
         compressed = raw.read(len(_GZIP_MAGIC)) == _GZIP_MAGIC
@@ -97,13 +91,7 @@ def first_file(places: Iterable[Path]) -> Path | None:
 
 
 def files_inside(folder: Path, suffixes: Collection[str]) -> list[Path]:
-    """Files directly in a folder with one of several lower-case suffixes, unsorted, without hidden ones.
-
-    Raises
-    ------
-    DatasetError
-        The folder cannot be listed.
-    """
+    """Return visible files of a folder by lower-case endings, unsorted; DatasetError if unreadable."""
     try:
         shown = (file for file in folder.iterdir() if not file.name.startswith("."))  # macOS adds ._NAME
         return [file for file in shown if file.suffix.lower() in suffixes and file.is_file()]

@@ -73,13 +73,7 @@ def with_own_calibration(folder: Path, calibration: Calibration) -> Calibration:
 
 
 def lens_of(matrix: FloatArray, width: int = 0, height: int = 0) -> CameraIntrinsics:
-    """The intrinsics from a camera matrix, for images of one size or of any size.
-
-    Raises
-    ------
-    ValueError
-        Not finite, or without focal lengths.
-    """
+    """Return the lens of a camera matrix; ValueError if not finite or without focal lengths."""
     fx, fy, cx, cy = (float(matrix[at]) for at in ((0, 0), (1, 1), (0, 2), (1, 2)))
     if not np.isfinite([fx, fy, cx, cy]).all() or min(fx, fy) <= 0.0 or min(width, height) < 0:
         raise ValueError(f"fx {fx}, fy {fy}, cx {cx}, cy {cy}, {width} x {height}")

@@ -170,6 +170,8 @@ def _what_is_wrong(folder: Path) -> str:
     for color, depths in (("rgb.txt", ("depth.txt",)), ("color.txt", ("aligned_depth.txt", "depth.txt"))):
         if color in names or names.intersection(depths):
             return f"needs both {color} and {depths[0]}"
+    if any(name.lower().endswith(".e57") for name in names):
+        return "holds E57; convert each to .ply (pye57, CloudCompare), and list the stamps in times.txt"
     inside = [str(found.relative_to(folder)) for found in _recordings(folder)]
     if inside:
         return f"is no log itself but holds some; give one of {', '.join(inside[:8])}"

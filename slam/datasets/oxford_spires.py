@@ -14,8 +14,8 @@ import gtsam
 import numpy as np
 
 from slam.datasets.account import Account
-from slam.datasets.cloud_files import CLOUD_NAMES, CLOUD_SUFFIXES
-from slam.datasets.clouds_over_time import CloudFolder, clouds_by_name
+from slam.datasets.cloud_files import CLOUD_NAMES
+from slam.datasets.clouds_over_time import CloudFolder, cloud_files, clouds_by_name
 from slam.datasets.dataset_format import recorded
 from slam.datasets.imu_files import beside_imu, imu_file
 from slam.datasets.log_file import first_file
@@ -56,8 +56,7 @@ def _place(path: Path) -> Path | None:
     """The nearest folder with clouds."""
     name = re.compile(_NAME)
     for place in _folders(path):
-        files = (file.name for file in islice(place.iterdir(), _LOOKED_AT) if file.suffix in CLOUD_SUFFIXES)
-        names = list(files)
+        names = [file.name for file in cloud_files(place)[:_LOOKED_AT]]
         if names and all(name.fullmatch(one) for one in names):
             return place
     return None

@@ -15,13 +15,7 @@ _MOST_HEADER_BYTES = 1 << 16
 
 
 def header_line(stream: BinaryIO) -> str:
-    """The next line of a header, without surrounding blanks.
-
-    Raises
-    ------
-    ValueError
-        The file ends before the header, or the header has no end.
-    """
+    """Return the next line of a header, stripped; ValueError if the file or the limit ends first."""
     line = stream.readline(_MOST_HEADER_BYTES)
     if not line.endswith(b"\n") or stream.tell() > _MOST_HEADER_BYTES:
         raise ValueError(f"no end of the header in {min(stream.tell(), _MOST_HEADER_BYTES)} bytes")
@@ -34,13 +28,7 @@ def bytes_left(stream: BinaryIO) -> int:
 
 
 def check_bytes(stream: BinaryIO, needed: int) -> None:
-    """Reject a file that is shorter than its header says, before memory is allocated.
-
-    Raises
-    ------
-    ValueError
-        The file is too short.
-    """
+    """Raise a ValueError for a file that is shorter than its header says, before memory is allocated."""
     if needed > bytes_left(stream):
         start = stream.tell()
         raise ValueError(f"cut off, {start + bytes_left(stream)} of {start + needed} bytes")

@@ -14,15 +14,8 @@ from slam.measurements import Float32Array, FloatArray
 
 # Ouster, Velodyne, Hesai and RoboSense, Livox, and names in common use.
 _NAMES = (
-    "t",
-    "time",
-    "timestamp",
-    "offset_time",
-    "time_offset",
-    "point_time_offset",
-    "ts",
-    "time_stamp",
-    "times",
+    *("t", "time", "timestamp", "offset_time", "time_offset", "point_time_offset"),
+    *("ts", "time_stamp", "times"),
 )
 # Drivers, PCL, CloudCompare; a reflectivity is an intensity corrected for range.
 _INTENSITIES = "intensity", "intensities", "i", "scalar_intensity", "reflectivity", "reflectance", "remission"

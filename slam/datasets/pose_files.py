@@ -84,13 +84,7 @@ class PoseTable:
 
 
 def by_its_size(number: float) -> float:
-    """Convert a stamp since 1970 in seconds, milli-, micro- or nanoseconds to seconds.
-
-    Raises
-    ------
-    ValueError
-        The number is impossible for a clock.
-    """
+    """Return seconds of a stamp since 1970 in s, ms, us or ns; ValueError if no clock shows it."""
     for largest, unit_s in _LARGEST:
         if abs(number) < largest:
             return number * unit_s
@@ -128,13 +122,7 @@ def square_matrix(path: Path, size: int) -> FloatArray | None:
 
 
 def pose_file(path: Path) -> gtsam.Pose3:
-    """The 4 x 4 transform in a text file; its rotation is replaced by the nearest orthonormal one.
-
-    Raises
-    ------
-    RecordFault
-        No finite numbers, or no rotation.
-    """
+    """Return the 4 x 4 transform in a text file with the nearest rotation; RecordFault if there is none."""
     matrix = square_matrix(path, 4)
     if matrix is None:
         raise RecordFault(BAD_MATRIX, path.name)

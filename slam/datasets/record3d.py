@@ -51,13 +51,7 @@ class _Archive:
         self.depth_size = (0, 0)
 
     def content(self, name: str) -> bytes:
-        """A file's bytes.
-
-        Raises
-        ------
-        RecordFault
-            The file is missing, damaged, or too large.
-        """
+        """Return a file's bytes; RecordFault if it is missing, damaged or too large."""
         try:
             if self._zip is None:
                 file = self._path / name

@@ -52,13 +52,7 @@ def camera(sensor: str, pairs: list[FramePair]) -> Camera:
 
 
 def unix_stamp_s(ticks: Any) -> float:
-    """Convert 100 ns ticks since 1601 to seconds since 1970.
-
-    Raises
-    ------
-    RecordFault
-        It is no number, before 1970, or far in the future.
-    """
+    """Return seconds since 1970 of 100 ns ticks since 1601; RecordFault if that is no time."""
     try:
         whole, rest = divmod(int(ticks), _TICKS_PER_S)
     except (TypeError, ValueError):

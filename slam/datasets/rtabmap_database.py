@@ -61,13 +61,7 @@ class _Database:
         self._open = foreign_database(path, views=False, any_thread=True)
 
     def rows(self, query: str, *values: Any) -> list[tuple[Any, ...]]:
-        """All rows of a query.
-
-        Raises
-        ------
-        DatasetError
-            The file is damaged, or has no such table.
-        """
+        """Return all rows of a query; DatasetError if the file is damaged or has no such table."""
         try:
             with self._lock:
                 return self._open.execute(query, values).fetchall()
@@ -133,13 +127,7 @@ def looks_like_rtabmap_database(path: Path, head: bytes) -> bool:
 
 
 def open_rtabmap_database(path: Path, strict: bool) -> Recording:
-    """All data that the robot stored.
-
-    Raises
-    ------
-    DatasetError
-        It was written before RTAB-Map 0.10, or is empty.
-    """
+    """Open all data of the robot; DatasetError if there are none, or of RTAB-Map before 0.10."""
     database = _Database(path)
     if not database.has("Data", "calibration"):
         raise DatasetError(
@@ -241,13 +229,7 @@ def _is_level(pose: gtsam.Pose3) -> bool:
 
 
 def _scan(stamp_s: float, info: ScanInfo, points: Any) -> LaserScan | PointCloud:
-    """A scan of a 2D lidar with its angles, or a cloud.
-
-    Raises
-    ------
-    RecordFault
-        A planar scan without angles, or a cloud without points.
-    """
+    """Return a 2D scan by its angles, or a cloud; RecordFault if it has no angles, or no point."""
     plane = points.shape[1] == 2 if info.in_the_plane is None else info.in_the_plane
     coordinates = points[:, : 2 if plane else 3].astype(np.float32)
     sound = np.isfinite(coordinates).all(axis=1) & coordinates.any(axis=1)

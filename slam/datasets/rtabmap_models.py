@@ -42,13 +42,7 @@ class ScanInfo:
 
 
 def camera_models(blob: bytes) -> list[tuple[CameraIntrinsics, gtsam.Pose3]]:
-    """Intrinsics and pose of each camera of a node.
-
-    Raises
-    ------
-    RecordFault
-        A model is damaged, or belongs to a stereo camera.
-    """
+    """Return lens and mounting of the cameras of a node; RecordFault if damaged, or of a stereo camera."""
     try:
         # The first number of a serialised model is the major version; of older models, a focal length.
         if len(blob) >= _HEAD.size and 0 <= struct.unpack_from("<i", blob)[0] < 1000:
@@ -126,13 +120,7 @@ def scan_info(blob: bytes) -> ScanInfo:
 
 
 def scan_points(blob: bytes, budget: Budget) -> NDArray[Any]:
-    """The rows of a compressed scan, (N, C): coordinates first.
-
-    Raises
-    ------
-    RecordFault
-        They cannot be decompressed, or contradict their header.
-    """
+    """Return (N, C) rows of a packed scan, coordinates first; RecordFault if they cannot be unpacked."""
     if len(blob) < 12:
         raise RecordFault(BAD_PACKING, f"{len(blob)} bytes")
     rows, columns, kind = struct.unpack("<3i", blob[-12:])

@@ -14,7 +14,7 @@ import numpy as np
 from slam.datasets.account import Account
 from slam.datasets.dataset import STAMP_LIMIT_S, RecordFault
 from slam.datasets.log_file import numbered_lines
-from slam.estimates import Trajectory
+from slam.estimates import NORM_TOLERANCE, Trajectory
 from slam.measurements import FloatArray
 
 PARTED = re.compile(rb"[\s,;]+")
@@ -22,8 +22,6 @@ WRONG_FIELDS = "line with too few fields"
 BAD_STAMP = "index line without a stamp of this age, in seconds"
 BAD_NAME = "index line without a usable file name"
 BAD_POSE = "pose line without finite numbers or a unit quaternion"
-
-_QUATERNION_TOLERANCE = 1e-2  # public ground truths have four decimals
 
 
 @dataclass(frozen=True, slots=True)
@@ -105,7 +103,7 @@ def numbered_poses(path: Path, account: Account) -> Iterator[tuple[int, FloatArr
             row = np.full(8, np.nan)
         sound = bool(np.isfinite(row).all()) and abs(row[0]) < STAMP_LIMIT_S
         norm = math.hypot(*row[4:].tolist()) if sound else math.inf
-        if not abs(norm - 1.0) <= _QUATERNION_TOLERANCE:
+        if not abs(norm - 1.0) <= NORM_TOLERANCE:
             account.refuse(RecordFault(BAD_POSE, f"quaternion of length {norm:.4g}"), path.name, number)
             continue
         row[4:] /= norm
@@ -113,13 +111,7 @@ def numbered_poses(path: Path, account: Account) -> Iterator[tuple[int, FloatArr
 
 
 def stamp_of(field: bytes) -> float:
-    """A stamp in seconds.
-
-    Raises
-    ------
-    RecordFault
-        It is no number, not finite, or beyond any clock.
-    """
+    """Return a stamp in seconds; RecordFault if it is no number, not finite, or beyond any clock."""
     try:
         stamp_s = float(field)
     except ValueError:
@@ -130,13 +122,7 @@ def stamp_of(field: bytes) -> float:
 
 
 def image_path(folder: Path, name: bytes) -> Path:
-    """The file that a name in an index refers to.
-
-    Raises
-    ------
-    RecordFault
-        No file can have that name.
-    """
+    """Return the file of a name in an index; RecordFault if no file can have that name."""
     if b"\0" in name:
         raise RecordFault(BAD_NAME, repr(name[:24]))
     return folder / os.fsdecode(name)

@@ -17,6 +17,7 @@ import numpy as np
 from fusion.curves import FORWARD
 from fusion.estimation import SETTLED
 from slam.errors import GraphError
+from slam.graph.edge import check_motion, check_pose
 from slam.graph.hand_eye import Fit, Motions, refine, search
 from slam.measurements import IN_PLANE, BoolArray, FloatArray, Pose
 
@@ -296,20 +297,11 @@ def _motions(pairs: Sequence[MotionPair], settings: ExtrinsicsSettings) -> Motio
 
 def _check(pairs: Sequence[MotionPair], start: gtsam.Pose3 | None) -> None:
     """Raise an error for input that GTSAM would accept silently."""
-    if start is not None and not np.isfinite(start.matrix()).all():
-        raise GraphError("the start of T_base_camera is not finite; leave it out instead")
+    if start is not None:
+        check_pose(start, 6)
     if len({isinstance(pair.base_step, gtsam.Pose2) for pair in pairs}) > 1:
         raise GraphError("motion pairs mix planar and spatial base steps; give one kind")
     for k, pair in enumerate(pairs):
-        steps = (
-            ("base", pair.base_step, pair.base_covariance),
-            ("camera", pair.camera_step, pair.camera_covariance),
-        )
-        for name, step, covariance in steps:
-            size = 3 if isinstance(step, gtsam.Pose2) else 6
-            if not np.isfinite(step.matrix()).all():
-                raise GraphError(f"motion pair {k}: the {name} step is not finite")
-            if covariance.shape != (size, size) or not np.isfinite(covariance).all():
-                raise GraphError(f"motion pair {k}: the {name} covariance must be finite ({size}, {size})")
-            if np.linalg.eigvalsh(covariance)[0] <= 0.0:
-                raise GraphError(f"motion pair {k}: the {name} covariance is not positive definite")
+        size = 3 if isinstance(pair.base_step, gtsam.Pose2) else 6
+        check_motion(f"motion pair {k}: the base", pair.base_step, pair.base_covariance, size)
+        check_motion(f"motion pair {k}: the camera", pair.camera_step, pair.camera_covariance, 6)

@@ -18,13 +18,13 @@ import numpy as np
 from fusion.estimation import TINY, gate
 from fusion.showing import one_line
 from slam.errors import GraphError
-from slam.graph.edge import Edge, EdgeKind
+from slam.graph.edge import Edge, EdgeKind, check_edge, check_pose
 from slam.graph.factors import begun, between_factor, gauge, mapping_noise, prior, solved, weighted
 from slam.graph.gravity import gravity_factors, heading_alone, upright_poses
 from slam.graph.influence import misfits
 from slam.heap import give_back
 from slam.matching.upright import Gravity
-from slam.measurements import BoolArray, FloatArray, Pose, composed
+from slam.measurements import BoolArray, FloatArray, Pose, composed, numbers_of
 
 # Of GNC: growth of its control parameter a round, twice the library's pace, and its end: only edges within a
 # hundredth of the gate are undecided then. Real logs reject the same edges.
@@ -105,7 +105,7 @@ class PoseGraph:
 
     def add_node(self, guess: Pose) -> int:
         """Add a pose with its initial estimate and return its number."""
-        _check_finite(guess)
+        check_pose(guess, self._dimension)
         key = self._count
         self._pending_values.insert(key, guess)
         self._estimate.insert(key, guess)
@@ -132,7 +132,7 @@ class PoseGraph:
         ...
         slam.errors.GraphError: wheel odometry edge 0 -> 1: the covariance is not positive definite
         """
-        self._check(edge)
+        check_edge(edge, self._count, self._dimension)
         self.edges.append(edge)
         self._pend(edge)
 
@@ -198,6 +198,8 @@ class PoseGraph:
         inlier_probability
             Probability that a true edge passes the chi-square gate.
         """
+        if not 0.0 < numbers_of(inlier_probability, (), "inlier_probability", GraphError) < 1.0:
+            raise GraphError(f"inlier_probability is {inlier_probability}; give one between 0 and 1")
         begun, first = self._estimate, not len(self._kept)
         found, ended = self._decided(inlier_probability), self._estimate
         loops = np.array([edge.kind == EdgeKind.LOOP and not edge.trusted for edge in self.edges], np.bool_)
@@ -206,8 +208,7 @@ class PoseGraph:
             other = self._decided(inlier_probability, anew=True)
             found, self._estimate = (other, self._estimate) if other.cost < found.cost else (found, ended)
         self._kept, self._error = found.kept.copy(), found.error
-        # As large as the map, and rarely used again.
-        self._isam, self._moved = None, gtsam.Values()
+        self._isam, self._moved = None, gtsam.Values()  # as large as the map, and rarely used again
         give_back()
         return found
 
@@ -310,8 +311,11 @@ class PoseGraph:
         self._estimate = begun(self.edges, self._prior())
 
     def pose(self, key: int) -> Pose:
-        """Estimated pose of a node."""
-        return self._estimate.atPose2(key) if self._dimension == 3 else self._estimate.atPose3(key)
+        """Estimated pose of a node; a GraphError if there is no such node."""
+        try:
+            return self._estimate.atPose2(key) if self._dimension == 3 else self._estimate.atPose3(key)
+        except (RuntimeError, TypeError):
+            raise GraphError(f"{key!r:.60} is none of the nodes 0..{self._count - 1}") from None
 
     def planar_poses(self, first: int = 0) -> FloatArray:
         """Return (n, 3) x, y, yaw of all nodes in SE(2), or from the ``first`` one that an update moved."""
@@ -374,25 +378,3 @@ class PoseGraph:
             return gauge(self._origin)
         covariance = heading_alone(self._origin, 1e-8 * np.eye(6))
         return prior(0, self._origin, gtsam.noiseModel.Gaussian.Covariance(covariance))
-
-    def _check(self, edge: Edge) -> None:
-        """Raise an error for input that GTSAM would accept silently."""
-        name = f"{edge.kind} edge {edge.source} -> {edge.target}"
-        if not (0 <= edge.source < self._count and 0 <= edge.target < self._count):
-            raise GraphError(f"{name}: the graph has nodes 0..{self._count - 1}; add the node first")
-        if edge.source == edge.target:
-            raise GraphError(f"{name}: an edge must join two different nodes")
-        _check_finite(edge.T_source_target)
-        shape = (self._dimension, self._dimension)
-        if edge.covariance.shape != shape or not np.isfinite(edge.covariance).all():
-            raise GraphError(f"{name}: the covariance must be a finite {shape} matrix")
-        try:
-            np.linalg.cholesky(edge.covariance)
-        except np.linalg.LinAlgError:
-            raise GraphError(f"{name}: the covariance is not positive definite") from None
-
-
-def _check_finite(pose: Pose) -> None:
-    """Raise an error for a pose with NaN or infinity."""
-    if not math.isfinite(pose.matrix().sum()):  # takes a quarter of the time of testing each number
-        raise GraphError("a pose that is not finite cannot enter the graph; check the measurement")

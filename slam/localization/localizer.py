@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from slam.config import Config, config_of
-from slam.errors import DatasetError, MapFileError
+from slam.errors import MapFileError
 from slam.localization.camera_sensor import CameraSensor
 from slam.localization.cloud_sensor import CloudSensor
 from slam.localization.known_map import Walls, has_walls
@@ -18,10 +18,12 @@ from slam.localization.output import LocalizerOutput
 from slam.localization.planar_sensor import PlanarSensor
 from slam.localization.poses import Measured
 from slam.localization.visual_locator import VisualLocator
+from slam.mapper.protocol import SENSORS
 from slam.measurements import Measurement, RgbdFrame
 from slam.outputs.finished_map import Map
 from slam.outputs.grid_map import GridMap, opened
 from slam.storage.map_contents import MapContents
+from slam.storage.measurement_soundness import checked
 from slam.vision.color_registration import ColorRegistration
 from slam.vision.prepared_frame import PreparedFrame
 
@@ -76,6 +78,8 @@ class Localizer:
             known_map = opened(known_map).contents
         if start is not None and not known_map.planar:
             raise MapFileError("a start is for planar maps only: leave it out, the robot is found without it")
+        if start is not None and not isinstance(start, Measured):
+            raise MapFileError(f"start is {type(start).__name__}; give Measured(gtsam.Pose2, covariance)")
         config = config_of(config)
         self._lidar = self._lidar_of(known_map, config, start)
         self._locator: VisualLocator | None = None
@@ -97,6 +101,11 @@ class Localizer:
         -------
         The state after a scan or frame; None after a measurement that is only stored (wheels) or not used.
 
+        Raises
+        ------
+        DatasetError
+            If it is no measurement, or has a field that no sensor gives.
+
         Examples
         --------
         >>> import slam
@@ -108,10 +117,8 @@ class Localizer:
         >>> localizer.add(wheels) is None, localizer.add(scan).stamp_s == scan.stamp_s
         (True, True)
         """
-        if not hasattr(measurement, "stamp_s"):
-            raise DatasetError(
-                f"a {type(measurement).__name__} is no measurement; give scans, wheels or frames"
-            )
+        if type(measurement) not in SENSORS and not isinstance(measurement, PreparedFrame):
+            measurement = checked(measurement, "the measurement")
         if self._lidar is None:
             assert self._camera is not None
             return self._camera.add(measurement)

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from fusion.bayes import FREE, OCCUPIED, STEPS_A_UNIT, UNKNOWN, log_odds
 from fusion.showing import shrunk, with_pictures
 from slam.errors import ConfigError
-from slam.measurements import BoolArray, Float32Array, FloatArray, one_line
+from slam.measurements import BoolArray, Float32Array, FloatArray, numbers_of, one_line
 
 __all__ = ["FREE", "OCCUPIED", "UNKNOWN"]
 
@@ -156,6 +156,7 @@ class OccupancyGrid:
         >>> grid.cells_of(np.array([[0.0, 0.0], [-2.95, 1.0]])).tolist()  # row and column
         [[20, 30], [30, 0]]
         """
+        points_map = numbers_of(points_map, (None, 2), "points_map")
         points_grid = _to_frame(points_map, self.T_map_grid) / self.resolution_m
         return np.floor(points_grid[:, ::-1]).astype(np.int64)
 

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from slam.datasets.sqlite_reading import bound_steps, free_steps
-from slam.errors import MapFileError, UnfinishedMapError
+from slam.errors import MapFileError, ScanweaveError, UnfinishedMapError
 from slam.foreign import from_json, plain
 from slam.storage.map_connection import begin, beside, check_kind, reader, refuse_in_use, reported, writer
 from slam.storage.map_tables import CHECKPOINT, META, TABLES, Table, Value
@@ -363,7 +363,7 @@ class MapFile:
         """Raise a `MapFileError` that names a row if the block fails."""
         try:
             yield
-        except (sqlite3.Error, ValueError, OverflowError, TypeError, MapFileError) as error:
+        except (sqlite3.Error, ValueError, OverflowError, TypeError, ScanweaveError) as error:
             raise MapFileError(
                 f"{self.path} is damaged: table {table.name}, row {number}: {plain(error)}; make the map anew"
             ) from error

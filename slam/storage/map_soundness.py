@@ -16,11 +16,21 @@ import numpy as np
 from numpy.typing import NDArray
 
 from slam.datasets.budget import MOST_BEAMS
+from slam.datasets.dataset import STAMP_LIMIT_S
 from slam.errors import MapFileError
 from slam.estimates import MotionEstimate, Trajectory
 from slam.graph.loop_candidate import LoopCandidate
 from slam.mapping.occupancy_grid import OccupancyGrid
-from slam.measurements import CameraIntrinsics, FloatArray, LaserScan
+from slam.measurements import (
+    CameraIntrinsics,
+    FloatArray,
+    GnssFix,
+    ImuReading,
+    LaserScan,
+    PointCloud,
+    RgbdFrame,
+    WheelOdometry,
+)
 from slam.storage.map_sessions import MapSession
 from slam.vision.color_registration import ColorRegistration
 from slam.vision.features import Features
@@ -30,7 +40,6 @@ T = TypeVar("T")
 Rule = Callable[[Any], bool]
 
 FARTHEST_M: Final = 1e8  # farther than any place on Earth
-_LATEST_S = 1e11  # the year 5138
 _CELL_M = (1e-4, 1e4)
 _LONGEST_NAME = 256
 _ROUNDING = 1e-6
@@ -69,7 +78,7 @@ def sound(record: Any) -> None:
 
 def sound_stamp(stamp_s: Any) -> float:
     """Check a time in seconds."""
-    require(_number(stamp_s) and abs(stamp_s) < _LATEST_S, f"its stamp cannot be: {stamp_s}")
+    require(_stamp(stamp_s), f"its stamp cannot be: {stamp_s}")
     return float(stamp_s)
 
 
@@ -92,11 +101,8 @@ def unsound_covariance(covariances: Sequence[Any], dimension: int) -> int | None
 
 def sound_trajectory(stretch: Trajectory, poses: int) -> Trajectory:
     """Check so many poses: finite and in range, with quaternions of unit length."""
-    arrays = (stretch.stamps_s, stretch.positions_m, stretch.quaternions_xyzw)
-    shapes = [(poses,), (poses, 3), (poses, 4)]
-    fits = [isinstance(one, np.ndarray) and one.dtype == np.float64 for one in arrays]
-    require(all(fits) and [one.shape for one in arrays] == shapes, "its arrays have other sizes")
-    require((np.abs(stretch.stamps_s) < _LATEST_S).all(), "a stamp cannot be")
+    require(len(stretch) == poses, "its arrays have other sizes")
+    require((np.abs(stretch.stamps_s) < STAMP_LIMIT_S).all(), "a stamp cannot be")
     require((np.abs(stretch.positions_m) < FARTHEST_M).all(), "a position is not finite, or beyond the Earth")
     norms = np.linalg.norm(stretch.quaternions_xyzw, axis=1)
     require((np.abs(norms - 1.0) < _ROUNDING).all(), "a quaternion is not of unit length")
@@ -178,19 +184,47 @@ def _are_covariances(values: FloatArray) -> bool:
     return True
 
 
-# GTSAM's types are imported on use: ``info`` does not need it.
+def _pose2(value: Any) -> bool:
+    return isinstance(value, gtsam.Pose2) and math.isfinite(value.matrix().sum())
+
+
 def _pose3(value: Any) -> bool:
-    return isinstance(value, gtsam.Pose3)
+    return isinstance(value, gtsam.Pose3) and math.isfinite(value.matrix().sum())
+
+
+def _pose3_or_none(value: Any) -> bool:
+    return value is None or _pose3(value)
+
+
+def _stamp(value: Any) -> bool:
+    return _number(value) and abs(value) < STAMP_LIMIT_S
 
 
 _RULES: dict[type, dict[str, Rule]] = {
     LaserScan: {
-        "stamp_s": _number,
+        "stamp_s": _stamp,
         "ranges_m": _ranges,
         "start_angle_rad": _number,
         "step_rad": lambda value: _number(value) and 0.0 <= value <= 2.0 * math.pi,
         "range_max_m": _positive,
-        "T_base_laser": lambda value: isinstance(value, gtsam.Pose2),
+        "T_base_laser": _pose2,
+        "sensor": _name,
+        "beam_s": _number,
+    },
+    WheelOdometry: {"stamp_s": _stamp, "T_odom_base": _pose2, "sensor": _name},
+    RgbdFrame: {
+        "stamp_s": _stamp,
+        "intrinsics": lambda value: isinstance(value, CameraIntrinsics),
+        "T_base_camera": _pose3_or_none,
+        "sensor": _name,
+    },
+    PointCloud: {"stamp_s": _stamp, "T_base_lidar": _pose3, "sensor": _name},
+    ImuReading: {"stamp_s": _stamp, "T_base_imu": _pose3_or_none, "sensor": _name},
+    GnssFix: {
+        "stamp_s": _stamp,
+        "latitude_deg": lambda value: _number(value) and abs(value) <= 90.0,
+        "longitude_deg": lambda value: _number(value) and abs(value) <= 360.0,
+        "altitude_m": _number,
         "sensor": _name,
     },
     MotionEstimate: {
@@ -227,7 +261,7 @@ _RULES: dict[type, dict[str, Rule]] = {
     },
     LearnedCamera: {
         "registration": _either(ColorRegistration, None),
-        "T_base_camera": lambda value: value is None or _pose3(value),
+        "T_base_camera": _pose3_or_none,
         "mounting_learned": _either(bool),
         **dict.fromkeys(("clock_offset_s", "clock_sigma_s"), _number),
     },

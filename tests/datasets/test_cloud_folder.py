@@ -14,8 +14,12 @@ from point_files import write_pcd, write_ply
 from rgbd_files import dropped, read
 
 from slam.datasets import open_dataset
-from slam.datasets.cloud_files import DAMAGED, MISSING, NO_POINTS
+from slam.datasets.budget import Budget
+from slam.datasets.calibration import KINECT, Calibration
+from slam.datasets.cloud_files import DAMAGED, MISSING, NO_POINTS, read_cloud
 from slam.datasets.clouds_over_time import UNPAIRED, WITHOUT_CLOUD
+from slam.datasets.dataset import RecordFault
+from slam.datasets.image_files import depth_of
 from slam.datasets.inspection import inspect_dataset
 from slam.errors import DatasetError
 from slam.evaluation.pages import inspection_text
@@ -173,3 +177,90 @@ def test_the_folder_of_clouds_of_a_sequence_has_its_stamps_above_it(tmp_path: Pa
     folder = kitti(tmp_path)
     (folder / "times.txt").write_text("7.0\n7.25\n7.5\n")
     assert [one.stamp_s for one in clouds(folder / "velodyne")] == [7.0, 7.25, 7.5]
+
+
+NUMBERS = np.column_stack([np.random.default_rng(0).uniform(1.0, 9.0, (40, 3)), np.arange(40.0)]).round(3)
+
+
+def plain_files(folder: Path, suffix: str, form: str) -> Path:
+    folder.mkdir(parents=True)
+    for k in range(3):
+        file = folder / f"cloud_{k:04d}.{suffix}"
+        if form == "array":
+            np.save(file, NUMBERS[:, :3])
+        elif form == "image":
+            np.save(file, NUMBERS[:, :3].reshape(8, 5, 3))
+        elif form == "records":
+            np.save(file, np.rec.fromarrays(NUMBERS.T, names="x,y,z,intensity"))
+        else:
+            part = ", " if suffix == "csv" else " "
+            head = {"names": f"//X{part}Y{part}Z{part}Intensity\n", "count": "40\n", "rows": ""}[form]
+            file.write_text(head + "".join(part.join(map(str, row)) + "\n" for row in NUMBERS))
+    return folder
+
+
+@pytest.mark.parametrize(
+    ("suffix", "form"),
+    [
+        *((suffix, form) for suffix in ("xyz", "txt", "csv") for form in ("rows", "names", "count")),
+        *(("npy", form) for form in ("array", "image", "records")),
+    ],
+)
+def test_clouds_of_text_and_of_numpy(tmp_path: Path, suffix: str, form: str) -> None:
+    plain_files(tmp_path / "points", suffix, form)
+    (tmp_path / "times.txt").write_text("0.0\n0.1\n0.2\n")
+    for folder in (tmp_path, tmp_path / "points"):
+        found = clouds(folder)
+        assert [cloud.stamp_s for cloud in found] == pytest.approx([0.0, 0.1, 0.2])
+        np.testing.assert_allclose(found[0].points_lidar, NUMBERS[:, :3], rtol=1e-6)
+        told = found[0].intensities
+        assert (told is None) == (form in ("array", "image"))
+        assert told is None or (told == NUMBERS[:, 3]).all()
+
+
+def test_clouds_of_text_are_named_by_stamps(tmp_path: Path) -> None:
+    (tmp_path / "lidar").mkdir()
+    for stamp in ("1700000000.5", "1700000000.6"):
+        np.savetxt(tmp_path / "lidar" / f"{stamp}.txt", NUMBERS)
+    assert [cloud.stamp_s for cloud in clouds(tmp_path)] == [1700000000.5, 1700000000.6]
+
+
+def test_other_texts_and_arrays_are_no_clouds(tmp_path: Path) -> None:
+    """Poses, labels and depth images, which are numbered, too."""
+    for name, file in (("pose", np.eye(4)), ("label", np.ones((7, 15)))):
+        (tmp_path / name).mkdir()
+        for k in range(3):
+            np.savetxt(tmp_path / name / f"{k:06d}.txt", file)
+    (tmp_path / "depth").mkdir()
+    for k in range(3):
+        np.save(tmp_path / "depth" / f"{k:06d}.npy", np.ones((48, 64), np.float32))
+    (tmp_path / "times.txt").write_text("0.0\n0.1\n0.2\n")
+    for folder in (tmp_path, *(tmp_path / name for name in ("pose", "label", "depth"))):
+        with pytest.raises(DatasetError, match="no known format"):
+            open_dataset(folder)
+
+
+def test_a_damaged_row_of_text_is_counted(tmp_path: Path) -> None:
+    folder = plain_files(tmp_path / "points", "xyz", "rows")
+    (folder / "cloud_0001.xyz").write_text("1 2 3\n4 5\n")
+    (folder / "cloud_0002.xyz").write_bytes(bytes(range(256)))
+    log = open_dataset(folder)
+    assert len(list(log)) == 1 and log.report.dropped_count == 2
+
+
+def test_a_folder_of_e57_says_what_reads_them(tmp_path: Path) -> None:
+    for k in range(2):
+        (tmp_path / f"{k}.e57").write_bytes(b"ASTM-E57")
+    with pytest.raises(DatasetError, match="pye57"):
+        open_dataset(tmp_path)
+
+
+def test_a_damaged_header_of_an_array_is_a_fault(tmp_path: Path) -> None:
+    """NumPy's parser ends in an error of the tokenizer, which is no ValueError; of depth images, too."""
+    np.save(tmp_path / "a.npy", NUMBERS)
+    content = (tmp_path / "a.npy").read_bytes().replace(b"),", b"  ", 1)
+    (tmp_path / "a.npy").write_bytes(content)
+    with pytest.raises(RecordFault):
+        read_cloud(tmp_path / "a.npy")
+    with pytest.raises(RecordFault):
+        depth_of(content, "a.npy", Calibration(KINECT, 1000.0), Budget(1 << 20))

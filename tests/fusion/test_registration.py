@@ -145,7 +145,7 @@ def test_the_log_ratio_of_all_windows_is_that_of_each(seed):
 
 
 def test_what_cannot_be_compared_is_refused():
-    with pytest.raises(ValueError, match="depth is nothing"):
+    with pytest.raises(ValueError, match="depth is empty"):
         fusion.register(world.lidar(), [])
     narrow = world.lidar(beams=40, aperture=0.3)
     with pytest.raises(ValueError, match="lidar"):

@@ -185,7 +185,10 @@ class TestRefused:
         assert run("map", sessions.later_log) == 2
 
 
+@pytest.mark.parametrize(("why", "code"), [(KeyboardInterrupt(), 130), (OSError(28, "disk full"), 1)])
 def test_an_interrupted_session_goes_on_to_the_same_map(
+    why: BaseException,
+    code: int,
     sessions: Sessions,
     map_: Path,
     joined: Path,
@@ -194,7 +197,7 @@ def test_an_interrupted_session_goes_on_to_the_same_map(
 ) -> None:
     def interrupted(checkpoint: Checkpoint, content: bytes) -> None:
         if checkpoint._count > 30:
-            raise KeyboardInterrupt
+            raise why
         keep(checkpoint, content)
 
     keep = Checkpoint.keep
@@ -202,12 +205,30 @@ def test_an_interrupted_session_goes_on_to_the_same_map(
     with monkeypatch.context() as patch:
         patch.setattr(Checkpoint, "keep", interrupted)
         outcome = outcome_of(capsys, "map", sessions.later_log, "--into", map_)
-    assert outcome.code == 130 and "--resume continues it" in outcome.err
+    assert outcome.code == code and "--resume continues it" in outcome.err
     assert {name: whole for name, whole in contents_of(map_).items() if "joining" not in name} == before
 
     outcome = outcome_of(capsys, "map", sessions.later_log, "--into", map_, "--resume")
     assert outcome.code == 0 and "going on with" in outcome.err
     assert (map_ / "map.db").read_bytes() == (joined / "map.db").read_bytes()
+
+
+def test_a_session_without_its_page_is_joined(
+    sessions: Sessions, map_: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As a full disk leaves it: finished, but for the page; and the disk is full once more after that."""
+    for function in ("slam.app.joining.write_joined", "slam.app.joining.write_saved_page"):
+        with monkeypatch.context() as patch:
+            patch.setattr(function, fails)
+            outcome = outcome_of(capsys, "map", sessions.later_log, "--into", map_, "--resume")
+        assert outcome.code == 1 and "--resume continues it" in outcome.err
+        (map_ / "joining" / "session" / "report.html").unlink(missing_ok=True)
+    assert outcome_of(capsys, "map", sessions.later_log, "--into", map_, "--resume").code == 0
+    assert (map_ / "report-2.html").is_file()
+
+
+def fails(*_: object) -> None:
+    raise OSError(28, "disk full")
     assert not (map_ / "joining").exists()
 
 

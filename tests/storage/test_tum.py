@@ -78,18 +78,7 @@ def test_an_empty_file_is_refused(tmp_path):
         read_tum(tmp_path / "t.tum")
 
 
-@pytest.mark.parametrize(
-    ("positions", "quaternions", "reason"),
-    [
-        ([[0.0, np.nan, 0.0]], [[0.0, 0.0, 0.0, 1.0]], "pose 0 is not finite"),
-        ([[0.0, 0.0, 0.0]], [[0.0, 0.0, 0.0, 2.0]], "quaternion 0 has length 2"),
-        ([[0.0, 0.0]], [[0.0, 0.0, 0.0, 1.0]], "shapes"),
-    ],
-)
-def test_nothing_is_written_that_could_not_be_read(tmp_path, positions, quaternions, reason):
-    trajectory = Trajectory(np.zeros(1), np.array(positions), np.array(quaternions))
-    with pytest.raises(MapFileError, match=reason):
-        write_tum(tmp_path / "t.tum", trajectory)
+def test_an_empty_trajectory_is_not_written(tmp_path):
     with pytest.raises(MapFileError, match="no pose"):
         write_tum(tmp_path / "t.tum", Trajectory(np.zeros(0), np.zeros((0, 3)), np.zeros((0, 4))))
     assert not list(tmp_path.iterdir())

@@ -155,13 +155,7 @@ class CloudView:
 
 
 def cloud_view(message: Any) -> CloudView:
-    """Properties of a cloud.
-
-    Raises
-    ------
-    RecordFault
-        As `CloudReader.read`.
-    """
+    """What a cloud looks like; RecordFault as in `CloudReader.read`."""
     cloud = CloudReader("", gtsam.Pose3()).read(message)
     points = cloud.points_lidar.astype(np.float64)  # a damaged value can exceed single precision
     ahead = points / np.linalg.norm(points, axis=1, keepdims=True)

@@ -70,13 +70,7 @@ def unpacked_chunk(packed: bytes, compression: str, size: int, budget: Budget, *
 
 
 def unpacked_message(content: bytes, channel: Channel, budget: Budget) -> bytes:
-    """The serialised message, also if the recorder compressed each message with zstd.
-
-    Raises
-    ------
-    RecordFault
-        It cannot be decompressed, or the budget is exceeded.
-    """
+    """Return a message as serialised, if packed with zstd, too; RecordFault if it does not unpack."""
     if channel.wire != "cdr" or not content.startswith(_ZSTD_MAGIC):
         return content
     budget.take(0, 0)  # if the budget is exhausted, decompress nothing

@@ -95,13 +95,7 @@ class Decoder:
 
 
 def stamp_of(header: Any) -> float:
-    """The stamp of a header in seconds.
-
-    Raises
-    ------
-    RecordFault
-        Not a time, or zero: the driver did not set it.
-    """
+    """Return seconds of a header; RecordFault if it is no time, or zero (the driver has not set it)."""
     seconds, rest = int(header.stamp.sec), int(header.stamp.nanosec)
     if seconds < 0 or not 0 <= rest < 1_000_000_000 or seconds + rest == 0:
         raise RecordFault(BAD_STAMP, f"{seconds} s, {rest} ns")

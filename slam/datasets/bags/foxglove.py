@@ -141,13 +141,7 @@ def as_ros(kind: str, wire: str) -> str:
 
 
 def message_of(content: bytes, own_kind: str, wire: str, definition: str) -> SimpleNamespace:
-    """Convert a message to ROS.
-
-    Raises
-    ------
-    RecordFault
-        The extra is not installed, or the message is damaged.
-    """
+    """Return a message as that of ROS; RecordFault if it is damaged or the extra is not installed."""
     try:
         if wire == "json":
             if len(content) > _LONGEST_JSON:

@@ -59,13 +59,7 @@ def is_depth(message: Any, topic: str) -> bool:
 
 
 def color_of(message: Any, budget: Budget) -> ColorImage:
-    """(H, W, 3) RGB; grey is copied to all channels.
-
-    Raises
-    ------
-    RecordFault
-        The image is damaged, or its encoding is not supported.
-    """
+    """Return (H, W, 3) RGB, grey as three channels; RecordFault if damaged or of an unknown encoding."""
     if not hasattr(message, "encoding"):
         return _compressed_color(message, budget)
     encoding = str(message.encoding)

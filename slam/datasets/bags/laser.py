@@ -39,13 +39,7 @@ class LaserMount:
 
     @classmethod
     def of(cls, pose: gtsam.Pose3) -> LaserMount:
-        """The pose in the plane; a tilt below 45 degrees is projected.
-
-        Raises
-        ------
-        RecordFault
-            The laser's plane is tilted by 45 degrees or more.
-        """
+        """Return the mount in the plane, a tilt below 45 degrees projected; RecordFault beyond it."""
         axes = pose.rotation().matrix()
         if abs(axes[2, 2]) < _LEVEL:
             raise RecordFault(UPRIGHT, f"tilted by {math.degrees(math.acos(abs(axes[2, 2]))):.0f} degrees")

@@ -127,13 +127,7 @@ class Ouster:
         return as_cloud(header_at(self._stamp_s(first_ns), FRAMES[1]), columns)
 
     def imu(self, recorded_s: float, packet: bytes) -> SimpleNamespace:
-        """Convert a packet of its IMU to the fields of an Imu, with the stamp of the angular rates.
-
-        Raises
-        ------
-        RecordFault
-            The packet is damaged.
-        """
+        """Return an IMU packet as an Imu at the time of its rates; RecordFault if it is damaged."""
         if len(packet) != IMU_BYTES:
             raise RecordFault(DAMAGED, f"{len(packet)} bytes, not {IMU_BYTES}")
         _, _, at_ns, *told = struct.unpack("<3Q6f", packet)
@@ -201,13 +195,7 @@ class Ousters:
             self._faults[space] = fault
 
     def sensor(self, topic: str) -> Ouster:
-        """The sensor of a packet topic.
-
-        Raises
-        ------
-        RecordFault
-            Its metadata is unknown or cannot be used.
-        """
+        """Return the sensor of a topic of packets; RecordFault if its metadata is missing or unusable."""
         space = topic.rpartition("/")[0]
         if space not in self._sensors:
             if not self.models and not self._faults and self._path is not None:
@@ -222,13 +210,7 @@ class Ousters:
         return self._sensors[space]
 
     def read(self, record: BagRecord, *, of_imu: bool) -> SimpleNamespace | None:
-        """The message that a PacketMsg (a list of bytes) completes.
-
-        Raises
-        ------
-        RecordFault
-            It is damaged, or there is no metadata of its sensor.
-        """
+        """Return what a PacketMsg completes; RecordFault if it is damaged, or of an unknown sensor."""
         start = 0 if record.channel.wire == "ros1" else 4
         packet = record.content[start + 4 :]
         size = int.from_bytes(record.content[start : start + 4], "little")

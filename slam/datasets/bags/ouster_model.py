@@ -68,13 +68,7 @@ class OusterModel:
 
     @staticmethod
     def of(text: str) -> OusterModel:
-        """Parse the metadata of a sensor in any of its three forms (flat, flat with a format, sections).
-
-        Raises
-        ------
-        RecordFault
-            It is no metadata, is incomplete, or has an unsupported profile.
-        """
+        """Parse the metadata of a sensor (flat, with a format, or in sections); RecordFault if unreadable."""
         try:
             told = json.loads(text)
             whole = dict(told)

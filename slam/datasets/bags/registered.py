@@ -53,13 +53,7 @@ class CameraFacts:
         return bool(EXTRINSICS.search(kind) or _UNIT.fullmatch(topic) or _STREAM.fullmatch(topic))
 
     def add(self, topic: str, kind: str, message: Any) -> None:
-        """Add a message of such a topic.
-
-        Raises
-        ------
-        ValueError
-            A value in it is invalid.
-        """
+        """Use a message of such a topic; ValueError if its content is invalid."""
         if unit := _UNIT.fullmatch(topic):
             value = float(str(np.float32(message.data)))  # 0.001, not its nearest value in single precision
             if not _SMALLEST_M <= value <= _LARGEST_M:

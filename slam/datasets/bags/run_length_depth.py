@@ -19,13 +19,7 @@ _SIZE_BYTES = 8  # width and height come first
 
 
 def unpacked(content: bytes, budget: Budget) -> NDArray[np.uint16]:
-    """(H, W) depths of an image that starts with its size.
-
-    Raises
-    ------
-    RecordFault
-        The runs do not fill an image of that size, or it exceeds the budget.
-    """
+    """Return the (H, W) image; RecordFault if the runs have another size, or the budget is used up."""
     if len(content) < _SIZE_BYTES:
         raise RecordFault(DAMAGED_RUNS, f"{len(content)} bytes")
     width, height = (int(value) for value in np.frombuffer(content, "<u4", 2))

@@ -52,13 +52,7 @@ class FrameTree:
         yield from ((parent, child, pose) for child, (parent, pose) in self._parents.items())
 
     def add(self, message: Any) -> None:
-        """Add a TFMessage.
-
-        Raises
-        ------
-        RecordFault
-            A transform in it is not finite or has no rotation; the others are added.
-        """
+        """Use a TFMessage; RecordFault if a transform in it is invalid (the others are used)."""
         fault: RecordFault | None = None
         for item in message.transforms:
             try:
@@ -151,13 +145,7 @@ class FrameTree:
 
 
 def pose_of(position: Any, rotation: Any) -> gtsam.Pose3:
-    """A pose from a Vector3 or Point, and a Quaternion.
-
-    Raises
-    ------
-    ValueError
-        Values are not finite, or there is no unit quaternion.
-    """
+    """Return a pose of a Vector3 or Point and a Quaternion; ValueError if they are not finite or no pose."""
     return pose_from([position.x, position.y, position.z], [rotation.x, rotation.y, rotation.z, rotation.w])
 
 

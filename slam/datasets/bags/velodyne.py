@@ -22,13 +22,7 @@ class VelodyneDecoder:
         self._decoder: Any = None
 
     def cloud(self, message: Any) -> SimpleNamespace:
-        """Convert a VelodyneScan to the fields of a PointCloud2, with the stamp of its first packet.
-
-        Raises
-        ------
-        RecordFault
-            The extra is not installed, the packets are damaged, or the model is unknown.
-        """
+        """Return a VelodyneScan as a PointCloud2 stamped with its first packet; RecordFault if damaged."""
         velodyne_decoder, config = _library()
         if self._decoder is None:
             self._decoder = velodyne_decoder.ScanDecoder(config)
@@ -50,13 +44,7 @@ class VelodyneStream:
         self._decoder: Any = None
 
     def add(self, stamp_s: float, packet: bytes) -> SimpleNamespace | None:
-        """The revolution that a packet completes, as a PointCloud2; None if it completes none.
-
-        Raises
-        ------
-        RecordFault
-            The extra is not installed, or the packet is damaged.
-        """
+        """Return the revolution that a packet completes, or None; RecordFault if the packet is damaged."""
         velodyne_decoder, config = _library()
         if len(packet) != velodyne_decoder.PACKET_SIZE:
             return None

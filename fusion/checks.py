@@ -1,0 +1,52 @@
+"""Checks of arguments: one line that names the argument, instead of an error inside a kernel."""
+
+from __future__ import annotations
+
+from typing import Any, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+T = TypeVar("T")
+
+
+def numbers(value: Any, shape: tuple[int | None, ...], name: str, *, finite: bool = True) -> NDArray[Any]:
+    """Return real numbers as an array of a shape; None is any length.
+
+    Raises
+    ------
+    ValueError
+        If they are not numbers, have another shape, or are not finite.
+
+    Examples
+    --------
+    >>> from fusion.checks import numbers
+    >>> numbers([1, 2, 3], (None,), "ranges_m").tolist()
+    [1, 2, 3]
+    >>> numbers([1.0, float("nan")], (3,), "the guess")
+    Traceback (most recent call last):
+    ...
+    ValueError: the guess is float64[2]; give numbers of shape (3)
+    """
+    try:
+        found = np.asarray(value)
+    except ValueError:  # rows of different lengths
+        found = np.array(None)
+    alike = len(shape) == found.ndim and all(n in (None, m) for n, m in zip(shape, found.shape, strict=True))
+    real = found.dtype.kind in "iuf"
+    if real and alike:
+        bad = np.count_nonzero(~np.isfinite(found)) if finite else 0
+        if not bad:
+            return found
+        raise ValueError(f"{name}: {bad} of {found.size} numbers are not finite; leave them out")
+    given = f"{found.dtype}{list(found.shape)}" if found.ndim else " ".join(f"{value!r:.60}".split())
+    wanted = f" of shape ({', '.join('N' if n is None else str(n) for n in shape)})" if shape else ""
+    raise ValueError(f"{name} is {given}; give numbers{wanted}")
+
+
+def instance(value: Any, kinds: type[T] | tuple[type[T], ...], name: str) -> T:
+    """Return a value of one of these types, or raise a ValueError that names them."""
+    if not isinstance(value, kinds):
+        wanted = " or ".join(kind.__name__ for kind in (kinds if isinstance(kinds, tuple) else (kinds,)))
+        raise ValueError(f"{name} is {type(value).__name__}; give {wanted}")
+    return value
