@@ -204,6 +204,7 @@ def _in_space(
     found = [one for camera in samples.cameras.items() for one in in_space.camera_findings(*camera, rows)]
     doubtful = frozenset(one.sensor for one in found if one.kind == "lens")
     found += [one for name, clouds in samples.clouds.items() for one in in_space.cloud_findings(name, clouds)]
+    found += [one for name, clouds in samples.clouds.items() for one in in_space.stood_up(name, clouds)]
     for lidar, clouds in list(samples.clouds.items())[: 0 if samples.lidars else 1]:
         steps = [step for stretch in clouds.steps for step in stretch]
         for name, imu in samples.imus.items():
