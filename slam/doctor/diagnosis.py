@@ -209,7 +209,8 @@ def _in_space(
         steps = [step for stretch in clouds.steps for step in stretch]
         for name, imu in samples.imus.items():
             told = imu_findings(name, imu, steps, clouds.T_base_lidar, clouds.untimed_s)
-            found += told if clouds.turn is None else [clouds.turn.stamped(one, lidar) for one in told]
+            turn = clouds.turn
+            found += [same for one in told for same in ([one] if turn is None else turn.stamped(one, lidar))]
     known = None if wheels is None else mended_rows(wheels[0], rows, findings)
     if wheels is None or known is None:
         return found
