@@ -204,11 +204,13 @@ def _in_space(
     found = [one for camera in samples.cameras.items() for one in in_space.camera_findings(*camera, rows)]
     doubtful = frozenset(one.sensor for one in found if one.kind == "lens")
     found += [one for name, clouds in samples.clouds.items() for one in in_space.cloud_findings(name, clouds)]
+    found += [one for name, clouds in samples.clouds.items() for one in in_space.stood_up(name, clouds)]
     for lidar, clouds in list(samples.clouds.items())[: 0 if samples.lidars else 1]:
         steps = [step for stretch in clouds.steps for step in stretch]
         for name, imu in samples.imus.items():
             told = imu_findings(name, imu, steps, clouds.T_base_lidar, clouds.untimed_s)
-            found += told if clouds.turn is None else [clouds.turn.stamped(one, lidar) for one in told]
+            turn = clouds.turn
+            found += [same for one in told for same in ([one] if turn is None else turn.stamped(one, lidar))]
     known = None if wheels is None else mended_rows(wheels[0], rows, findings)
     if wheels is None or known is None:
         return found

@@ -18,10 +18,10 @@ from slam.doctor.finding import Finding, Remedy, mounting_entry
 from slam.doctor.pair import IN_ORDER, interval
 from slam.doctor.paired_motions import turns_of
 from slam.doctor.relation import fit_linear
-from slam.measurements import BoolArray, FloatArray, ImuReading
+from slam.measurements import GRAVITY_M_S2, BoolArray, FloatArray, ImuReading
 
 # Harmless errors of clock and mounting: 0.01 rad when turning at 1 rad/s.
-CLOCK_S, _ANGLE_RAD = 0.005, math.radians(2.0)
+_CLOCK_S, _ANGLE_RAD = 0.005, math.radians(2.0)
 # Minimum ratio of rotations about a second axis to those about the first, to determine the mounting.
 _SECOND_AXIS = 0.05
 
@@ -101,6 +101,7 @@ def imu_findings(
     if T_base_lidar is None:
         return [*found, *_in_the_plane(name, rows, steps, unit)]
     found += [_turn_rates(name, "in degrees", unit)] if unit != 1.0 else []
+    found += _without_gravity(name, rows)
     fit = turn_fit(rows, steps)
     if fit is None or fit.left_share > SPREAD:
         return found
@@ -255,20 +256,24 @@ def _turn_rates(name: str, what: str, factor: float, sigma: float = 0.0) -> Find
 
 def _clock(name: str, fit: TurnFit, untimed_s: float = 0.0) -> list[Finding]:
     """A clock offset to the lidar."""
-    open_ = half_interval(fit.ahead_sigma_s) > GAP_S / FEWEST
-    half_s = half_interval(fit.ahead_sigma_s) + 0.5 * untimed_s
-    if open_ or abs(fit.ahead_s) <= CLOCK_S + half_s:
+    half_s = half_interval(fit.ahead_sigma_s)
+    return [] if half_s > GAP_S / FEWEST else clock_findings(name, fit.ahead_s, half_s + 0.5 * untimed_s)
+
+
+def clock_findings(name: str, ahead_s: float, half_s: float) -> list[Finding]:
+    """Return that a clock is ahead of the lidar's, unless its interval contains a harmless offset."""
+    if abs(ahead_s) <= _CLOCK_S + half_s:
         return []
     return [
         Finding(
             name,
             "clock",
-            f"its stamps are {1e3 * fit.ahead_s:+.1f} +- {1e3 * half_s:.1f} ms ahead of the lidar's",
+            f"its stamps are {1e3 * ahead_s:+.1f} +- {1e3 * half_s:.1f} ms ahead of the lidar's",
             "clouds are deskewed with the motion of another time",
-            ({"imus": {name: {"clock_offset_s": round(fit.ahead_s, 4)}}},),
+            ({"imus": {name: {"clock_offset_s": round(ahead_s, 4)}}},),
             sure=True,
-            value=fit.ahead_s,
-            interval=(fit.ahead_s - half_s, fit.ahead_s + half_s),
+            value=ahead_s,
+            interval=(ahead_s - half_s, ahead_s + half_s),
         )
     ]
 
@@ -306,6 +311,16 @@ def _frozen(rows: FloatArray, steps: Sequence[SensorStep]) -> BoolArray:
     hung_s = rows[rows[:, 0] - new_s > GAP_S, 0]
     within = [step for step in steps if np.ptp(np.searchsorted(hung_s, (step.begun_s, step.ended_s)))]
     return same & bool(np.linalg.norm(turns_of(within).sum(axis=0)) > _ANGLE_RAD)
+
+
+def _without_gravity(name: str, rows: FloatArray) -> list[Finding]:
+    """Return that the accelerations in rows (N, 7) are not mostly gravity, or in another unit."""
+    force_m_s2 = float(np.median(np.linalg.norm(rows[:, 4:7], axis=1)))
+    if 0.5 < force_m_s2 / GRAVITY_M_S2 < 2.0:
+        return []
+    text = f"the median of its accelerations is {force_m_s2:.3g} m/s^2 where gravity is {GRAVITY_M_S2:.1f}"
+    remedy: Remedy = {"imus": {name: {"use": False}}}
+    return [Finding(name, "forces", text, "poses would be predicted in free fall", (remedy,), sure=True)]
 
 
 def _saturated(name: str, rows: FloatArray) -> list[Finding]:

@@ -16,7 +16,7 @@ from slam.datasets.laser_geometry import DEFAULT_NO_RETURN_M
 from slam.doctor.camera_samples import SPREAD, CameraSamples
 from slam.doctor.cloud_samples import CloudSamples
 from slam.doctor.finding import Finding, Remedy, mounting_entry
-from slam.doctor.floor import floor_below_m
+from slam.doctor.floor import ANGLE_RAD, LEVER_M, floor_below_m, upright_mounting
 from slam.doctor.lens_fit import lens_fit
 from slam.doctor.pair import interval
 from slam.doctor.paired_motions import BaseTrack, clock_of, joined, runs_of, turns_of
@@ -26,8 +26,8 @@ from slam.vision.camera_frame import T_BODY_CAMERA
 
 # Largest clock offset to search for, and those that mapping estimates itself from rotations.
 _MOST_S, _LEARNED_S = 0.7, 0.15
-# Smaller differences are normal for sensors on robots: shares, radians, metres.
-_SHARE, _LENS_SHARE, _ANGLE_RAD, _LEVER_M = 0.06, 0.14, math.radians(5.0), 0.15
+# Smaller differences are normal for sensors on robots: shares.
+_SHARE, _LENS_SHARE = 0.06, 0.14
 # Limits of plausible median depths of a depth camera.
 _DEPTHS_M = (0.1, 30.0)
 # Ratios of the unit of depth files to the assumed one.
@@ -233,7 +233,7 @@ def _scale(base: Base, seen: Seen, others: Sequence[Seen]) -> list[Finding]:
     own: Remedy = {seen.kind: {seen.name: {key: factor}}}
     wheels: Remedy = {"wheels": {base.wheels: {"scale": round(scale, 4)}}}
     mine = yours = False
-    if seen.told_m is not None and seen.floor_m is not None and seen.told_m[2] > _LEVER_M:
+    if seen.told_m is not None and seen.floor_m is not None and seen.told_m[2] > LEVER_M:
         floor = seen.floor_m / seen.told_m[2]
         mine, yours = (abs(math.log(floor / one)) < 0.5 * abs(math.log(scale)) for one in (scale, 1.0))
     if base.certain and yours and not mine:
@@ -271,9 +271,9 @@ def _mounting(base: Base, seen: Seen, others: Sequence[Seen]) -> list[Finding]:
     # Heading of the sensor's estimated forward direction with the stated pose: its yaw error.
     yaw_rad = -math.atan2(float(ahead[1]), float(ahead[0]))
     lever_m = fit.lever_m - seen.told_m[:2]
-    turned = not _within(yaw_rad, float(fit.sigmas[2]), _ANGLE_RAD)
-    tilted = not _within(tilt_rad, fit.tilt_sigma_rad, _ANGLE_RAD)
-    moved = not all(_within(off, sigma, _LEVER_M) for off, sigma in zip(lever_m, fit.sigmas[3:], strict=True))
+    turned = not _within(yaw_rad, float(fit.sigmas[2]), ANGLE_RAD)
+    tilted = not _within(tilt_rad, fit.tilt_sigma_rad, ANGLE_RAD)
+    moved = not all(_within(off, sigma, LEVER_M) for off, sigma in zip(lever_m, fit.sigmas[3:], strict=True))
     if not (turned or tilted or moved):
         return []
     sure = base.certain or any(_sits(one) for one in others)
@@ -298,7 +298,7 @@ def _mounting(base: Base, seen: Seen, others: Sequence[Seen]) -> list[Finding]:
         sure=sure,
         value=math.degrees(tilt_rad if tilted else yaw_rad),
     )
-    if math.pi - tilt_rad > 2.0 * _ANGLE_RAD or turned:
+    if math.pi - tilt_rad > 2.0 * ANGLE_RAD or turned:
         return [finding]
     mirrored: Remedy = {seen.kind: {seen.name: {"mirrored": True}}}
     if seen.kind != "cameras" or seen.upside_down:
@@ -315,7 +315,7 @@ def _sits(seen: Seen) -> bool:
     if seen.fit is None or seen.R_base_sensor is None:
         return False
     along = (seen.R_base_sensor @ seen.fit.ahead)[0], (seen.R_base_sensor @ seen.fit.up)[2]
-    return bool(min(along) > math.cos(_ANGLE_RAD))
+    return bool(min(along) > math.cos(ANGLE_RAD))
 
 
 def _entry(kind: str, R_base_sensor: FloatArray, place_m: Sequence[float]) -> dict[str, Any]:
@@ -360,6 +360,23 @@ def cloud_findings(name: str, samples: CloudSamples) -> list[Finding]:
     text = f"the times of a cloud's points span {turn_s:.3g} s, clouds come every {interval_s:.3g} s"
     remedy = {"lidars_3d": {name: {"times_scale": 1.0 / units[0]}}}
     return [*found, Finding(name, "times of points", text, effect, (remedy,), sure=True, value=off)]
+
+
+def stood_up(name: str, samples: CloudSamples) -> list[Finding]:
+    """Return a tilt of a 3D lidar that the log does not contain; its samples get the right mounting."""
+    told = samples.T_base_lidar
+    steps = [step for stretch in samples.steps for step in stretch]
+    upright = upright_mounting(turns_of(steps), samples.points, told) if samples.points else None
+    if upright is None:
+        return []
+    samples.T_base_lidar = upright
+    off_deg = math.degrees(
+        float(np.linalg.norm(gtsam.Rot3.Logmap(told.rotation().between(upright.rotation()))))
+    )
+    text = f"it is tilted by {off_deg:.1f} degrees more than the log says, by its rotations and the floor"
+    entry = _entry("lidars_3d", np.asarray(upright.rotation().matrix()), upright.translation().tolist())
+    effect, remedy = "the path of the robot is wrong", {"lidars_3d": {name: entry}}
+    return [Finding(name, "mounting", text, effect, (remedy,), sure=True, value=off_deg)]
 
 
 def _within(off: float, sigma: float, limit: float) -> bool:

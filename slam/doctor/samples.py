@@ -13,6 +13,7 @@ from slam.datasets.corrections import Unwound
 from slam.datasets.dataset import Thinned
 from slam.doctor.camera_samples import CameraSamples
 from slam.doctor.cloud_samples import CloudSamples
+from slam.doctor.floor import LEVER_M
 from slam.doctor.imu import ImuSamples, rising
 from slam.doctor.repeats import Repeats
 from slam.measurements import (
@@ -135,5 +136,6 @@ class Samples:
         for lidar in samples.lidars.values():
             lidar.close()
         for clouds in samples.clouds.values():
-            clouds.close(compared=bool(samples.wheels or samples.imus))
+            compared = samples.wheels or samples.imus or clouds.T_base_lidar.z() > LEVER_M
+            clouds.close(compared=bool(compared))
         return samples

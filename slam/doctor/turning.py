@@ -22,8 +22,8 @@ from fusion.estimation import FEWEST, ROUNDS, TINY, gate
 from fusion.time_alignment import GAP_S
 from slam.config import Config
 from slam.datasets.corrections_in_space import bearings_rad, time_reversed, turn_times
-from slam.doctor.finding import Finding
-from slam.doctor.imu import CLOCK_S
+from slam.doctor.finding import Finding, Remedy
+from slam.doctor.imu import clock_findings
 from slam.doctor.scan_motion import track_stretches
 from slam.doctor.stretches import LASTS_S, MOST
 from slam.matching.cloud_alignment import align_cloud
@@ -69,21 +69,22 @@ class Turn:
             value=turn_s,
         )
 
-    def stamped(self, clock: Finding, name: str) -> Finding:
-        """An IMU's clock offset, attributed to the lidar if it is half a revolution.
+    def stamped(self, clock: Finding, lidar: str) -> list[Finding]:
+        """Explain an IMU's clock offset by the stamps of the lidar, if they are nearer to one end of a sweep.
 
-        Drivers stamp its start or its end, and points without times are assumed around its middle.
+        Drivers stamp the beginning of a sweep or its end; points without times are assigned to its middle.
+        What remains is the offset of the IMU's clock.
         """
-        half_s = math.copysign(0.5 * self.turn_s, clock.value or 0.0)
-        if clock.kind != "clock" or abs((clock.value or 0.0) - half_s) > CLOCK_S:
-            return clock
-        return replace(
-            clock,
-            sensor=name,
-            text=f"its stamps are of the {'beginning' if half_s > 0.0 else 'end'} of a sweep, by the IMU",
-            effect="poses are off by half a revolution in time",
-            remedies=({"lidars_3d": {name: {"clock_offset_s": round(-half_s, 4)}}},),
-        )
+        ahead_s, half_s = clock.value or 0.0, 0.5 * abs(self.turn_s)
+        if clock.kind != "clock" or clock.interval is None or abs(ahead_s) < 0.5 * half_s:
+            return [clock]
+        half_s = math.copysign(half_s, ahead_s)
+        text = f"its stamps are of the {'beginning' if half_s > 0.0 else 'end'} of a sweep, by the IMU"
+        effect = "poses are off by half a revolution in time"
+        remedy: Remedy = {"lidars_3d": {lidar: {"clock_offset_s": round(-half_s, 4)}}}
+        sweep = Finding(lidar, clock.kind, text, effect, (remedy,), sure=True, value=-half_s)
+        rest_s, within_s = ahead_s - half_s, 0.5 * (clock.interval[1] - clock.interval[0])
+        return [sweep, *clock_findings(clock.sensor, rest_s, within_s)]
 
     def timed(self, cloud: PointCloud) -> PointCloud:
         """The cloud with point times, and the stamp in the middle of its revolution."""

@@ -1,4 +1,4 @@
-"""Estimate the motion of a robot with an IMU at its first cloud, before mapping starts.
+"""Estimate the motion of a robot at its first cloud, before mapping starts.
 
 Clouds in motion are deskewed with the velocity, which is known only after some clouds are matched. So the
 first seconds are read twice.
@@ -10,10 +10,14 @@ import math
 from collections import deque
 from collections.abc import Iterable, Iterator
 from contextlib import suppress
+from itertools import islice, pairwise
+
+import gtsam
+import numpy as np
 
 from slam.config import Config
-from slam.matching.cloud_points import at_middle_of_turn
-from slam.measurements import ImuReading, Measurement, PointCloud
+from slam.matching.cloud_points import at_middle_of_turn, deskewed
+from slam.measurements import FloatArray, ImuReading, Measurement, PointCloud
 from slam.odometry.cloud_tracker import CloudTracker
 from slam.odometry.cloud_velocity import LONGEST_STEP_S
 from slam.odometry.imu_tracker import ImuStart, ImuTracker, UnfitImuError
@@ -53,3 +57,29 @@ def start_of(log: Iterable[Measurement], config: Config) -> ImuStart | None:
                 tracker.follow(cloud)
     start = imu.start()
     return start if start is not None and start.state.stamp_s == first_s else None
+
+
+def first_twist(log: Iterable[Measurement], config: Config) -> FloatArray | None:
+    """Return the twist (6,) of the base at the first cloud, by the first three; None if they do not show it.
+
+    Otherwise the first cloud is deskewed as if the robot stood still, and all later poses differ from the
+    first by the error of its match.
+    """
+    clouds = list(islice((one for one in log if isinstance(one, PointCloud)), 3))
+    clouds = [at_middle_of_turn(one, config.cloud_odometry) for one in clouds]
+    stamps_s, twist = np.array([one.stamp_s for one in clouds]), None
+    if len(clouds) < 3 or not all(deskewed(one, config.cloud_odometry) for one in clouds):
+        return None
+    if not all(0.0 < step_s < LONGEST_STEP_S for step_s in np.diff(stamps_s)):
+        return None
+    for _ in clouds:
+        tracker = CloudTracker(config, None, twist=twist)
+        tracked = [tracker.follow(one) for one in clouds]
+        matches = [one.motion for one in tracked[1:]]
+        if not all(one and one.converged and not one.degenerate for one in matches):
+            return None
+        ways = np.array([gtsam.Pose3.Logmap(a.pose.between(b.pose)) for a, b in pairwise(tracked)])
+        first, second = ways / np.diff(stamps_s)[:, None]
+        # Half a step before the middle of the first step, by constant acceleration.
+        twist = first + (first - second) * (stamps_s[1] - stamps_s[0]) / (stamps_s[2] - stamps_s[0])
+    return twist

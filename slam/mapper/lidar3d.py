@@ -68,12 +68,13 @@ class CloudLidar(FrontEnd):
         checkpoint: Checkpoint,
         registrations: Mapping[str, ColorRegistration],
         start: ImuStart | None = None,
+        twist: FloatArray | None = None,
     ) -> None:
         self.readings = Readings()
         self._config, self._checkpoint = config, checkpoint
         self._wheels = WheelTracker(config.wheels) if config.sensors.wheels else None
         self._imu = ImuTracker(start) if config.sensors.imu else None
-        self._tracker = CloudTracker(config, self._wheels, checkpoint, self._imu)
+        self._tracker = CloudTracker(config, self._wheels, checkpoint, self._imu, twist)
         self._down: dict[int, Gravity] = {}
         self._clouds = checkpoint.cloud_spool()
         turns = Turns() if self._wheels is None else self._wheels.turns

@@ -19,10 +19,10 @@ from slam.doctor.camera_samples import SensorStep
 from slam.doctor.cloud_samples import CloudSamples
 from slam.doctor.diagnosis import _in_space
 from slam.doctor.finding import Finding, remedied
-from slam.doctor.imu import ImuSamples, imu_findings, turn_fit
+from slam.doctor.imu import ImuSamples, clock_findings, imu_findings, turn_fit
 from slam.doctor.samples import Samples
 from slam.doctor.turning import Turn
-from slam.measurements import ImuReading, PointCloud
+from slam.measurements import GRAVITY_M_S2, ImuReading, PointCloud
 
 T_BASE_LIDAR = gtsam.Pose3(gtsam.Rot3.Yaw(0.5), np.array([0.1, 0.0, 0.3]))
 
@@ -124,7 +124,8 @@ def test_turn_rates_in_degrees_beside_a_3d_lidar() -> None:
 def test_clouds_are_matched_for_an_imu_where_there_are_no_wheels() -> None:
     clouds = [look(walk(0.1 * n), 0.1 * n, seed=n) for n in range(4)]
     assert Samples.of([SAID[0], *clouds]).clouds["lidar"].steps[0]
-    assert not Samples.of(clouds).clouds["lidar"].steps[0]
+    level = [replace(one, T_base_lidar=gtsam.Pose3()) for one in clouds]
+    assert not Samples.of(level).clouds["lidar"].steps[0]
 
 
 def test_the_motion_of_turns_is_between_their_middles() -> None:
@@ -247,3 +248,25 @@ def test_only_stretches_that_are_kept_are_matched() -> None:
 
 def test_a_clock_is_not_told_of_turns_that_nothing_explains() -> None:
     assert "clock" not in findings([replace(one, stamp_s=one.stamp_s + 1.0) for one in SAID])
+
+
+@pytest.mark.parametrize("unit", [0.0, 1.0 / GRAVITY_M_S2])
+def test_accelerations_without_gravity_or_in_another_unit_are_found(unit: float) -> None:
+    found = findings([replace(one, specific_force_m_s2=unit * one.specific_force_m_s2) for one in SAID])
+    assert found["forces"].sure and found["forces"].remedies == ({"imus": {"imu": {"use": False}}},)
+
+
+@pytest.mark.parametrize(("ahead_s", "lidar_s", "imu_s"), [(0.072, -0.05, 0.022), (-0.05, 0.05, 0.0)])
+def test_an_offset_is_of_the_lidar_as_far_as_half_a_revolution_explains_it(
+    ahead_s: float, lidar_s: float, imu_s: float
+) -> None:
+    (clock,) = clock_findings("imu", ahead_s, 0.004)
+    found = {one.sensor: one for one in Turn(-0.1, 1e-3, 0.0).stamped(clock, "lidar")}
+    assert found["lidar"].value == pytest.approx(lidar_s)
+    assert ("imu" in found) == (imu_s > 0.0)
+    assert not imu_s or found["imu"].value == pytest.approx(imu_s)
+
+
+def test_a_small_offset_is_of_the_imu() -> None:
+    (clock,) = clock_findings("imu", 0.02, 0.002)
+    assert Turn(-0.1, 1e-3, 0.0).stamped(clock, "lidar") == [clock]

@@ -10,6 +10,7 @@ import pytest
 
 from slam.config.calibration import Calibration
 from slam.datasets.corrections import corrected
+from slam.datasets.corrections_in_space import mounted
 from slam.doctor.camera_samples import CameraSamples, MatchedPair, SensorStep
 from slam.doctor.cloud_samples import CloudSamples
 from slam.doctor.diagnosis import diagnose
@@ -23,6 +24,7 @@ from slam.doctor.in_space import (
     findings_against,
     lens_findings,
     seen_by,
+    stood_up,
 )
 from slam.doctor.lens_fit import lens_fit
 from slam.doctor.paired_motions import BaseTrack, mended_rows
@@ -361,3 +363,36 @@ def test_wheels_that_may_take_left_for_right_judge_no_camera() -> None:
         found = [Finding("laser", "mirrored", "", "", remedies)]
         rows = mended_rows("odometry", base_rows(), found)
         assert (rows is not None) == known
+
+
+def tilted_samples(told: gtsam.Pose3, true: gtsam.Pose3) -> CloudSamples:
+    """A lidar of a robot in a room with a floor, its mounting in the log and the true one."""
+    rows, rng = base_rows(), np.random.default_rng(3)
+    poses = [gtsam.Pose3(gtsam.Pose2(*row[1:])).compose(true) for row in rows[:100]]
+    samples = CloudSamples(T_base_lidar=told)
+    pairs = zip(rows, poses[:-1], poses[1:], strict=False)
+    samples.steps = [[SensorStep(row[0], row[0] + 0.1, one.between(other)) for row, one, other in pairs]]
+    floor = np.column_stack([rng.uniform(-4, 4, (3000, 2)), rng.normal(0.0, 0.01, 3000)])
+    wall = np.column_stack([np.full(3000, 4.0), rng.uniform(-4, 4, 3000), rng.uniform(0.0, 2.0, 3000)])
+    samples.points = [np.array([true.transformTo(point) for point in np.concatenate([floor, wall])])]
+    return samples
+
+
+@pytest.mark.parametrize("turn", [gtsam.Rot3.Pitch(0.6), gtsam.Rot3.Roll(-0.3), gtsam.Rot3.Roll(math.pi)])
+def test_a_tilted_lidar_is_mended_by_its_rotations_and_the_floor(turn: gtsam.Rot3) -> None:
+    told = gtsam.Pose3(gtsam.Rot3(), np.array(PLACE))
+    true = gtsam.Pose3(turn, np.array(PLACE))
+    samples = tilted_samples(told, true)
+    (finding,) = stood_up("lidar", samples)
+    assert finding.sure
+    assert samples.T_base_lidar.equals(true, 0.02)
+    given = remedied(Calibration(), [finding], only_sure=True).lidars_3d["lidar"].T_base_lidar
+    assert given is not None
+    assert mounted(given).equals(true, 0.02)
+
+
+def test_a_lidar_in_order_or_without_a_floor_is_not_stood_up() -> None:
+    true = gtsam.Pose3(gtsam.Rot3.Pitch(0.6), np.array(PLACE))
+    assert not stood_up("lidar", tilted_samples(true, true))
+    higher = gtsam.Pose3(gtsam.Rot3(), np.array([*PLACE[:2], 1.2]))
+    assert not stood_up("lidar", tilted_samples(higher, true))
