@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -140,6 +141,26 @@ def test_a_corridor_that_ends_elsewhere_contradicts(
     trial = ClaimTrial(way, way, way, CONFIG, REACH_M)  # type: ignore[arg-type]
     share = trial.contradicted([way.verify(5, 105, np.zeros(3), SURE)])
     assert (share > CONFIG.sigmas * (1.0 - CONFIG.inlier_probability)) is contradicts
+
+
+@pytest.mark.parametrize("from_place", [True, False])
+def test_the_end_that_contradicts_more_counts(from_place: bool) -> None:
+    """Each end is looked at from the other, where the claim puts it."""
+    asked: list[FloatArray] = []
+
+    class OneSided(Seen):
+        def surroundings(self, key: int, *, own: bool) -> LocalMap:
+            def contradicted(scan: OrientedPoints, pose: FloatArray, covariance: FloatArray) -> float:
+                asked.append(pose)
+                return 0.2 if (key < 100) is from_place else 0.1
+
+            return SimpleNamespace(contradicted=contradicted)  # type: ignore[return-value]
+
+    way = OneSided((14.0, 14.0), 0.0)
+    trial = ClaimTrial(way, way, way, CONFIG, REACH_M)  # type: ignore[arg-type]
+    assert trial.contradicted([way.verify(5, 105, np.array([0.3, 0.1, 0.1]), SURE)]) == pytest.approx(0.2)
+    for there, back in zip(asked[::2], asked[1::2], strict=True):
+        np.testing.assert_allclose(between(there, np.zeros(3)), back, atol=1e-9)
 
 
 @pytest.mark.parametrize("beyond", [CONFIG.reach_m + 0.5, 1.0])
