@@ -41,9 +41,7 @@ class ClaimTrial:
         """Return the matching claims that follow from a set, and the number of keyframes without a match."""
         more, refused = list[LoopCandidate](), 0
         for key, nearest in self._along(members):
-            if key == nearest.keyframe:
-                continue
-            verdicts = self._verdicts(nearest, key)
+            verdicts = self._verdicts(nearest, key) if key != nearest.keyframe else []
             fits = [one for one in verdicts if one.accepted]
             refused += bool(verdicts) and not fits
             more += [one for one in fits if one.motion is not None and not one.motion.degenerate][:1]

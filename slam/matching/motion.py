@@ -57,8 +57,8 @@ class Motion(NamedTuple):
 
     def inverse(self) -> Motion:
         """Return the motion from its end to its start."""
-        turned = rotate_covariance(adjoint(self.pose), self.covariance)
-        return Motion(between(self.pose, np.zeros(3)), turned)
+        back = between(self.pose, np.zeros(3))
+        return Motion(back, rotate_covariance(adjoint(self.pose), self.covariance))
 
     def widened(self, covariance: FloatArray) -> Motion:
         """Return the motion with another covariance (3, 3) added."""
