@@ -35,6 +35,7 @@ from slam.measurements import (
 )
 
 _RECENT = 4  # readings from which a rate is estimated
+_REPEATED_RAD = math.radians(1.0)  # headings within this are the same one
 
 
 def corrected(log: Iterable[Measurement], calibration: Calibration) -> Iterable[Measurement]:
@@ -143,7 +144,9 @@ def begins_early(before: PointCloud, now: PointCloud) -> bool:
 class Unwound:
     """Removes jumps by full turns from written headings; a heading in degrees wraps often.
 
-    The turn rate is extrapolated, because it changes by less than itself between readings.
+    The turn rate is extrapolated, because it changes by less than itself between readings. But after a jump by
+    nearly half a turn, this would continue with a full turn for each reading of a robot that drives straight
+    ahead. So a written heading that several readings in a row repeat has not turned.
     """
 
     def __init__(self) -> None:
@@ -157,7 +160,9 @@ class Unwound:
             since_s = stamp_s - last_s
             # The last step gives the rate, unless the stamps of two readings are almost equal.
             older = (one for one in reversed(self._recent) if 2.0 * (last_s - one[0]) > since_s > 0.0)
-            if begun := next(older, None):
+            begun = next(older, None)
+            repeated = all(abs(wrap(wrapped_rad - one[1])) < _REPEATED_RAD for one in self._recent)
+            if begun and not (repeated and len(self._recent) == _RECENT):
                 expected_rad += (last[1] - begun[1]) * since_s / (last_s - begun[0])
             heading_rad = expected_rad + wrap(wrapped_rad - expected_rad)
         self._recent.append((stamp_s, heading_rad))

@@ -50,9 +50,11 @@ def fit_linear(design: FloatArray, measured: FloatArray, stretch: FloatArray) ->
     design, measured, stretch
         (N, P), (N,), and (N,) index of the stretch of each.
     """
-    weights = np.ones(len(measured))
     if len(measured) < FEWEST or np.linalg.matrix_rank(design) < design.shape[1]:
         return None
+    # A step far larger than the others has no more influence at first: it may be a jump of the wheels.
+    sizes = np.sum(design**2, axis=1)
+    weights = 1.0 / (np.mean(sizes) + sizes)
     sigma = np.inf
     for _ in range(ROUNDS):
         root = np.sqrt(weights)

@@ -6,7 +6,7 @@ Two corridors look alike for a while, but not for long.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 
@@ -39,27 +39,51 @@ class ClaimTrial:
 
     def hold(self, members: Sequence[LoopCandidate]) -> tuple[list[LoopCandidate], int]:
         """Return the matching claims that follow from a set, and the number of keyframes without a match."""
-        stretches, way_m = self._stretches, self._submaps.travelled_m
-        ways = np.array([way_m(member.keyframe) for member in members])
         more, refused = list[LoopCandidate](), 0
-        for key in stretches.between(ways.min() - self._reach_m, ways.max() + self._reach_m):
-            nearest = members[int(np.abs(ways - way_m(key)).argmin())]
-            if key == nearest.keyframe:
-                continue
-            verdicts = self._verdicts(nearest, key)
+        for key, nearest in self._along(members):
+            verdicts = self._verdicts(nearest, key) if key != nearest.keyframe else []
             fits = [one for one in verdicts if one.accepted]
             refused += bool(verdicts) and not fits
             more += [one for one in fits if one.motion is not None and not one.motion.degenerate][:1]
         return more, refused
 
-    def _verdicts(self, member: LoopCandidate, key: int) -> list[LoopCandidate]:
-        """Match a keyframe to the places that a claim predicts, up to the first that fits."""
+    def contradicted(self, members: Sequence[LoopCandidate]) -> float:
+        """Return the share of points by which both ends of a set contradict each other, along all of it.
+
+        Two places may look alike, but each also sees how far it is free. A point of one contradicts the other
+        where that has seen through it, or through what stands before it, see `LocalMap.contradicted`.
+        """
+        shares = [
+            (self._passed(place, key, guess), self._passed(key, place, guess.inverse()))
+            for key, nearest in self._along(members)
+            for place, guess in [*self._guesses(nearest, key)][:1]
+        ]
+        return float(np.mean(shares or [(0.0, 0.0)], axis=0).max())
+
+    def _passed(self, place: int, key: int, at: Motion) -> float:
+        """Return the share of points of a scan that contradict a place, drawn without crossing a gap."""
+        return self._submaps.surroundings(place, own=True).contradicted(self._submaps.scan(key), *at)
+
+    def _along(self, members: Sequence[LoopCandidate]) -> Iterator[tuple[int, LoopCandidate]]:
+        """Yield the keyframes around those of a set, each with the nearest claim along the path."""
+        way_m = self._submaps.travelled_m
+        ways = np.array([way_m(member.keyframe) for member in members])
+        for key in self._stretches.between(ways.min() - self._reach_m, ways.max() + self._reach_m):
+            yield key, members[int(np.abs(ways - way_m(key)).argmin())]
+
+    def _guesses(self, member: LoopCandidate, key: int) -> Iterator[tuple[int, Motion]]:
+        """Yield the places from which a keyframe may be visible by a claim, and its pose in their frames."""
         expected = after(claimed(member), self._sets.way(member.keyframe, key))
-        verdicts: list[LoopCandidate] = []
         for place in self._places(member.place, expected, key):
             guess = after(self._sets.way(place, member.place), expected)
             if self._config.sigmas * position_sigmas(guess.covariance[None])[0] > self._config.reach_m:
-                break
+                return
+            yield place, guess
+
+    def _verdicts(self, member: LoopCandidate, key: int) -> list[LoopCandidate]:
+        """Match a keyframe to the places that a claim predicts, up to the first that fits."""
+        verdicts: list[LoopCandidate] = []
+        for place, guess in self._guesses(member, key):
             if (place, key) not in self._tried:
                 self._tried[place, key] = self._closer.verify(place, key, guess.pose, guess.covariance)
             verdicts.append(self._tried[place, key])

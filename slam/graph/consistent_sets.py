@@ -82,8 +82,7 @@ class ClaimSets:
         n, m = np.unravel_index(apart_m.argmin(), apart_m.shape)
         a, b = sorted((one[int(n)], other[int(m)]), key=lambda claim: claim.place)
         onward = after(claimed(a), self.way(a.keyframe, b.keyframe))
-        back = from_above(b.edge(0).turned())
-        return a.place, b.place, after(onward, back)
+        return a.place, b.place, after(onward, claimed(b).inverse())
 
     def near(self, one: LoopCandidate, others: Sequence[LoopCandidate]) -> BoolArray:
         """Return (n,) which claims have another keyframe close to that of one, and a close place."""

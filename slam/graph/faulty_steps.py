@@ -94,11 +94,18 @@ class FaultySteps:
         measured = np.array([edge.kind not in GUESSES for edge in single], np.bool_)
         guessed = np.ones(len(poses), np.bool_)
         guessed[sources[measured]] = False
+        # In a direction that matches leave open the wheels measure; to reject them costs a gate more.
+        spread = np.linalg.eigvalsh(claimed[:, :2, :2])[:, -1]
+        matched = np.full(len(poses), -np.inf)
+        np.maximum.at(matched, sources[measured], spread[measured])
+        wheels = np.array([edge.kind is EdgeKind.WHEEL for edge in single], np.bool_)
+        wheels &= spread < matched[sources]
+        counted = np.stack([measured | wheels, measured], axis=1)[..., None, None]
         # Of a second, and of its own time: what is disputed is no less open than that.
         longer = np.maximum(np.abs(took_s := np.diff(stamps_s)), 1.0)[sources]
         limits = limit * np.stack([np.ones_like(longer), longer])[..., None, None] ** 2
         most = np.where(trusted, limit, limits.swapaxes(0, 1) + claimed[:, None])
-        information = np.where(measured[:, None, None, None], np.linalg.inv(most), 0.0)
+        information = np.where(counted, np.linalg.inv(most), 0.0)
         information += np.where(trusted, np.linalg.inv(claimed)[:, None], 0.0)
         held = np.zeros((len(poses), 2, 3, 3))
         np.add.at(held, sources, information)
@@ -117,6 +124,7 @@ class FaultySteps:
         self._ends = np.array([part[:2] for part in parts], np.int64).reshape(-1, 2)
         self._free = np.array([part[2] for part in parts]).reshape(-1, 2, 3, 3)
         self._alone = np.array([guessed[first:last].all() for first, last in self._ends], np.bool_)
+        claims |= wheels
         first, last = np.bincount(sources[claims] + 1, minlength=len(poses) + 1).cumsum()[self._ends.T]
         self._prices = np.where(first < last, self._gate, 0.0)
         self._numbers = np.full(len(poses), -1)

@@ -239,21 +239,16 @@ class PlaceSearch:
             offs = ((m, self._contradiction(sets.entailed(found[n], found[m]), seen)) for m in rivals)
             if any(2.0 * off > gained and gained < 2.0 * gain(m) < 2.0 * off for m, off in offs):
                 continue
-            if more := self._confirmed(found[n], found, judged(n), poses, known):
+            if more := self._confirmed(found[n], judged(n), poses, known):
                 sets.remove(more)
                 self._corrected = True
                 return more
         return []
 
     def _confirmed(
-        self,
-        members: list[LoopCandidate],
-        found: Sequence[list[LoopCandidate]],
-        judged: _Judged,
-        poses: FloatArray,
-        known: UncertaintyGraph,
+        self, members: list[LoopCandidate], judged: _Judged, poses: FloatArray, known: UncertaintyGraph
     ) -> list[LoopCandidate]:
-        """Return a set with the claims that follow from it, if enough of its surroundings fit."""
+        """Return a set with the claims that follow from it, if its surroundings fit and hardly contradict."""
         trial, stretches, reach_m = self._trial, self._stretches, self._config.reach_m
         assert trial is not None and stretches is not None
         # What contradicts more than one fault explains must be so many times as long.
@@ -262,37 +257,12 @@ class PlaceSearch:
         # One that fits where it cannot be shows that these places look alike.
         more = [one for one in fits if self._follows(one, known, judged)]
         held = len(members) + 2 * len(more) - len(fits) - refused
-        if longer > 1.0:
-            held += self._borne_out(members, found, partial(known.motion, poses=poses))
-        net_m = held * stretches.spacing_m
         # As long as it is seen from either end; where all of the map would pass, as a loop must be.
-        map_m = float(np.ptp(poses[:, :2], axis=0).max())
-        anywhere = math.sqrt(self._gate) * judged.sigma_m > map_m
-        enough = net_m >= longer * (self._config.least_path_m if anywhere else 2.0 * reach_m)
-        return [*members, *more] if enough else []
-
-    def _borne_out(
-        self, members: Sequence[LoopCandidate], found: Sequence[list[LoopCandidate]], known: Known
-    ) -> int:
-        """How many claims of other sets tell the same of other keyframes nearby, less those that do not.
-
-        These however likely they are; those only where the way between their places is known.
-        """
-        assert self._sets is not None
-        same, otherwise = set[int](), 0
-        for other in found:
-            way = None if other is members else self._sets.entailed(members, other)
-            if way is None:
-                continue
-            off, between_m = (
-                self._contradiction(way, known),
-                position_sigmas(known(*way[:2]).covariance[None]),
-            )
-            if off > 2.0 * self._gate:
-                otherwise += len(other)
-            elif off <= self._gate and between_m[0] <= self._config.reach_m:
-                same |= {claim.keyframe for claim in other}
-        return len(same - {claim.keyframe for claim in members}) - otherwise
+        anywhere = math.sqrt(self._gate) * judged.sigma_m > np.ptp(poses[:, :2], axis=0).max()
+        least_m = longer * (self._config.least_path_m if anywhere else 2.0 * reach_m)
+        few = self._config.sigmas * (1.0 - self._config.inlier_probability)
+        enough = held * stretches.spacing_m >= least_m
+        return [*members, *more] if enough and trial.contradicted(members) <= few else []
 
     def _cost(self, members: Sequence[LoopCandidate], known: Known) -> _Judged:
         """Return the cost of a set without faults; infinite if it adds no information.

@@ -155,6 +155,7 @@ class SubmapStore:
         self._poses = list(poses)
         self._begun = list(begun)
         self._cache.clear()
+        self._surroundings.clear()
 
     def parted(self, one: int, other: int) -> bool:
         """Return whether nothing measured the motion between two keyframes."""
@@ -175,7 +176,8 @@ class SubmapStore:
                 images.append(partial(RangeImage.of, points, pose, points))
             return replace(_local_map(self._surfaces, self._poses, key, members, self._match), images=images)
 
-        return _newest(self._surroundings, (key, members[0], members[-1]), self._most, seen)
+        most = self._most if self.sparse else self._near  # each is as large as it sees far
+        return _newest(self._surroundings, (key, members[0], members[-1]), most, seen)
 
     def field(self, key: int) -> LikelihoodField:
         """Return a coarse field of the points seen before and after a keyframe, for wide windows."""

@@ -145,10 +145,10 @@ class LocalMap:
         known, whole = (object_evidence(scan.points, gain) for gain in gains)
         return np.stack([known, whole - known]) / points_a_witness(judged)
 
-    def contradicted(self, scan: OrientedPoints, pose: FloatArray) -> float:
+    def contradicted(self, scan: OrientedPoints, pose: FloatArray, covariance: FloatArray | int = 0) -> float:
         """Return the share of a scan's points (base frame) that contradict the map at a pose (3,)."""
-        weights, contradicts = self._fits(scan, Motion(pose, np.zeros((3, 3))))
-        return float((1.0 - weights) @ contradicts) / len(scan)
+        weights, contradicts = self._fits(scan, Motion(pose, np.zeros((3, 3)) + covariance))
+        return float((1.0 - weights) @ contradicts) / max(len(scan), 1)
 
     def _fits(self, scan: OrientedPoints, at: Motion) -> tuple[FloatArray, BoolArray]:
         """Return (M,) robust weights of a scan's points, and whether they contradict the map.

@@ -10,7 +10,7 @@ import numpy as np
 
 from fusion.estimation import gate
 from fusion.kernel import kernel
-from slam.matching.planar import compose, wrap
+from slam.matching.planar import adjoint, between, compose, rotate_covariance, wrap
 from slam.measurements import FloatArray
 
 # The gate for all comparisons of motions: two correct ones agree with this probability (chi-square, three
@@ -54,6 +54,11 @@ class Motion(NamedTuple):
         gain = self.covariance[:, 2] / (self.covariance[2, 2] + variance)
         pose = compose(self.pose, gain * wrap(yaw_rad - self.pose[2]))
         return Motion(pose, self.covariance - np.outer(gain, self.covariance[2]))
+
+    def inverse(self) -> Motion:
+        """Return the motion from its end to its start."""
+        back = between(self.pose, np.zeros(3))
+        return Motion(back, rotate_covariance(adjoint(self.pose), self.covariance))
 
     def widened(self, covariance: FloatArray) -> Motion:
         """Return the motion with another covariance (3, 3) added."""

@@ -111,6 +111,14 @@ def test_unwinding_leaves_what_does_not_wrap() -> None:
     assert np.allclose([heading.of(0.1 * n, yaw) for n, yaw in enumerate(turned)], turned)
 
 
+def test_a_jump_of_the_heading_is_no_rotation_that_goes_on() -> None:
+    """The doctor once took a heading that had jumped by 155 degrees for ten full turns a second."""
+    heading = Unwound()
+    written = [*np.linspace(-1.84, -1.83, 10), *np.linspace(0.59, 0.6, 50)]
+    found = [heading.of(0.1 * n - 0.04 * (n > 9), yaw) for n, yaw in enumerate(written)]
+    assert np.ptp(found[20:]) < 0.02
+
+
 def test_a_clock_is_corrected_and_the_log_comes_in_the_order_of_its_stamps() -> None:
     log = [one for n in range(30) for one in (wheels(0.1 * n + 0.5, n, 0.0, 0.0), scan(0.1 * n))]
     found = list(corrected(log, of_wheels(clock_offset_s=0.5)))

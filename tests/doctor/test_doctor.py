@@ -81,6 +81,18 @@ def test_scans_that_hang_are_told_where_the_wheels_drive_on(until_s: float, kind
     assert [one.kind for one in diagnose(hangs)] == kinds
 
 
+@pytest.mark.parametrize("jump_rad", [0.6, 2.4, -3.04])
+def test_a_heading_that_jumps_a_few_times_is_no_mistake_of_units(jump_rad: float) -> None:
+    """Once, a campus was mapped with the rotations of its wheels divided by 7690."""
+    jumps_s, told = [1004.15, 1011.65, 1019.15], list[LaserScan | WheelOdometry]()
+    for one in sound():
+        if isinstance(one, WheelOdometry):
+            turned = gtsam.Pose2(0.0, 0.0, jump_rad * sum(one.stamp_s > at_s for at_s in jumps_s))
+            one = replace(one, T_odom_base=turned.compose(one.T_odom_base))
+        told.append(one)
+    assert diagnose(told) == []
+
+
 def longer(log: Log, factor: float) -> Log:
     """Ranges and wheels."""
     return MISTAKES["odometry scaled"].make(MISTAKES["ranges in mm or cm"].make(log, factor), factor)

@@ -3,18 +3,23 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
-from slam.config.stages import GraphConfig, LoopConfig, MatchConfig
+from slam.config.stages import GraphConfig, LoopConfig, MatchConfig, ScanConfig
 from slam.estimates import MotionEstimate
 from slam.graph.claim_trial import ClaimTrial
 from slam.graph.loop_candidate import LoopCandidate
 from slam.graph.place_search import PlaceSearch
+from slam.graph.submaps import SubmapStore
+from slam.matching.local_map import LocalMap, OrientedPoints
 from slam.matching.motion import Motion
 from slam.matching.planar import between
-from slam.measurements import FloatArray, pose2_from_row
+from slam.matching.scan_points import points_by
+from slam.measurements import FloatArray, LaserScan, pose2_from_row
+from slam.simulation.floor_plan import cast_rays
 
 # Ten metres along a corridor, a metre a keyframe; carried back, and along it once more.
 FIRST, AGAIN, REACH_M = range(10), range(100, 110), 3.0
@@ -90,6 +95,72 @@ def test_a_keyframe_that_fits_at_no_place_is_counted_once() -> None:
 def test_a_match_with_an_open_direction_confirms_and_is_no_claim() -> None:
     more, refused = tried(Way(degenerate=True))
     assert (more, refused) == ([], 0)
+
+
+class Seen(Way):
+    """The same in corridors that are alike, but do not end at the same distance."""
+
+    def __init__(self, ends_m: tuple[float, float], sigma_m: float) -> None:
+        super().__init__()
+        self.store, scan, self.sigma_m = SubmapStore(CONFIG, MatchConfig()), ScanConfig(), sigma_m
+        bearings, step = np.linspace(-np.pi, np.pi, 360, endpoint=False), np.pi / 180.0
+        for number, end_m in enumerate(ends_m):
+            corners = np.array([[-5.0, -2.0], [end_m, -2.0], [end_m, 2.0], [-5.0, 2.0]])
+            walls = np.hstack([corners, np.roll(corners, -1, axis=0)])
+            for key in FIRST:
+                pose = np.array([float(key), 0.0, 0.0])
+                ranges_m = cast_rays(walls, pose[:2], bearings).astype(np.float32)
+                sweep = LaserScan(0.0, ranges_m, -np.pi, step, 80.0, pose2_from_row(np.zeros(3)))
+                points = points_by(scan, sweep)
+                self.store.add(OrientedPoints.from_scan(points), pose, 100.0 * number + key)
+
+    def way(self, start: int, end: int) -> Motion:
+        return super().way(start, end).widened(np.diag([self.sigma_m, self.sigma_m, 0.0]) ** 2)
+
+    def scan(self, key: int) -> OrientedPoints:
+        return self.store.scan(key if key < 100 else key - 90)
+
+    def surroundings(self, key: int, *, own: bool) -> LocalMap:
+        return self.store.surroundings(key if key < 100 else key - 90, own=own)
+
+
+@pytest.mark.parametrize(
+    ("ends_m", "sigma_m", "contradicts"),
+    [
+        ((14.0, 14.0), 0.0, False),
+        ((14.0, 16.0), 0.0, True),
+        ((16.0, 14.0), 0.0, True),
+        ((14.0, 16.0), 0.9, False),
+    ],
+)
+def test_a_corridor_that_ends_elsewhere_contradicts(
+    ends_m: tuple[float, float], sigma_m: float, contradicts: bool
+) -> None:
+    """Seen from either end, unless the path between is less certain than the difference."""
+    way = Seen(ends_m, sigma_m)
+    trial = ClaimTrial(way, way, way, CONFIG, REACH_M)  # type: ignore[arg-type]
+    share = trial.contradicted([way.verify(5, 105, np.zeros(3), SURE)])
+    assert (share > CONFIG.sigmas * (1.0 - CONFIG.inlier_probability)) is contradicts
+
+
+@pytest.mark.parametrize("from_place", [True, False])
+def test_the_end_that_contradicts_more_counts(from_place: bool) -> None:
+    """Each end is looked at from the other, where the claim puts it."""
+    asked: list[FloatArray] = []
+
+    class OneSided(Seen):
+        def surroundings(self, key: int, *, own: bool) -> LocalMap:
+            def contradicted(scan: OrientedPoints, pose: FloatArray, covariance: FloatArray) -> float:
+                asked.append(pose)
+                return 0.2 if (key < 100) is from_place else 0.1
+
+            return SimpleNamespace(contradicted=contradicted)  # type: ignore[return-value]
+
+    way = OneSided((14.0, 14.0), 0.0)
+    trial = ClaimTrial(way, way, way, CONFIG, REACH_M)  # type: ignore[arg-type]
+    assert trial.contradicted([way.verify(5, 105, np.array([0.3, 0.1, 0.1]), SURE)]) == pytest.approx(0.2)
+    for there, back in zip(asked[::2], asked[1::2], strict=True):
+        np.testing.assert_allclose(between(there, np.zeros(3)), back, atol=1e-9)
 
 
 @pytest.mark.parametrize("beyond", [CONFIG.reach_m + 0.5, 1.0])

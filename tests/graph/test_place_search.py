@@ -65,7 +65,7 @@ def test_what_is_certain_is_judged_once_until_something_is_refused() -> None:
     search = PlaceSearch(SimpleNamespace(submaps=submaps), LoopConfig(), MatchConfig(), GraphConfig())  # type: ignore[arg-type]
     search._stretches = SimpleNamespace(spacing_m=1.5, untied=lambda _: [])  # type: ignore[assignment]
     search._sets = SimpleNamespace(largest=lambda: sets, entailed=lambda *_: None)  # type: ignore[assignment]
-    search._trial = SimpleNamespace(hold=lambda _: ([], 9))  # type: ignore[assignment]
+    search._trial = SimpleNamespace(hold=lambda _: ([], 9), contradicted=lambda _: 0.0)  # type: ignore[assignment]
     judged, cost = list[int](), search._cost
     search._cost = lambda one, known: (judged.append(one[0].keyframe), cost(one, known))[1]  # type: ignore[method-assign]
     poses = np.outer(np.arange(float(COUNT)), [1.0, 0.0, 0.0])
@@ -99,11 +99,16 @@ def test_faults_are_looked_for_only_where_they_may_decide(
     search = PlaceSearch(SimpleNamespace(submaps=submaps), LoopConfig(), MatchConfig(), GraphConfig())  # type: ignore[arg-type]
     search._stretches = SimpleNamespace(spacing_m=1.5, untied=lambda _: [])  # type: ignore[assignment]
     search._sets = SimpleNamespace(largest=lambda: sets, entailed=lambda *_: way, remove=lambda _: None)  # type: ignore[assignment]
-    search._trial = SimpleNamespace(hold=lambda _: ([], 0))  # type: ignore[assignment]
+    search._trial = SimpleNamespace(hold=lambda _: ([], 0), contradicted=lambda _: 0.0)  # type: ignore[assignment]
     asked, cost = list[int](), search._with_faults
     search._with_faults = lambda one, *rest: (asked.append(one[0].keyframe), cost(one, *rest))[1]  # type: ignore[method-assign]
     assert search.search(poses, stamps_s, edges, np.ones(COUNT - 1, np.bool_), []) == sets[0]
     assert asked == expected
+    search._trial, search._corrected = (
+        SimpleNamespace(hold=lambda _: ([], 0), contradicted=lambda _: 1.0),
+        False,
+    )  # type: ignore[assignment]
+    assert search.search(poses, stamps_s, edges, np.ones(COUNT - 1, np.bool_), []) == [], "contradicted"
 
 
 def motion_of(ahead_m: float) -> MotionEstimate:

@@ -46,6 +46,17 @@ def test_scans_far_apart_are_joined_over_a_longer_way() -> None:
     np.testing.assert_allclose(np.unique(store.run(10).points[:, 0]), [-8.0, 0.0, 8.0], atol=1e-6)
 
 
+def test_surroundings_are_drawn_by_the_newest_estimate_and_few_are_kept() -> None:
+    store = store_of(30, 0.5)
+    for scale in (0.5, 0.6):
+        store.lay(np.outer(scale * np.arange(30.0), [1.0, 0.0, 0.0]), [])
+        around = store.surroundings(10).points.points[:, 0]
+        np.testing.assert_allclose(np.ptp(around), 12.0 * scale, atol=1e-6)
+        for key in range(20, 9, -1):
+            store.surroundings(key)
+        assert len(store._surroundings) == LoopConfig().near
+
+
 def test_sessions_share_no_submap() -> None:
     """Three keyframes each; the odometry of the second session begins where that of the first ended."""
     store = store_of(3)
