@@ -103,11 +103,13 @@ def test_a_name_that_is_too_long_is_one_line(scanweave: Scanweave, words: str) -
     assert_one_line_error(scanweave(*words.split(), "x" * 300), "File name too long")
 
 
-def test_output_that_nobody_takes_is_one_line(mapped: Path) -> None:
+@pytest.mark.parametrize("buffered", [False, True])  # containers often set PYTHONUNBUFFERED
+def test_output_that_nobody_takes_is_one_line(mapped: Path, buffered: bool) -> None:
     command = "import sys; from slam.cli import main; main()"
     with Path("/dev/full").open("w") as full:
         done = subprocess.run(
             [sys.executable, "-P", "-c", command, "info", mapped],
+            env={**os.environ, "PYTHONUNBUFFERED": "" if buffered else "1"},
             stdout=full,
             stderr=subprocess.PIPE,
             text=True,

@@ -16,7 +16,7 @@ from slam.foreign import plain_lines
 from slam.version import __version__
 
 _Command = TypeVar("_Command", bound=Callable[..., None])
-_verbosity = {"quiet": False}
+verbosity = {"quiet": False}
 
 
 def tell(text: str, stream: TextIO | None = None) -> None:
@@ -26,7 +26,7 @@ def tell(text: str, stream: TextIO | None = None) -> None:
 
 def say(text: str) -> None:
     """Tell what a command has to tell, unless only warnings and errors are wanted."""
-    if not _verbosity["quiet"]:
+    if not verbosity["quiet"]:
         tell(text)
 
 
@@ -35,11 +35,6 @@ class _PlainFormatter(logging.Formatter):
 
     def format(self, record: logging.LogRecord) -> str:
         return plain_lines(super().format(record))
-
-
-def is_quiet() -> bool:
-    """Whether only warnings and errors are wanted."""
-    return _verbosity["quiet"]
 
 
 def command(name: str | None = None) -> Callable[[_Command], _Command]:
@@ -69,7 +64,7 @@ def _set_verbosity(verbose: bool, quiet: bool) -> None:
     """What was asked for before or after the command's name."""
     if verbose:
         logging.getLogger().setLevel(logging.INFO)
-    _verbosity["quiet"] |= quiet
+    verbosity["quiet"] |= quiet
 
 
 def folder_of(text: str) -> Path:
@@ -168,5 +163,5 @@ def _before_any_command(
         handler.setFormatter(_PlainFormatter("%(message)s"))
     logging.getLogger().setLevel(logging.WARNING)
     logging.getLogger("matplotlib").setLevel(logging.ERROR)  # it warns of a home that cannot be written to
-    _verbosity["quiet"] = False
+    verbosity["quiet"] = False
     _set_verbosity(verbose, quiet)

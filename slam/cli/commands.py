@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import gc
 import logging
+import os
 import signal
 import sys
 
@@ -40,6 +41,10 @@ def run() -> None:
         if isinstance(error, OSError) and error.strerror:
             told = f"{error.filename or 'the output'}: {error.strerror}"
         tell(f"scanweave: {told}", sys.stderr)
+        try:
+            print(end="", flush=True)
+        except OSError:  # the output takes nothing more; when Python ends it would report that again
+            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         sys.exit(1)
     finally:
         gc.freeze()  # the interpreter would look through them all once more before it ends

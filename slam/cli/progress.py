@@ -11,7 +11,7 @@ from contextlib import contextmanager
 from types import FrameType
 from typing import TYPE_CHECKING, Any
 
-from slam.cli.app import is_quiet, tell
+from slam.cli.app import tell, verbosity
 
 if TYPE_CHECKING:
     from slam.app.progress import Progress
@@ -58,13 +58,13 @@ def progress_bar(unit: str = "scans and frames", first: str = "") -> Iterator[Sh
     first
         Told once the work has begun; a command that is refused says why, and nothing else.
     """
-    begun = iter([first] if first and not is_quiet() else [])
+    begun = iter([first] if first and not verbosity["quiet"] else [])
 
     def tell_first(progress: Progress) -> None:
         for line in begun:
             tell(line, sys.stderr)
 
-    if is_quiet():
+    if verbosity["quiet"]:
         yield tell_first
         return
 
