@@ -10,7 +10,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from slam.datasets.account import Account
-from slam.datasets.calibration import KINECT, Calibration, read_calibration
+from slam.datasets.calibration import FILE_NAME, KINECT, Calibration, read_calibration
 from slam.datasets.camera_frames import Camera
 from slam.datasets.dataset_format import recorded
 from slam.datasets.frame_pairs import pair_images
@@ -38,6 +38,10 @@ ASSUMED = (
     "calibration.yaml, or --calibration FILE"
 )
 
+BY_NAME = (
+    "{lens.fx:g} {lens.fy:g} {lens.cx:g} {lens.cy:g} is the lens that is published for {name}, by its name"
+)
+
 
 def has_tum_layout(folder: Path) -> bool:
     """Whether a folder contains both image lists, or one that associates them."""
@@ -55,6 +59,8 @@ def tum_camera(folder: Path, sensor: str, account: Account) -> Camera:
     known = [lens for name, lens in _PUBLISHED.items() if name in folder.resolve().name.lower()]
     if (folder / _LENS_FILE).is_file():
         known = [four_numbers(folder / _LENS_FILE)]
+    elif known and not (folder / FILE_NAME).is_file():
+        account.report.note(BY_NAME.format(name=folder.resolve().name, lens=known[0]), 1)
     default = Calibration(known[0] if known else KINECT, DEPTH_STEPS_PER_M, assumed="" if known else ASSUMED)
     return listed_camera(folder, sensor, default, account)
 

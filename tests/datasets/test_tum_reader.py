@@ -83,6 +83,7 @@ def test_intrinsics_by_the_name_of_the_folder_or_assumed_and_said(
     assert (lens.width, lens.height) == (WIDTH, HEIGHT)
     told = [note for note in dataset.report.warnings if "intrinsics assumed" in note]
     assert bool(told) == assumed and all("5000 depth steps" in note for note in told)
+    assert assumed != any("published for" in note for note in dataset.report.notes)
     if assumed:
         # The middle of the image stays the middle: pixel centres are whole numbers.
         assert (lens.cx, lens.cy) == pytest.approx((0.5 * (WIDTH - 1), 0.5 * (HEIGHT - 1)))

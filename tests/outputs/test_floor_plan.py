@@ -33,6 +33,7 @@ from slam.outputs.floorplan import floor_plan
 from slam.simulation.floor_plan import cast_rays
 from slam.storage.map_contents import OCCUPANCY, MapContents, SavedFactor
 from slam.storage.nav2 import read_nav2_map
+from slam.storage.plan_geojson import plan_geojson
 
 STEP_RAD = np.radians(1.0)
 
@@ -248,6 +249,15 @@ def test_drawings_are_read_back(two_rooms: MapContents, plan: FloorPlan, tmp_pat
     assert (found["frame"], found["unit"]) == ("map", "metre")
     ring = found["features"][0]["geometry"]["coordinates"][0]
     assert ring[0] == ring[-1]
+
+
+def test_a_line_has_two_ends(plan: FloorPlan) -> None:
+    """Of a wall that is seen up to a micrometre before its end; GIS programs call it invalid."""
+    room = plan.rooms[0]
+    seen = [replace(wall, seen_m=np.array([[0.0, wall.length_m - 1e-6]])) for wall in room.walls]
+    found = plan_geojson(replace(plan, rooms=[replace(room, walls=seen)]))["features"]
+    lines = [one["geometry"]["coordinates"] for one in found if one["geometry"]["type"] == "LineString"]
+    assert len(lines) == 4 + len(plan.doors) and all(begin != end for begin, end in lines)
 
 
 def test_zones_are_read_as_nav2_does(two_rooms: MapContents, tmp_path: Path) -> None:

@@ -26,13 +26,7 @@ _NESTED_IDL = re.compile(r"<[^<>]*<|(?:\{[^{}]*){9}")
 
 
 def simple_idl(text: str) -> str:
-    """A definition without what is not needed to decode its messages.
-
-    Raises
-    ------
-    ValueError
-        The rest contains expressions or is nested, which no generator of ROS 2 writes.
-    """
+    """Return a definition as its messages need it; ValueError if it is nested or has expressions."""
     kept = _EMPTY_MODULE.sub("", _IDL_WORDS.sub(" ", text))
     if not _PLAIN_IDL.fullmatch(kept) or _NESTED_IDL.search(kept):
         raise ValueError("a definition with expressions, or nested")
