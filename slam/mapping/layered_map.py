@@ -11,7 +11,7 @@ import numpy as np
 
 from fusion import bayes
 from fusion.estimation import TINY
-from slam.errors import ConfigError, ScanweaveError
+from slam.errors import ScanweaveError
 from slam.mapping.evidence_tiles import SIDE, union
 from slam.mapping.occupancy_grid import THRESHOLDS, OccupancyGrid, StateArray, StateGrid, Steps, Thresholds
 from slam.mapping.ray_tracing import Box
@@ -42,10 +42,6 @@ class DecisionRule:
     lidar: Thresholds = field(default_factory=lambda: Thresholds(1.0 - THRESHOLDS.free_below))
     depth: Thresholds = field(default_factory=Thresholds)
     fused: Thresholds = field(default_factory=Thresholds)
-
-    def __post_init__(self) -> None:
-        if self.rule not in bayes.RULES:
-            raise ConfigError(f"rule is {self.rule!r}; it must be {', '.join(bayes.RULES)}")
 
 
 @dataclass(frozen=True, slots=True)

@@ -191,8 +191,6 @@ def test_grids_of_different_sizes_are_laid_on_one_lattice(yaw):
     for other in (laid(drawn("#"), yaw, 3.4, 0), laid(drawn("#"), yaw + 0.1, 3, 0)):
         with pytest.raises(ScanweaveError, match="misaligned cells"):
             LayeredMap(built.lidar, other)
-    with pytest.raises(ConfigError, match="must be cautious, corrected, printed"):
-        DecisionRule("guessed")
 
 
 def test_two_logs_whose_clocks_agree_count_both():
