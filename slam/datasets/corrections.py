@@ -145,8 +145,8 @@ class Unwound:
     """Removes jumps by full turns from written headings; a heading in degrees wraps often.
 
     The turn rate is extrapolated, because it changes by less than itself between readings. But after a jump
-    by nearly half a turn, this would continue with a full turn for each reading of a robot that drives straight
-    ahead. So a written heading that several readings in a row repeat has not turned.
+    by nearly half a turn, this would continue with a full turn for each reading of a robot that drives
+    straight ahead. So a written heading that several readings in a row repeat has not turned.
     """
 
     def __init__(self) -> None:

@@ -251,7 +251,7 @@ class PlaceSearch:
         """Return a set with the claims that follow from it, if its surroundings fit and hardly contradict."""
         trial, stretches, reach_m = self._trial, self._stretches, self._config.reach_m
         assert trial is not None and stretches is not None
-        # What contradicts more than one fault explains must be so many times as long.
+        # What needs more than one fault must be so many times as long, and contradict so many times less.
         longer = max(1.0, judged.cost / self._gate - 1.0)
         fits, refused = trial.hold(members)
         # One that fits where it cannot be shows that these places look alike.
@@ -262,7 +262,7 @@ class PlaceSearch:
         least_m = longer * (self._config.least_path_m if anywhere else 2.0 * reach_m)
         few = self._config.sigmas * (1.0 - self._config.inlier_probability)
         enough = held * stretches.spacing_m >= least_m
-        return [*members, *more] if enough and trial.contradicted(members) <= few else []
+        return [*members, *more] if enough and longer * trial.contradicted(members) <= few else []
 
     def _cost(self, members: Sequence[LoopCandidate], known: Known) -> _Judged:
         """Return the cost of a set without faults; infinite if it adds no information.
