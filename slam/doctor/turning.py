@@ -62,7 +62,7 @@ class Turn:
             name,
             "turn",
             f"its points were measured in a revolution of {abs(turn_s):.3f} s, {sense}, that "
-            f"begins at {cut_deg:.0f} degrees",
+            f"begins at {cut_deg:.0f} degrees; stamps count as its middle",
             "walls are distorted by the robot's own motion",
             ({kind: {name: {"turn_s": turn_s, "cut_deg": cut_deg}}},),
             sure=True,
@@ -210,8 +210,11 @@ def _settled(pairs: Sequence[_Pair], fit: Turn, interval_s: float, config: Confi
         return None
     shares = [math.copysign(interval_s / turns, fit.turn_s) for turns in range(1, _TURNS + 1)]
     again = [_fit(_told_by(pairs, replace(fit, turn_s=share), config, own), own) or fit for share in shares]
-    # What straightens them as it should, they tell once more.
-    told, turn_s = min(zip(again, shares, strict=True), key=lambda one: abs(one[0].turn_s / one[1] - 1.0))
+    # What straightens them as it should, they tell once more; if another share is nearly as good, none is.
+    off = [abs(one.turn_s / share - 1.0) for one, share in zip(again, shares, strict=True)]
+    if 2.0 * min(off) > sorted(off)[1]:
+        return None
+    told, turn_s = again[int(np.argmin(off))], shares[int(np.argmin(off))]
     best = replace(told, turn_s=turn_s)
     for slices in (4, 2, 1):
         step_rad = slices * math.tau / SLICES
