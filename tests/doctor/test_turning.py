@@ -105,8 +105,8 @@ def test_four_seconds_tell_a_turn() -> None:
     assert turn is not None and turn.turn_s == pytest.approx(-0.1)
 
 
-@pytest.mark.parametrize("scale", [1.0, -1.0, 0.1])
-def test_times_that_run_backward_or_are_in_another_unit_are_found(scale: float) -> None:
+@pytest.mark.parametrize("scale", [1.0, -1.0])
+def test_times_that_run_backward_are_found_and_reversed(scale: float) -> None:
     right = [replace(one, times_s=turn_times(one.points_lidar, -0.1, math.pi)) for one in clouds(-0.1, 180.0)]
     log = [retimed(one, scale) for one in right]
     found = [one for one in diagnose(log) if one.kind == "times of points"]
