@@ -38,10 +38,8 @@ def corrected_frame(given: CameraCorrection, frame: RgbdFrame) -> RgbdFrame:
 
 def corrected_cloud(given: CloudCorrection, cloud: PointCloud) -> PointCloud:
     """Correct a cloud of a 3D lidar."""
-    times_s = (time_reversed(cloud) if given.times_scale < 0.0 else cloud).times_s
-    if times_s is not None:
-        times_s = times_s * abs(given.times_scale)
-    elif given.turn_s != 0.0:
+    times_s = retimed(cloud, given.times_scale).times_s
+    if times_s is None and given.turn_s != 0.0:
         times_s = turn_times(cloud.points_lidar, given.turn_s, math.radians(given.cut_deg))
     return replace(
         cloud,
@@ -51,10 +49,13 @@ def corrected_cloud(given: CloudCorrection, cloud: PointCloud) -> PointCloud:
     )
 
 
-def time_reversed(cloud: PointCloud) -> PointCloud:
-    """A cloud with reversed point times, within the same span."""
+def retimed(cloud: PointCloud, scale: float) -> PointCloud:
+    """Return a cloud with scaled times of its points; by a negative scale also reversed within their span."""
     told_s = cloud.times_s
-    return cloud if told_s is None else replace(cloud, times_s=told_s.min() + told_s.max() - told_s)
+    if told_s is None:
+        return cloud
+    in_order_s = told_s if scale > 0.0 else told_s.min() + told_s.max() - told_s
+    return replace(cloud, times_s=in_order_s if abs(scale) == 1.0 else abs(scale) * in_order_s)
 
 
 def turn_times(points_lidar: AnyFloatArray, turn_s: float, cut_rad: float) -> FloatArray:

@@ -10,12 +10,12 @@ import numpy as np
 from fusion.time_alignment import GAP_S
 from slam.config import Config
 from slam.datasets.corrections import begins_early
-from slam.datasets.corrections_in_space import time_reversed
+from slam.datasets.corrections_in_space import retimed
 from slam.datasets.dataset import Thinned
 from slam.doctor.camera_samples import SensorStep
 from slam.doctor.repeats import Repeats
 from slam.doctor.stretches import Stretches
-from slam.doctor.turning import Turn, run_backward, turn_of
+from slam.doctor.turning import Turn, times_scale, turn_of
 from slam.matching.cloud_points import at_middle_of_turn
 from slam.measurements import FloatArray, PointCloud
 from slam.odometry.cloud_tracker import CloudTracker, TrackedCloud
@@ -39,8 +39,8 @@ class CloudSamples:
         Interval between clouds, and time span of a cloud's points.
     turn
         Its rotation, if points have no timestamps and it can be estimated.
-    backward
-        Whether point times run backward.
+    times_scale
+        Factor on point times by which clouds fit better, see `slam.doctor.turning.times_scale`.
     """
 
     steps: list[list[SensorStep]] = field(default_factory=list)
@@ -52,7 +52,7 @@ class CloudSamples:
     interval_s: Thinned = field(default_factory=Thinned)
     turn_s: Thinned = field(default_factory=Thinned)
     turn: Turn | None = None
-    backward: bool = False
+    times_scale: float = 1.0
     T_base_lidar: gtsam.Pose3 = field(default_factory=lambda: gtsam.Pose3())
     _stretches: Stretches = field(default_factory=Stretches)
     _tracker: CloudTracker | None = None
@@ -94,14 +94,16 @@ class CloudSamples:
 
     def close(self, *, compared: bool) -> None:
         """Estimate its rotation, and the motions of the stretches that were kept."""
-        if not self.turn_s.values:
-            self.turn = turn_of(self.clouds, self.interval_s.median() or 0.0, _CONFIG)
-        self.backward = bool(self.turn_s.values) and run_backward(self.clouds, _CONFIG)
+        interval_s = self.interval_s.median() or 0.0
+        if (turn_s := self.turn_s.median()) is None:
+            self.turn = turn_of(self.clouds, interval_s, _CONFIG)
+        else:
+            self.times_scale = times_scale(self.clouds, turn_s, interval_s, _CONFIG)
         while self.clouds:
             clouds = self.clouds.pop(0)
             self.steps.append([])
             for cloud in clouds if compared else []:
-                timed = time_reversed(cloud) if self.backward else cloud
+                timed = retimed(cloud, self.times_scale)
                 self._track(timed if self.turn is None else self.turn.timed(timed))
 
     def _track(self, cloud: PointCloud) -> None:

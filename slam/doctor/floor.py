@@ -69,6 +69,7 @@ def upright_mounting(
     if len(turns) < FEWEST or height_m < LEVER_M:
         return None
     points, spread, axes = np.concatenate(stretches), *np.linalg.eigh(turns.T @ turns)
+    points = points[np.linalg.norm(points, axis=1) > height_m - LEVER_M]  # nearer is the robot, no floor
     told_up = np.asarray(told.matrix())[2]
     up = axes[:, 2] * math.copysign(1.0, axes[:, 2] @ told_up)
 

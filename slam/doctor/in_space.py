@@ -338,10 +338,11 @@ def cloud_findings(name: str, samples: CloudSamples) -> list[Finding]:
     if samples.turn is not None:
         found.append(samples.turn.finding("lidars_3d", name))
     effect = "clouds are not deskewed correctly"
-    if samples.backward:
-        text, reverse = "the times of a cloud's points run backward", {"times_scale": -1.0}
-        remedy: Remedy = {"lidars_3d": {name: reverse}}
-        found.append(Finding(name, "times of points", text, effect, (remedy,), sure=True, value=-1.0))
+    if (scale := samples.times_scale) != 1.0:
+        what = "run backward" if scale < 0.0 else f"are {1.0 / scale:g} of what they should be"
+        text = f"the times of a cloud's points {what}"
+        remedy: Remedy = {"lidars_3d": {name: {"times_scale": scale}}}
+        found.append(Finding(name, "times of points", text, effect, (remedy,), sure=True, value=scale))
     interval_s, turn_s = samples.interval_s.median(), samples.turn_s.median()
     if not interval_s or not turn_s:
         return found

@@ -12,6 +12,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from itertools import islice, pairwise
 from typing import TypeAlias, TypeVar
 
@@ -21,7 +22,7 @@ import numpy as np
 from fusion.estimation import FEWEST, ROUNDS, TINY, gate
 from fusion.time_alignment import GAP_S
 from slam.config import Config
-from slam.datasets.corrections_in_space import bearings_rad, time_reversed, turn_times
+from slam.datasets.corrections_in_space import bearings_rad, retimed, turn_times
 from slam.doctor.finding import Finding, Remedy
 from slam.doctor.imu import clock_findings
 from slam.doctor.scan_motion import track_stretches
@@ -62,7 +63,7 @@ class Turn:
             name,
             "turn",
             f"its points were measured in a revolution of {abs(turn_s):.3f} s, {sense}, that "
-            f"begins at {cut_deg:.0f} degrees",
+            f"begins at {cut_deg:.0f} degrees; stamps count as its middle",
             "walls are distorted by the robot's own motion",
             ({kind: {name: {"turn_s": turn_s, "cut_deg": cut_deg}}},),
             sure=True,
@@ -132,11 +133,22 @@ def turn_of(
     return _settled(*bends, interval_s, config, by_scans is not None) if bends else None
 
 
-def run_backward(stretches: Sequence[Sequence[PointCloud]], config: Config) -> bool:
-    """Whether clouds of four stretches fit better with reversed times, by twice the significance limit."""
+def times_scale(
+    stretches: Sequence[Sequence[PointCloud]], turn_s: float, interval_s: float, config: Config
+) -> float:
+    """Return the factor on the times of points by which clouds of four stretches fit better.
+
+    Better by twice what chance may do: -1 if they are reversed, 10 or 100 if with it the span of a cloud is
+    the time between clouds, otherwise 1.
+    """
     pairs = [pair for clouds in islice(_spread_out(stretches), 5) for pair in _pairs(clouds, config)]
-    gain = _gain(pairs, time_reversed, lambda cloud: cloud, config) if len(pairs) > 9 else 0.0
-    return gain > 2
+    exponent = round(math.log10(max(interval_s, TINY) / max(turn_s, TINY)))
+    unit = float(10 ** min(max(exponent, 0), 2))
+    units = [unit] if unit != 1.0 and abs(unit * turn_s / interval_s - 1.0) < 1.0 / FEWEST else []
+    for scale in [-1.0, *units] if len(pairs) > 9 else []:
+        if _gain(pairs, partial(retimed, scale=scale), lambda cloud: cloud, config) > 2:
+            return scale
+    return 1.0
 
 
 def turn_in_the_plane(
@@ -210,8 +222,11 @@ def _settled(pairs: Sequence[_Pair], fit: Turn, interval_s: float, config: Confi
         return None
     shares = [math.copysign(interval_s / turns, fit.turn_s) for turns in range(1, _TURNS + 1)]
     again = [_fit(_all_sums(pairs, replace(fit, turn_s=share), config, own), own) or fit for share in shares]
-    # If deskewing is right, the clouds give the same estimate again.
-    told, turn_s = min(zip(again, shares, strict=True), key=lambda one: abs(one[0].turn_s / one[1] - 1.0))
+    # If deskewing is right, the clouds give the same estimate again. A share nearly as good makes it ambiguous.
+    off = [abs(one.turn_s / share - 1.0) for one, share in zip(again, shares, strict=True)]
+    if 2.0 * min(off) > sorted(off)[1]:
+        return None
+    told, turn_s = again[int(np.argmin(off))], shares[int(np.argmin(off))]
     best = replace(told, turn_s=turn_s)
     for slices in (4, 2, 1):
         step_rad = slices * math.tau / SLICES

@@ -374,7 +374,9 @@ def tilted_samples(told: gtsam.Pose3, true: gtsam.Pose3) -> CloudSamples:
     samples.steps = [[SensorStep(row[0], row[0] + 0.1, one.between(other)) for row, one, other in pairs]]
     floor = np.column_stack([rng.uniform(-4, 4, (3000, 2)), rng.normal(0.0, 0.01, 3000)])
     wall = np.column_stack([np.full(3000, 4.0), rng.uniform(-4, 4, 3000), rng.uniform(0.0, 2.0, 3000)])
-    samples.points = [np.array([true.transformTo(point) for point in np.concatenate([floor, wall])])]
+    seen = np.array([true.transformTo(point) for point in np.concatenate([floor, wall])])
+    body = rng.normal(0.0, 0.01, (300_000, 3)) + np.array([0.0, 0.4, 0.0])
+    samples.points = [np.concatenate([seen, body])]
     return samples
 
 

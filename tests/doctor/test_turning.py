@@ -16,7 +16,7 @@ from slam.app.mapping import map_log
 from slam.config import Config, load_config
 from slam.config.calibration import Calibration, CloudCorrection
 from slam.datasets.corrections import corrected
-from slam.datasets.corrections_in_space import corrected_cloud, time_reversed, turn_times
+from slam.datasets.corrections_in_space import corrected_cloud, retimed, turn_times
 from slam.doctor.cloud_samples import CloudSamples
 from slam.doctor.diagnosis import diagnose
 from slam.doctor.finding import remedied
@@ -105,12 +105,12 @@ def test_four_seconds_tell_a_turn() -> None:
     assert turn is not None and turn.turn_s == pytest.approx(-0.1)
 
 
-@pytest.mark.parametrize("backward", [False, True])
-def test_times_that_run_backward_are_told_and_turned_round(backward: bool) -> None:
+@pytest.mark.parametrize("scale", [1.0, -1.0])
+def test_times_that_run_backward_are_found_and_reversed(scale: float) -> None:
     right = [replace(one, times_s=turn_times(one.points_lidar, -0.1, math.pi)) for one in clouds(-0.1, 180.0)]
-    log = [time_reversed(one) for one in right] if backward else right
+    log = [retimed(one, scale) for one in right]
     found = [one for one in diagnose(log) if one.kind == "times of points"]
-    assert len(found) == backward
+    assert [one.value for one in found] == ([] if scale == 1.0 else [pytest.approx(1.0 / scale)])
     mended = corrected(log, remedied(Calibration(), found, only_sure=True))
     for one, true in zip(mended, right, strict=True):
         assert isinstance(one, PointCloud) and one.times_s is not None and true.times_s is not None
