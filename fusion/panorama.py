@@ -124,6 +124,10 @@ def _lookup(
     top = math.floor(min(slopes.max(), STEEPEST) / fall)
     bottom = math.ceil(max(slopes.min(), -STEEPEST) / fall)
     columns = np.arange(first, last + 1) * step_rad
+    if not columns.size:
+        raise ValueError(
+            f"a lens of {pinhole} sees less than a sample of {shape}; give fx, fy, cx, cy in pixels"
+        )
     rows = np.arange(top, bottom - 1, -1) * fall
     across, up = np.meshgrid(columns, rows)
     optical = np.stack([np.cos(across), np.sin(across), up], axis=-1) @ R

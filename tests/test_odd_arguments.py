@@ -76,6 +76,9 @@ OF_FUSION: dict[str, Callable[[], Any]] = {
     "a lens that is not finite": lambda: fusion.DepthImage(np.ones((9, 9)), replace(LENS, fx=NAN)),
     "a lens of zeros": lambda: fusion.DepthImage(np.ones((9, 9)), replace(LENS, fy=0.0)),
     "numbers for a lens": lambda: fusion.DepthImage(np.ones((9, 9)), (1, 1, 1, 1)),  # type: ignore[arg-type]
+    "an image centre far away": lambda: fusion.register(
+        CURVE, fusion.DepthImage(np.ones((9, 9)), replace(LENS, cx=1e9))
+    ),
     "a mirror for a rotation": lambda: fusion.DepthImage(np.ones((9, 9)), LENS, np.diag([1.0, 1.0, -1.0])),
     "objects for depths": lambda: fusion.DepthImage(np.full((9, 9), None), LENS),  # type: ignore[arg-type]
     "no beams": lambda: fusion.LidarCurve(np.ones(0), 0.0, 0.1),
