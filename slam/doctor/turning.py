@@ -222,7 +222,7 @@ def _settled(pairs: Sequence[_Pair], fit: Turn, interval_s: float, config: Confi
         return None
     shares = [math.copysign(interval_s / turns, fit.turn_s) for turns in range(1, _TURNS + 1)]
     again = [_fit(_all_sums(pairs, replace(fit, turn_s=share), config, own), own) or fit for share in shares]
-    # If deskewing is right, the clouds give the same estimate again. A share nearly as good makes it ambiguous.
+    # If deskewing is right, the clouds give the same estimate again. A share nearly as good: ambiguous.
     off = [abs(one.turn_s / share - 1.0) for one, share in zip(again, shares, strict=True)]
     if 2.0 * min(off) > sorted(off)[1]:
         return None

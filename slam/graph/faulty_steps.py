@@ -90,27 +90,27 @@ class FaultySteps:
         # What wheels claim of a lone step may be refused as well: then it costs one edge more.
         claims = np.array([not edge.trusted and edge.kind is EdgeKind.ASSUMED for edge in single], np.bool_)
         trusted = np.array([edge.trusted for edge in single], np.bool_)
-        trusted = np.stack([trusted | claims, trusted], axis=1)[..., None, None]
+        trusted = np.stack([trusted | claims, trusted | claims, trusted], axis=1)[..., None, None]
         measured = np.array([edge.kind not in GUESSES for edge in single], np.bool_)
         guessed = np.ones(len(poses), np.bool_)
         guessed[sources[measured]] = False
-        # In a direction that matches leave open the wheels measure; to reject them costs a gate more.
+        # In a direction that matches leave open, wheels measure.
         spread = np.linalg.eigvalsh(claimed[:, :2, :2])[:, -1]
         matched = np.full(len(poses), -np.inf)
         np.maximum.at(matched, sources[measured], spread[measured])
         wheels = np.array([edge.kind is EdgeKind.WHEEL for edge in single], np.bool_)
         wheels &= spread < matched[sources]
-        counted = np.stack([measured | wheels, measured], axis=1)[..., None, None]
-        # Of a second, and of its own time: what is disputed is no less open than that.
+        counted = np.stack([measured | wheels, measured, measured], axis=1)[..., None, None]
+        # Of a second, with wheels and without, and of its own time: what is disputed is no less open.
         longer = np.maximum(np.abs(took_s := np.diff(stamps_s)), 1.0)[sources]
-        limits = limit * np.stack([np.ones_like(longer), longer])[..., None, None] ** 2
+        limits = limit * np.stack([once := np.ones_like(longer), once, longer])[..., None, None] ** 2
         most = np.where(trusted, limit, limits.swapaxes(0, 1) + claimed[:, None])
         information = np.where(counted, np.linalg.inv(most), 0.0)
         information += np.where(trusted, np.linalg.inv(claimed)[:, None], 0.0)
-        held = np.zeros((len(poses), 2, 3, 3))
+        held = np.zeros((len(poses), 3, 3, 3))
         np.add.at(held, sources, information)
         open_: FloatArray = np.linalg.inv(held[steps := np.unique(sources)]).astype(np.float64)
-        moves_m = np.sqrt(np.diagonal(open_[:, 1], axis1=1, axis2=2)) * [1.0, 1.0, loops.reach_m]
+        moves_m = np.sqrt(np.diagonal(open_[:, -1], axis1=1, axis2=2)) * [1.0, 1.0, loops.reach_m]
         wrong = moves_m.max(axis=1) > match.coarse_cell_m
         parts: list[tuple[int, int, FloatArray]] = []
         for step, free in zip(steps[wrong].tolist(), open_[wrong], strict=True):
@@ -122,9 +122,8 @@ class FaultySteps:
             else:
                 parts.append((step, step + 1, free))
         self._ends = np.array([part[:2] for part in parts], np.int64).reshape(-1, 2)
-        self._free = np.array([part[2] for part in parts]).reshape(-1, 2, 3, 3)
+        self._free = np.array([part[2] for part in parts]).reshape(-1, 3, 3, 3)
         self._alone = np.array([guessed[first:last].all() for first, last in self._ends], np.bool_)
-        claims |= wheels
         first, last = np.bincount(sources[claims] + 1, minlength=len(poses) + 1).cumsum()[self._ends.T]
         self._prices = np.where(first < last, self._gate, 0.0)
         self._numbers = np.full(len(poses), -1)
@@ -139,6 +138,7 @@ class FaultySteps:
         speeds = _moves(seen_from(poses[:-1], poses[1:])) / np.where(took_s > 0.0, took_s, np.inf)[:, None]
         begun, ended = self._ends.T
         time_s = np.abs(stamps_s[ended] - stamps_s[begun])[:, None]
+        self._time_s = np.maximum(time_s[:, 0], 1.0)
         told = _moves(seen_from(poses[begun], poses[ended]))
         self._farthest = told + time_s * np.quantile(speeds, loops.inlier_probability, axis=0)
 
@@ -158,7 +158,7 @@ class FaultySteps:
 
     @cached_property
     def _bounded(self) -> FloatArray:
-        """(P, 2, 3, 3) how wrong each part may be; no more than the way round it allows."""
+        """(P, 3, 3, 3) how wrong each part may be; no more than the way round it allows."""
         return self._bounded_by(self.known)
 
     @cached_property
@@ -272,21 +272,27 @@ class FaultySteps:
         needed = seen_from(to_part, composed(claim.pose[None], inverse(rest)))
         off = seen_from(seen_from(poses[first], poses[last]), needed)
         around = moved(np.repeat(expected.covariance[None], len(rest), axis=0), rest)
-        own, wider = np.moveaxis(bounded[numbers], 1, 0)
+        own, _, wider = np.moveaxis(bounded[numbers], 1, 0)
         # Who may be wrong by more is so by chance the oftener: by the volumes, as in a mixture of both.
-        free, longer = np.linalg.slogdet(np.moveaxis(self._free[numbers], 1, 0))[1]
+        free, longer = np.linalg.slogdet(np.moveaxis(self._free[numbers, 1:], 1, 0))[1]
         # A heading that slips on the way bends it, more than a straight line that is claimed.
         farthest, alone = self._farthest[numbers], self._alone[numbers]
         bent_m = 2.0 * np.abs(np.sin(0.5 * off[:, 2])) * farthest[:, 0]
         bent = own + np.square([bent_m, bent_m, np.zeros_like(bent_m)]).T[..., None] * np.eye(3)
         bend = np.where(alone, np.linalg.slogdet(bent)[1] - np.linalg.slogdet(own)[1], np.inf)
+        # Over a matched step, a position that is off without a heading adds up like a random walk.
+        time_s = self._time_s[numbers]
+        share = np.where(alone, 1.0, np.minimum(1.0, (bent_m + np.sqrt(time_s)) / time_s))
+        shrunk = np.stack([share, share, np.ones_like(share)], axis=1)
+        wider = wider * shrunk[:, :, None] * shrunk[:, None]
+        longer = longer + np.log(np.square(shrunk)).sum(axis=1)
         # What is farther than it can have gone the ways to the part and on from it must explain.
         shares = np.minimum(1.0, farthest / np.maximum(_moves(needed), TINY))
         beyond = seen_from(needed * shares[:, [0, 0, 1]], needed)
         ways = moved(self.known.relative_covariances(start, first, poses), inverse(composed(to_part, needed)))
         ways += moved(self.known.relative_covariances(end, last, poses) + claim.covariance, rest)
         possible = _squares(beyond, ways) <= self._gate
-        price = np.where(alone & ~possible, np.inf, longer - free + self._prices[numbers])
+        price = np.where(alone & ~possible, np.inf, np.maximum(longer - free, 0.0) + self._prices[numbers])
         options, larger = np.stack([own, bent, wider]), np.stack([np.zeros_like(free), bend, price])
         squares = np.stack([_squares(off, one + around) for one in options]) + larger
         best = squares.argmin(axis=0), np.arange(len(off))
