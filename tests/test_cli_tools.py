@@ -226,7 +226,7 @@ def test_interrupted(log: SyntheticLog, tmp_path: Path) -> None:
     assert complaint.splitlines()[-1].startswith("scanweave: interrupted")
     assert "scans" not in rest
     assert {path.name for path in out.iterdir()} == {"trajectory.tum", "map.db"}
-    assert "map.db is not finished; the same command with --resume" in complaint
+    assert "map.db is kept; the same command with --resume" in complaint
     assert (out / "trajectory.tum").read_text() == "old"
 
 

@@ -57,7 +57,7 @@ def unfinished(log: SyntheticLog, lidar_map: Path, scanweave: Scanweave, tmp_pat
         patch.setattr(Checkpoint, "keep", interrupted)
         outcome = scanweave("map", log.log_path, "-o", tmp_path / "out", "--set", "seed=3")
     assert outcome.code == 130
-    assert "map.db is not finished; the same command with --resume" in outcome.err
+    assert "map.db is kept; the same command with --resume" in outcome.err
     return tmp_path / "out"
 
 

@@ -184,7 +184,8 @@ def _told_of(folder: Path, *, resume: bool, session: bool = False) -> Iterator[S
     except (KeyboardInterrupt, ScanweaveError, OSError) as error:
         cause = error.__cause__ or error
         stopped = isinstance(cause, KeyboardInterrupt | OSError | sqlite3.Error)  # not by what is in the log
-        left = left_in(folder) if stopped and not isinstance(cause, BlockingIOError) else Left.NOTHING
+        busy = isinstance(cause, BlockingIOError) or "locked" in str(cause)
+        left = left_in(folder) if stopped and not busy else Left.NOTHING
         if left is Left.UNFINISHED or (left is Left.FINISHED and session):
             tell(f"{path} is kept; the same command with --resume continues it", sys.stderr)
         raise

@@ -12,13 +12,16 @@ from fusion.estimation import TINY
 from slam.graph.edge import Edge
 from slam.measurements import Pose
 
+# Scale of the Cauchy kernel on uncertain edges while mapping, in standard deviations.
+_CAUCHY_SIGMAS = 1.0
+
 
 def mapping_noise(edge: Edge) -> gtsam.noiseModel.Base:
     """Return the noise of an edge during mapping: robust if it may be rejected."""
     noise = gtsam.noiseModel.Gaussian.Covariance(edge.covariance)
     if edge.trusted:
         return noise
-    kernel = gtsam.noiseModel.mEstimator.Cauchy.Create(1.0)  # standard deviations
+    kernel = gtsam.noiseModel.mEstimator.Cauchy.Create(_CAUCHY_SIGMAS)
     return gtsam.noiseModel.Robust.Create(kernel, noise)
 
 

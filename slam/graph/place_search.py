@@ -239,14 +239,19 @@ class PlaceSearch:
             offs = ((m, self._contradiction(sets.entailed(found[n], found[m]), seen)) for m in rivals)
             if any(2.0 * off > gained and gained < 2.0 * gain(m) < 2.0 * off for m, off in offs):
                 continue
-            if more := self._confirmed(found[n], judged(n), poses, known):
+            if more := self._confirmed(found[n], found, judged(n), poses, known):
                 sets.remove(more)
                 self._corrected = True
                 return more
         return []
 
     def _confirmed(
-        self, members: list[LoopCandidate], judged: _Judged, poses: FloatArray, known: UncertaintyGraph
+        self,
+        members: list[LoopCandidate],
+        found: Sequence[list[LoopCandidate]],
+        judged: _Judged,
+        poses: FloatArray,
+        known: UncertaintyGraph,
     ) -> list[LoopCandidate]:
         """Return a set with the claims that follow from it, if its surroundings fit and hardly contradict."""
         trial, stretches, reach_m = self._trial, self._stretches, self._config.reach_m
@@ -257,12 +262,35 @@ class PlaceSearch:
         # One that fits where it cannot be shows that these places look alike.
         more = [one for one in fits if self._follows(one, known, judged)]
         held = len(members) + 2 * len(more) - len(fits) - refused
+        if longer > 1.0:
+            held += self._borne_out(members, found, partial(known.motion, poses=poses))
         # As long as it is seen from either end; where all of the map would pass, as a loop must be.
         anywhere = math.sqrt(self._gate) * judged.sigma_m > np.ptp(poses[:, :2], axis=0).max()
         least_m = longer * (self._config.least_path_m if anywhere else 2.0 * reach_m)
         few = self._config.sigmas * (1.0 - self._config.inlier_probability)
         enough = held * stretches.spacing_m >= least_m
         return [*members, *more] if enough and longer * trial.contradicted(members) <= few else []
+
+    def _borne_out(
+        self, members: Sequence[LoopCandidate], found: Sequence[list[LoopCandidate]], known: Known
+    ) -> int:
+        """Return how many other keyframes nearby have claims in sets that agree, minus claims that disagree.
+
+        Sets that agree count only if the path between their places is known; all that disagree count.
+        """
+        assert self._sets is not None
+        same, otherwise = set[int](), 0
+        for other in found:
+            way = None if other is members else self._sets.entailed(members, other)
+            if way is None:
+                continue
+            off = self._contradiction(way, known)
+            between_m = position_sigmas(known(*way[:2]).covariance[None])
+            if off > 2.0 * self._gate:
+                otherwise += len(other)
+            elif off <= self._gate and between_m[0] <= self._config.reach_m:
+                same |= {claim.keyframe for claim in other}
+        return len(same - {claim.keyframe for claim in members}) - otherwise
 
     def _cost(self, members: Sequence[LoopCandidate], known: Known) -> _Judged:
         """Return the cost of a set without faults; infinite if it adds no information.

@@ -55,7 +55,7 @@ def checked(measurement: Any, name: str) -> Any:
             points = len(measurement.points_lidar)
             require(set(lengths) <= {points}, f"{points} points, and times or intensities of {lengths}")
     except MapFileError as error:
-        raise DatasetError(f"{name}: {error}; help(slam.{kind}) tells what belongs there") from None
+        raise DatasetError(f"{name}: {error}; help(slam.{kind}) shows what it must be") from None
     return measurement
 
 

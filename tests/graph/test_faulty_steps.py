@@ -219,22 +219,35 @@ TURNS = {30: 0.9, 50: -0.9}
 
 
 @pytest.mark.parametrize(
-    ("gaps", "long", "contradicted"),
-    [((30, 50), 1, 0.0), ((30, 50), 0, 0.0), ((30, 50), 1, 0.028), ((50,), 1, 0.0)],
+    ("gaps", "long", "borne", "contradicted"),
+    [
+        ((30, 50), 1, 0, 0.0),
+        ((30, 50), 0, 0, 0.0),
+        ((30, 50), 0, 1, 0.0),
+        ((30, 50), 1, 0, 0.028),
+        ((50,), 1, 0, 0.0),
+    ],
 )
 def test_faults_that_add_up_are_believed_of_a_set_that_is_so_much_longer(
-    gaps: tuple[int, ...], long: int, contradicted: float
+    gaps: tuple[int, ...], long: int, borne: int, contradicted: float
 ) -> None:
     """One gap turned left and one right; were one of them matched, the other would not explain it.
 
-    Its ends must also contradict each other in proportion less than the 3 % of other sets.
+    As good as longer is a set that another one confirms, by keyframes of its own. Its ends must also
+    contradict each other in proportion less than the 3 % of other sets.
     """
     turned = walked([STEP + np.array([0.0, 0.0, TURNS.get(key, 0.0)]) for key in range(COUNT - 1)])
     members, entailed = told_by(turned, range(52, 56)), told_by(turned, range(56, 56 + 4 * long))
     search = PlaceSearch(SimpleNamespace(submaps=None), LoopConfig(), MatchConfig(), GraphConfig())  # type: ignore[arg-type]
     search._submaps = SimpleNamespace(travelled_m=lambda key: 2.0 * key)  # type: ignore[assignment]
     search._stretches = SimpleNamespace(spacing_m=1.5)  # type: ignore[assignment]
-    search._sets = SimpleNamespace(largest=lambda: [members], remove=len)  # type: ignore[assignment]
+    sets = [members, told_by(turned, range(56, 60))][: 1 + borne]
+
+    def between_places(one: list[LoopCandidate], other: list[LoopCandidate]) -> tuple[int, int, Motion]:
+        first, last = sorted((one[0].place, other[0].place))
+        return first, last, Motion(between(POSES[first], POSES[last]), SURE)
+
+    search._sets = SimpleNamespace(largest=lambda: sets, remove=len, entailed=between_places)  # type: ignore[assignment]
     trial = SimpleNamespace(hold=lambda _: (entailed, 0), contradicted=lambda _: contradicted)
     search._trial = trial  # type: ignore[assignment]
     stamps_s, edges = np.arange(float(COUNT)), chain(())
@@ -244,7 +257,7 @@ def test_faults_that_add_up_are_believed_of_a_set_that_is_so_much_longer(
         edges.append(step(gap, SURE, EdgeKind.WHEEL, trusted=False))
     search._faulty = judge(edges, stamps_s)
     found = search._believed(POSES, search._faulty.known)
-    assert bool(found) == (bool(long) and not contradicted and len(gaps) == 2), search._cost(
+    assert bool(found) == (bool(long + borne) and not contradicted and len(gaps) == 2), search._cost(
         members, lambda a, b: search._faulty.known.motion(a, b, POSES)
     )[:2]
 
