@@ -1,9 +1,9 @@
-"""Write the tables that a tool prints into the pages of figures, with the commit and the day.
+"""Write the tables that a tool prints into the pages of docs, with the commit and the day.
 
     python tools/growth.py fr079.log.gz | python tools/tables.py growth
 
 Each NAME is given one of the Markdown tables that are read, in their order: it goes between ``<!-- NAME -->``
-and ``<!-- /NAME -->``, which stand on one page of figures. All that is read is shown, too.
+and ``<!-- /NAME -->``, which stand on one page of docs. All that is read is shown, too.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ def main() -> None:
     parser = ArgumentParser(description=__doc__, formatter_class=RawDescriptionHelpFormatter)
     parser.add_argument("names", nargs="+", metavar="NAME", help="of a place")
     names = parser.parse_args().names
-    pages = [REPO / "docs" / "figures.md", *sorted((REPO / "docs" / "figures").glob("*.md"))]
+    pages = sorted((REPO / "docs").rglob("*.md"))
     places = [place(pages, name) for name in names]
     found = tables(shown(sys.stdin))
     if len(found) != len(names):
@@ -62,7 +62,7 @@ def place(among: Iterable[Path], name: str) -> Path:
     found = [page for page in among if re.search(PLACE.format(name), page.read_text("utf-8"), re.DOTALL)]
     if len(found) != 1:
         raise SystemExit(
-            f"<!-- {name} --> and <!-- /{name} --> stand on {len(found)} pages of figures, not on one"
+            f"<!-- {name} --> and <!-- /{name} --> stand on {len(found)} pages of docs, not on one"
         )
     return found[0]
 
