@@ -42,7 +42,7 @@ def simulate(
     tags: Annotated[
         int, typer.Option(min=0, help="number of AprilTags on the walls; tags.yaml lists their poses")
     ] = 0,
-    imu: Annotated[bool, typer.Option("--imu", help="add a 200 Hz IMU (with --street always there)")] = False,
+    imu: Annotated[bool, typer.Option("--imu", help="add a 200 Hz IMU (always with --street)")] = False,
     office: Annotated[bool, typer.Option("--office", help="simulate an office instead of a home")] = False,
     campus: Annotated[
         bool,

@@ -39,7 +39,7 @@ def write_localization_report(
     layers
         Of the map; None of a map without a lidar.
     notes
-        (what, how much) rows of the reader's report.
+        (what, how much) rows of records.
     warnings
         What makes the poses doubtful, in words.
 

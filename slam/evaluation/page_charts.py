@@ -165,7 +165,7 @@ def _times(seconds: FloatArray, unit: str) -> dict[str, Any]:
     high = np.nanpercentile(stretches, 95.0, axis=1)
     # The first one loads compiled code: it may be outside the chart rather than flatten all others.
     top = max(min(1.15 * float(high.max()), 4.0 * float(np.percentile(high, 95.0))), 1e-3)
-    series = {"95 %": high, "least": np.nanmin(stretches, axis=1), "median": np.nanmedian(stretches, axis=1)}
+    series = {"95 %": high, "min": np.nanmin(stretches, axis=1), "median": np.nanmedian(stretches, axis=1)}
     return chart(f"Time per {unit}, ms", unit, middle, series, lines=True, band=True, most=top)
 
 

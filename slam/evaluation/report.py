@@ -69,7 +69,7 @@ def _headline(data: ReportData) -> list[tuple[str, str]]:
         ("keyframes", f"{len(data.result.map.node_poses):,}"),
         ("loops accepted", f"{sum(loop.accepted for loop in loops):,} of {len(loops):,}"),
         ("path", f"{data.path_length_m:,.1f} m"),
-        ("log lasts", _duration(data.duration_s)),
+        ("duration of the log", _duration(data.duration_s)),
         ("wall time", f"{cost.wall_s:,.1f} s"),
         ("CPU time", f"{cost.cpu_s:,.1f} s"),
         (
@@ -85,14 +85,14 @@ def _headline(data: ReportData) -> list[tuple[str, str]]:
 
 
 def _stages(data: ReportData) -> list[tuple[str, str, float]]:
-    """Return the wall time by stage: seconds, percent of the longest; with the rest, to sum up."""
+    """Return the wall time by stage: seconds, percent of the longest; with the rest and the total."""
     stages = dict(data.result.stage_seconds)
     if not stages:
         return []
-    stages["the rest"] = max(data.cost.wall_s - sum(stages.values()), 0.0)
+    stages["other"] = max(data.cost.wall_s - sum(stages.values()), 0.0)
     longest_s = max(stages.values()) or 1.0
     rows = [(name, f"{seconds:,.2f} s", 100.0 * seconds / longest_s) for name, seconds in stages.items()]
-    return [*rows, ("in all", f"{sum(stages.values()):,.2f} s", 0.0)]
+    return [*rows, ("total", f"{sum(stages.values()):,.2f} s", 0.0)]
 
 
 def _duration(seconds: float) -> str:

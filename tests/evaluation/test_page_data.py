@@ -225,7 +225,7 @@ def test_a_localised_drive_is_coloured_by_sigma_and_confidence(tmp_path: Path) -
 def test_the_stages_add_up_to_the_run(tmp_path: Path) -> None:
     write_report(tmp_path / "report.html", report())
     html = (tmp_path / "report.html").read_text()
-    assert "<td>the rest</td><td>1.00 s</td>" in html and "<td>in all</td><td>4.00 s</td>" in html
+    assert "<td>other</td><td>1.00 s</td>" in html and "<td>total</td><td>4.00 s</td>" in html
 
 
 def test_a_page_of_many_keyframes_stays_small(tmp_path: Path) -> None:
