@@ -69,7 +69,7 @@ def _headline(data: ReportData) -> list[tuple[str, str]]:
         ("keyframes", f"{len(data.result.map.node_poses):,}"),
         ("loops accepted", f"{sum(loop.accepted for loop in loops):,} of {len(loops):,}"),
         ("path", f"{data.path_length_m:,.1f} m"),
-        ("duration of the log", _duration(data.duration_s)),
+        ("log lasts", _duration(data.duration_s)),
         ("wall time", f"{cost.wall_s:,.1f} s"),
         ("CPU time", f"{cost.cpu_s:,.1f} s"),
         (
