@@ -79,7 +79,7 @@ def lost_sign(
     return Finding(
         wheels,
         "lost sign",
-        f"never goes backward, but at {back} of {len(ways)} starts after a stop {lidar} does: "
+        f"never goes backward, but by {lidar} the robot does at {back} of {len(ways)} starts after a stop: "
         "its speed is recorded without a sign",
         "where the robot goes backward, the wheel odometry is wrong and the scans must determine the map",
         sure=True,
