@@ -124,11 +124,13 @@ class PlaceSearch:
             self._corrected = False
         if believed := self._believed(poses, known):
             return believed
-        for chain in dict.fromkeys((known, faulty.loose)):
+        # Then anywhere: past a gap, a match may have been found in a corridor that looks the same.
+        for off_m in (0.0, math.inf):
+            possible = partial(self._possible, stretches, poses=poses, known=known, off_m=off_m)
             asked = [
                 (place, number)
                 for number in stretches.untied(loops)
-                for place in stretches.candidates(number, *self._possible(stretches, number, poses, chain))
+                for place in stretches.candidates(number, *possible(number))
                 if (place, number) not in self._tried
             ]
             self._tried.update(asked)
@@ -156,9 +158,9 @@ class PlaceSearch:
         keys = stretches.keys[untied].tolist()
         for wider in (False, True):
             for number, key in zip(untied, keys, strict=True):
-                possible, apart_m = self._possible(stretches, number, poses, faulty.known)
+                possible, apart_m = self._possible(stretches, number, poses, faulty.known, 0.0)
                 if wider:
-                    possible = ~possible & self._possible(stretches, number, poses, faulty.loose)[0]
+                    possible = ~possible & self._possible(stretches, number, poses, faulty.loose, 0.0)[0]
                 for place in stretches.candidates(number, possible, apart_m):
                     if (place, number) not in self._tried:
                         self._tried.add((place, number))
@@ -169,19 +171,19 @@ class PlaceSearch:
         return []
 
     def _possible(
-        self, stretches: Stretches, number: int, poses: FloatArray, known: UncertaintyGraph
+        self, stretches: Stretches, number: int, poses: FloatArray, known: UncertaintyGraph, off_m: float
     ) -> tuple[BoolArray, FloatArray]:
         """(K,) the stretches to which a set, as long as can be, could move one; and how far from it they are.
 
-        What is as certain as places are wide is tried during mapping.
+        It may be off by ``off_m`` on top. What is as certain as places are wide is tried during mapping.
         """
         key = int(stretches.keys[number])
         sigmas_m = position_sigmas(known.relative_covariances(key, stretches.keys, poses))
         most_m = math.sqrt(self._gate * self._reach_m / stretches.spacing_m) * sigmas_m
         apart_m = np.hypot(*(poses[stretches.keys, :2] - poses[key, :2]).T)
         window_m = math.sqrt(2.0) * stretches.window_m
-        sparse = self._followed is not None
-        return (sparse | (most_m > self._config.reach_m)) & (apart_m <= window_m + most_m), apart_m
+        possible = apart_m <= window_m + most_m + off_m
+        return possible & ((self._followed is not None) | (most_m > self._config.reach_m)), apart_m
 
     def _searched(self, stretches: Stretches, place: int, number: int) -> list[float]:
         """The pose of a stretch at another; nothing if none is found."""

@@ -76,6 +76,29 @@ def test_what_is_certain_is_judged_once_until_something_is_refused() -> None:
         assert judged == expected
 
 
+def test_the_whole_map_is_searched_where_the_estimate_led_to_nothing() -> None:
+    """A match past a gap says that the robot is half a kilometre from where it is."""
+    step, edges = pose2_from_row(np.array([10.0, 0.0, 0.0])), list[Edge]()
+    for key in range(COUNT - 1):
+        told = SURE * (400.0 if key == GAP else 1.0)
+        edges.append(Edge(key, key + 1, step, told, EdgeKind.LIDAR, trusted=True))
+    poses, asked = np.outer(10.0 * np.arange(float(COUNT)), [1.0, 0.0, 0.0]), list[np.ndarray]()
+    submaps = SimpleNamespace(travelled_m=float, sparse=False, lay=lambda *_: None)
+    search = PlaceSearch(SimpleNamespace(submaps=submaps), LoopConfig(), MatchConfig(), GraphConfig())  # type: ignore[arg-type]
+    search._stretches = SimpleNamespace(  # type: ignore[assignment]
+        spacing_m=1.5,
+        window_m=6.0,
+        keys=np.arange(COUNT),
+        untied=lambda _: [COUNT - 1],
+        candidates=lambda number, possible, apart_m: asked.append(possible) or [],
+    )
+    search._sets = SimpleNamespace(largest=list)  # type: ignore[assignment]
+    assert search.search(poses, np.arange(float(COUNT)), edges, np.ones(len(edges), np.bool_), []) == []
+    near, anywhere = asked
+    assert not near[0] and anywhere[0]
+    assert not near[-1] and not anywhere[-1], "it is certain"
+
+
 AWAY = 0, 60, Motion(np.zeros(3), SURE)
 
 
