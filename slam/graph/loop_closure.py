@@ -37,17 +37,6 @@ class LoopCloser:
         self._last_attempt_m = -math.inf
         self._misses = 0
 
-    def add_keyframe(
-        self,
-        scan: OrientedPoints,
-        pose: FloatArray,
-        travelled_m: float,
-        session: int = 0,
-        surface: OrientedPoints | None = None,
-    ) -> None:
-        """Store a keyframe, see `SubmapStore.add`."""
-        self.submaps.add(scan, pose, travelled_m, session, surface)
-
     def close(self, key: int, poses: FloatArray, uncertainty: UncertaintyGraph) -> list[LoopCandidate]:
         """Try to close loops with places to which the newest keyframe may have returned.
 
@@ -196,13 +185,14 @@ def closer_of(
         (K,) path length to each keyframe in its session, and the number of the session.
     """
     closer, settings = LoopCloser(config.loops, config.match), config.scan
-    for scan, pose, travelled_m, session in zip(scans, poses, path_m, sessions.tolist(), strict=True):
+    begun = (np.diff(sessions, prepend=sessions[:1]) != 0).tolist()
+    for scan, pose, travelled_m, begins in zip(scans, poses, path_m, begun, strict=True):
         points = ScanPoints.none()
         if scan is not None:
             limits = settings.range_min_m, settings.range_max_m
             points = extract_points(scan, *limits, settings.neighbours)
         seen, surface = (make(points) for make in (OrientedPoints.from_scan, OrientedPoints.surface))
-        closer.add_keyframe(seen, pose, travelled_m, session, surface)
+        closer.submaps.add(seen, pose, travelled_m, surface, begun=begins)
     return closer
 
 
