@@ -17,8 +17,9 @@ import numpy as np
 
 from fusion.estimation import gate
 from slam.config.stages import GraphConfig, LoopConfig, MatchConfig
-from slam.graph.claim_trial import ClaimTrial
+from slam.graph.claim_trial import ClaimTrial, contradicted_by_chance
 from slam.graph.consistent_sets import ClaimSets, Known, claimed
+from slam.graph.corridor_claims import CorridorClaims
 from slam.graph.edge import GUESSES, Edge
 from slam.graph.faulty_steps import FaultySteps
 from slam.graph.followed_claims import FollowedClaims
@@ -62,6 +63,7 @@ class PlaceSearch:
         self._stretches: Stretches | None = None
         self._sets: ClaimSets | None = None
         self._trial: ClaimTrial | None = None
+        self._corridors: CorridorClaims | None = None
         self._tried: set[tuple[int, int]] = set()
         # What sets cost by this estimate; infinite by an earlier one, if nothing was refused since.
         self._judged: dict[tuple[tuple[int, int], ...], _Judged] = {}
@@ -113,6 +115,7 @@ class PlaceSearch:
             chain = graph_of(len(poses), (edge for edge in sure if edge.loop is None))
             self._sets = ClaimSets(poses.copy(), self._submaps.ways_m(), chain, self._reach_m)
             self._trial = ClaimTrial(self._closer, stretches, self._sets, self._config, self._reach_m)
+            self._corridors = CorridorClaims(self._closer, stretches, self._trial, self._sets, self._config)
         self._faulty, known = faulty, faulty.known
         # More loops make no way less certain.
         more, self._kept = bool((kept[: len(self._kept)] >= self._kept).all()), kept
@@ -139,7 +142,10 @@ class PlaceSearch:
                 self._sets.add(claim)
             if believed := self._believed(poses, known):
                 return believed
-        return []
+        assert self._corridors is not None
+        found = self._corridors.believed(poses, known, loops)
+        self._corrected = bool(found)
+        return found
 
     def _follow(
         self,
@@ -269,7 +275,7 @@ class PlaceSearch:
         # As long as it is seen from either end; where all of the map would pass, as a loop must be.
         anywhere = math.sqrt(self._gate) * judged.sigma_m > np.ptp(poses[:, :2], axis=0).max()
         least_m = longer * (self._config.least_path_m if anywhere else 2.0 * reach_m)
-        few = self._config.sigmas * (1.0 - self._config.inlier_probability)
+        few = contradicted_by_chance(self._config)
         enough = held * stretches.spacing_m >= least_m
         return [*members, *more] if enough and longer * trial.contradicted(members) <= few else []
 

@@ -185,7 +185,7 @@ def test_who_stood_long_at_a_place_is_still_asked_for_another_pass() -> None:
         uncertainty.add_node()
         if key:
             uncertainty.add_edge(key - 1, key, between(poses[key - 1], pose), 1e-6 * np.eye(3))
-    places = [place for place, _ in closer._propose(620, poses, uncertainty)]
+    places = [place for place, _ in closer.propose(620, poses, uncertainty)]
     assert [place < 600 for place in places] == [True, False]
 
 

@@ -17,6 +17,7 @@ from slam.measurements import FloatArray, pose2_from_row
 
 SURE, BY_WHEELS = np.diag([0.01, 0.01, 0.003]) ** 2, np.diag([0.5, 0.5, 0.8]) ** 2
 COUNT, GAP = 80, 40
+NOTHING_ELSE = SimpleNamespace(believed=lambda *_: [])
 
 
 def test_places_nearby_are_tried_again_from_a_loop_that_rules_out_no_other() -> None:
@@ -65,6 +66,7 @@ def test_what_is_certain_is_judged_once_until_something_is_refused() -> None:
     search = PlaceSearch(SimpleNamespace(submaps=submaps), LoopConfig(), MatchConfig(), GraphConfig())  # type: ignore[arg-type]
     search._stretches = SimpleNamespace(spacing_m=1.5, untied=lambda _: [])  # type: ignore[assignment]
     search._sets = SimpleNamespace(largest=lambda: sets, entailed=lambda *_: None)  # type: ignore[assignment]
+    search._corridors = NOTHING_ELSE  # type: ignore[assignment]
     search._trial = SimpleNamespace(hold=lambda _: ([], 9), contradicted=lambda _: 0.0)  # type: ignore[assignment]
     judged, cost = list[int](), search._cost
     search._cost = lambda one, known: (judged.append(one[0].keyframe), cost(one, known))[1]  # type: ignore[method-assign]
@@ -93,6 +95,7 @@ def test_the_whole_map_is_searched_where_the_estimate_led_to_nothing() -> None:
         candidates=lambda number, possible, apart_m: asked.append(possible) or [],
     )
     search._sets = SimpleNamespace(largest=list)  # type: ignore[assignment]
+    search._corridors = NOTHING_ELSE  # type: ignore[assignment]
     assert search.search(poses, np.arange(float(COUNT)), edges, np.ones(len(edges), np.bool_), []) == []
     near, anywhere = asked
     assert not near[0] and anywhere[0]
@@ -122,6 +125,7 @@ def test_faults_are_looked_for_only_where_they_may_decide(
     search = PlaceSearch(SimpleNamespace(submaps=submaps), LoopConfig(), MatchConfig(), GraphConfig())  # type: ignore[arg-type]
     search._stretches = SimpleNamespace(spacing_m=1.5, untied=lambda _: [])  # type: ignore[assignment]
     search._sets = SimpleNamespace(largest=lambda: sets, entailed=lambda *_: way, remove=lambda _: None)  # type: ignore[assignment]
+    search._corridors = NOTHING_ELSE  # type: ignore[assignment]
     search._trial = SimpleNamespace(hold=lambda _: ([], 0), contradicted=lambda _: 0.0)  # type: ignore[assignment]
     asked, cost = list[int](), search._with_faults
     search._with_faults = lambda one, *rest: (asked.append(one[0].keyframe), cost(one, *rest))[1]  # type: ignore[method-assign]
