@@ -60,6 +60,7 @@ class PlaceSearch:
         self._config, self._match, self._graph = config, match, graph
         # The gate of GNC, and the way over which claims may support each other.
         self._gate, self._reach_m = gate(3, config.inlier_probability), 2.0 * config.least_path_m
+        self._few = contradicted_by_chance(config)
         self._stretches: Stretches | None = None
         self._sets: ClaimSets | None = None
         self._trial: ClaimTrial | None = None
@@ -213,8 +214,8 @@ class PlaceSearch:
 
     def _believed(self, poses: FloatArray, known: UncertaintyGraph) -> list[LoopCandidate]:
         """The most plausible set; the estimate that it leads to judges the next."""
-        sets = self._sets
-        assert sets is not None
+        sets, trial = self._sets, self._trial
+        assert sets is not None and trial is not None
         seen, reach_m = partial(known.motion, poses=poses), self._config.reach_m
         ways_m = self._submaps.travelled_m  # from the start to the keyframes of a set
         found = [one for one in sets.largest() if np.ptp([ways_m(m.keyframe) for m in one]) >= reach_m]
@@ -245,7 +246,9 @@ class PlaceSearch:
                 continue
             rivals = (m for m in np.flatnonzero(2.0 * most > gained).tolist() if m != n)
             offs = ((m, self._contradiction(sets.entailed(found[n], found[m]), seen)) for m in rivals)
-            if any(2.0 * off > gained and gained < 2.0 * gain(m) < 2.0 * off for m, off in offs):
+            able = (m for m, off in offs if 2.0 * off > gained and gained < 2.0 * gain(m) < 2.0 * off)
+            # Places that contradict each other are no rival.
+            if any(self._longer(judged(m)) * trial.contradicted(found[m]) <= self._few for m in able):
                 continue
             if more := self._confirmed(found[n], found, judged(n), poses, known):
                 sets.remove(more)
@@ -264,8 +267,7 @@ class PlaceSearch:
         """Return a set with the claims that follow from it, if its surroundings fit and hardly contradict."""
         trial, stretches, reach_m = self._trial, self._stretches, self._config.reach_m
         assert trial is not None and stretches is not None
-        # What needs more than one fault must be so many times as long, and contradict so many times less.
-        longer = max(1.0, judged.cost / self._gate - 1.0)
+        longer = self._longer(judged)
         fits, refused = trial.hold(members)
         # One that fits where it cannot be shows that these places look alike.
         more = [one for one in fits if self._follows(one, known, judged)]
@@ -275,9 +277,12 @@ class PlaceSearch:
         # As long as it is seen from either end; where all of the map would pass, as a loop must be.
         anywhere = math.sqrt(self._gate) * judged.sigma_m > np.ptp(poses[:, :2], axis=0).max()
         least_m = longer * (self._config.least_path_m if anywhere else 2.0 * reach_m)
-        few = contradicted_by_chance(self._config)
         enough = held * stretches.spacing_m >= least_m
-        return [*members, *more] if enough and longer * trial.contradicted(members) <= few else []
+        return [*members, *more] if enough and longer * trial.contradicted(members) <= self._few else []
+
+    def _longer(self, judged: _Judged) -> float:
+        """Return how many times as long a set must be, and contradict less, if it needs several faults."""
+        return max(1.0, judged.cost / self._gate - 1.0)
 
     def _borne_out(
         self, members: Sequence[LoopCandidate], found: Sequence[list[LoopCandidate]], known: Known

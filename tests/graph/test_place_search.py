@@ -10,7 +10,7 @@ from slam.config.stages import GraphConfig, LoopConfig, MatchConfig
 from slam.estimates import MotionEstimate
 from slam.graph.edge import Edge, EdgeKind
 from slam.graph.loop_candidate import LoopCandidate
-from slam.graph.place_search import PlaceSearch
+from slam.graph.place_search import PlaceSearch, _Judged
 from slam.graph.relative_uncertainty import UncertaintyGraph
 from slam.matching.motion import Motion
 from slam.measurements import FloatArray, pose2_from_row
@@ -94,7 +94,7 @@ def test_the_whole_map_is_searched_where_the_estimate_led_to_nothing() -> None:
         untied=lambda _: [COUNT - 1],
         candidates=lambda number, possible, apart_m: asked.append(possible) or [],
     )
-    search._sets = SimpleNamespace(largest=list)  # type: ignore[assignment]
+    search._sets, search._trial = SimpleNamespace(largest=list), SimpleNamespace()  # type: ignore[assignment]
     search._corridors = NOTHING_ELSE  # type: ignore[assignment]
     assert search.search(poses, np.arange(float(COUNT)), edges, np.ones(len(edges), np.bool_), []) == []
     near, anywhere = asked
@@ -136,6 +136,33 @@ def test_faults_are_looked_for_only_where_they_may_decide(
         False,
     )  # type: ignore[assignment]
     assert search.search(poses, stamps_s, edges, np.ones(COUNT - 1, np.bool_), []) == [], "contradicted"
+
+
+@pytest.mark.parametrize(
+    ("cost", "share", "believed"), [(0.0, 0.02, False), (0.0, 0.04, True), (40.0, 0.02, True)]
+)
+def test_places_that_contradict_each_other_are_no_rival(cost: float, share: float, believed: bool) -> None:
+    """A true set, and a longer one elsewhere; if that one needs several faults, less is enough."""
+    sets = [
+        [
+            LoopCandidate(place, 60 + key, 0.0, 0.0, 1.0, motion_of(0.0), True, "")
+            for key in range(0, 3 * count, 3)
+        ]
+        for place, count in ((0, 4), (30, 7))
+    ]
+    submaps = SimpleNamespace(travelled_m=float)
+    search = PlaceSearch(SimpleNamespace(submaps=submaps), LoopConfig(), MatchConfig(), GraphConfig())  # type: ignore[arg-type]
+    poses = np.outer(np.arange(float(COUNT)), [1.0, 0.0, 0.0])
+    search._faulty = SimpleNamespace(poses=poses)  # type: ignore[assignment]
+    search._stretches = SimpleNamespace(spacing_m=1.5)  # type: ignore[assignment]
+    search._sets = SimpleNamespace(largest=lambda: sets, entailed=lambda *_: None, remove=lambda _: None)  # type: ignore[assignment]
+    search._trial = SimpleNamespace(  # type: ignore[assignment]
+        hold=lambda _: ([], 0), contradicted=lambda one: share * (one is sets[1])
+    )
+    search._cost = lambda one, _: _Judged(cost * (one is sets[1]), 1.0, poses)  # type: ignore[method-assign]
+    search._contradiction = lambda *_: 100.0  # type: ignore[method-assign]
+    known = SimpleNamespace(motion=lambda *_, **__: Motion(np.zeros(3), SURE))
+    assert search._believed(poses, known) == (sets[0] if believed else [])  # type: ignore[arg-type]
 
 
 def motion_of(ahead_m: float) -> MotionEstimate:
