@@ -118,7 +118,7 @@ class TestLoop:
         closer = LoopCloser(LoopConfig(), MatchConfig())
         for number, one in enumerate((place, scan)):
             points = OrientedPoints.from_scan(extract_points(one, 0.1, 40.0, 4))
-            closer.add_keyframe(points, np.zeros(3), 100.0 * number)
+            closer.submaps.add(points, np.zeros(3), 100.0 * number)
         sigmas = np.array([0.5, 0.5, 0.1])  # three of them make the window below
         expected = closer.verify(0, 1, np.zeros(3), np.diag(sigmas**2))
         found = slam.check_loop(place, scan, half_width_m=1.5, half_yaw_rad=expected.half_yaw_rad)

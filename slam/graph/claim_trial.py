@@ -107,3 +107,8 @@ class ClaimTrial:
             if far and way_m(key) - way_m(around[n]) > self._submaps.least_path_m:
                 chosen.append(around[n])
         return chosen
+
+
+def contradicted_by_chance(config: LoopConfig) -> float:
+    """Return the largest share of points by which both ends of a true set may contradict each other."""
+    return config.sigmas * (1.0 - config.inlier_probability)

@@ -48,6 +48,10 @@ class ClaimSets:
         self._agree = np.zeros((0, 0), np.bool_)
         self._ways: dict[tuple[int, int], Motion] = {}
 
+    def empty(self) -> ClaimSets:
+        """Return new sets, without claims, of the same path."""
+        return ClaimSets(self._poses, self._travelled_m, self._chain, self._reach_m)
+
     def add(self, claim: LoopCandidate) -> None:
         """Add a claim."""
         agree = self.near(claim, self._claims)

@@ -37,17 +37,6 @@ class LoopCloser:
         self._last_attempt_m = -math.inf
         self._misses = 0
 
-    def add_keyframe(
-        self,
-        scan: OrientedPoints,
-        pose: FloatArray,
-        travelled_m: float,
-        session: int = 0,
-        surface: OrientedPoints | None = None,
-    ) -> None:
-        """Store a keyframe, see `SubmapStore.add`."""
-        self.submaps.add(scan, pose, travelled_m, session, surface)
-
     def close(self, key: int, poses: FloatArray, uncertainty: UncertaintyGraph) -> list[LoopCandidate]:
         """Try to close loops with places to which the newest keyframe may have returned.
 
@@ -73,7 +62,7 @@ class LoopCloser:
         tried = []
         # If none of the known places around fits, the error may be larger than estimated.
         wide = self._misses >= self._config.misses_until_wide
-        for place, covariance in self._propose(key, poses, uncertainty):
+        for place, covariance in self.propose(key, poses, uncertainty):
             guess = between(poses[place], poses[key])
             tried.append(self.verify(place, key, guess, covariance, wide=wide))
         if tried:
@@ -103,7 +92,7 @@ class LoopCloser:
             if apart_m < self._config.every_m or len(self.submaps.scan(key)) < FEWEST:
                 continue
             last_m = at_m
-            for place, covariance in self._propose(key, poses, uncertainty):
+            for place, covariance in self.propose(key, poses, uncertainty):
                 # Loops found by this search before, and rejected by GNC since, are not tried again.
                 if (place, key) not in self._closed_again:
                     guess = between(poses[place], poses[key])
@@ -115,7 +104,14 @@ class LoopCloser:
         return found
 
     def verify(
-        self, place: int, key: int, guess: FloatArray, covariance: FloatArray, *, wide: bool = False
+        self,
+        place: int,
+        key: int,
+        guess: FloatArray,
+        covariance: FloatArray,
+        *,
+        wide: bool = False,
+        confirming: bool = False,
     ) -> LoopCandidate:
         """Match a keyframe to a place in a window given by the uncertainty of the guess.
 
@@ -127,6 +123,8 @@ class LoopCloser:
             (3, 3) covariance of the guess.
         wide
             Whether to search at least as far as a place is visible.
+        confirming
+            Whether a match that leaves a direction undetermined is accepted in a wide window, too.
         """
         config = self._config
         sigma_m = float(position_sigmas(covariance[None])[0])
@@ -141,16 +139,20 @@ class LoopCloser:
         candidate = self._result_cache.cached(
             "loop",
             float(guess[0]),
-            lambda: search_place(begun, submap, scan, guess, self._config, self._match),
+            lambda: search_place(begun, submap, scan, guess, self._config, self._match, confirming),
         )
         report("loop", candidate)
         return candidate
 
-    def _propose(
-        self, key: int, poses: FloatArray, uncertainty: UncertaintyGraph
+    def propose(
+        self, key: int, poses: FloatArray, uncertainty: UncertaintyGraph, *, wide: bool = False
     ) -> list[tuple[int, FloatArray]]:
-        """Return places that may see the same as the keyframe, nearest first, with the covariance."""
+        """Return places that may see the same as the keyframe, nearest first, with the covariance.
+
+        With ``wide``, also places whose distance is only known to within that at which a place is visible.
+        """
         config, submaps = self._config, self.submaps
+        most_m = config.sigmas * config.reach_m if wide else config.greatest_half_width_m
         travelled, least_path_m = submaps.travelled_m(key), submaps.least_path_m
         places = submaps.places(key)
         distance = np.hypot(*(poses[places, :2] - poses[key, :2]).T)
@@ -170,7 +172,7 @@ class LoopCloser:
             for n, covariance, slack_m in zip(part, covariances, slacks, strict=True):
                 if len(chosen) == config.near:
                     break
-                if slack_m > config.greatest_half_width_m or distance[n] > reach_m + slack_m:
+                if slack_m > most_m or distance[n] > reach_m + slack_m:
                     continue
                 at_m = submaps.travelled_m(places[n])
                 # Two places on one pass give the same information: take the nearest of each pass.
@@ -196,13 +198,14 @@ def closer_of(
         (K,) path length to each keyframe in its session, and the number of the session.
     """
     closer, settings = LoopCloser(config.loops, config.match), config.scan
-    for scan, pose, travelled_m, session in zip(scans, poses, path_m, sessions.tolist(), strict=True):
+    begun = (np.diff(sessions, prepend=sessions[:1]) != 0).tolist()
+    for scan, pose, travelled_m, begins in zip(scans, poses, path_m, begun, strict=True):
         points = ScanPoints.none()
         if scan is not None:
             limits = settings.range_min_m, settings.range_max_m
             points = extract_points(scan, *limits, settings.neighbours)
         seen, surface = (make(points) for make in (OrientedPoints.from_scan, OrientedPoints.surface))
-        closer.add_keyframe(seen, pose, travelled_m, session, surface)
+        closer.submaps.add(seen, pose, travelled_m, surface, begun=begins)
     return closer
 
 
@@ -213,6 +216,7 @@ def search_place(
     guess: FloatArray,
     config: LoopConfig,
     match: MatchConfig,
+    confirming: bool = False,
 ) -> LoopCandidate:
     """Search the window of a candidate around a guess, refine the result, and verify it.
 
@@ -243,11 +247,16 @@ def search_place(
         guess = found.pose
     motion = motion_from_alignment(submap.local_map.align(scan, guess), match)
     motion = replace(motion, covariance=motion.covariance * config.caution)
-    return _judge(replace(candidate, motion=motion), motion, guess, config, basin_m)
+    return _judge(replace(candidate, motion=motion), motion, guess, config, basin_m, confirming)
 
 
 def _judge(
-    candidate: LoopCandidate, motion: MotionEstimate, guess: FloatArray, config: LoopConfig, basin_m: float
+    candidate: LoopCandidate,
+    motion: MotionEstimate,
+    guess: FloatArray,
+    config: LoopConfig,
+    basin_m: float,
+    confirming: bool,
 ) -> LoopCandidate:
     """Accept or reject a refined match."""
     moved = between(guess, row_from_pose2(motion.T_reference_base))
@@ -256,7 +265,7 @@ def _judge(
         return candidate.refused("too few points fit")
     if moved_m > basin_m:
         return candidate.refused("refinement left the window")
-    if motion.degenerate and candidate.half_width_m >= 0.5 * config.reach_m:
+    if motion.degenerate and not confirming and candidate.half_width_m >= 0.5 * config.reach_m:
         # Corridors look alike: a corridor may confirm a nearly known place, but not find one.
         return candidate.refused("one direction undetermined, and the place too uncertain")
     return replace(candidate, accepted=True)

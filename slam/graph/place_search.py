@@ -17,8 +17,9 @@ import numpy as np
 
 from fusion.estimation import gate
 from slam.config.stages import GraphConfig, LoopConfig, MatchConfig
-from slam.graph.claim_trial import ClaimTrial
+from slam.graph.claim_trial import ClaimTrial, contradicted_by_chance
 from slam.graph.consistent_sets import ClaimSets, Known, claimed
+from slam.graph.corridor_claims import CorridorClaims
 from slam.graph.edge import GUESSES, Edge
 from slam.graph.faulty_steps import FaultySteps
 from slam.graph.followed_claims import FollowedClaims
@@ -59,9 +60,11 @@ class PlaceSearch:
         self._config, self._match, self._graph = config, match, graph
         # The gate of GNC, and the way over which claims may support each other.
         self._gate, self._reach_m = gate(3, config.inlier_probability), 2.0 * config.least_path_m
+        self._few = contradicted_by_chance(config)
         self._stretches: Stretches | None = None
         self._sets: ClaimSets | None = None
         self._trial: ClaimTrial | None = None
+        self._corridors: CorridorClaims | None = None
         self._tried: set[tuple[int, int]] = set()
         # What sets cost by this estimate; infinite by an earlier one, if nothing was refused since.
         self._judged: dict[tuple[tuple[int, int], ...], _Judged] = {}
@@ -113,6 +116,7 @@ class PlaceSearch:
             chain = graph_of(len(poses), (edge for edge in sure if edge.loop is None))
             self._sets = ClaimSets(poses.copy(), self._submaps.ways_m(), chain, self._reach_m)
             self._trial = ClaimTrial(self._closer, stretches, self._sets, self._config, self._reach_m)
+            self._corridors = CorridorClaims(self._closer, stretches, self._trial, self._sets, self._config)
         self._faulty, known = faulty, faulty.known
         # More loops make no way less certain.
         more, self._kept = bool((kept[: len(self._kept)] >= self._kept).all()), kept
@@ -124,11 +128,13 @@ class PlaceSearch:
             self._corrected = False
         if believed := self._believed(poses, known):
             return believed
-        for chain in dict.fromkeys((known, faulty.loose)):
+        # Then anywhere: past a gap, a match may have been found in a corridor that looks the same.
+        for off_m in (0.0, math.inf):
+            possible = partial(self._possible, stretches, poses=poses, known=known, off_m=off_m)
             asked = [
                 (place, number)
                 for number in stretches.untied(loops)
-                for place in stretches.candidates(number, *self._possible(stretches, number, poses, chain))
+                for place in stretches.candidates(number, *possible(number))
                 if (place, number) not in self._tried
             ]
             self._tried.update(asked)
@@ -137,7 +143,10 @@ class PlaceSearch:
                 self._sets.add(claim)
             if believed := self._believed(poses, known):
                 return believed
-        return []
+        assert self._corridors is not None
+        found = self._corridors.believed(poses, known, loops)
+        self._corrected = bool(found)
+        return found
 
     def _follow(
         self,
@@ -156,9 +165,9 @@ class PlaceSearch:
         keys = stretches.keys[untied].tolist()
         for wider in (False, True):
             for number, key in zip(untied, keys, strict=True):
-                possible, apart_m = self._possible(stretches, number, poses, faulty.known)
+                possible, apart_m = self._possible(stretches, number, poses, faulty.known, 0.0)
                 if wider:
-                    possible = ~possible & self._possible(stretches, number, poses, faulty.loose)[0]
+                    possible = ~possible & self._possible(stretches, number, poses, faulty.loose, 0.0)[0]
                 for place in stretches.candidates(number, possible, apart_m):
                     if (place, number) not in self._tried:
                         self._tried.add((place, number))
@@ -169,19 +178,19 @@ class PlaceSearch:
         return []
 
     def _possible(
-        self, stretches: Stretches, number: int, poses: FloatArray, known: UncertaintyGraph
+        self, stretches: Stretches, number: int, poses: FloatArray, known: UncertaintyGraph, off_m: float
     ) -> tuple[BoolArray, FloatArray]:
         """(K,) the stretches to which a set, as long as can be, could move one; and how far from it they are.
 
-        What is as certain as places are wide is tried during mapping.
+        It may be off by ``off_m`` on top. What is as certain as places are wide is tried during mapping.
         """
         key = int(stretches.keys[number])
         sigmas_m = position_sigmas(known.relative_covariances(key, stretches.keys, poses))
         most_m = math.sqrt(self._gate * self._reach_m / stretches.spacing_m) * sigmas_m
         apart_m = np.hypot(*(poses[stretches.keys, :2] - poses[key, :2]).T)
         window_m = math.sqrt(2.0) * stretches.window_m
-        sparse = self._followed is not None
-        return (sparse | (most_m > self._config.reach_m)) & (apart_m <= window_m + most_m), apart_m
+        possible = apart_m <= window_m + most_m + off_m
+        return possible & ((self._followed is not None) | (most_m > self._config.reach_m)), apart_m
 
     def _searched(self, stretches: Stretches, place: int, number: int) -> list[float]:
         """The pose of a stretch at another; nothing if none is found."""
@@ -205,8 +214,8 @@ class PlaceSearch:
 
     def _believed(self, poses: FloatArray, known: UncertaintyGraph) -> list[LoopCandidate]:
         """The most plausible set; the estimate that it leads to judges the next."""
-        sets = self._sets
-        assert sets is not None
+        sets, trial = self._sets, self._trial
+        assert sets is not None and trial is not None
         seen, reach_m = partial(known.motion, poses=poses), self._config.reach_m
         ways_m = self._submaps.travelled_m  # from the start to the keyframes of a set
         found = [one for one in sets.largest() if np.ptp([ways_m(m.keyframe) for m in one]) >= reach_m]
@@ -237,7 +246,9 @@ class PlaceSearch:
                 continue
             rivals = (m for m in np.flatnonzero(2.0 * most > gained).tolist() if m != n)
             offs = ((m, self._contradiction(sets.entailed(found[n], found[m]), seen)) for m in rivals)
-            if any(2.0 * off > gained and gained < 2.0 * gain(m) < 2.0 * off for m, off in offs):
+            able = (m for m, off in offs if 2.0 * off > gained and gained < 2.0 * gain(m) < 2.0 * off)
+            # Places that contradict each other are no rival.
+            if any(self._longer(judged(m)) * trial.contradicted(found[m]) <= self._few for m in able):
                 continue
             if more := self._confirmed(found[n], found, judged(n), poses, known):
                 sets.remove(more)
@@ -256,8 +267,7 @@ class PlaceSearch:
         """Return a set with the claims that follow from it, if its surroundings fit and hardly contradict."""
         trial, stretches, reach_m = self._trial, self._stretches, self._config.reach_m
         assert trial is not None and stretches is not None
-        # What needs more than one fault must be so many times as long, and contradict so many times less.
-        longer = max(1.0, judged.cost / self._gate - 1.0)
+        longer = self._longer(judged)
         fits, refused = trial.hold(members)
         # One that fits where it cannot be shows that these places look alike.
         more = [one for one in fits if self._follows(one, known, judged)]
@@ -267,9 +277,12 @@ class PlaceSearch:
         # As long as it is seen from either end; where all of the map would pass, as a loop must be.
         anywhere = math.sqrt(self._gate) * judged.sigma_m > np.ptp(poses[:, :2], axis=0).max()
         least_m = longer * (self._config.least_path_m if anywhere else 2.0 * reach_m)
-        few = self._config.sigmas * (1.0 - self._config.inlier_probability)
         enough = held * stretches.spacing_m >= least_m
-        return [*members, *more] if enough and longer * trial.contradicted(members) <= few else []
+        return [*members, *more] if enough and longer * trial.contradicted(members) <= self._few else []
+
+    def _longer(self, judged: _Judged) -> float:
+        """Return how many times as long a set must be, and contradict less, if it needs several faults."""
+        return max(1.0, judged.cost / self._gate - 1.0)
 
     def _borne_out(
         self, members: Sequence[LoopCandidate], found: Sequence[list[LoopCandidate]], known: Known

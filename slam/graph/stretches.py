@@ -42,13 +42,14 @@ class Stretches:
         self._runs: dict[int, OrientedPoints] = {}
         self._walls = np.full(len(self.keys), -1, np.int8)
 
-    def untied(self, loops: Sequence[LoopCandidate]) -> list[int]:
-        """Return the stretches that no loop connects to an earlier place, and that are distinctive enough."""
+    def untied(self, loops: Sequence[LoopCandidate], *, bare: bool = False) -> list[int]:
+        """Return the stretches that no loop connects to an earlier place: distinctive ones, or also bare."""
         ends = np.sort([self._submaps.travelled_m(loop.keyframe) for loop in loops if loop.accepted])
         ends = np.concatenate([[-np.inf], ends, [np.inf]])
         after = np.searchsorted(ends, self._way_m)
         apart_m = np.minimum(self._way_m - ends[after - 1], ends[after] - self._way_m)
-        return np.flatnonzero(self._determined(apart_m > self._config.reach_m)).tolist()
+        untied = apart_m > self._config.reach_m
+        return np.flatnonzero(untied if bare else self._determined(untied)).tolist()
 
     def between(self, first_m: float, last_m: float) -> list[int]:
         """Return middle keyframes of the distinctive stretches within a part of the path."""

@@ -58,7 +58,6 @@ class SubmapStore:
         self._surfaces: list[OrientedPoints] = []
         self._poses: list[FloatArray] = []
         self._travelled_m = np.zeros(64)
-        self._sessions: list[int] = []
         self._begun: list[int] = []
         self._places: list[int] = []
         self._cache: OrderedDict[int, Submap] = OrderedDict()
@@ -72,26 +71,26 @@ class SubmapStore:
         scan: OrientedPoints,
         pose: FloatArray,
         travelled_m: float,
-        session: int = 0,
         surface: OrientedPoints | None = None,
+        *,
+        begun: bool = False,
     ) -> None:
         """Store the next keyframe: its scan, its pose (3,) in the odometry frame, the path length so far.
 
-        ``surface`` contains the points for a map; the scan itself by default.
-
-        Keyframes of different sessions, which have no odometry between them, share no submap.
+        ``surface`` contains the points for a map; the scan itself by default. ``begun`` says that no scan
+        measured the motion to it, or that it begins a session: it shares no submap with earlier keyframes.
         """
         # A place every few keyframes; if these are far apart, at each visibility distance.
         number = len(self._scans)
         if number % self._half == 0 or travelled_m - self._travelled_m[self._places[-1]] > self._reach_m:
             self._places.append(number)
+        self._begun += [number] * begun
         self._scans.append(scan)
         self._surfaces.append(scan if surface is None else surface)
         self._poses.append(pose)
         if number == len(self._travelled_m):
             self._travelled_m = np.concatenate([self._travelled_m, np.zeros_like(self._travelled_m)])
         self._travelled_m[number] = travelled_m
-        self._sessions.append(session)
 
     def __len__(self) -> int:
         return len(self._scans)
@@ -118,8 +117,7 @@ class SubmapStore:
         members = [
             k
             for k in range(max(0, key - half), min(len(self._scans), key + half + 1))
-            if self._sessions[k] == self._sessions[key]
-            and abs(self._travelled_m[k] - self._travelled_m[key]) <= half_m
+            if not self.parted(k, key) and abs(self._travelled_m[k] - self._travelled_m[key]) <= half_m
         ]
         # No reference to the store, which refers to it: at the end of a run, all are freed at once.
         build = partial(_local_map, self._surfaces, self._poses, key, members, self._match)
@@ -188,8 +186,7 @@ class SubmapStore:
         """Return a few keyframes before and after one."""
         reach_m = self.wide_m(self._reach_m, 2.0)
         members = np.flatnonzero(np.abs(self.ways_m() - self._travelled_m[key]) <= reach_m)
-        members = members[:: 1 + len(members) // _RUN_SCANS]
-        return [k for k in members.tolist() if self._sessions[k] == self._sessions[key]]
+        return members[:: 1 + len(members) // _RUN_SCANS].tolist()
 
     def run(self, key: int) -> OrientedPoints:
         """Return the points seen before and after a keyframe, in its frame: one per cell."""

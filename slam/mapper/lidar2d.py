@@ -104,7 +104,8 @@ class PlanarRobot(FrontEnd):
         surface = OrientedPoints(*map(self._kept.keep, (found.surface.points, found.surface.normals)))
         # The points seen are the first part of the surface: stored once.
         seen = surface.only(slice(found.seen))
-        self._closer.add_keyframe(seen, moment.pose, self._travelled_m, surface=surface)
+        unmeasured = moment.motion is None
+        self._closer.submaps.add(seen, moment.pose, self._travelled_m, surface, begun=unmeasured)
         self._keyframe_scans.append(moment.scan)
         self._moving.keep(moment.scan)
         if self._fusion is not None and moment.scan is not None:

@@ -65,7 +65,7 @@ class Drive:
             self.uncertainty.add_edge(key - 1, key, step, np.diag(STEP_SIGMAS**2))
         self.poses = np.vstack([self.poses, pose])
         self.truth = np.vstack([self.truth, truth])
-        self.closer.add_keyframe(scan, pose, self.travelled_m)
+        self.closer.submaps.add(scan, pose, self.travelled_m)
         return self.closer.close(key, self.poses, self.uncertainty)
 
     def round(self) -> list[LoopCandidate]:
@@ -181,11 +181,11 @@ def test_who_stood_long_at_a_place_is_still_asked_for_another_pass() -> None:
     aside_m, ways_m = (np.repeat(values, [600, 20, 1]) for values in ([0.0, 1.0, 0.0], [0.0, 100.0, 200.0]))
     poses = np.column_stack([aside_m, np.zeros((621, 2))])
     for key, (pose, way_m) in enumerate(zip(poses, ways_m.tolist(), strict=True)):
-        closer.add_keyframe(NOTHING, pose, way_m)
+        closer.submaps.add(NOTHING, pose, way_m)
         uncertainty.add_node()
         if key:
             uncertainty.add_edge(key - 1, key, between(poses[key - 1], pose), 1e-6 * np.eye(3))
-    places = [place for place, _ in closer._propose(620, poses, uncertainty)]
+    places = [place for place, _ in closer.propose(620, poses, uncertainty)]
     assert [place < 600 for place in places] == [True, False]
 
 
@@ -210,7 +210,7 @@ def two_keyframes(
     for n, truth in enumerate((place, key)):
         uncertainty.add_node()
         scan = OrientedPoints.from_scan(points_at(walls(), truth))
-        closer.add_keyframe(scan, (place, believed)[n], 20.0 * n)
+        closer.submaps.add(scan, (place, believed)[n], 20.0 * n)
     uncertainty.add_edge(0, 1, between(place, believed), np.eye(3) * 1e-8)
     (loop,) = closer.close(1, np.array([place, believed]), uncertainty)
     return loop
@@ -254,7 +254,7 @@ def test_a_lost_node_is_left_to_the_search_over_the_whole_map() -> None:
         uncertainty = UncertaintyGraph()
         for n in range(2):
             uncertainty.add_node()
-            closer.add_keyframe(scan, np.zeros(3), 20.0 * n)
+            closer.submaps.add(scan, np.zeros(3), 20.0 * n)
         if known:
             uncertainty.add_edge(0, 1, np.zeros(3), np.eye(3) * 0.01)
         loops = closer.close(1, np.zeros((2, 3)), uncertainty)
@@ -270,7 +270,7 @@ def test_a_better_estimate_finds_what_the_first_has_missed_and_asks_once() -> No
         points = points_at(
             walls(), drive.truth[key], sigma_m=0.01, seed=np.random.default_rng(key), beams=271
         )
-        again.add_keyframe(OrientedPoints.from_scan(points), pose, way_m)
+        again.submaps.add(OrientedPoints.from_scan(points), pose, way_m)
     found = again.close_again(drive.truth, drive.uncertainty, [])
     assert len(found) >= 2
     assert all(np.hypot(*error_of(loop, drive.truth)[:2]) < 0.05 for loop in found)
@@ -286,7 +286,7 @@ def test_a_corridor_confirms_a_place_that_is_nearly_known_and_finds_none(
         points = points_at(
             corridor(), np.array([x_m, 0.0, 0.0]), sigma_m=0.01, seed=np.random.default_rng(key)
         )
-        closer.add_keyframe(OrientedPoints.from_scan(points), np.array([x_m, 0.0, 0.0]), 20.0 * key)
+        closer.submaps.add(OrientedPoints.from_scan(points), np.array([x_m, 0.0, 0.0]), 20.0 * key)
     covariance = np.diag([sigma_m, sigma_m, 0.02]) ** 2
     loop = closer.verify(0, 1, np.array([0.5, 0.0, 0.0]), covariance)
     assert loop.motion is not None and loop.motion.degenerate
@@ -302,7 +302,7 @@ def test_what_fits_aside_of_where_a_better_estimate_has_it_is_a_look_alike(aside
     for n, pose in enumerate(truth):
         uncertainty.add_node()
         scan = OrientedPoints.from_scan(points_at(walls(), pose))
-        closer.add_keyframe(scan, pose, 20.0 * n)
+        closer.submaps.add(scan, pose, 20.0 * n)
     uncertainty.add_edge(0, 1, between(*truth), np.diag(np.square([0.5, aside_m, 0.02])))
     estimate = np.array([truth[0], compose(truth[1], np.array([0.0, 0.6, 0.0]))])
     found = closer.close_again(estimate, uncertainty, [])

@@ -57,11 +57,11 @@ def test_surroundings_are_drawn_by_the_newest_estimate_and_few_are_kept() -> Non
         assert len(store._surroundings) == LoopConfig().near
 
 
-def test_sessions_share_no_submap() -> None:
-    """Three keyframes each; the odometry of the second session begins where that of the first ended."""
+def test_no_submap_is_drawn_across_an_unmeasured_step() -> None:
+    """Three keyframes before such a step, or in a session, and three after it."""
     store = store_of(3)
     for n in range(3):
-        store.add(one_point(0.0, 5.0), np.array([2.0 + n, 0.0, 0.0]), 2.0 + n, session=1)
+        store.add(one_point(0.0, 5.0), np.array([2.0 + n, 0.0, 0.0]), 2.0 + n, begun=n == 0)
     np.testing.assert_allclose(seen_x(store, 1), [-1.0, 0.0, 1.0], atol=1e-6)
     np.testing.assert_allclose(seen_x(store, 3), [0.0, 1.0, 2.0], atol=1e-6)
 

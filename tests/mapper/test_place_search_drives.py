@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -15,6 +16,7 @@ from flat_worlds import box, moved
 from memory_drives import errors, mapped, mapped_drive, scans_along, way, wheels_at, worst_m
 
 from slam.graph.place_search import PlaceSearch
+from slam.graph.submaps import SubmapStore
 from slam.mapper.map_result import MapResult
 from slam.matching.planar import between, compose
 from slam.measurements import FloatArray, LaserScan, row_from_pose2
@@ -101,6 +103,20 @@ def test_a_chain_that_was_bent_closes_in_the_second_round(monkeypatch: pytest.Mo
     monkeypatch.setattr(PlaceSearch, "search", lambda *_: [])
     alone = worst_m(mapped(drive), truth)
     assert alone > 5.0, "the estimate alone finds the place, too"
+
+
+def test_places_are_drawn_apart_where_scans_matched_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+    scans, truth = seen_along(ALL_DIFFERENT[:2], ROUND[: GAP.stop + 20])
+    apart, add = list[bool](), SubmapStore.add
+
+    def spied(store: SubmapStore, *told: Any, begun: bool) -> None:
+        apart.append(begun)
+        add(store, *told, begun=begun)
+
+    monkeypatch.setattr(SubmapStore, "add", spied)
+    readings = mapped_drive(scans, truth).map.readings
+    unmatched = {int(reading) for reading, begun in zip(readings, apart, strict=True) if begun}
+    assert unmatched <= {0, *range(GAP.start, GAP.stop + 1)} and len(unmatched) > 3
 
 
 def test_a_street_that_looks_like_another_closes_nothing() -> None:
