@@ -129,6 +129,10 @@ def examine(log: Iterable[Measurement], registrations: Registrations | None = No
     unknown += [
         f"{name}: its lens and the time of its depth, because its colour is not registered" for name in apart
     ]
+    kinds = (samples.lidars, samples.cameras, samples.clouds)
+    counts = {name: one.count for kind in kinds for name, one in kind.items()}
+    few = [f"{name}: it has only {count} readings" for name, count in counts.items() if count < FEWEST]
+    unknown += few if counts else [f"{name}: no other sensor is there to compare" for name in samples.wheels]
     return Diagnosis(findings, unknown)
 
 
