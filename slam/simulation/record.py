@@ -7,7 +7,7 @@ import os
 import shutil
 from collections import Counter
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -206,8 +206,7 @@ def appearing_whole(out_dir: Path) -> Iterator[Path]:
 
     What a killed run has left of it is removed.
     """
-    if out_dir.exists() and (not out_dir.is_dir() or any(out_dir.iterdir())):
-        raise DatasetError(f"{out_dir} exists and is not an empty folder; give another name or remove it")
+    _check_free(out_dir)
     temporary = out_dir.with_name(f".{out_dir.name}.{os.getpid()}.part")
     try:
         shutil.rmtree(temporary, ignore_errors=True)
@@ -216,10 +215,19 @@ def appearing_whole(out_dir: Path) -> Iterator[Path]:
             yield temporary
             temporary.replace(out_dir)
     except OSError as error:
+        _check_free(out_dir)  # another run may have been faster
         reason = error.strerror or str(error)
         raise DatasetError(f"cannot write {out_dir}: {reason}; check the folder and its space") from error
     finally:
         shutil.rmtree(temporary, ignore_errors=True)
+
+
+def _check_free(out_dir: Path) -> None:
+    """Refuse a path that exists, unless it is an empty folder."""
+    with suppress(NotADirectoryError):
+        if not out_dir.exists() or not any(out_dir.iterdir()):
+            return
+    raise DatasetError(f"{out_dir} exists and is not an empty folder; give another name or remove it")
 
 
 def unfold_bag(folder: Path) -> None:

@@ -325,6 +325,13 @@ def test_what_a_killed_run_has_left_is_removed(tmp_path: Path) -> None:
         assert sorted(one.name for one in tmp_path.iterdir()) == [living.name, "drive"]
 
 
+def test_two_runs_into_one_folder_name_the_problem(tmp_path: Path) -> None:
+    refused = pytest.raises(DatasetError, match="exists and is not an empty folder")
+    with refused, record.appearing_whole(tmp_path / "drive"):
+        (tmp_path / "drive").mkdir()
+        (tmp_path / "drive" / "scans.log").write_text("of the other run")
+
+
 def test_what_is_there_is_never_overwritten(tmp_path: Path) -> None:
     (tmp_path / "mine").mkdir()
     (tmp_path / "mine" / "precious").write_text("x")
