@@ -196,6 +196,12 @@ def test_the_lens_follows_from_the_shape_of_what_is_seen() -> None:
     )
 
 
+@pytest.mark.parametrize(("gain", "found"), [(0.88, True), (1.13, True), (0.97, False), (1.03, False)])
+def test_the_lens_of_another_camera_is_found(gain: float, found: bool) -> None:
+    samples = CameraSamples(pairs=pairs(gain * LENS.fx, (LENS.cx, LENS.cy)), intrinsics=LENS)
+    assert bool(lens_findings("camera", samples)) is found
+
+
 @pytest.mark.parametrize("focal", [500.0, 400.0])
 def test_a_lens_is_not_shrunk_by_depths_that_are_noisy(focal: float) -> None:
     """Where a camera turns little, and its depths are off by more than its pixels, the interval holds."""
