@@ -35,9 +35,9 @@ class TemporaryFolder:
 
 
 @contextmanager
-def held(path: Path) -> Iterator[None]:
-    """Hold a new, empty file while the block writes it in its place."""
-    path.touch(exist_ok=False)
+def held(path: Path, *, folder: bool = False) -> Iterator[None]:
+    """Hold a new, empty file or folder while the block writes it in its place."""
+    path.mkdir(parents=True) if folder else path.touch(exist_ok=False)
     lock = _locked(path)
     try:
         yield

@@ -11,7 +11,7 @@ import numpy as np
 from fusion.height_band import back_project, pixel_rays
 from fusion.time_alignment import GAP_S
 from slam.config.stages import RgbdConfig, RgbdOdometryConfig
-from slam.datasets.dataset import Thinned
+from slam.doctor.depth_lag import DepthLag
 from slam.doctor.repeats import Repeats
 from slam.doctor.stretches import Stretches
 from slam.measurements import CameraIntrinsics, FloatArray, RgbdFrame
@@ -64,7 +64,7 @@ class CameraSamples:
     points: list[FloatArray] = field(default_factory=list)
     count: int = 0
     repeats: Repeats = field(default_factory=Repeats)
-    median_depth: Thinned = field(default_factory=Thinned)
+    lag: DepthLag = field(default_factory=DepthLag)
     intrinsics: CameraIntrinsics | None = None
     T_base_camera: gtsam.Pose3 | None = None
     _stretches: Stretches = field(default_factory=Stretches)
@@ -86,7 +86,9 @@ class CameraSamples:
                 del self.steps[1::2], self.pairs[1::2], self.points[1::2]
             self.steps.append([])
             self._look(frame)
-        features = extract_features(gray_of(frame), frame.depth_m, _MODELS.features, again=True)
+        gray = gray_of(frame)
+        self.lag.add(frame.stamp_s, gray, frame.depth_m)
+        features = extract_features(gray, frame.depth_m, _MODELS.features, again=True)
         features = features.where(features.depth_m > 0.0)
         for back in _BACK[0 if compared else 1 :]:
             if back <= len(self._recent):
@@ -97,10 +99,7 @@ class CameraSamples:
         """Sample depths and points."""
         depth_m, rays = frame.depth_m, pixel_rays(frame.depth_m.shape, frame.intrinsics)
         every = slice(None, None, _EVERY_PIXEL)
-        points = back_project(depth_m[every, every], rays[every, every])
-        self.points.append(points)
-        if len(points):
-            self.median_depth.add(float(np.median(points[:, 2])))
+        self.points.append(back_project(depth_m[every, every], rays[every, every]))
 
     def _match(
         self, begun_s: float, known: Features, features: Features, frame: RgbdFrame, back: int

@@ -35,6 +35,8 @@ from slam.doctor.wheels_and_lidar import compare
 from slam.measurements import LaserScan, Measurement
 from slam.vision.color_registration import ColorRegistration
 
+# Findings that are only right if colour is registered to depth.
+_REGISTERED = ("lens", "depth clock")
 # Returns the poses of colour cameras by name.
 Registrations: TypeAlias = Callable[[Sequence[str]], dict[str, ColorRegistration]]
 
@@ -120,11 +122,17 @@ def examine(log: Iterable[Measurement], registrations: Registrations | None = No
         findings = [_of_the_lidar(one) for one in findings]
     vouched = any(lidar.stretches for lidar in samples.lidars.values()) and not unknown
     findings += _in_space(samples, wheels, findings, vouched=vouched)
-    lenses = [one.sensor for one in findings if one.kind == "lens"]
-    found_apart = registrations(lenses) if registrations else registrations_of(log, lenses, config)
+    doubtful = [one.sensor for one in findings if one.kind in _REGISTERED]
+    found_apart = registrations(doubtful) if registrations else registrations_of(log, doubtful, config)
     apart = [name for name, one in found_apart.items() if one.accepted]
-    findings = [one for one in findings if one.kind != "lens" or one.sensor not in apart]
-    unknown += [f"{name}: its lens, because its colour is not registered to its depth" for name in apart]
+    findings = [one for one in findings if one.kind not in _REGISTERED or one.sensor not in apart]
+    unknown += [
+        f"{name}: its lens and the time of its depth, because its colour is not registered" for name in apart
+    ]
+    kinds = (samples.lidars, samples.cameras, samples.clouds)
+    counts = {name: one.count for kind in kinds for name, one in kind.items()}
+    few = [f"{name}: it has only {count} readings" for name, count in counts.items() if count < FEWEST]
+    unknown += few if counts else [f"{name}: no other sensor is there to compare" for name in samples.wheels]
     return Diagnosis(findings, unknown)
 
 
@@ -202,7 +210,7 @@ def _in_space(
     """
     rows = np.empty((0, 4)) if wheels is None else wheels[1].rows()
     found = [one for camera in samples.cameras.items() for one in in_space.camera_findings(*camera, rows)]
-    doubtful = frozenset(one.sensor for one in found if one.kind == "lens")
+    doubtful = frozenset(one.sensor for one in found if one.kind in _REGISTERED)
     found += [one for name, clouds in samples.clouds.items() for one in in_space.cloud_findings(name, clouds)]
     found += [one for name, clouds in samples.clouds.items() for one in in_space.stood_up(name, clouds)]
     for lidar, clouds in list(samples.clouds.items())[: 0 if samples.lidars else 1]:

@@ -12,6 +12,7 @@ import numpy as np
 
 from fusion.estimation import gate
 from slam.config.clouds import CloudOdometryConfig
+from slam.datasets.frame_pairs import TOLERANCE_S
 from slam.datasets.laser_geometry import DEFAULT_NO_RETURN_M
 from slam.doctor.camera_samples import SPREAD, CameraSamples
 from slam.doctor.cloud_samples import CloudSamples
@@ -27,8 +28,8 @@ from slam.vision.camera_frame import T_BODY_CAMERA
 # Largest clock offset to search for, and those that mapping estimates itself from rotations.
 _MOST_S, _LEARNED_S = 0.7, 0.15
 # Smaller differences are normal for sensors on robots: shares.
-_SHARE, _LENS_SHARE = 0.06, 0.14
-# Limits of plausible median depths of a depth camera.
+_SHARE = 0.06
+# What a depth camera sees.
 _DEPTHS_M = (0.1, 30.0)
 # Ratios of the unit of depth files to the assumed one.
 _UNITS = (1000.0, 0.001, 5.0, 0.2, 10.0, 0.1, 100.0, 0.01)
@@ -84,25 +85,39 @@ def camera_findings(name: str, samples: CameraSamples, rows: FloatArray) -> list
     """Findings about a camera alone, and compared with the (N, 4) rows of the wheels."""
     hangs = samples.repeats.driven(rows)
     found = samples.repeats.findings("cameras", name, samples.count, "frames", enough=hangs)
-    found += unit_finding("cameras", name, samples.median_depth.median(), _DEPTHS_M)
-    return found + lens_findings(name, samples)
+    if samples.points and (depths_m := np.concatenate(samples.points)[:, 2]).size:
+        # Between near and far, because the median depends more on where the camera looks.
+        middle_m = float(np.sqrt(np.percentile(depths_m, (2, 98)).prod()))
+        found += unit_finding("cameras", name, middle_m, _DEPTHS_M)
+    late = late_depth(name, samples.lag.estimate())
+    return found + (late or lens_findings(name, samples))
+
+
+def late_depth(name: str, lag: tuple[float, float] | None) -> list[Finding]:
+    """Check whether depth images are of another time than the colour images, given their delay and sigma."""
+    if lag is None or _within(*lag, TOLERANCE_S):
+        return []
+    order = "later" if lag[0] > 0 else "earlier"
+    text = f"its depth images are {1000 * abs(lag[0]):.0f} ms {order} than its colour images, by their edges"
+    effect = "while it turns, depths are of other places; change the stamps of its depth images by that time"
+    return [Finding(name, "depth clock", text, effect, sure=True, value=lag[0], interval=interval(*lag))]
 
 
 def unit_finding(
-    group: str, name: str, median_m: float | None, limits_m: tuple[float, float] = (0.0, DEFAULT_NO_RETURN_M)
+    group: str, name: str, seen_m: float | None, limits_m: tuple[float, float] = (0.0, DEFAULT_NO_RETURN_M)
 ) -> list[Finding]:
-    """Find a wrong unit of length of a sensor: an implausible median."""
-    if not median_m or median_m < 0:
+    """Find a wrong unit of length of a sensor: implausible distances, of which ``seen_m`` is the middle."""
+    if not seen_m or seen_m < 0:
         return []
     what, seen_by = ("depth", "camera") if group == "cameras" else ("range", "lidar")
     middle_m = math.sqrt(max(_DEPTHS_M[0], limits_m[0]) * _DEPTHS_M[1])  # geometric mean of what they see
-    unit = min(_UNITS, key=lambda one: abs(math.log(median_m / one / middle_m)))
-    sure = not limits_m[0] <= median_m <= limits_m[1]
-    # As far from it as TUM's unit is from millimetres, because some cameras have such depths.
-    if not sure and (what == "range" or max(median_m / middle_m, middle_m / median_m) < 5):
+    unit = min(_UNITS, key=lambda one: abs(math.log(seen_m / one / middle_m)))
+    sure = not limits_m[0] <= seen_m <= limits_m[1]
+    # Nearly as far from it as TUM's unit is from millimetres, because some cameras have such depths.
+    if not sure and (what == "range" or max(seen_m / middle_m, middle_m / seen_m) < 4):
         return []
     seldom = "no" if sure else "hardly a"
-    text = f"its median {what} is {median_m:.3g} m, which {seldom} {seen_by} sees: {unit:g} times too large"
+    text = f"its {what}s are about {seen_m:.3g} m, which {seldom} {seen_by} sees: {unit:g} times too large"
     remedy = {group: {name: {f"{what}_scale": 1.0 / unit}}}
     return [
         Finding(name, f"{what} scale", text, "the map is of another size", (remedy,), sure=sure, value=unit)
@@ -113,12 +128,11 @@ def lens_findings(name: str, samples: CameraSamples) -> list[Finding]:
     """Check whether the shape of the scene requires other intrinsics."""
     told = samples.intrinsics
     fit = None if told is None else lens_fit(samples.pairs, told)
-    # A lens that explains no more than the stated one is no better.
-    if told is None or fit is None or fit.told_left_px < (1.0 + _SHARE) * fit.left_px:
+    if told is None or fit is None:
         return []
     off_px = fit.center_px - (told.cx, told.cy)
-    limits_px = _LENS_SHARE * 0.5 * np.array([told.width, told.height])
-    focal = not _within(fit.focal_gain - 1.0, float(fit.sigmas[0]), _LENS_SHARE)
+    limits_px = _SHARE * 0.5 * np.array([told.width, told.height])
+    focal = not _within(fit.focal_gain - 1.0, float(fit.sigmas[0]), _SHARE)
     center = [not _within(*row) for row in zip(off_px, fit.sigmas[1:], limits_px, strict=True)]
     if not (focal or any(center)):
         return []

@@ -31,15 +31,11 @@ class LensFit:
         (2,) its principal point.
     sigmas
         (3,) standard deviations of focal_gain and center_px.
-    left_px, told_left_px
-        Robust standard deviation of its residuals, and of those of the stated lens.
     """
 
     focal_gain: float
     center_px: FloatArray
     sigmas: FloatArray
-    left_px: float
-    told_left_px: float
 
 
 def lens_fit(pairs: Sequence[MatchedPair], told: CameraIntrinsics) -> LensFit | None:
@@ -55,7 +51,7 @@ def lens_fit(pairs: Sequence[MatchedPair], told: CameraIntrinsics) -> LensFit | 
     lens = np.array([1.0, 0.0, 0.0])
     steps = np.diag([SETTLED] * 3)
     errors = _errors(first, second, lens, told)
-    told_left = sigma = max(_sigma(errors), SETTLED)
+    sigma = max(_sigma(errors), SETTLED)
     information = np.eye(3)
     for _ in range(ROUNDS):
         weights = (gate(3) * sigma**2 / ((errors**2).sum(axis=-1) + gate(3) * sigma**2)) ** 2
@@ -78,7 +74,7 @@ def lens_fit(pairs: Sequence[MatchedPair], told: CameraIntrinsics) -> LensFit | 
     covariance = sigma**2 * np.linalg.inv(information) * first.shape[1] ** 0.5
     center = np.array([told.cx + lens[1] * told.fx, told.cy + lens[2] * told.fy])
     sigmas = np.sqrt(np.diag(covariance)) * [1.0, told.fx, told.fy]
-    return LensFit(float(lens[0]), center, sigmas, sigma * told.fx, told_left * told.fx)
+    return LensFit(float(lens[0]), center, sigmas)
 
 
 def _points(rows: FloatArray, lens: FloatArray, told: CameraIntrinsics) -> FloatArray:

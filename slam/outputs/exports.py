@@ -24,7 +24,7 @@ from slam.outputs.lidar_cloud import lidar_cloud
 from slam.storage.colmap import write_colmap
 from slam.storage.covariances import write_trajectory
 from slam.storage.e57 import write_e57
-from slam.storage.files import make_folder
+from slam.storage.files import filling, make_folder
 from slam.storage.g2o import write_g2o
 from slam.storage.georeferenced import write_georeference, write_gpx
 from slam.storage.glb import write_mesh_glb
@@ -223,18 +223,18 @@ class Exports:
         """Write images with poses, intrinsics and an initial cloud into a folder."""
         found = self.contents
         assert found.frames is not None
-        make_folder(folder)
-        moved_colors = {name for name, one in found.registrations.items() if one.accepted}
-        images = write_posed_images(folder, found.frames, found.frame_poses(), moved_colors)
-        surface = self._surface
-        if format_ == "colmap":
-            written = write_colmap(folder, images, surface.cloud)
-        else:
-            written = [folder / "transforms.json"]
-            write_transforms(written[0], images, "points.ply")
-            if len(surface.cloud.points_map):
-                written.append(folder / "points.ply")
-                write_cloud_ply(written[-1], [surface.cloud])
+        with filling(folder):
+            moved_colors = {name for name, one in found.registrations.items() if one.accepted}
+            images = write_posed_images(folder, found.frames, found.frame_poses(), moved_colors)
+            surface = self._surface
+            if format_ == "colmap":
+                written = write_colmap(folder, images, surface.cloud)
+            else:
+                written = [folder / "transforms.json"]
+                write_transforms(written[0], images, "points.ply")
+                if len(surface.cloud.points_map):
+                    written.append(folder / "points.ply")
+                    write_cloud_ply(written[-1], [surface.cloud])
         return [*written, folder / IMAGES]
 
     @cached_property

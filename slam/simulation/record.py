@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import glob
 import os
 import shutil
 from collections import Counter
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -25,6 +26,7 @@ from slam.simulation.ordered_pool import OrderedPool
 from slam.simulation.rigs import Rig
 from slam.simulation.truth_writer import TruthWriter
 from slam.simulation.tum_writer import TumWriter
+from slam.temporary import held, remove_left
 
 FORMATS = ("folder", "mcap")
 
@@ -200,20 +202,32 @@ def truth_bands_m(rig: Rig) -> dict[str, tuple[float, float]]:
 
 @contextmanager
 def appearing_whole(out_dir: Path) -> Iterator[Path]:
-    """Yield a folder with a temporary name, renamed at the end, or removed on an error."""
-    if out_dir.exists() and (not out_dir.is_dir() or any(out_dir.iterdir())):
-        raise DatasetError(f"{out_dir} exists and is not an empty folder; give another name or remove it")
+    """Yield a folder with a temporary name, renamed at the end, or removed on an error.
+
+    What a killed run has left of it is removed.
+    """
+    _check_free(out_dir)
     temporary = out_dir.with_name(f".{out_dir.name}.{os.getpid()}.part")
     try:
         shutil.rmtree(temporary, ignore_errors=True)
-        temporary.mkdir(parents=True)
-        yield temporary
-        temporary.replace(out_dir)
+        remove_left(out_dir.parent.glob(f".{glob.escape(out_dir.name)}.*.part"))
+        with held(temporary, folder=True):
+            yield temporary
+            temporary.replace(out_dir)
     except OSError as error:
+        _check_free(out_dir)  # another run may have been faster
         reason = error.strerror or str(error)
         raise DatasetError(f"cannot write {out_dir}: {reason}; check the folder and its space") from error
     finally:
         shutil.rmtree(temporary, ignore_errors=True)
+
+
+def _check_free(out_dir: Path) -> None:
+    """Refuse a path that exists, unless it is an empty folder."""
+    with suppress(NotADirectoryError):
+        if not out_dir.exists() or not any(out_dir.iterdir()):
+            return
+    raise DatasetError(f"{out_dir} exists and is not an empty folder; give another name or remove it")
 
 
 def unfold_bag(folder: Path) -> None:

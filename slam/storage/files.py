@@ -5,6 +5,7 @@ from __future__ import annotations
 import glob
 import gzip
 import secrets
+import shutil
 import zlib
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, suppress
@@ -60,7 +61,22 @@ def make_folder(path: Path) -> None:
     try:
         Path(path).mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        raise MapFileError(f"cannot make the folder {path}: {error.strerror or error}") from error
+        raise MapFileError(
+            f"cannot make the folder {path}: {error.strerror or error}; give another name"
+        ) from error
+
+
+@contextmanager
+def filling(folder: Path) -> Iterator[None]:
+    """Create a folder if missing; if the block fails or is interrupted, a new folder is removed again."""
+    new = not folder.exists()
+    make_folder(folder)
+    try:
+        yield
+    except BaseException:
+        if new:
+            shutil.rmtree(folder, ignore_errors=True)
+        raise
 
 
 def write_bytes(path: Path, content: bytes) -> None:

@@ -11,7 +11,7 @@ import numpy as np
 from slam.errors import MapFileError
 from slam.mapping.dense_map import ColoredCloud
 from slam.measurements import BoolArray, Float32Array
-from slam.storage.files import make_folder
+from slam.storage.files import filling, make_folder
 from slam.storage.las import sixteen_bits, write_las
 from slam.storage.pcd import write_pcd
 from slam.storage.ply import write_cloud_ply
@@ -88,14 +88,14 @@ def export_cloud(format_: str, out: Path, cloud: LidarCloud) -> list[Path]:
             out /= f"cloud.{name}"
         write(out, whole, is_ground)
         return [out]
-    make_folder(out)
     corners = np.floor(whole.points_map[:, :2] / _TILE_M).astype(np.int64)
     written = []
-    for corner in np.unique(corners, axis=0):
-        inside = (corners == corner).all(axis=1)
-        x, y = (corner * round(_TILE_M)).tolist()
-        written.append(out / f"{x}_{y}.{name}")
-        write(written[-1], _part(whole, inside), is_ground[inside])
+    with filling(out):
+        for corner in np.unique(corners, axis=0):
+            inside = (corners == corner).all(axis=1)
+            x, y = (corner * round(_TILE_M)).tolist()
+            written.append(out / f"{x}_{y}.{name}")
+            write(written[-1], _part(whole, inside), is_ground[inside])
     return written
 
 

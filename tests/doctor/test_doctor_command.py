@@ -68,3 +68,21 @@ def test_a_wrong_calibration_ends_in_a_line(scanweave: Scanweave, in_mm: Path, t
     assert_one_line_error(
         scanweave("map", in_mm, "-o", tmp_path / "out", "--calibration", file), "REAR", "FLASER"
     )
+
+
+@pytest.mark.parametrize(
+    ("kinds", "left_open"),
+    [
+        (["ODOM"], "odometry: no other sensor is there"),
+        (["ODOM", "FLASER"], "FLASER: it has only 2 readings"),
+    ],
+)
+def test_a_log_that_shows_nothing_is_not_called_sound(
+    scanweave: Scanweave, tmp_path: Path, kinds: list[str], left_open: str
+) -> None:
+    lines = write_synthetic_log(tmp_path, duration_s=10.0).log_path.read_text().splitlines()
+    chosen = [
+        [line for line in lines if line.startswith(kind)][: 80 if kind == "ODOM" else 2] for kind in kinds
+    ]
+    (tmp_path / "short.log").write_text("\n".join([line for part in chosen for line in part]) + "\n")
+    assert f"not judged: {left_open}" in scanweave("doctor", tmp_path / "short.log").out

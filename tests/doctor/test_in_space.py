@@ -196,6 +196,12 @@ def test_the_lens_follows_from_the_shape_of_what_is_seen() -> None:
     )
 
 
+@pytest.mark.parametrize(("gain", "found"), [(0.88, True), (1.13, True), (0.97, False), (1.03, False)])
+def test_the_lens_of_another_camera_is_found(gain: float, found: bool) -> None:
+    samples = CameraSamples(pairs=pairs(gain * LENS.fx, (LENS.cx, LENS.cy)), intrinsics=LENS)
+    assert bool(lens_findings("camera", samples)) is found
+
+
 @pytest.mark.parametrize("focal", [500.0, 400.0])
 def test_a_lens_is_not_shrunk_by_depths_that_are_noisy(focal: float) -> None:
     """Where a camera turns little, and its depths are off by more than its pixels, the interval holds."""
@@ -205,25 +211,17 @@ def test_a_lens_is_not_shrunk_by_depths_that_are_noisy(focal: float) -> None:
 
 
 @pytest.mark.parametrize(
-    ("median_m", "scale"),
-    [
-        (1700.0, 0.001),
-        (0.0017, 1000.0),
-        (1.7, None),
-        (7.0, None),
-        (9.5, 0.2),
-        (0.3, 5.0),
-        (0.0, None),
-        (-1.0, None),
-    ],
+    ("middle_m", "scale"),
+    [(1700.0, 0.001), (0.0017, 1000.0), (1.7, None), (6.5, None), (8.0, 0.2), (0.38, 5.0), (0.0, None)],
 )
-def test_depth_that_no_camera_sees_is_in_another_unit(median_m: float, scale: float | None) -> None:
-    samples = CameraSamples(count=5)
-    samples.median_depth.add(median_m)
+def test_depth_that_no_camera_sees_is_in_another_unit(middle_m: float, scale: float | None) -> None:
+    # The camera looks at something near most of the time, but it sees more.
+    depths_m = middle_m * np.array([0.5] * 60 + [1.0] * 30 + [2.0] * 10)
+    samples = CameraSamples(count=5, points=[np.column_stack([0.0 * depths_m, 0.0 * depths_m, depths_m])])
     found = camera_findings("camera", samples, NO_WHEELS)
     remedies = [one.remedies[0]["cameras"]["camera"]["depth_scale"] for one in found]
     assert remedies == ([] if scale is None else [pytest.approx(scale)])
-    assert all(one.sure == (median_m > 30.0 or median_m < 0.1) for one in found)
+    assert all(one.sure == (middle_m > 30.0 or middle_m < 0.1) for one in found)
 
 
 @pytest.mark.parametrize(

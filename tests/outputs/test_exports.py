@@ -112,6 +112,18 @@ def test_colmap_and_nerfstudio_see_what_the_images_show(room: slam.Map, tmp_path
     np.testing.assert_allclose(np.column_stack([cloud[axis] for axis in "xyz"]), points, atol=1e-6)
 
 
+def test_interrupted_images_leave_no_folder(
+    room: slam.Map, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def interrupted(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("slam.outputs.exports.write_transforms", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        room.export("nerfstudio", tmp_path / "nerf")
+    assert not list(tmp_path.iterdir())
+
+
 def test_points_of_the_map_project_to_their_pixels(room: slam.Map, tmp_path: Path) -> None:
     """Features that two keyframes have matched, placed by the one and projected into the other."""
     import cv2

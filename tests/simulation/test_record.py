@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import itertools
 import json
+import os
 import zipfile
 from dataclasses import replace
 from pathlib import Path
@@ -27,6 +28,7 @@ from slam.simulation.home import generate_home
 from slam.simulation.record import DriveSummary, record_drive
 from slam.simulation.rigs import RIGS
 from slam.simulation.sensors import SimulatedCloud
+from slam.temporary import held
 
 HOME = generate_home(0)
 FAULTS = FAULT_PRESETS["usual"]
@@ -309,6 +311,25 @@ def test_an_interrupted_run_leaves_nothing(tmp_path: Path) -> None:
     with pytest.raises(Stop):
         record_drive(HOME, small_rig(), 7, tmp_path / "out", FAULTS, SECONDS, stop)
     assert list(tmp_path.iterdir()) == []
+
+
+def test_what_a_killed_run_has_left_is_removed(tmp_path: Path) -> None:
+    left, living = tmp_path / ".drive.123.part", tmp_path / ".drive.124.part"
+    left.mkdir()
+    (left / "scans.log").write_text("half")
+    with held(living, folder=True):
+        for folder in (left, living):
+            os.utime(folder, (1.0, 1.0))
+        with record.appearing_whole(tmp_path / "drive"):
+            pass
+        assert sorted(one.name for one in tmp_path.iterdir()) == [living.name, "drive"]
+
+
+def test_two_runs_into_one_folder_name_the_problem(tmp_path: Path) -> None:
+    refused = pytest.raises(DatasetError, match="exists and is not an empty folder")
+    with refused, record.appearing_whole(tmp_path / "drive"):
+        (tmp_path / "drive").mkdir()
+        (tmp_path / "drive" / "scans.log").write_text("of the other run")
 
 
 def test_what_is_there_is_never_overwritten(tmp_path: Path) -> None:

@@ -3,7 +3,14 @@ import gzip
 import pytest
 
 from slam.errors import EvaluationError, MapFileError
-from slam.storage.files import numbered_fields, parse_floats, replacing, write_bytes, write_lines
+from slam.storage.files import (
+    make_folder,
+    numbered_fields,
+    parse_floats,
+    replacing,
+    write_bytes,
+    write_lines,
+)
 
 
 def test_a_failed_write_keeps_the_old_file_and_leaves_nothing_behind(tmp_path):
@@ -71,3 +78,9 @@ def test_only_finite_numbers_pass(text):
     assert parse_floats(["1", "-2.5e-3"], "here") == [1.0, -0.0025]
     with pytest.raises(MapFileError, match=r"^here: "):
         parse_floats(["1", text], "here")
+
+
+def test_a_folder_that_is_a_file_is_named_with_a_remedy(tmp_path):
+    (tmp_path / "house").write_text("mine")
+    with pytest.raises(MapFileError, match="give another name"):
+        make_folder(tmp_path / "house")

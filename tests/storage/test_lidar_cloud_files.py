@@ -13,6 +13,7 @@ from slam.datasets.ply_points import read_ply_points
 from slam.errors import MapFileError
 from slam.mapping.dense_map import ColoredCloud
 from slam.measurements import AnyFloatArray, BoolArray, Float32Array
+from slam.storage import lidar_cloud_files
 from slam.storage.las import sixteen_bits
 from slam.storage.lidar_cloud_files import CLOUD_FORMATS, LidarCloud, export_cloud, write_lidar_cloud
 from slam.storage.ply import read_cloud_ply
@@ -90,6 +91,23 @@ def test_tiles_hold_every_point_once(cloud: LidarCloud, tmp_path: Path) -> None:
     for name, points in parts.items():
         corner = np.array(name.split("_"), dtype=float)
         assert ((points[:, :2] >= corner) & (points[:, :2] < corner + 50.0)).all()
+
+
+def test_interrupted_tiles_leave_no_folder_but_keep_what_was_there(
+    cloud: LidarCloud, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "old").mkdir()
+    write = lidar_cloud_files._WRITERS["ply"]
+
+    def interrupted(path: Path, *rest: object) -> None:
+        write(path, *rest)
+        raise KeyboardInterrupt
+
+    monkeypatch.setitem(lidar_cloud_files._WRITERS, "ply", interrupted)
+    for name in ("old", "new"):
+        with pytest.raises(KeyboardInterrupt):
+            export_cloud("ply-tiles", tmp_path / name, cloud)
+    assert [one.name for one in tmp_path.iterdir()] == ["old"] and len([*(tmp_path / "old").iterdir()]) == 1
 
 
 def test_what_has_gone_lies_beside_the_cloud(cloud: LidarCloud, tmp_path: Path) -> None:
