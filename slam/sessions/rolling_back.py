@@ -9,21 +9,17 @@ from pathlib import Path
 
 from slam.config import Config
 from slam.edits.edited_file import write_entries
-from slam.edits.keyframes import bases_of
-from slam.edits.remaking import graph_of, poses_of
+from slam.edits.remaking import graph_of, poses_of, with_nodes
 from slam.graph.loop_candidate import judged
-from slam.graph.pose_covariances import pose_covariances
 from slam.mapper.map_result import drawn
 from slam.outputs.finished_map import Map, load_map
 from slam.sessions.joined_files import write_sessions
 from slam.storage.map_clouds import MapClouds
-from slam.storage.map_contents import MapContents, SavedFactor, parts_of
+from slam.storage.map_contents import MapContents, SavedFactor
 from slam.storage.map_edits import FRAME, AppliedEdits
 from slam.storage.map_file import MAP_NAME, MapFile
 from slam.storage.map_frames import MapFrames
 from slam.storage.map_sessions import MapSession
-from slam.trajectory.poses import Poses
-from slam.trajectory.resettled import resettled
 
 
 def write_first_sessions(saved: Map, count: int, path: Path) -> list[str]:
@@ -76,30 +72,19 @@ def _alone(base: MapContents, nodes: int, sessions: Sequence[MapSession], config
     ]
     graph = graph_of(base.node_poses[:nodes], edges)
     kept = graph.optimize(config.loops.inlier_probability).kept.tolist()
-    poses = poses_of(graph)
-    bases = bases_of(base, poses)
-    whole = base.trajectory[: sum(session.poses for session in sessions)]
-    trajectory, covariances = resettled(
-        whole,
-        base.stamps_s[:nodes],
-        Poses.of(bases_of(base, base.node_poses[:nodes])),
-        Poses.of(bases),
-        parts_of(base, sessions),
-        pose_covariances(poses, bases, edges, kept, config),
-    )
-    return replace(
+    first = replace(
         base,
-        node_poses=poses,
+        node_poses=base.node_poses[:nodes],
         stamps_s=base.stamps_s[:nodes],
         readings=base.readings[:nodes],
-        trajectory=trajectory,
-        covariances=covariances,
-        factors=[SavedFactor(edge, keep) for edge, keep in zip(edges, kept, strict=True)],
+        trajectory=base.trajectory[: sum(session.poses for session in sessions)],
         loops=judged([base.loops[n] for n in numbers], edges, kept),
         measured_scans=base.measured_scans[:nodes],
         keyframe_scans=base.keyframe_scans[:nodes],
         edits=(),
     )
+    factors = [SavedFactor(edge, keep) for edge, keep in zip(edges, kept, strict=True)]
+    return with_nodes(first, poses_of(graph), factors, config, sessions)
 
 
 def _of_first(entry: AppliedEdits, nodes: int, base: MapContents) -> AppliedEdits | None:
