@@ -35,7 +35,7 @@ def packed_cloud(rows: FloatArray) -> bytes:
     if not np.isfinite(reach_m):
         raise ScanweaveError(f"a cloud holds a point at {reach_m}; only finite points can be kept")
     step_m = max(STEP_M, reach_m / 2**29)
-    ways = np.diff(np.rint(rows[:, :3] / step_m).astype(np.int64), axis=0, prepend=0)
+    ways = np.diff(np.rint(rows[:, :3] / step_m), axis=0, prepend=0.0).astype(np.int64)
     # The sign is the lowest bit: the upper bytes of small differences are zero for either sign.
     planes = (ways << 1 ^ ways >> 63).astype("<u4").view(np.uint8).reshape(-1, 3, 4).T
     told = rows[:, 3:].astype("<f4").view(np.uint8).reshape(-1, 4).T.tobytes()
