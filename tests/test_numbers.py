@@ -9,7 +9,7 @@ from tools.count_numbers import bare_floats, constant_names, count_fields, count
 MOST_CONSTANTS = 332
 MOST_BARE_FLOATS = 147
 MOST_FIELDS = 157
-MOST_LINES = 71_426
+MOST_LINES = 71_394
 
 
 def test_constants_of_the_logic_do_not_grow() -> None:
