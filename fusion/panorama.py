@@ -146,7 +146,7 @@ def _border(shape: tuple[int, int]) -> FloatArray:
     return np.column_stack([rows[edge], cols[edge]]).astype(np.float64)
 
 
-def height_slices(image: DepthImage, heights_m: FloatArray, step_rad: float = SAMPLE_STEP_RAD) -> CurveStack:
+def height_slices(image: DepthImage, heights_m: FloatArray) -> CurveStack:
     """Find, for every height, the nearest surface seen there, over all bearings of one camera.
 
     Parameters
@@ -154,7 +154,7 @@ def height_slices(image: DepthImage, heights_m: FloatArray, step_rad: float = SA
     heights_m
         (V,) heights above the camera, evenly spaced and increasing; a pixel counts for the nearest one.
     """
-    lookup = lookup_of(image, step_rad)
+    lookup = lookup_of(image, SAMPLE_STEP_RAD)
     spacing = float(heights_m[1] - heights_m[0]) if heights_m.size > 1 else 0.02
     stack = np.full((heights_m.size, lookup.bearings_rad.size), np.inf, dtype=np.float32)
     _drop_into_heights(
@@ -168,7 +168,7 @@ def height_slices(image: DepthImage, heights_m: FloatArray, step_rad: float = SA
     )
     stack[np.isinf(stack)] = np.nan
     start = yaw_of(image) + float(lookup.bearings_rad[0])
-    return CurveStack(stack, start, step_rad, np.asarray(heights_m, dtype=np.float64))
+    return CurveStack(stack, start, SAMPLE_STEP_RAD, np.asarray(heights_m, dtype=np.float64))
 
 
 def join(stacks: Sequence[CurveStack]) -> CurveStack:

@@ -27,7 +27,7 @@ from fusion.curves import (
 from fusion.likelihood import log_ratio_map
 from fusion.panorama import CurveStack, Depths, as_images, height_slices, join
 from fusion.showing import drawn, one_line, shaded, with_pictures
-from fusion.similarity import Grade, grade_of, masked_sums, pearson
+from fusion.similarity import Grade, grade_of, pearson
 
 HEIGHTS_M = HEIGHT_STEP_M * np.arange(-60.0, 21.0)  # of the lidar's plane above the camera
 CONFIDENT = 0.9  # probability share within them, for a high grade
@@ -156,7 +156,8 @@ def registration_at(
 ) -> Registration:
     """Select candidate v and offset u from a score map (V, U), with the grade."""
     stack = join(stacks)
-    pcc = float(pearson(masked_sums(stack.ranges_m[v : v + 1], curve.ranges_m))[0, u])
+    width = stack.ranges_m.shape[1]
+    pcc = pearson(stack.ranges_m[v], curve.ranges_m[u : u + width])
     grade = grade_of(pcc)
     if grade == Grade.HIGH and confidence < CONFIDENT:
         grade = Grade.MIDDLE

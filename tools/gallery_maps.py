@@ -15,7 +15,7 @@ from PIL import Image
 import slam
 from slam.app.map_folder import Left, left_in
 from slam.evaluation.figure_parts import BLUE, figure_of, png_of
-from slam.evaluation.truth_comparison import compare_with_truth
+from slam.evaluation.trajectory_error import compare_with_truth
 from slam.mapping.occupancy_grid import FREE, OCCUPIED, StateArray
 from slam.measurements import FloatArray
 from slam.simulation.campus import record_campus

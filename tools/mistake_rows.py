@@ -13,7 +13,7 @@ from slam.config.calibration import Calibration
 from slam.doctor.finding import Finding, remedied
 from slam.errors import ScanweaveError
 from slam.estimates import Trajectory
-from slam.evaluation.truth_comparison import compare_with_truth
+from slam.evaluation.trajectory_error import compare_with_truth
 from slam.mapper.pipeline import build_map
 from slam.measurements import Measurement
 

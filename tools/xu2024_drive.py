@@ -13,14 +13,20 @@ from xu2024_homography import fit
 from xu2024_map import DriveMaps
 from xu2024_pairs import TruePair, simulate_pairs, true_camera_in_laser
 from xu2024_recall import score_recall
-from xu2024_rows import SIMILARITIES, register_by_pcc, register_rows, row_curves, similarity_map
+from xu2024_rows import (
+    SIMILARITIES,
+    masked_sums,
+    register_by_pcc,
+    register_rows,
+    row_curves,
+    similarity_map,
+)
 from xu2024_score import Tally, score_pair
 
 import fusion
 from fusion.curves import SAMPLE_STEP_RAD, resample
 from fusion.denoise import matched_curves, matched_points, repair_by
 from fusion.panorama import join
-from fusion.similarity import masked_sums
 from slam.simulation.drive import Drive
 from slam.simulation.true_grid import true_grid
 

@@ -24,6 +24,7 @@ def demo(
     """Simulate a robot with a lidar and four depth cameras in a furnished home, and map its log."""
     from slam.config import load_config
     from slam.errors import MapFileError
+    from slam.evaluation.map_info import extent_of
     from slam.simulation.drive_faults import FAULT_PRESETS
     from slam.simulation.home import generate_home
     from slam.simulation.rigs import RIGS
@@ -42,4 +43,5 @@ def demo(
     assert run.report is not None and run.report.beside.truth is not None
     say(f"open {out / 'report.html'} to look at it")
     error_m = run.report.beside.truth.error.translation_m.rmse
-    say(f"score: {100.0 * error_m:.1f} cm ATE RMSE over {run.report.path_length_m:.1f} m")
+    path_m = extent_of(run.report.result.map.trajectory, run.report.sessions)["path_length_m"]
+    say(f"score: {100.0 * error_m:.1f} cm ATE RMSE over {path_m:.1f} m")

@@ -193,6 +193,8 @@ def _told_of(folder: Path, *, resume: bool, session: bool = False) -> Iterator[S
 
 def _tell(run: MapRun, took: str, of: str = "") -> None:
     """Warnings, notes and the figures of a run."""
+    from slam.evaluation.map_info import extent_of
+
     report = run.report
     assert report is not None
     for warning in report.warnings:
@@ -201,8 +203,9 @@ def _tell(run: MapRun, took: str, of: str = "") -> None:
         say(note)
     found = report.result.map
     accepted = sum(loop.accepted for loop in found.loops)
+    path_m = extent_of(found.trajectory, report.sessions)["path_length_m"]
     say(
         f"{of}{report.result.scans.stamps_s.size} {report.unit}s, {len(found.node_poses)} keyframes, "
-        f"{report.path_length_m:.1f} m, {accepted} of {len(found.loops)} loops accepted, "
+        f"{path_m:.1f} m, {accepted} of {len(found.loops)} loops accepted, "
         f"{run.dropped} records dropped{took}"
     )

@@ -15,8 +15,12 @@ from slam.comparison.product import Product
 from slam.errors import EvaluationError
 from slam.estimates import Trajectory
 from slam.evaluation.relations import RelationScore, read_relations, score_relations
-from slam.evaluation.trajectory_error import relative_error
-from slam.evaluation.truth_comparison import MAX_DIFFERENCE_S, TruthComparison, compare_with_truth
+from slam.evaluation.trajectory_error import (
+    MAX_DIFFERENCE_S,
+    TruthComparison,
+    compare_with_truth,
+    relative_error,
+)
 
 
 @dataclass(frozen=True, slots=True)

@@ -6,13 +6,12 @@ of its session, from 1, and of its reading in that log: these do not change when
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Annotated, Any
 
 import yaml
 from pydantic import Field, model_validator
 
-from slam.config.files import model_of, nearest_field, read_tree
+from slam.config.files import model_of, nearest_field
 from slam.config.strict import StrictModel
 
 # Corners of a polygon, and entries of a list: enough for manual edits, and checks remain fast.
@@ -141,18 +140,7 @@ def edits_of(tree: object, source: str) -> Edits:
     return model_of(Edits, {} if tree is None else tree, source, hint, most=1)
 
 
-def load_edits(file: Path | str) -> Edits:
-    """Load edits from a YAML file.
-
-    Raises
-    ------
-    ConfigError
-        If the file is missing or malformed, a key is unknown or a value is invalid.
-    """
-    return edits_of(read_tree(Path(file)), str(file))
-
-
 def dump_edits(edits: Edits) -> str:
-    """Return edits as YAML text, without defaults; `load_edits` reads it."""
+    """Return edits as YAML text, without defaults; `edits_of` takes what is read from it."""
     tree = edits.model_dump(mode="json", exclude_defaults=True)
     return yaml.safe_dump(tree, sort_keys=False, default_flow_style=None, allow_unicode=True)

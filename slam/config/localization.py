@@ -10,7 +10,6 @@ from slam.config.strict import StrictModel
 class LocalizationConfig(StrictModel):
     """Localisation in a saved map: global search, hypotheses, tracking, loss and recovery."""
 
-    field_cell_m: float = Field(default=0.1, gt=0, description="cell size of the whole-map likelihood field")
     search_every_m: float = Field(default=1.0, gt=0, description="travel between two global searches")
     search_least_score: float = Field(default=0.45, gt=0, lt=1, description="lowest accepted mean likelihood")
     search_keep_share: float = Field(

@@ -62,7 +62,7 @@ class ScanConfig(StrictModel):
 class MatchConfig(StrictModel):
     """Alignment of scans, clouds and images to a local map, and the covariance of the result."""
 
-    cell_m: float = Field(default=0.1, gt=0, description="surfel cell size in the last alignment of a scan")
+    cell_m: float = Field(default=0.1, gt=0, description="side of the finest surfels and likelihood cells")
     iterations: int = Field(default=10, ge=3, description="Gauss-Newton steps per alignment")
     local_map_keyframes: int = Field(default=30, ge=1, description="newest keyframes in the local map")
     confident_inlier_share: float = Field(

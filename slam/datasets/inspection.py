@@ -14,9 +14,9 @@ from typing import Any
 
 from slam.config.calibration import Calibration
 from slam.config.stages import SensorsConfig
+from slam.datasets.bags.dataset import BagDataset
 from slam.datasets.corrections import corrected
 from slam.datasets.dataset import Dataset, Tally, Thinned
-from slam.datasets.inspection_bag import bag_facts
 from slam.datasets.inspection_figures import KINDS, Figures
 from slam.datasets.sensor_choice import SensorTally
 from slam.errors import BadRecordError, DatasetError
@@ -73,7 +73,7 @@ def inspect_dataset(dataset: Dataset, calibration: Calibration | None = None) ->
         "dropped": {reason: asdict(tally) for reason, tally in report.dropped.items()},
         "notes": {text: asdict(tally) for text, tally in report.notes.items()},
         "odometry_jumps": asdict(report.odometry_jumps),
-        "bag": bag_facts(dataset),
+        "bag": _bag_facts(dataset),
     }
     return {**inspection, "commands": map_commands(inspection, Path(dataset.path))}
 
@@ -108,7 +108,7 @@ def _as_far_as_it_goes(
     except BadRecordError:
         raise
     except DatasetError as error:
-        if not (bag_facts(dataset) or {}).get("topics"):
+        if not (_bag_facts(dataset) or {}).get("topics"):
             raise
         refusals.append(str(error))
 
@@ -151,3 +151,40 @@ class _Stream:
             **dict.fromkeys(name for name, _ in KINDS.values()),
             **{name: figures.facts() for name, figures in self.figures.items()},
         }
+
+
+def _bag_facts(dataset: Dataset) -> dict[str, Any] | None:
+    """Topics, clocks and the frame tree of a bag that has been read to its end; None if it is none.
+
+    ``late_s`` of a topic is the median of record time minus header stamp. ``clock_offsets_s`` is how far its
+    stamps are ahead of those of ``reference``, the topic with most messages, assuming equal latency.
+    ``base`` is the robot's frame, ``frames`` the frame tree, one frame per line. With several robots,
+    ``robots`` are their namespaces, and ``robot`` is the namespace of the one that is read.
+    """
+    if not isinstance(dataset, BagDataset):
+        return None
+    figures = dataset.figures
+    first_s = min((topic.first_s for topic in figures.topics.values()), default=0.0)
+    topics: list[dict[str, Any]] = [
+        {
+            "topic": name,
+            "kind": topic.kind,
+            "count": topic.count,
+            "rate_hz": topic.rate_hz,
+            "longest_gap_s": topic.gap_s,
+            "longest_gap_at_s": topic.gap_at_s - first_s if topic.gap_s else 0.0,
+            "frame": topic.frame,
+            "late_s": topic.late_s.median(),
+        }
+        for name, topic in sorted(figures.topics.items())
+    ]
+    read = sorted((topic for topic in topics if topic["late_s"] is not None), key=lambda one: -one["count"])
+    return {
+        "topics": topics,
+        "reference": read[0]["topic"] if read else "",
+        "clock_offsets_s": {one["topic"]: read[0]["late_s"] - one["late_s"] for one in read[1:]},
+        "base": figures.base,
+        "frames": list(figures.tree.lines()),
+        "robots": list(figures.robots.spaces),
+        "robot": figures.robots.read,
+    }

@@ -125,26 +125,31 @@ def settled(
         poses = [_moved(pose, T_new_old) for pose in poses]
     if poses is base.node_poses:
         return replace(base, factors=factors, loops=loops)
+    found = with_nodes(base, poses, factors, config, sessions)
+    # Both remain in the file: the pose of the first node.
+    return replace(found, loops=loops, georeference=None, places=None)
+
+
+def with_nodes(
+    base: MapContents,
+    poses: Sequence[Pose],
+    factors: Sequence[SavedFactor],
+    config: Config,
+    sessions: Sequence[MapSession],
+) -> MapContents:
+    """Return a map with its nodes at other poses; trajectory and covariances follow, nothing is drawn."""
     edges, kept = [factor.edge for factor in factors], [factor.kept for factor in factors]
     bases = bases_of(base, poses)
-    told = pose_covariances(poses, bases, edges, kept, config)
     trajectory, covariances = resettled(
         base.trajectory,
         base.stamps_s,
         Poses.of(bases_of(base, base.node_poses)),
         Poses.of(bases),
         parts_of(base, sessions),
-        told,
+        pose_covariances(poses, bases, edges, kept, config),
     )
     return replace(
-        base,
-        node_poses=list(poses),
-        trajectory=trajectory,
-        factors=factors,
-        loops=loops,
-        covariances=covariances,
-        georeference=None,  # both remain in the file: the pose of the first node
-        places=None,
+        base, node_poses=list(poses), trajectory=trajectory, factors=factors, covariances=covariances
     )
 
 

@@ -84,7 +84,7 @@ def extent_of(trajectory: Trajectory, sessions: Sequence[MapSession]) -> dict[st
         "path_length_m": round(
             sum(float(np.linalg.norm(np.diff(track, axis=0), axis=1).sum()) for track in tracks), 3
         ),
-        "duration_s": round(sum(float(np.ptp(stamps_s)) for stamps_s in times), 3),
+        "duration_s": round(sum(float(np.ptp(stamps_s)) for stamps_s in times if stamps_s.size), 3),
     }
 
 

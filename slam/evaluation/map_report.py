@@ -17,7 +17,7 @@ from slam.config import Config
 from slam.datasets.dataset import Dataset, ReadReport
 from slam.datasets.sensor_choice import use_lines
 from slam.errors import ScanweaveError
-from slam.evaluation.truth_comparison import TruthComparison, compare_with_truth
+from slam.evaluation.trajectory_error import TruthComparison, compare_with_truth
 from slam.graph.edge import EdgeKind
 from slam.mapper.map_result import MapResult
 from slam.mapper.scan_record import CameraRecord
@@ -115,17 +115,6 @@ class ReportData:
     def unit(self) -> Literal["scan", "frame"]:
         """Return the kind of readings of the map: ``frame`` if there were only cameras."""
         return "scan" if any(scan is not None for scan in self.result.map.keyframe_scans) else "frame"
-
-    @property
-    def path_length_m(self) -> float:
-        """Return the path length."""
-        return float(np.linalg.norm(np.diff(self.result.map.trajectory.positions_m, axis=0), axis=1).sum())
-
-    @property
-    def duration_s(self) -> float:
-        """Return the time from the first to the last stamp."""
-        stamps_s = self.result.map.trajectory.stamps_s
-        return float(np.ptp(stamps_s)) if stamps_s.size else 0.0
 
     @property
     def warnings(self) -> list[str]:

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from fusion import Grade, Provenance
-from slam.evaluation.truth_comparison import TruthComparison
+from slam.evaluation.trajectory_error import TruthComparison
 from slam.mapper.keyframe_fusion import FusionSummary
 from slam.mapper.map_result import MapResult
 from slam.mapper.scan_record import ScanRecord

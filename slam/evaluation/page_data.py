@@ -35,7 +35,7 @@ _FARTHEST_CM = np.iinfo(np.int16).max
 def map_data(
     found: MapContents, config: Config, *, title: str, sessions: Sequence[MapSession] = (), digest: str = ""
 ) -> dict[str, Any]:
-    """Return the data of a map's page, see `slam.evaluation.page_blob.packed`.
+    """Return the data of a map's page, see `slam.evaluation.work_page.packed`.
 
     Parameters
     ----------

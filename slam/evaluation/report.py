@@ -11,6 +11,7 @@ import numpy as np
 
 from fusion import Grade
 from slam.config import dump_config
+from slam.evaluation.map_info import extent_of
 from slam.evaluation.map_report import ReportData
 from slam.evaluation.page_charts import map_charts
 from slam.evaluation.page_data import map_data
@@ -63,20 +64,21 @@ def write_report(path: Path, data: ReportData, head: Callable[[], Any] = lambda:
 def _headline(data: ReportData) -> list[tuple[str, str]]:
     """Return the main figures of a run."""
     loops, cost = data.result.map.loops, data.cost
+    extent = extent_of(data.result.map.trajectory, data.sessions)
     seconds = data.result.scans.seconds
     facts = [
         (f"{data.unit}s", f"{seconds.size:,}"),
         ("keyframes", f"{len(data.result.map.node_poses):,}"),
         ("loops accepted", f"{sum(loop.accepted for loop in loops):,} of {len(loops):,}"),
-        ("path", f"{data.path_length_m:,.1f} m"),
-        ("log lasts", _duration(data.duration_s)),
+        ("path", f"{extent['path_length_m']:,.1f} m"),
+        ("log lasts", _duration(extent["duration_s"])),
         ("wall time", f"{cost.wall_s:,.1f} s"),
         ("CPU time", f"{cost.cpu_s:,.1f} s"),
         (
             f"median time per {data.unit}",
             f"{1e3 * float(np.median(seconds)):.2f} ms" if seconds.size else "–",
         ),
-        ("real-time factor", f"{data.duration_s / cost.wall_s:,.1f} ×" if cost.wall_s > 0 else "–"),
+        ("real-time factor", f"{extent['duration_s'] / cost.wall_s:,.1f} ×" if cost.wall_s > 0 else "–"),
         ("peak memory", f"{cost.peak_memory_mb():,.0f} MB"),
     ]
     if data.beside.truth is not None:

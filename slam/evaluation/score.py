@@ -15,8 +15,7 @@ from slam.errors import EvaluationError, path_of
 from slam.estimates import Trajectory
 from slam.evaluation.coverage import coverage
 from slam.evaluation.relations import Relations, read_relations, score_relations
-from slam.evaluation.trajectory_error import absolute_error, relative_error
-from slam.evaluation.truth_comparison import MAX_DIFFERENCE_S
+from slam.evaluation.trajectory_error import MAX_DIFFERENCE_S, absolute_error, relative_error
 from slam.measurements import FloatArray
 from slam.outputs.finished_map import Map
 from slam.storage.covariances import covariance_path, read_covariances

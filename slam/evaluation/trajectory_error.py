@@ -19,6 +19,8 @@ from slam.evaluation.error_statistics import ErrorStatistics
 from slam.measurements import FloatArray
 from slam.trajectory.poses import Poses
 
+# As in `scanweave evaluate`: poses of ground truth and log rarely share a stamp.
+MAX_DIFFERENCE_S = 0.05
 # evo's limits, so that the figures agree.
 DEFAULT_MAX_DIFFERENCE_S = 0.01
 
@@ -207,3 +209,42 @@ def _pairs_by_path(positions_m: FloatArray, delta_m: float) -> tuple[Any, Any]:
             marks.append(index)
             travelled = 0.0
     return np.array(marks[:-1], dtype=np.intp), np.array(marks[1:], dtype=np.intp)
+
+
+@dataclass(frozen=True, slots=True)
+class TruthComparison:
+    """A trajectory and its ground truth, associated and rigidly aligned.
+
+    Attributes
+    ----------
+    error
+        Absolute trajectory error.
+    stamps_s
+        (N,) of the associated poses.
+    positions_m, true_positions_m
+        (N, 3) both in the map frame of the trajectory.
+    errors_m
+        (N,) distances between them.
+    """
+
+    error: AbsoluteError
+    stamps_s: FloatArray
+    positions_m: FloatArray
+    true_positions_m: FloatArray
+    errors_m: FloatArray
+
+
+def compare_with_truth(trajectory: Trajectory, truth: Trajectory) -> TruthComparison:
+    """Align a trajectory with its truth and measure what is left.
+
+    Raises
+    ------
+    EvaluationError
+        If no poses can be associated, or they lie on a line, which leaves the alignment open.
+    """
+    error = absolute_error(trajectory, truth, max_difference_s=MAX_DIFFERENCE_S)
+    estimate, reference = associate(trajectory, truth, MAX_DIFFERENCE_S)
+    rotation, shift = error.T_reference_map[:3, :3], error.T_reference_map[:3, 3]
+    true_positions = (reference.positions_m - shift) @ rotation
+    distances = np.linalg.norm(estimate.positions_m - true_positions, axis=1)
+    return TruthComparison(error, estimate.stamps_s, estimate.positions_m, true_positions, distances)

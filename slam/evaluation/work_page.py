@@ -2,17 +2,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import base64
+import json
+import math
+import struct
+import zlib
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from markupsafe import Markup
+from numpy.typing import NDArray
 
-from slam.evaluation.page_blob import packed
 from slam.evaluation.pages import TEMPLATES, render
+from slam.foreign import plain_lines
 from slam.measurements import FloatArray
 
+_ALIGNED = 8
 # So many corners of the way, and loops, are enough for a picture.
 _CORNERS, _LINES = 2000, 400
 _MARGIN_M = 0.5
@@ -27,7 +34,7 @@ class WorkPage:
     title, legend
         Of the picture.
     blob
-        The data, see `slam.evaluation.page_blob`.
+        The data, see `packed`.
     picture
         SVG.
     scripts, styles
@@ -90,3 +97,41 @@ def _bounds(layer: Mapping[str, Any] | None, way: FloatArray) -> tuple[FloatArra
     if not len(points):
         points = np.zeros((1, 2))
     return points.min(axis=0) - _MARGIN_M, points.max(axis=0) + _MARGIN_M
+
+
+def packed(head: Mapping[str, Any]) -> str:
+    """Pack texts, numbers and numpy arrays in mappings and sequences as base64 of gzip, deterministically.
+
+    The first four bytes are the length of a JSON head, little-endian; together with them it is a multiple of
+    eight. The arrays follow as they are in memory, each at a multiple of eight from there; in the head an
+    array is ``{"dtype": "f4", "shape": [rows, columns], "offset": bytes}``. The page reads it by
+    ``templates/page/data.js``.
+
+    Texts are made plain, see `slam.foreign`; a float that is not finite becomes null, in an array it stays.
+    """
+    parts: list[NDArray[Any]] = []
+    text = json.dumps(_told(head, parts), ensure_ascii=False, allow_nan=False, separators=(",", ":")).encode()
+    filled = text + b" " * (-(4 + len(text)) % _ALIGNED)
+    # Packed part by part: all at once would need twice the memory more.
+    packer = zlib.compressobj(4, zlib.DEFLATED, 16 + zlib.MAX_WBITS)
+    pieces = [packer.compress(struct.pack("<I", len(filled)) + filled)]
+    for part in parts:
+        pieces += [packer.compress(part.data), packer.compress(bytes(-part.nbytes % _ALIGNED))]
+    return base64.b64encode(b"".join([*pieces, packer.flush()])).decode("ascii")
+
+
+def _told(value: Any, parts: list[NDArray[Any]]) -> Any:
+    """Convert a value for JSON; arrays are appended to the parts."""
+    if isinstance(value, np.ndarray):
+        offset = sum(part.nbytes + -part.nbytes % _ALIGNED for part in parts)
+        parts.append(np.ascontiguousarray(value, value.dtype.newbyteorder("<")).reshape(-1).view(np.uint8))
+        return {"dtype": value.dtype.str[1:], "shape": list(value.shape), "offset": offset}
+    if isinstance(value, str):
+        return plain_lines(value)
+    if isinstance(value, Mapping):
+        return {plain_lines(str(key)): _told(one, parts) for key, one in value.items()}
+    if isinstance(value, Sequence):
+        return [_told(one, parts) for one in value]
+    if isinstance(value, np.generic):
+        value = value.item()
+    return None if isinstance(value, float) and not math.isfinite(value) else value

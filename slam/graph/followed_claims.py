@@ -23,7 +23,7 @@ from slam.graph.submaps import SubmapStore
 from slam.matching.correlative import search_window
 from slam.matching.match_covariance import motion_from_alignment
 from slam.matching.motion import Motion
-from slam.matching.planar import between, compose, diagonal
+from slam.matching.planar import between, compose
 from slam.measurements import FloatArray
 
 
@@ -70,7 +70,7 @@ class FollowedClaims:
         # The error rate of unobserved steps is known only when it is needed.
         if self._looks(told, keyframe, 0.5) > 0.5 * self._least:
             sigma_m = self._match.coarse_cell_m / self._config.sigmas
-            covariance = diagonal(sigma_m**2, sigma_m**2, (sigma_m / self._config.reach_m) ** 2)
+            covariance = np.diag([sigma_m**2, sigma_m**2, (sigma_m / self._config.reach_m) ** 2])
             self._claims.append(Claim(place, keyframe, Motion(pose, covariance), told, fits))
 
     def believed(

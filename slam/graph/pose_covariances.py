@@ -28,12 +28,14 @@ from dataclasses import replace
 import gtsam
 import numpy as np
 from numpy.typing import NDArray
+from scipy import sparse
 
 from fusion.estimation import FEWEST
 from slam.config import Config
 from slam.graph.anchors import with_alignment
 from slam.graph.edge import Edge, EdgeKind
 from slam.graph.held_graph import marginals
+from slam.graph.influence import linearized
 from slam.graph.keyframe_graph import unmeasured
 from slam.measurements import BoolArray, FloatArray, Pose, logarithm, motion_between
 
@@ -165,3 +167,28 @@ def _unit_variance(poses: Sequence[Pose], held: Sequence[Edge], config: Config) 
 def _unknown(poses: Sequence[Pose], config: Config) -> FloatArray:
     """Return (d, d) the covariance of an unmeasured step."""
     return unmeasured(config.graph, planar=isinstance(poses[0], gtsam.Pose2))
+
+
+def joint_covariance(
+    poses: Sequence[gtsam.Pose2], edges: Sequence[Edge], jacobian: sparse.csr_matrix | FloatArray
+) -> FloatArray:
+    """Return the covariance of functions of planar poses, by one factorisation of the information.
+
+    Parameters
+    ----------
+    poses
+        (n,) at which the edges are linearised; node 0 is held.
+    edges
+        That hold all of them together, as uncertain as they are (`slam.graph.pose_covariances.told_edges`).
+    jacobian
+        (m, 3 n) of m numbers by GTSAM's tangent of every pose: forward, left, turn in the pose's own frame.
+
+    Returns
+    -------
+    (m, m)
+    """
+    linear, _ = linearized(poses, edges)
+    free = sparse.csr_matrix(jacobian)[:, 3:]
+    solved = sparse.linalg.splu((linear.T @ linear).tocsc()).solve(free.T.toarray())
+    covariance = np.asarray(free @ solved)
+    return np.asarray(0.5 * (covariance + covariance.T))

@@ -48,7 +48,7 @@ class KnownSpace(NamedTuple):
 
 
 class BeamCounts(NamedTuple):
-    """Number of beams of a scan in each class.
+    """Number of beams of a scan in each class; beams that end in unknown space are in none.
 
     Attributes
     ----------
@@ -58,14 +58,11 @@ class BeamCounts(NamedTuple):
         Beams that pass through a known wall.
     in_free
         Beams that end in known free space: a new object, or a wrong pose.
-    silent
-        Beams that end in unknown space, or near a wall that is not the one they hit.
     """
 
     explained: int
     crossing: int
     in_free: int
-    silent: int
 
 
 def known_space(grid: OccupancyGrid) -> KnownSpace:
@@ -131,7 +128,7 @@ def check_beams(
     lifted = np.column_stack([in_picture, np.full(len(rest), 0.5)])
     met = follow(space.cells, lifted[0], lifted[1:], END_M / space.cell_m)
     against = np.bincount(met, minlength=WALL + 1)
-    return BeamCounts(int(explained.sum()), int(against[WALL]), int(against[FREE]), int(against[UNKNOWN]))
+    return BeamCounts(int(explained.sum()), int(against[WALL]), int(against[FREE]))
 
 
 @kernel

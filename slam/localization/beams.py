@@ -31,11 +31,6 @@ def follow(
     return found
 
 
-def count_passes(passes: NDArray[np.uint16], origin: FloatArray, ends: FloatArray, end_cells: float) -> None:
-    """Count the beams through each cell, without their last part; see `follow`."""
-    _count_passes(passes.ravel(), passes.shape, origin, ends, end_cells)
-
-
 @kernel
 def _follow(cells, shape, origin, ends, end_cells, found):  # type: ignore[no-untyped-def]
     """See `follow`."""
@@ -53,8 +48,8 @@ def _follow(cells, shape, origin, ends, end_cells, found):  # type: ignore[no-un
 
 
 @kernel
-def _count_passes(passes, shape, origin, ends, end_cells):  # type: ignore[no-untyped-def]
-    """See `count_passes`."""
+def count_passes(passes, shape, origin, ends, end_cells):  # type: ignore[no-untyped-def]
+    """Count the beams through each cell of a flat grid, without their last part; see `follow`."""
     for i in range(ends.shape[0]):
         length = _length(origin, ends, i)
         last = -1

@@ -85,7 +85,8 @@ def cloud_space(
     shape = np.ceil(extent / cell_m).astype(np.int64) + 2
     passes, hits = np.zeros(shape, np.uint16), np.zeros(shape, np.uint16)
     for lidar, cloud in zip(lidars, clouds, strict=True):
-        count_passes(passes, (lidar - low) / cell_m, (cloud - low) / cell_m, _END_CELLS)
+        ends = (cloud - low) / cell_m
+        count_passes(passes.ravel(), passes.shape, (lidar - low) / cell_m, ends, _END_CELLS)
     surfaces = np.zeros(shape, np.bool_)
     surfaces[_cells(points, low, cell_m)] = True
     for lidar, cloud in zip(lidars, clouds, strict=True):

@@ -92,9 +92,7 @@ class Walls:
         placed = [self._standing(view, self._poses[k])[0] for k, view in self._views.items()]
         if self._drawn is not None:
             placed = [self._drawn.points.astype(np.float64)]
-        return build_whole_map_field(
-            np.concatenate(placed), self.grid, self._config.localization.field_cell_m
-        )
+        return build_whole_map_field(np.concatenate(placed), self.grid, self._config.match.cell_m)
 
     def view(self, key: int) -> ScanView | None:
         """What stood of what a keyframe of the map saw, without people; None if it has no scan."""

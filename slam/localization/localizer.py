@@ -7,19 +7,22 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+from fusion.estimation import FEWEST
 from slam.config import Config, config_of
+from slam.config.localization import LocalizationConfig
 from slam.errors import MapFileError
 from slam.localization.camera_sensor import CameraSensor
 from slam.localization.cloud_sensor import CloudSensor
+from slam.localization.global_search import at_once, search_map
 from slam.localization.known_map import Walls, has_walls
-from slam.localization.look_alikes import look_alikes
 from slam.localization.machine import StateMachine
 from slam.localization.output import LocalizerOutput
 from slam.localization.planar_sensor import PlanarSensor
-from slam.localization.poses import Measured
+from slam.localization.poses import Measured, same_place
+from slam.localization.scan_view import first_in_cells
 from slam.localization.visual_locator import VisualLocator
 from slam.mapper.protocol import SENSORS
-from slam.measurements import Measurement, RgbdFrame
+from slam.measurements import Measurement, RgbdFrame, pose2_from_row
 from slam.outputs.finished_map import Map
 from slam.outputs.grid_map import GridMap, opened
 from slam.storage.map_contents import MapContents
@@ -183,3 +186,25 @@ class Localizer:
         motion = locator.near(frame, lidar.tracked.pose)
         if motion is not None:
             lidar.confirm(Measured(motion.T_reference_base, motion.covariance))
+
+
+def look_alikes(walls: Walls, sensor: PlanarSensor, settings: LocalizationConfig) -> float:
+    """Return the share of a map's own scans, sampled along its path, that also fit elsewhere in it.
+
+    Such a scan has more evidence there than a place needs to exceed the outside of the map. 0 for a map
+    without scans, and if at most one in ten do: some places look alike in most maps.
+    """
+    asked = list(walls.sampled(FEWEST))
+    elsewhere = 0
+    for own, view in asked:
+        seen = sensor.novel(view, own, None)
+        points = view.points.points_base
+        points = points[first_in_cells(points, settings.novel_cell_m)[0]]
+        for place in at_once(search_map(walls.field, points, settings, settings.hypotheses)):
+            guess = pose2_from_row(place.pose)
+            motion = sensor.align(view, guess)
+            pose = guess if motion is None else motion.T_reference_base
+            if not same_place(own, pose) and sensor.weigh(pose, seen) > settings.nowhere_nats:
+                elsewhere += 1
+                break
+    return elsewhere / len(asked) if 10 * elsewhere > len(asked) else 0.0

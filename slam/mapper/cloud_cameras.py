@@ -28,8 +28,6 @@ from slam.storage.map_frames import MapFrames
 from slam.vision.color_registration import ColorRegistration
 from slam.vision.prepared_frame import PreparedFrame
 
-_RING = "horizon of the 3D lidar"
-
 
 class CloudCameras:
     """The cameras of a run with a 3D lidar whose mounting on the robot is in the log."""
@@ -79,7 +77,7 @@ class CloudCameras:
         self._keyframes.add(node, stamp_s, placed, places=False)
         self._horizons.append(None)
         if placed and self._fusion is not None:
-            ring = horizon_scan(points, stamp_s, T_base_lidar, self._config.cloud_map, _RING)
+            ring = horizon_scan(points, stamp_s, T_base_lidar, self._config.cloud_map)
             if ring is not None:
                 self._horizons[-1] = ring
                 self._fusion.add(node, ring, placed)

@@ -34,8 +34,10 @@ def packed_cloud(rows: FloatArray) -> bytes:
     reach_m = float(np.abs(rows[:, :3]).max(initial=0.0))
     if not np.isfinite(reach_m):
         raise ScanweaveError(f"a cloud holds a point at {reach_m}; only finite points can be kept")
-    step_m, planes = max(STEP_M, reach_m / 2**29), np.empty((4, 3, len(rows)), np.uint8)
-    _ways(rows, step_m, planes)
+    step_m = max(STEP_M, reach_m / 2**29)
+    ways = np.diff(np.rint(rows[:, :3] / step_m), axis=0, prepend=0.0).astype(np.int64)
+    # The sign is the lowest bit: the upper bytes of small differences are zero for either sign.
+    planes = (ways << 1 ^ ways >> 63).astype("<u4").view(np.uint8).reshape(-1, 3, 4).T
     told = rows[:, 3:].astype("<f4").view(np.uint8).reshape(-1, 4).T.tobytes()
     return _HEAD.pack(step_m, len(rows)) + zstd.compress(planes.tobytes() + told, 1)
 
@@ -68,20 +70,6 @@ def unpacked_cloud(content: bytes, *, intensities: bool = True) -> FloatArray:
     if rows.shape[1] > 3:
         rows[:, 3] = np.ascontiguousarray(planes[sizes[0] :].reshape(4, count).T).view("<f4")[:, 0]
     return rows
-
-
-@kernel
-def _ways(points, step_m, planes):  # type: ignore[no-untyped-def]
-    """Write the bytes (4, 3, N) of the differences, in steps, from each point (N, 3 or 4) to the next."""
-    for axis in range(3):
-        before = ZERO
-        for i in range(points.shape[0]):
-            step = np.int64(np.rint(points[i, axis] / step_m))
-            # The sign is the lowest bit: the upper bytes of small differences are zero for either sign.
-            signless = ((step - before) << 1) ^ ((step - before) >> 63)
-            before = step
-            for byte in range(4):
-                planes[byte, axis, i] = signless >> 8 * byte & 255
 
 
 @kernel(nogil=True)

@@ -15,7 +15,6 @@ from typing import NamedTuple, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from fusion.kernel import kernel
 from slam.errors import ScanweaveError
 from slam.mapping.occupancy_grid import Steps
 from slam.mapping.ray_tracing import Box
@@ -71,17 +70,10 @@ class EvidenceTiles:
         steps = board.steps if board.steps.ndim == 3 else board.steps[:, :, None]
         if steps.shape[2] < heights:
             steps = np.repeat(steps, heights, axis=2)
-        # The height bins of a cell are adjacent.
-        flat = steps.reshape(len(steps), -1)
         for key, tile_part, board_part in _parts(box, self._side):
             # Boards are mostly empty at their borders: create no tile without evidence.
             if self._holds(key) or steps[board_part].any():
-                (row, col), (first_row, first_col) = (
-                    (part[0].start, heights * part[1].start) for part in (tile_part, board_part)
-                )
-                rows, cols = steps[board_part].shape[:2]
-                tile = self._tile(key).reshape(self._side, -1)
-                _add(tile, flat, row, col, first_row, first_col, rows, heights * cols)
+                self._tile(key)[tile_part] += steps[board_part]
         self.used = box if self.used is None else union(self.used, box)
 
     def clipped(self, box: Box, low: int, high: int) -> Steps:
@@ -152,19 +144,6 @@ def union(a: Box, b: Box) -> Box:
     """Return the smallest box (first row, first col, rows, cols) that contains both."""
     row, col = min(a[0], b[0]), min(a[1], b[1])
     return row, col, max(a[0] + a[2], b[0] + b[2]) - row, max(a[1] + a[3], b[1] + b[3]) - col
-
-
-@kernel
-def _add(sums, steps, row, col, first_row, first_col, rows, cols):  # type: ignore[no-untyped-def]
-    """Add a part of the steps to a part of the sums in place; numpy would make a copy.
-
-    Whole arrays and corners: parts of arrays would be other types, and another compilation each. Unsigned
-    indices need no check for negative values, so the loop is vectorised.
-    """
-    for i in range(rows):
-        into, of = np.uint64(row + i), np.uint64(first_row + i)
-        for j in range(cols):
-            sums[into, np.uint64(col + j)] += steps[of, np.uint64(first_col + j)]
 
 
 def _parts(box: Box, side: int) -> Iterator[tuple[tuple[int, int], tuple[slice, slice], tuple[slice, slice]]]:

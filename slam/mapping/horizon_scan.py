@@ -12,6 +12,7 @@ from slam.config.clouds import CloudMapConfig
 from slam.mapping.band_scan import LEVEL_SHARE
 from slam.measurements import Float32Array, FloatArray, LaserScan
 
+_RING = "horizon of the 3D lidar"
 # Elevations within one bin are one ring.
 _BIN_RAD = math.radians(0.25)
 # A ring farther from the horizon does not stay at the height of the lidar.
@@ -19,7 +20,7 @@ _STEEPEST_RAD = math.radians(5.0)
 
 
 def horizon_scan(
-    points: FloatArray, stamp_s: float, T_base_lidar: gtsam.Pose3, config: CloudMapConfig, sensor: str
+    points: FloatArray, stamp_s: float, T_base_lidar: gtsam.Pose3, config: CloudMapConfig
 ) -> LaserScan | None:
     """Return the ranges of the ring, at the bearings of `slam.mapping.band_scan.band_scan`.
 
@@ -51,7 +52,7 @@ def horizon_scan(
     np.minimum.at(ranges, np.minimum(bearing, config.bearings - 1), level[on_ring].astype(np.float32))
     mounting = gtsam.Pose2(float(T_base_lidar.x()), float(T_base_lidar.y()), 0.0)
     start = -math.pi + 0.5 * step_rad
-    return LaserScan(stamp_s, ranges, start, step_rad, config.plan_range_m, mounting, sensor)
+    return LaserScan(stamp_s, ranges, start, step_rad, config.plan_range_m, mounting, _RING)
 
 
 def with_repairs(plan: LaserScan, measured: LaserScan, repaired: LaserScan) -> LaserScan:

@@ -1,12 +1,10 @@
 """Test which points are inside a polygon, by the even-odd rule: a polygon that crosses itself has holes."""
 
-# mypy: allow-untyped-decorators
 from __future__ import annotations
 
 import gtsam
 import numpy as np
 
-from fusion.kernel import kernel
 from slam.measurements import BoolArray, FloatArray
 
 
@@ -24,7 +22,14 @@ def inside(points: FloatArray, polygon: FloatArray) -> BoolArray:
     found = np.zeros(len(points), np.bool_)
     low, high = polygon.min(axis=0), polygon.max(axis=0)
     (near,) = np.nonzero(((points >= low) & (points <= high)).all(axis=1))
-    found[near] = _odd(np.ascontiguousarray(points[near]), np.ascontiguousarray(polygon))
+    x, y = points[near].T
+    odd = np.zeros(len(near), np.bool_)
+    # Whether a ray from each point along x crosses the outline an odd number of times.
+    for (from_x, from_y), (to_x, to_y) in zip(np.roll(polygon, 1, axis=0), polygon, strict=True):
+        with np.errstate(divide="ignore", invalid="ignore"):
+            share = (y - from_y) / (to_y - from_y)
+            odd ^= ((from_y > y) != (to_y > y)) & (x < from_x + share * (to_x - from_x))
+    found[near] = odd
     return found
 
 
@@ -36,20 +41,3 @@ def cells_inside(
     middles = (np.column_stack([col.reshape(-1), row.reshape(-1)]) + 0.5) * resolution_m
     turn = T_map_grid.rotation().matrix()
     return inside(middles @ turn.T + T_map_grid.translation(), polygon).reshape(shape)
-
-
-@kernel
-def _odd(points, polygon):  # type: ignore[no-untyped-def]
-    """Return whether a ray from each point along x crosses the outline an odd number of times."""
-    found = np.zeros(len(points), np.bool_)
-    for n in range(len(points)):
-        x, y = points[n, 0], points[n, 1]
-        before = len(polygon) - 1
-        for corner in range(len(polygon)):
-            from_y, to_y = polygon[before, 1], polygon[corner, 1]
-            if (from_y > y) != (to_y > y):
-                share = (y - from_y) / (to_y - from_y)
-                if x < polygon[before, 0] + share * (polygon[corner, 0] - polygon[before, 0]):
-                    found[n] = not found[n]
-            before = corner
-    return found

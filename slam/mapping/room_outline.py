@@ -7,8 +7,9 @@ a third, and faces hidden by furniture: in front of the outermost lines, no larg
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Container, Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import combinations
 
 import numpy as np
 import scipy
@@ -285,3 +286,59 @@ def _runs(nearest: NDArray[np.int64], shortest: int) -> list[int]:
         if length >= shortest and nearest[start] >= 0
     ]
     return [run for index, run in enumerate(runs) if run != runs[index - 1]]
+
+
+def room_outlines(
+    rooms: RoomMap, own: Mapping[int, WallPoints], entered: Container[int]
+) -> dict[int, Outline]:
+    """Return the outline of each room by its label, the largest first.
+
+    Parameters
+    ----------
+    own
+        The points of each room's walls, by its label.
+    entered
+        Labels of the rooms in which the robot has been.
+    """
+
+    def drawn(label: int, *others: Outline) -> Outline | None:
+        return room_outline(rooms, label, own[label], others)
+
+    found = {label: drawn(label) for label in own}
+    # A room without walls that the robot did not enter is behind a window.
+    outlines = {
+        label: outline
+        for label, outline in found.items()
+        if outline is not None and (label in entered or any(face.seen for face in outline.faces))
+    }
+    return _apart(rooms, outlines, drawn)
+
+
+def _apart(
+    rooms: RoomMap, outlines: dict[int, Outline], drawn: Callable[..., Outline | None]
+) -> dict[int, Outline]:
+    """Of two overlapping outlines, redraw the one with less of the overlap, outside the other."""
+    apart = dict(outlines)
+    kept_out: dict[int, list[int]] = {label: [] for label in outlines}
+    pairs = list(combinations(apart, 2))
+    for pair in pairs:
+        loser, winner = _loser(rooms, apart, *pair)
+        if loser and winner not in kept_out[loser]:
+            kept_out[loser].append(winner)
+            apart[loser] = drawn(loser, *(apart[label] for label in kept_out[loser])) or apart[loser]
+            pairs += [(loser, label) for label in apart if label != loser]
+    return apart
+
+
+def _loser(rooms: RoomMap, outlines: dict[int, Outline], one: int, other: int) -> tuple[int, int]:
+    """Return the room with less of the overlap of two rooms, and the other; 0 without overlap."""
+    corners = [outlines[label].corners_m for label in (one, other)]
+    low = np.max([corner.min(axis=0) for corner in corners], axis=0)
+    high = np.min([corner.max(axis=0) for corner in corners], axis=0)
+    x, y = (np.arange(a, max(a, b), rooms.resolution_m) for a, b in zip(low, high, strict=True))
+    points = np.column_stack([axis.ravel() for axis in np.meshgrid(x, y)])
+    both = rooms.at(points[inside(points, corners[0]) & inside(points, corners[1])])
+    if not len(both):
+        return 0, 0
+    first = np.count_nonzero(both == one) < np.count_nonzero(both == other)
+    return (one, other) if first else (other, one)

@@ -16,7 +16,7 @@ from slam.matching.coarse_to_fine import align_coarse_to_fine
 from slam.matching.match_covariance import points_a_witness, weak_direction
 from slam.matching.motion import Motion
 from slam.matching.object_evidence import object_evidence
-from slam.matching.planar import diagonal, transform_into, transform_points
+from slam.matching.planar import transform_points
 from slam.matching.point_to_line import Alignment, align, terms_at
 from slam.matching.scan_points import ScanPoints
 from slam.matching.score_spread import score_spread
@@ -61,11 +61,9 @@ class OrientedPoints:
 
     def moved(self, pose: FloatArray) -> OrientedPoints:
         """Transform the points to the frame in which ``pose`` (3,) is the pose of their frame."""
-        points = np.empty_like(self.points)
-        normals = np.empty_like(self.normals)
-        transform_into(self.points, pose, points, False)
-        transform_into(self.normals, pose, normals, True)
-        return OrientedPoints(points, normals)
+        points, turn = transform_points(self.points, pose), np.array([0.0, 0.0, pose[2]])
+        normals = transform_points(self.normals, turn)
+        return OrientedPoints(points.astype(self.points.dtype), normals.astype(self.normals.dtype))
 
     def only(self, chosen: BoolArray | NDArray[np.intp] | slice) -> OrientedPoints:
         """Return some of the points."""
@@ -117,7 +115,7 @@ class LocalMap:
 
     def align_held(self, scan: OrientedPoints, guess: FloatArray) -> Alignment:
         """Align a scan that must stay near its guess in every direction."""
-        return self._align(scan, guess, _HELD_POINTS * diagonal(1.0, 1.0, 0.0))
+        return self._align(scan, guess, _HELD_POINTS * np.diag([1.0, 1.0, 0.0]))
 
     def judge(self, scan: OrientedPoints, pose: FloatArray) -> Alignment:
         """Return Hessian, residual and inlier share of a scan (base frame) at a fixed pose (3,)."""

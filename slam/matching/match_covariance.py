@@ -10,7 +10,6 @@ from fusion.estimation import ROUNDS, TINY
 from fusion.kernel import kernel
 from slam.config.stages import MatchConfig
 from slam.estimates import MotionEstimate
-from slam.matching.planar import diagonal
 from slam.matching.point_to_line import Alignment
 from slam.measurements import FloatArray, pose2_from_row
 
@@ -36,7 +35,7 @@ def motion_from_alignment(alignment: Alignment, noise: MatchConfig) -> MotionEst
     doubt = 1.0 / max(alignment.inlier_share, 0.1) ** 2
     # An edge ends at two keyframes, and the one that it starts from was itself matched as well as this one.
     covariance = 2.0 * doubt * scale**2 * _widened(alignment)[0]
-    covariance += diagonal(noise.floor_m**2, noise.floor_m**2, noise.floor_rad**2)
+    covariance += np.diag([noise.floor_m**2, noise.floor_m**2, noise.floor_rad**2])
     if weak is not None:
         covariance += OPEN_M**2 * np.outer(weak, weak)
     return MotionEstimate(

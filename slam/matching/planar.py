@@ -6,7 +6,6 @@ import math
 
 import numpy as np
 
-from fusion.kernel import kernel
 from slam.measurements import AnyFloatArray, FloatArray
 
 
@@ -56,20 +55,6 @@ def wrap(angle_rad: float) -> float:
     return angle_rad - math.tau * math.floor((angle_rad + math.pi) / math.tau)
 
 
-@kernel
-def transform_into(rows, pose, out, rotate_only):  # type: ignore[no-untyped-def]
-    """Write (M, 2) rows, transformed by a pose (3,), into ``out``; directions are only rotated."""
-    cos = math.cos(pose[2])
-    sin = math.sin(pose[2])
-    tx = 0.0 if rotate_only else pose[0]
-    ty = 0.0 if rotate_only else pose[1]
-    for i in range(rows.shape[0]):
-        x = rows[i, 0]
-        y = rows[i, 1]
-        out[i, 0] = cos * x - sin * y + tx
-        out[i, 1] = sin * x + cos * y + ty
-
-
 def transform_points(points: AnyFloatArray, pose: FloatArray) -> FloatArray:
     """Return (M, 2) points transformed by a pose row (3,), float64.
 
@@ -84,11 +69,6 @@ def transform_points(points: AnyFloatArray, pose: FloatArray) -> FloatArray:
     cos, sin = math.cos(yaw), math.sin(yaw)
     x, y = np.asarray(points, np.float64).T
     return np.column_stack([cos * x - sin * y + tx, sin * x + cos * y + ty])
-
-
-def diagonal(x: float, y: float, yaw: float) -> FloatArray:
-    """Return a diagonal matrix (3, 3); `numpy.diag` takes three times as long."""
-    return np.array([[x, 0.0, 0.0], [0.0, y, 0.0], [0.0, 0.0, yaw]])
 
 
 def adjoint(pose: FloatArray) -> FloatArray:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from fusion.estimation import TINY
 from fusion.kernel import NONE, kernel
-from slam.matching.planar import between, transform_into
+from slam.matching.planar import between, transform_points
 from slam.measurements import AnyFloatArray, BoolArray, FloatArray
 
 
@@ -99,9 +99,8 @@ def standing_before(
     No image may have seen through what stands there, and ``reach_m`` around. A point that lies farther than
     the scan's (N, 2), base frame, by their margins (N,), says nothing of it: so most need not be looked at.
     """
-    farthest_m, rows = np.zeros(_bearing_count(scan)), np.empty(points.shape)
-    transform_into(points, between(pose, np.zeros(3)), rows, False)
-    x, y = rows.T.copy()
+    farthest_m = np.zeros(_bearing_count(scan))
+    x, y = transform_points(points, between(pose, np.zeros(3))).T.copy()
     seen, ranges_m = (x, y, np.arctan2(y, x)), np.empty(len(points))
     newest, before = np.empty(len(farthest_m), np.int64), np.empty(len(points), np.int64)
     room = farthest_m, ranges_m, newest, before
@@ -114,11 +113,7 @@ def _bearing_count(beams: AnyFloatArray) -> int:
     if len(beams) < 2:
         return int(np.pi)
     bearings_rad = np.sort(np.arctan2(beams[:, 1], beams[:, 0]))
-    spacings_rad = bearings_rad[1:] - bearings_rad[:-1]
-    spacings_rad.sort()
-    # The median, at a twentieth of what numpy takes for it.
-    spacing_rad = 0.5 * (spacings_rad[(len(spacings_rad) - 1) // 2] + spacings_rad[len(spacings_rad) // 2])
-    return max(int(np.pi / max(spacing_rad, TINY)), 2)
+    return max(int(np.pi / max(np.median(np.diff(bearings_rad)), TINY)), 2)
 
 
 @kernel(inline="always")

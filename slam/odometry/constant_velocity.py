@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import math
 
+import numpy as np
+
 from fusion.time_alignment import GAP_S
 from slam.config.stages import PredictionConfig
 from slam.matching.motion import Motion
-from slam.matching.planar import diagonal
 from slam.measurements import FloatArray
 
 # A velocity is extrapolated over at most this many times the step of its measurement.
@@ -39,5 +40,5 @@ def repeated(
     step = step * stretch(min(step_s, ends_s), measured_s)
     sigma_m = config.velocity_floor_m + config.velocity_share * math.hypot(step[0], step[1])
     sigma_rad = config.velocity_floor_rad + config.velocity_share * abs(float(step[2]))
-    covariance = diagonal(sigma_m**2, sigma_m**2, sigma_rad**2)
+    covariance = np.diag([sigma_m**2, sigma_m**2, sigma_rad**2])
     return Motion(step, covariance * max(step_s / steady_s, 1.0) ** 4)

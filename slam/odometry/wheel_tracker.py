@@ -12,7 +12,7 @@ from fusion.estimation import gate
 from fusion.time_alignment import GAP_S
 from slam.config.stages import WheelConfig
 from slam.matching.motion import Motion
-from slam.matching.planar import between, compose, diagonal, wrap
+from slam.matching.planar import between, compose, wrap
 from slam.measurements import FloatArray, WheelOdometry
 from slam.odometry.clock_learner import ClockLearner, SensorClock, Turns
 from slam.odometry.gyro_yaw import GyroMoment, YawGyro
@@ -164,7 +164,7 @@ class WheelTracker:
         guessed_m = abs(ended.guessed_m - begun.guessed_m)
         unusual_m = ended.unusual_m - begun.unusual_m
         metres2 = (self._config.swing_m_per_rad * step[2]) ** 2 + guessed_m**2 + unusual_m**2
-        return diagonal(metres2, metres2, (_TURN_PER_M * guessed_m) ** 2)
+        return np.diag([metres2, metres2, (_TURN_PER_M * guessed_m) ** 2])
 
     def see(self, speed_m_s: float) -> None:
         """A robot seen at this speed may move twice as fast."""
@@ -265,7 +265,7 @@ class WheelTracker:
         turn_rad = abs(float(step[2]))
         sigma_m = config.floor_m + config.distance_share * path_m
         sigma_rad = config.floor_rad + config.turn_share * turn_rad + config.turn_per_m_rad * path_m
-        return diagonal(sigma_m**2, sigma_m**2, sigma_rad**2)
+        return np.diag([sigma_m**2, sigma_m**2, sigma_rad**2])
 
 
 def thrown_aside(motion: Motion) -> FloatArray:

@@ -231,7 +231,7 @@ class Exports:
                 written = write_colmap(folder, images, surface.cloud)
             else:
                 written = [folder / "transforms.json"]
-                write_transforms(written[0], images, "points.ply")
+                write_transforms(written[0], images)
                 if len(surface.cloud.points_map):
                     written.append(folder / "points.ply")
                     write_cloud_ply(written[-1], [surface.cloud])

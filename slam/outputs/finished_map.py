@@ -10,7 +10,8 @@ from typing import TYPE_CHECKING, Any
 
 from fusion.showing import drawn, extent, with_pictures
 from slam.config import Config
-from slam.config.edits import Edits, edits_of, load_edits
+from slam.config.edits import Edits, edits_of
+from slam.config.files import read_tree
 from slam.errors import MapFileError, path_of
 from slam.estimates import Trajectory
 from slam.graph.loop_candidate import LoopCandidate
@@ -253,8 +254,10 @@ class Map:
         """
         from slam.edits.edited_file import write_with
 
-        chosen = load_edits(edits) if isinstance(edits, str | Path) else edits
-        chosen = chosen if isinstance(chosen, Edits) else edits_of(chosen, "the edits")
+        if isinstance(edits, str | Path):
+            chosen = edits_of(read_tree(Path(edits)), str(edits))
+        else:
+            chosen = edits if isinstance(edits, Edits) else edits_of(edits, "the edits")
         return made_anew(self, lambda path: write_with(self.parts(), chosen, path), out)
 
     def remap(self, settings: Sequence[str] = (), *, out: Path | str | None = None) -> Map:

@@ -10,12 +10,10 @@ import numpy as np
 from fusion.estimation import TINY
 from slam.config import Config
 from slam.errors import ScanweaveError
-from slam.graph.joint_covariance import joint_covariance
-from slam.graph.pose_covariances import told_edges
+from slam.graph.pose_covariances import joint_covariance, told_edges
 from slam.mapping.doors import find_doors
 from slam.mapping.floor_plan import FloorPlan, Length, Room, Wall
-from slam.mapping.room_outline import Outline, area_m2, corners_of, seen_from
-from slam.mapping.room_outlines import room_outlines
+from slam.mapping.room_outline import Outline, area_m2, corners_of, room_outlines, seen_from
 from slam.mapping.rooms import segment_rooms
 from slam.mapping.sure_walls import sides_of, sure_walls
 from slam.mapping.wall_fits import WallFit, fit_wall, straightened

@@ -14,9 +14,9 @@ from slam.mapping.cloud_packing import packed_cloud, unpacked_cloud
 from slam.measurements import Float32Array, FloatArray
 from slam.storage.map_edits import mask_of
 from slam.storage.map_file import MapFile
-from slam.storage.map_soundness import FARTHEST_M, of, require, sound_stamp
+from slam.storage.map_soundness import of, require, sound_stamp
 from slam.storage.map_tables import CLOUDS, Value
-from slam.storage.packing import pack, unpack
+from slam.storage.packing import FARTHEST_M, pack, unpack
 
 
 class MapClouds:

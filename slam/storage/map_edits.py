@@ -20,7 +20,7 @@ from slam.graph.loop_candidate import LoopCandidate
 from slam.matching.planar import compose
 from slam.measurements import BoolArray, FloatArray
 from slam.storage.map_file import SEAL, MapFile
-from slam.storage.map_soundness import FARTHEST_M, of, require
+from slam.storage.map_soundness import of, require
 from slam.storage.map_tables import (
     CAMERAS,
     CLOUDS,
@@ -37,7 +37,7 @@ from slam.storage.map_tables import (
     Table,
     Value,
 )
-from slam.storage.packing import Unpacker, pack, pack_small, unpack
+from slam.storage.packing import FARTHEST_M, Unpacker, pack, pack_small, unpack
 
 Pair = tuple[int, int]
 # A kind of evidence, and the index of the keyframe, frame or cloud.

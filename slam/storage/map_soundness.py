@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from typing import Any, Final, TypeVar, cast
+from typing import Any, TypeVar, cast
 
 import gtsam
 import numpy as np
@@ -32,6 +32,7 @@ from slam.measurements import (
     WheelOdometry,
 )
 from slam.storage.map_sessions import MapSession
+from slam.storage.packing import FARTHEST_M, ROUNDING
 from slam.vision.color_registration import ColorRegistration
 from slam.vision.features import Features
 from slam.vision.learned_camera import LearnedCamera
@@ -39,10 +40,8 @@ from slam.vision.learned_camera import LearnedCamera
 T = TypeVar("T")
 Rule = Callable[[Any], bool]
 
-FARTHEST_M: Final = 1e8  # farther than any place on Earth
 _CELL_M = (1e-4, 1e4)
 _LONGEST_NAME = 256
-_ROUNDING = 1e-6
 
 
 def require(condition: object, fault: str) -> None:
@@ -105,7 +104,7 @@ def sound_trajectory(stretch: Trajectory, poses: int) -> Trajectory:
     require((np.abs(stretch.stamps_s) < STAMP_LIMIT_S).all(), "a stamp cannot be")
     require((np.abs(stretch.positions_m) < FARTHEST_M).all(), "a position is not finite, or beyond the Earth")
     norms = np.linalg.norm(stretch.quaternions_xyzw, axis=1)
-    require((np.abs(norms - 1.0) < _ROUNDING).all(), "a quaternion is not of unit length")
+    require((np.abs(norms - 1.0) < ROUNDING).all(), "a quaternion is not of unit length")
     return stretch
 
 
@@ -175,7 +174,7 @@ def _are_covariances(values: FloatArray) -> bool:
     if not np.isfinite(values).all():
         return False
     off = np.abs(values - values.swapaxes(-1, -2)).max((-1, -2))
-    if (off > _ROUNDING * np.abs(values).max((-1, -2))).any():
+    if (off > ROUNDING * np.abs(values).max((-1, -2))).any():
         return False
     try:
         np.linalg.cholesky(values)

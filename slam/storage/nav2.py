@@ -42,8 +42,6 @@ class Nav2Map:
         Side of a cell.
     T_map_grid
         The lower-left corner of cell (0, 0).
-    mode
-        Interpretation of pixels.
     what
         The comment on the yaml's first line, if there is one.
     """
@@ -51,7 +49,6 @@ class Nav2Map:
     values: StateArray
     resolution_m: float
     T_map_grid: gtsam.Pose2
-    mode: Mode = "trinary"
     what: str = ""
 
 
@@ -150,7 +147,7 @@ def read_nav2_map(path: Path) -> Nav2Map:
         raise MapFileError(f"{path}: resolution is {resolution_m:g} m, it must be positive")
     what = path.read_text(encoding="utf-8").splitlines()[0]
     what = what.removeprefix("# ") if what.startswith("#") else ""
-    return Nav2Map(np.ascontiguousarray(values[::-1]), resolution_m, _origin(fields, path), mode, what)
+    return Nav2Map(np.ascontiguousarray(values[::-1]), resolution_m, _origin(fields, path), what)
 
 
 def _occupancy(

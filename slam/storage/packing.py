@@ -49,8 +49,8 @@ _DTYPE_NUMBER = {dtype: number for number, dtype in enumerate(_DTYPES)}
 _PLAIN = {b"N": None, b"T": True, b"F": False}
 _DEEPEST = 8
 _MOST_AXES = 4
-_FARTHEST_M = 1e8  # limit of a position; farther than any place on Earth
-_ROUNDING = 1e-6  # tolerance of a rotation after many compositions
+FARTHEST_M = 1e8  # limit of a position; farther than any place on Earth
+ROUNDING = 1e-6  # tolerance of a rotation after many compositions
 # Limits of one decompressed value (twice a map of `grid.greatest_cells`), and of all of a file.
 _LARGEST_BYTES, _GROWTH = 1 << 28, 64
 
@@ -232,14 +232,14 @@ def _unpack(content: bytes, at: int, depth: int) -> tuple[Any, int]:
         return values if tag == b"l" else tuple(values), at
     if tag == b"2":
         x, y, cosine, sine = _POSE2.unpack_from(content, at)
-        if not (abs(cosine * cosine + sine * sine - 1.0) < _ROUNDING and abs(x) + abs(y) < _FARTHEST_M):
+        if not (abs(cosine * cosine + sine * sine - 1.0) < ROUNDING and abs(x) + abs(y) < FARTHEST_M):
             raise ValueError("not a pose")
         return gtsam.Pose2(gtsam.Rot2.fromCosSin(cosine, sine), np.array([x, y])), at + 32
     if tag == b"3":
         rows = np.array(_POSE3.unpack_from(content, at)).reshape(3, 4)
         turn = rows[:, :3]
-        off = np.abs(turn @ turn.T - np.eye(3)).max() if np.abs(rows).max() < _FARTHEST_M else np.inf
-        if not (off < _ROUNDING and np.linalg.det(turn) > 0.0):
+        off = np.abs(turn @ turn.T - np.eye(3)).max() if np.abs(rows).max() < FARTHEST_M else np.inf
+        if not (off < ROUNDING and np.linalg.det(turn) > 0.0):
             raise ValueError("not a pose")
         return gtsam.Pose3(gtsam.Rot3(rows[:, :3]), rows[:, 3]), at + 96
     if tag not in _PLAIN:

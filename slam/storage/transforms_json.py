@@ -21,8 +21,8 @@ from slam.storage.posed_images import DEPTHS, IMAGES, MASKS, PosedImage
 _OPENGL = np.diag([1.0, -1.0, -1.0, 1.0])
 
 
-def write_transforms(path: Path, images: Sequence[PosedImage], cloud_name: str) -> None:
-    """Write the file; images, depths, masks and the cloud lie beside it.
+def write_transforms(path: Path, images: Sequence[PosedImage]) -> None:
+    """Write the file; images, depths, masks and the cloud (``points.ply``) lie beside it.
 
     Raises
     ------
@@ -30,7 +30,7 @@ def write_transforms(path: Path, images: Sequence[PosedImage], cloud_name: str) 
         If it cannot be written.
     """
     lenses = {image.intrinsics for image in images}
-    head: dict[str, Any] = {"camera_model": "OPENCV", "ply_file_path": cloud_name}
+    head: dict[str, Any] = {"camera_model": "OPENCV", "ply_file_path": "points.ply"}
     if len(lenses) == 1:
         head |= _lens(*lenses)
     head["frames"] = [_frame(image, len(lenses) > 1) for image in images]

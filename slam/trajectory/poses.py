@@ -57,15 +57,13 @@ class Poses:
 
     def compose(self, other: Poses) -> Poses:
         """Return ``self * other``, pose by pose."""
-        return Poses(
-            self.positions_m + self.rotations.apply(other.positions_m),
-            product(self.rotations, other.rotations),
-        )
+        placed = self.positions_m + self.rotations.apply(other.positions_m)
+        return Poses(placed, self.rotations * other.rotations)
 
     def between(self, other: Poses) -> Poses:
         """Return ``inverse(self) * other``, pose by pose."""
         back = self.rotations.inv()
-        return Poses(back.apply(other.positions_m - self.positions_m), product(back, other.rotations))
+        return Poses(back.apply(other.positions_m - self.positions_m), back * other.rotations)
 
     def offsets(self) -> FloatArray:
         """Return (N, 6) positions and rotation vectors."""
@@ -73,7 +71,7 @@ class Poses:
 
     def moved(self, offsets: FloatArray) -> Poses:
         """Add (N, 6) to each: to the position, and as a rotation vector, both in the fixed frame."""
-        turned = product(scipy.spatial.transform.Rotation.from_rotvec(offsets[:, 3:]), self.rotations)
+        turned = scipy.spatial.transform.Rotation.from_rotvec(offsets[:, 3:]) * self.rotations
         return Poses(self.positions_m + offsets[:, :3], turned)
 
     def where(self, chosen: NDArray[np.bool_], other: Poses) -> Poses:
@@ -85,15 +83,3 @@ class Poses:
     def trajectory(self, stamps_s: FloatArray) -> Trajectory:
         """Return the trajectory with (N,) stamps."""
         return Trajectory(stamps_s, self.positions_m, self.rotations.as_quat(canonical=True))
-
-
-def product(
-    first: scipy.spatial.transform.Rotation, second: scipy.spatial.transform.Rotation
-) -> scipy.spatial.transform.Rotation:
-    """Return ``first * second``, N each, equal to the bit; SciPy's own takes five times as long."""
-    (ax, ay, az, aw), (bx, by, bz, bw) = first.as_quat().T, second.as_quat().T
-    x = aw * bx + bw * ax + (ay * bz - az * by)
-    y = aw * by + bw * ay + (az * bx - ax * bz)
-    z = aw * bz + bw * az + (ax * by - ay * bx)
-    w = aw * bw - ax * bx - ay * by - az * bz
-    return scipy.spatial.transform.Rotation.from_quat(np.stack([x, y, z, w], axis=1))

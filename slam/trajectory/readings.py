@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from fusion.estimation import TINY
 from slam.estimates import Trajectory
 from slam.measurements import BoolArray, FloatArray, Pose, spatial
-from slam.trajectory.poses import Poses, product
+from slam.trajectory.poses import Poses
 from slam.trajectory.spread import spread_correction, steadied
 
 
@@ -210,5 +210,5 @@ def _motion_without_wheels(stamps_s: FloatArray, scans: NDArray[np.int64], poses
     known = span > 0.0
     share[known, 0] = ((stamps_s - stamps_s[scans[before]])[known] / span[known]).clip(0.0, 1.0)
     first, last = poses[before], poses[after]
-    turn = product(last.rotations, first.rotations.inv()).as_rotvec()
+    turn = (last.rotations * first.rotations.inv()).as_rotvec()
     return first.moved(share * np.hstack([last.positions_m - first.positions_m, turn]))

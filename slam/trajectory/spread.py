@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from fusion.estimation import FEWEST, TINY
 from slam.measurements import BoolArray, FloatArray
-from slam.trajectory.poses import Poses, product
+from slam.trajectory.poses import Poses
 
 # A radian of turn counts as this much path when a correction is spread; standing still counts a little.
 _TURN_M_PER_RAD = 0.3
@@ -43,7 +43,7 @@ def spread_correction(
         return poses
     start, stop = anchors[:-1], anchors[1:]
     reached = anchor_poses[:-1].compose(motion[start].between(motion[stop]))
-    turned = product(anchor_poses[1:].rotations, reached.rotations.inv())
+    turned = anchor_poses[1:].rotations * reached.rotations.inv()
     missed = np.hstack([anchor_poses[1:].positions_m - reached.positions_m, turned.as_rotvec()])
     steps = path_lengths(motion)
     if guessed is not None:
@@ -109,5 +109,5 @@ def _around(rows: FloatArray) -> FloatArray:
 def path_lengths(motion: Poses) -> FloatArray:
     """Return (N - 1,) lengths from each pose to the next, including rotations."""
     steps = np.linalg.norm(np.diff(motion.positions_m, axis=0), axis=1)
-    turns_rad = product(motion.rotations[:-1].inv(), motion.rotations[1:]).magnitude()
+    turns_rad = (motion.rotations[:-1].inv() * motion.rotations[1:]).magnitude()
     return steps + _TURN_M_PER_RAD * turns_rad + TINY

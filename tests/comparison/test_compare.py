@@ -24,7 +24,7 @@ from slam.comparison.perform import record_drive
 from slam.comparison.recording import record_comparison
 from slam.comparison.runs import plan_of
 from slam.comparison.store import ResultStore
-from slam.evaluation.truth_comparison import compare_with_truth
+from slam.evaluation.trajectory_error import compare_with_truth
 from slam.storage.tum import read_tum
 
 __all__ = ["scanweave"]

@@ -22,11 +22,11 @@ import slam
 from slam.config import Config
 from slam.evaluation.localization_report import write_localization_report
 from slam.evaluation.map_report import Beside
-from slam.evaluation.page_blob import packed
 from slam.evaluation.page_cloud import cloud_data
 from slam.evaluation.page_data import map_data
 from slam.evaluation.report import write_report
 from slam.evaluation.saved_page import saved_page
+from slam.evaluation.work_page import packed
 from slam.localization.drive_log import DriveLog
 from slam.localization.output import LocalizerOutput, RecoveredPose, State
 from slam.mapping.layered_map import OCCUPANCY, PASSED_BY, LayeredMap

@@ -7,15 +7,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from fusion.similarity import (
-    FEWEST,
-    LEAST_OVERLAP,
-    Grade,
-    grade_of,
-    masked_sums,
-    pearson,
-)
-from tools.xu2024_rows import inverse_cosine, inverse_euler
+from fusion.similarity import FEWEST, LEAST_OVERLAP, Grade, grade_of, pearson
+from tools.xu2024_rows import inverse_cosine, inverse_euler, masked_sums, pearson_map
 
 
 def plain(d, window):
@@ -38,19 +31,20 @@ def test_all_windows_at_once_are_each_window_alone(seed, holes, width):
     rows[rng.random(rows.shape) < holes] = np.nan
     curve[rng.random(curve.shape) < holes] = np.nan
     sums = masked_sums(rows, curve)
-    maps = pearson(sums), inverse_cosine(sums), inverse_euler(sums)
+    maps = pearson_map(sums), inverse_cosine(sums), inverse_euler(sums)
     for v in range(3):
         for u in range(10):
             wanted = plain(rows[v], curve[u : u + width])
             found = [scores[v, u] for scores in maps]
             assert found == pytest.approx(wanted or (0.0, 1.0, 0.0), abs=2e-3)
+            assert pearson(rows[v], curve[u : u + width]) == pytest.approx(wanted[0] if wanted else 0.0)
 
 
 def test_a_curve_is_like_itself_and_pcc_does_not_see_scale():
     curve = (2.0 + np.sin(np.linspace(0.0, 9.0, 60))).astype(np.float32)
     sums = masked_sums(np.stack([curve[20:50], 1.5 * curve[20:50]]), curve)
-    assert np.unravel_index(np.argmax(pearson(sums)[:1]), (1, 31))[1] == 20
-    assert pearson(sums)[:, 20] == pytest.approx(1.0, abs=1e-3)
+    assert np.unravel_index(np.argmax(pearson_map(sums)[:1]), (1, 31))[1] == 20
+    assert pearson_map(sums)[:, 20] == pytest.approx(1.0, abs=1e-3)
     assert inverse_cosine(sums)[:, 20] == pytest.approx(0.0, abs=1e-4)
     assert inverse_euler(sums)[0, 20] == pytest.approx(1.0, abs=1e-2)
     assert inverse_euler(sums)[1, 20] == pytest.approx(2.0 / 3.0, abs=1e-2)
@@ -58,7 +52,8 @@ def test_a_curve_is_like_itself_and_pcc_does_not_see_scale():
 
 def test_a_flat_curve_has_no_correlation_and_too_wide_a_one_is_refused():
     flat = np.full((1, 20), 2.0, np.float32)
-    assert pearson(masked_sums(flat, np.linspace(1, 2, 30, dtype=np.float32))).max() == 0.0
+    assert pearson(flat[0], np.linspace(1, 2, 20, dtype=np.float32)) == 0.0
+    assert pearson_map(masked_sums(flat, np.linspace(1, 2, 30, dtype=np.float32))).max() == 0.0
     with pytest.raises(ValueError, match="20"):
         masked_sums(flat, np.ones(19, np.float32))
 

@@ -13,8 +13,7 @@ from slam.datasets import open_dataset
 from slam.errors import MapFileError
 from slam.localization.drive_log import DriveLog
 from slam.localization.known_map import Walls
-from slam.localization.localizer import Localizer
-from slam.localization.look_alikes import look_alikes
+from slam.localization.localizer import Localizer, look_alikes
 from slam.localization.output import LocalizerOutput, State
 from slam.localization.planar_sensor import PlanarSensor
 from slam.localization.poses import Measured

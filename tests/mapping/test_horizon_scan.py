@@ -23,8 +23,8 @@ def points_base(pose: gtsam.Pose3) -> FloatArray:
 
 def test_it_sees_what_stands_at_the_lidars_height() -> None:
     pose = base(0.2, 0.3, 0.7)
-    scan = horizon_scan(points_base(pose), 2.0, T_BASE_LIDAR, CONFIG, "ring")
-    assert scan is not None and (scan.stamp_s, scan.sensor) == (2.0, "ring")
+    scan = horizon_scan(points_base(pose), 2.0, T_BASE_LIDAR, CONFIG)
+    assert scan is not None and scan.stamp_s == 2.0
     lidar, bearing = pose.compose(T_BASE_LIDAR), scan.bearings_rad()
     rays = np.column_stack([np.cos(bearing), np.sin(bearing), np.zeros(len(bearing))])
     expected = cast(lidar.translation(), rays @ lidar.rotation().matrix().T)
@@ -35,8 +35,8 @@ def test_it_sees_what_stands_at_the_lidars_height() -> None:
 
 def test_no_ring_near_the_horizon() -> None:
     steep = np.array([[1.0, 0.0, T_BASE_LIDAR.z() + 1.0]])
-    assert horizon_scan(steep, 0.0, T_BASE_LIDAR, CONFIG, "ring") is None
-    assert horizon_scan(np.zeros((0, 3)), 0.0, T_BASE_LIDAR, CONFIG, "ring") is None
+    assert horizon_scan(steep, 0.0, T_BASE_LIDAR, CONFIG) is None
+    assert horizon_scan(np.zeros((0, 3)), 0.0, T_BASE_LIDAR, CONFIG) is None
 
 
 def test_only_what_was_repaired_and_is_nearer_enters_the_plan() -> None:

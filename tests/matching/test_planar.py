@@ -9,12 +9,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
+from slam.matching.local_map import OrientedPoints
 from slam.matching.planar import (
     adjoint,
     between,
     compose,
     rotate_covariance,
-    transform_into,
     transform_points,
     wrap,
 )
@@ -95,9 +95,8 @@ def test_points_move_as_gtsam_moves_them_and_directions_only_turn() -> None:
     pose = np.array([4.0, -2.0, 2.5])
     T = pose2_from_row(pose)
     np.testing.assert_allclose(transform_points(points, pose), [T.transformFrom(p) for p in points])
-    turned = np.empty_like(points)
-    transform_into(points, pose, turned, True)
-    np.testing.assert_allclose(turned, points @ T.rotation().matrix().T)
+    moved = OrientedPoints(points, points).moved(pose)
+    np.testing.assert_allclose(moved.normals, points @ T.rotation().matrix().T)
 
 
 def test_no_points() -> None:

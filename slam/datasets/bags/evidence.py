@@ -10,8 +10,8 @@ from typing import Any
 import gtsam
 import numpy as np
 
-from slam.datasets.bags.camera_clouds import camera_clouds
 from slam.datasets.bags.clouds import LEAST_POINTS
+from slam.datasets.bags.decoding import frame_name
 from slam.datasets.bags.laser import LaserMount
 from slam.datasets.bags.survey import Survey
 from slam.datasets.bags.topics import CLOUDS, IMAGES, ODOMETRY, POINT_CLOUD, SCANS, Evidence
@@ -70,7 +70,7 @@ def never_read(survey: Survey) -> dict[str, str]:
             found[topic] = f"it stands in {frame}, already transformed by an estimated pose"
         elif kind == POINT_CLOUD and (view := survey.clouds.get(topic)) and view.points < LEAST_POINTS:
             found[topic] = f"its {view.points} points are from a sonar or a bumper, not from a lidar"
-    made = camera_clouds(survey)
+    made = _camera_clouds(survey)
     rest = {topic for topic in kinds if topic not in found and topic not in made}
     cameras = {topic for topic in rest & set(survey.depths) if survey.depths[topic]}
     if cameras or any(kinds[topic] in SCANS | CLOUDS for topic in rest):
@@ -80,6 +80,35 @@ def never_read(survey: Survey) -> dict[str, str]:
             for topic, why in made.items()
             if topic not in found
         }
+    return found
+
+
+def _camera_clouds(survey: Survey) -> dict[str, str]:
+    """Clouds that come from a depth camera: they repeat its images and are no lidar's; with the reason.
+
+    Their frame is a camera's and their points have no timestamps; or all points are in a camera's field of
+    view, and their axes, frame, order or stamps are a camera's. A spinning lidar sees in all directions; a
+    solid-state lidar has a frame and stamps of its own.
+    """
+    frames = {frame_name(lens.header.frame_id): topic for topic, lens in survey.lenses.items()}
+    frames |= {survey.frames[topic]: topic for topic in survey.stamps_s if topic in survey.frames}
+    stamps_s = {stamp_s: topic for topic, stamps in survey.stamps_s.items() for stamp_s in stamps}
+    found = {}
+    for topic, view in survey.clouds.items():
+        frame = survey.frames[topic]
+        in_camera = "optical" in frame or (frame and frame in frames)
+        if not view.along and (view.timed or not in_camera):
+            continue
+        if "optical" in frame:
+            found[topic] = f"its frame is {frame}"
+        elif frame and frame in frames:
+            found[topic] = f"it is in the frame of {frames[frame]}"
+        elif view.stamp_s in stamps_s:
+            found[topic] = f"its stamps are those of {stamps_s[view.stamp_s]}"
+        elif view.along == "z" and survey.stamps_s:
+            found[topic] = "its view is along z, the optical axis"
+        elif view.rows > 1 and survey.stamps_s:
+            found[topic] = "its points are in the order of an image"
     return found
 
 
