@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -17,6 +17,7 @@ from slam.doctor.camera_samples import SPREAD, CameraSamples
 from slam.doctor.cloud_samples import CloudSamples
 from slam.doctor.finding import Finding, Remedy, mounting_entry
 from slam.doctor.floor import ANGLE_RAD, LEVER_M, floor_below_m, upright_mounting
+from slam.doctor.imu import ImuSamples, clock_sigma_s
 from slam.doctor.lens_fit import lens_fit
 from slam.doctor.pair import interval
 from slam.doctor.paired_motions import BaseTrack, clock_of, joined, runs_of, turns_of
@@ -327,8 +328,8 @@ def _entry(kind: str, R_base_sensor: FloatArray, place_m: Sequence[float]) -> di
     return {key: mounting_entry(rotation, place_m)}
 
 
-def cloud_findings(name: str, samples: CloudSamples) -> list[Finding]:
-    """Findings about a 3D lidar alone."""
+def cloud_findings(name: str, samples: CloudSamples, imus: Iterable[ImuSamples] = ()) -> list[Finding]:
+    """Findings about a 3D lidar alone; IMUs show how well its stamps are known."""
     # A lidar has noise even at rest, so one identical cloud is already an error.
     found = samples.repeats.findings("lidars_3d", name, samples.count, "clouds", enough=True)
     if samples.points:
@@ -336,7 +337,9 @@ def cloud_findings(name: str, samples: CloudSamples) -> list[Finding]:
         ways = CloudOdometryConfig()  # nothing can be mapped beyond its limits
         found += unit_finding("lidars_3d", name, median_m, (ways.range_min_m, ways.range_max_m))
     if samples.turn is not None:
-        found.append(samples.turn.finding("lidars_3d", name))
+        steps = [step for stretch in samples.steps for step in stretch]
+        imu_sigma_s = min((clock_sigma_s(imu, steps) for imu in imus), default=math.inf)
+        found.append(samples.turn.finding("lidars_3d", name, samples.turn.clock_sigma_s(imu_sigma_s)))
     effect = "clouds are not deskewed correctly"
     if (scale := samples.times_scale) != 1.0:
         what = "run backward" if scale < 0.0 else f"are {1.0 / scale:g} of what they should be"

@@ -55,17 +55,31 @@ class Turn:
     sigma_s: float
     cut_rad: float
 
-    def finding(self, kind: str, name: str) -> Finding:
+    def clock_sigma_s(self, imu_sigma_s: float) -> float:
+        """Standard deviation of stamps that count as the middle of a revolution.
+
+        Its start, middle and end are equally likely, if no IMU determines the clock better (``imu_sigma_s``).
+        The estimated start is off by three slices (28 simulated logs: at most seven).
+        """
+        turn_s = abs(self.turn_s)
+        return math.hypot(min(imu_sigma_s, 6**-0.5 * turn_s), 3 / SLICES * turn_s)
+
+    def finding(self, kind: str, name: str, clock_sigma_s: float = 0.0) -> Finding:
         """The finding for a lidar; ``kind`` is its type in a calibration file."""
         sense, turn_s = "clockwise" if self.turn_s < 0.0 else "counter-clockwise", round(self.turn_s, 4)
         cut_deg = round(math.degrees(math.remainder(self.cut_rad, math.tau)), 1)
+        entry = {"turn_s": turn_s, "cut_deg": cut_deg}
+        within = ""
+        if clock_sigma_s:
+            entry["clock_sigma_s"] = round(clock_sigma_s, 4)
+            within = f" to {clock_sigma_s:.3f} s (sigma)"
         return Finding(
             name,
             "turn",
             f"its points were measured in a revolution of {abs(turn_s):.3f} s, {sense}, that "
-            f"begins at {cut_deg:.0f} degrees; stamps count as its middle",
+            f"begins at {cut_deg:.0f} degrees; stamps count as its middle{within}",
             "walls are distorted by the robot's own motion",
-            ({kind: {name: {"turn_s": turn_s, "cut_deg": cut_deg}}},),
+            ({kind: {name: entry}},),
             sure=True,
             value=turn_s,
         )
