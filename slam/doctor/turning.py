@@ -147,19 +147,33 @@ def turn_of(
     return _settled(*bends, interval_s, config, by_scans is not None) if bends else None
 
 
+def unit_of(span_s: float, interval_s: float) -> float:
+    """Power of ten by which the times of a cloud's points exceed the time between clouds; 1 if none fits.
+
+    From a thousand on, nearly: that is a unit of time. Below, clouds may come seldom, so within a twentieth.
+    """
+    ratio = math.log10(max(span_s, TINY) / max(interval_s, TINY))
+    thousands, tens = 3 * round(ratio / 3), round(ratio)
+    if thousands and abs(ratio - thousands) < 0.5:
+        return 10.0**thousands
+    return 10.0**tens if abs(10 ** (ratio - tens) - 1.0) < 1.0 / FEWEST else 1.0
+
+
 def times_scale(
     stretches: Sequence[Sequence[PointCloud]], turn_s: float, interval_s: float, config: Config
 ) -> float:
-    """Return the factor on the times of points by which clouds of four stretches fit better.
+    """Return the factor on the times of points: of another unit, of half the rate, or reversed (-1).
 
-    Better by twice what chance may do: -1 if they are reversed, 10 or 100 if with it the span of a cloud is
-    the time between clouds, otherwise 1.
+    Revolutions do not last longer than the time between clouds. Shorter ones by less than a thousand, and
+    reversed times, count only if clouds of four stretches fit better, by twice what chance may do.
     """
+    unit = unit_of(turn_s, interval_s)
+    if unit > 1.0 or unit < 1.0 / 500:
+        return 1.0 / unit
+    if interval_s and abs(turn_s / interval_s / 2.0 - 1.0) < 1.0 / FEWEST:
+        return 0.5
     pairs = [pair for clouds in islice(_spread_out(stretches), 5) for pair in _pairs(clouds, config)]
-    exponent = round(math.log10(max(interval_s, TINY) / max(turn_s, TINY)))
-    unit = float(10 ** min(max(exponent, 0), 2))
-    units = [unit] if unit != 1.0 and abs(unit * turn_s / interval_s - 1.0) < 1.0 / FEWEST else []
-    for scale in [-1.0, *units] if len(pairs) > 9 else []:
+    for scale in [-1.0, *([1.0 / unit] if unit < 1.0 else [])] if len(pairs) > 9 else []:
         if _gain(pairs, partial(retimed, scale=scale), lambda cloud: cloud, config) > 2:
             return scale
     return 1.0

@@ -106,9 +106,10 @@ def test_four_seconds_tell_a_turn() -> None:
     assert turn is not None and turn.turn_s == pytest.approx(-0.1)
 
 
-@pytest.mark.parametrize("scale", [1.0, -1.0])
-def test_times_that_run_backward_are_found_and_reversed(scale: float) -> None:
-    right = [replace(one, times_s=turn_times(one.points_lidar, -0.1, math.pi)) for one in clouds(-0.1, 180.0)]
+@pytest.mark.parametrize(("scale", "count"), [(1.0, 84), (-1.0, 84), (0.1, 168), (10.0, 84)])
+def test_times_that_run_backward_or_are_of_another_unit_are_found(scale: float, count: int) -> None:
+    seen = clouds(-0.1, 180.0, count)
+    right = [replace(one, times_s=turn_times(one.points_lidar, -0.1, math.pi)) for one in seen]
     log = [retimed(one, scale) for one in right]
     found = [one for one in diagnose(log) if one.kind == "times of points"]
     assert [one.value for one in found] == ([] if scale == 1.0 else [pytest.approx(1.0 / scale)])
