@@ -309,8 +309,10 @@ def turns(stamps_s: list[float], turn_s: float) -> list[PointCloud]:
     return [PointCloud(one, rng.normal(size=(80, 3)).astype(np.float32), times_s) for one in stamps_s]
 
 
-def test_a_second_lidar_under_the_same_name_is_told_and_left_out() -> None:
-    log = turns([0.1 * (n // 2) + 0.03 * (n % 2) for n in range(80)], 0.1)
+@pytest.mark.parametrize("apart_s", [0.03, 0.01])
+def test_a_second_lidar_under_the_same_name_is_told_and_left_out(apart_s: float) -> None:
+    """Also where it starts so soon after the first as if times were ten times too long."""
+    log = turns([0.1 * (n // 2) + apart_s * (n % 2) for n in range(80)], 0.1)
     (finding,) = [one for one in diagnose(log) if one.kind == "several lidars"]
     assert finding.text.startswith("40 of 80")
     left = list(corrected(log, remedied(Calibration(), [finding], only_sure=True)))
