@@ -15,15 +15,7 @@ import numpy as np
 
 from fusion.alignment import align
 from fusion.checks import instance, numbers
-from fusion.curves import (
-    HEIGHT_STEP_M,
-    NEAR_SAMPLES,
-    Curve,
-    Float32Array,
-    FloatArray,
-    LidarCurve,
-    resample,
-)
+from fusion.curves import HEIGHT_STEP_M, NEAR_SAMPLES, Curve, Float32Array, FloatArray, LidarCurve, resample
 from fusion.likelihood import log_ratio_map
 from fusion.panorama import CurveStack, Depths, as_images, height_slices, join
 from fusion.showing import drawn, one_line, shaded, with_pictures
@@ -89,12 +81,7 @@ class Registration:
         return -round(join(self.stacks).start_angle_rad / self.curve.step_rad)
 
 
-def register(
-    scan: LidarCurve,
-    depth: Depths,
-    *,
-    heights_m: FloatArray = HEIGHTS_M,
-) -> Registration:
+def register(scan: LidarCurve, depth: Depths, *, heights_m: FloatArray = HEIGHTS_M) -> Registration:
     """Find (u, v) of one pair, without extrinsics or an initial guess.
 
     Parameters

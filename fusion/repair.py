@@ -40,11 +40,7 @@ _SLANT_SHARE = 0.06  # noise and slant of a surface over a few readings
 
 @kernel
 def replace_readings(
-    own: Float32Array,
-    other: Float32Array,
-    eps_share: float,
-    burr_samples: int,
-    trust_other: float,
+    own: Float32Array, other: Float32Array, eps_share: float, burr_samples: int, trust_other: float
 ) -> tuple[Float32Array, ProvenanceArray]:
     """Replace readings of a lidar curve by those of the camera: Xu2024 Eq. (6) and (7).
 
@@ -137,11 +133,7 @@ def _drop_bumps(
 
 @kernel
 def _drop_veil(
-    own: Float32Array,
-    other: Float32Array,
-    eps_share: float,
-    result: Float32Array,
-    source: ProvenanceArray,
+    own: Float32Array, other: Float32Array, eps_share: float, result: Float32Array, source: ProvenanceArray
 ) -> None:
     """Replace flying points, single readings between a nearer and a farther surface; in place.
 

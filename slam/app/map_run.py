@@ -128,9 +128,10 @@ def run_into(
         if viewer is not None:
             record_map(viewer, result, config)
         before = time.perf_counter()
-        write_contents(file, result.map)
-        write_facts(file, result.map.ground_m, result.map.georeference, result.map.node_poses[0])
-        write_places(file, result.map.places, result.map.node_poses[0])
+        made = result.map
+        write_contents(file, made)
+        write_facts(file, made.ground_m, made.georeference, made.node_poses[0], made.clock_sigma_s)
+        write_places(file, made.places, made.node_poses[0])
         file.add_meta(NOTES, json.dumps(result.notes))
         file.add_meta(WARNINGS, json.dumps(result.warnings))
         files, missing = beside_file()

@@ -38,12 +38,7 @@ class Merged:
     __repr__ = one_line
 
 
-def merge(
-    maps: Sequence[Map | Path | str],
-    out: Path | str,
-    *,
-    overwrite: bool = False,
-) -> Merged:
+def merge(maps: Sequence[Map | Path | str], out: Path | str, *, overwrite: bool = False) -> Merged:
     """Join saved maps in any order in which they connect, and write the merged map.
 
     Parameters

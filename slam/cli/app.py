@@ -93,8 +93,7 @@ KnownMapArgument = Annotated[
     typer.Argument(metavar="MAP", help="output folder of 'scanweave map', its map.db, or a nav2 map (.yaml)"),
 ]
 OutOption = Annotated[
-    Path,
-    typer.Option("--out", "-o", parser=folder_of, help="output folder; created if missing"),
+    Path, typer.Option("--out", "-o", parser=folder_of, help="output folder; created if missing")
 ]
 ConfigOption = Annotated[
     str | None, typer.Option("--config", "-c", help="preset name, or your own YAML file")

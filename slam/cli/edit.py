@@ -31,8 +31,7 @@ def edit(
     undo: Annotated[bool, typer.Option("--undo", help="undo the last edits")] = False,
     list_: Annotated[bool, typer.Option("--list", help="list the edits of the map")] = False,
     sessions: Annotated[
-        int | None,
-        typer.Option(metavar="N", help="keep the first N sessions and remove the later ones"),
+        int | None, typer.Option(metavar="N", help="keep the first N sessions and remove the later ones")
     ] = None,
 ) -> None:
     """Apply edits to a map: forbid, force or add loops, erase regions, add zones, rotate, name places."""
@@ -61,8 +60,7 @@ def edit(
 @command()
 def merge(
     maps: Annotated[
-        list[Path],
-        typer.Argument(metavar="MAP...", help="maps; the first defines frame and settings"),
+        list[Path], typer.Argument(metavar="MAP...", help="maps; the first defines frame and settings")
     ],
     out: Annotated[Path, typer.Option("--out", "-o", parser=folder_of, help="folder for the joined map")],
     force: Annotated[bool, typer.Option("--force", help="replace a map in the folder")] = False,

@@ -39,8 +39,7 @@ if TYPE_CHECKING:
 def map_command(
     log: LogArgument,
     out: Annotated[
-        Path | None,
-        typer.Option("--out", "-o", parser=folder_of, help="output folder; created if missing"),
+        Path | None, typer.Option("--out", "-o", parser=folder_of, help="output folder; created if missing")
     ] = None,
     into: Annotated[
         Path | None,
@@ -67,8 +66,7 @@ def map_command(
         ),
     ] = None,
     resume: Annotated[
-        bool,
-        typer.Option("--resume", help="continue the interrupted run whose map is in the folder"),
+        bool, typer.Option("--resume", help="continue the interrupted run whose map is in the folder")
     ] = False,
     force: Annotated[bool, typer.Option("--force", help="replace a finished map in the folder")] = False,
     record: RecordOption = None,

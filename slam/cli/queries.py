@@ -57,8 +57,7 @@ def inspect(
 def doctor(
     log: LogArgument,
     write: Annotated[
-        Path | None,
-        typer.Option("--write", help="write the corrections to this file, for --calibration"),
+        Path | None, typer.Option("--write", help="write the corrections to this file, for --calibration")
     ] = None,
     as_json: JsonOption = False,
     strict: StrictOption = False,
@@ -109,8 +108,7 @@ def evaluate(
         Path | None, typer.Option(help="relations file (Kuemmerle 2009): t1 t2 x y z roll pitch yaw")
     ] = None,
     groundtruth: Annotated[
-        Path | None,
-        typer.Option(help="ground truth in a published format, or a folder that contains one"),
+        Path | None, typer.Option(help="ground truth in a published format, or a folder that contains one")
     ] = None,
     tolerance: Annotated[
         float | None, typer.Option(min=0.0, help="largest time from a pose to its true pose, seconds")

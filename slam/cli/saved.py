@@ -74,8 +74,7 @@ def check(map_: MapArgument) -> None:
 def export(
     map_: MapArgument,
     format_: Annotated[
-        Format,
-        typer.Option("--format", "-f", help="output format; docs/outputs.md describes each"),
+        Format, typer.Option("--format", "-f", help="output format; docs/outputs.md describes each")
     ],
     out: Annotated[
         Path,

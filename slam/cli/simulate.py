@@ -26,18 +26,11 @@ def simulate(
     out: Annotated[
         Path, typer.Option("--out", "-o", parser=folder_of, help="folder for the log; must be empty or new")
     ],
-    rig: Annotated[
-        str,
-        typer.Option(help="robot type; an unknown name lists all"),
-    ] = _RIG,
+    rig: Annotated[str, typer.Option(help="robot type; an unknown name lists all")] = _RIG,
     home: Annotated[int, typer.Option(min=0, help="random seed of the floor plan")] = 1,
     seed: Annotated[int, typer.Option(min=0, help="random seed of the route, noise and faults")] = 0,
     moved: Annotated[
-        int,
-        typer.Option(
-            min=0,
-            help="number of pieces of furniture that moved, disappeared or appeared",
-        ),
+        int, typer.Option(min=0, help="number of pieces of furniture that moved, disappeared or appeared")
     ] = 0,
     tags: Annotated[
         int, typer.Option(min=0, help="number of AprilTags on the walls; tags.yaml lists their poses")
@@ -45,8 +38,7 @@ def simulate(
     imu: Annotated[bool, typer.Option("--imu", help="add a 200 Hz IMU (always with --street)")] = False,
     office: Annotated[bool, typer.Option("--office", help="simulate an office instead of a home")] = False,
     campus: Annotated[
-        bool,
-        typer.Option("--campus", help="2 km of corridors, a SICK lidar, bad wheel odometry; no --rig"),
+        bool, typer.Option("--campus", help="2 km of corridors, a SICK lidar, bad wheel odometry; no --rig")
     ] = False,
     street: Annotated[
         bool,
@@ -58,8 +50,7 @@ def simulate(
         bool, typer.Option("--tunnel", help="with --street: one road with 200 m of smooth tunnel")
     ] = False,
     undistorted: Annotated[
-        bool,
-        typer.Option("--undistorted", help="with --street: write clouds without motion distortion"),
+        bool, typer.Option("--undistorted", help="with --street: write clouds without motion distortion")
     ] = False,
     duration: Annotated[
         float | None,
@@ -68,8 +59,7 @@ def simulate(
         ),
     ] = None,
     faults: Annotated[
-        str,
-        typer.Option(help="none, usual or harsh (not for a campus): clock errors, losses, people"),
+        str, typer.Option(help="none, usual or harsh (not for a campus): clock errors, losses, people")
     ] = "usual",
     formats: Annotated[
         list[str] | None, typer.Option("--format", help="folder (CARMEN + TUM) or mcap; default: both")

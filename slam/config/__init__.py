@@ -89,10 +89,7 @@ class Config(StrictModel):
 
 
 def load_config(
-    preset_or_path: str | None = None,
-    overrides: Sequence[str] = (),
-    *,
-    calibration: Path | str | None = None,
+    preset_or_path: str | None = None, overrides: Sequence[str] = (), *, calibration: Path | str | None = None
 ) -> Config:
     """Build the effective configuration: defaults, then a preset or file, then overrides.
 

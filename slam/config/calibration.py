@@ -130,7 +130,9 @@ class CloudCorrection(SpinningCorrection):
 
     T_base_lidar: Mounting | None = Field(default=None, description="pose on the robot")
     range_scale: float = Field(default=1.0, gt=0, description="factor on the points: 0.3048 if in feet")
+    range_min_m: float = Field(default=0.0, ge=0, description="nearer points are the robot itself: ignored")
     times_scale: float = Field(default=1.0, description="factor on points' times: -1 if they run backward")
+    clock_sigma_s: float = Field(default=0.0, ge=0, description="standard deviation of all its stamps")
     elevation_deg: float = Field(
         default=0.0, ge=-10, le=10, description="beams look too low by this angle: 0.205 for KITTI odometry"
     )

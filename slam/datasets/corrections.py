@@ -14,12 +14,7 @@ import gtsam
 import numpy as np
 
 from slam.config.calibration import Calibration, LidarCorrection, SensorCorrection, WheelCorrection
-from slam.datasets.corrections_in_space import (
-    corrected_cloud,
-    corrected_fix,
-    corrected_frame,
-    corrected_imu,
-)
+from slam.datasets.corrections_in_space import corrected_cloud, corrected_fix, corrected_frame, corrected_imu
 from slam.datasets.spinning_scans import straightened
 from slam.errors import DatasetError
 from slam.matching.planar import wrap

@@ -41,12 +41,21 @@ def corrected_cloud(given: CloudCorrection, cloud: PointCloud) -> PointCloud:
     times_s = retimed(cloud, given.times_scale).times_s
     if times_s is None and given.turn_s != 0.0:
         times_s = turn_times(cloud.points_lidar, given.turn_s, math.radians(given.cut_deg))
+    cloud = beyond(cloud, given.range_min_m)
     return replace(
         cloud,
         points_lidar=raised(cloud.points_lidar, given.elevation_deg) * np.float32(given.range_scale),
         times_s=times_s,
         T_base_lidar=cloud.T_base_lidar if given.T_base_lidar is None else mounted(given.T_base_lidar),
     )
+
+
+def beyond(cloud: PointCloud, range_m: float) -> PointCloud:
+    """Return a cloud whose points within a range are zero: not measured."""
+    if range_m == 0.0:
+        return cloud
+    points = cloud.points_lidar
+    return replace(cloud, points_lidar=points * (np.sum(points**2, axis=1) > range_m**2)[:, None])
 
 
 def retimed(cloud: PointCloud, scale: float) -> PointCloud:

@@ -79,10 +79,7 @@ def inspect_dataset(dataset: Dataset, calibration: Calibration | None = None) ->
 
 
 def map_commands(
-    inspection: Mapping[str, Any],
-    log: Path,
-    topics: Sequence[str] = (),
-    calibration: Path | None = None,
+    inspection: Mapping[str, Any], log: Path, topics: Sequence[str] = (), calibration: Path | None = None
 ) -> list[str]:
     """The commands that map an inspected log: one for each robot, none if it cannot be mapped."""
     if inspection["refusal"]:

@@ -13,15 +13,7 @@ import numpy as np
 
 from slam.datasets.dataset import Thinned
 from slam.earth import TangentPlane
-from slam.measurements import (
-    FloatArray,
-    GnssFix,
-    ImuReading,
-    LaserScan,
-    PointCloud,
-    RgbdFrame,
-    WheelOdometry,
-)
+from slam.measurements import FloatArray, GnssFix, ImuReading, LaserScan, PointCloud, RgbdFrame, WheelOdometry
 from slam.vision.camera_frame import T_BODY_CAMERA
 
 _EVERY_PIXEL = 4  # along rows and columns: 19200 pixels of 640 x 480 are enough for the fractions

@@ -18,13 +18,7 @@ from slam.datasets.clouds_over_time import CloudFolder, clouds_by_name
 from slam.datasets.dataset_format import recorded
 from slam.datasets.imu_files import ImuFile, beside_imu
 from slam.datasets.log_file import first_file
-from slam.datasets.pose_files import (
-    BAD_MATRIX,
-    by_its_size,
-    pose_of_row,
-    rotation_and_shift,
-    trajectory_of,
-)
+from slam.datasets.pose_files import BAD_MATRIX, by_its_size, pose_of_row, rotation_and_shift, trajectory_of
 from slam.datasets.recording import Contents
 from slam.datasets.stamped_files import fields_of
 from slam.errors import DatasetError

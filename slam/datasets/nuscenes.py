@@ -54,8 +54,4 @@ def _drive(file: StampedFile) -> str:
     return file.path.name.partition("__")[0]
 
 
-FORMAT = recorded(
-    "nuScenes sweeps",
-    lambda path, head: path.is_dir() and bool(_places(path)),
-    _load,
-)
+FORMAT = recorded("nuScenes sweeps", lambda path, head: path.is_dir() and bool(_places(path)), _load)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import gtsam
 import numpy as np
@@ -10,12 +10,13 @@ import numpy as np
 from fusion.time_alignment import GAP_S
 from slam.config import Config
 from slam.datasets.corrections import begins_early
-from slam.datasets.corrections_in_space import retimed
+from slam.datasets.corrections_in_space import beyond, retimed
 from slam.datasets.dataset import Thinned
 from slam.doctor.camera_samples import SensorStep
+from slam.doctor.own_body import body_reach_m
 from slam.doctor.repeats import Repeats
 from slam.doctor.stretches import Stretches
-from slam.doctor.turning import Turn, times_scale, turn_of
+from slam.doctor.turning import Turn, times_scale, turn_of, unit_of
 from slam.matching.cloud_points import at_middle_of_turn
 from slam.measurements import FloatArray, PointCloud
 from slam.odometry.cloud_tracker import CloudTracker, TrackedCloud
@@ -41,6 +42,8 @@ class CloudSamples:
         Its rotation, if points have no timestamps and it can be estimated.
     times_scale
         Factor on point times by which clouds fit better, see `slam.doctor.turning.times_scale`.
+    reach_m
+        Range of the farthest points of the robot itself, 0 if it sees none.
     """
 
     steps: list[list[SensorStep]] = field(default_factory=list)
@@ -53,11 +56,13 @@ class CloudSamples:
     turn_s: Thinned = field(default_factory=Thinned)
     turn: Turn | None = None
     times_scale: float = 1.0
+    reach_m: float = 0.0
     T_base_lidar: gtsam.Pose3 = field(default_factory=lambda: gtsam.Pose3())
     _stretches: Stretches = field(default_factory=Stretches)
     _tracker: CloudTracker | None = None
     _tracked: tuple[float, TrackedCloud] | None = None
     _newest: PointCloud | None = None
+    _stamps_s: list[float] = field(default_factory=list)
     _first: PointCloud | None = None
 
     @property
@@ -68,10 +73,10 @@ class CloudSamples:
     def add(self, cloud: PointCloud) -> None:
         """Add the next cloud."""
         self.count += 1
-        if self._newest is not None and begins_early(self._newest, cloud):
+        if self._overlaps(cloud):
             self.between += 1
             return
-        if self.repeats.take(self._newest, cloud):
+        if self.repeats.take(self._newest and replace(self._newest, times_s=None), cloud):
             return
         if self._newest is not None:
             self.interval_s.add(cloud.stamp_s - self._newest.stamp_s)
@@ -89,22 +94,35 @@ class CloudSamples:
                 del self.clouds[1::2], self.points[1::2]
             self.clouds.append([])
             self.points.append(thinned.points_lidar.astype(np.float64))
-        # With a stamp at the start of the revolution, deskewing would make the steps oscillate.
-        self.clouds[-1].append(at_middle_of_turn(thinned, _CONFIG.cloud_odometry))
+        self.clouds[-1].append(thinned)
 
     def close(self, *, compared: bool) -> None:
         """Estimate its rotation, and the motions of the stretches that were kept."""
         interval_s = self.interval_s.median() or 0.0
+        step = max(int(GAP_S / interval_s), 1) if interval_s else 1
+        apart = [cloud.points_lidar for clouds in self.clouds for cloud in clouds[::step]]
+        self.reach_m = body_reach_m(apart, np.asarray(self.T_base_lidar.rotation().matrix())[2], _CONFIG)
+        self.clouds = [[beyond(cloud, self.reach_m) for cloud in clouds] for clouds in self.clouds]
+        # With a stamp at the start of the revolution, deskewing would make the steps oscillate.
+        middle = [[at_middle_of_turn(cloud, _CONFIG.cloud_odometry) for cloud in one] for one in self.clouds]
         if (turn_s := self.turn_s.median()) is None:
-            self.turn = turn_of(self.clouds, interval_s, _CONFIG)
+            self.turn = turn_of(middle, interval_s, _CONFIG)
         else:
-            self.times_scale = times_scale(self.clouds, turn_s, interval_s, _CONFIG)
+            self.times_scale = times_scale(middle, turn_s, interval_s, _CONFIG)
         while self.clouds:
             clouds = self.clouds.pop(0)
             self.steps.append([])
             for cloud in clouds if compared else []:
-                timed = retimed(cloud, self.times_scale)
+                timed = at_middle_of_turn(retimed(cloud, self.times_scale), _CONFIG.cloud_odometry)
                 self._track(timed if self.turn is None else self.turn.timed(timed))
+
+    def _overlaps(self, cloud: PointCloud) -> bool:
+        """Whether a cloud begins early, so it is of another lidar; if all do, times are in another unit."""
+        before, self._stamps_s = self._newest, [*self._stamps_s[-2:], cloud.stamp_s]
+        if before is None or before.times_s is None or not begins_early(before, cloud):
+            return False
+        span_s, steps_s = float(np.ptp(before.times_s)), np.diff(self._stamps_s).tolist()
+        return len(steps_s) < 2 or any(unit_of(span_s, step_s) == 1.0 for step_s in steps_s)
 
     def _track(self, cloud: PointCloud) -> None:
         """The step from the previous cloud; after a gap, tracking starts again."""

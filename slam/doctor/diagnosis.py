@@ -211,8 +211,9 @@ def _in_space(
     rows = np.empty((0, 4)) if wheels is None else wheels[1].rows()
     found = [one for camera in samples.cameras.items() for one in in_space.camera_findings(*camera, rows)]
     doubtful = frozenset(one.sensor for one in found if one.kind in _REGISTERED)
-    found += [one for name, clouds in samples.clouds.items() for one in in_space.cloud_findings(name, clouds)]
-    found += [one for name, clouds in samples.clouds.items() for one in in_space.stood_up(name, clouds)]
+    for lidar, clouds in samples.clouds.items():
+        found += in_space.cloud_findings(lidar, clouds, samples.imus.values())
+        found += in_space.stood_up(lidar, clouds)
     for lidar, clouds in list(samples.clouds.items())[: 0 if samples.lidars else 1]:
         steps = [step for stretch in clouds.steps for step in stretch]
         for name, imu in samples.imus.items():

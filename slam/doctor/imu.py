@@ -108,6 +108,16 @@ def imu_findings(
     return [*found, *_clock(name, fit, untimed_s), *_sits(name, samples, fit, T_base_lidar)]
 
 
+def clock_sigma_s(samples: ImuSamples, steps: Sequence[SensorStep]) -> float:
+    """Sigma of the clock offset between an IMU and a lidar; infinite if rotations do not determine it."""
+    rows = samples.rows()
+    if len(rows) < FEWEST:
+        return math.inf
+    rows[:, 1:4] *= _unit(rows, steps)
+    fit = turn_fit(rows, steps)
+    return math.inf if fit is None or fit.left_share > SPREAD else fit.ahead_sigma_s
+
+
 def handed(found: Sequence[Finding]) -> float:
     """Whether IMUs turn in the same direction as a 2D lidar (1) or opposite (-1), by findings; 0: unknown."""
     by_kind = {one.kind: one for one in found}

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -18,7 +18,9 @@ from slam.doctor.camera_samples import SPREAD, CameraSamples
 from slam.doctor.cloud_samples import CloudSamples
 from slam.doctor.finding import Finding, Remedy, mounting_entry
 from slam.doctor.floor import ANGLE_RAD, LEVER_M, floor_below_m, upright_mounting
+from slam.doctor.imu import ImuSamples, clock_sigma_s
 from slam.doctor.lens_fit import lens_fit
+from slam.doctor.own_body import body_finding
 from slam.doctor.pair import interval
 from slam.doctor.paired_motions import BaseTrack, clock_of, joined, runs_of, turns_of
 from slam.doctor.planar_hand_eye import PlanarHandEye, planar_hand_eye
@@ -341,40 +343,37 @@ def _entry(kind: str, R_base_sensor: FloatArray, place_m: Sequence[float]) -> di
     return {key: mounting_entry(rotation, place_m)}
 
 
-def cloud_findings(name: str, samples: CloudSamples) -> list[Finding]:
-    """Findings about a 3D lidar alone."""
+def cloud_findings(name: str, samples: CloudSamples, imus: Iterable[ImuSamples] = ()) -> list[Finding]:
+    """Findings about a 3D lidar alone; IMUs show how well its stamps are known."""
     # A lidar has noise even at rest, so one identical cloud is already an error.
     found = samples.repeats.findings("lidars_3d", name, samples.count, "clouds", enough=True)
     if samples.points:
         median_m = float(np.median(np.linalg.norm(np.concatenate(samples.points), axis=1)))
         ways = CloudOdometryConfig()  # nothing can be mapped beyond its limits
         found += unit_finding("lidars_3d", name, median_m, (ways.range_min_m, ways.range_max_m))
+    if samples.reach_m:
+        found.append(body_finding(name, samples.reach_m))
     if samples.turn is not None:
-        found.append(samples.turn.finding("lidars_3d", name))
-    effect = "clouds are not deskewed correctly"
-    if (scale := samples.times_scale) != 1.0:
-        what = "run backward" if scale < 0.0 else f"are {1.0 / scale:g} of what they should be"
-        text = f"the times of a cloud's points {what}"
-        remedy: Remedy = {"lidars_3d": {name: {"times_scale": scale}}}
-        found.append(Finding(name, "times of points", text, effect, (remedy,), sure=True, value=scale))
+        steps = [step for stretch in samples.steps for step in stretch]
+        imu_sigma_s = min((clock_sigma_s(imu, steps) for imu in imus), default=math.inf)
+        found.append(samples.turn.finding("lidars_3d", name, samples.turn.clock_sigma_s(imu_sigma_s)))
     interval_s, turn_s = samples.interval_s.median(), samples.turn_s.median()
     if not interval_s or not turn_s:
         return found
-    off = turn_s / interval_s
+    if (scale := samples.times_scale) != 1.0:
+        how = "run backward"
+        if scale > 0.0:
+            how = f"span {turn_s:.3g} s, clouds come every {interval_s:.3g} s"
+        effect, text = "clouds are not deskewed correctly", f"the times of a cloud's points {how}"
+        remedy: Remedy = {"lidars_3d": {name: {"times_scale": scale}}}
+        found.append(Finding(name, "times of points", text, effect, (remedy,), sure=True, value=scale))
     # A lidar whose revolution ends before the next one starts does not overlap itself.
-    if 4 * samples.between > samples.count and off < 1.0 + _SHARE:
+    if 4 * samples.between > samples.count and turn_s < (1.0 + _SHARE) * interval_s:
         text = f"{samples.between} of {samples.count} clouds begin during the revolution of the one before"
         why = "they are from another lidar with the same name, and match nothing"
         remedy = {"lidars_3d": {name: {"drop_repeated": True}}}
         found.append(Finding(name, "several lidars", text, why, (remedy,), sure=True))
-    units = [unit for unit in (1e3, 1e-3, 1e6, 1e-6, 1e9, 1e-9) if abs(math.log(off / unit)) < 1.0]
-    if abs(off / 2.0 - 1.0) < _SHARE:  # revolutions at half the rate
-        units = [2.0]
-    if not units:
-        return found
-    text = f"the times of a cloud's points span {turn_s:.3g} s, clouds come every {interval_s:.3g} s"
-    remedy = {"lidars_3d": {name: {"times_scale": 1.0 / units[0]}}}
-    return [*found, Finding(name, "times of points", text, effect, (remedy,), sure=True, value=off)]
+    return found
 
 
 def stood_up(name: str, samples: CloudSamples) -> list[Finding]:

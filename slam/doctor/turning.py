@@ -55,17 +55,31 @@ class Turn:
     sigma_s: float
     cut_rad: float
 
-    def finding(self, kind: str, name: str) -> Finding:
+    def clock_sigma_s(self, imu_sigma_s: float) -> float:
+        """Standard deviation of stamps that count as the middle of a revolution.
+
+        Its start, middle and end are equally likely, if no IMU determines the clock better (``imu_sigma_s``).
+        The estimated start is off by three slices (28 simulated logs: at most seven).
+        """
+        turn_s = abs(self.turn_s)
+        return math.hypot(min(imu_sigma_s, 6**-0.5 * turn_s), 3 / SLICES * turn_s)
+
+    def finding(self, kind: str, name: str, clock_sigma_s: float = 0.0) -> Finding:
         """The finding for a lidar; ``kind`` is its type in a calibration file."""
         sense, turn_s = "clockwise" if self.turn_s < 0.0 else "counter-clockwise", round(self.turn_s, 4)
         cut_deg = round(math.degrees(math.remainder(self.cut_rad, math.tau)), 1)
+        entry = {"turn_s": turn_s, "cut_deg": cut_deg}
+        within = ""
+        if clock_sigma_s:
+            entry["clock_sigma_s"] = round(clock_sigma_s, 4)
+            within = f" to {clock_sigma_s:.3f} s (sigma)"
         return Finding(
             name,
             "turn",
             f"its points were measured in a revolution of {abs(turn_s):.3f} s, {sense}, that "
-            f"begins at {cut_deg:.0f} degrees; stamps count as its middle",
+            f"begins at {cut_deg:.0f} degrees; stamps count as its middle{within}",
             "walls are distorted by the robot's own motion",
-            ({kind: {name: {"turn_s": turn_s, "cut_deg": cut_deg}}},),
+            ({kind: {name: entry}},),
             sure=True,
             value=turn_s,
         )
@@ -133,19 +147,33 @@ def turn_of(
     return _settled(*bends, interval_s, config, by_scans is not None) if bends else None
 
 
+def unit_of(span_s: float, interval_s: float) -> float:
+    """Power of ten by which the times of a cloud's points exceed the time between clouds; 1 if none fits.
+
+    From a thousand on, nearly: that is a unit of time. Below, clouds may come seldom, so within a twentieth.
+    """
+    ratio = math.log10(max(span_s, TINY) / max(interval_s, TINY))
+    thousands, tens = 3 * round(ratio / 3), round(ratio)
+    if thousands and abs(ratio - thousands) < 0.5:
+        return 10.0**thousands
+    return 10.0**tens if abs(10 ** (ratio - tens) - 1.0) < 1.0 / FEWEST else 1.0
+
+
 def times_scale(
     stretches: Sequence[Sequence[PointCloud]], turn_s: float, interval_s: float, config: Config
 ) -> float:
-    """Return the factor on the times of points by which clouds of four stretches fit better.
+    """Return the factor on the times of points: of another unit, of half the rate, or reversed (-1).
 
-    Better by twice what chance may do: -1 if they are reversed, 10 or 100 if with it the span of a cloud is
-    the time between clouds, otherwise 1.
+    Revolutions do not last longer than the time between clouds. Shorter ones by less than a thousand, and
+    reversed times, count only if clouds of four stretches fit better, by twice what chance may do.
     """
+    unit = unit_of(turn_s, interval_s)
+    if unit > 1.0 or unit < 1.0 / 500:
+        return 1.0 / unit
+    if interval_s and abs(turn_s / interval_s / 2.0 - 1.0) < 1.0 / FEWEST:
+        return 0.5
     pairs = [pair for clouds in islice(_spread_out(stretches), 5) for pair in _pairs(clouds, config)]
-    exponent = round(math.log10(max(interval_s, TINY) / max(turn_s, TINY)))
-    unit = float(10 ** min(max(exponent, 0), 2))
-    units = [unit] if unit != 1.0 and abs(unit * turn_s / interval_s - 1.0) < 1.0 / FEWEST else []
-    for scale in [-1.0, *units] if len(pairs) > 9 else []:
+    for scale in [-1.0, *([1.0 / unit] if unit < 1.0 else [])] if len(pairs) > 9 else []:
         if _gain(pairs, partial(retimed, scale=scale), lambda cloud: cloud, config) > 2:
             return scale
     return 1.0

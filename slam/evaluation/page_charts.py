@@ -50,11 +50,7 @@ def chart(
         "across": across,
         "x": x[chosen].astype(np.float64),
         "series": [
-            {
-                "name": name,
-                "color": colors[number % len(colors)],
-                "values": values[chosen].astype(np.float32),
-            }
+            {"name": name, "color": colors[number % len(colors)], "values": values[chosen].astype(np.float32)}
             for number, (name, values) in enumerate(series.items())
         ],
         **more,

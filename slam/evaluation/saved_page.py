@@ -120,11 +120,7 @@ def _legend(layers: LayeredMap | None) -> str:
 def _applied(found: MapContents) -> dict[str, Any]:
     """Return the texts of the edits, and the current positions of their zones and places in the map."""
     regions = [
-        {
-            "kind": kind,
-            "name": region.name,
-            "points": region.points(found.keyframe_poses).round(3).tolist(),
-        }
+        {"kind": kind, "name": region.name, "points": region.points(found.keyframe_poses).round(3).tolist()}
         for kind in _KINDS
         for region in regions_of(found.edits, kind)
     ]

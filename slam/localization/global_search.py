@@ -143,10 +143,7 @@ def _rotated_pixels(points: FloatArray, yaws: FloatArray, cell_m: float) -> tupl
     cos, sin = np.cos(yaws)[:, None], np.sin(yaws)[:, None]
     x, y = points.T
     columns, rows = cos * x - sin * y, sin * x + cos * y
-    return (
-        np.floor(columns / cell_m + 0.5).astype(np.int32),
-        np.floor(rows / cell_m + 0.5).astype(np.int32),
-    )
+    return (np.floor(columns / cell_m + 0.5).astype(np.int32), np.floor(rows / cell_m + 0.5).astype(np.int32))
 
 
 class _Seen(NamedTuple):

@@ -39,10 +39,7 @@ class VisualLocator:
     """
 
     def __init__(
-        self,
-        known: MapContents,
-        config: Config,
-        registrations: Mapping[str, ColorRegistration] | None = None,
+        self, known: MapContents, config: Config, registrations: Mapping[str, ColorRegistration] | None = None
     ) -> None:
         assert known.frames is not None
         self.origin: Pose = gtsam.Pose2() if known.planar else gtsam.Pose3()

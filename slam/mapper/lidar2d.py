@@ -158,8 +158,7 @@ class PlanarRobot(FrontEnd):
         del self._drawn
         result.warnings += self._cameras.warnings()
         result.unused |= dict.fromkeys(
-            self._cameras.unplaced(),
-            "its mounting on the robot is unknown; it only repaired scans",
+            self._cameras.unplaced(), "its mounting on the robot is unknown; it only repaired scans"
         )
 
     def learned_mountings(self) -> dict[str, LearnedMounting]:

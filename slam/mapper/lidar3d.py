@@ -32,15 +32,7 @@ from slam.mapping.elevation import Elevation, elevation
 from slam.matching.cloud_points import at_middle_of_turn
 from slam.matching.local_cloud import moved
 from slam.matching.upright import Gravity
-from slam.measurements import (
-    FloatArray,
-    ImuReading,
-    LaserScan,
-    PointCloud,
-    Pose,
-    WheelOdometry,
-    spatial,
-)
+from slam.measurements import FloatArray, ImuReading, LaserScan, PointCloud, Pose, WheelOdometry, spatial
 from slam.odometry.clock_learner import Turns
 from slam.odometry.cloud_tracker import CloudTracker, TrackedCloud
 from slam.odometry.imu_gravity import apart_in_time
@@ -195,7 +187,9 @@ class CloudLidar(FrontEnd):
         # The appearance of all places, and what is left of the final optimisation.
         self._closer = None
         end_stage()
-        result.map = replace(result.map, clouds=self._clouds)
+        told = self._config.sensors.calibration.lidars_3d.values()
+        sigma_s = max((one.clock_sigma_s for one in told), default=0.0)
+        result.map = replace(result.map, clouds=self._clouds, clock_sigma_s=sigma_s)
         result.add_cameras(self._cameras.records(), self._cameras.frames)
         result.notes.append(f"3D lidar: voxels of {self._tracker.voxel_m:.2f} m")
         self._draw_plan(result)
@@ -275,11 +269,7 @@ class CloudLidar(FrontEnd):
 
 
 def band_scans(
-    clouds: MapClouds,
-    poses: Sequence[gtsam.Pose3],
-    ground_m: float,
-    ground: Elevation | None,
-    config: Config,
+    clouds: MapClouds, poses: Sequence[gtsam.Pose3], ground_m: float, ground: Elevation | None, config: Config
 ) -> KeptScans:
     """Return the 2D scan of each keyframe: obstacles, and free ground.
 

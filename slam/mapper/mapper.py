@@ -186,7 +186,7 @@ class Mapper:
         if readings.bridged:
             covariances += bridged_covariances(trajectory, readings.bridged)
         if sigma_s := clock_sigma_s(found):
-            covariances += late_covariances(trajectory, int(at[0]), [(len(trajectory), sigma_s)])
+            covariances += late_covariances(trajectory, int(at[0]), [(len(trajectory), sigma_s)], dimension)
         return covariances
 
     def _tell(self, result: MapResult) -> None:

@@ -71,11 +71,7 @@ class LocalCloud:
         return cls(PlaneVoxels.build(points, voxel_m, config.cloud_odometry.thickness_m, 1), voxel_m, config)
 
     def align(
-        self,
-        scan: FloatArray,
-        guess: gtsam.Pose3,
-        reach_m: float | None = None,
-        least_agreement: float = 0.0,
+        self, scan: FloatArray, guess: gtsam.Pose3, reach_m: float | None = None, least_agreement: float = 0.0
     ) -> Aligned | None:
         """Align a thinned scan (N, 3), base frame; None if too little is known.
 

@@ -244,9 +244,7 @@ class Exports:
         settings = DenseMapSettings(dense.voxel_m, self.config.layers.depth_max_m, dense.nearest_m)
         return fuse_keyframes(found.frames or (), found.frame_poses(), settings)
 
-    def _scans(
-        self,
-    ) -> Iterator[tuple[str, gtsam.Pose3, AnyFloatArray, Colors | None, Float32Array | None]]:
+    def _scans(self) -> Iterator[tuple[str, gtsam.Pose3, AnyFloatArray, Colors | None, Float32Array | None]]:
         """Return the clouds of the 3D lidar with their poses; for images, their surface as one cloud."""
         found = self.contents
         if found.clouds is None:

@@ -134,10 +134,10 @@ def write_sessions(
             file.add_meta(SESSIONS, json.dumps([asdict(one) for one in sessions]))
         for key, lines in zip((NOTES, WARNINGS), told, strict=True):
             file.add_meta(key, json.dumps(lines))
-        contents = copied(file)
-        write_contents(file, contents)
-        write_facts(file, contents.ground_m, contents.georeference, contents.node_poses[0])
-        write_places(file, contents.places, contents.node_poses[0])
+        found = copied(file)
+        write_contents(file, found)
+        write_facts(file, found.ground_m, found.georeference, found.node_poses[0], found.clock_sigma_s)
+        write_places(file, found.places, found.node_poses[0])
         file.seal()
 
 

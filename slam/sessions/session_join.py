@@ -108,6 +108,7 @@ def join(
             grids=lidar_grids(scans, np.array([row_of(base) for base in bases]), config, measured),
             cameras={**session.cameras, **known.cameras},
             ground_m=known.ground_m,
+            clock_sigma_s=max(known.clock_sigma_s, session.clock_sigma_s),
         ),
         loops_between=len(joined),
         loops_kept=sum(factor.kept for factor in joined),

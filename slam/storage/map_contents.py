@@ -28,7 +28,7 @@ from slam.storage.covariances import of_upper_triangles, upper_triangles
 from slam.storage.kept_scans import KeptScans
 from slam.storage.map_clouds import MapClouds
 from slam.storage.map_edits import CLOUD, FRAME, AppliedEdits, erased_bits, read_edits
-from slam.storage.map_facts import georeference_of_file, ground_of_file
+from slam.storage.map_facts import clock_sigma_of_file, georeference_of_file, ground_of_file
 from slam.storage.map_file import MapFile
 from slam.storage.map_frames import MapFrames
 from slam.storage.map_parts import Unpack, read_grids, read_trajectory
@@ -87,6 +87,8 @@ class MapContents:
         Position of the map on the earth; None without a GNSS receiver.
     places
         Tags of the map, and its pose in the surveyor's frame; None if none were requested.
+    clock_sigma_s
+        Standard deviation of the common stamp error of clouds whose points have no times.
     """
 
     node_poses: Sequence[Pose]
@@ -106,6 +108,7 @@ class MapContents:
     edits: Sequence[AppliedEdits] = ()
     georeference: Georeference | None = None
     places: MapPlaces | None = None
+    clock_sigma_s: float = 0.0
 
     __repr__ = one_line
 
@@ -173,11 +176,14 @@ class MapContents:
 
 
 def clock_sigma_s(contents: MapContents, nodes: slice = slice(None)) -> float:
-    """Return the common stamp error (sigma) of all poses around some nodes; 0 except for a camera on wheels.
+    """Return the common stamp error (sigma) of all poses around some nodes.
 
-    Without lidar scans, the stamps are those of the cameras, corrected by their clock offset to the wheels.
+    Without lidar scans on a floor, the stamps are those of the cameras, corrected by their clock offset to
+    the wheels.
     """
-    if not contents.planar or any(scan is not None for scan in contents.measured_scans[nodes]):
+    if not contents.planar:
+        return contents.clock_sigma_s
+    if any(scan is not None for scan in contents.measured_scans[nodes]):
         return 0.0
     # An offset is 0 where it is not known.
     known = [camera.clock_sigma_s for camera in contents.cameras.values() if camera.clock_offset_s]
@@ -288,6 +294,7 @@ def read_contents(file: MapFile) -> MapContents:
         edits=edits,
         georeference=georeference_of_file(file, poses[0]),
         places=places_of_file(file, poses),
+        clock_sigma_s=clock_sigma_of_file(file),
     )
 
 

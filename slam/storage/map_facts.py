@@ -1,4 +1,4 @@
-"""Facts of a map beside its tables: the height of the floor, and the georeference."""
+"""Facts of a map beside its tables: height of the floor, georeference, and stamp error."""
 
 from __future__ import annotations
 
@@ -15,12 +15,16 @@ from slam.storage.map_file import MapFile
 from slam.storage.map_soundness import of, require
 from slam.storage.map_tables import META
 
-_GROUND, _EARTH = "ground_m", "georeference"
+_GROUND, _EARTH, _CLOCK = "ground_m", "georeference", "clock_sigma_s"
 _PLANE = ("latitude_deg", "longitude_deg", "altitude_m")
 
 
 def write_facts(
-    file: MapFile, ground_m: float | None, georeference: Georeference | None, first: Pose
+    file: MapFile,
+    ground_m: float | None,
+    georeference: Georeference | None,
+    first: Pose,
+    clock_sigma_s: float,
 ) -> None:
     """Store the known facts.
 
@@ -34,6 +38,8 @@ def write_facts(
     """
     if ground_m is not None:
         file.add_meta(_GROUND, json.dumps(ground_m))
+    if clock_sigma_s:
+        file.add_meta(_CLOCK, json.dumps(clock_sigma_s))
     if georeference is not None:
         plane = {name: getattr(georeference.plane, name) for name in _PLANE}
         matrix = np.asarray(georeference.T_enu_map.compose(spatial(first)).matrix())[:3].tolist()
@@ -45,6 +51,14 @@ def ground_of_file(file: MapFile) -> float | None:
     with file.blaming(META, 0):
         told = file.meta().get(_GROUND)
         return None if told is None else float(of(float, from_json(told)))
+
+
+def clock_sigma_of_file(file: MapFile) -> float:
+    """Return the common stamp error (sigma) of the clouds, 0 if none is stored; MapFileError if invalid."""
+    with file.blaming(META, 0):
+        sigma_s = of(float, from_json(file.meta().get(_CLOCK, "0.0")))
+        require(0.0 <= sigma_s < np.inf, "its stamp error is not valid")
+        return sigma_s
 
 
 def georeference_of_file(file: MapFile, first: Pose) -> Georeference | None:

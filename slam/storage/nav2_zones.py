@@ -26,10 +26,7 @@ _WHAT = {
 
 
 def write_zones(
-    folder: Path,
-    layers: LayeredMap,
-    keep_out: Iterable[FloatArray],
-    slow: Iterable[tuple[FloatArray, float]],
+    folder: Path, layers: LayeredMap, keep_out: Iterable[FloatArray], slow: Iterable[tuple[FloatArray, float]]
 ) -> list[Path]:
     """Write the masks, as large as the map; a mask without a zone is removed.
 

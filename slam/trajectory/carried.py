@@ -133,8 +133,10 @@ def grown_covariances(trajectory: Trajectory, covariances: FloatArray, first: in
     return covariances[rows] - _moved(np.repeat(covariances[[first]], len(shifts), axis=0), shifts)
 
 
-def late_covariances(trajectory: Trajectory, held: int, sessions: Sequence[tuple[int, float]]) -> FloatArray:
-    """Compute the effect of a common stamp error per session on planar poses, one of which is fixed.
+def late_covariances(
+    trajectory: Trajectory, held: int, sessions: Sequence[tuple[int, float]], size: int
+) -> FloatArray:
+    """Compute the effect of a common stamp error per session on poses, one of which is fixed.
 
     Parameters
     ----------
@@ -145,34 +147,37 @@ def late_covariances(trajectory: Trajectory, held: int, sessions: Sequence[tuple
     sessions
         For each its number of poses, and the standard deviation of its error in seconds; errors of two
         sessions are independent.
+    size
+        3 on a floor, 6 in 3D.
 
     Returns
     -------
-    (N, 3, 3) of x, y, yaw, along the axes of the map.
+    (N, 3, 3) of x, y, yaw, or (N, 6, 6) of x, y, z and a rotation vector: along the axes of the map.
     """
     ends = np.cumsum([poses for poses, _ in sessions])
     speeds = np.concatenate(
         [_speeds(trajectory[end - n : end]) for end, (n, _) in zip(ends, sessions, strict=True)]
     )
-    x, y, _ = _from(trajectory, np.full(len(trajectory), held)).T
-    along_x, along_y, turn = speeds[held]
-    held_off = sessions[0][1] * np.column_stack(
-        [along_x - turn * y, along_y + turn * x, np.full_like(x, turn)]
-    )
     off = np.repeat([sigma_s for _, sigma_s in sessions], np.diff(ends, prepend=0))[:, None] * speeds
+    held_off = np.tile(sessions[0][1] * speeds[held], (len(speeds), 1))
+    held_off[:, :3] += np.cross(held_off[:, 3:], _from(trajectory, np.full(len(trajectory), held)))
     off[: ends[0]] -= held_off[: ends[0]]
     held_off[: ends[0]] = 0.0
-    return np.einsum("kni,knj->nij", [off, held_off], [off, held_off])
+    both = np.array([off, held_off])[:, :, [0, 1, 5] if size == 3 else slice(None)]
+    return np.einsum("kni,knj->nij", both, both)
 
 
 def _speeds(trajectory: Trajectory) -> FloatArray:
-    """Return (N, 3) velocities along the axes of the map and about the vertical, of one session."""
+    """Return (N, 6) velocities and turn rates along the axes of the map, of one session."""
     stamps_s, order = np.unique(trajectory.stamps_s, return_index=True)
-    rows = trajectory[order].to_planar()
-    rows[:, 2] = np.unwrap(rows[:, 2])
-    ends = [trajectory.stamps_s + share * GAP_S for share in (-0.5, 0.5)]
-    before, after = (np.column_stack([np.interp(end, stamps_s, row) for row in rows.T]) for end in ends)
-    return np.asarray((after - before) / GAP_S)
+    if len(order) < 2:
+        return np.zeros((len(trajectory), 6))
+    rotations = scipy.spatial.transform.Rotation.from_quat(trajectory.quaternions_xyzw[order])
+    turned = scipy.spatial.transform.Slerp(stamps_s, rotations)
+    ends = np.add.outer([-0.5 * GAP_S, 0.5 * GAP_S], trajectory.stamps_s).clip(stamps_s[0], stamps_s[-1])
+    shifts = [np.diff(np.interp(ends, stamps_s, row), axis=0)[0] for row in trajectory.positions_m[order].T]
+    turns = (turned(ends[1]) * turned(ends[0]).inv()).as_rotvec()
+    return np.column_stack([*shifts, turns]) / np.diff(ends, axis=0).T
 
 
 def _left_over(steps: FloatArray, ends: FloatArray) -> FloatArray:

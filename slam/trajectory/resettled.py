@@ -63,7 +63,8 @@ def resettled(
     found = Trajectory(trajectory.stamps_s, np.concatenate(positions), np.concatenate(quaternions))
     whole = np.concatenate(uncertain)
     if any(sigma_s for *_, sigma_s in sessions):
-        whole += late_covariances(found, int(held[0]), [(poses, sigma_s) for _, poses, sigma_s in sessions])
+        late = [(poses, sigma_s) for _, poses, sigma_s in sessions]
+        whole += late_covariances(found, int(held[0]), late, whole.shape[1])
     return found, whole
 
 

@@ -69,12 +69,7 @@ class PlaceIndex:
     """
 
     def __init__(
-        self,
-        seed: int,
-        training_keyframes: int = 20,
-        queried: int = 400,
-        kept: int = 1000,
-        group: int = 3,
+        self, seed: int, training_keyframes: int = 20, queried: int = 400, kept: int = 1000, group: int = 3
     ) -> None:
         self._rng = np.random.default_rng(seed)
         self._next_training = training_keyframes

@@ -80,6 +80,9 @@ def test_stamps_half_a_turn_off_are_of_an_end_of_the_turn(ahead_s: float, moment
     samples.clouds["lidar"].turn = Turn(-0.2, 1e-3, 0.0)
     found = {one.kind: one for one in _in_space(samples, None, [], vouched=False)}
     assert found["clock"].sensor == "imu"
+    (turn,) = (one for one in _in_space(samples, None, [], vouched=False) if one.kind == "turn")
+    # What remains is the start of the revolution.
+    assert 0.009 < turn.remedies[0]["lidars_3d"]["lidar"]["clock_sigma_s"] < 0.011
 
 
 def test_a_mounting_is_learned() -> None:

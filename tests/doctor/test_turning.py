@@ -23,6 +23,7 @@ from slam.doctor.finding import remedied
 from slam.doctor.in_space import cloud_findings
 from slam.doctor.turning import turn_of
 from slam.measurements import FloatArray, PointCloud
+from slam.outputs.finished_map import load_map
 
 INTERVAL_S = 0.1
 # Of a lidar that drives on and turns a little.
@@ -105,9 +106,10 @@ def test_four_seconds_tell_a_turn() -> None:
     assert turn is not None and turn.turn_s == pytest.approx(-0.1)
 
 
-@pytest.mark.parametrize("scale", [1.0, -1.0])
-def test_times_that_run_backward_are_found_and_reversed(scale: float) -> None:
-    right = [replace(one, times_s=turn_times(one.points_lidar, -0.1, math.pi)) for one in clouds(-0.1, 180.0)]
+@pytest.mark.parametrize(("scale", "count"), [(1.0, 84), (-1.0, 84), (0.1, 168), (10.0, 84)])
+def test_times_that_run_backward_or_are_of_another_unit_are_found(scale: float, count: int) -> None:
+    seen = clouds(-0.1, 180.0, count)
+    right = [replace(one, times_s=turn_times(one.points_lidar, -0.1, math.pi)) for one in seen]
     log = [retimed(one, scale) for one in right]
     found = [one for one in diagnose(log) if one.kind == "times of points"]
     assert [one.value for one in found] == ([] if scale == 1.0 else [pytest.approx(1.0 / scale)])
@@ -135,10 +137,18 @@ def test_the_doctor_tells_the_turn_and_its_remedy_times_the_points() -> None:
     assert finding.kind == "turn" and finding.sure
     assert "0.100 s, clockwise" in finding.text
     told = CloudCorrection.model_validate(finding.remedies[0]["lidars_3d"]["lidar"])
+    # Its start, middle and end are equally likely.
+    assert told.clock_sigma_s == pytest.approx(0.1 * math.sqrt(2 / 3 * 0.5**2), rel=0.02)
     ahead, left, behind, odd = np.array([[5, 0, 0], [0, 5, 0], [-5, -0.1, 0], [np.nan, 1, 1]], np.float32)
     cloud = PointCloud(1.0, np.stack([ahead, left, behind, odd]), None)
     times_s = corrected_cloud(told, cloud).times_s
     assert times_s == pytest.approx([0.0, -0.025, -0.05 + 0.1, 0.0], abs=0.006)
+
+
+def test_without_an_imu_a_turn_makes_poses_uncertain_by_half_of_it(tmp_path: Path) -> None:
+    config = load_config(None, ["cloud_odometry.voxel_m=0.5", "dense_map.enabled=false"])
+    made = map_log(write_log(tmp_path / "log", clouds(-0.1, 180.0)), config, out=tmp_path / "map")
+    assert load_map(made.path).contents.clock_sigma_s == pytest.approx(0.041, abs=0.002)
 
 
 def test_localisation_straightens_clouds_as_mapping_does(tmp_path: Path) -> None:

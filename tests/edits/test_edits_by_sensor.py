@@ -91,9 +91,20 @@ def test_a_map_that_is_turned_keeps_the_error_of_a_clock_in_its_covariances(robo
     (readings, poses, sigma_s) = parts_of(alone, robot.sessions)[0]
     assert (readings, poses, sigma_s) == (len(alone.node_poses), len(led.trajectory), 0.05)
     first = int(np.flatnonzero(led.trajectory.stamps_s == led.stamps_s[0])[0])
-    late = late_covariances(led.trajectory, first, [(poses, sigma_s)])
+    late = late_covariances(led.trajectory, first, [(poses, sigma_s)], 3)
     assert led.covariances - by_lidar.covariances == pytest.approx(late, abs=1e-12)
     assert np.abs(late).max() > 1e-9
+
+
+def test_a_map_of_clouds_that_is_turned_keeps_the_error_of_their_stamps(clouds: Map) -> None:
+    turns, config = [AppliedEdits("", turned=gtsam.Pose2(0.0, 0.0, 1.0))], load_config(None, PLAIN)
+    late = replace(clouds.contents, clock_sigma_s=0.05)
+    with_it, without = (
+        settled(one, turns, config, config, clouds.sessions) for one in (late, clouds.contents)
+    )
+    assert with_it.covariances is not None and without.covariances is not None
+    grown = with_it.covariances - without.covariances
+    assert grown.shape[1:] == (6, 6) and np.abs(grown).max() > 1e-9
 
 
 def test_what_is_erased_of_clouds_stays_away_at_other_heights_too(clouds: Map) -> None:

@@ -110,11 +110,26 @@ def test_stamps_that_are_off_together_move_all_that_does_not_move_as_what_is_hel
         ]
     )
     trajectory = true.trajectory(stamps_s)
-    found = late_covariances(trajectory, held, [(len(trajectory), sigma_s)])
+    found = late_covariances(trajectory, held, [(len(trajectory), sigma_s)], 3)
     inner = slice(20, -20)
     np.testing.assert_allclose(found[inner], (off[:, :, None] * off[:, None, :])[inner], atol=1e-6)
     assert found[held] == pytest.approx(np.zeros((3, 3)), abs=1e-12)
     assert np.sqrt(found[inner, 1, 1].max()) > 0.003
+
+
+def test_a_clock_error_in_space_is_velocity_and_turn_rate_and_whole_at_the_first_pose() -> None:
+    """A climb at 3 m/s that stops after a second, held at its first pose, with stamps 10 ms late."""
+    stamps_s = np.arange(0.0, 4.0, 0.1)
+    climb = np.minimum(stamps_s, 1.0)[:, None] * [2.0, 0.0, np.sqrt(5.0)]
+    level = np.tile([0.0, 0.0, 0.0, 1.0], (len(stamps_s), 1))
+    found = late_covariances(Trajectory(stamps_s, climb, level), 0, [(40, 0.01)], 6)
+    assert found[:5] == pytest.approx(np.zeros((5, 6, 6)), abs=1e-12)
+    assert found[-1, [0, 2], [0, 2]] == pytest.approx([4e-4, 5e-4]) and found[-1, 0, 2] > 0.0
+    rows = np.column_stack([stamps_s, np.sin(stamps_s), 0.3 * np.sin(stamps_s)])
+    bent = Trajectory.from_planar(stamps_s, rows)
+    flat, whole = (late_covariances(bent, 7, [(40, 0.01)], size) for size in (3, 6))
+    assert whole[:, [0, 1, 5]][:, :, [0, 1, 5]] == pytest.approx(flat, abs=1e-12)
+    assert late_covariances(bent[:1], 0, [(1, 0.01)], 6) == pytest.approx(np.zeros((1, 6, 6)))
 
 
 def test_a_session_on_its_own_clock_is_off_by_its_speed_and_by_what_moves_the_frame() -> None:
@@ -125,10 +140,10 @@ def test_a_session_on_its_own_clock_is_off_by_its_speed_and_by_what_moves_the_fr
         np.concatenate([there.positions_m, 3.0 * back.positions_m]),
         np.concatenate([there.quaternions_xyzw, back.quaternions_xyzw]),
     )
-    found = late_covariances(both, 5, [(11, 0.01), (11, 0.02)])
+    found = late_covariances(both, 5, [(11, 0.01), (11, 0.02)], 3)
     assert found[2:9] == pytest.approx(np.zeros((7, 3, 3)), abs=1e-15)
     assert found[13:20, 0, 0] == pytest.approx((0.1 * 0.01) ** 2 + (0.3 * 0.02) ** 2)
-    assert late_covariances(both, 5, [(11, 0.0), (11, 0.0)]) == pytest.approx(np.zeros((22, 3, 3)))
+    assert late_covariances(both, 5, [(11, 0.0), (11, 0.0)], 3) == pytest.approx(np.zeros((22, 3, 3)))
 
 
 def test_where_no_scan_was_placed_wheels_may_have_slipped_at_any_moment() -> None:
