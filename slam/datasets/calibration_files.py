@@ -92,8 +92,8 @@ class KnownCalibration:
 
     def depth_steps_per_m(self) -> tuple[float, str] | None:
         """Units per metre of depth images, with the source file."""
-        told = [(one.depth_steps_per_m, one.source) for one in self.cameras]
-        return next(((steps, source) for steps, source in told if steps is not None), None)
+        stated = [(camera.depth_steps_per_m, camera.source) for camera in self.cameras]
+        return next(((steps, source) for steps, source in stated if steps is not None), None)
 
 
 def known_beside(path: Path, given: Sequence[Path] = ()) -> KnownCalibration:
@@ -143,18 +143,18 @@ def by_files(camera: Camera, known: KnownCalibration, account: Account) -> Camer
     """
     calibration = camera.calibration
     file = known.lens("color", [camera.sensor])
-    sure = known.sure - {FILE_NAME}  # the folder reader has used this file already
-    if file is not None and file.lens is not None and (calibration.assumed or file.source in sure):
+    priority = known.sure - {FILE_NAME}  # the folder reader has used this file already
+    if file is not None and file.lens is not None and (calibration.assumed or file.source in priority):
         lens = file.lens
         if calibration.assumed:
             account.report.note(f"{camera.sensor}: lens by {file.source}", 1)
         else:
-            told = contradiction(
+            warning = contradiction(
                 camera.sensor,
                 (lens, file.source),
                 (Lens(calibration.intrinsics, np.zeros(0)), "the data set"),
             )
-            account.report.note(told or f"{camera.sensor}: lens by {file.source}", 1)
+            account.report.note(warning or f"{camera.sensor}: lens by {file.source}", 1)
         if lens.distortion.size or lens.unknown_model:
             account.report.note(f"{camera.sensor}: the distortion in {file.source} is left in the images", 1)
         calibration = replace(calibration, intrinsics=lens.intrinsics, assumed="")

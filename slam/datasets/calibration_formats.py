@@ -270,8 +270,8 @@ def _lens(pin_hole: Any, size: tuple[int, int], distortion: Any = (), model: str
     """A lens from fx, fy, cx and cy, checked like that of a CameraInfo."""
     fx, fy, cx, cy = (float(number) for number in pin_hole)
     k = [fx, 0.0, cx, 0.0, fy, cy, 0.0, 0.0, 1.0]
-    told = SimpleNamespace(k=k, p=[], d=distortion, width=size[0], height=size[1], distortion_model=model)
-    return lens_of(told, rectified=False)
+    info = SimpleNamespace(k=k, p=[], d=distortion, width=size[0], height=size[1], distortion_model=model)
+    return lens_of(info, rectified=False)
 
 
 def _from_xml(text: str, path: Path) -> FileContent:
@@ -319,20 +319,20 @@ def _elements(text: str, *, attributes: bool = False) -> Iterator[tuple[str, str
 
     With ``attributes``, elements are returned when they start. Entities are not resolved.
     """
-    stack, texts, found = list[str](), list[list[str]](), list[tuple[str, str, str]]()
+    stack, texts, elements = list[str](), list[list[str]](), list[tuple[str, str, str]]()
 
     def begin(name: str, given: dict[str, str]) -> None:
         if attributes:
-            told = "\n".join(f"{key}={value}" for key, value in given.items())
-            found.append((name, stack[-1] if stack else "", told))
+            content = "\n".join(f"{key}={value}" for key, value in given.items())
+            elements.append((name, stack[-1] if stack else "", content))
         stack.append(name)
         texts.append([])
 
     def end(name: str) -> None:
         stack.pop()
-        told = "".join(texts.pop())
+        content = "".join(texts.pop())
         if not attributes:
-            found.append((name, stack[-1] if stack else "", told.strip()))
+            elements.append((name, stack[-1] if stack else "", content.strip()))
 
     def refuse(*_: Any) -> None:
         raise ValueError("entities are not read")
@@ -350,7 +350,7 @@ def _elements(text: str, *, attributes: bool = False) -> Iterator[tuple[str, str
         parser.Parse(text, True)
     except expat.ExpatError:
         return iter(())
-    return iter(found)
+    return iter(elements)
 
 
 def numbers_in(given: Any) -> FloatArray:

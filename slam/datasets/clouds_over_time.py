@@ -82,11 +82,11 @@ class CloudFolder:
             account.report.accept("cloud")
             times_s = times.of(cloud.fields, cloud.fields.__getitem__, file.stamp_s)
             intensities = intensities_of(cloud.fields, cloud.fields.__getitem__)
-            seen = PointCloud(
+            measured = PointCloud(
                 file.stamp_s, cloud.points_lidar, times_s, self.T_base_lidar, intensities=intensities
             )
-            yield file.number, seen
-        for note in times.told("lidar"):
+            yield file.number, measured
+        for note in times.notes("lidar"):
             account.report.note(note, 1)
 
 

@@ -145,11 +145,11 @@ def classify_ranges(
         raise RecordFault(MANY_BEAMS, f"{ranges_m.size}, at most {MOST_BEAMS}")
     classified = np.empty(ranges_m.size, np.float32)
     # A stated 81.83 and a written 81.83 must match, whatever their last bit.
-    beyond, returns, *ends = _classify(ranges_m, limit_m - _CODE_TOLERANCE_M, classified)
-    if 2 * beyond > returns:
-        told = ranges_m[np.isfinite(ranges_m) & (classified == math.inf)]
-        if np.unique(told).size >= FEWEST:
-            limit_m *= next((one for one in _UNITS_IN_A_M if told.max() <= limit_m * one), _UNITS_IN_A_M[-1])
+    above_count, returns, *ends = _classify(ranges_m, limit_m - _CODE_TOLERANCE_M, classified)
+    if 2 * above_count > returns:
+        above = ranges_m[np.isfinite(ranges_m) & (classified == math.inf)]
+        if np.unique(above).size >= FEWEST:
+            limit_m *= next((by for by in _UNITS_IN_A_M if above.max() <= limit_m * by), _UNITS_IN_A_M[-1])
             ends = _classify(ranges_m, limit_m - _CODE_TOLERANCE_M, classified)[2:]
     most_m, alike, least_m, near = ends
     if near >= FEWEST and repeated.shortest_m == least_m:

@@ -113,8 +113,8 @@ def open_dataset(
     for known in _formats():
         if known.recognises(path, head):
             dataset = _opened(known, path, strict, tuple(topics))
-            told = {"read_images": images, "calibration_files": tuple(map(Path, calibration))}
-            for name, value in told.items():
+            options = {"read_images": images, "calibration_files": tuple(map(Path, calibration))}
+            for name, value in options.items():
                 if hasattr(dataset, name):
                     setattr(dataset, name, value)
             return dataset

@@ -46,7 +46,7 @@ class PointTimes:
         self._unit_s = 0.0
         self._filled = False
 
-    def told(self, sensor: str) -> list[str]:
+    def notes(self, sensor: str) -> list[str]:
         """Notes for the user about the lidar with this name."""
         zero = f"{WARNING}{sensor}: many points have no time; it is interpolated from their neighbours"
         return [f"{sensor}: {self.choice}"] * bool(self.choice) + [zero] * self._filled

@@ -215,13 +215,13 @@ def _depth_size(path: Path, metadata: dict[str, Any]) -> tuple[int, int]:
 
 def _stamps(metadata: dict[str, Any], account: Account) -> Iterator[tuple[int, float]]:
     """Frames with their stamps; without stamps, from the frame rate of the recording."""
-    told = metadata.get("frameTimestamps")
-    if not isinstance(told, list) or not told:
+    stamps = metadata.get("frameTimestamps")
+    if not isinstance(stamps, list) or not stamps:
         poses, rate = metadata.get("poses"), metadata.get("fps")
         rate_hz = float(rate) if isinstance(rate, (int, float)) and 0 < rate < 1000 else 60.0
         account.report.note(f"no stamps: frame N taken as N / {rate_hz:g} s old", 1)
-        told = [number / rate_hz for number in range(len(poses) if isinstance(poses, list) else 0)]
-    for number, stamp in enumerate(told):
+        stamps = [number / rate_hz for number in range(len(poses) if isinstance(poses, list) else 0)]
+    for number, stamp in enumerate(stamps):
         with account.refusing(_METADATA, number):
             yield number, stamp_of(str(stamp).encode("ascii", "replace"))
 

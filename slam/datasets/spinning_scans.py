@@ -42,8 +42,8 @@ def straightened(log: Iterable[Measurement], lidars: Mapping[str, LidarCorrectio
     def waits(first: Measurement, now_s: float) -> bool:
         if not isinstance(first, LaserScan) or (lidar := lidars.get(first.sensor)) is None:
             return False
-        told = wheels and wheels[-1].stamp_s >= first.stamp_s + middle_s(first) + 0.5 * abs(lidar.turn_s)
-        return not told and now_s <= first.stamp_s + GAP_S and len(waiting) <= WHEELS_KEPT
+        covered = wheels and wheels[-1].stamp_s >= first.stamp_s + middle_s(first) + 0.5 * abs(lidar.turn_s)
+        return not covered and now_s <= first.stamp_s + GAP_S and len(waiting) <= WHEELS_KEPT
 
     for measurement in log:
         if isinstance(measurement, WheelOdometry) and (not wheels or measurement.sensor == wheels[0].sensor):

@@ -120,8 +120,8 @@ class BagDataset:
                 report.observe(done.measurement, done.number)
                 yield done.measurement
         self._tell_topics(survey, layout)
-        told = [note for cloud in layout.clouds for note in cloud.times.told(cloud.topic)]
-        for note in [*told, *(note for imu in layout.imus for note in imu.told())]:
+        notes = [note for cloud in layout.clouds for note in cloud.times.notes(cloud.topic)]
+        for note in [*notes, *(note for imu in layout.imus for note in imu.notes())]:
             report.note(note, 1)
         if report.measurement_count == 0 and self.read_images:
             raise DatasetError(_nothing_usable(self.path, report, survey, layout))
@@ -194,7 +194,7 @@ def _stream(
     for record in last.values():
         for item in reader.rest(record):
             time_merge.add_reading(record.number, item, record.recorded_s)
-    for number, text in enumerate(decoder.ousters.told(), 1):
+    for number, text in enumerate(decoder.ousters.notes(), 1):
         account.report.note(text, number)
     for place, pair_stream in enumerate(pairs):
         _hand_on(time_merge, layout, place, pair_stream.rest())

@@ -34,17 +34,17 @@ def quantities_in(message: Any) -> tuple[bool, bool]:
     return bool(rates), bool(forces)
 
 
-def paired_halves(topics: Iterable[str], told: Mapping[str, tuple[bool, bool]]) -> dict[str, str]:
+def paired_halves(topics: Iterable[str], quantities: Mapping[str, tuple[bool, bool]]) -> dict[str, str]:
     """For each topic with only angular rates, the topic of the accelerations; empty if there is none.
 
     A gyroscope may read zero at first; an accelerometer never does.
     """
-    known = {topic: told[topic] for topic in topics if topic in told}
-    left = [topic for topic, (rates, forces) in known.items() if forces and not rates]
+    known = {topic: quantities[topic] for topic in topics if topic in quantities}
+    unpaired = [topic for topic, (rates, forces) in known.items() if forces and not rates]
     pairs = {}
     for topic in (topic for topic, (_, forces) in known.items() if not forces):
-        pairs[topic] = max(left, key=lambda other: len(shared(other, topic)), default="")
-        left = [other for other in left if other != pairs[topic]]
+        pairs[topic] = max(unpaired, key=lambda other: len(shared(other, topic)), default="")
+        unpaired = [other for other in unpaired if other != pairs[topic]]
     return pairs
 
 
@@ -71,8 +71,8 @@ class ImuReader:
     T_base_imu: gtsam.Pose3 | None
     unit: ForceUnit = field(default_factory=ForceUnit)
 
-    def told(self) -> list[str]:
-        """Conclusions for the user."""
+    def notes(self) -> list[str]:
+        """Notes for the user."""
         return [f"{self.topic}: {self.unit.choice}"] if self.unit.choice else []
 
     def read(self, message: Any) -> ImuReading:
@@ -122,12 +122,12 @@ class JoinedImu:
         self._forces.clear()
         self._alone = 0
 
-    def told(self) -> list[str]:
-        """Conclusions for the user."""
+    def notes(self) -> list[str]:
+        """Notes for the user."""
         alone = self._alone + len(self._rates)
-        rest = f"; {alone} angular rates without accelerations around them are ignored" if alone else ""
-        text = f"joined with {self.forces_topic}, accelerations between its stamps by interpolation{rest}"
-        return [f"{self.topic}: {one}" for one in (text, self.unit.choice) if one]
+        unpaired = f"; {alone} angular rates without accelerations around them are ignored" if alone else ""
+        text = f"joined with {self.forces_topic}, accelerations between its stamps by interpolation{unpaired}"
+        return [f"{self.topic}: {note}" for note in (text, self.unit.choice) if note]
 
     def read_rates(self, message: Any) -> list[Measurement]:
         """The readings that a gyroscope message completes; RecordFault if it is damaged."""

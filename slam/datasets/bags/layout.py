@@ -153,7 +153,7 @@ def layout_of(bag: Bag, survey: Survey, wanted: tuple[str, ...], known: KnownCal
     for place, camera in enumerate(choice.cameras):
         layout.cameras.append(_camera(survey, layout, camera, only=len(choice.cameras) == 1))
         layout.images[camera.color], layout.images[camera.depth] = (place, False), (place, True)
-    layout.lenses |= survey.facts.told if layout.cameras else set()
+    layout.lenses |= survey.facts.fact_topics if layout.cameras else set()
     for topic in choice.lonely:
         layout.left_out[topic] = f"no {'colour' if survey.depths.get(topic) else 'depth'} beside it"
         layout.notes.append(f"{topic} is not read: {layout.left_out[topic]}")
@@ -216,10 +216,10 @@ def _mount(
     """``T_base_sensor`` of a type's only sensor by `calibration.yaml`, else by tf; a note if unknown."""
     notes = len(layout.notes)
     own = _mount_by_tf(survey, layout, topic)
-    told = layout.files.mount(kind, topic, own, only=only) if kind else own
-    if own is None and told is not None:
+    mount = layout.files.mount(kind, topic, own, only=only) if kind else own
+    if own is None and mount is not None:
         del layout.notes[notes:]
-    return told
+    return mount
 
 
 def _mount_by_tf(survey: Survey, layout: Layout, topic: str) -> gtsam.Pose3 | None:
@@ -324,18 +324,18 @@ def _camera(survey: Survey, layout: Layout, topics: CameraTopics, *, only: bool)
 
 def _color_in_depth(survey: Survey, layout: Layout, topics: CameraTopics) -> gtsam.Pose3:
     """Pose of the colour camera in the depth camera: by the driver's own messages, else by tf."""
-    told = survey.facts.color_in_depth(topics.color, topics.depth)
+    by_driver = survey.facts.color_in_depth(topics.color, topics.depth)
     frames = survey.frames.get(topics.depth, ""), survey.frames.get(topics.color, "")
     if is_registered(topics.depth) or (frames[0] == frames[1] and not survey.facts.streams):
         return gtsam.Pose3()  # one camera, or depth registered to colour by the driver
-    known = [(told[0], told[1])] if told else []
+    known = [(by_driver[0], by_driver[1])] if by_driver else []
     if frames[0] != frames[1] and (between := survey.tree.between(*frames)) is not None:
         known.append((between, "tf"))
     if not known:
         layout.notes.append(f"{topics.name}: no pose of colour relative to depth; assumed identical")
         return gtsam.Pose3()
     pose, source = known[0]
-    values = [np.asarray(one.translation()) for one, _ in known]
+    values = [np.asarray(pose_known.translation()) for pose_known, _ in known]
     if float(np.abs(values[0] - values[-1]).max()) > APART_M:
         layout.notes.append(
             f"{WARNING}{topics.name}: colour relative to depth at {_xyz(values[0])} m by {source}, at "

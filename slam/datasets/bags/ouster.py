@@ -105,11 +105,11 @@ class Ouster:
         if self._frame is None:
             return None
         self._over, self._frame = self._frame, None
-        told, whole = int((self._stamps_ns[self.model.sent] >= 0).sum()), int(self.model.sent.sum())
-        if 2 * told <= whole:
+        received, expected = int((self._stamps_ns[self.model.sent] >= 0).sum()), int(self.model.sent.sum())
+        if 2 * received <= expected:
             self.left_out += 1
             return None
-        self.lacking += told < whole
+        self.lacking += received < expected
         return self._cloud()
 
     def _cloud(self) -> SimpleNamespace | None:
@@ -130,12 +130,12 @@ class Ouster:
         """Return an IMU packet as an Imu at the time of its rates; RecordFault if it is damaged."""
         if len(packet) != IMU_BYTES:
             raise RecordFault(DAMAGED, f"{len(packet)} bytes, not {IMU_BYTES}")
-        _, _, at_ns, *told = struct.unpack("<3Q6f", packet)
+        _, _, at_ns, *readings = struct.unpack("<3Q6f", packet)
         if self.behind_s is None:
             self._set_clock(recorded_s, at_ns)
-        forces, rates = GRAVITY_M_S2 * np.array(told[:3]), np.radians(told[3:])
+        forces, rates = GRAVITY_M_S2 * np.array(readings[:3]), np.radians(readings[3:])
         halves = [
-            SimpleNamespace(**dict(zip("xyz", map(float, one), strict=True))) for one in (forces, rates)
+            SimpleNamespace(**dict(zip("xyz", map(float, vector), strict=True))) for vector in (forces, rates)
         ]
         return SimpleNamespace(
             header=header_at(self._stamp_s(at_ns), FRAMES[2]),
@@ -157,17 +157,17 @@ class Ouster:
             raise RecordFault(DAMAGED, f"at {told_ns} ns")
         return stamp_s
 
-    def told(self) -> list[str]:
-        """Conclusions for the user."""
-        found = []
+    def notes(self) -> list[str]:
+        """Notes for the user."""
+        notes = []
         if self.lacking:
-            found.append(f"{self.lacking} revolutions of an Ouster lack columns; read as they are")
+            notes.append(f"{self.lacking} revolutions of an Ouster lack columns; read as they are")
         if self.left_out:
-            found.append(f"{self.left_out} revolutions of an Ouster lack half their columns or more; ignored")
+            notes.append(f"{self.left_out} revolutions of an Ouster lack half their columns or more; ignored")
         if self.behind_s:
             text = f"an Ouster's clock is {self.behind_s:.1f} s behind the recorder's"
-            found.append(f"{WARNING}{text}; corrected by the arrival of its first packet")
-        return found
+            notes.append(f"{WARNING}{text}; corrected by the arrival of its first packet")
+        return notes
 
 
 class Ousters:
@@ -222,6 +222,6 @@ class Ousters:
         space = topic.rpartition("/")[0]
         return self._sensors[space].rest() if space in self._sensors else None
 
-    def told(self) -> list[str]:
-        """Conclusions for the user."""
-        return [text for sensor in self._sensors.values() for text in sensor.told()]
+    def notes(self) -> list[str]:
+        """Notes for the user."""
+        return [text for sensor in self._sensors.values() for text in sensor.notes()]

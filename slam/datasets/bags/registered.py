@@ -39,16 +39,16 @@ class CameraFacts:
         Pose of the reference stream in each stream of a recording by librealsense, by the stream's namespace.
     extrinsics
         ``T_to_from`` of each topic of Extrinsics.
-    told
+    fact_topics
         The topics that contain these facts.
     """
 
     units_m: dict[str, float] = field(default_factory=dict)
     streams: dict[str, gtsam.Pose3] = field(default_factory=dict)
     extrinsics: dict[str, gtsam.Pose3] = field(default_factory=dict)
-    told: set[str] = field(default_factory=set)
+    fact_topics: set[str] = field(default_factory=set)
 
-    def tells(self, topic: str, kind: str) -> bool:
+    def describes_camera(self, topic: str, kind: str) -> bool:
         """Whether a topic contains such facts."""
         return bool(EXTRINSICS.search(kind) or _UNIT.fullmatch(topic) or _STREAM.fullmatch(topic))
 
@@ -63,7 +63,7 @@ class CameraFacts:
             self.streams[stream[1]] = pose_of(message.translation, message.rotation)
         else:
             self.extrinsics[topic] = _pose_of_extrinsics(message, by_columns="realsense" in kind)
-        self.told.add(topic)
+        self.fact_topics.add(topic)
 
     def unit_m(self, topic: str) -> float | None:
         """Metres per depth step of an image topic; None if unknown."""
