@@ -76,28 +76,28 @@ def _override(name: str, value: object) -> str:
 
 def _rows(pair: Pair, known: Known) -> tuple[int, int, str]:
     """The rows of two keyframes, and a name for the pair."""
-    one, other = pair
-    told = f"{one} and {other}"
-    rows = row_of(one, known.base, known.sessions), row_of(other, known.base, known.sessions)
+    first, second = pair
+    ends = f"{first} and {second}"
+    rows = row_of(first, known.base, known.sessions), row_of(second, known.base, known.sessions)
     if rows[0] == rows[1]:
-        raise ConfigError(f"a loop joins two keyframes, not {one} with itself")
-    return *rows, told
+        raise ConfigError(f"a loop joins two keyframes, not {first} with itself")
+    return *rows, ends
 
 
 def _with_loops(entry: AppliedEdits, known: Known, edits: Edits, config: Config) -> AppliedEdits:
     """Add the forbidden, forced and new loops to the entry."""
-    wanted = []
+    requested = []
     for added in edits.loops.add:
-        one, other, told = _rows(added.pair, known)
-        wanted.append((one, other, None if added.guess is None else np.array(added.guess), told))
-    entry = replace(entry, added=tuple(matched_loops(known.contents, known.sessions, wanted, config)))
+        first, second, ends = _rows(added.pair, known)
+        requested.append((first, second, None if added.guess is None else np.array(added.guess), ends))
+    entry = replace(entry, added=tuple(matched_loops(known.contents, known.sessions, requested, config)))
     loops = edited_loops(known.base, [*known.contents.edits, entry], known.before, config)[1]
     chosen: dict[str, list[Rows]] = {"forbidden": [], "forced": []}
     for kind, pairs in (("forbidden", edits.loops.forbid), ("forced", edits.loops.force)):
         for pair in pairs:
-            one, other, told = _rows(pair, known)
-            rows = min(one, other), max(one, other)
-            refuse_unknown(loops, rows, told, matched=kind == "forced")
+            first, second, ends = _rows(pair, known)
+            rows = min(first, second), max(first, second)
+            refuse_unknown(loops, rows, ends, matched=kind == "forced")
             chosen[kind].append(rows)
     return replace(entry, forbidden=tuple(chosen["forbidden"]), forced=tuple(chosen["forced"]))
 

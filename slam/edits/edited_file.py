@@ -75,8 +75,8 @@ def _write(path: Path, source: UneditedFile, contents: MapContents, config: Conf
     with closing(MapFile.create(path)) as file:
         for key, value in source.rows(META):
             if key != SEAL:
-                told = config is not None and key == CONFIG
-                file.append(META, key, config.model_dump_json() if told and config else value)
+                replaced = config is not None and key == CONFIG
+                file.append(META, key, config.model_dump_json() if replaced and config else value)
         for table in (FRAMES, IMAGES, CLOUDS):
             copy_rows(source, file, table)
         write_contents(file, contents)

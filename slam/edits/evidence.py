@@ -51,25 +51,25 @@ def taken(
     first
         First keyframe to check.
     """
-    found: dict[Evidence, bytes] = {}
+    evidence: dict[Evidence, bytes] = {}
     if not cuts:
-        return found
+        return evidence
     for kind, scans in ((MEASURED, contents.measured_scans), (REPAIRED, contents.keyframe_scans)):
         for node, scan in enumerate(scans):
             if node >= first and scan is not None:
                 beams = _beams(scan, contents.keyframe_poses[node], cuts, config)
                 if beams.any():
-                    found[kind, node] = np.packbits(beams).tobytes()
-    for (kind, number), points, told in _in_space(contents, first):
+                    evidence[kind, node] = np.packbits(beams).tobytes()
+    for (kind, number), points, z_m in _in_space(contents, first):
         floor = (
-            np.zeros(len(points), np.bool_) if told is None else points[:, 2] <= told + config.layers.climb_m
+            np.zeros(len(points), np.bool_) if z_m is None else points[:, 2] <= z_m + config.layers.climb_m
         )
-        gone = np.zeros(len(points), np.bool_)
+        cut_points = np.zeros(len(points), np.bool_)
         for cut in cuts:
-            gone |= cut.takes(points[:, :2]) & ~(floor & (not cut.outside))
-        if gone.any():
-            found[kind, number] = np.packbits(gone & np.isfinite(points[:, 0])).tobytes()
-    return found
+            cut_points |= cut.takes(points[:, :2]) & ~(floor & (not cut.outside))
+        if cut_points.any():
+            evidence[kind, number] = np.packbits(cut_points & np.isfinite(points[:, 0])).tobytes()
+    return evidence
 
 
 def _beams(scan: LaserScan, pose: FloatArray, cuts: Sequence[Cut], config: Config) -> BoolArray:

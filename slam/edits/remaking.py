@@ -47,11 +47,11 @@ def remade_config(before: Config, entries: Sequence[AppliedEdits]) -> Config:
         If a key is unknown, a value is invalid, or a setting needs the log.
     """
     changed = with_settings(before, [setting for entry in entries for setting in entry.settings])
-    told, asked = (dict(leaves(one.model_dump(mode="json"))) for one in (before, changed))
-    for name in sorted({*told, *asked}):
-        if told.get(name) == asked.get(name) or name.startswith(_FREE) or name in _LOOPS:
+    old, new = (dict(leaves(config.model_dump(mode="json"))) for config in (before, changed))
+    for name in sorted({*old, *new}):
+        if old.get(name) == new.get(name) or name.startswith(_FREE) or name in _LOOPS:
             continue
-        if name == _FUSION and not asked[name]:
+        if name == _FUSION and not new[name]:
             continue
         why = (
             "the map holds what each keyframe saw, not the images that repaired it"
@@ -59,8 +59,7 @@ def remade_config(before: Config, entries: Sequence[AppliedEdits]) -> Config:
             else "it was decided when the log was read"
         )
         raise ConfigError(
-            f"{name} = {asked.get(name)} takes the log: {why}; "
-            f"'scanweave map LOG -s {name}={asked.get(name)}'"
+            f"{name} = {new.get(name)} takes the log: {why}; 'scanweave map LOG -s {name}={new.get(name)}'"
         )
     return changed
 
@@ -127,14 +126,14 @@ def settled(
         return replace(base, factors=factors, loops=loops)
     edges, kept = [factor.edge for factor in factors], [factor.kept for factor in factors]
     bases = bases_of(base, poses)
-    told = pose_covariances(poses, bases, edges, kept, config)
+    node_covariances = pose_covariances(poses, bases, edges, kept, config)
     trajectory, covariances = resettled(
         base.trajectory,
         base.stamps_s,
         Poses.of(bases_of(base, base.node_poses)),
         Poses.of(bases),
         parts_of(base, sessions),
-        told,
+        node_covariances,
     )
     return replace(
         base,
@@ -160,18 +159,18 @@ def solved(
     certain = [replace(factor.edge, trusted=True) for factor in factors if factor.kept]
     graph = graph_of(poses, certain)
     graph.optimize()
-    found, edges = poses_of(graph), [factor.edge for factor in factors]
-    told, probability = before.loops.inlier_probability, config.loops.inlier_probability
-    if _misfits(found, edges, kept, probability) <= _misfits(poses, edges, kept, told):
-        return list(factors), found
-    graph = graph_of(found, edges)
+    solution, edges = poses_of(graph), [factor.edge for factor in factors]
+    old_probability, probability = before.loops.inlier_probability, config.loops.inlier_probability
+    if _misfits(solution, edges, kept, probability) <= _misfits(poses, edges, kept, old_probability):
+        return list(factors), solution
+    graph = graph_of(solution, edges)
     graph.begin_with(kept)
-    known = set[bytes]()
-    while kept.tobytes() not in known:
-        known.add(kept.tobytes())
+    seen_decisions = set[bytes]()
+    while kept.tobytes() not in seen_decisions:
+        seen_decisions.add(kept.tobytes())
         kept = graph.optimize(probability).kept
-    held = [replace(factor, kept=bool(keep)) for factor, keep in zip(factors, kept, strict=True)]
-    return held, poses_of(graph)
+    decided = [replace(factor, kept=bool(keep)) for factor, keep in zip(factors, kept, strict=True)]
+    return decided, poses_of(graph)
 
 
 def graph_of(poses: Sequence[Pose], edges: Sequence[Edge]) -> PoseGraph:

@@ -121,15 +121,15 @@ def _errors(estimate: Trajectory, truth: Trajectory, held: int) -> FloatArray:
 
 def _truth_at(reference: Trajectory, stamps_s: FloatArray, limit_s: float) -> tuple[Trajectory, Indices]:
     """Return the ground truth at those of (N,) stamps where it is known, and their indices."""
-    found = np.flatnonzero(
+    covered = np.flatnonzero(
         np.abs(reference.stamps_s[nearest_indices(reference.stamps_s, stamps_s)] - stamps_s) <= limit_s
     )
-    known_s, order = np.unique(reference.stamps_s, return_index=True)
-    known, asked_s = reference[order], np.clip(stamps_s[found], known_s[0], known_s[-1])
-    if len(known_s) < 2 or not found.size:
-        return known[np.zeros(len(found), np.int64)], found
-    turns = spatial.transform.Slerp(known_s, spatial.transform.Rotation.from_quat(known.quaternions_xyzw))(
-        asked_s
-    )
-    places = [np.interp(asked_s, known_s, axis) for axis in known.positions_m.T]
-    return Trajectory(asked_s, np.column_stack(places), turns.as_quat()), found
+    unique_s, order = np.unique(reference.stamps_s, return_index=True)
+    truth, truth_s = reference[order], np.clip(stamps_s[covered], unique_s[0], unique_s[-1])
+    if len(unique_s) < 2 or not covered.size:
+        return truth[np.zeros(len(covered), np.int64)], covered
+    quaternions = spatial.transform.Slerp(
+        unique_s, spatial.transform.Rotation.from_quat(truth.quaternions_xyzw)
+    )(truth_s)
+    positions = [np.interp(truth_s, unique_s, axis) for axis in truth.positions_m.T]
+    return Trajectory(truth_s, np.column_stack(positions), quaternions.as_quat()), covered

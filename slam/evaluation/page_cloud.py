@@ -30,7 +30,7 @@ def cloud_data(found: MapContents, cloud: ColoredCloud | None) -> tuple[dict[str
 
     Points are (N, 3) in steps of ``step_m`` from ``low``, map frame; ``up`` is the upward direction. A
     hand-held camera does not know it, yet most of what faces up is a floor or a table. ``by_intensity`` are
-    colours by intensity, where a lidar told any that differ.
+    colours by intensity, if the lidar reports intensities that differ.
     """
     up = np.array([0.0, 0.0, 1.0])
     intensities: AnyFloatArray | None = None
@@ -57,7 +57,7 @@ def cloud_data(found: MapContents, cloud: ColoredCloud | None) -> tuple[dict[str
 
 def _of_keyframes(clouds: MapClouds, found: MapContents) -> tuple[FloatArray, FloatArray | None, str]:
     """Return (N, 3) sampled points of keyframes in the map, their intensities (N,), and the total number."""
-    keys, total, parts, told = _even(len(clouds)), 0, list[FloatArray](), list[FloatArray]()
+    keys, total, parts, intensities_of = _even(len(clouds)), 0, list[FloatArray](), list[FloatArray]()
     share = _POINTS // len(keys) + 1
     for key in keys:
         rows = clouds.rows(key)
@@ -65,9 +65,9 @@ def _of_keyframes(clouds: MapClouds, found: MapContents) -> tuple[FloatArray, Fl
         rows = rows[:: max(1, -(-len(rows) // share))]
         parts.append(moved(rows, spatial(found.node_poses[key])))
         # A view would keep the whole keyframe in memory.
-        told.append(rows[:, 3].copy() if rows.shape[1] > 3 else np.full(len(rows), np.nan))
-    intensities, of = np.concatenate(told), f"{total:,} points of {len(keys):,} keyframes"
-    return np.vstack(parts), None if np.isnan(intensities).all() else intensities, of
+        intensities_of.append(rows[:, 3].copy() if rows.shape[1] > 3 else np.full(len(rows), np.nan))
+    intensity, size = np.concatenate(intensities_of), f"{total:,} points of {len(keys):,} keyframes"
+    return np.vstack(parts), None if np.isnan(intensity).all() else intensity, size
 
 
 def _even(count: int) -> list[int]:

@@ -46,12 +46,12 @@ def map_data(
     """
     rows = _rows_of_nodes(found, sessions)
     sigmas = _sigmas(found)
-    scans, told = _scans(found.keyframe_scans, len(found.node_poses))
-    way, way_told = _way(found, rows, sigmas)
-    names = [one.log_name for one in sessions] or [title]
+    scans, scan_limits = _scans(found.keyframe_scans, len(found.node_poses))
+    path, path_limits = _way(found, rows, sigmas)
+    names = [session.log_name for session in sessions] or [title]
     of_nodes = session_numbers(sessions) if sessions else np.zeros(len(found.node_poses))
     node_session = of_nodes.astype(np.int32)
-    way |= {"session": node_session[way["node"]].astype(np.uint8), "sessions": names}
+    path |= {"session": node_session[path["node"]].astype(np.uint8), "sessions": names}
     return {
         "kind": "map",
         "title": title,
@@ -73,8 +73,8 @@ def map_data(
         "scans": scans,
         "repairs": _repairs(found),
         "layers": layer_pictures(found.layers(config), found.grids.get(PASSED_BY)),
-        "trajectory": way,
-        "limits": [*told, *way_told],
+        "trajectory": path,
+        "limits": [*scan_limits, *path_limits],
         **_what_if(found, config),
     }
 
@@ -89,17 +89,17 @@ def _what_if(found: MapContents, config: Config) -> dict[str, Any]:
     edges = all_edges(factors, found.loops)
     kept = [factor.kept for factor in found.factors] + [False] * (len(edges) - len(factors))
     size = 3 if found.planar else 6
-    told = influences(found.node_poses, edges, kept)
+    effect = influences(found.node_poses, edges, kept)
     give_back()
     return {
         "influence": {
-            "edge": told.edges.astype(np.int32),
-            "shift_m": told.shifts_m.astype(np.float32),
-            "node": told.nodes.astype(np.int32),
-            "residual": told.residuals.astype(np.float32),
-            "left_out": told.left_out.astype(np.float32),
+            "edge": effect.edges.astype(np.int32),
+            "shift_m": effect.shifts_m.astype(np.float32),
+            "node": effect.nodes.astype(np.int32),
+            "residual": effect.residuals.astype(np.float32),
+            "left_out": effect.left_out.astype(np.float32),
             # Squared sigmas exceeded by one in a thousand true loops: for one loop, two and so on.
-            "gates": np.array([gate(size * n) for n in range(1, max(len(told.edges), 1) + 1)], np.float32),
+            "gates": np.array([gate(size * n) for n in range(1, max(len(effect.edges), 1) + 1)], np.float32),
             # Loops within a local map of each other at both ends are one claim.
             "reach": config.match.local_map_keyframes,
         },
@@ -136,15 +136,15 @@ def way_data(
         "yaw_sigma": sigmas[1][chosen],
         "speed": speed,
     }
-    told = [] if chosen.step == 1 else [f"Trajectory: {len(part):,} of {count:,} poses, evenly sampled."]
-    return data, told, chosen
+    limits = [] if chosen.step == 1 else [f"Trajectory: {len(part):,} of {count:,} poses, evenly sampled."]
+    return data, limits, chosen
 
 
 def _way(
     found: MapContents, rows: NDArray[np.intp], sigmas: tuple[NDArray[np.float32], NDArray[np.float32]]
 ) -> tuple[dict[str, Any], list[str]]:
     """Return the path of the map, and the source of each step: the most certain inlier edge to it."""
-    data, told, chosen = way_data(found.trajectory, sigmas)
+    data, limits, chosen = way_data(found.trajectory, sigmas)
     kinds = sorted({str(factor.edge.kind) for factor in found.factors if factor.edge.loop is None})
     sources, spread = np.full(len(found.node_poses), len(kinds), np.uint8), dict[int, float]()
     for factor in found.factors:
@@ -160,7 +160,7 @@ def _way(
     if len(rows):
         data["source"] = sources[np.minimum(np.searchsorted(before, numbers), len(rows) - 1)]
         data["node"] = np.maximum(np.searchsorted(before, numbers, side="right") - 1, 0).astype(np.int32)
-    return {**data, "sources": [*kinds, "nothing"]}, told
+    return {**data, "sources": [*kinds, "nothing"]}, limits
 
 
 def _rows_of_nodes(found: MapContents, sessions: Sequence[MapSession]) -> NDArray[np.intp]:
@@ -266,8 +266,8 @@ def _scans(scans: Sequence[LaserScan | None], count: int) -> tuple[dict[str, Any
         np.zeros((0, 2), np.int16) if scan is None else _centimetres(_points_base(scan)[::step])
         for scan in scans or [None] * count
     ]
-    told = [] if step == 1 else [f"Scans: one point in {step}."]
-    return _stacked(parts), told
+    limits = [] if step == 1 else [f"Scans: one point in {step}."]
+    return _stacked(parts), limits
 
 
 def _repairs(found: MapContents) -> dict[str, Any]:

@@ -24,12 +24,12 @@ from slam.measurements import FloatArray
 
 
 def write_report(path: Path, data: ReportData, head: Callable[[], Any] = lambda: None) -> None:
-    """Write the report as one HTML file that asks nothing of the network.
+    """Write the report as one HTML file that needs no network.
 
     Parameters
     ----------
     head
-        Tells `map_data` of the map without its digest, or None; asked when all else is there.
+        Returns `map_data` of the map without its digest, or None; called last.
 
     Raises
     ------

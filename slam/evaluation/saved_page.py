@@ -76,7 +76,7 @@ def saved_page(saved: Map, connect: str = "'none'") -> Iterator[str]:
 
 
 def write_saved_page(saved: Map) -> Path:
-    """Write the page as ``report.html`` beside the map, and tell where.
+    """Write the page as ``report.html`` into the map's folder; return its path.
 
     Raises
     ------
@@ -93,9 +93,9 @@ def map_work_page(
     head: dict[str, Any], found: MapContents, config: Config, cloud: ColoredCloud | None = None
 ) -> WorkPage:
     """Return the plan of a map's data, with its cloud and images."""
-    for name, (part, told) in (("cloud", cloud_data(found, cloud)), ("images", image_data(found))):
+    for name, (part, limits) in (("cloud", cloud_data(found, cloud)), ("images", image_data(found))):
         head[name] = part
-        head["limits"] += told
+        head["limits"] += limits
     layers = found.layers(config)
     legend = _legend(layers)
     for layer in head["layers"][:1]:

@@ -31,7 +31,7 @@ def has_walls(known: MapContents) -> bool:
 
 
 class Walls:
-    """The walls of a map in the forms in which they are asked for, each made once.
+    """The walls of a map in several forms, each computed once when it is first needed.
 
     They are those that its keyframes have seen; of a map that is nothing but a grid, those that it draws.
 

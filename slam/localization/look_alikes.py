@@ -18,17 +18,17 @@ def look_alikes(walls: Walls, sensor: PlanarSensor, settings: LocalizationConfig
     Such a scan has more evidence there than a place needs to exceed the outside of the map. 0 for a map
     without scans, and if at most one in ten do: some places look alike in most maps.
     """
-    asked = list(walls.sampled(FEWEST))
+    sampled = list(walls.sampled(FEWEST))
     elsewhere = 0
-    for own, view in asked:
-        seen = sensor.novel(view, own, None)
+    for scan_pose, view in sampled:
+        novel = sensor.novel(view, scan_pose, None)
         points = view.points.points_base
         points = points[first_in_cells(points, settings.novel_cell_m)[0]]
         for place in at_once(search_map(walls.field, points, settings, settings.hypotheses)):
             guess = pose2_from_row(place.pose)
             motion = sensor.align(view, guess)
             pose = guess if motion is None else motion.T_reference_base
-            if not same_place(own, pose) and sensor.weigh(pose, seen) > settings.nowhere_nats:
+            if not same_place(scan_pose, pose) and sensor.weigh(pose, novel) > settings.nowhere_nats:
                 elsewhere += 1
                 break
-    return elsewhere / len(asked) if 10 * elsewhere > len(asked) else 0.0
+    return elsewhere / len(sampled) if 10 * elsewhere > len(sampled) else 0.0

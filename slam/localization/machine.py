@@ -17,7 +17,7 @@ from slam.localization.loss_test import LossTest
 from slam.localization.output import LocalizerOutput, PoseHypothesis, RecoveredPose, State
 from slam.localization.pose_smoother import PoseSmoother
 from slam.localization.poses import SAME_M, Measured, after, diagonal, position_sigma_m, squared_mahalanobis
-from slam.localization.sensor import N, Observation, Sensor, V, anew, moved_on
+from slam.localization.sensor import N, Observation, Sensor, V, moved_on, new_share
 from slam.matching.match_covariance import OPEN_M
 from slam.measurements import Pose, composed, motion_between
 
@@ -119,7 +119,7 @@ class StateMachine(Generic[V, N]):
         pose = self._known.pose
         novel = self._sensor.novel(observed.view, motion_between(pose, pose), None)
         evidence = self._sensor.weigh(pose, novel, believed)
-        moved = 1.0 if observed.restarted else anew(observed.moved.pose, self._config)
+        moved = 1.0 if observed.restarted else new_share(observed.moved.pose, self._config)
         self._loss.add(observed.stamp_s, evidence, moved)
         if self._loss.lost:
             self._state, self._contradicted = State.LOST, True

@@ -61,10 +61,10 @@ class Keyframe(Generic[N]):
 
 def moved_on(before: Pose | None, pose: Pose, config: LocalizationConfig) -> bool:
     """Return whether ``T_odom_base`` is far enough from an earlier one to see something new."""
-    return before is None or anew(motion_between(before, pose), config) >= 1.0
+    return before is None or new_share(motion_between(before, pose), config) >= 1.0
 
 
-def anew(step: Pose, config: LocalizationConfig) -> float:
+def new_share(step: Pose, config: LocalizationConfig) -> float:
     """Return the share of a reading that is new after a motion: all after that between two keyframes."""
     apart_m, turned_rad = apart(composed(step, step.inverse()), step)
     return min(max(apart_m / config.keyframe_m, turned_rad / config.keyframe_rad), 1.0)

@@ -49,7 +49,7 @@ class VisualLocator:
         self._T_base_camera: gtsam.Pose3 | None = None
         first = known.frames.head(0)
         self._sensor, learned = first.sensor, known.cameras.get(first.sensor, LearnedCamera())
-        # Where the log does not tell the mounting, the map does.
+        # If the log does not contain the mounting, that of the map is used.
         none = T_BODY_CAMERA if known.planar else gtsam.Pose3()
         self._mapped_mounting = learned.T_base_camera or first.T_base_camera or none
         self._prepare = FramePreparer(

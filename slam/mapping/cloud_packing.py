@@ -36,8 +36,8 @@ def packed_cloud(rows: FloatArray) -> bytes:
         raise ScanweaveError(f"a cloud holds a point at {reach_m}; only finite points can be kept")
     step_m, planes = max(STEP_M, reach_m / 2**29), np.empty((4, 3, len(rows)), np.uint8)
     _ways(rows, step_m, planes)
-    told = rows[:, 3:].astype("<f4").view(np.uint8).reshape(-1, 4).T.tobytes()
-    return _HEAD.pack(step_m, len(rows)) + zstd.compress(planes.tobytes() + told, 1)
+    intensities = rows[:, 3:].astype("<f4").view(np.uint8).reshape(-1, 4).T.tobytes()
+    return _HEAD.pack(step_m, len(rows)) + zstd.compress(planes.tobytes() + intensities, 1)
 
 
 def unpacked_cloud(content: bytes, *, intensities: bool = True) -> FloatArray:

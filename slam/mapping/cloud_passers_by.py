@@ -75,7 +75,7 @@ def passed_by(
     poses
         ``T_map_base`` of each.
     reach_m
-        Voxels farther from a lidar are not asked, nor where a pixel is two of them wide.
+        Voxels farther from a lidar are not tested, nor where a pixel is two of them wide.
     """
     voxel_m = 0.5 * ground.cell_m
     reach_m = min(reach_m, 2 * voxel_m / _PIXEL_RAD)
@@ -89,10 +89,10 @@ def passed_by(
     along = middles[:, 0].copy()
     picture, half_m = np.empty((half_turn + 1, 2 * half_turn), np.float32), 0.5 * math.sqrt(3) * voxel_m
     lidars = [pose.compose(T_base_lidar) for pose in poses]
-    looks = prefetched(
-        zip(clouds, lidars, strict=True), lambda one: (*one, _pixels(moved(one[0], one[1].inverse()))), 1
+    views = prefetched(
+        zip(clouds, lidars, strict=True), lambda view: (*view, _pixels(moved(view[0], view[1].inverse()))), 1
     )
-    for number, (placed, T_map_lidar, seen) in enumerate(looks):
+    for number, (placed, T_map_lidar, seen) in enumerate(views):
         picture[:] = np.inf
         look(placed, voxel_m, table, known, number, newest, *seen, picture)
         # Their keys are sorted along x first.
@@ -107,9 +107,9 @@ def passed_by(
     chances = np.log1p(-(hits + 1.0) / (hits + between + 2.0)) * passes
     means = np.empty((len(known), 2))
     means_around(known, table, np.column_stack([chances, passes - hits]), means)
-    gone = (means[:, 0] < -math.log(FEWEST)) & (means[:, 1] > 0.0)
-    spread(known, table, 2 * passes > hits, gone)
-    return PassedBy(known[gone], voxel_m)
+    is_gone = (means[:, 0] < -math.log(FEWEST)) & (means[:, 1] > 0.0)
+    spread(known, table, 2 * passes > hits, is_gone)
+    return PassedBy(known[is_gone], voxel_m)
 
 
 def _pixels(points_lidar: FloatArray) -> tuple[NDArray[np.int32], NDArray[np.int32], Float32Array]:

@@ -59,7 +59,7 @@ class ColoredCloud:
     normals_map
         (N, 3) unit vectors towards where the surface was seen from.
     intensities
-        (N,) of a lidar's points, in its own steps, NaN where one does not tell it; None if none does.
+        (N,) of a lidar's points, in the lidar's steps, NaN if unknown; None if none is known.
     """
 
     points_map: Float32Array
@@ -111,10 +111,10 @@ def fuse_keyframes(
     """
     blocks = VoxelBlocks(settings.voxel_size_m)
     # A frame is integrated in another thread while the next one is decoded.
-    told = prefetched(
+    integrated = prefetched(
         posed_frames(frames, poses), lambda posed: _integrate(blocks, settings, *posed), most_waiting=1
     )
-    return ColoredMesh(*surface_of_blocks(blocks, min(settings.minimum_views, sum(told))))
+    return ColoredMesh(*surface_of_blocks(blocks, min(settings.minimum_views, sum(integrated))))
 
 
 def _integrate(

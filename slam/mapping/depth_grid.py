@@ -81,7 +81,7 @@ def depth_board(
     marked.
 
     Each cell has the floor and `DepthModel.bins` heights above it. What is seen through is freed there, and
-    what is met is marked there: many images together tell of all heights of a cell, and of those where
+    what is met is marked there: many images together cover all heights of a cell, and also those where
     somebody stood, which a later ray passes.
 
     Parameters

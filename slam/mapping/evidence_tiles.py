@@ -51,7 +51,7 @@ class EvidenceTiles:
     memory_mb
         Tiles beyond this (10^6 bytes) wait in a temporary folder, which goes with this object.
     heights
-        How many heights of a cell are told apart; a board that does not counts for all of them.
+        Number of height bins of a cell; a board without heights counts for all of them.
     """
 
     def __init__(self, memory_mb: float = 128.0, heights: int = 1) -> None:

@@ -111,9 +111,9 @@ def _loss(
     """The share of beams that a gap loses and the things behind it do not; 0 where that is not sure.
 
     By the ratio of likelihoods of glass, which has a share of losses of its own, and of no glass. A scan has
-    one vote a cell, for neighbouring beams share their fate. It must be sure without the thing that tells
-    most, which may be dark. Of the gap's parts, half as long as the least pane, none may tell it alone, and
-    those that speak against it must not be sure.
+    one vote per cell, because neighbouring beams are correlated. The result must be certain without the
+    object with the most evidence, which may be dark. No part of the gap, half as long as the shortest pane,
+    may decide alone, and the evidence of parts against glass must not be certain.
 
     Parameters
     ----------
@@ -123,10 +123,10 @@ def _loss(
     share, _ = _crossings(gap, beams.chosen(beams.lost))
     if not ((share > 0.0) & (share < 1.0)).any():
         return 0.0
-    share, beside = _crossings(gap, beams)
-    things = beams.thing[beside]
+    share, hit_beams = _crossings(gap, beams)
+    things = beams.thing[hit_beams]
     elsewhere = every - np.bincount(things, minlength=len(every))
-    lost_there = lost - np.bincount(things[beams.lost[beside]], minlength=len(every))
+    lost_there = lost - np.bincount(things[beams.lost[hit_beams]], minlength=len(every))
     usual = (FEWEST * lost.sum() / every.sum() + lost_there) / (FEWEST + elsewhere)
     through = (share > 0.0) & (share < 1.0)
     share, beams = share[through], beams.chosen(through)
@@ -137,11 +137,11 @@ def _loss(
     loss = float(np.average(beams.lost, weights=weight))
     without = usual[beams.thing]
     with_glass = np.maximum(without, loss)
-    told = weight * np.log(np.where(beams.lost, with_glass / without, (1.0 - with_glass) / (1.0 - without)))
-    parts = np.bincount((share * math.ceil(2.0 * gap.length_m / SHORTEST_M)).astype(np.int64), told)
-    against, sure = float(parts[parts < 0.0].sum()), -math.log(1.0 - CONFIDENCE)
-    least = max(sure + float(np.bincount(beams.thing, told).max()), float(parts.max()))
-    return loss if told.sum() > least and against > -sure else 0.0
+    nats = weight * np.log(np.where(beams.lost, with_glass / without, (1.0 - with_glass) / (1.0 - without)))
+    parts = np.bincount((share * math.ceil(2.0 * gap.length_m / SHORTEST_M)).astype(np.int64), nats)
+    against, limit = float(parts[parts < 0.0].sum()), -math.log(1.0 - CONFIDENCE)
+    least = max(limit + float(np.bincount(beams.thing, nats).max()), float(parts.max()))
+    return loss if nats.sum() > least and against > -limit else 0.0
 
 
 def _crossings(gap: Segment, beams: _Beams) -> tuple[FloatArray, BoolArray]:

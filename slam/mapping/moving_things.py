@@ -33,8 +33,8 @@ class _Sweep(NamedTuple):
     beams, points, begun
         (M,) the beams that met them, (M, 2) where, odometry frame, and (T + 1,) where each thing begins.
     moves
-        (2, T) by what was before, and by what comes after: 2 where it moves, 1 where nothing but this scan
-        tells it, else 0.
+        (2, T) by the scans before and by those after: 2 if it moves, 1 if only this scan shows that it
+        moves, else 0.
     """
 
     scan: LaserScan
@@ -233,19 +233,19 @@ def _follow(  # type: ignore[no-untyped-def]
     for thing in range(moves.size):
         first, last = begun[thing], begun[thing + 1]
         size = last - first
-        seen = ZERO
+        free_count = ZERO
         x = 0.0
         y = 0.0
         for i in range(first, last):
-            seen += free[i]
+            free_count += free[i]
             x += points[i, 0] / size
             y += points[i, 1] / size
-        told = ZERO
-        if 3 * seen >= size and seen > 2:
-            told += 1
-        beside = ZERO
+        motion = ZERO
+        if 3 * free_count >= size and free_count > 2:
+            motion += 1
+        adjacent = ZERO
         for other in range(others_move.size):
-            if others_move[other] > beside:
+            if others_move[other] > adjacent:
                 begin, end = others_begun[other], others_begun[other + 1]
                 dx = x
                 dy = y
@@ -253,9 +253,9 @@ def _follow(  # type: ignore[no-untyped-def]
                     dx -= others[j, 0] / (end - begin)
                     dy -= others[j, 1] / (end - begin)
                 if math.sqrt(dx * dx + dy * dy) < apart_m:
-                    beside = np.int64(others_move[other])
-        if told + beside > 1:
-            told = 2
-        new = new or told > moves[thing]
-        moves[thing] = max(moves[thing], told)
+                    adjacent = np.int64(others_move[other])
+        if motion + adjacent > 1:
+            motion = 2
+        new = new or motion > moves[thing]
+        moves[thing] = max(moves[thing], motion)
     return new

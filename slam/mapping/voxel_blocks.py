@@ -41,7 +41,7 @@ class VoxelBlocks:
     distance
         (B, 512) mean signed distance to the surface, in `BAND_STEPS` a band, positive before it.
     weight
-        (B, 512) frames that told of a voxel.
+        (B, 512) frames that measured a voxel.
     color
         (B, 512, 3) mean RGB, in `COLOR_STEPS`.
     """
@@ -157,7 +157,7 @@ def _touch(  # type: ignore[no-untyped-def]
 def _integrate(  # type: ignore[no-untyped-def]
     numbers, places, depth, color, fx, fy, cx, cy, T, voxel_m, distance, weight, mean_color
 ):
-    """Add a frame's reading to the means of every voxel that it tells of."""
+    """Add a frame's reading to the mean of every voxel that it measures."""
     height, width = depth.shape
     per_band = 1.0 / (SIDE // 2 * voxel_m)
     for n in range(numbers.shape[0]):

@@ -37,7 +37,7 @@ class WallFit:
     Attributes
     ----------
     face
-        What it is told by.
+        The face whose points it fits.
     middle_m
         Along the face, from its point: the mean of the points.
     offset_m, slope
@@ -45,7 +45,7 @@ class WallFit:
     jacobian
         (2, 3 n) of offset and slope by GTSAM's tangents of the n poses.
     noise
-        (2,) variances of both by what the poses do not tell: the points of different scans scatter by it.
+        (2,) variances of both apart from the poses: the scatter between points of different scans.
     along_m
         (k,) where its points lie.
     drift
@@ -190,7 +190,7 @@ def _noise(gain: FloatArray, left: FloatArray, owners: NDArray[np.int64]) -> Flo
 def straightened(fits: Sequence[WallFit], covariance: FloatArray) -> tuple[list[WallFit], FloatArray]:
     """Turn the walls of a room towards its axes, as far as their points leave that open.
 
-    How far walls are from them, the better half of the walls tells by itself.
+    The spread of the walls about the axes is measured on the better half of them.
 
     Parameters
     ----------

@@ -103,25 +103,25 @@ def _ahead(end_m: FloatArray, along: FloatArray, met: BoolArray, grid: Occupancy
 
 def _following(segments: Sequence[Segment], sturdy: BoolArray) -> dict[int, int]:
     """For each segment the next in line with it, if there is one."""
-    found: dict[int, int] = {}
+    next_of: dict[int, int] = {}
     if not segments:
-        return found
+        return next_of
     begins, ends, alongs = (
         np.array([getattr(s, name) for s in segments]) for name in ("begin_m", "end_m", "along")
     )
     for index, segment in enumerate(segments):
         to = begins - segment.end_m
         ahead, aside = to @ segment.along, np.abs(to @ segment.normal)
-        bend = np.tan(SAME_DIRECTION_RAD / 4) * np.maximum(ahead, 0.0)
-        same = (alongs @ segment.along > np.cos(SAME_DIRECTION_RAD)) & (aside < THICKEST_WALL_M / 4 + bend)
+        slack = np.tan(SAME_DIRECTION_RAD / 4) * np.maximum(ahead, 0.0)
+        same = (alongs @ segment.along > np.cos(SAME_DIRECTION_RAD)) & (aside < THICKEST_WALL_M / 4 + slack)
         same[index] = False
         # What overlaps goes on beside it: no gap.
         same &= ((ends - segment.end_m) @ segment.along > 0.0) & (ahead > -0.5 * THICKEST_WALL_M)
         if same.any():
             next_ = int(np.argmin(np.where(same, ahead, np.inf)))
             if ahead[next_] < WIDEST_DOOR_M and (sturdy[index] or sturdy[next_]):
-                found[index] = next_
-    return found
+                next_of[index] = next_
+    return next_of
 
 
 def _thin(segment: Segment, segments: Sequence[Segment]) -> bool:

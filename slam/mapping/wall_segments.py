@@ -128,7 +128,7 @@ class Segment:
 
 
 def wall_segments(points: WallPoints, cell_m: float, shortest_m: float) -> list[Segment]:
-    """The longest straight pieces first: peaks of a Hough transform of oriented points, each fitted anew.
+    """The longest straight pieces first: peaks of a Hough transform of oriented points, each refitted.
 
     Parameters
     ----------

@@ -156,8 +156,8 @@ def _stands_before(  # type: ignore[no-untyped-def]
 ):
     """Write the distance of the nearest of points (M, 2) that stands in the way, seen at xs, ys and angles.
 
-    ``nearest_m`` (B,) are zeros: first how far it has to be free by bearing. Points of a bearing hang
-    together: the ``newest`` (B,), and the one ``before`` each (M,).
+    ``nearest_m`` (B,) are zeros: first how far it has to be free by bearing. Points of a bearing are a
+    linked list: the ``newest`` (B,), and the one ``before`` each (M,).
     """
     count = nearest_m.size
     for i in range(scan.shape[0]):

@@ -110,10 +110,10 @@ def _line(thing: ChangedThing) -> str:
     size = f"an object of {length_m:.1f} x {width_m:.1f} m"
     places = [f"({x:.1f}, {y:.1f})" for x, y in thing.places_m]
     if thing.what == "moved":
-        told = f"moved {thing.moved_m:.1f} m: {size} from {places[0]} to {places[1]}"
+        text = f"moved {thing.moved_m:.1f} m: {size} from {places[0]} to {places[1]}"
     else:
-        told = f"{thing.what}: {size} {'at' if thing.what == 'appeared' else 'from'} {places[0]}"
-    return f"{told}, probability {thing.probability:.2f}"
+        text = f"{thing.what}: {size} {'at' if thing.what == 'appeared' else 'from'} {places[0]}"
+    return f"{text}, probability {thing.probability:.2f}"
 
 
 def _plain(thing: ChangedThing) -> dict[str, Any]:

@@ -96,16 +96,16 @@ def _write(path: Path, known: Map, session: Map, joined: JoinedMap) -> None:
                 part.clouds.copy_to(file)
         return replace(contents, georeference=known.contents.georeference, places=known.contents.places)
 
-    told = [*known.notes, *session.notes], [*known.warnings, *session.warnings]
+    remarks = [*known.notes, *session.notes], [*known.warnings, *session.warnings]
     identity = MapIdentity(config, "", "", session.identity.versions)
-    write_sessions(path, identity, [*known.sessions, *session.sessions], told, copied)
+    write_sessions(path, identity, [*known.sessions, *session.sessions], remarks, copied)
 
 
 def write_sessions(
     path: Path,
     identity: MapIdentity,
     sessions: Sequence[MapSession],
-    told: tuple[Sequence[str], Sequence[str]],
+    remarks: tuple[Sequence[str], Sequence[str]],
     copied: Callable[[MapFile], MapContents],
 ) -> None:
     """Write ``map.db`` of several sessions.
@@ -114,16 +114,16 @@ def write_sessions(
     ----------
     identity
         Settings and versions; the logs are those of the sessions.
-    told
+    remarks
         Notes and warnings.
     copied
         Function that copies frames and clouds into the file, and returns the rest.
     """
     if len(sessions) > 1:
         digest = hashlib.blake2b(digest_size=16)
-        for one in sessions:
-            digest.update(one.log_fingerprint.encode() + b"\0")
-        name, fingerprint = " + ".join(one.log_name for one in sessions), digest.hexdigest()
+        for session in sessions:
+            digest.update(session.log_fingerprint.encode() + b"\0")
+        name, fingerprint = " + ".join(session.log_name for session in sessions), digest.hexdigest()
     else:
         name, fingerprint = sessions[0].log_name, sessions[0].log_fingerprint
     with closing(MapFile.create(path)) as file:
@@ -131,8 +131,8 @@ def write_sessions(
         for key, value in identity.to_meta().items():
             file.add_meta(key, value)
         if len(sessions) > 1:
-            file.add_meta(SESSIONS, json.dumps([asdict(one) for one in sessions]))
-        for key, lines in zip((NOTES, WARNINGS), told, strict=True):
+            file.add_meta(SESSIONS, json.dumps([asdict(session) for session in sessions]))
+        for key, lines in zip((NOTES, WARNINGS), remarks, strict=True):
             file.add_meta(key, json.dumps(lines))
         contents = copied(file)
         write_contents(file, contents)

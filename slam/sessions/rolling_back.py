@@ -38,28 +38,28 @@ def write_first_sessions(saved: Map, count: int, path: Path) -> list[str]:
     nodes = sum(session.keyframes for session in sessions)
 
     def copied(file: MapFile) -> MapContents:
-        found = _alone(parts.base, nodes, sessions, parts.before)
+        contents = _alone(parts.base, nodes, sessions, parts.before)
         if parts.base.frames is not None:
             parts.base.frames.copy_to(file, most=nodes)
-            found = replace(found, frames=MapFrames(file))
+            contents = replace(contents, frames=MapFrames(file))
         if parts.base.clouds is not None:
             parts.base.clouds.copy_to(file, nodes)
-            found = replace(found, clouds=MapClouds(file))
-        found, told = drawn(found, parts.before)
-        warnings.extend(told)
-        return found
+            contents = replace(contents, clouds=MapClouds(file))
+        contents, remarks = drawn(contents, parts.before)
+        warnings.extend(remarks)
+        return contents
 
     identity = replace(saved.identity, config=parts.before)
     entries = [_of_first(entry, nodes, parts.base) for entry in saved.contents.edits]
     kept = [entry for entry in entries if entry is not None]
-    told = saved.notes, saved.warnings
+    remarks = saved.notes, saved.warnings
     if not kept:
-        write_sessions(path, identity, sessions, told, copied)
+        write_sessions(path, identity, sessions, remarks, copied)
     else:
         with tempfile.TemporaryDirectory() as plain:
-            write_sessions(Path(plain) / MAP_NAME, identity, sessions, told, copied)
-            with load_map(plain) as found:
-                warnings += write_entries(found.parts(), kept, path)
+            write_sessions(Path(plain) / MAP_NAME, identity, sessions, remarks, copied)
+            with load_map(plain) as contents:
+                warnings += write_entries(contents.parts(), kept, path)
     if gone := len(entries) - len(kept):
         warnings.append(f"{gone} of {len(entries)} edits were of later sessions, and are gone with them")
     return warnings

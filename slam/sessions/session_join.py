@@ -84,15 +84,15 @@ def join(
     measured = [*known.measured_scans, *session.measured_scans]
     before = [base for one in (known, session) for base in bases_of(one, one.node_poses)]
     bases = [*bases_of(known, after[:nodes]), *bases_of(session, after[nodes:])]
-    told = pose_covariances(after, bases, [factor.edge for factor in factors], kept, config)
-    both = (known_map, session_map)
+    node_covariances = pose_covariances(after, bases, [factor.edge for factor in factors], kept, config)
+    maps = (known_map, session_map)
     trajectory, covariances = resettled(
-        one_after_another([one.trajectory for one in both]),
-        np.concatenate([one.contents.stamps_s for one in both]),
+        one_after_another([one.trajectory for one in maps]),
+        np.concatenate([one.contents.stamps_s for one in maps]),
         Poses.of(before),
         Poses.of(bases),
-        [part for one in both for part in parts_of(one.contents, one.sessions)],
-        told,
+        [part for one in maps for part in parts_of(one.contents, one.sessions)],
+        node_covariances,
     )
     return JoinedMap(
         MapContents(

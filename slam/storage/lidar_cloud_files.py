@@ -70,7 +70,7 @@ def export_cloud(format_: str, out: Path, cloud: LidarCloud) -> list[Path]:
     Raises
     ------
     LibraryError
-        If LAS is asked for without laspy.
+        If LAS is requested without laspy.
     MapFileError
         If the map shows nothing, or a file cannot be written.
     """

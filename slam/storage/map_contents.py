@@ -305,7 +305,7 @@ def refuse_misfits(file: MapFile, contents: MapContents) -> None:
             if not 0 <= head.node < len(nodes):
                 raise MapFileError("it belongs to no node")
             if clouds is not None and head.T_base_camera is None:
-                raise MapFileError("it does not tell where the camera was on the robot")
+                raise MapFileError("it has no pose of the camera on the robot")
 
 
 def _each(pairs: Sequence[Any], of_pair: Callable[[_Scans], LaserScan | None]) -> Sequence[LaserScan | None]:
@@ -328,7 +328,7 @@ def _loop(row: tuple[Any, ...], nodes: int) -> LoopCandidate:
     """Parse a row of the loop candidates."""
     loop = of(LoopCandidate, unpack(row[5]))
     require(loop.place < nodes and loop.keyframe < nodes, "its ends are no nodes")
-    require(row[:3] == (loop.place, loop.keyframe, int(loop.accepted)), "it is told in two ways")
+    require(row[:3] == (loop.place, loop.keyframe, int(loop.accepted)), "its columns contradict it")
     require(loop.motion is not None or not loop.accepted, "it was accepted without a match")
     return loop
 

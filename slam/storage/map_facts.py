@@ -43,8 +43,8 @@ def write_facts(
 def ground_of_file(file: MapFile) -> float | None:
     """Return the floor height in the base frame, if the map has it; MapFileError if it is no number."""
     with file.blaming(META, 0):
-        told = file.meta().get(_GROUND)
-        return None if told is None else float(of(float, from_json(told)))
+        text = file.meta().get(_GROUND)
+        return None if text is None else float(of(float, from_json(text)))
 
 
 def georeference_of_file(file: MapFile, first: Pose) -> Georeference | None:
@@ -58,9 +58,9 @@ def georeference_of_file(file: MapFile, first: Pose) -> Georeference | None:
     with file.blaming(META, 0):
         if (text := file.meta().get(_EARTH)) is None:
             return None
-        told = of(dict, from_json(text))
-        T_enu_first = pose_of_rows(told.get("T_enu_first"), "its place on the earth")
-        place = np.array([told.get(name) for name in _PLANE], dtype=np.float64)
+        fields = of(dict, from_json(text))
+        T_enu_first = pose_of_rows(fields.get("T_enu_first"), "its place on the earth")
+        place = np.array([fields.get(name) for name in _PLANE], dtype=np.float64)
         require(np.isfinite(place).all() and abs(place[0]) <= 90.0, "its place on the earth is none")
         return Georeference(TangentPlane(*place.tolist()), T_enu_first.compose(spatial(first).inverse()))
 

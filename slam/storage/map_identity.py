@@ -83,7 +83,7 @@ class MapIdentity:
                 raise ValueError("versions are names and texts")
             return cls(config, meta["log_name"], meta["log_fingerprint"], versions)
         except KeyError as error:
-            raise MapFileError(f"{path} does not tell its {error.args[0]}; make the map anew") from error
+            raise MapFileError(f"{path} does not contain its {error.args[0]}; make the map anew") from error
         except ValidationError as error:
             raise MapFileError(
                 f"{path} was made with settings that this version does not take "
@@ -211,7 +211,7 @@ def lines_of(meta: Mapping[str, str], key: str, path: Path) -> list[str]:
     try:
         lines = from_json(meta.get(key, "[]"))
     except ValueError as error:
-        raise MapFileError(f"{path} tells no {key} ({error}); make the map anew") from error
+        raise MapFileError(f"{path} has no {key} ({error}); make the map anew") from error
     if not isinstance(lines, list) or not all(isinstance(line, str) for line in lines):
-        raise MapFileError(f"{path} tells no {key}; make the map anew")
+        raise MapFileError(f"{path} has no {key}; make the map anew")
     return lines

@@ -61,7 +61,7 @@ def sessions_of(meta: Mapping[str, str], keyframes: int, poses: int) -> list[Map
         raise MapFileError(f"the map's sessions cannot be read ({error}); make the map anew") from error
     if not fits or whole != (keyframes, poses):
         raise MapFileError(
-            f"the map's sessions tell of {whole[0]} keyframes and {whole[1]} poses, it holds {keyframes} and "
+            f"the map's sessions have {whole[0]} keyframes and {whole[1]} poses, it holds {keyframes} and "
             f"{poses}; make the map anew"
         )
     return sessions

@@ -73,7 +73,7 @@ KEYFRAMES: Final = Table.of(
 FRAMES: Final = Table.of(
     "frames", "node INTEGER, stamp_s REAL, sensor TEXT, steps_per_m REAL, camera BLOB, features BLOB"
 )
-# Their images, apart: whoever asks where the frames were taken does not read them.
+# Their images are separate: the poses of the frames can be read without them.
 IMAGES: Final = Table.of("images", "color BLOB, depth BLOB")
 FACTORS: Final = Table.of(
     "factors",

@@ -48,7 +48,7 @@ def carried_covariances(
         )
     between = _along_map(steps, rotations[anchors[1:]])
     numbers = np.arange(len(trajectory))
-    # Each gap reaches from its own keyframe on; the first and the last also tell of what is outside.
+    # Each gap starts at its own keyframe; the first and the last also cover the poses outside.
     gap = np.clip(np.searchsorted(anchors, numbers, side="right") - 1, 0, len(steps) - 1)
     path = np.concatenate([[0.0], np.cumsum(path_lengths(Poses(trajectory.positions_m, rotations)))])
     length = (path[anchors[1:]] - path[anchors[:-1]])[gap]
@@ -86,30 +86,30 @@ def unseen_covariances(
     (N, 3, 3) of x, y, yaw, or (N, 6, 6) of x, y, z and a rotation vector: along the axes of the map.
     """
     poses, power = Poses.of_trajectory(trajectory), 2 if wheels is None else 1
-    missed, way = poses[scans[:-1]].between(poses[scans[1:]]), trajectory.stamps_s
+    missed, travelled = poses[scans[:-1]].between(poses[scans[1:]]), trajectory.stamps_s
     if wheels is not None:
         missed = wheels[scans[:-1]].between(wheels[scans[1:]]).between(missed)
-        way = np.concatenate([[0.0], np.cumsum(path_lengths(wheels))])
+        travelled = np.concatenate([[0.0], np.cumsum(path_lengths(wheels))])
     # Of position and rotation.
     squares = np.square(missed.offsets()).reshape(-1, 2, 3).sum(axis=2)
-    apart_s, lengths = np.diff(trajectory.stamps_s[scans]), np.diff(way[scans]) ** power
-    usual = (apart_s > 0.0) & (apart_s <= GAP_S)
-    rates = squares[usual].sum(axis=0) / max(float(lengths[usual].sum()), TINY)
+    gaps_s, lengths = np.diff(trajectory.stamps_s[scans]), np.diff(travelled[scans]) ** power
+    usual_gaps = (gaps_s > 0.0) & (gaps_s <= GAP_S)
+    rates = squares[usual_gaps].sum(axis=0) / max(float(lengths[usual_gaps].sum()), TINY)
     over = lengths[:, None] * rates + (squares if wheels is not None else 0.0)
     last = np.searchsorted(scans, np.arange(len(trajectory)), side="right") - 1
-    seen = scans[np.maximum(last, 0)]
-    since = way - way[seen]
-    told = np.zeros((len(trajectory), 2))
+    last_scan = scans[np.maximum(last, 0)]
+    since = travelled - travelled[last_scan]
+    variances = np.zeros((len(trajectory), 2))
     outside = (last < 0) | (last == len(scans) - 1)
-    told[outside] = np.abs(since[outside, None]) ** power * rates
+    variances[outside] = np.abs(since[outside, None]) ** power * rates
     inside = np.flatnonzero(~outside)
-    inside = inside[apart_s[last[inside]] > GAP_S]
+    inside = inside[gaps_s[last[inside]] > GAP_S]
     gap = last[inside]
     # Stamps may run backward.
-    share = np.clip(since[inside] / (way[scans[gap + 1]] - way[scans[gap]]), 0.0, 1.0)[:, None]
-    told[inside] = share * (1.0 - share) * over[gap]
-    covariances = told[:, [0, 0, 1] if size == 3 else [0, 0, 0, 1, 1, 1], None] * np.eye(size)
-    return covariances if wheels is None else _moved(covariances, _from(trajectory, seen))
+    share = np.clip(since[inside] / (travelled[scans[gap + 1]] - travelled[scans[gap]]), 0.0, 1.0)[:, None]
+    variances[inside] = share * (1.0 - share) * over[gap]
+    covariances = variances[:, [0, 0, 1] if size == 3 else [0, 0, 0, 1, 1, 1], None] * np.eye(size)
+    return covariances if wheels is None else _moved(covariances, _from(trajectory, last_scan))
 
 
 def bridged_covariances(trajectory: Trajectory, bridged: Mapping[int, FloatArray]) -> FloatArray:

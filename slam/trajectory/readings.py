@@ -96,13 +96,13 @@ class Readings:
             (M,) the only scans to update.
         """
         stamps_s, poses = np.array(self._stamps_s), np.array(self._wheel_poses).reshape(-1, 3)
-        asked = np.arange(len(poses)) if scans is None else np.array(self._scan_readings)[scans]
+        updated = np.arange(len(poses)) if scans is None else np.array(self._scan_readings)[scans]
         of_wheels = ~np.isnan(poses[:, 0])
         of_wheels[self._scan_readings] = False
-        told = np.flatnonzero(of_wheels)
-        breaks = told[1:][np.diff(stamps_s[told]) < 0.0]
-        for part in np.split(np.arange(len(poses)), breaks) if told.size else []:
-            known, part = part[of_wheels[part]], np.intersect1d(part, asked)
+        wheel_readings = np.flatnonzero(of_wheels)
+        breaks = wheel_readings[1:][np.diff(stamps_s[wheel_readings]) < 0.0]
+        for part in np.split(np.arange(len(poses)), breaks) if wheel_readings.size else []:
+            known, part = part[of_wheels[part]], np.intersect1d(part, updated)
             rows = np.column_stack([poses[known, :2], np.unwrap(poses[known, 2])])
             for column, values in enumerate(rows.T):
                 poses[part, column] = np.interp(stamps_s[part] + ahead_s, stamps_s[known], values)
@@ -186,12 +186,12 @@ def at_stamps(trajectory: Trajectory, stamps_s: FloatArray) -> Trajectory:
     if len(own_s) < 2 or np.array_equal(own_s, stamps_s):
         return Trajectory(stamps_s, trajectory.positions_m, trajectory.quaternions_xyzw)
     poses, steps_s = trajectory.poses(), np.diff(own_s)
-    steps_s[steps_s <= 0.0] = np.inf  # one that comes twice, or late, tells no motion
+    steps_s[steps_s <= 0.0] = np.inf  # a repeated or late stamp gives no motion
     twists = np.array([gtsam.Pose3.Logmap(one.between(next_)) for one, next_ in pairwise(poses)])
     rates = np.pad(twists / steps_s[:, None], ((1, 1), (0, 0)))
     spans_s = np.pad(steps_s, 1, constant_values=np.inf)[:, None]
     before, after, before_s, after_s = rates[:-1], rates[1:], spans_s[:-1], spans_s[1:]
-    # The shorter a step, the more it tells of the speed at its ends.
+    # The shorter a step, the larger its weight for the speed at its ends.
     speeds = (before / before_s + after / after_s) / (TINY + 1.0 / before_s + 1.0 / after_s)
     near_s = np.minimum(before_s, after_s)
     late_s = np.clip((stamps_s - own_s)[:, None], -near_s, near_s)

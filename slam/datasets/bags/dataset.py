@@ -119,7 +119,7 @@ class BagDataset:
                     report.accept(frames_of(done.measurement.sensor))
                 report.observe(done.measurement, done.number)
                 yield done.measurement
-        self._tell_topics(survey, layout)
+        self._note_topics(survey, layout)
         notes = [note for cloud in layout.clouds for note in cloud.times.notes(cloud.topic)]
         for note in [*notes, *(note for imu in layout.imus for note in imu.notes())]:
             report.note(note, 1)
@@ -136,7 +136,7 @@ class BagDataset:
         topic = truth_topic(kinds, self._topics)
         return read_truth(bag, topic, Account(self.name, ReadReport(), self._strict)) if topic else None
 
-    def _tell_topics(self, survey: Survey, layout: Layout) -> None:
+    def _note_topics(self, survey: Survey, layout: Layout) -> None:
         """Report the purpose of each topic without measurements, or why it is not read."""
         counts = {topic: (channel.kind, 0) for topic, channel in survey.channels.items()}
         counts |= {topic: (figures.kind, figures.count) for topic, figures in self.figures.topics.items()}
@@ -200,7 +200,7 @@ def _stream(
         _hand_on(time_merge, layout, place, pair_stream.rest())
     yield from _as_done(time_merge.rest())
     for pair_stream in pairs:
-        pair_stream.tell()
+        pair_stream.note_offsets()
 
 
 def _hand_on(

@@ -78,7 +78,7 @@ class PairStream:
         while self._depths:
             self._refuse(NO_COLOR, self._depths.pop(0))
 
-    def tell(self) -> None:
+    def note_offsets(self) -> None:
         """Note the time differences between the images of pairs."""
         if self._first is not None:
             text = f"{self._sensor}: colour and depth paired within {self._tolerance_s:.3f} s"
