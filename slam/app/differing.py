@@ -127,8 +127,8 @@ def _keyframes_of(saved: Map, sessions: tuple[int, int]) -> list[np.ndarray]:
     count = len(saved.sessions)
     found = [number for number in sessions if number in range(1, count + 1)]
     if len(found) != 2 or found[0] == found[1] or len(sessions) != 2:
-        told = " and ".join(map(str, sessions))
-        raise ScanweaveError(f"{saved.path} has sessions 1 to {count}; name two of them, not {told}")
+        given = " and ".join(map(str, sessions))
+        raise ScanweaveError(f"{saved.path} has sessions 1 to {count}; name two of them, not {given}")
     ends = list(accumulate(session.keyframes for session in saved.sessions))
     return [np.arange(ends[n - 1] - saved.sessions[n - 1].keyframes, ends[n - 1]) for n in sessions]
 

@@ -33,7 +33,7 @@ from slam.viewer.map_recording import record_localization
 from slam.viewer.viewer import Viewer, recording
 from slam.vision.color_registration import ColorRegistration
 
-# Of a start that somebody has told, metres and radians: those that RViz sends with a pose set by hand.
+# Standard deviations of a given start, metres and radians: those that RViz sends with a pose set by hand.
 START_SIGMA = (0.5, math.pi / 12.0)
 
 

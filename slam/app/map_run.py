@@ -48,7 +48,7 @@ class MapRun:
     folder
         Where the map is.
     report
-        What its report tells; None if the map was finished before, and nothing was done.
+        Content of its report; None if the map was finished before, and nothing was done.
     written
         The files, ``map.db`` and the report among them.
     dropped

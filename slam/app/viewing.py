@@ -123,7 +123,7 @@ def application(view: MapView, token: str, port: int) -> Starlette:
     hosts = {f"{name}:{port}" for name in (_LOOPBACK, "localhost")}
 
     def refused(request: Request, *, writes: bool) -> Response | None:
-        """The answer to whom nothing is told."""
+        """The error response to a request that is not allowed."""
         if request.headers.get("host") not in hosts:
             return PlainTextResponse("wrong host", 421, _HEADERS)
         if not secrets.compare_digest(str(request.path_params.get("token", "")).encode(), token.encode()):

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from slam.app.progress import Progress
 
 Show = Callable[["Progress"], None]
-# Of what is no terminal, whoever looks into its log is told so often.
+# Interval of the lines in a log, if the output is no terminal.
 _LINE_S = 30.0
 
 

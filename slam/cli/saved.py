@@ -138,9 +138,9 @@ def diff(
     from slam.sessions.difference_files import difference_plain, difference_text
 
     first, second = load_map(before), None if after is None else load_map(after)
-    found = diff_maps(first, second, sessions=sessions, out=out)
-    told = found.things, found.passing, found.comparison
+    difference = diff_maps(first, second, sessions=sessions, out=out)
+    result = difference.things, difference.passing, difference.comparison
     names = [str(before), str(before if after is None else after)]
-    tell(json.dumps(difference_plain(*told, names), indent=2) if as_json else difference_text(*told))
-    if found.written and not as_json:
-        say("wrote " + ", ".join(str(path) for path in found.written))
+    tell(json.dumps(difference_plain(*result, names), indent=2) if as_json else difference_text(*result))
+    if difference.written and not as_json:
+        say("wrote " + ", ".join(str(path) for path in difference.written))

@@ -278,7 +278,7 @@ class Exports:
             placed = Poses.of([pose.compose(mount) for pose in poses])
             write_tum(written[-1], placed.trajectory(trajectory.stamps_s))
         if not written:
-            raise ScanweaveError("the map tells of no sensor where it sits; export tum is where the base was")
+            raise ScanweaveError("the map has no pose of any sensor on the robot; use 'export tum'")
         return written
 
     def _write_bag(self, folder: Path) -> Path:

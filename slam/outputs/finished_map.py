@@ -64,7 +64,7 @@ class Map:
     (0.05, 0.05, 3)
     >>> house.notes
     ['used: FLASER (2D lidar, 61), odometry (wheels, 121)']
-    >>> house.check()  # it is sound, else an error tells what is wrong
+    >>> house.check()  # no error: the map is sound
     >>> house.config.grid.resolution_m, house.edits, house.in_memory, house.covariances.shape[1:]
     (0.05, [], True, (3, 3))
     >>> len(house.loops), len(house.factors) >= len(house.keyframe_poses) - 1

@@ -70,25 +70,25 @@ def floor_plan(contents: MapContents, config: Config) -> FloorPlan:
 def _covariance(fits: Sequence[WallFit], contents: MapContents, config: Config) -> FloatArray:
     """(2 m, 2 m) of offset and slope of all walls: by the poses together, and by the points of each.
 
-    The graph tells how errors of poses hang together; how large they are the walls tell themselves.
+    The graph gives the correlation of the errors of poses; the walls give their size.
     """
     if not fits:
         return np.zeros((0, 0))
     edges = [factor.edge for factor in contents.factors]
-    told = told_edges(contents.node_poses, edges, [factor.kept for factor in contents.factors], config)
+    edges_used = told_edges(contents.node_poses, edges, [factor.kept for factor in contents.factors], config)
     poses = [pose for pose in contents.node_poses if isinstance(pose, gtsam.Pose2)]
     drifts = np.array([fit.drift.jacobian for fit in fits])
-    whole = joint_covariance(poses, told, np.concatenate([*(fit.jacobian for fit in fits), drifts]))
+    joint = joint_covariance(poses, edges_used, np.concatenate([*(fit.jacobian for fit in fits), drifts]))
     count = 2 * len(fits)
-    by_poses = whole[:count, :count] * unit_variance(fits, np.diag(whole)[count:])
+    by_poses = joint[:count, :count] * unit_variance(fits, np.diag(joint)[count:])
     return by_poses + np.diag(np.concatenate([fit.noise for fit in fits]))
 
 
 def unit_variance(fits: Sequence[WallFit], variances: FloatArray) -> float:
     """How far earlier and later scans of walls differ, squared, in variances; the claim is one wall."""
-    told = variances > TINY
-    values = np.array([fit.drift.value for fit in fits])[told]
-    return float(1.0 + np.sum(values**2 / variances[told])) / (1 + len(values))
+    informed = variances > TINY
+    values = np.array([fit.drift.value for fit in fits])[informed]
+    return float(1.0 + np.sum(values**2 / variances[informed])) / (1 + len(values))
 
 
 def _room(

@@ -27,7 +27,7 @@ def lidar_cloud(found: MapContents, config: Config, ground: Elevation | None) ->
     Parameters
     ----------
     ground
-        Of the map; where it is not known, nothing tells what stands on it, and all stays.
+        Of the map; if it is unknown, no moved object can be found, and all points stay.
 
     Raises
     ------

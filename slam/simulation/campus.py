@@ -105,7 +105,7 @@ def record_campus(
     steps = scan_steps(poses, faults.gaps, clock)
     end_s = min(duration_s or np.inf, (len(poses) - 1) * STEP_S)
     steps = steps[steps * STEP_S + lag_s <= end_s]
-    readings = np.flatnonzero(wheels.told & (np.arange(len(wheels.told)) <= end_s * RATE_HZ))
+    readings = np.flatnonzero(wheels.is_logged & (np.arange(len(wheels.is_logged)) <= end_s * RATE_HZ))
     stamps_s = np.round(FIRST_STAMP_S + lag_s + steps * STEP_S, 6)
     apart_s = np.diff(stamps_s)
     drive = CampusDrive(
