@@ -70,7 +70,7 @@ class Denoised:
     __repr__ = one_line
 
     def _repr_html_(self) -> str:
-        return with_pictures(self, *(shaded(np.where(one > 0.0, one, np.nan)) for one in self.depth_m))
+        return with_pictures(self, *(shaded(np.where(depth > 0.0, depth, np.nan)) for depth in self.depth_m))
 
 
 def denoise(

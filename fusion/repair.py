@@ -125,8 +125,8 @@ def _drop_bumps(
             last += 1
         if last - first < burr_samples and last + 1 < own.size:
             left, right = own[first - 1], own[last + 1]
-            one = abs(left - right) <= EDGE_M + 2.0 * eps_share * min(left, right)  # false for nan
-            if one and (
+            one_surface = abs(left - right) <= EDGE_M + 2.0 * eps_share * min(left, right)  # false for nan
+            if one_surface and (
                 _agrees(own, other, first - 1, eps_share) or _agrees(own, other, last + 1, eps_share)
             ):
                 for i in range(first, last + 1):

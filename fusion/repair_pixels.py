@@ -206,8 +206,8 @@ def _with_run(
         row[0], row[1] = pixel[i], -1.0
         if not between:
             continue
-        one, two, width = residual[first - 1], residual[last + 1], last - first + 1
-        put = predicted[i] + one + (two - one) * (i - first + 1) / (width + 1)
+        before, after, width = residual[first - 1], residual[last + 1], last - first + 1
+        put = predicted[i] + before + (after - before) * (i - first + 1) / (width + 1)
         if put > range_max_m * scale[i]:
             continue
         low, high = max(0, i - crowd), min(columns, i + crowd + 1)
@@ -215,7 +215,7 @@ def _with_run(
         jump = 0.0 if hole else over_noise(measured[i] - put, put, eps_share)
         beside = max(abs(shifted[1, i] - predicted[i]), abs(shifted[2, i] - predicted[i]))
         row[1], row[2], row[3] = 0.0 if hole else 1.0, put / scale[i], math.log(width)
-        row[4], row[5] = over_noise(max(abs(one), abs(two)), put, eps_share), math.log(1.0 + around)
+        row[4], row[5] = over_noise(max(abs(before), abs(after)), put, eps_share), math.log(1.0 + around)
         row[6], row[7] = lost[i], jump if hole or measured[i] > put else -jump
         row[8] = over_noise(put if np.isnan(beside) else beside, put, eps_share)
         row[9], row[10] = math.log(put), math.log(row[2] / farthest)

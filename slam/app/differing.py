@@ -86,9 +86,9 @@ def diff_maps(
     """
     before = before if isinstance(before, Map) else load_map(before)
     after = after if isinstance(after, Map | None) else load_map(after)
-    for one in (before, after):
-        if one is not None:
-            _refuse_unfit(one)
+    for saved in (before, after):
+        if saved is not None:
+            _refuse_unfit(saved)
     if (after is None) == (sessions is None):
         raise ScanweaveError("give two maps, or two sessions of one map")
     if after is None:

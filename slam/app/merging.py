@@ -74,7 +74,7 @@ def merge(
     folder = path_of(out, "out")
     if (folder / MAP_NAME).exists() and not overwrite:
         raise MapFileError(f"{folder / MAP_NAME} is a map; --force (overwrite=True) replaces it")
-    whole, *waiting = (one if isinstance(one, Map) else load_map(one) for one in maps)
+    whole, *waiting = (source if isinstance(source, Map) else load_map(source) for source in maps)
     first, kept_in, refused = whole, TemporaryFolder(), dict[Path, str]()
     tried = -1
     while waiting and tried < len(whole.sessions):
@@ -101,9 +101,9 @@ def merge(
 def _joined(whole: Map, other: Map, folder: Path) -> str:
     """Join a map to others and write the result into a folder; return why it failed, or an empty text."""
     try:
-        kinds = [kind_of(one, str(one.path)) for one in (whole, other)]
+        kinds = [kind_of(item, str(item.path)) for item in (whole, other)]
         known = {session.log_fingerprint: session.log_name for session in whole.sessions}
-        shared = [known[one.log_fingerprint] for one in other.sessions if one.log_fingerprint in known]
+        shared = [known[item.log_fingerprint] for item in other.sessions if item.log_fingerprint in known]
         if kinds[0] != kinds[1]:
             return f"it is of {kinds[1]}, the first of {kinds[0]}"
         if shared:

@@ -143,7 +143,7 @@ class Experiment(StrictModel):
     def names(self) -> list[str]:
         """Names of everything compared, in the order of the tables; parts of a sweep are named after it."""
         swept = [name for configuration in self.configurations for name, _ in swept_overrides(configuration)]
-        others = [*(one.name for one in self.external), *(one.name for one in self.commands)]
+        others = [*(system.name for system in self.external), *(system.name for system in self.commands)]
         return [*swept, *map(baseline_name, self.baselines), *others]
 
 

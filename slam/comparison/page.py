@@ -100,11 +100,11 @@ def _differences(plan: Plan, rows: list[Row], figures: Sequence[Figure]) -> list
             found = difference_of(rows, name, plan.reference, figure)
             if found is None:
                 continue
-            one = found.difference
-            texts = [f"{value:+,.{figure.decimals}f}" for value in (one.median, one.low, one.high)]
-            ends = texts[1:] if one.count > 1 else ["–", "–"]
-            better = (f"{found.better} of {one.count}", found.better / one.count)
-            numbers = [(texts[0], one.median), (ends[0], one.low), (ends[1], one.high), better]
+            median = found.difference
+            texts = [f"{value:+,.{figure.decimals}f}" for value in (median.median, median.low, median.high)]
+            ends = texts[1:] if median.count > 1 else ["–", "–"]
+            better = (f"{found.better} of {median.count}", found.better / median.count)
+            numbers = [(texts[0], median.median), (ends[0], median.low), (ends[1], median.high), better]
             body.append([name, figure.title, *numbers, found.verdict])
     return body
 

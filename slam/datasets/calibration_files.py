@@ -76,15 +76,15 @@ class KnownCalibration:
         size
             Its width and height; None if unknown.
         """
-        lenses = [one for one in self.cameras if one.lens is not None]
+        lenses = [item for item in self.cameras if item.lens is not None]
         own = {name.strip("/") for name in names if name}
-        for one in lenses:
-            if {one.topic.strip("/"), one.frame.strip("/")} & own - {""}:
-                return one
-        fit = [one for one in lenses if size is None or _size(one) in (size, (0, 0))]
-        called = [one for one in fit if _ROLES[role].search(f"{one.name} {one.topic}")]
+        for item in lenses:
+            if {item.topic.strip("/"), item.frame.strip("/")} & own - {""}:
+                return item
+        fit = [item for item in lenses if size is None or _size(item) in (size, (0, 0))]
+        called = [item for item in fit if _ROLES[role].search(f"{item.name} {item.topic}")]
         other = "color" if role == "depth" else "depth"
-        nameless = [one for one in fit if not _ROLES[other].search(f"{one.name} {one.topic}")]
+        nameless = [item for item in fit if not _ROLES[other].search(f"{item.name} {item.topic}")]
         for found in (called, nameless):
             if len(found) == 1 or (found and found[0].source in self.sure):
                 return found[0]

@@ -99,7 +99,7 @@ def cloud_files(folder: Path) -> list[Path]:
     """Clouds directly in a folder, numbers in their names in the order of numbers."""
     found = files_inside(folder, CLOUD_SUFFIXES) or _plain_clouds(folder)
     # What follows a point is a fraction, whose digits are in order as they are.
-    return sorted(found, key=lambda path: re.sub(r"(?<![.\d])\d+", lambda one: one[0].zfill(20), path.stem))
+    return sorted(found, key=lambda path: re.sub(r"(?<![.\d])\d+", lambda run: run[0].zfill(20), path.stem))
 
 
 def _plain_clouds(folder: Path) -> list[Path]:

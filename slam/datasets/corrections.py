@@ -75,7 +75,7 @@ def _by_name(calibration: Calibration) -> dict[tuple[type, str], SensorCorrectio
         ImuReading: calibration.imus,
         GnssFix: calibration.gnss,
     }
-    return {(kind, name): one for kind, sensors in kinds.items() for name, one in sensors.items()}
+    return {(kind, name): fix for kind, sensors in kinds.items() for name, fix in sensors.items()}
 
 
 def _corrected_one_by_one(log: Iterable[Measurement], calibration: Calibration) -> Iterator[Measurement]:
@@ -159,9 +159,9 @@ class Unwound:
             last_s, expected_rad = last = self._recent[-1]
             since_s = stamp_s - last_s
             # The last step gives the rate, unless the stamps of two readings are almost equal.
-            older = (one for one in reversed(self._recent) if 2.0 * (last_s - one[0]) > since_s > 0.0)
+            older = (angle for angle in reversed(self._recent) if 2.0 * (last_s - angle[0]) > since_s > 0.0)
             begun = next(older, None)
-            repeated = all(abs(wrap(wrapped_rad - one[1])) < _REPEATED_RAD for one in self._recent)
+            repeated = all(abs(wrap(wrapped_rad - angle[1])) < _REPEATED_RAD for angle in self._recent)
             if begun and not (repeated and len(self._recent) == _RECENT):
                 expected_rad += (last[1] - begun[1]) * since_s / (last_s - begun[0])
             heading_rad = expected_rad + wrap(wrapped_rad - expected_rad)

@@ -170,7 +170,7 @@ def _groundtruth(path: Path, account: Account) -> Trajectory | None:
 
 def _calibration(path: Path, account: Account) -> gtsam.Pose3 | None:
     """``T_velo_imu`` from ``calib_imu_to_velo.txt`` next to the drive or in it; None if there is none."""
-    file = first_file(one / "calib_imu_to_velo.txt" for one in (path, path.resolve().parent))
+    file = first_file(folder / "calib_imu_to_velo.txt" for folder in (path, path.resolve().parent))
     return rotation_and_shift(file, account) if file else None
 
 

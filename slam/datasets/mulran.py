@@ -58,7 +58,7 @@ def _load(path: Path, account: Account) -> Contents:
 def _clouds_folder(path: Path) -> Path | None:
     """The folder of the clouds: the file player expects them one level deeper than the archives."""
     places = (place / name for name in _LIDARS for place in (path / _SENSORS, path))
-    return next((one for one in places if one.is_dir()), None)
+    return next((folder for folder in places if folder.is_dir()), None)
 
 
 def xsens(folders: Iterable[Path]) -> ImuFile | None:

@@ -46,7 +46,7 @@ def _load(path: Path, account: Account) -> Contents:
 def _clouds_folder(path: Path) -> Path | None:
     """The folder of the clouds."""
     places = (path / inside for inside in _PLACES)
-    return next((one for one in places if next(one.glob("cloud_*_*.p*"), None)), None)
+    return next((place for place in places if next(place.glob("cloud_*_*.p*"), None)), None)
 
 
 def _groundtruth(path: Path, account: Account) -> Trajectory | None:

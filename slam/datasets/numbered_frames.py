@@ -34,7 +34,7 @@ def numbered_files(folder: Path, pattern: str) -> dict[int, Path]:
     except OSError:
         return {}
     # Sorted by name, so that of two files with one number the same one wins on every system.
-    return {int(match[1]): entry for match, entry in sorted(found, key=lambda one: one[1].name) if match}
+    return {int(match[1]): entry for match, entry in sorted(found, key=lambda pair: pair[1].name) if match}
 
 
 def at_rate(rate_hz: float = RATE_HZ) -> Callable[[int], float]:

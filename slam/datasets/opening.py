@@ -183,9 +183,9 @@ def _recordings(folder: Path) -> list[Path]:
     level = [folder]
     for _ in range(_LEVELS):
         below = [
-            one for place in level for one in islice(sorted(place.iterdir()), _LOOKED_AT) if one.is_dir()
+            sub for place in level for sub in islice(sorted(place.iterdir()), _LOOKED_AT) if sub.is_dir()
         ]
-        found = [one for one in below if any(known.recognises(one, b"") for known in _formats())]
+        found = [sub for sub in below if any(known.recognises(sub, b"") for known in _formats())]
         if found:
             return found
         level = below[:_LOOKED_AT]

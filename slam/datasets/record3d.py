@@ -190,7 +190,7 @@ def _lens(path: Path, metadata: dict[str, Any], account: Account) -> CameraIntri
     try:
         size = int(metadata["w"]), int(metadata["h"])
         frames = metadata.get("perFrameIntrinsicCoeffs") or []
-        numbers = [[float(value) for value in one[:4]] for one in frames]
+        numbers = [[float(value) for value in frame[:4]] for frame in frames]
         if not numbers:
             k = np.array(metadata["K"], dtype=np.float64).reshape(3, 3).T
             numbers = [[k[0, 0], k[1, 1], k[0, 2], k[1, 2]]]

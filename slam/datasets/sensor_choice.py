@@ -100,12 +100,12 @@ class SensorChoice:
 
     def used(self, log: Iterable[Measurement]) -> Iterator[Measurement]:
         """The measurements of a log in order, without those of unused sensors."""
-        for one in UsedMeasurements(log, self.config):
+        for item in UsedMeasurements(log, self.config):
             # Excluded wheels still get poses; two mixed odometries would be useless.
-            if isinstance(one, WheelOdometry) and one.sensor != (self.wheels or one.sensor):
+            if isinstance(item, WheelOdometry) and item.sensor != (self.wheels or item.sensor):
                 continue
-            if not isinstance(one, ImuReading | GnssFix) or not self.why_not(type(one), one.sensor):
-                yield one
+            if not isinstance(item, ImuReading | GnssFix) or not self.why_not(type(item), item.sensor):
+                yield item
 
     def why_not(self, kind: type, sensor: str) -> str:
         """Why a sensor of a measurement type is not used; empty if it is used."""

@@ -51,7 +51,7 @@ _KNOWN = {
 def _names(folder: Path) -> str | None:
     """The naming scheme of the frames in a folder."""
     kinds = ("color", "depth")
-    return next((one for one in _KNOWN if any(numbered_files(folder, one % kind) for kind in kinds)), None)
+    return next((name for name in _KNOWN if any(numbered_files(folder, name % kind) for kind in kinds)), None)
 
 
 def _camera(folder: Path, account: Account) -> Camera:

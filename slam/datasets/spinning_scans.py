@@ -80,13 +80,13 @@ def straight(scan: LaserScan, twist: FloatArray, turn_s: float, cut_rad: float) 
     after = np.clip(np.searchsorted(seen, bearings), 1, len(seen) - 1)
     ends = np.stack([after - 1, after])
     gaps = np.abs(seen[ends] - bearings)
-    one, other = far_m[order[ends]]
+    near_m, other = far_m[order[ends]]
     step_rad = abs(scan.step_rad)
     on_one = met[order[ends]].all(axis=0)
-    on_one &= np.abs(other - one) < _STEEPEST * step_rad * np.minimum(one, other)
+    on_one &= np.abs(other - near_m) < _STEEPEST * step_rad * np.minimum(near_m, other)
     # Interpolate inverse range linearly, as for a straight wall.
     with np.errstate(divide="ignore", invalid="ignore"):
-        between_m = one * other * gaps.sum(axis=0) / (gaps[0] * one + gaps[1] * other)
+        between_m = near_m * other * gaps.sum(axis=0) / (gaps[0] * near_m + gaps[1] * other)
     nearest = order[np.where(gaps[0] < gaps[1], after - 1, after)]
     found = np.where(met, far_m, scan.ranges_m)[nearest]
     found = np.where(on_one & np.isfinite(between_m), between_m, found)
@@ -101,8 +101,8 @@ def middle_s(scan: LaserScan) -> float:
 
 def _twist(wheels: Iterable[WheelOdometry], stamp_s: float, half_s: float) -> FloatArray | None:
     """(3,) motion of the base per second over a revolution; None without wheel odometry at that time."""
-    before = [one for one in wheels if one.stamp_s <= stamp_s - half_s]
-    after = [one for one in wheels if one.stamp_s >= stamp_s + half_s]
+    before = [wheel for wheel in wheels if wheel.stamp_s <= stamp_s - half_s]
+    after = [wheel for wheel in wheels if wheel.stamp_s >= stamp_s + half_s]
     if not (before and after) or (span_s := after[0].stamp_s - before[-1].stamp_s) > GAP_S:
         return None
     step = before[-1].T_odom_base.between(after[0].T_odom_base)

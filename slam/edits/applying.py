@@ -105,14 +105,14 @@ def _with_loops(entry: AppliedEdits, known: Known, edits: Edits, config: Config)
 def _with_regions(known: Known, edits: Edits, config: Config) -> tuple[dict[Evidence, bytes], list[Region]]:
     """The erased evidence, and the regions that keyframes hold in place."""
     poses, regions = known.contents.keyframe_poses, list[Region]()
-    cuts = [Cut(np.array(one.polygon)) for one in edits.erase]
+    cuts = [Cut(np.array(area.polygon)) for area in edits.erase]
     cuts += [] if edits.crop is None else [Cut(np.array(edits.crop), outside=True)]
     erased = taken(known.contents, cuts, config)
     saw = np.zeros(len(poses), np.bool_)
     frames = known.contents.frames
     saw[[frames.head(at).node if kind == "frame" and frames else at for kind, at in erased]] = True
-    for one, cut in zip(edits.erase, cuts, strict=False):
-        name, later = one.name or "", float(one.later)
+    for area, cut in zip(edits.erase, cuts, strict=False):
+        name, later = area.name or "", float(area.later)
         regions.append(held("erase", cut.polygon, poses, name=name, value=later, near=saw))
     if edits.crop is not None:
         regions.append(held("crop", np.array(edits.crop), poses, value=1.0))

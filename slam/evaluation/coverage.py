@@ -108,7 +108,7 @@ def _errors(estimate: Trajectory, truth: Trajectory, held: int) -> FloatArray:
     In exponential coordinates, rotating a path about one of its points gives errors on a straight line (Long,
     Wolfe, Mashner, Chirikjian 2012, "The banana distribution is Gaussian").
     """
-    own, true = (spatial.transform.Rotation.from_quat(one.quaternions_xyzw) for one in (estimate, truth))
+    own, true = (spatial.transform.Rotation.from_quat(path.quaternions_xyzw) for path in (estimate, truth))
     turn = own[held] * true[held].inv()
     shifted = turn.apply(truth.positions_m - truth.positions_m[held]) + estimate.positions_m[held]
     angles = (turn * true * own.inv()).as_rotvec()

@@ -29,7 +29,7 @@ def packed(head: Mapping[str, Any]) -> str:
     Texts are made plain, see `slam.foreign`; a float that is not finite becomes null, in an array it stays.
     """
     parts: list[NDArray[Any]] = []
-    text = json.dumps(_told(head, parts), ensure_ascii=False, allow_nan=False, separators=(",", ":")).encode()
+    text = json.dumps(_json(head, parts), ensure_ascii=False, allow_nan=False, separators=(",", ":")).encode()
     filled = text + b" " * (-(4 + len(text)) % _ALIGNED)
     # Packed part by part: all at once would need twice the memory more.
     packer = zlib.compressobj(4, zlib.DEFLATED, 16 + zlib.MAX_WBITS)
@@ -39,7 +39,7 @@ def packed(head: Mapping[str, Any]) -> str:
     return base64.b64encode(b"".join([*pieces, packer.flush()])).decode("ascii")
 
 
-def _told(value: Any, parts: list[NDArray[Any]]) -> Any:
+def _json(value: Any, parts: list[NDArray[Any]]) -> Any:
     """Convert a value for JSON; arrays are appended to the parts."""
     if isinstance(value, np.ndarray):
         offset = sum(part.nbytes + -part.nbytes % _ALIGNED for part in parts)
@@ -48,9 +48,9 @@ def _told(value: Any, parts: list[NDArray[Any]]) -> Any:
     if isinstance(value, str):
         return plain_lines(value)
     if isinstance(value, Mapping):
-        return {plain_lines(str(key)): _told(one, parts) for key, one in value.items()}
+        return {plain_lines(str(key)): _json(item, parts) for key, item in value.items()}
     if isinstance(value, Sequence):
-        return [_told(one, parts) for one in value]
+        return [_json(item, parts) for item in value]
     if isinstance(value, np.generic):
         value = value.item()
     return None if isinstance(value, float) and not math.isfinite(value) else value

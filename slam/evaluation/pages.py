@@ -57,7 +57,7 @@ def page_parts(
     """
     sources = [(TEMPLATES / name).read_text(encoding="utf-8") for name in scripts]
     hashes = [base64.b64encode(hashlib.sha256(text.encode()).digest()).decode() for text in sources]
-    allowed = " ".join(f"'sha256-{one}'" for one in hashes) or "'none'"
+    allowed = " ".join(f"'sha256-{digest}'" for digest in hashes) or "'none'"
     policy = (
         f"default-src 'none'; script-src {allowed}; style-src 'unsafe-inline'; img-src data: blob:; "
         f"worker-src blob:; connect-src {connect}; base-uri 'none'; form-action 'none'"

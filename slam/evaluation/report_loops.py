@@ -40,15 +40,15 @@ def _closings(found: MapContents, config: Config) -> list[tuple[str, ...]]:
     rows = closings(held, found.node_poses, reach_m, _MOST_CLOSINGS)
     return [
         (
-            f"{one.place} to {one.keyframe}",
-            str(one.loops),
-            f"{one.path_m:,.0f} m",
-            f"{one.before_m:.2f} m",
-            f"{one.after_m:.3f} m",
-            f"{one.after_sigmas:.1f}",
-            "nothing" if math.isinf(one.without_m) else f"{one.without_m:.2f} m",
+            f"{row.place} to {row.keyframe}",
+            str(row.loops),
+            f"{row.path_m:,.0f} m",
+            f"{row.before_m:.2f} m",
+            f"{row.after_m:.3f} m",
+            f"{row.after_sigmas:.1f}",
+            "nothing" if math.isinf(row.without_m) else f"{row.without_m:.2f} m",
         )
-        for one in rows
+        for row in rows
     ]
 
 

@@ -69,7 +69,7 @@ def saved_page(saved: Map, connect: str = "'none'") -> Iterator[str]:
         ],
         warnings=list(saved.warnings),
         notes=[("note", note) for note in saved.notes],
-        logs=[(one.log_name, f"{one.keyframes:,}", f"{one.poses:,}") for one in saved.sessions],
+        logs=[(log.log_name, f"{log.keyframes:,}", f"{log.poses:,}") for log in saved.sessions],
         loops=loop_section(found, config),
         effective_config=dump_config(config),
     )

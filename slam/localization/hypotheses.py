@@ -85,7 +85,7 @@ class KeyframeLog(Generic[V, N]):
         if self.keyframes:
             newest = self.keyframes[-1]
             travelled_m = newest.travelled_m + apart(newest.pose, pose)[0]
-        kept = [one for one in self.keyframes if travelled_m - one.travelled_m <= self._window_m]
+        kept = [earlier for earlier in self.keyframes if travelled_m - earlier.travelled_m <= self._window_m]
         dropped = len(self.keyframes) - len(kept)
         self.keyframes = [*kept, Keyframe(pose, travelled_m, self._sensor.novel(view, pose, kept))]
         return dropped

@@ -93,7 +93,7 @@ class PlanarSensor:
         """See `Sensor`."""
         points = transform_points(view.oriented.points, row_from_pose2(pose))
         first, cells = first_in_cells(points, self._settings.novel_cell_m)
-        seen: frozenset[int] = frozenset().union(*(one.novel.keys for one in before or ()))
+        seen: frozenset[int] = frozenset().union(*(earlier.novel.keys for earlier in before or ()))
         # A cell beside a known one may be the same surface with a small error.
         beside = (cells[:, None, :] + _AROUND).reshape(-1, 2)
         known = np.array([key in seen for key in cell_keys(beside).tolist()], np.bool_)
@@ -135,10 +135,10 @@ class PlanarSensor:
         if self._searches % 2:
             points += [
                 transform_points(
-                    one.novel.points.points, row_from_pose2(motion_between(newest.pose, one.pose))
+                    keyframe.novel.points.points, row_from_pose2(motion_between(newest.pose, keyframe.pose))
                 )
-                for one in keyframes[:-1]
-                if newest.travelled_m - one.travelled_m < settings.window_m / 3.0
+                for keyframe in keyframes[:-1]
+                if newest.travelled_m - keyframe.travelled_m < settings.window_m / 3.0
             ]
         seen = np.concatenate(points)
         seen = seen[first_in_cells(seen, settings.novel_cell_m)[0]]

@@ -55,7 +55,7 @@ class CloudTiles:
         refuse_lost(poses)
         seen = enumerate(zip(clouds, poses, strict=True))
         self._columns = 4
-        for placed, tiles in prefetched(seen, lambda one: _by_tile(one[0], *one[1], voxel_m), 1):
+        for placed, tiles in prefetched(seen, lambda args: _by_tile(args[0], *args[1], voxel_m), 1):
             self._seen.append(self._keep(placed))
             begin, _, columns = self._seen[-1]
             self._columns = max(self._columns, columns)

@@ -31,9 +31,9 @@ def find_doors(
     found: list[Door] = []
     for index, room in enumerate(rooms):
         for other in rooms[index + 1 :]:
-            for one in room.walls:
+            for shape in room.walls:
                 for wall in other.walls:
-                    line = _between((one.begin_m, one.end_m), (wall.begin_m, wall.end_m))
+                    line = _between((shape.begin_m, shape.end_m), (wall.begin_m, wall.end_m))
                     if line is None:
                         continue
                     for begin, end in _open(*line, free, grid):

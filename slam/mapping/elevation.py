@@ -95,7 +95,7 @@ def elevation(
     """
     batches, waiting = list[Keys](), list[Keys]()
     seen = zip(clouds, poses, strict=True)
-    for lows in prefetched(seen, lambda one: _lows(moved(*one), one[1].translation(), reach_m), 1):
+    for lows in prefetched(seen, lambda args: _lows(moved(*args), args[1].translation(), reach_m), 1):
         waiting.append(lows)
         if len(waiting) == BATCH:
             batches.append(_quantiles(np.concatenate(waiting), 0.5))

@@ -148,4 +148,4 @@ def _in_line(following: dict[int, int], lengths_m: Sequence[float]) -> list[floa
     owner = np.arange(len(lengths_m))
     for index, next_ in following.items():
         owner[owner == owner[index]] = owner[next_]
-    return [float(np.sum(np.array(lengths_m)[owner == one])) for one in owner]
+    return [float(np.sum(np.array(lengths_m)[owner == line])) for line in owner]

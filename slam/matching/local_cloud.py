@@ -112,28 +112,28 @@ class LocalCloud:
             return None
         return Aligned(found, motion_of(found, self._config, guess), near)
 
-    def settled(self, scan: FloatArray, one: Aligned) -> Aligned:
+    def settled(self, scan: FloatArray, aligned: Aligned) -> Aligned:
         """Return a match of a scan (N, 3) with an undetermined direction where it converges along it, if so.
 
         On a street with few walls, it converges from a voxel to either side; in a tunnel it stays at its
         start. Its covariance stays the same.
         """
-        if not one.motion.degenerate:
-            return one
-        pose, lever, way = one.found.pose, levers(one.found.arms_m), one.motion.weak_direction
+        if not aligned.motion.degenerate:
+            return aligned
+        pose, lever, way = aligned.found.pose, levers(aligned.found.arms_m), aligned.motion.weak_direction
         aside = self._voxel_m * way / np.linalg.norm(lever @ way)
         for step in (aside, -aside):
             other = self._by_planes(scan, pose.compose(gtsam.Pose3.Expmap(step)))
             off = np.inf if other is None else lever @ gtsam.Pose3.Logmap(pose.between(other.pose))
             if np.linalg.norm(off) > 0.5 * self._voxel_m:
-                return one
-        return replace(one, motion=replace(one.motion, T_reference_base=pose))
+                return aligned
+        return replace(aligned, motion=replace(aligned.motion, T_reference_base=pose))
 
     def best_of(self, scan: FloatArray, starts: Sequence[gtsam.Pose3]) -> gtsam.Pose3:
         """Return the aligned start ``T_map_base`` with most points of a part of the scan on planes."""
         part = _part(scan, _ARRIVING_POINTS)
         found = [self._by_planes(part, start) for start in starts]
-        best = max(found, key=lambda one: 0.0 if one is None else one.agreement)
+        best = max(found, key=lambda aligned: 0.0 if aligned is None else aligned.agreement)
         return starts[0] if best is None else best.pose
 
     def agreement(self, scan: FloatArray, pose: gtsam.Pose3) -> float:

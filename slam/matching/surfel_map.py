@@ -63,8 +63,8 @@ def build_surfel_maps(
         count = _build(oriented, origin_x, origin_y, cell_m, cells, after, sums)
         oriented = sums[:count].copy()
         found.append(SurfelMap(cells, after[:count].copy(), oriented, origin_x, origin_y, cell_m))
-    for one in found:
-        _point(one.surfels)
+    for part in found:
+        _point(part.surfels)
     return found
 
 

@@ -224,7 +224,7 @@ class Exports:
         found = self.contents
         assert found.frames is not None
         make_folder(folder)
-        moved_colors = {name for name, one in found.registrations.items() if one.accepted}
+        moved_colors = {name for name, registration in found.registrations.items() if registration.accepted}
         images = write_posed_images(folder, found.frames, found.frame_poses(), moved_colors)
         surface = self._surface
         if format_ == "colmap":
@@ -261,7 +261,7 @@ class Exports:
     def _mounts(self) -> dict[str, gtsam.Pose3]:
         """Return the mounting of each sensor, as far as the map has it."""
         found = self.contents
-        mounts = {name: one.T_base_camera for name, one in found.cameras.items()}
+        mounts = {name: camera.T_base_camera for name, camera in found.cameras.items()}
         known = {name: pose for name, pose in mounts.items() if pose is not None}
         for scan in found.keyframe_scans:
             if scan is not None and found.clouds is None:

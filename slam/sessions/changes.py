@@ -117,7 +117,7 @@ def compare(before: Visit, after: Visit, spread: Spread, config: Config) -> Comp
     steps, resolution_m, corner_m = _on_one_lattice(grids)
     model = layer_settings(certain).lidar
     # Maximum over each cell and its neighbours, because errors below a cell shift evidence to the next one.
-    beside = np.stack([ndimage.maximum_filter(one, 3) for one in steps])
+    beside = np.stack([ndimage.maximum_filter(item, 3) for item in steps])
     changes = []
     for appeared, own, other in ((False, 0, 1), (True, 1, 0)):
         labels, count = _things(steps[own], beside[other], resolution_m)
@@ -136,12 +136,12 @@ def compare(before: Visit, after: Visit, spread: Spread, config: Config) -> Comp
                 and _met_s(visits[own], seen[own][0][:, n]) < _WAITING_S
             ):
                 standing = 0.0
-            witnesses = [np.flatnonzero(one[0][:, n] | one[1][:, n]) for one in seen]
+            witnesses = [np.flatnonzero(item[0][:, n] | item[1][:, n]) for item in seen]
             covariance = spread(witnesses[0], witnesses[1], middles_m.mean(axis=0))
             there = float(special.expit(steps[own][tuple(cells.T)].mean() / STEPS_A_UNIT))
             gone = _gone(beside[other], cells, covariance, resolution_m)
             changes.append(Change(appeared, middles_m, standing * there * gone, standing))
-    changes.sort(key=lambda one: -one.probability)
+    changes.sort(key=lambda item: -item.probability)
     return Comparison(changes, steps, resolution_m, corner_m)
 
 
@@ -264,7 +264,7 @@ def _standing(met: int, through: int) -> float:
 
 def _met_s(visit: Visit, met: BoolArray) -> float:
     """Return the time from the first to the last of the scans that (K,) selects."""
-    stamps_s = [scan.stamp_s for scan, one in zip(visit.scans, met, strict=True) if one and scan is not None]
+    stamps_s = [scan.stamp_s for scan, hit in zip(visit.scans, met, strict=True) if hit and scan is not None]
     return max(stamps_s, default=0.0) - min(stamps_s, default=0.0)
 
 

@@ -60,7 +60,7 @@ def _unedited(known: Map, session: Map, connection: Connection) -> tuple[Map, Ma
     parts = known.parts()
     identity = replace(known.identity, config=parts.before)
     before = replace(known, contents=parts.base, identity=identity)
-    poses, base = (bases_of(one.contents, one.contents.node_poses) for one in (known, before))
+    poses, base = (bases_of(source.contents, source.contents.node_poses) for source in (known, before))
     anchors = []
     for anchor in connection.placing.anchors:
         near = min(range(len(poses)), key=lambda key: apart(poses[key], anchor.pose)[0])

@@ -170,8 +170,8 @@ class _Frames:
 
     def __init__(self, known: MapContents, session: MapContents, config: Config) -> None:
         self._known, self._session = (
-            KeyframeStore(config.rgbd, config.match.local_map_keyframes, one.frames)
-            for one in (known, session)
+            KeyframeStore(config.rgbd, config.match.local_map_keyframes, part.frames)
+            for part in (known, session)
         )
 
     def keyframe(self, key: int) -> PreparedFrame:

@@ -65,8 +65,8 @@ def changed_things(changes: Sequence[Change], cell_m: float) -> list[ChangedThin
     cell_m
         Side of a cell.
     """
-    went = [one for one in changes if not one.appeared]
-    came = [one for one in changes if one.appeared]
+    went = [change for change in changes if not change.appeared]
+    came = [change for change in changes if change.appeared]
     alike = np.array([[_likeness(old.cells_m, new.cells_m, cell_m) for new in came] for old in went])
     things, paired = [], set()
     # Among similar objects, assume the smallest total motion.
@@ -80,11 +80,11 @@ def changed_things(changes: Sequence[Change], cell_m: float) -> list[ChangedThin
             both = old.probability * new.probability
             corners = _around(old.cells_m, cell_m), _around(new.cells_m, cell_m)
             things.append(ChangedThing("moved", *corners, _size(larger, cell_m), both))
-    for one in changes:
-        if id(one) not in paired:
-            around, size_m = _around(one.cells_m, cell_m), _size(one.cells_m, cell_m)
-            what, before, after = ("appeared", None, around) if one.appeared else ("went", around, None)
-            things.append(ChangedThing(what, before, after, size_m, one.probability))
+    for change in changes:
+        if id(change) not in paired:
+            around, size_m = _around(change.cells_m, cell_m), _size(change.cells_m, cell_m)
+            what, before, after = ("appeared", None, around) if change.appeared else ("went", around, None)
+            things.append(ChangedThing(what, before, after, size_m, change.probability))
     return sorted(things, key=lambda thing: -thing.probability)
 
 

@@ -68,7 +68,7 @@ class Placing:
         poses
             K of the session's keyframes, session frame.
         """
-        distances = [apart(poses[one.keyframe], pose)[0] for one in self.anchors]
+        distances = [apart(poses[anchor.keyframe], pose)[0] for anchor in self.anchors]
         least_m = min(distances)
         return self.anchors[distances.index(least_m)].T_map_session, least_m
 
@@ -86,8 +86,8 @@ def place(known: Side, session: Side, config: Config) -> Placing:
         paths.append((path.anchors[len(path.anchors) // 2] if path.anchors else proposal, path))
     if not paths:
         return Placing()
-    one, best = max(paths, key=lambda found: found[1].nats)
-    rivals = [path.nats for other, path in paths if not _agree(one, other, poses)]
+    winner, best = max(paths, key=lambda found: found[1].nats)
+    rivals = [path.nats for sighting, path in paths if not _agree(winner, sighting, poses)]
     settings = config.localization
     confident_nats = math.log(settings.confident_probability / (1.0 - settings.confident_probability))
     return Placing(
@@ -147,14 +147,14 @@ def _stretches(sensor: Sensor[Any, Any], path: Side, config: Config) -> Iterator
 def _distinct(proposals: Sequence[Sighting], poses: Sequence[Pose]) -> list[Sighting]:
     """Return the most likely of all candidates that agree with each other, by their common evidence."""
     groups: list[list[Sighting]] = []
-    for one in sorted(proposals, key=lambda one: -one.nats):
+    for sighting in sorted(proposals, key=lambda sighting: -sighting.nats):
         for group in groups:
-            if _agree(group[0], one, poses):
-                group.append(one)
+            if _agree(group[0], sighting, poses):
+                group.append(sighting)
                 break
         else:
-            groups.append([one])
-    groups.sort(key=lambda group: -sum(max(one.nats, 0.0) for one in group))
+            groups.append([sighting])
+    groups.sort(key=lambda group: -sum(max(sighting.nats, 0.0) for sighting in group))
     return [group[0] for group in groups]
 
 

@@ -92,5 +92,5 @@ def sides_of(known: MapContents, session: MapContents, config: Config) -> tuple[
     if known.clouds is not None:
         return Side.of_clouds(known, config), Side.of_clouds(session, config)
     if known.planar:
-        return tuple(Side.of_walls(Walls(one, config), config) for one in (known, session))  # type: ignore[return-value]
+        return tuple(Side.of_walls(Walls(side, config), config) for side in (known, session))  # type: ignore[return-value]
     return Side.of_frames(known, session, config), Side.of_frames(session, known, config)

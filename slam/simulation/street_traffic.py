@@ -130,8 +130,8 @@ class Traffic:
                 rows.append([*positions[1], *velocity, *rotations[1].ravel(), *box])
                 owners.append(number)
         table = np.array(rows).reshape(-1, 21)
-        kinds = np.array([int(self._movers[one].kind.label) | (one + 1) << 16 for one in owners], np.uint32)
-        bright = np.array([self._movers[one].brightness for one in owners], np.float32)
+        kinds = np.array([int(self._movers[i].kind.label) | (i + 1) << 16 for i in owners], np.uint32)
+        bright = np.array([self._movers[i].brightness for i in owners], np.float32)
         return MovingBoxes(table, kinds, bright)
 
 
@@ -228,11 +228,11 @@ def _meet_boxes(
                     step += turned * rays[ray, 3 + inner]
                 if abs(step) < 1e-12:
                     step = 1e-12
-                one, other = (row[15 + axis] - start) / step, (row[18 + axis] - start) / step
-                if one > other:
-                    one, other = other, one
-                if one > near:
-                    near, face = one, abs(step)
-                far = min(far, other)
+                enter, leave = (row[15 + axis] - start) / step, (row[18 + axis] - start) / step
+                if enter > leave:
+                    enter, leave = leave, enter
+                if enter > near:
+                    near, face = enter, abs(step)
+                far = min(far, leave)
             if near < far and face > 0.0:
                 range_m[ray], found[ray], cosine[ray] = near, box, face

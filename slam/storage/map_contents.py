@@ -168,7 +168,7 @@ class MapContents:
     @property
     def registrations(self) -> dict[str, ColorRegistration]:
         """Pose of colour cameras relative to their depth cameras, by name, if the run estimated them."""
-        learned = {name: one.registration for name, one in self.cameras.items()}
+        learned = {name: camera.registration for name, camera in self.cameras.items()}
         return {name: found for name, found in learned.items() if found is not None}
 
 
@@ -186,10 +186,10 @@ def clock_sigma_s(contents: MapContents, nodes: slice = slice(None)) -> float:
 
 def parts_of(contents: MapContents, sessions: Sequence[MapSession]) -> list[tuple[int, int, float]]:
     """Return keyframes, poses and `clock_sigma_s` of the first sessions of a map."""
-    ends = itertools.accumulate(one.keyframes for one in sessions)
+    ends = itertools.accumulate(session.keyframes for session in sessions)
     return [
-        (one.keyframes, one.poses, clock_sigma_s(contents, slice(end - one.keyframes, end)))
-        for one, end in zip(sessions, ends, strict=True)
+        (session.keyframes, session.poses, clock_sigma_s(contents, slice(end - session.keyframes, end)))
+        for session, end in zip(sessions, ends, strict=True)
     ]
 
 

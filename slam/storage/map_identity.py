@@ -98,7 +98,7 @@ class MapIdentity:
         """Describe what differs from an interrupted run in a few words; None if nothing differs."""
         if now.log_fingerprint != self.log_fingerprint:
             return f"it was begun with another log, {self.log_name}"
-        before, after = (dict(leaves(one.config.model_dump(mode="json"))) for one in (self, now))
+        before, after = (dict(leaves(identity.config.model_dump(mode="json"))) for identity in (self, now))
         for name in {**before, **after}:
             if before.get(name) != after.get(name):
                 return f"it was begun with {name}={before.get(name)}, not {after.get(name)}"

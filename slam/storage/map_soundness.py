@@ -91,12 +91,12 @@ def sound_name(name: Any) -> str:
 def unsound_covariance(covariances: Sequence[Any], dimension: int) -> int | None:
     """Return the index of the first that is no (d, d) covariance: finite, symmetric, positive definite."""
     shape, float64 = (dimension, dimension), np.dtype(np.float64)
-    for number, one in enumerate(covariances):
-        if not isinstance(one, np.ndarray) or one.shape != shape or one.dtype != float64:
+    for number, matrix in enumerate(covariances):
+        if not isinstance(matrix, np.ndarray) or matrix.shape != shape or matrix.dtype != float64:
             return number
     if not covariances or _are_covariances(np.stack(covariances)):  # all at once is ten times as fast
         return None
-    return next(number for number, one in enumerate(covariances) if not _are_covariances(one))
+    return next(number for number, matrix in enumerate(covariances) if not _are_covariances(matrix))
 
 
 def sound_trajectory(stretch: Trajectory, poses: int) -> Trajectory:

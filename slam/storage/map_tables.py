@@ -35,7 +35,7 @@ class Table:
     @classmethod
     def of(cls, name: str, columns: str, *optional: str) -> Table:
         """A table by its columns as SQL names them: ``key TEXT, value TEXT``."""
-        return cls(name, tuple(tuple(one.split()) for one in columns.split(", ")), frozenset(optional))
+        return cls(name, tuple(tuple(column.split()) for column in columns.split(", ")), frozenset(optional))
 
     @property
     def sql(self) -> str:

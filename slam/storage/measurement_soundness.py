@@ -51,7 +51,7 @@ def checked(measurement: Any, name: str) -> Any:
             require(alike, f"colour {color}, depth {depth}, lens {(lens.height, lens.width)}: other sizes")
         if isinstance(measurement, PointCloud):
             given = (measurement.times_s, measurement.intensities)
-            lengths = [len(one) for one in given if one is not None]
+            lengths = [len(values) for values in given if values is not None]
             points = len(measurement.points_lidar)
             require(set(lengths) <= {points}, f"{points} points, and times or intensities of {lengths}")
     except MapFileError as error:
@@ -62,19 +62,19 @@ def checked(measurement: Any, name: str) -> Any:
 def _with_arrays(measurement: Any, name: str) -> Any:
     """Return the measurement with arrays of the types that a map keeps, made of lists and other numbers."""
     changed: dict[str, Any] = {}
-    for one in fields(measurement):
-        given = getattr(measurement, one.name)
-        if one.name not in _ARRAYS or (given is None and one.default is None):
+    for item in fields(measurement):
+        given = getattr(measurement, item.name)
+        if item.name not in _ARRAYS or (given is None and item.default is None):
             continue
-        kind, *shape = _ARRAYS[one.name]
+        kind, *shape = _ARRAYS[item.name]
         try:
-            found = numbers(given, tuple(shape), one.name, finite=one.name not in _OPEN)
+            found = numbers(given, tuple(shape), item.name, finite=item.name not in _OPEN)
         except ValueError as fault:
             raise DatasetError(f"{name}: {fault}") from None
         if kind == "u1" and found.dtype.kind == "f":
-            raise DatasetError(f"{name}: {one.name} is {found.dtype}; give uint8 of 0 to 255")
-        if one.name == "ranges_m" and np.isneginf(found).any():
+            raise DatasetError(f"{name}: {item.name} is {found.dtype}; give uint8 of 0 to 255")
+        if item.name == "ranges_m" and np.isneginf(found).any():
             found = np.where(np.isneginf(found), np.nan, found)  # nearer than the least range (REP-117)
         if found is not given or found.dtype != kind:
-            changed[one.name] = found.astype(kind)
+            changed[item.name] = found.astype(kind)
     return replace(measurement, **changed) if changed else measurement

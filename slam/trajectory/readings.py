@@ -187,7 +187,7 @@ def at_stamps(trajectory: Trajectory, stamps_s: FloatArray) -> Trajectory:
         return Trajectory(stamps_s, trajectory.positions_m, trajectory.quaternions_xyzw)
     poses, steps_s = trajectory.poses(), np.diff(own_s)
     steps_s[steps_s <= 0.0] = np.inf  # a repeated or late stamp gives no motion
-    twists = np.array([gtsam.Pose3.Logmap(one.between(next_)) for one, next_ in pairwise(poses)])
+    twists = np.array([gtsam.Pose3.Logmap(last.between(next_)) for last, next_ in pairwise(poses)])
     rates = np.pad(twists / steps_s[:, None], ((1, 1), (0, 0)))
     spans_s = np.pad(steps_s, 1, constant_values=np.inf)[:, None]
     before, after, before_s, after_s = rates[:-1], rates[1:], spans_s[:-1], spans_s[1:]

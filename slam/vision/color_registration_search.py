@@ -152,7 +152,7 @@ def search(problem: Problem, fit: Fit, axes: tuple[str, ...]) -> Fit:
                 share = float(np.clip(0.5 * (low - high) / (low + high), -_LONGEST_STEP, _LONGEST_STEP))
                 tried.append(at(axis, share * step))
                 steps[axis] = step * min(1.0, max(0.5, abs(share)))
-            fit = min(tried, key=lambda one: one.loss)
+            fit = min(tried, key=lambda trial: trial.loss)
         if before - fit.loss < _SETTLED:
             break
     return fit

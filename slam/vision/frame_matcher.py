@@ -63,8 +63,8 @@ class FrameMatcher:
         self, best: JointAlignment, others: list[JointAlignment], landmarks: Landmarks, frame: PreparedFrame
     ) -> JointAlignment:
         """Return the valid match with most feature inliers."""
-        held = [one for one in others if self._judge(one) is not None]
-        return max([best, *held], key=lambda one: self._support(one.pose, landmarks, frame))
+        held = [match for match in others if self._judge(match) is not None]
+        return max([best, *held], key=lambda match: self._support(match.pose, landmarks, frame))
 
     def match_anywhere(self, frame: PreparedFrame, local: list[VisualKeyframe]) -> VisualMatch | None:
         """Estimate the pose of the frame's camera without a guess; None if too few features agree."""

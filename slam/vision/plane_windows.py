@@ -135,11 +135,11 @@ def _count(
     for i in range(n.size):
         difference = beside[i] - centre[i]
         on = (abs(difference) <= gate[i]) & (beside[i] > np.float32(0.0))
-        one = np.float32(1.0) if on else np.float32(0.0)
+        weight = np.float32(1.0) if on else np.float32(0.0)
         counted = difference if on else np.float32(0.0)
-        n[i] += one
-        u[i] += one * du
-        uu[i] += one * du * du
+        n[i] += weight
+        u[i] += weight * du
+        uu[i] += weight * du * du
         w[i] += counted
         wu[i] += counted * du
 

@@ -253,7 +253,7 @@ class _Reader:
         if not self._layout.reads(topic, record.channel.kind):
             return []
         made = self._made(record, lambda: self._decoder.ousters.rest(topic))
-        return [one for one in made if not isinstance(one, StampedImage)]
+        return [item for item in made if not isinstance(item, StampedImage)]
 
     def _made(self, record: BagRecord, decode: Callable[[], Any]) -> list[Measurement | StampedImage]:
         """The contents of a message after decoding; nothing if it is damaged."""
@@ -290,7 +290,7 @@ def _nothing_usable(path: Path, report: ReadReport, survey: Survey, layout: Layo
     reasons = report.refusals
     shown = list(survey.channels.items())[:8]
     why = {topic: f"; {reason}" for topic, reason in layout.left_out.items()}
-    topics = ", ".join(f"{topic} ({one.kind}{why.get(topic, mended(one.kind))})" for topic, one in shown)
+    topics = ", ".join(f"{topic} ({info.kind}{why.get(topic, mended(info.kind))})" for topic, info in shown)
     if any(channel.kind in IMAGES for channel in survey.channels.values()) and not any(
         survey.depths.values()
     ):

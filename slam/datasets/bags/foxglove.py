@@ -68,7 +68,7 @@ def _cloud(message: Any) -> SimpleNamespace:
 
 def _scan(message: Any) -> SimpleNamespace:
     """Convert to a LaserScan; the end angle is that of the last beam."""
-    ranges = np.array([np.nan if one is None else one for one in message.ranges], dtype=np.float32)
+    ranges = np.array([np.nan if r_m is None else r_m for r_m in message.ranges], dtype=np.float32)
     _check_frame(message)
     first, last = float(message.start_angle), float(message.end_angle)
     return SimpleNamespace(
@@ -105,11 +105,11 @@ def _transforms(message: Any) -> SimpleNamespace:
     return SimpleNamespace(
         transforms=[
             SimpleNamespace(
-                header=_header(one, "parent_frame_id"),
-                child_frame_id=str(one.child_frame_id),
-                transform=SimpleNamespace(translation=one.translation, rotation=one.rotation),
+                header=_header(item, "parent_frame_id"),
+                child_frame_id=str(item.child_frame_id),
+                transform=SimpleNamespace(translation=item.translation, rotation=item.rotation),
             )
-            for one in getattr(message, "transforms", None) or [message]
+            for item in getattr(message, "transforms", None) or [message]
         ]
     )
 

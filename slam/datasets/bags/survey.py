@@ -165,7 +165,7 @@ def survey_bag(bag: Bag, wanted: Sequence[str] = ()) -> Survey:
     announced = bag.announced()
     for channel in announced or []:
         survey.channels.setdefault(channel.topic, channel)
-    survey.robots = Robots.of({topic: one.kind for topic, one in survey.channels.items()}, wanted)
+    survey.robots = Robots.of({topic: info.kind for topic, info in survey.channels.items()}, wanted)
     budget = bag.budget()
     decoder = Decoder(budget, Ousters(bag.path))
     quiet = Account.quiet(bag.path)

@@ -146,7 +146,7 @@ def choose(
     named = [topic for topic in images if topic in wanted]
     cameras, lonely = _cameras(named or _raw_first(images), depths, evidence, given=bool(named))
     read = {*scans, *clouds, *odometry, *imus, *receivers, *lonely}
-    read |= {topic for one in cameras for topic in (one.color, one.depth)}
+    read |= {topic for camera in cameras for topic in (camera.color, camera.depth)}
     for topic, kind in kinds.items():
         if topic in read or topic in left_out or kind not in SENSORS:
             continue

@@ -74,7 +74,7 @@ class FrameTree:
                 self._parents[child] = parent, pose
         elif known[0] == parent and child not in self.tilting and differs(known[1], pose):
             self.moving.add(child)
-            up, before_up = (one.rotation().matrix()[:, 2] for one in (pose, known[1]))
+            up, before_up = (T.rotation().matrix()[:, 2] for T in (pose, known[1]))
             if up @ before_up < math.cos(_STILL_RAD):
                 self.tilting.add(child)
 
