@@ -171,8 +171,8 @@ def matched_points(lidar: Curve, camera: Curve, yaw_rad: float) -> tuple[FloatAr
     at = np.round((camera.bearings_rad() + yaw_rad - lidar.start_angle_rad) / lidar.step_rad).astype(int)
     inside = (at >= 0) & (at < lidar.ranges_m.size)
     ours, theirs = camera.points()[inside], lidar.points()[at[inside]]
-    both = np.isfinite(ours).all(axis=1) & np.isfinite(theirs).all(axis=1)
-    return ours[both], theirs[both]
+    in_both = np.isfinite(ours).all(axis=1) & np.isfinite(theirs).all(axis=1)
+    return ours[in_both], theirs[in_both]
 
 
 @dataclass(frozen=True)
@@ -204,7 +204,7 @@ def find_candidates(
     matrices: Sequence[FloatArray | None],
 ) -> Candidates:
     """Reproject and compare; arguments as for `repair_by`."""
-    seen = {
+    views = {
         camera: (_view(images[camera], registration), matrix)
         for camera, matrix in enumerate(matrices)
         if matrix is not None
@@ -215,7 +215,7 @@ def find_candidates(
     start = scan.start_angle_rad + (scan.step_rad * (own.size - 1) if flip else 0.0)
     other = np.full(own.size, np.nan, dtype=np.float32)
     noise = []
-    for view, matrix in seen.values():
+    for view, matrix in views.values():
         reprojected, rough = _seen_by_lidar(view.curve, matrix, (start, step, own.size))
         np.fmin(other, reprojected, out=other)
         noise.append(rough)
@@ -232,12 +232,12 @@ def find_candidates(
         camera: _pixel_candidates(
             images[camera], view, matrix, steady, beams[0, :, 3], (start, step), (share, mine)
         )
-        for camera, (view, matrix) in seen.items()
+        for camera, (view, matrix) in views.items()
     }
     # Agreeing readings differ by the noise of both, and by the error of the reprojection.
     agreed = source == Provenance.AVERAGED
-    apart = float(np.median(np.abs(own - other)[agreed] / own[agreed])) if agreed.any() else share
-    carried = math.sqrt(max(apart**2 - mine**2, theirs**2)) if np.isfinite(mine + theirs) else share
+    spread = float(np.median(np.abs(own - other)[agreed] / own[agreed])) if agreed.any() else share
+    carried = math.sqrt(max(spread**2 - mine**2, theirs**2)) if np.isfinite(mine + theirs) else share
     mean = math.hypot((1.0 - trust) * mine, trust * carried)
     shares = median_to_sigma() * np.array([math.nan, carried, mine, math.nan, mean])
     # A pixel's value is a range smoothed over at least `BESIDE` readings, on the image's own surfaces.
@@ -288,11 +288,11 @@ def eps_of(own: Float32Array, other: Float32Array) -> float:
     Each residual is limited to a twentieth of the range: real differences (a low cupboard) can be metres, and
     a few of them would hide all outliers.
     """
-    both = np.isfinite(own) & np.isfinite(other)
-    if not both.any():
+    in_both = np.isfinite(own) & np.isfinite(other)
+    if not in_both.any():
         return LEAST_EPS_SHARE
-    apart = np.abs(own[both] - other[both]) / own[both]
-    mean = float(np.minimum(apart, 2.0 * LEAST_EPS_SHARE).mean())
+    errors = np.abs(own[in_both] - other[in_both]) / own[in_both]
+    mean = float(np.minimum(errors, 2.0 * LEAST_EPS_SHARE).mean())
     return max(EPS_OVER_E * mean, LEAST_EPS_SHARE)
 
 
@@ -310,8 +310,8 @@ def _seen_by_lidar(
 
 def roughness(ranges: Float32Array, steady: Float32Array) -> float:
     """Return the noise of a curve as a share of the range, from the residual of smoothing; else ``nan``."""
-    apart = np.abs(ranges - steady) / ranges
-    return float(np.nanmedian(apart)) if np.isfinite(apart).any() else math.nan
+    errors = np.abs(ranges - steady) / ranges
+    return float(np.nanmedian(errors)) if np.isfinite(errors).any() else math.nan
 
 
 def _pixel_candidates(

@@ -78,10 +78,10 @@ class Registration:
 
     def _repr_html_(self) -> str:
         """Draw the lidar curve, and in red the curves of the cameras as registered."""
-        seen = join(self.stacks).curve(self.v)
-        turned = Curve(seen.ranges_m, seen.start_angle_rad + self.yaw_rad, seen.step_rad)
-        both = drawn(black=self.curve.points(), red=turned.points())
-        return with_pictures(self, both, shaded(self.score_map[::-1]))
+        curve = join(self.stacks).curve(self.v)
+        turned = Curve(curve.ranges_m, curve.start_angle_rad + self.yaw_rad, curve.step_rad)
+        drawing = drawn(black=self.curve.points(), red=turned.points())
+        return with_pictures(self, drawing, shaded(self.score_map[::-1]))
 
     @property
     def first_yaw_step(self) -> int:
@@ -147,8 +147,8 @@ def _swings(found: Registration) -> bool:
     if aligned is None:
         return False  # a single wall does not determine the motion
     T = aligned.T_laser_level
-    apart = math.remainder(math.atan2(T[1, 0], T[0, 0]) - found.yaw_rad, 2.0 * math.pi)
-    return abs(apart) > NEAR_SAMPLES * found.curve.step_rad
+    turn_rad = math.remainder(math.atan2(T[1, 0], T[0, 0]) - found.yaw_rad, 2.0 * math.pi)
+    return abs(turn_rad) > NEAR_SAMPLES * found.curve.step_rad
 
 
 def registration_at(

@@ -244,8 +244,8 @@ def _beside(
         while 0 <= row < pixels.shape[0]:
             near = pixels[row, col]
             if near >= 0 and near != at and 0.0 < depth[near] <= range_max_m:
-                off = over_noise(depth[near] * range_of_depth[row, col] - put_m, put_m, eps_share)
-                least, most = min(least, off), max(most, off)
+                sigmas = over_noise(depth[near] * range_of_depth[row, col] - put_m, put_m, eps_share)
+                least, most = min(least, sigmas), max(most, sigmas)
                 break
             row += step
     return (most if math.isinf(least) else least), most

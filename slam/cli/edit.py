@@ -121,8 +121,8 @@ def _tell(before: Map, after: Map, started: float) -> None:
     from slam.matching.planar import between
 
     # Seen from the first keyframe: a map that was turned has not changed.
-    both = (before.keyframe_poses, after.keyframe_poses)
-    ends = [[between(poses[0], pose)[:2] for pose in poses] for poses in both]
+    old_and_new = (before.keyframe_poses, after.keyframe_poses)
+    ends = [[between(poses[0], pose)[:2] for pose in poses] for poses in old_and_new]
     moved_m = float(np.hypot(*(np.array(ends[1]) - ends[0][: len(ends[1])]).T).max())
     loops = sum(loop.accepted for loop in after.loops)
     say(

@@ -76,7 +76,7 @@ def map_command(
     """Map a log: write trajectory, pose graph, grid and report, and map.db with everything."""
     overrides = [*(set_ or []), *topics_override(topics)]
     left_out = {"sensors.wheels": no_odometry, "loops.enabled": no_loops, "fusion.enabled": no_fusion}
-    overrides += [f"{part}=false" for part, off in left_out.items() if off]
+    overrides += [f"{part}=false" for part, is_off in left_out.items() if is_off]
     if into is not None and record is not None:
         raise typer.BadParameter("--record cannot be combined with --into")
     if into is None and out is None:

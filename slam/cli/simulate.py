@@ -100,7 +100,7 @@ def simulate(
                 f"{', '.join(STREET_FAULTS)}"
             )
         with _seconds_shown() as on_progress:
-            seen = record_street(
+            recording = record_street(
                 home,
                 seed,
                 out,
@@ -112,7 +112,7 @@ def simulate(
                 undistorted=undistorted,
                 formats=tuple(formats) if formats else FORMATS,
             )
-        say(f"{seen.text}\nwrote {out}")
+        say(f"{recording.text}\nwrote {out}")
         return
     if rig not in RIGS:
         raise ConfigError(f"no rig '{rig}'; there are {', '.join(sorted(RIGS))}")

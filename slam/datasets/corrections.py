@@ -80,7 +80,7 @@ def _by_name(calibration: Calibration) -> dict[tuple[type, str], SensorCorrectio
 
 def _corrected_one_by_one(log: Iterable[Measurement], calibration: Calibration) -> Iterator[Measurement]:
     """Correct each measurement separately, in the order of the log."""
-    by_name, seen = _by_name(calibration), dict[tuple[type, str], None]()
+    by_name, sensors = _by_name(calibration), dict[tuple[type, str], None]()
     correct: dict[type, Callable[[Any, Any], Any]] = {
         LaserScan: _corrected_scan,
         RgbdFrame: corrected_frame,
@@ -95,7 +95,7 @@ def _corrected_one_by_one(log: Iterable[Measurement], calibration: Calibration) 
     newest: dict[tuple[type, str], Measurement] = {}
     for measurement in log:
         key = type(measurement), measurement.sensor
-        seen[key] = None
+        sensors[key] = None
         correction = by_name.get(key)
         if correction is None:
             yield measurement
@@ -106,10 +106,10 @@ def _corrected_one_by_one(log: Iterable[Measurement], calibration: Calibration) 
         yield replace(correctors[key](measurement), stamp_s=measurement.stamp_s - correction.clock_offset_s)
     read_images = getattr(log, "read_images", True)
     for kind, name in by_name if read_images else ():
-        if (kind, name) not in seen:
-            there = ", ".join(sorted(name for of_kind, name in seen if of_kind is kind)) or "none"
+        if (kind, name) not in sensors:
+            names = ", ".join(sorted(name for of_kind, name in sensors if of_kind is kind)) or "none"
             raise DatasetError(
-                f"the calibration corrects '{name}', which the log does not hold; it has: {there}"
+                f"the calibration corrects '{name}', which the log does not hold; it has: {names}"
             )
 
 

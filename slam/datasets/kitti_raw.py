@@ -91,8 +91,8 @@ def _clouds(path: Path, account: Account) -> list[StampedFile]:
         # Published drives contain lines for clouds that were never recorded.
         reason = UNPAIRED if number in files else WITHOUT_CLOUD
         account.refuse(RecordFault(reason, f"number {number}"), "timestamps.txt", number + 1)
-    both = sorted(files.keys() & stamps.keys())
-    return [StampedFile(stamps[number], files[number], number) for number in both]
+    numbers = sorted(files.keys() & stamps.keys())
+    return [StampedFile(stamps[number], files[number], number) for number in numbers]
 
 
 def _stamps(path: Path, account: Account) -> Iterator[tuple[int, float]]:

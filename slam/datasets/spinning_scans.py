@@ -73,13 +73,13 @@ def straight(scan: LaserScan, twist: FloatArray, turn_s: float, cut_rad: float) 
     turned_rad = twist[2] * times_s
     shift = times_s * complex(twist[0], twist[1]) * np.exp(0.5j * turned_rad)
     placed = shift + ranges_m * np.exp(1j * (bearings + turned_rad))
-    far_m, seen = np.abs(placed), bearings + np.angle(placed * np.exp(-1j * bearings))
+    far_m, angles = np.abs(placed), bearings + np.angle(placed * np.exp(-1j * bearings))
     # One revolution, extended by its end before and its start after it.
-    order = np.argsort(seen, kind="stable")
-    seen, order = np.concatenate([seen[order] + lap * math.tau for lap in (-1, 0, 1)]), np.tile(order, 3)
-    after = np.clip(np.searchsorted(seen, bearings), 1, len(seen) - 1)
+    order = np.argsort(angles, kind="stable")
+    angles, order = np.concatenate([angles[order] + lap * math.tau for lap in (-1, 0, 1)]), np.tile(order, 3)
+    after = np.clip(np.searchsorted(angles, bearings), 1, len(angles) - 1)
     ends = np.stack([after - 1, after])
-    gaps = np.abs(seen[ends] - bearings)
+    gaps = np.abs(angles[ends] - bearings)
     near_m, other = far_m[order[ends]]
     step_rad = abs(scan.step_rad)
     on_one = met[order[ends]].all(axis=0)

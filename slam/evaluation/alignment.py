@@ -117,8 +117,8 @@ def _turned(points: FloatArray, targets: FloatArray) -> tuple[float, float]:
     """Return the rotation about z that best aligns centred points (N, 3) with their targets, and the RMSE."""
     (xx, xy), (yx, yy) = targets[:, :2].T @ points[:, :2]
     turn = math.atan2(yx - xy, xx + yy)
-    off = spatial.transform.Rotation.from_rotvec([0.0, 0.0, turn]).apply(points) - targets
-    return turn, float(np.sqrt(np.mean(np.sum(off**2, axis=1))))
+    residuals = spatial.transform.Rotation.from_rotvec([0.0, 0.0, turn]).apply(points) - targets
+    return turn, float(np.sqrt(np.mean(np.sum(residuals**2, axis=1))))
 
 
 def _in_plane(trajectory: Trajectory) -> bool:

@@ -146,10 +146,10 @@ def _sensors(file: MapFile, small: Unpacker) -> dict[str, int]:
 
 def _grids(file: MapFile, small: Unpacker, config: Config) -> dict[str, Any]:
     """Return every grid, and the decision if there are two."""
-    both = (DEPTH,) in file.tally(GRIDS, "name")
-    grids = read_grids(file, small, placed=both)
+    has_depth = (DEPTH,) in file.tally(GRIDS, "name")
+    grids = read_grids(file, small, placed=has_depth)
     found = {name: _grid(grid.states(), grid.resolution_m) for name, grid in grids.items()}
-    if not both:
+    if not has_depth:
         return found
     from slam.mapping.keyframe_grid import layers_of_grids
 

@@ -142,8 +142,8 @@ def _gone(layers: LayeredMap, passed_by: OccupancyGrid) -> Picture:
     """Return temporary objects over the map; both have aligned cells."""
     rows, columns = np.nonzero(THRESHOLDS.occupied(passed_by.steps))
     kinds = _kinds(layers, "decision")
-    apart = layers.T_map_grid.between(passed_by.T_map_grid)
-    row, column = round(apart.y() / layers.resolution_m), round(apart.x() / layers.resolution_m)
+    offset = layers.T_map_grid.between(passed_by.T_map_grid)
+    row, column = round(offset.y() / layers.resolution_m), round(offset.x() / layers.resolution_m)
     kinds[rows + row, columns + column] = len(_SHADES)
     return Picture("removed objects", kinds, (*_SHADES, _GONE))
 

@@ -128,11 +128,11 @@ def _grade_rows(fused: FusionSummary) -> list[tuple[str, ...]]:
     rows: list[tuple[str, ...]] = []
     for grade in sorted(Grade, reverse=True):
         offsets = np.array([pair.u for pair in fused.pairs if pair.grade == grade])
-        apart = "–"
+        offset_px = "–"
         if fused.estimate is not None and offsets.size:
-            apart = f"{np.median(np.abs(offsets - fused.estimate.u)):.1f}"
+            offset_px = f"{np.median(np.abs(offsets - fused.estimate.u)):.1f}"
         share = f"{offsets.size / len(fused.pairs):.0%}"
-        rows.append((grade.name.lower(), f"{offsets.size:,}", share, apart))
+        rows.append((grade.name.lower(), f"{offsets.size:,}", share, offset_px))
     return rows
 
 

@@ -57,5 +57,5 @@ def _score_cells(loop: LoopCandidate, found: MapContents, config: Config) -> tup
     poses = found.keyframe_poses
     x, y = (poses[loop.keyframe] - poses[loop.place])[:2]
     score = "–" if loop.motion is None else f"{loop.motion.inlier_share:.3f}"
-    apart = f"{math.hypot(x, y):.2f} m"
-    return str(loop.keyframe), str(loop.place), apart, score, f"{config.loops.least_inlier_share:.3f}"
+    distance = f"{math.hypot(x, y):.2f} m"
+    return str(loop.keyframe), str(loop.place), distance, score, f"{config.loops.least_inlier_share:.3f}"

@@ -59,6 +59,6 @@ def drawn_views(
         faces = (np.hypot(*away.T) < reach_m) & (np.einsum("ij,ij->i", away, drawn.normals) < 0.0)
         ends = np.column_stack([in_cells, np.full(len(drawn), 0.5)])[faces]
         met = follow(space.cells, np.array([*cell, 0.5]), ends, END_M / space.cell_m)
-        seen = np.flatnonzero(faces)[met != WALL]
-        points = ScanPoints(away[seen].astype(np.float32), drawn.normals[seen])
+        on_wall = np.flatnonzero(faces)[met != WALL]
+        points = ScanPoints(away[on_wall].astype(np.float32), drawn.normals[on_wall])
         yield pose2_from_row(place), ScanView(0.0, points, OrientedPoints.from_scan(points), np.zeros(2))

@@ -213,9 +213,9 @@ class _Search:
         level = len(self._seen)
         turns = len(self._seen[0].columns)
         first = np.arange(0, turns, 1 << level)
-        seen = np.stack(self._seen[0][:2])
-        least: Pixels = np.minimum.reduceat(seen, first, axis=1)
-        wide = (1 << level) + int((np.maximum.reduceat(seen, first, axis=1) - least).max())
+        cells = np.stack(self._seen[0][:2])
+        least: Pixels = np.minimum.reduceat(cells, first, axis=1)
+        wide = (1 << level) + int((np.maximum.reduceat(cells, first, axis=1) - least).max())
         pooled = (wide - 1).bit_length()
         if pooled >= len(self._field.levels):
             return False
@@ -243,12 +243,12 @@ class _Search:
 
     def _bounded(self, level: int, nodes: Nodes, bar: int) -> Steps[tuple[Nodes, Nodes]]:
         """Return the blocks that can reach the bar, and upper bounds of their scores; best first."""
-        bounds, seen = np.empty(len(nodes), np.int64), self._seen[level]
+        bounds, scan = np.empty(len(nodes), np.int64), self._seen[level]
 
         def part(first: int) -> None:
             share = slice(first, begin + self._room, self._threads)
-            pictures = self._field.levels[seen.pooled], self._field.standing[level]
-            _bound(*pictures, self._field.unknown, level, *seen, nodes[share], bar, bounds[share])
+            pictures = self._field.levels[scan.pooled], self._field.standing[level]
+            _bound(*pictures, self._field.unknown, level, *scan, nodes[share], bar, bounds[share])
 
         begin = 0
         while begin < len(nodes):

@@ -97,11 +97,11 @@ class StateMachine(Generic[V, N]):
         self._helped_at = self._odometry_pose
         return True
 
-    def confirm(self, seen: Measured) -> None:
+    def confirm(self, measured: Measured) -> None:
         """Use the tracked pose as another sensor measures it, if plausible: its map may differ."""
-        seen = self._in_map(seen)
-        if self.tracked is not None and self._smoother is not None and self._may_be(self.tracked, seen):
-            self._smoother.add_seen(seen)
+        measured = self._in_map(measured)
+        if self.tracked is not None and self._smoother is not None and self._may_be(self.tracked, measured):
+            self._smoother.add_seen(measured)
             self._known = self._smoother.newest
 
     def propose(self, pose: Pose) -> None:

@@ -49,13 +49,13 @@ class SidedPlanes:
 
     def __init__(self, planes: PlaneVoxels, lidars: FloatArray, clouds: Sequence[FloatArray]) -> None:
         self._planes = planes
-        seen = np.zeros((2, len(planes)), np.int64)
+        counts = np.zeros((2, len(planes)), np.int64)
         for lidar, cloud in zip(lidars, clouds, strict=True):
             pairs = planes.pairs(cloud)
             ahead = np.einsum("ij,ij->i", lidar - cloud[pairs.found], pairs.normals) > 0.0
             for side in (0, 1):
-                seen[side] += np.bincount(pairs.planes[ahead == side], minlength=len(planes))
-        self._seen = seen >= LEAST_SEEN
+                counts[side] += np.bincount(pairs.planes[ahead == side], minlength=len(planes))
+        self._seen = counts >= LEAST_SEEN
 
     def judge(self, lidar: FloatArray, points: FloatArray, reach_m: float) -> OnPlanes:
         """See `OnPlanes`; for points (N, 3) seen from a lidar (3,), map frame.

@@ -53,9 +53,9 @@ class CloudTiles:
         self._path = np.array([pose.translation() for pose in poses]).reshape(-1, 3)
         self._seen, pieces = list[_Span](), [np.zeros((0, 5), np.int64)]
         refuse_lost(poses)
-        seen = enumerate(zip(clouds, poses, strict=True))
+        numbered = enumerate(zip(clouds, poses, strict=True))
         self._columns = 4
-        for placed, tiles in prefetched(seen, lambda args: _by_tile(args[0], *args[1], voxel_m), 1):
+        for placed, tiles in prefetched(numbered, lambda args: _by_tile(args[0], *args[1], voxel_m), 1):
             self._seen.append(self._keep(placed))
             begin, _, columns = self._seen[-1]
             self._columns = max(self._columns, columns)

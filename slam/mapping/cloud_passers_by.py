@@ -92,16 +92,16 @@ def passed_by(
     views = prefetched(
         zip(clouds, lidars, strict=True), lambda view: (*view, _pixels(moved(view[0], view[1].inverse()))), 1
     )
-    for number, (placed, T_map_lidar, seen) in enumerate(views):
+    for number, (placed, T_map_lidar, pixels) in enumerate(views):
         picture[:] = np.inf
-        look(placed, voxel_m, table, known, number, newest, *seen, picture)
+        look(placed, voxel_m, table, known, number, newest, *pixels, picture)
         # Their keys are sorted along x first.
         ends = T_map_lidar.translation() + np.array([[-reach_m], [reach_m]])
         first, last = np.searchsorted(along, ends[:, 0])
         around = moved(middles[first:last], T_map_lidar.inverse())
         near = np.flatnonzero(np.einsum("ij,ij->i", around, around) < reach_m**2)
-        seen = _pixels(around[near])
-        count_looks(near + first, half_m, _PIXEL_RAD, number, newest, *seen, picture, counts)
+        pixels = _pixels(around[near])
+        count_looks(near + first, half_m, _PIXEL_RAD, number, newest, *pixels, picture, counts)
     hits, between, since, before = counts.T
     passes = since + before
     chances = np.log1p(-(hits + 1.0) / (hits + between + 2.0)) * passes

@@ -172,8 +172,8 @@ def _cells_taken(
 
 def _among(cells: NDArray[np.int64], others: NDArray[np.int64]) -> NDArray[np.bool_]:
     """Return (N,) which of (N, 2) cells are among (M, 2) others."""
-    both = np.concatenate([cells, others])
-    number = np.unique(both, axis=0, return_inverse=True)[1].reshape(-1)
+    merged = np.concatenate([cells, others])
+    number = np.unique(merged, axis=0, return_inverse=True)[1].reshape(-1)
     return np.isin(number[: len(cells)], number[len(cells) :])
 
 

@@ -66,7 +66,7 @@ def _between(
     if not (np.abs(behind) < THICKEST_WALL_M).all():
         return None
     begin, end = (
-        one[0] + at * along + 0.5 * off * normal for at, off in zip((low, high), behind, strict=True)
+        one[0] + at * along + 0.5 * offset * normal for at, offset in zip((low, high), behind, strict=True)
     )
     return begin, end, 0.5 * abs(float(behind.mean())) * normal
 
@@ -83,9 +83,9 @@ def _open(
     steps = np.linspace(-deep, deep, 3 + int(4 * deep / cell_m))
     middles = begin_m + shares[:, None] * (end_m - begin_m)
     across = middles[:, None, :] + steps[:, None] * normal
-    seen = looked_up(free, grid.cells_of(across.reshape(-1, 2))).reshape(len(shares), -1).all(axis=1)
+    is_free = looked_up(free, grid.cells_of(across.reshape(-1, 2))).reshape(len(shares), -1).all(axis=1)
     # A single cell that is not free is noise if its neighbours are free.
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], seen, [False]]).astype(np.int8)))
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], is_free, [False]]).astype(np.int8)))
     runs: list[list[int]] = []
     for low, high in zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True):
         if runs and low - runs[-1][1] <= 4:
@@ -106,9 +106,9 @@ def _met(begin_m: FloatArray, end_m: FloatArray, points: WallPoints) -> bool:
     length = float(np.hypot(*(end_m - begin_m)))
     along = (end_m - begin_m) / length
     normal = np.array([-along[1], along[0]])
-    off = points.points_map - begin_m
-    inside = np.abs(off @ along / length - 0.5) < 1 / 3
-    near = (np.abs(off @ normal) < THICKEST_WALL_M / 4) & (
+    offsets = points.points_map - begin_m
+    inside = np.abs(offsets @ along / length - 0.5) < 1 / 3
+    near = (np.abs(offsets @ normal) < THICKEST_WALL_M / 4) & (
         np.abs(points.normals_map @ normal) > np.cos(SAME_DIRECTION_RAD)
     )
     return bool((inside & near).any())

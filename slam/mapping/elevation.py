@@ -94,8 +94,8 @@ def elevation(
     None if no ground is connected to the robot's path.
     """
     batches, waiting = list[Keys](), list[Keys]()
-    seen = zip(clouds, poses, strict=True)
-    for lows in prefetched(seen, lambda args: _lows(moved(*args), args[1].translation(), reach_m), 1):
+    placed = zip(clouds, poses, strict=True)
+    for lows in prefetched(placed, lambda args: _lows(moved(*args), args[1].translation(), reach_m), 1):
         waiting.append(lows)
         if len(waiting) == BATCH:
             batches.append(_quantiles(np.concatenate(waiting), 0.5))

@@ -68,8 +68,8 @@ def lidar_grids(
     builder = LayerBuilder(settings)
 
     def placed() -> Iterator[tuple[LaserScan, gtsam.Pose2]]:
-        both = zip(scans, poses, strict=True)
-        return ((scan, pose2_from_row(pose)) for scan, pose in both if scan is not None)
+        pairs = zip(scans, poses, strict=True)
+        return ((scan, pose2_from_row(pose)) for scan, pose in pairs if scan is not None)
 
     for scan, T_map_base in placed():
         builder.add(scan, T_map_base)

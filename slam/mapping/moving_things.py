@@ -50,8 +50,8 @@ class _Sweep(NamedTuple):
         """Create it from a scan with the base at a pose (3,)."""
         laser, size = compose(pose, row_from_pose2(scan.T_base_laser)), scan.ranges_m.size
         beams, points, begun = np.empty(size, np.int32), np.empty((size, 2)), np.zeros(size + 1, np.int32)
-        seen = scan.ranges_m, scan.start_angle_rad, scan.step_rad, reach_m
-        things = _small_things(laser, *seen, GAP_M, LONGEST_M, beams, points, begun)
+        beams_of = scan.ranges_m, scan.start_angle_rad, scan.step_rad, reach_m
+        things = _small_things(laser, *beams_of, GAP_M, LONGEST_M, beams, points, begun)
         count, moves = begun[things], np.zeros((2, things), np.int8)
         small = beams[:count].copy(), points[:count].copy(), begun[: things + 1].copy()
         return cls(scan, laser, reach_m, *small, moves)
@@ -59,8 +59,8 @@ class _Sweep(NamedTuple):
     def free_in(self, other: _Sweep, free: BoolArray) -> bool:
         """Clear ``free`` (M,) where another scan did not see free space; return whether any is left."""
         scan = other.scan
-        seen = scan.ranges_m, scan.start_angle_rad, scan.step_rad, other.reach_m
-        return bool(_seen_free(self.points, other.laser, *seen, GAP_M / 2, free))
+        beams = scan.ranges_m, scan.start_angle_rad, scan.step_rad, other.reach_m
+        return bool(_seen_free(self.points, other.laser, *beams, GAP_M / 2, free))
 
     def follow(self, other: _Sweep, side: int, free: BoolArray | None = None) -> bool:
         """Mark moving objects, by those of an adjacent scan and ``free`` (M,); return whether any is new."""

@@ -236,10 +236,10 @@ def _traced(mask: BoolArray, faces: list[Face], middles_m: FloatArray, cell_m: f
     contours, _ = cv2.findContours(mask.astype(np.uint8), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
     border = max(contours, key=len)[:, 0, ::-1]
     points = middles_m[tuple(border.T)]
-    off = np.array([face.off(points) for face in faces])
+    d_m = np.array([face.off(points) for face in faces])
     # The centre of a cell inside the border is half a cell, at most half its diagonal, from the line.
-    off = np.where((off > -0.5 * cell_m) & (off < 3 * cell_m / 2), np.abs(off - 0.5 * cell_m), np.inf)
-    nearest = np.where(np.isfinite(off.min(axis=0)), np.argmin(off, axis=0), -1)
+    d_m = np.where((d_m > -0.5 * cell_m) & (d_m < 3 * cell_m / 2), np.abs(d_m - 0.5 * cell_m), np.inf)
+    nearest = np.where(np.isfinite(d_m.min(axis=0)), np.argmin(d_m, axis=0), -1)
     # A corner cell is at two lines: it belongs to that of its neighbours.
     owners = _runs(nearest, 3)
     # Between two consecutive parallel lines, the step is too short to be detected.

@@ -43,16 +43,16 @@ def _apart(
     rooms: RoomMap, outlines: dict[int, Outline], drawn: Callable[..., Outline | None]
 ) -> dict[int, Outline]:
     """Of two overlapping outlines, redraw the one with less of the overlap, outside the other."""
-    apart = dict(outlines)
+    final = dict(outlines)
     kept_out: dict[int, list[int]] = {label: [] for label in outlines}
-    pairs = list(combinations(apart, 2))
+    pairs = list(combinations(final, 2))
     for pair in pairs:
-        loser, winner = _loser(rooms, apart, *pair)
+        loser, winner = _loser(rooms, final, *pair)
         if loser and winner not in kept_out[loser]:
             kept_out[loser].append(winner)
-            apart[loser] = drawn(loser, *(apart[label] for label in kept_out[loser])) or apart[loser]
-            pairs += [(loser, label) for label in apart if label != loser]
-    return apart
+            final[loser] = drawn(loser, *(final[label] for label in kept_out[loser])) or final[loser]
+            pairs += [(loser, label) for label in final if label != loser]
+    return final
 
 
 def _loser(rooms: RoomMap, outlines: dict[int, Outline], one: int, other: int) -> tuple[int, int]:
@@ -62,8 +62,8 @@ def _loser(rooms: RoomMap, outlines: dict[int, Outline], one: int, other: int) -
     high = np.min([corner.max(axis=0) for corner in corners], axis=0)
     x, y = (np.arange(a, max(a, b), rooms.resolution_m) for a, b in zip(low, high, strict=True))
     points = np.column_stack([axis.ravel() for axis in np.meshgrid(x, y)])
-    both = rooms.at(points[inside(points, corners[0]) & inside(points, corners[1])])
-    if not len(both):
+    overlap = rooms.at(points[inside(points, corners[0]) & inside(points, corners[1])])
+    if not len(overlap):
         return 0, 0
-    first = np.count_nonzero(both == one) < np.count_nonzero(both == other)
+    first = np.count_nonzero(overlap == one) < np.count_nonzero(overlap == other)
     return (one, other) if first else (other, one)

@@ -213,10 +213,10 @@ class _InLine:
         """Return (n,) where the owners of the two parts are beside it."""
         sides = np.array([[owner[one]], [owner[other]]])
         seen, of_them = self.beside > 0, owner[self.beside] == sides
-        both = of_them.all(axis=0)
+        joined = of_them.all(axis=0)
         # Furniture may hide one side of a wall that is no thicker than one beside the gap.
-        hidden = (of_them & ~seen[::-1]).any(axis=0) & both[self.near].any()
-        return np.asarray(both | hidden)
+        hidden = (of_them & ~seen[::-1]).any(axis=0) & joined[self.near].any()
+        return np.asarray(joined | hidden)
 
 
 def _join(owner: NDArray[np.int64], areas: FloatArray, openings: Sequence[_Opening], smallest: float) -> None:
@@ -264,9 +264,9 @@ def _in_line(labels: Labels, free: BoolArray, gap: Segment, grid: OccupancyGrid)
         sides = []
         for side in (1.0, -1.0) if begin_m is gap.begin_m else (-1.0, 1.0):
             points = np.array([beyond.points(step_m, side * far) for far in asides])
-            seen = looked_up(labels, grid.cells_of(points.reshape(-1, 2))).reshape(len(asides), -1)
+            labels_met = looked_up(labels, grid.cells_of(points.reshape(-1, 2))).reshape(len(asides), -1)
             # The nearest label to the wall is beside it.
-            sides.append(seen[np.argmax(seen > 0, axis=0), np.arange(len(seen.T))])
+            sides.append(labels_met[np.argmax(labels_met > 0, axis=0), np.arange(len(labels_met.T))])
         stands = ~_open(free, beyond, grid)
         found.append(np.array(sides)[:, stands])
         cells.append(_places(beyond.points(step_m)[stands], gap, grid))

@@ -51,10 +51,10 @@ class Side:
         if self.fit is None:
             return False
         begin, end = self.fit.places(self.begin_m, self.end_m)
-        seen = self.fit.seen_m(begin, end, cell_m)
-        if len(seen) != 1:
-            return len(seen) > 1
-        reached = seen[0] == (0.0, abs(end - begin))
+        spans = self.fit.seen_m(begin, end, cell_m)
+        if len(spans) != 1:
+            return len(spans) > 1
+        reached = spans[0] == (0.0, abs(end - begin))
         return bool((reached | ~np.array(self.ends_seen)).all())
 
 
@@ -88,19 +88,19 @@ def sure_walls(sides: Sequence[Side], segments: Sequence[Segment], rooms: RoomMa
     """
     cell_m, level = rooms.resolution_m, np.cos(SAME_DIRECTION_RAD)
     labels = np.array([side.label for side in sides])
-    seen = np.array([side.fit is not None for side in sides], dtype=np.bool_)
+    is_seen = np.array([side.fit is not None for side in sides], dtype=np.bool_)
     ends = np.array([(side.begin_m, side.end_m) for side in sides]).reshape(-1, 2, 2)
     into = np.array([side.fit.offset_m if side.fit else 0.0 for side in sides])
     away, over, alike = _behind(ends, ends)
-    both = (labels[:, None] != labels) & seen & seen[:, None]
-    back = both & (alike < -level) & (over > THICKEST_WALL_M) & (np.abs(away) < THICKEST_WALL_M)
+    pairs = (labels[:, None] != labels) & is_seen & is_seen[:, None]
+    back = pairs & (alike < -level) & (over > THICKEST_WALL_M) & (np.abs(away) < THICKEST_WALL_M)
     backed = (back & _usual(away + into + into[:, None], back, cell_m)).any(axis=1)
     near = np.abs(away + into[:, None] - into) < 0.5 * cell_m
-    in_line = both & (alike > level) & (over > -THICKEST_WALL_M) & near
+    in_line = pairs & (alike > level) & (over > -THICKEST_WALL_M) & near
     whole = np.array([side.seen_whole(cell_m) for side in sides], dtype=np.bool_)
     odd = np.array([side.odd for side in sides], dtype=np.bool_)
     doubtful = odd | _hidden(ends, labels, segments, rooms)
-    return np.asarray(seen & (backed | (whole | in_line.any(axis=1)) & ~doubtful))
+    return np.asarray(is_seen & (backed | (whole | in_line.any(axis=1)) & ~doubtful))
 
 
 def _behind(ends_m: FloatArray, others_m: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:

@@ -177,11 +177,11 @@ def _integrate(  # type: ignore[no-untyped-def]
             share = (depth[v, u] - z) * per_band
             if share < -1.0:
                 continue
-            seen = float(weight[block, i])
-            newest = 1.0 / (seen + 1.0)
+            views = float(weight[block, i])
+            newest = 1.0 / (views + 1.0)
             steps = BAND_STEPS * min(share, 1.0)
-            distance[block, i] = math.floor((seen * distance[block, i] + steps) * newest + 0.5)
+            distance[block, i] = math.floor((views * distance[block, i] + steps) * newest + 0.5)
             for channel in range(3):
-                mean = seen * mean_color[block, i, channel] + COLOR_STEPS * color[v, u, channel]
+                mean = views * mean_color[block, i, channel] + COLOR_STEPS * color[v, u, channel]
                 mean_color[block, i, channel] = math.floor(mean * newest + 0.5)
-            weight[block, i] = min(seen + 1.0, MOST_WEIGHT)
+            weight[block, i] = min(views + 1.0, MOST_WEIGHT)

@@ -191,10 +191,10 @@ def _fitted(
         if len(members) < 4 or np.hypot(*np.ptp(chosen, axis=0)) < shortest_m or weights.sum() < FEWEST:
             return None, members
         middle = np.average(chosen, axis=0, weights=weights)
-        off = chosen - middle
-        values, vectors = np.linalg.eigh((off * weights[:, None]).T @ off)
+        centred = chosen - middle
+        values, vectors = np.linalg.eigh((centred * weights[:, None]).T @ centred)
         along, across = vectors[:, 1], vectors[:, 0]
-        near = np.abs(off @ across) < 0.5 * cell_m
+        near = np.abs(centred @ across) < 0.5 * cell_m
         if near.all():
             break
         members = members[near]

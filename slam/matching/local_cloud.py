@@ -120,12 +120,12 @@ class LocalCloud:
         """
         if not aligned.motion.degenerate:
             return aligned
-        pose, lever, way = aligned.found.pose, levers(aligned.found.arms_m), aligned.motion.weak_direction
-        aside = self._voxel_m * way / np.linalg.norm(lever @ way)
+        pose, lever, dof = aligned.found.pose, levers(aligned.found.arms_m), aligned.motion.weak_direction
+        aside = self._voxel_m * dof / np.linalg.norm(lever @ dof)
         for step in (aside, -aside):
             other = self._by_planes(scan, pose.compose(gtsam.Pose3.Expmap(step)))
-            off = np.inf if other is None else lever @ gtsam.Pose3.Logmap(pose.between(other.pose))
-            if np.linalg.norm(off) > 0.5 * self._voxel_m:
+            shift = np.inf if other is None else lever @ gtsam.Pose3.Logmap(pose.between(other.pose))
+            if np.linalg.norm(shift) > 0.5 * self._voxel_m:
                 return aligned
         return replace(aligned, motion=replace(aligned.motion, T_reference_base=pose))
 

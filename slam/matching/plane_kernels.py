@@ -88,8 +88,8 @@ def across(xx, xy, xz, yy, yz, zz):  # type: ignore[no-untyped-def]
     a = xx - mean
     b = yy - mean
     c = zz - mean
-    off = xy * xy + xz * xz + yz * yz
-    p = math.sqrt((a * a + b * b + c * c + 2.0 * off) / 6)
+    off_diagonal = xy * xy + xz * xz + yz * yz
+    p = math.sqrt((a * a + b * b + c * c + 2.0 * off_diagonal) / 6)
     least = mean
     middle = mean
     if p > 0.0:

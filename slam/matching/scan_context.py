@@ -74,10 +74,10 @@ class ContextBank:
     def dissimilarity(self, context: Float32Array) -> FloatArray:
         """Return (K, SECTORS) distances 0..1 of a context to each, rotated by so many sectors."""
         products = (self._columns * np.conj(_spectrum(_unit_columns(context)))).sum(axis=1)
-        seen = _seen(context)
-        counts = np.fft.irfft(self._seen * np.conj(np.fft.rfft(seen)), SECTORS).round()
+        filled = _seen(context)
+        counts = np.fft.irfft(self._seen * np.conj(np.fft.rfft(filled)), SECTORS).round()
         likeness = np.fft.irfft(products, SECTORS) / np.maximum(counts, 1.0)
-        enough = counts > 0.5 * max(float(seen.sum()), 1.0)
+        enough = counts > 0.5 * max(float(filled.sum()), 1.0)
         return np.asarray(np.where(enough, 1.0 - likeness, 1.0))
 
 

@@ -247,15 +247,15 @@ def _line_normals(  # type: ignore[no-untyped-def]
             cxx = sxx / members - mean_x * mean_x
             cxy = sxy / members - mean_x * mean_y
             cyy = syy / members - mean_y * mean_y
-            apart = cxx - cyy
-            spread = math.sqrt(apart * apart + 4.0 * cxy * cxy)
+            difference = cxx - cyy
+            spread = math.sqrt(difference * difference + 4.0 * cxy * cxy)
             long_axis = 0.5 * (cxx + cyy + spread)
             short_axis = max(0.5 * (cxx + cyy - spread), 0.0)
             thickest = _LINE_THICKNESS**2 + _LINE_THICKNESS * long_axis
             sigma_rad = math.inf
             if members > 2.5 and long_axis >= 1e-6 and short_axis <= thickest:
                 sigma_rad = math.sqrt(short_axis / (long_axis * members))
-                angle_rad = 0.5 * math.atan2(2.0 * cxy, apart)
+                angle_rad = 0.5 * math.atan2(2.0 * cxy, difference)
             if sigma_rad <= _GREATEST_NORMAL_SIGMA_RAD:
                 break
             reach *= 4

@@ -294,9 +294,9 @@ class Exports:
             )
             for n, (_, pose, points, colors, intensities) in enumerate(self._scans())
         )
-        seen = found.frames is not None or found.clouds is not None
+        has_points = found.frames is not None or found.clouds is not None
         folder = folder / "results" if folder.exists() else folder.with_suffix("")
-        return write_results_bag(folder, plan, found.trajectory, self._mounts(), clouds if seen else ())
+        return write_results_bag(folder, plan, found.trajectory, self._mounts(), clouds if has_points else ())
 
     def _write_ply(self, out: Path) -> list[Path]:
         """Write the coloured surface of the images, and the cloud of the 3D lidar."""

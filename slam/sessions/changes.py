@@ -123,20 +123,20 @@ def compare(before: Visit, after: Visit, spread: Spread, config: Config) -> Comp
         labels, count = _things(steps[own], beside[other], resolution_m)
         if not count:
             continue
-        seen = [_sightings(visit, labels, count, model, resolution_m, corner_m) for visit in visits]
+        sightings = [_sightings(visit, labels, count, model, resolution_m, corner_m) for visit in visits]
         for n, where in enumerate(ndimage.find_objects(labels)):
             cells = np.argwhere(labels[where] == n + 1) + [part.start for part in where]
             if len(cells) == 1:
                 continue  # single cells are noise
             middles_m = (cells[:, ::-1] + 0.5) * resolution_m + corner_m
-            met, through = seen[own][0][:, n].sum(), seen[own][1][:, n].sum()
+            met, through = sightings[own][0][:, n].sum(), sightings[own][1][:, n].sum()
             standing = _standing(int(met), int(through))
             if (
                 np.ptp(middles_m, axis=0).max() <= _APART_M
-                and _met_s(visits[own], seen[own][0][:, n]) < _WAITING_S
+                and _met_s(visits[own], sightings[own][0][:, n]) < _WAITING_S
             ):
                 standing = 0.0
-            witnesses = [np.flatnonzero(item[0][:, n] | item[1][:, n]) for item in seen]
+            witnesses = [np.flatnonzero(item[0][:, n] | item[1][:, n]) for item in sightings]
             covariance = spread(witnesses[0], witnesses[1], middles_m.mean(axis=0))
             there = float(special.expit(steps[own][tuple(cells.T)].mean() / STEPS_A_UNIT))
             gone = _gone(beside[other], cells, covariance, resolution_m)

@@ -148,8 +148,8 @@ def _depth(known: Map, session: Map, joined: JoinedMap, config: Config) -> Occup
     if not (known.planar or joint.grids):
         return None
     parts = ((known.contents.frames, nodes[:first]), (session.contents.frames, nodes[first:]))
-    seen = [(frames, frames.poses(poses, bases)) for frames, poses in parts if frames is not None]
-    if not seen:
+    posed = [(frames, frames.poses(poses, bases)) for frames, poses in parts if frames is not None]
+    if not posed:
         return None
-    frames, poses = (chain.from_iterable(part) for part in zip(*seen, strict=True))
+    frames, poses = (chain.from_iterable(part) for part in zip(*posed, strict=True))
     return depth_grid(frames, list(poses), config, joint.ground_m)

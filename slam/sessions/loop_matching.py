@@ -43,12 +43,12 @@ class ScanMatcher:
     """Scans on a floor; see `LoopMatcher`."""
 
     def __init__(self, known: Map, session: Map, config: Config) -> None:
-        both = ((known, 0), (session, len(known.sessions)))
+        parts = ((known, 0), (session, len(known.sessions)))
         self._closer = closer_of(
-            [scan for part, _ in both for scan in part.keyframe_scans],
-            np.concatenate([part.keyframe_poses for part, _ in both]),
-            np.concatenate([part.contents.path_m for part, _ in both]),
-            np.concatenate([first + session_numbers(part.sessions) for part, first in both]),
+            [scan for part, _ in parts for scan in part.keyframe_scans],
+            np.concatenate([part.keyframe_poses for part, _ in parts]),
+            np.concatenate([part.contents.path_m for part, _ in parts]),
+            np.concatenate([first + session_numbers(part.sessions) for part, first in parts]),
             config,
         )
         self._known, self._session, self._loops = known, session, config.loops

@@ -77,9 +77,9 @@ def changed_things(changes: Sequence[Change], cell_m: float) -> list[ChangedThin
         if alike[n, m] > _ALIKE:
             paired |= {id(old), id(new)}
             larger = max(old.cells_m, new.cells_m, key=len)
-            both = old.probability * new.probability
+            probability = old.probability * new.probability
             corners = _around(old.cells_m, cell_m), _around(new.cells_m, cell_m)
-            things.append(ChangedThing("moved", *corners, _size(larger, cell_m), both))
+            things.append(ChangedThing("moved", *corners, _size(larger, cell_m), probability))
     for change in changes:
         if id(change) not in paired:
             around, size_m = _around(change.cells_m, cell_m), _size(change.cells_m, cell_m)

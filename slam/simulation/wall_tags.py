@@ -105,7 +105,7 @@ def paint_tags(
         index = rows * width + columns
         met = np.abs(range_m[index] - wall_m) < _THICK_M * (1.0 + wall_m)
         index, columns, rows = index[met], columns[met], rows[met]
-        inside, seen = np.zeros(len(index)), np.zeros(len(index))
+        inside, brightness = np.zeros(len(index)), np.zeros(len(index))
         offsets = (np.arange(_RAYS) + 0.5) / _RAYS - 0.5
         for right in offsets:
             for down in offsets:
@@ -113,10 +113,10 @@ def paint_tags(
                 points = (rays * ((normal @ place) / (rays @ normal))[:, None] - place) @ turn
                 value, hit = _ink_at(points[:, :2], tag.cells, across)
                 inside += hit
-                seen += value * hit
+                brightness += value * hit
         share = (inside / _RAYS**2)[:, None]
         light = 0.66 + 0.3 * share  # brightness of paper, independent of the wall
-        drawn = np.where(inside > 0, seen / np.maximum(inside, 1), 0.0)[:, None]
+        drawn = np.where(inside > 0, brightness / np.maximum(inside, 1), 0.0)[:, None]
         image[index] = (1.0 - share) * image[index] + share * light * drawn
 
 

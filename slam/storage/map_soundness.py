@@ -174,8 +174,8 @@ def _are_covariances(values: FloatArray) -> bool:
     """Return whether (..., d, d) matrices are finite, symmetric and positive definite."""
     if not np.isfinite(values).all():
         return False
-    off = np.abs(values - values.swapaxes(-1, -2)).max((-1, -2))
-    if (off > _ROUNDING * np.abs(values).max((-1, -2))).any():
+    asymmetry = np.abs(values - values.swapaxes(-1, -2)).max((-1, -2))
+    if (asymmetry > _ROUNDING * np.abs(values).max((-1, -2))).any():
         return False
     try:
         np.linalg.cholesky(values)

@@ -238,8 +238,8 @@ def _unpack(content: bytes, at: int, depth: int) -> tuple[Any, int]:
     if tag == b"3":
         rows = np.array(_POSE3.unpack_from(content, at)).reshape(3, 4)
         turn = rows[:, :3]
-        off = np.abs(turn @ turn.T - np.eye(3)).max() if np.abs(rows).max() < _FARTHEST_M else np.inf
-        if not (off < _ROUNDING and np.linalg.det(turn) > 0.0):
+        error = np.abs(turn @ turn.T - np.eye(3)).max() if np.abs(rows).max() < _FARTHEST_M else np.inf
+        if not (error < _ROUNDING and np.linalg.det(turn) > 0.0):
             raise ValueError("not a pose")
         return gtsam.Pose3(gtsam.Rot3(rows[:, :3]), rows[:, 3]), at + 96
     if tag not in _PLAIN:

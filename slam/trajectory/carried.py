@@ -156,13 +156,13 @@ def late_covariances(trajectory: Trajectory, held: int, sessions: Sequence[tuple
     )
     x, y, _ = _from(trajectory, np.full(len(trajectory), held)).T
     along_x, along_y, turn = speeds[held]
-    held_off = sessions[0][1] * np.column_stack(
+    held_errors = sessions[0][1] * np.column_stack(
         [along_x - turn * y, along_y + turn * x, np.full_like(x, turn)]
     )
-    off = np.repeat([sigma_s for _, sigma_s in sessions], np.diff(ends, prepend=0))[:, None] * speeds
-    off[: ends[0]] -= held_off[: ends[0]]
-    held_off[: ends[0]] = 0.0
-    return np.einsum("kni,knj->nij", [off, held_off], [off, held_off])
+    errors = np.repeat([sigma_s for _, sigma_s in sessions], np.diff(ends, prepend=0))[:, None] * speeds
+    errors[: ends[0]] -= held_errors[: ends[0]]
+    held_errors[: ends[0]] = 0.0
+    return np.einsum("kni,knj->nij", [errors, held_errors], [errors, held_errors])
 
 
 def _speeds(trajectory: Trajectory) -> FloatArray:

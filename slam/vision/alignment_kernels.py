@@ -149,14 +149,14 @@ def _judge(  # type: ignore[no-untyped-def]
         seen[i] = one if known else seen[i]
         depth = one / (inverse[i] if known else one)
         aside = nx[i] * (x[i] - du[i] * inverse_fx * depth) + ny[i] * (y[i] - dv[i] * inverse_fy * depth)
-        off = aside + nz[i] * (z[i] - depth)
+        residual = aside + nz[i] * (z[i] - depth)
         square = z[i] * z[i]
         near = known & (weight[i] > nothing) & (abs(z[i] - depth) <= gate_m * max(one, square))
         inverse_sigma = one / (floor_m + share * square)
-        sigmas = abs(off) * inverse_sigma
+        sigmas = abs(residual) * inverse_sigma
         tail = sigmas * inverse_kernel
         root = inverse_sigma / (one + tail * tail)
-        distance[i] = off
+        distance[i] = residual
         residuals[i] = min(residuals[i], sigmas if near else never)
         weight[i] = root * root if near else nothing
 

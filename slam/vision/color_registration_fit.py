@@ -127,7 +127,7 @@ def _cross_validate(problem: Problem, own: BoolArray) -> _Half:
     )
 
 
-def _refusal(halves: Sequence[_Half], gain: float, apart: float, depth: CameraIntrinsics) -> str:
+def _refusal(halves: Sequence[_Half], gain: float, disagreement: float, depth: CameraIntrinsics) -> str:
     """Return why the registration must not be used; empty if the evidence is clear."""
     clear = _standard_errors(np.concatenate([half.gains for half in halves]))
     over_rescaled = _standard_errors(np.concatenate([half.gains_over_rescaled for half in halves]))
@@ -141,8 +141,8 @@ def _refusal(halves: Sequence[_Half], gain: float, apart: float, depth: CameraIn
         return f"other intrinsics explain it as well ({over_rescaled:.1f} standard errors): check them"
     if min(moves) < MATCH_PX:
         return f"another camera moves pixels by {min(moves):.1f}, {MATCH_PX} are asked"
-    if apart > _MOST_APART * min(moves):
-        return f"halves of the log disagree by {apart:.1f} pixels on a move of {min(moves):.1f}"
+    if disagreement > _MOST_APART * min(moves):
+        return f"halves of the log disagree by {disagreement:.1f} pixels on a move of {min(moves):.1f}"
     return ""
 
 

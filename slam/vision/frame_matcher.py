@@ -107,8 +107,8 @@ class FrameMatcher:
             pairs = pairs.where(known.depth_m[pairs.first] > 0.0)
             points.append(odom[pairs.first])
             pixels.append(frame.features.pixels[pairs.second].astype(np.float64))
-            both = np.hypot(known.sigma_px[pairs.first], frame.features.sigma_px[pairs.second])
-            sigmas.append(both / np.sqrt(2.0))
+            sigma_px = np.hypot(known.sigma_px[pairs.first], frame.features.sigma_px[pairs.second])
+            sigmas.append(sigma_px / np.sqrt(2.0))
         return Landmarks(np.concatenate(points), np.concatenate(pixels), np.concatenate(sigmas))
 
     def _pairs(
@@ -116,14 +116,14 @@ class FrameMatcher:
     ) -> Matches:
         """Return matched features of a keyframe and the frame."""
         config = self._config
-        seen = frame.features
+        now = frame.features
         if guess is None:
-            return match_features(known.descriptors, seen.descriptors, config.match_ratio, config.match_bits)
+            return match_features(known.descriptors, now.descriptors, config.match_ratio, config.match_bits)
         k = frame.frame.intrinsics
         expected = project(points_odom, guess.inverse(), k)
         expected[known.depth_m <= 0.0] = np.nan
         radius_px = config.guided_radius * k.width
-        return match_near(known, expected, seen, radius_px, config.match_ratio, config.match_bits)
+        return match_near(known, expected, now, radius_px, config.match_ratio, config.match_bits)
 
     def _align(
         self,

@@ -134,8 +134,8 @@ def _refined(gray: NDArray[np.uint8], corners: FloatArray, cells: int) -> FloatA
         values = _bilinear(gray, points[:, :, None] + across[:, None, :, None] * outward[:, None, None])
         rise = np.maximum(np.diff(values, axis=2), 0.0) + TINY
         middles = 0.5 * (across[:, 1:] + across[:, :-1])
-        off = np.sum(rise * middles[:, None], axis=2) / rise.sum(axis=2)
-        slope, shift = np.polyfit(along - 0.5, off.T, 1)
+        offsets = np.sum(rise * middles[:, None], axis=2) / rise.sum(axis=2)
+        slope, shift = np.polyfit(along - 0.5, offsets.T, 1)
         # A line by its end points.
         first = corners + (shift - 0.5 * slope)[:, None] * outward
         last = ends + (shift + 0.5 * slope)[:, None] * outward

@@ -99,9 +99,9 @@ def _pose_of_extrinsics(message: Any, *, by_columns: bool) -> gtsam.Pose3:
     rotation = np.asarray(message.rotation, dtype=np.float64).reshape(3, 3)
     matrix[:3, :3] = rotation.T if by_columns else rotation
     translation = np.asarray(message.translation, dtype=np.float64)
-    apart = float(np.linalg.norm(translation))
-    matrix[:3, 3] = translation if apart < _FARTHEST_M else translation / 1000.0
-    if not math.isfinite(apart):
+    length = float(np.linalg.norm(translation))
+    matrix[:3, 3] = translation if length < _FARTHEST_M else translation / 1000.0
+    if not math.isfinite(length):
         raise ValueError(f"translation {translation}")
     return pose_from_matrix(matrix)
 
