@@ -149,17 +149,17 @@ def pixel_candidates(
     depth = image.ravel()
     islands = (image, np.zeros(depth.size, np.int32), np.empty(max(most_pixels) + 1, np.int32))
     predicted, columns = shifted[0], shifted.shape[1]
-    residual, gone, farthest = np.empty(columns), np.zeros(columns + 1, np.int32), np.float32(0.0)
+    residual, nans, farthest = np.empty(columns), np.zeros(columns + 1, np.int32), np.float32(0.0)
     for value in depth:
         if farthest < value <= range_max_m:
             farthest = value
-    rows, curves = (np.empty((256, 14)), 0), (shifted, lost, residual, gone)
+    rows, curves = (np.empty((256, 14)), 0), (shifted, lost, residual, nans)
     limits = range_max_m, farthest, eps_share, noise_share
     for k in range(heights_m.size):
         seen = look_at(depth, lookup[0], lookup[1], lookup[2], predicted, heights_m[k], range_max_m)
         pixel, measured = seen[0], seen[1]
         for i in range(columns):
-            gone[i + 1] = gone[i] + (pixel[i] >= 0 and np.isnan(measured[i]))
+            nans[i + 1] = nans[i] + (pixel[i] >= 0 and np.isnan(measured[i]))
             residual[i] = measured[i] - predicted[i] if pixel[i] >= 0 else np.nan
         first = 0
         while first < columns:
@@ -189,7 +189,7 @@ def _with_run(
 ) -> tuple[FloatArray, int]:
     """Add one more run of columns to the rows of `pixel_candidates`; return the rows and their number."""
     (found, count), (first, last, crowd), (pixel, measured, scale) = rows, run, seen
-    (shifted, lost, residual, gone), (range_max_m, farthest, eps_share, noise_share) = curves, limits
+    (shifted, lost, residual, nans), (range_max_m, farthest, eps_share, noise_share) = curves, limits
     predicted, columns = shifted[0], shifted.shape[1]
     left = first > 0 and abs(residual[first - 1]) <= eps_share * predicted[first - 1]
     right = last + 1 < columns and abs(residual[last + 1]) <= eps_share * predicted[last + 1]
@@ -211,13 +211,13 @@ def _with_run(
         if put > range_max_m * scale[i]:
             continue
         low, high = max(0, i - crowd), min(columns, i + crowd + 1)
-        around = gone[high] - gone[low] - gone[min(high, last + 1)] + gone[max(low, first)]
+        around = nans[high] - nans[low] - nans[min(high, last + 1)] + nans[max(low, first)]
         jump = 0.0 if hole else over_noise(measured[i] - put, put, eps_share)
-        beside = max(abs(shifted[1, i] - predicted[i]), abs(shifted[2, i] - predicted[i]))
+        error = max(abs(shifted[1, i] - predicted[i]), abs(shifted[2, i] - predicted[i]))
         row[1], row[2], row[3] = 0.0 if hole else 1.0, put / scale[i], math.log(width)
         row[4], row[5] = over_noise(max(abs(before), abs(after)), put, eps_share), math.log(1.0 + around)
         row[6], row[7] = lost[i], jump if hole or measured[i] > put else -jump
-        row[8] = over_noise(put if np.isnan(beside) else beside, put, eps_share)
+        row[8] = over_noise(put if np.isnan(error) else error, put, eps_share)
         row[9], row[10] = math.log(put), math.log(row[2] / farthest)
         row[11] = math.log(SLACK_M + noise_share * put)
         row[12], row[13] = _beside(i, pixel[i], put, islands[0].ravel(), lookup, range_max_m, eps_share)

@@ -54,11 +54,11 @@ class HeightContest:
         values = np.linalg.lstsq(laplacian + 1e-6 * np.eye(cover.size), self._gain.sum(axis=1), rcond=None)[0]
         values = np.where(cover > LEAST_COVER * cover.max(), values, -np.inf)
         best = int(np.argmax(values))
-        near = values >= values[best] - _AS_GOOD
+        is_good = values >= values[best] - _AS_GOOD
         first = last = best
-        while first > 0 and near[first - 1] and best - first < _MOST_STEPS:
+        while first > 0 and is_good[first - 1] and best - first < _MOST_STEPS:
             first -= 1
-        while last + 1 < cover.size and near[last + 1] and last - best < _MOST_STEPS:
+        while last + 1 < cover.size and is_good[last + 1] and last - best < _MOST_STEPS:
             last += 1
         return best, first, last
 

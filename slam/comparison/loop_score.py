@@ -50,8 +50,8 @@ def _is_right(loop: AcceptedLoop, truth: Trajectory) -> bool:
     if not reported.all():
         return False
     moved = between(*poses)
-    near = float(np.linalg.norm(moved[:2] - loop.xyt[:2])) <= RIGHT_WITHIN_M
-    return near and abs(wrap(moved[2] - loop.xyt[2])) <= RIGHT_WITHIN_RAD
+    position_fits = float(np.linalg.norm(moved[:2] - loop.xyt[:2])) <= RIGHT_WITHIN_M
+    return position_fits and abs(wrap(moved[2] - loop.xyt[2])) <= RIGHT_WITHIN_RAD
 
 
 def _revisits(poses: FloatArray, path_m: FloatArray) -> BoolArray:

@@ -101,5 +101,5 @@ def to_be_seen(truth: TrueGrid, true_xy: FloatArray) -> Cells:
     floor = np.isin(labels, driven[driven > 0])
     if not passed.any():
         return np.zeros_like(passed)
-    near = ndimage.distance_transform_edt(~passed) * truth.resolution_m <= REACH_M
-    return np.asarray(truth.occupied & ndimage.binary_dilation(floor, _AROUND) & near)
+    in_reach = ndimage.distance_transform_edt(~passed) * truth.resolution_m <= REACH_M
+    return np.asarray(truth.occupied & ndimage.binary_dilation(floor, _AROUND) & in_reach)

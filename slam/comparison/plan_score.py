@@ -63,7 +63,7 @@ def plan_scores(
     driven = np.zeros(region.shape, dtype=bool)
     driven[tuple(path_cells[_inside(path_cells, region.shape)].T)] = True
     reachable: Cells = np.isin(region, np.setdiff1d(region[driven], 0))
-    near = ndimage.distance_transform_edt(~driven) * resolution <= REACH_M
+    in_reach = ndimage.distance_transform_edt(~driven) * resolution <= REACH_M
 
     space = free_space(found.states, found.resolution_m, found.T_map_grid, radius_m)
     starts = np.unique([space.cell_of((x, y)) for x, y in map_xy[::_EVERY]], axis=0)
@@ -82,7 +82,7 @@ def plan_scores(
 
     scores = {
         name: float(at(wanted, goals).sum() / max(wanted.sum(), 1))
-        for name, wanted in (("reach", reachable), ("reach_near", reachable & near))
+        for name, wanted in (("reach", reachable), ("reach_near", reachable & in_reach))
     }
     scores["danger"] = float(at(truth.occupied, np.argwhere(found.states == FREE)).sum())
     if len(starts):

@@ -127,12 +127,12 @@ def _nearest_key(model: type[BaseModel], dotted: str) -> str:
     paths = list(_all_paths(model))
     # Only last names are compared: a long shared section would make every key in it look similar.
     anywhere = {path.rpartition(".")[2]: path for path in paths}
-    beside = {path.rpartition(".")[2]: path for path in paths if path.rpartition(".")[0] == section}
-    for candidates in ({name: anywhere[name]} if name in anywhere else {}, beside, anywhere):
+    in_section = {path.rpartition(".")[2]: path for path in paths if path.rpartition(".")[0] == section}
+    for candidates in ({name: anywhere[name]} if name in anywhere else {}, in_section, anywhere):
         match = difflib.get_close_matches(name, candidates, n=1)
         if match:
             return f"; did you mean '{candidates[match[0]]}'?"
-    return f"; valid here: {', '.join(beside.values())}"
+    return f"; valid here: {', '.join(in_section.values())}"
 
 
 def _all_paths(model: type[BaseModel], prefix: str = "") -> Iterator[str]:

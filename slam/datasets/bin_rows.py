@@ -58,5 +58,5 @@ def _period(values: Sequence[FloatArray]) -> int:
     scaled = [np.arcsinh(np.nan_to_num(row, posinf=0.0, neginf=0.0)) for row in values]
     counts = range(_FEWEST_FIELDS, len(_FIELDS) + 1)
     diffs = [np.mean([np.abs(row[count:] - row[:-count]).mean() for row in scaled]) for count in counts]
-    near = [count for count, row in zip(counts, diffs, strict=True) if row <= min(diffs) * (1 + 1 / FEWEST)]
-    return near[0]
+    good = [count for count, row in zip(counts, diffs, strict=True) if row <= min(diffs) * (1 + 1 / FEWEST)]
+    return good[0]

@@ -128,8 +128,8 @@ def read_messages(
                 for measurement in decoder.decode(message, number):
                     yield number, measurement
         except RecordFault as fault:
-            whole = line.endswith(b"\n")
-            account.refuse(fault if whole else RecordFault(TRUNCATED, str(fault)), where, number)
+            is_complete = line.endswith(b"\n")
+            account.refuse(fault if is_complete else RecordFault(TRUNCATED, str(fault)), where, number)
 
 
 class _Decoder:

@@ -125,8 +125,8 @@ def repeats(before: Measurement | None, now: Measurement) -> bool:
         halves = ((before.color, now.color), (before.depth_m, now.depth_m))
         return any(np.array_equal(*half) and bool(np.ptp(half[0])) for half in halves)
     if isinstance(before, PointCloud) and isinstance(now, PointCloud):
-        again = before.stamp_s == now.stamp_s or np.array_equal(before.points_lidar, now.points_lidar)
-        return again or begins_early(before, now)
+        is_copy = before.stamp_s == now.stamp_s or np.array_equal(before.points_lidar, now.points_lidar)
+        return is_copy or begins_early(before, now)
     if isinstance(before, ImuReading) and isinstance(now, ImuReading):
         same = np.array_equal(before.gyro_rad_s, now.gyro_rad_s)
         return same and np.array_equal(before.specific_force_m_s2, now.specific_force_m_s2)

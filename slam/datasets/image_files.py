@@ -71,10 +71,10 @@ class ImageFiles:
         """See `ImageSource`."""
         content = file_content(file.path, budget)
         depth_m = depth_of(content, file.path.name, calibration, budget, float_png=self.float_png)
-        if self.confidence and (beside := self.confidence / file.path.name).is_file():
-            trust = decoded(file_content(beside, budget), beside.name, budget)
+        if self.confidence and (trust_file := self.confidence / file.path.name).is_file():
+            trust = decoded(file_content(trust_file, budget), trust_file.name, budget)
             if trust.shape != depth_m.shape:
-                raise RecordFault(OTHER_CONFIDENCE, f"{beside.name}: {trust.shape}, {depth_m.shape}")
+                raise RecordFault(OTHER_CONFIDENCE, f"{trust_file.name}: {trust.shape}, {depth_m.shape}")
             depth_m[trust == 0] = 0.0
         return depth_m
 

@@ -101,8 +101,8 @@ def _stamps(path: Path, account: Account) -> Iterator[tuple[int, float]]:
         text = line.decode("ascii", "replace").strip()
         try:
             moment, _, fraction = text.partition(".")
-            whole = datetime.strptime(moment, "%Y-%m-%d %H:%M:%S").replace(tzinfo=UTC).timestamp()
-            yield number - 1, whole + float(f"0.{fraction or 0}")
+            seconds = datetime.strptime(moment, "%Y-%m-%d %H:%M:%S").replace(tzinfo=UTC).timestamp()
+            yield number - 1, seconds + float(f"0.{fraction or 0}")
         except ValueError as error:
             if text:
                 account.refuse(RecordFault(BAD_STAMP, str(error)), path.name, number)

@@ -83,8 +83,8 @@ class _Dumps:
             raise RecordFault(NOT_16_BIT, f"{file.path.name}: {steps.dtype} {steps.shape}")
         steps = steps.byteswap()
         known = (steps >= _FIRST_STEP) & (steps < INFINITE - SCALE / _FARTHEST_M) & (steps != _NO_STEP)
-        away = np.where(known, np.float32(INFINITE) - steps, np.float32(np.inf))
-        self._latest = self._camera.flat_depth((np.float32(SCALE) / away).astype(np.float32))
+        disparity = np.where(known, np.float32(INFINITE) - steps, np.float32(np.inf))
+        self._latest = self._camera.flat_depth((np.float32(SCALE) / disparity).astype(np.float32))
         return self._latest
 
     def color(self, file: StampedFile, budget: Budget) -> ColorImage:

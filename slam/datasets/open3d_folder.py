@@ -103,9 +103,9 @@ def _camera(path: Path, account: Account) -> Camera:
     sun3d = places[0].name == "image" and (path / "intrinsics.txt").is_file()
     source = _RotatedDepth() if sun3d else FILES
     calibration = _calibration(path)
-    odd = [file.name for name, file in (*colors, *depths) if not _NUMBER.fullmatch(name)]
-    if 2 * len(odd) < len(colors) + len(depths):
-        for name in odd:
+    unnumbered = [file.name for name, file in (*colors, *depths) if not _NUMBER.fullmatch(name)]
+    if 2 * len(unnumbered) < len(colors) + len(depths):
+        for name in unnumbered:
             account.refuse(RecordFault(NO_NUMBER, name), path.name, 0)
         account.report.note(NO_STAMPS.format(rate=RATE_HZ), 1)
         numbered = [numbered_files(place, _NUMBER.pattern + r"\.(?:png|jpe?g)") for place in places]

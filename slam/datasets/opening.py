@@ -158,8 +158,8 @@ def _meant(path: Path) -> str:
     """Suggestions for a path that does not exist."""
     folder = path.parent
     names = [entry.name for entry in islice(folder.iterdir(), _LOOKED_AT)] if folder.is_dir() else []
-    near = [str(folder / name) for name in get_close_matches(path.name, names)]
-    return f"did you mean {' or '.join(near)}?" if near else "give the path of a log"
+    similar = [str(folder / name) for name in get_close_matches(path.name, names)]
+    return f"did you mean {' or '.join(similar)}?" if similar else "give the path of a log"
 
 
 def _what_is_wrong(folder: Path) -> str:

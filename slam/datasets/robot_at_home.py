@@ -138,8 +138,8 @@ def _both_trees(path: Path) -> list[Path]:
     other = other.replace(scans, images) if scans in other else other.replace(images, scans)
     room = Path(other)
     # A room is a folder in the tree of scans, and a file in the tree of images.
-    beside = room.parent / f"{room.name}_rgbd.txt"
-    return [path, *(found for found in (room, beside) if found != path.resolve() and found.exists())]
+    rgbd = room.parent / f"{room.name}_rgbd.txt"
+    return [path, *(found for found in (room, rgbd) if found != path.resolve() and found.exists())]
 
 
 def _indexes(path: Path) -> Iterator[Path]:

@@ -109,10 +109,10 @@ class _Database:
         """See `slam.datasets.image_files.ImageSource`."""
         content = self.blob("depth", file.number, budget)
         if content.startswith(_RUNS):
-            whole = metres_of(unpacked(content[len(_RUNS) :], budget), calibration)
+            depth_m = metres_of(unpacked(content[len(_RUNS) :], budget), calibration)
         else:
-            whole = depth_of(content, f"node {file.number}", calibration, budget, float_png=True)
-        return np.ascontiguousarray(_part(whole, file.path))
+            depth_m = depth_of(content, f"node {file.number}", calibration, budget, float_png=True)
+        return np.ascontiguousarray(_part(depth_m, file.path))
 
 
 def looks_like_rtabmap_database(path: Path, head: bytes) -> bool:

@@ -65,8 +65,8 @@ def straight(scan: LaserScan, twist: FloatArray, turn_s: float, cut_rad: float) 
         As for `turn_times`.
     """
     twist = scan.T_base_laser.inverse().AdjointMap() @ twist
-    bearings, met = scan.bearings_rad(), np.isfinite(scan.ranges_m)
-    ranges_m = np.where(met, scan.ranges_m, scan.range_max_m).astype(np.float64)
+    bearings, hit = scan.bearings_rad(), np.isfinite(scan.ranges_m)
+    ranges_m = np.where(hit, scan.ranges_m, scan.range_max_m).astype(np.float64)
     times_s = turn_times(np.column_stack([np.cos(bearings), np.sin(bearings)]), turn_s, cut_rad)
     times_s += middle_s(scan)
     # As complex numbers: translated along the chord, rotated by the full angle.
@@ -82,13 +82,13 @@ def straight(scan: LaserScan, twist: FloatArray, turn_s: float, cut_rad: float) 
     gaps = np.abs(angles[ends] - bearings)
     near_m, other = far_m[order[ends]]
     step_rad = abs(scan.step_rad)
-    on_one = met[order[ends]].all(axis=0)
+    on_one = hit[order[ends]].all(axis=0)
     on_one &= np.abs(other - near_m) < _STEEPEST * step_rad * np.minimum(near_m, other)
     # Interpolate inverse range linearly, as for a straight wall.
     with np.errstate(divide="ignore", invalid="ignore"):
         between_m = near_m * other * gaps.sum(axis=0) / (gaps[0] * near_m + gaps[1] * other)
     nearest = order[np.where(gaps[0] < gaps[1], after - 1, after)]
-    found = np.where(met, far_m, scan.ranges_m)[nearest]
+    found = np.where(hit, far_m, scan.ranges_m)[nearest]
     found = np.where(on_one & np.isfinite(between_m), between_m, found)
     found[gaps.min(axis=0) > step_rad] = np.nan
     return replace(scan, ranges_m=found.astype(np.float32), beam_s=0.0)

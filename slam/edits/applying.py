@@ -113,7 +113,7 @@ def _with_regions(known: Known, edits: Edits, config: Config) -> tuple[dict[Evid
     saw[[frames.head(at).node if kind == "frame" and frames else at for kind, at in erased]] = True
     for area, cut in zip(edits.erase, cuts, strict=False):
         name, later = area.name or "", float(area.later)
-        regions.append(held("erase", cut.polygon, poses, name=name, value=later, near=saw))
+        regions.append(held("erase", cut.polygon, poses, name=name, value=later, candidates=saw))
     if edits.crop is not None:
         regions.append(held("crop", np.array(edits.crop), poses, value=1.0))
     regions += [held("keep_out", np.array(zone.polygon), poses, name=zone.name) for zone in edits.keep_out]

@@ -76,14 +76,14 @@ def _beams(scan: LaserScan, pose: FloatArray, cuts: Sequence[Cut], config: Confi
     """Return (N,) which beams of a scan hit something that is removed."""
     ranges = scan.ranges_m.astype(np.float64)
     limit_m = min(config.scan.range_max_m, scan.range_max_m)
-    met = np.flatnonzero((ranges > 0.0) & (ranges <= limit_m) & np.isfinite(ranges))
-    bearings = scan.bearings_rad()[met]
-    ends = ranges[met, None] * np.column_stack([np.cos(bearings), np.sin(bearings)])
+    hits = np.flatnonzero((ranges > 0.0) & (ranges <= limit_m) & np.isfinite(ranges))
+    bearings = scan.bearings_rad()[hits]
+    ends = ranges[hits, None] * np.column_stack([np.cos(bearings), np.sin(bearings)])
     ends = transform_points(ends, compose(pose, row_from_pose2(scan.T_base_laser)))
-    gone = np.zeros(len(ranges), np.bool_)
+    is_cut = np.zeros(len(ranges), np.bool_)
     for cut in cuts:
-        gone[met] |= cut.takes(ends)
-    return gone
+        is_cut[hits] |= cut.takes(ends)
+    return is_cut
 
 
 def _in_space(contents: MapContents, first: int) -> Iterator[tuple[Evidence, FloatArray, float | None]]:
@@ -132,6 +132,6 @@ def scans_without(scans: Sequence[LaserScan | None], erased: Mapping[int, bytes]
     for node, bits in erased.items():
         scan = scans[node]
         if scan is not None:
-            gone = mask_of(bits, scan.ranges_m.size)
-            left[node] = replace(scan, ranges_m=np.where(gone, -scan.ranges_m, scan.ranges_m))
+            is_cut = mask_of(bits, scan.ranges_m.size)
+            left[node] = replace(scan, ranges_m=np.where(is_cut, -scan.ranges_m, scan.ranges_m))
     return left

@@ -66,10 +66,10 @@ def remade_config(before: Config, entries: Sequence[AppliedEdits]) -> Config:
 
 def turned_by(entries: Sequence[AppliedEdits]) -> gtsam.Pose2:
     """Return ``T_new_old`` of all edits together."""
-    whole = gtsam.Pose2()
+    total = gtsam.Pose2()
     for entry in entries:
-        whole = whole if entry.turned is None else entry.turned.compose(whole)
-    return whole
+        total = total if entry.turned is None else entry.turned.compose(total)
+    return total
 
 
 def remade(

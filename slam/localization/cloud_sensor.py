@@ -114,13 +114,13 @@ class CloudSensor:
     def weigh(self, pose: Pose, novel: CloudView, motion: MotionEstimate | None = None) -> float:
         """See `Sensor`. The beams of a vertical column count as one, since walls are upright."""
         points, verdicts = self.judged(pose, novel)
-        said = np.any(verdicts, axis=0)
-        if not said.any():
+        informed = np.any(verdicts, axis=0)
+        if not informed.any():
             return 0.0
         nats = float(np.array([_EXPLAINED_NATS, _IN_FREE_NATS, _CROSSING_NATS]) @ np.sum(verdicts, axis=1))
-        cells = np.floor(points[said, :2] / self._general.novel_cell_m).astype(np.int64)
+        cells = np.floor(points[informed, :2] / self._general.novel_cell_m).astype(np.int64)
         columns = len(np.unique(cell_keys(cells)))
-        return novel.novel_share * nats / float(said.sum()) * columns / self._general.correlated_cells
+        return novel.novel_share * nats / float(informed.sum()) * columns / self._general.correlated_cells
 
     def judged(self, pose: Pose, view: CloudView) -> tuple[FloatArray, BeamVerdicts]:
         """Return some points of a cloud, (N, 3), base frame, and how their beams judge ``T_map_base``."""

@@ -103,9 +103,9 @@ def search_map(
     yaws: FloatArray = np.arange(turns, dtype=np.float64) * (2.0 * math.pi / turns)
     if window is not None:
         # In order, since they are searched in blocks.
-        away = (yaws - window.yaw + np.pi) % (2.0 * np.pi) - np.pi
-        order = np.argsort(away)
-        yaws = yaws[order[np.abs(away[order]) <= window.half_yaw]]
+        turned = (yaws - window.yaw + np.pi) % (2.0 * np.pi) - np.pi
+        order = np.argsort(turned)
+        yaws = yaws[order[np.abs(turned[order]) <= window.half_yaw]]
     columns, rows = _rotated_pixels(np.asarray(points, np.float64), yaws, field.cell_m)
     with ThreadPoolExecutor(threads) as pool:
         search = _Search(field, columns, rows, pool, threads, window)
@@ -132,9 +132,9 @@ def _apart(poses: FloatArray, most: int) -> list[int]:
     while len(chosen) < most and left.any():
         n = int(left.argmax())
         chosen.append(n)
-        far = np.hypot(poses[:, 0] - poses[n, 0], poses[:, 1] - poses[n, 1]) > SAME_M
+        is_far = np.hypot(poses[:, 0] - poses[n, 0], poses[:, 1] - poses[n, 1]) > SAME_M
         turn = np.abs((poses[:, 2] - poses[n, 2] + np.pi) % (2.0 * np.pi) - np.pi)
-        left &= far | (turn > SAME_RAD)
+        left &= is_far | (turn > SAME_RAD)
     return chosen
 
 

@@ -51,11 +51,11 @@ class Hypothesis:
 
     def total(self, kidnap_nats: float) -> float:
         """Return the evidence of the path, or only of its end if the robot was kidnapped in between."""
-        whole = best = 0.0
+        total = best = 0.0
         for nats in reversed(self.evidence):
-            whole += nats
-            best = max(best, whole)
-        return self.prior + max(whole, best - kidnap_nats)
+            total += nats
+            best = max(best, total)
+        return self.prior + max(total, best - kidnap_nats)
 
 
 def correction(

@@ -75,10 +75,10 @@ class Walls:
         """A tile, of the keyframes near its middle: what is seen from there, as it was seen."""
         middle = (np.array([column, row]) + 0.5) * self._tile_m
         if self._drawn is not None:
-            near = np.abs(self._drawn.points - middle).max(axis=1, initial=0.0) <= 1.5 * self._tile_m
-            return LocalMap.build([self._drawn.only(near)], self._config.match)
-        near = np.hypot(*(self._poses[:, :2] - middle).T) <= _TILE_REACH_M
-        parts = [view.oriented.moved(self._poses[k]) for k, view in self._views.items() if near[k]]
+            in_tile = np.abs(self._drawn.points - middle).max(axis=1, initial=0.0) <= 1.5 * self._tile_m
+            return LocalMap.build([self._drawn.only(in_tile)], self._config.match)
+        in_tile = np.hypot(*(self._poses[:, :2] - middle).T) <= _TILE_REACH_M
+        parts = [view.oriented.moved(self._poses[k]) for k, view in self._views.items() if in_tile[k]]
         return LocalMap.build(parts or [OrientedPoints.none()], self._config.match)
 
     @cached_property

@@ -95,8 +95,8 @@ class PlanarSensor:
         first, cells = first_in_cells(points, self._settings.novel_cell_m)
         old_keys: frozenset[int] = frozenset().union(*(earlier.novel.keys for earlier in before or ()))
         # A cell beside a known one may be the same surface with a small error.
-        beside = (cells[:, None, :] + _AROUND).reshape(-1, 2)
-        known = np.array([key in old_keys for key in cell_keys(beside).tolist()], np.bool_)
+        around = (cells[:, None, :] + _AROUND).reshape(-1, 2)
+        known = np.array([key in old_keys for key in cell_keys(around).tolist()], np.bool_)
         new = ~known.reshape(-1, len(_AROUND)).any(axis=1)
         return NovelSurfaces(
             view.oriented.only(first[new]), view.laser, frozenset(cell_keys(cells).tolist()) - old_keys

@@ -45,15 +45,15 @@ def position_sigma_m(known: Measured) -> float:
     return math.sqrt(float(np.linalg.eigvalsh(position)[-1]))
 
 
-def mixed(near: Pose, poses: Sequence[Measured], weights: FloatArray) -> Measured:
+def mixed(origin: Pose, poses: Sequence[Measured], weights: FloatArray) -> Measured:
     """Return mean and covariance of near poses of which one is true, with probabilities (n,)."""
-    apart_ = np.array([logarithm(motion_between(near, item.pose)) for item in poses])
+    apart_ = np.array([logarithm(motion_between(origin, item.pose)) for item in poses])
     mean = weights @ apart_
     scatter = (weights[:, None] * (apart_ - mean)).T @ (apart_ - mean)
     covariance = scatter + np.tensordot(weights, [item.covariance for item in poses], 1)
-    planar = isinstance(near, gtsam.Pose2)
+    planar = isinstance(origin, gtsam.Pose2)
     step = gtsam.Pose2.Expmap(mean) if planar else gtsam.Pose3.Expmap(mean)
-    return Measured(composed(near, step), covariance)
+    return Measured(composed(origin, step), covariance)
 
 
 def same_place(one: Pose, other: Pose) -> bool:

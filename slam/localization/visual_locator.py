@@ -123,13 +123,13 @@ class VisualLocator:
 
     def _alike(self, depth_m: float, guess: gtsam.Pose3) -> list[int]:
         """Return keyframes whose cameras see most of what a camera at the guess sees, best first."""
-        far = np.linalg.norm(self._positions - guess.translation(), axis=1) / depth_m
+        distance = np.linalg.norm(self._positions - guess.translation(), axis=1) / depth_m
         facing = self._axes @ guess.rotation().matrix()[:, 2]
         limit = self._images.near_dissimilarity
-        possible = np.flatnonzero((far < limit) & (facing > 0.5)).tolist()
+        possible = np.flatnonzero((distance < limit) & (facing > 0.5)).tolist()
         scores = {key: dissimilarity(self._poses[key], guess, depth_m) for key in possible}
-        near = sorted((key for key in possible if scores[key] < limit), key=lambda key: scores[key])
-        return near[: self._views]
+        best = sorted((key for key in possible if scores[key] < limit), key=lambda key: scores[key])
+        return best[: self._views]
 
     def _keyframe(self, key: int) -> VisualKeyframe:
         """Return a keyframe with its images, at its pose in the map."""

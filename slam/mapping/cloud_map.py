@@ -86,8 +86,8 @@ class CloudTiles:
             rows = rows if chosen is None else rows[chosen(rows[:, :3])]
             points = rows[:, :3]
             normals = surface_normals(points, _NORMAL_VOXELS * self._voxel_m)
-            away = np.einsum("ij,ij->i", normals, self._path[rows[:, 3].astype(np.int64)] - points) < 0.0
-            normals[away] *= -1.0
+            is_back = np.einsum("ij,ij->i", normals, self._path[rows[:, 3].astype(np.int64)] - points) < 0.0
+            normals[is_back] *= -1.0
             colors = ramp(points[:, 2], self._usual)
             intensities = rows[:, 4].astype(np.float32) if self._columns > 4 else None
             return ColoredCloud(points.astype(np.float32), colors, normals.astype(np.float32), intensities)

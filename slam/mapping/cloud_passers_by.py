@@ -99,9 +99,9 @@ def passed_by(
         ends = T_map_lidar.translation() + np.array([[-reach_m], [reach_m]])
         first, last = np.searchsorted(along, ends[:, 0])
         around = moved(middles[first:last], T_map_lidar.inverse())
-        near = np.flatnonzero(np.einsum("ij,ij->i", around, around) < reach_m**2)
-        pixels = _pixels(around[near])
-        count_looks(near + first, half_m, _PIXEL_RAD, number, newest, *pixels, picture, counts)
+        in_reach = np.flatnonzero(np.einsum("ij,ij->i", around, around) < reach_m**2)
+        pixels = _pixels(around[in_reach])
+        count_looks(in_reach + first, half_m, _PIXEL_RAD, number, newest, *pixels, picture, counts)
     hits, between, since, before = counts.T
     passes = since + before
     chances = np.log1p(-(hits + 1.0) / (hits + between + 2.0)) * passes

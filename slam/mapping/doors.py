@@ -108,10 +108,10 @@ def _met(begin_m: FloatArray, end_m: FloatArray, points: WallPoints) -> bool:
     normal = np.array([-along[1], along[0]])
     offsets = points.points_map - begin_m
     inside = np.abs(offsets @ along / length - 0.5) < 1 / 3
-    near = (np.abs(offsets @ normal) < THICKEST_WALL_M / 4) & (
+    on_line = (np.abs(offsets @ normal) < THICKEST_WALL_M / 4) & (
         np.abs(points.normals_map @ normal) > np.cos(SAME_DIRECTION_RAD)
     )
-    return bool((inside & near).any())
+    return bool((inside & on_line).any())
 
 
 def crossed(begin_m: FloatArray, end_m: FloatArray, way_map: FloatArray) -> bool:

@@ -139,9 +139,9 @@ def _above(points, height_m, cell_m, origin_xy, above_m):  # type: ignore[no-unt
 def _lows(points_map: FloatArray, position: FloatArray, reach_m: float) -> Keys:
     """Return (C,) the cells of one cloud, with their heights."""
     x, y, z = np.ascontiguousarray(points_map.T)
-    (near,) = np.nonzero((x - position[0]) ** 2 + (y - position[1]) ** 2 < reach_m**2)
-    row, col = (np.floor(axis[near] / _CELL_M).astype(np.int64) + _MIDDLE for axis in (y, x))
-    height = np.clip(np.rint(z[near] / STEP_M).astype(np.int64) + _MIDDLE, 0, 2 * _MIDDLE - 1)
+    (in_reach,) = np.nonzero((x - position[0]) ** 2 + (y - position[1]) ** 2 < reach_m**2)
+    row, col = (np.floor(axis[in_reach] / _CELL_M).astype(np.int64) + _MIDDLE for axis in (y, x))
+    height = np.clip(np.rint(z[in_reach] / STEP_M).astype(np.int64) + _MIDDLE, 0, 2 * _MIDDLE - 1)
     return _quantiles(row << 2 * _BITS | col << _BITS | height, LEVEL_SHARE)
 
 
@@ -174,8 +174,8 @@ def _hanging_together(low: FloatArray, feet: FloatArray, origin_yx: FloatArray) 
     )
     _, parts = scipy.sparse.csgraph.connected_components(graph, directed=False)
     at = np.argwhere(known)
-    away, foot = cKDTree((feet[:, 1::-1] - origin_yx) / _CELL_M - 0.5).query(at)
-    stands = (away <= _BESIDE_CELLS) & (np.abs(low[known] - feet[foot, 2]) <= step_m)
+    distance, foot = cKDTree((feet[:, 1::-1] - origin_yx) / _CELL_M - 0.5).query(at)
+    stands = (distance <= _BESIDE_CELLS) & (np.abs(low[known] - feet[foot, 2]) <= step_m)
     ground = np.zeros(low.shape, dtype=np.bool_)
     ground[known] = np.isin(parts, parts[stands])
     return ground

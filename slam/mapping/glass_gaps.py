@@ -179,14 +179,14 @@ def _beams(grid: OccupancyGrid, scans: Sequence[LaserScan | None], poses: FloatA
         along = np.column_stack([np.cos(angles), np.sin(angles)])
         parts.append((from_m, along, scan.ranges_m, np.full(angles.size, scan_number)))
     from_m, along, ranges_m, number = (np.concatenate(column) for column in zip(*parts, strict=True))
-    met, lost = np.isfinite(ranges_m) & (ranges_m > 0.0), np.isposinf(ranges_m)
+    hit, lost = np.isfinite(ranges_m) & (ranges_m > 0.0), np.isposinf(ranges_m)
     # Beyond the range of nearly all returns, none is expected.
-    reach_m = float(np.quantile(ranges_m[met], CONFIDENCE)) if met.any() else 0.0
-    end_m = np.where(met, ranges_m, 0.0).astype(np.float64)
+    reach_m = float(np.quantile(ranges_m[hit], CONFIDENCE)) if hit.any() else 0.0
+    end_m = np.where(hit, ranges_m, 0.0).astype(np.float64)
     end_m[lost] = _first_met(grid, from_m[lost], along[lost], reach_m)
     cells = grid.cells_of(from_m + end_m[:, None] * along)
-    near = scipy.ndimage.binary_dilation(grid.steps > 0, iterations=2)
-    known = (end_m > 0.0) & (looked_up(near, cells) > 0)
+    near_wall = scipy.ndimage.binary_dilation(grid.steps > 0, iterations=2)
+    known = (end_m > 0.0) & (looked_up(near_wall, cells) > 0)
     squares = cells // round(SHORTEST_M / grid.resolution_m) @ np.array([grid.shape[1], 1])
     _, thing = np.unique(squares, return_inverse=True)
     return _Beams(from_m, along, end_m, thing, number, lost).chosen(known)
@@ -197,7 +197,7 @@ def _first_met(grid: OccupancyGrid, from_m: FloatArray, along: FloatArray, reach
     obstacle, step_m = grid.steps > 0, 0.5 * grid.resolution_m
     found, left = np.zeros(len(from_m)), np.arange(len(from_m))
     for at_m in np.arange(step_m, reach_m, step_m):
-        met = looked_up(obstacle, grid.cells_of(from_m[left] + at_m * along[left])) > 0
-        found[left[met]] = at_m
-        left = left[~met]
+        hit = looked_up(obstacle, grid.cells_of(from_m[left] + at_m * along[left])) > 0
+        found[left[hit]] = at_m
+        left = left[~hit]
     return found

@@ -36,9 +36,9 @@ def head_on(scan: LaserScan, noise: RangeNoise, cell_m: float) -> LaserScan:
     limits = np.tan(_LOBE_RAD), 2.0 * noise.floor_m, 2.0 * noise.share, cell_m
     # Removed readings count as flat as they were.
     ranges_m = np.abs(np.asarray(scan.ranges_m, dtype=np.float32))
-    met = np.zeros(ranges_m.size, np.bool_)
-    _flat(ranges_m, half, abs(float(scan.step_rad)), limits, met)
-    return replace(scan, ranges_m=np.where(met, scan.ranges_m, np.float32(np.nan)))
+    is_kept = np.zeros(ranges_m.size, np.bool_)
+    _flat(ranges_m, half, abs(float(scan.step_rad)), limits, is_kept)
+    return replace(scan, ranges_m=np.where(is_kept, scan.ranges_m, np.float32(np.nan)))
 
 
 @kernel
@@ -76,7 +76,7 @@ def straight_runs(cells: BoolArray, resolution_m: float) -> BoolArray:
     def seen(grid: BoolArray, down: int, right: int) -> BoolArray:
         return grid[length + down : length + down + rows, length + right : length + right + cols]
 
-    runs, wide, whole = np.zeros_like(cells), np.zeros_like(room), np.zeros_like(room)
+    runs, wide, complete = np.zeros_like(cells), np.zeros_like(room), np.zeros_like(room)
     for angle in np.pi / length * np.arange(length):
         at = np.linspace(-0.5, 0.5, 4 * length) * (length - 1)
         offsets = np.rint(np.column_stack([np.sin(angle) * at, np.cos(angle) * at])).astype(int)
@@ -84,8 +84,8 @@ def straight_runs(cells: BoolArray, resolution_m: float) -> BoolArray:
         # Cells of a slanted row may be beside the line.
         down, right = (1, 0) if abs(np.cos(angle)) > abs(np.sin(angle)) else (0, 1)
         seen(wide, 0, 0)[:] = cells | seen(room, down, right) | seen(room, -down, -right)
-        seen(whole, 0, 0)[:] = np.all([seen(wide, *cell) for cell in row], axis=0)
-        runs |= np.any([seen(whole, -down, -right) for down, right in row], axis=0)
+        seen(complete, 0, 0)[:] = np.all([seen(wide, *cell) for cell in row], axis=0)
+        runs |= np.any([seen(complete, -down, -right) for down, right in row], axis=0)
     return runs & cells
 
 

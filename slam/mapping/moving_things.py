@@ -142,7 +142,7 @@ class MovingThings:
         sweeps, number = self._sweeps, self._judged
         sweep, now_s = sweeps[number], self._stamps_s[number]
         self._judged += 1
-        beside = sweeps[max(number - 1, 0)]
+        adjacent = sweeps[max(number - 1, 0)]
         # A walking person leaves the old place completely in the longer time, partly in the shorter one.
         away_s = GAP_S, 2 * GAP_S
         before = [bisect_right(self._stamps_s, now_s - ago_s) - 1 for ago_s in away_s]
@@ -152,8 +152,8 @@ class MovingThings:
             free = (np.ones if some else np.zeros)(len(sweep.beams), np.bool_)
             for other in others:
                 some = some and sweep.free_in(sweeps[other], free)
-            if some or np.count_nonzero(beside.moves[side]):
-                sweep.follow(beside, side, free)
+            if some or np.count_nonzero(adjacent.moves[side]):
+                sweep.follow(adjacent, side, free)
         follower = sweep
         for keyframe in reversed(self._keyframes):
             if keyframe is None:
@@ -218,8 +218,8 @@ def _seen_free(  # type: ignore[no-untyped-def]
             bearing_rad = math.atan2(cos * dy - sin * dx, cos * dx + sin * dy)
             beam = math.floor((bearing_rad - start_rad) / step_rad % turn + 0.5)
             aside = math.ceil(margin_m / abs(far_m * step_rad))
-            for near in range(beam - aside, beam + aside + 1):
-                free[i] = free[i] and 0 <= near < ranges_m.size and far_m < ranges_m[near] <= reach_m
+            for other in range(beam - aside, beam + aside + 1):
+                free[i] = free[i] and 0 <= other < ranges_m.size and far_m < ranges_m[other] <= reach_m
             some = some or free[i]
     return some
 

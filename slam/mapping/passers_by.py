@@ -59,8 +59,8 @@ def without_passers_by(
     of_cell = things_of(cells, grid.shape[1])
     rows_cols = np.column_stack(np.unravel_index(cells, grid.shape))
     moved = _not_there(of_cell, before + since, missed, enough)
-    gone = [thing for thing in moved if not _may_be_a_pane(rows_cols[of_cell == thing] * cell_m, cell_m)]
-    own = np.isin(of_cell, gone)
+    removed = [thing for thing in moved if not _may_be_a_pane(rows_cols[of_cell == thing] * cell_m, cell_m)]
+    own = np.isin(of_cell, removed)
     taken = cells[own]
     if not taken.size:
         return grid, None
@@ -80,10 +80,10 @@ def things_of(cells: NDArray[np.intp], cols: int) -> NDArray[np.intp]:
     from scipy.sparse.csgraph import connected_components
 
     ends = list[NDArray[np.intp]]()
-    for right, away in ((1, 1), (-1, cols - 1), (0, cols), (1, cols + 1)):
-        at = np.searchsorted(cells, cells + away)
+    for right, offset in ((1, 1), (-1, cols - 1), (0, cols), (1, cols + 1)):
+        at = np.searchsorted(cells, cells + offset)
         inside = (cells % cols + right >= 0) & (cells % cols + right < cols) & (at < len(cells))
-        (found,) = np.nonzero(inside & (cells[at.clip(max=len(cells) - 1)] == cells + away))
+        (found,) = np.nonzero(inside & (cells[at.clip(max=len(cells) - 1)] == cells + offset))
         ends.append(np.stack([found, at[found]]))
     first, second = np.concatenate(ends, axis=1)
     joined = coo_array((np.ones(len(first), np.bool_), (first, second)), shape=(len(cells), len(cells)))
@@ -147,11 +147,11 @@ def _pass(steps, begun, cols, dense, cells, hits, between, since, before):  # ty
                 last = middle
         while k < cells.size and cells[k] < first + dense[3]:
             j = cells[k] - first
-            met = False
+            hit = False
             for near_i in range(max(i - 1, dense[0]), min(i + 2, dense[1])):
                 for near_j in range(max(j - 1, dense[2]), min(j + 2, dense[3])):
-                    met = met or steps[near_i, near_j] > 0
-            if met:
+                    hit = hit or steps[near_i, near_j] > 0
+            if hit:
                 hits[k] += 1
                 between[k] += since[k]
                 since[k] = 0
@@ -178,6 +178,6 @@ def _where_dense(board: Board, scan: LaserScan, T_map_base: gtsam.Pose2, cell_m:
 
 def _may_be_a_pane(points_m: FloatArray, cell_m: float) -> bool:
     """Return whether (N, 2) cell centres are within a cell of a line as long as the smallest pane."""
-    away = points_m - points_m.mean(axis=0)
-    along, across = (away @ np.linalg.svd(away)[2].T).T
+    centred = points_m - points_m.mean(axis=0)
+    along, across = (centred @ np.linalg.svd(centred)[2].T).T
     return bool(np.ptp(along) >= SHORTEST_M and np.abs(across).max() <= cell_m)

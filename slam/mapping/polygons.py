@@ -23,8 +23,8 @@ def inside(points: FloatArray, polygon: FloatArray) -> BoolArray:
     """
     found = np.zeros(len(points), np.bool_)
     low, high = polygon.min(axis=0), polygon.max(axis=0)
-    (near,) = np.nonzero(((points >= low) & (points <= high)).all(axis=1))
-    found[near] = _odd(np.ascontiguousarray(points[near]), np.ascontiguousarray(polygon))
+    (in_box,) = np.nonzero(((points >= low) & (points <= high)).all(axis=1))
+    found[in_box] = _odd(np.ascontiguousarray(points[in_box]), np.ascontiguousarray(polygon))
     return found
 
 

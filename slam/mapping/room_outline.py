@@ -101,7 +101,7 @@ def area_m2(corners_m: FloatArray) -> float:
 def seen_from(rooms: RoomMap, points: WallPoints) -> NDArray[np.int32]:
     """Return (2, N) the rooms from which points were seen: two cells in front of each, and three."""
     cell = rooms.resolution_m
-    return np.array([rooms.at(points.points_map + far * cell * points.normals_map) for far in (2, 3)])
+    return np.array([rooms.at(points.points_map + cells * cell * points.normals_map) for cells in (2, 3)])
 
 
 def room_outline(

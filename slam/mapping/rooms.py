@@ -119,10 +119,10 @@ def _closed(labels: Labels, states: NDArray[np.int8]) -> BoolArray:
     unknown, known = (np.zeros(labels.max() + 1) for _ in range(2))
     for axis in (0, 1):
         for shift in (1, -1):
-            beside = np.roll(states, shift, axis)
-            edge = (labels > 0) & (beside != FREE)
-            unknown += np.bincount(labels[edge & (beside != OCCUPIED)], minlength=len(unknown))
-            known += np.bincount(labels[edge & (beside == OCCUPIED)], minlength=len(known))
+            neighbours = np.roll(states, shift, axis)
+            edge = (labels > 0) & (neighbours != FREE)
+            unknown += np.bincount(labels[edge & (neighbours != OCCUPIED)], minlength=len(unknown))
+            known += np.bincount(labels[edge & (neighbours == OCCUPIED)], minlength=len(known))
     return np.asarray(known > unknown)
 
 
@@ -164,9 +164,9 @@ def _merged(labels: Labels, gaps: Sequence[Segment], real: BoolArray, grid: Occu
 def _touching(labels: Labels) -> NDArray[np.int32]:
     """Return (n, 2) adjacent parts."""
     pairs = [
-        np.column_stack([ahead[beside], behind[beside]])
+        np.column_stack([ahead[border], behind[border]])
         for ahead, behind in ((labels[1:], labels[:-1]), (labels[:, 1:], labels[:, :-1]))
-        for beside in [(ahead > 0) & (behind > 0) & (ahead != behind)]
+        for border in [(ahead > 0) & (behind > 0) & (ahead != behind)]
     ]
     return np.unique(np.concatenate(pairs), axis=0)
 
@@ -249,14 +249,14 @@ def _join(owner: NDArray[np.int64], areas: FloatArray, openings: Sequence[_Openi
 
 def _places(points_m: FloatArray, gap: Segment, grid: OccupancyGrid) -> NDArray[np.int64]:
     """Return (n,) points along a gap's line in cells, independent of the side of the wall."""
-    way = gap.end_m - gap.begin_m
-    along = way * np.sign(way[np.argmax(np.abs(way))]) / max(gap.length_m, grid.resolution_m)
+    step_m = gap.end_m - gap.begin_m
+    along = step_m * np.sign(step_m[np.argmax(np.abs(step_m))]) / max(gap.length_m, grid.resolution_m)
     return np.asarray(np.floor(points_m @ along / grid.resolution_m), dtype=np.int64)
 
 
 def _in_line(labels: Labels, free: BoolArray, gap: Segment, grid: OccupancyGrid) -> _InLine:
     """Return the objects in line with a gap, up to a door's width past each end."""
-    step_m, cells, found, near = grid.resolution_m, [], [], []
+    step_m, cells, found, is_near = grid.resolution_m, [], [], []
     asides = np.arange(2.0 * step_m, THICKEST_WALL_M, step_m)
     for end_m, begin_m in ((gap.end_m, gap.begin_m), (gap.begin_m, gap.end_m)):
         along = (end_m - begin_m) / max(gap.length_m, step_m)
@@ -270,8 +270,8 @@ def _in_line(labels: Labels, free: BoolArray, gap: Segment, grid: OccupancyGrid)
         stands = ~_open(free, beyond, grid)
         found.append(np.array(sides)[:, stands])
         cells.append(_places(beyond.points(step_m)[stands], gap, grid))
-        near.append((np.arange(len(stands)) * step_m < THICKEST_WALL_M)[stands])
-    return _InLine(np.concatenate(cells), np.concatenate(found, axis=1), np.concatenate(near))
+        is_near.append((np.arange(len(stands)) * step_m < THICKEST_WALL_M)[stands])
+    return _InLine(np.concatenate(cells), np.concatenate(found, axis=1), np.concatenate(is_near))
 
 
 def _open(free: BoolArray, line: Segment, grid: OccupancyGrid) -> BoolArray:

@@ -208,8 +208,8 @@ def straightened(fits: Sequence[WallFit], covariance: FloatArray) -> tuple[list[
     common = float(np.average(slopes, weights=1.0 / variances))
     spread = (median_to_sigma() * float(np.median(np.abs(slopes[sure] - common)))) ** 2
     keep = np.ones(2 * len(fits))
-    near = (slopes - common) ** 2 < gate() * (variances + spread)
-    keep[1::2][near] = (spread / (spread + variances))[near]
+    aligned = (slopes - common) ** 2 < gate() * (variances + spread)
+    keep[1::2][aligned] = (spread / (spread + variances))[aligned]
     turned = [
         replace(fit, slope=common + share * (fit.slope - common))
         for fit, share in zip(fits, keep[1::2], strict=True)

@@ -194,10 +194,10 @@ def _fitted(
         centred = chosen - middle
         values, vectors = np.linalg.eigh((centred * weights[:, None]).T @ centred)
         along, across = vectors[:, 1], vectors[:, 0]
-        near = np.abs(centred @ across) < 0.5 * cell_m
-        if near.all():
+        on_line = np.abs(centred @ across) < 0.5 * cell_m
+        if on_line.all():
             break
-        members = members[near]
+        members = members[on_line]
     normal = np.average(points.normals_map[members], axis=0, weights=points.weights[members])
     if along[0] * normal[1] - along[1] * normal[0] < 0.0:
         along = -along

@@ -146,8 +146,8 @@ def drawn_near(
 
 def share_on_planes(residuals: FloatArray, kernel_m: float, point_count: int) -> float:
     """Return the share of points near their planes; 0 if fewer than six have one. See `CloudAlignment`."""
-    near = np.count_nonzero(np.abs(residuals) <= _ON_PLANE * kernel_m)
-    return near / point_count if len(residuals) >= 6 else 0.0
+    count = np.count_nonzero(np.abs(residuals) <= _ON_PLANE * kernel_m)
+    return count / point_count if len(residuals) >= 6 else 0.0
 
 
 def arms_of(points: FloatArray) -> FloatArray:
@@ -180,8 +180,8 @@ def motion_of(alignment: CloudAlignment, config: Config, guess: gtsam.Pose3) -> 
     lever = levers(alignment.arms_m)
     turns = np.linalg.inv(lever)
     values, vectors = np.linalg.eigh(turns @ alignment.hessian @ turns)
-    ways = np.sum(np.square(vectors[3:]), axis=0)
-    weak = vectors[:, values < 0.5 * config.match.degenerate_share * max(alignment.weight, 1.0) * ways]
+    squares = np.sum(np.square(vectors[3:]), axis=0)
+    weak = vectors[:, values < 0.5 * config.match.degenerate_share * max(alignment.weight, 1.0) * squares]
     least_m = config.match.minimal_residual_m
     scale = max(alignment.residual_m, least_m) if np.isfinite(alignment.residual_m) else 1.0
     # Points without a fit reduce the trust in all others, and noise along rays tilts all rough planes.
@@ -195,8 +195,8 @@ def motion_of(alignment: CloudAlignment, config: Config, guess: gtsam.Pose3) -> 
     covariance += config.match.floor_m**2 * (turns @ turns)  # a rotation by the motion of the points
     pose, weakest = alignment.pose, np.zeros(6)
     if weak.shape[1]:
-        away = lever @ gtsam.Pose3.Logmap(pose.between(guess))
-        pose = pose.compose(gtsam.Pose3.Expmap(turns @ weak @ (weak.T @ away)))
+        shift = lever @ gtsam.Pose3.Logmap(pose.between(guess))
+        pose = pose.compose(gtsam.Pose3.Expmap(turns @ weak @ (weak.T @ shift)))
         open_ = turns @ weak
         covariance += config.match.degenerate_sigma_m**2 * (open_ @ open_.T)
         weakest = open_[:, 0] / np.linalg.norm(open_[:, 0])

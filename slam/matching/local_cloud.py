@@ -91,26 +91,26 @@ class LocalCloud:
         if len(scan) < FEWEST or not len(self.planes):
             return None
         found = self._by_planes(scan, guess) if reach_m is None else None
-        near = found is not None and self._is_near(found, guess) and found.agreement >= least_agreement
-        if not near:
+        is_near = found is not None and self._is_near(found, guess) and found.agreement >= least_agreement
+        if not is_near:
             part, tries = _part(scan, _ARRIVING_POINTS), 2 * self._config.match.iterations
             reach_m = REACH * self._voxel_m if reach_m is None else reach_m
             start = drawn_near(part, self.planes, guess, tries, reach_m)
             found = self._by_planes(scan, start if np.isfinite(start.matrix()).all() else guess)
-        return self._aligned(found, guess, near=near)
+        return self._aligned(found, guess, is_near=is_near)
 
     def refine(self, scan: FloatArray, guess: gtsam.Pose3) -> Aligned | None:
         """Align from a guess that is correct within a voxel, by the planes alone."""
         found = self._by_planes(scan, guess) if len(scan) >= FEWEST and len(self.planes) else None
-        return self._aligned(found, guess, near=found is not None and self._is_near(found, guess))
+        return self._aligned(found, guess, is_near=found is not None and self._is_near(found, guess))
 
-    def _aligned(self, found: CloudAlignment | None, guess: gtsam.Pose3, *, near: bool) -> Aligned | None:
+    def _aligned(self, found: CloudAlignment | None, guess: gtsam.Pose3, *, is_near: bool) -> Aligned | None:
         """Return an alignment if enough points fit better than by chance."""
         if found is None or found.pair_count < self._config.cloud_odometry.least_pairs:
             return None
         if not found.residual_m < _CHANCE * self._voxel_m:
             return None
-        return Aligned(found, motion_of(found, self._config, guess), near)
+        return Aligned(found, motion_of(found, self._config, guess), is_near)
 
     def settled(self, scan: FloatArray, aligned: Aligned) -> Aligned:
         """Return a match of a scan (N, 3) with an undetermined direction where it converges along it, if so.

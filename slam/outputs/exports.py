@@ -175,10 +175,10 @@ class Exports:
         poses, edits = self.contents.keyframe_poses, self.contents.edits
         keep_out = [zone.points(poses) for zone in regions_of(edits, "keep_out")]
         slow = [(zone.points(poses), zone.value) for zone in regions_of(edits, "slow")]
-        beside = folder / "layers"
-        passed_by = write_passed_by(beside, self.contents.grids.get(PASSED_BY))
-        written += write_layers(beside, self.layers) + passed_by
-        written += write_ground_layers(beside, self.ground, folder / MAP_YAML)
+        layers = folder / "layers"
+        passed_by = write_passed_by(layers, self.contents.grids.get(PASSED_BY))
+        written += write_layers(layers, self.layers) + passed_by
+        written += write_ground_layers(layers, self.ground, folder / MAP_YAML)
         return written + write_zones(folder, self.layers, keep_out, slow)
 
     def write_sessions(self, folder: Path, poses: Sequence[int]) -> list[Path]:

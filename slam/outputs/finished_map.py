@@ -88,10 +88,10 @@ class Map:
     _folder: TemporaryFolder | None = field(default=None, repr=False)
 
     def __repr__(self) -> str:
-        found, way = self.contents, self.trajectory
+        found, trajectory = self.contents, self.trajectory
         return (
             f"Map({str(self.path)!r}, sessions={len(self.sessions)}, keyframes={len(found.node_poses)}, "
-            f"poses={len(way)} over {extent(way.positions_m)} m, loops={len(found.loops)}, "
+            f"poses={len(trajectory)} over {extent(trajectory.positions_m)} m, loops={len(found.loops)}, "
             f"frames={len(found.frames or ())}, clouds={len(found.clouds or ())})"
         )
 
@@ -102,8 +102,8 @@ class Map:
         self.close()
 
     def _repr_html_(self) -> str:
-        way = self.trajectory.positions_m[:, :2]
-        return with_pictures(self, drawn(blue=way) if self.grid is None else self.grid.picture(way))
+        path_m = self.trajectory.positions_m[:, :2]
+        return with_pictures(self, drawn(blue=path_m) if self.grid is None else self.grid.picture(path_m))
 
     @property
     def in_memory(self) -> bool:

@@ -40,10 +40,10 @@ def floor_plan(contents: MapContents, config: Config) -> FloorPlan:
         contents.measured_scans, poses, (scan.range_min_m, scan.range_max_m), scan.neighbours
     )
     cell_m = grid.resolution_m
-    way = contents.trajectory.positions_m[:, :2]
+    path_m = contents.trajectory.positions_m[:, :2]
     segments = wall_segments(points, cell_m, 3 * cell_m)
-    rooms = segment_rooms(grid, segments, way)
-    entered, owners = set(rooms.at(way).tolist()), seen_from(rooms, points)
+    rooms = segment_rooms(grid, segments, path_m)
+    entered, owners = set(rooms.at(path_m).tolist()), seen_from(rooms, points)
     labels = range(1, int(rooms.labels.max(initial=0)) + 1)
     own = {label: points.chosen((owners == label).any(axis=0)) for label in labels}
     outlines = room_outlines(rooms, own, entered)
@@ -64,7 +64,7 @@ def floor_plan(contents: MapContents, config: Config) -> FloorPlan:
         own_covariance = covariance[first:last, first:last]
         found.append(_room(len(found) + 1, outline, ones, own_covariance, label in entered, cell_m))
         first = last
-    return FloorPlan(found, find_doors(found, grid, points, way))
+    return FloorPlan(found, find_doors(found, grid, points, path_m))
 
 
 def _covariance(fits: Sequence[WallFit], contents: MapContents, config: Config) -> FloatArray:
@@ -123,8 +123,8 @@ def _room(
         area[own] = -float(np.hypot(*(end - begin))) * reach
         sigma = float(np.sqrt(reach @ covariance[own, own] @ reach))
         walls.append(Wall(begin, end, sigma, fit.seen_m(first, last, cell_m)))
-    whole = all(fit is not None for fit in new)
-    area_sigma = float(np.sqrt(area @ covariance @ area)) if whole else None
+    complete = all(fit is not None for fit in new)
+    area_sigma = float(np.sqrt(area @ covariance @ area)) if complete else None
     lengths = _lengths(shape, new, at, covariance)
     return Room(number, walls, area_m2(corners), area_sigma, lengths, entered)
 

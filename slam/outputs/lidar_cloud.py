@@ -54,8 +54,8 @@ def lidar_cloud(found: MapContents, config: Config, ground: Elevation | None) ->
             return np.asarray((above_m < 0.5 * passed.voxel_m) & ground.seen_at(points))
 
         stays = _Parts(lambda: tiles.cloud(lambda points: ~passed.holds(points)))
-        gone = _Parts(lambda: tiles.cloud(passed.holds)) if len(passed.keys) else None
-        yield LidarCloud(stays, is_ground, gone)
+        removed = _Parts(lambda: tiles.cloud(passed.holds)) if len(passed.keys) else None
+        yield LidarCloud(stays, is_ground, removed)
 
 
 @dataclass(frozen=True, slots=True)

@@ -98,8 +98,8 @@ def difference_picture(things: Sequence[ChangedThing], found: Comparison) -> byt
             if corners is not None:
                 axes.plot(*np.array([*corners, corners[0]]).T, style, color=color)
         if thing.what == "moved":
-            way = {"arrowstyle": "->", "color": color}
-            axes.annotate("", thing.places_m[1].tolist(), thing.places_m[0].tolist(), arrowprops=way)
+            arrow = {"arrowstyle": "->", "color": color}
+            axes.annotate("", thing.places_m[1].tolist(), thing.places_m[0].tolist(), arrowprops=arrow)
     axes.set_axis_off()
     return png_of(figure)
 

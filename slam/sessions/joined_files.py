@@ -63,8 +63,8 @@ def _unedited(known: Map, session: Map, connection: Connection) -> tuple[Map, Ma
     poses, base = (bases_of(source.contents, source.contents.node_poses) for source in (known, before))
     anchors = []
     for anchor in connection.placing.anchors:
-        near = min(range(len(poses)), key=lambda key: apart(poses[key], anchor.pose)[0])
-        T_base_map = composed(base[near], poses[near].inverse())
+        nearest = min(range(len(poses)), key=lambda key: apart(poses[key], anchor.pose)[0])
+        T_base_map = composed(base[nearest], poses[nearest].inverse())
         T_base_session = composed(T_base_map, anchor.T_map_session)
         anchors.append(replace(anchor, pose=composed(T_base_map, anchor.pose), T_map_session=T_base_session))
     placing = replace(connection.placing, anchors=anchors)

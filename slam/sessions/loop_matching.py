@@ -111,12 +111,12 @@ class CloudMatcher:
         known, nodes = self._known, len(self._known.node_poses)
         expected = spatial(composed(T_map_session, self._session.node_poses[key]))
         distances = np.linalg.norm(self._positions - expected.translation(), axis=1)
-        near = [k for k in np.argsort(distances, kind="stable").tolist() if distances[k] <= self._reach_m]
+        keys = [k for k in np.argsort(distances, kind="stable").tolist() if distances[k] <= self._reach_m]
         return [
             self._closer.verify(
                 place, nodes + key, spatial(known.node_poses[place]).between(expected), sigma_m
             )
-            for place in _of_passes(near, known.path_m, self._sessions, self._reach_m, self._loops.near)
+            for place in _of_passes(keys, known.path_m, self._sessions, self._reach_m, self._loops.near)
         ]
 
 

@@ -163,5 +163,5 @@ def _agree(one: Sighting, other: Sighting, poses: Sequence[Pose]) -> bool:
     miss_m, miss_rad = apart(composed(one.T_map_session, poses[other.keyframe]), other.pose)
     apart_m, _ = apart(poses[one.keyframe], poses[other.keyframe])
     sigmas = math.sqrt(gate())
-    near = miss_m <= sigmas * SIGHT_SIGMA_M + BEND_RAD * apart_m
-    return near and miss_rad <= sigmas * SIGHT_SIGMA_RAD
+    position_fits = miss_m <= sigmas * SIGHT_SIGMA_M + BEND_RAD * apart_m
+    return position_fits and miss_rad <= sigmas * SIGHT_SIGMA_RAD

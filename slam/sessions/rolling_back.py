@@ -60,8 +60,8 @@ def write_first_sessions(saved: Map, count: int, path: Path) -> list[str]:
             write_sessions(Path(plain) / MAP_NAME, identity, sessions, remarks, copied)
             with load_map(plain) as contents:
                 warnings += write_entries(contents.parts(), kept, path)
-    if gone := len(entries) - len(kept):
-        warnings.append(f"{gone} of {len(entries)} edits were of later sessions, and are gone with them")
+    if dropped := len(entries) - len(kept):
+        warnings.append(f"{dropped} of {len(entries)} edits were of later sessions, and are gone with them")
     return warnings
 
 
@@ -78,9 +78,9 @@ def _alone(base: MapContents, nodes: int, sessions: Sequence[MapSession], config
     kept = graph.optimize(config.loops.inlier_probability).kept.tolist()
     poses = poses_of(graph)
     bases = bases_of(base, poses)
-    whole = base.trajectory[: sum(session.poses for session in sessions)]
+    path = base.trajectory[: sum(session.poses for session in sessions)]
     trajectory, covariances = resettled(
-        whole,
+        path,
         base.stamps_s[:nodes],
         Poses.of(bases_of(base, base.node_poses[:nodes])),
         Poses.of(bases),

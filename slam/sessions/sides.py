@@ -83,8 +83,8 @@ class Side:
 
     def nearest(self, pose: Pose) -> int:
         """Return the keyframe nearest to a pose in the map."""
-        away = np.array([base.translation() for base in self.bases]) - pose.translation()
-        return int(np.linalg.norm(away, axis=1).argmin())
+        offsets = np.array([base.translation() for base in self.bases]) - pose.translation()
+        return int(np.linalg.norm(offsets, axis=1).argmin())
 
 
 def sides_of(known: MapContents, session: MapContents, config: Config) -> tuple[Side, Side]:

@@ -169,8 +169,8 @@ def relation_lines(stamps_s: FloatArray, poses_xyt: FloatArray, rng: np.random.G
     driven_m, places = travelled_m(poses_xyt), spatial.cKDTree(poses_xyt[:, :2])
     poses = [pose2_from_row(row) for row in poses_xyt]
     for index, pose in enumerate(poses):
-        near = np.sort(places.query_ball_point(poses_xyt[index, :2], _NEAR_M))
-        before = near[driven_m[near] < driven_m[index] - _WAY_BETWEEN_M]
+        neighbours = np.sort(places.query_ball_point(poses_xyt[index, :2], _NEAR_M))
+        before = neighbours[driven_m[neighbours] < driven_m[index] - _WAY_BETWEEN_M]
         others = [rng.choice(before)] if len(before) else []
         for other in [*range(max(index - 1, 0), index), *others]:
             moved = poses[other].between(pose)

@@ -81,9 +81,9 @@ def _draw(corners: FloatArray, depth_m: Float32Array, triangle: Int32Array) -> N
                 continue
             at, step = np.float32(nearness[face, 1] * row + nearness[face, 2]), np.float32(nearness[face, 0])
             for col in range(math.ceil(low), math.floor(high) + 1):
-                near = at + step * np.float32(col)
-                if near > depth_m[row, col]:
-                    depth_m[row, col], triangle[row, col] = near, face
+                at_col = at + step * np.float32(col)
+                if at_col > depth_m[row, col]:
+                    depth_m[row, col], triangle[row, col] = at_col, face
     for row in range(height):
         for col in range(width):
             face = triangle[row, col]

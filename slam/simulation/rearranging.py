@@ -43,8 +43,8 @@ def rearrange(
         if len(changes) == count or not left:
             break
         room, before = left[int(rng.integers(len(left)))]
-        plan, way = plans[room], str(rng.choice(_WAYS))
-        if way == "appeared":
+        plan, change = plans[room], str(rng.choice(_WAYS))
+        if change == "appeared":
             kinds, at_wall = OF_ROOMS[plan.purpose][wall := int(rng.integers(2))], wall == 0
             new = place_once_more(plan, after[room], kinds[int(rng.integers(len(kinds)))](rng), rng, at_wall)
             if new is not None and new.kind != "rug":
@@ -53,7 +53,7 @@ def rearrange(
             continue
         others = [piece for piece in after[room] if piece is not before]
         new = None
-        if way == "moved":
+        if change == "moved":
             free = {piece.__name__ for piece in OF_ROOMS[plan.purpose][1]}
             new = place_once_more(plan, others, _by_itself(before), rng, before.kind not in free)
             if new is None or math.dist(_middle(before), _middle(new)) < _LEAST_M:

@@ -120,8 +120,8 @@ def scan_lidar(
         return np.asarray(sensor.sigma_m + share * distance_m, dtype=np.float32)
 
     ranges, fault = _measure(faulty, sensor, sigma_m, rng)
-    near = np.isnan(ranges) & (surfaces.distance_m < sensor.range_min_m) & (fault == Fault.HOLE_RANGE)
-    ranges[np.isnan(ranges) & ~near] = np.inf
+    too_close = np.isnan(ranges) & (surfaces.distance_m < sensor.range_min_m) & (fault == Fault.HOLE_RANGE)
+    ranges[np.isnan(ranges) & ~too_close] = np.inf
     return SimulatedScan(ranges[0], surfaces.distance_m[0], fault[0])
 
 

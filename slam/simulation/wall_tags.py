@@ -103,8 +103,8 @@ def paint_tags(
         middle = _rays(columns, rows, intrinsics)
         wall_m = (normal @ place) / (middle @ normal)
         index = rows * width + columns
-        met = np.abs(range_m[index] - wall_m) < _THICK_M * (1.0 + wall_m)
-        index, columns, rows = index[met], columns[met], rows[met]
+        on_wall = np.abs(range_m[index] - wall_m) < _THICK_M * (1.0 + wall_m)
+        index, columns, rows = index[on_wall], columns[on_wall], rows[on_wall]
         inside, brightness = np.zeros(len(index)), np.zeros(len(index))
         offsets = (np.arange(_RAYS) + 0.5) / _RAYS - 0.5
         for right in offsets:
@@ -150,11 +150,11 @@ def _places(rectangle: tuple[float, float, float, float], rng: np.random.Generat
 
 def _is_seen(place: gtsam.Pose3, way_xyt: FloatArray) -> bool:
     """Whether the robot comes close, looks at it, and sees it without too much slant."""
-    away = np.asarray(place.translation())[:2] - way_xyt[:, :2]
-    far_m, out = np.linalg.norm(away, axis=1), np.asarray(place.rotation().matrix())[:2, 2]
-    ahead = np.sum(away * np.column_stack([np.cos(way_xyt[:, 2]), np.sin(way_xyt[:, 2])]), axis=1)
-    near = (far_m > _NEAR_M[0]) & (far_m < _NEAR_M[1])
-    return bool(np.any(near & (ahead > _AHEAD * far_m) & (-away @ out > _FACING * far_m)))
+    offset = np.asarray(place.translation())[:2] - way_xyt[:, :2]
+    far_m, out = np.linalg.norm(offset, axis=1), np.asarray(place.rotation().matrix())[:2, 2]
+    ahead = np.sum(offset * np.column_stack([np.cos(way_xyt[:, 2]), np.sin(way_xyt[:, 2])]), axis=1)
+    in_range = (far_m > _NEAR_M[0]) & (far_m < _NEAR_M[1])
+    return bool(np.any(in_range & (ahead > _AHEAD * far_m) & (-offset @ out > _FACING * far_m)))
 
 
 def _is_free(scene: Scene, place: gtsam.Pose3, half_m: float) -> bool:

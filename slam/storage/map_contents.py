@@ -221,9 +221,9 @@ def write_contents(file: MapFile, contents: MapContents) -> None:
     for loop in contents.loops:
         verdict = (loop.place, loop.keyframe, int(loop.accepted))
         file.append(LOOPS, *verdict, float(loop.score), loop.reason, pack(loop))
-    whole = contents.trajectory
-    for first in range(0, len(whole), _STRETCH):
-        stretch = whole[first : first + _STRETCH]
+    trajectory = contents.trajectory
+    for first in range(0, len(trajectory), _STRETCH):
+        stretch = trajectory[first : first + _STRETCH]
         file.append(TRAJECTORY, len(stretch), pack_small(stretch))
         if contents.covariances is not None:
             triangles = upper_triangles(contents.covariances[first : first + _STRETCH])

@@ -150,8 +150,8 @@ class MapFrames:
                 cast(bytes, images[0]), cast(bytes, images[1]), head.steps_per_m, head.intrinsics
             )
             if index in self._erased:
-                gone = mask_of(self._erased[index], depth_m.size).reshape(depth_m.shape)
-                depth_m = np.where(gone, -depth_m if taken else np.float32(0.0), depth_m)
+                erased = mask_of(self._erased[index], depth_m.size).reshape(depth_m.shape)
+                depth_m = np.where(erased, -depth_m if taken else np.float32(0.0), depth_m)
         return RgbdFrame(head.stamp_s, color, depth_m, head.intrinsics, head.T_base_camera, head.sensor)
 
     def jpeg(self, index: int) -> bytes:

@@ -98,10 +98,10 @@ def steadied(matched: Poses, bridged: Poses, variances: FloatArray, anchors: NDA
 
 def _around(rows: FloatArray) -> FloatArray:
     """Return (S, K) sums over each row and enough rows around it for a statistic."""
-    beside = FEWEST // 2
-    padded = np.pad(rows, ((beside, beside), (0, 0)))
+    half = FEWEST // 2
+    padded = np.pad(rows, ((half, half), (0, 0)))
     total = np.zeros_like(rows)
-    for first in range(2 * beside + 1):
+    for first in range(2 * half + 1):
         total += padded[first : first + len(rows)]
     return total
 

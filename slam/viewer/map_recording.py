@@ -71,9 +71,9 @@ def _record_keyframes(
 ) -> None:
     """Robot, scan and loops at every keyframe."""
     scans, shares = result.map.keyframe_scans, result.scans.inlier_shares[result.map.readings]
-    met: dict[int, list[tuple[int, bool]]] = {}
+    loops_of: dict[int, list[tuple[int, bool]]] = {}
     for loop in result.map.loops:
-        met.setdefault(loop.keyframe, []).append((loop.place, loop.accepted))
+        loops_of.setdefault(loop.keyframe, []).append((loop.place, loop.accepted))
     shown = False
     for key, (stamp_s, pose) in enumerate(zip(result.map.stamps_s, poses, strict=True)):
         viewer.at(float(stamp_s))
@@ -83,7 +83,7 @@ def _record_keyframes(
             viewer.scan(_scan_points(scan, pose))
         if np.isfinite(shares[key]):
             viewer.figure("inlier share", float(shares[key]))
-        loops = met.get(key, [])
+        loops = loops_of.get(key, [])
         if loops or shown:  # what the keyframe before has shown goes
             for name, holds in (("loops", True), ("refused loops", False)):
                 ends = [(positions_m[place], positions_m[key]) for place, kept in loops if kept is holds]

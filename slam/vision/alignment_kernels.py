@@ -74,9 +74,9 @@ def _surface_part(  # type: ignore[no-untyped-def]
         _place(px, py, pz, T, camera, m[8], m[9], m[10], m[11], m[12], at)
         _look_up(planes, at, px.size, m[13], m[14], m[15], m[16])
         _turn(m[14], m[15], m[16], ox, oy, oz, T, m[3], m[4], m[5], m[7])
-        met = m[13], m[14], m[15], m[16]
+        planes_hit = m[13], m[14], m[15], m[16]
         part = seen[first:end], residuals[first:end]
-        _judge(m[8], m[9], m[10], m[11], m[12], met, camera, limits, m[6], m[7], *part)
+        _judge(m[8], m[9], m[10], m[11], m[12], planes_hit, camera, limits, m[6], m[7], *part)
         _moment(px, py, pz, m[3], m[4], m[5], m[0], m[1], m[2])
         if informed:
             _moment(px, py, pz, ox, oy, oz, m[8], m[9], m[10])
@@ -151,14 +151,14 @@ def _judge(  # type: ignore[no-untyped-def]
         aside = nx[i] * (x[i] - du[i] * inverse_fx * depth) + ny[i] * (y[i] - dv[i] * inverse_fy * depth)
         residual = aside + nz[i] * (z[i] - depth)
         square = z[i] * z[i]
-        near = known & (weight[i] > nothing) & (abs(z[i] - depth) <= gate_m * max(one, square))
+        in_gate = known & (weight[i] > nothing) & (abs(z[i] - depth) <= gate_m * max(one, square))
         inverse_sigma = one / (floor_m + share * square)
         sigmas = abs(residual) * inverse_sigma
         tail = sigmas * inverse_kernel
         root = inverse_sigma / (one + tail * tail)
         distance[i] = residual
-        residuals[i] = min(residuals[i], sigmas if near else never)
-        weight[i] = root * root if near else nothing
+        residuals[i] = min(residuals[i], sigmas if in_gate else never)
+        weight[i] = root * root if in_gate else nothing
 
 
 @kernel(nogil=True)

@@ -113,13 +113,13 @@ def _cross_validate(problem: Problem, own: BoolArray) -> _Half:
     starts = [replace(registered, focal_px=share * depth.fx) for share in _FOCAL_SHARES]
     fits = sorted((fit_motions(train, guess, 2 * SETTLING) for guess in starts), key=lambda fit: fit.loss)
     # Readings jump at edges, so a search may end in a local minimum: two searches rarely do.
-    beside = min((search(train, fit, tuple(AXES)) for fit in fits[:2]), key=lambda fit: fit.loss).guess
+    moved = min((search(train, fit, tuple(AXES)) for fit in fits[:2]), key=lambda fit: fit.loss).guess
     same = fit_motions(train, replace(registered, whole=True), 2 * SETTLING)
     rescaled = search(train, same, ("focal", "x", "y")).guess
-    errors = [settle(test, guess, test.poses, 2 * SETTLING)[1] for guess in (registered, rescaled, beside)]
+    errors = [settle(test, guess, test.poses, 2 * SETTLING)[1] for guess in (registered, rescaled, moved)]
     common = np.isfinite(errors[0]) & np.isfinite(errors[2])
     return _Half(
-        beside,
+        moved,
         _gains(test, errors[0], errors[2]),
         _gains(test, errors[1], errors[2]),
         errors[0][common] < MATCH_PX**2,

@@ -143,8 +143,8 @@ class FrameMatcher:
         # A feature is rarer and more informative than a surface point.
         points = self._config.correlated_points / self._config.correlated_features
         agree = points * alignment.feature_count + alignment.point_count
-        met = points * alignment.feature_pairs + alignment.point_pairs
-        return agree / met if met > 0.0 else 0.0
+        total = points * alignment.feature_pairs + alignment.point_pairs
+        return agree / total if total > 0.0 else 0.0
 
     def _judge(self, alignment: JointAlignment) -> VisualMatch | None:
         """Return a measured motion, or None if too little agrees."""

@@ -102,9 +102,9 @@ def align(
     """
     # A few points give a rough pose; all are used for the last millimetres.
     coarse = _Work(points.every(_THINNED), landmarks)
-    near, _ = _descend(coarse, views, intrinsics, guess, config, rounds[0], 10 * SETTLED, 4.0)
+    start, _ = _descend(coarse, views, intrinsics, guess, config, rounds[0], 10 * SETTLED, 4.0)
     fine = _Work(points, landmarks)
-    pose, step = _descend(fine, views, intrinsics, near, config, rounds[1], SETTLED, 1.0)
+    pose, step = _descend(fine, views, intrinsics, start, config, rounds[1], SETTLED, 1.0)
     fine.linearize(views, intrinsics, pose, config, 1.0, informed=True)
     return fine.conclude(pose, config, converged=step < 10 * SETTLED)
 

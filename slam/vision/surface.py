@@ -104,8 +104,8 @@ def points_of(
     inverse, *normals = planes[found].T
     z = np.float32(1.0) / inverse
     rows, columns = (radius + step * places for places in found)
-    ways = (columns - k.cx) / k.fx * z, (rows - k.cy) / k.fy * z
-    return SurfacePoints(np.array([*ways, z, *normals], np.float32))
+    xy = (columns - k.cx) / k.fx * z, (rows - k.cy) / k.fy * z
+    return SurfacePoints(np.array([*xy, z, *normals], np.float32))
 
 
 def _inverse(depth_m: Float32Array, farthest_m: float) -> Float32Array:

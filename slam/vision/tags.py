@@ -125,8 +125,8 @@ def _refined(gray: NDArray[np.uint8], corners: FloatArray, cells: int) -> FloatA
         sides_px = np.linalg.norm(ends - corners, axis=1)
         if sides_px.min() < cells:
             return None  # a cell is a pixel: there is no edge to see
-        ways = (ends - corners) / sides_px[:, None]
-        outward = np.column_stack([ways[:, 1], -ways[:, 0]])
+        directions = (ends - corners) / sides_px[:, None]
+        outward = np.column_stack([directions[:, 1], -directions[:, 0]])
         # Across each edge by the width of the black border at its narrower end, and as far into the white.
         reach_px = np.minimum(np.roll(sides_px, 1), np.roll(sides_px, -1)) / cells
         across = np.linspace(-1.0, 1.0, FEWEST) * reach_px[:, None]
@@ -154,8 +154,8 @@ def _refined(gray: NDArray[np.uint8], corners: FloatArray, cells: int) -> FloatA
 def _bilinear(gray: NDArray[np.uint8], points: FloatArray) -> FloatArray:
     """Return the brightness (...) of an image at points (..., 2), column and row, bilinear."""
     most = np.array(gray.shape[::-1]) - 2
-    whole = np.clip(np.floor(points).astype(np.int64), 0, most)
-    (left, top), (right, down) = np.moveaxis(whole, -1, 0), np.moveaxis(points - whole, -1, 0)
+    cell = np.clip(np.floor(points).astype(np.int64), 0, most)
+    (left, top), (right, down) = np.moveaxis(cell, -1, 0), np.moveaxis(points - cell, -1, 0)
     upper = (1.0 - right) * gray[top, left] + right * gray[top, left + 1]
     lower = (1.0 - right) * gray[top + 1, left] + right * gray[top + 1, left + 1]
     return np.asarray((1.0 - down) * upper + down * lower)

@@ -101,13 +101,13 @@ class BagCamera:
         if key not in self._color_views:
             self._color_views.clear()  # images may have any size: keep only the latest view
             self._color_views[key] = self._view_of_color(size, wanted)
-        maps, beside = self._color_views[key]
+        maps, color_view = self._color_views[key]
         import cv2
 
         if maps is not None:
             color = np.asarray(cv2.remap(color, *maps, cv2.INTER_LINEAR))
-        if beside is not None:
-            return beside.of(color, depth_m)
+        if color_view is not None:
+            return color_view.of(color, depth_m)
         if color.shape[:2] == depth_m.shape:
             return color
         return resized(color, (wanted.width, wanted.height))

@@ -73,16 +73,16 @@ class Ouster:
         model = self.model
         if len(packet) != model.packet.itemsize:
             raise RecordFault(DAMAGED, f"{len(packet)} bytes, not {model.packet.itemsize}")
-        (whole,) = np.frombuffer(packet, model.packet)
-        columns, names = whole["columns"], model.packet.names or ()
+        (data,) = np.frombuffer(packet, model.packet)
+        columns, names = data["columns"], model.packet.names or ()
         columns = columns[columns["status"] & 1 == 1]
         if not columns.size:
             return None
-        frame = int(whole["frame"] if "frame" in names else columns["frame"][0])
+        frame = int(data["frame"] if "frame" in names else columns["frame"][0])
         numbers, stamps_ns = columns["number"].astype(int), columns["stamp_ns"].astype(np.int64)
         first_ns = self._first_ns if frame == self._frame else int(stamps_ns.min())
         damaged = bool((stamps_ns < 0).any() or (np.abs(stamps_ns - first_ns) > LONGEST_TURN_S * 1e9).any())
-        damaged |= int(whole["kind"]) != 1 if "kind" in names else bool((columns["frame"] != frame).any())
+        damaged |= int(data["kind"]) != 1 if "kind" in names else bool((columns["frame"] != frame).any())
         if damaged or (numbers >= len(model.sent)).any():
             raise RecordFault(DAMAGED, f"frame {frame}, columns {numbers.min()} to {numbers.max()}")
         if frame == self._over:
@@ -199,9 +199,9 @@ class Ousters:
         space = topic.rpartition("/")[0]
         if space not in self._sensors:
             if not self.models and not self._faults and self._path is not None:
-                beside = metadata_beside(self._path)
-                if beside is not None:
-                    self.learn(topic, beside)
+                metadata = metadata_beside(self._path)
+                if metadata is not None:
+                    self.learn(topic, metadata)
             only = next(iter(self.models.values())) if len(self.models) == 1 else None
             model = self.models.get(space, only)
             if model is None:

@@ -132,8 +132,8 @@ class ColorView:
         """(H, W, 3) at the depth image's size; black outside the colour camera's view."""
         import cv2
 
-        away: NDArray[np.float32] = np.where(depth_m > 0.0, depth_m, np.float32(_FAR_M))
-        x, y, z = (ray * away + shift for ray, shift in zip(self._rays, self._shift, strict=True))
+        known_m: NDArray[np.float32] = np.where(depth_m > 0.0, depth_m, np.float32(_FAR_M))
+        x, y, z = (ray * known_m + shift for ray, shift in zip(self._rays, self._shift, strict=True))
         with np.errstate(divide="ignore", invalid="ignore"):
             columns = np.where(z > 0.0, np.float32(self._lens.fx) * x / z + np.float32(self._lens.cx), -1.0)
             rows = np.where(z > 0.0, np.float32(self._lens.fy) * y / z + np.float32(self._lens.cy), -1.0)
