@@ -128,7 +128,7 @@ def denoise(
     instance(least_grade, Grade, "least_grade")
     images = as_images(depth)
     if isinstance(registration, RigEstimate):
-        matrices = [None if found is None else found.T_laser_level for found in registration.alignments]
+        matrices = [None if fit is None else fit.T_laser_level for fit in registration.alignments]
     elif registration.grade >= least_grade:
         rng = np.random.default_rng(0)
         matrices = [rigid_fit(*pairs, rng) for pairs in matched_curves(registration)]
@@ -149,8 +149,8 @@ def repair_by(
         return _unchanged(scan, images)
     if len(matrices) != len(images):
         raise ValueError(f"{len(images)} images for {len(matrices)} registered cameras")
-    found = find_candidates(scan, images, registration, matrices)
-    return _put_in(scan, images, found, least_probability)
+    candidates = find_candidates(scan, images, registration, matrices)
+    return _put_in(scan, images, candidates, least_probability)
 
 
 def _view(image: DepthImage, registration: Registration | RigEstimate) -> ImageView:
@@ -246,26 +246,26 @@ def find_candidates(
 
 
 def _put_in(
-    scan: LidarCurve, images: tuple[DepthImage, ...], found: Candidates, least_probability: float
+    scan: LidarCurve, images: tuple[DepthImage, ...], candidates: Candidates, least_probability: float
 ) -> Denoised:
     """Insert the candidates that are likely enough to be right."""
     result = _unchanged(scan, images)
-    judged = probabilities(found.kinds, found.beams[..., 1:], BEAM_ODDS)
-    best, beam = judged.argmax(axis=0), np.arange(found.source.size)
+    judged = probabilities(candidates.kinds, candidates.beams[..., 1:], BEAM_ODDS)
+    best, beam = judged.argmax(axis=0), np.arange(candidates.source.size)
     chance = judged[best, beam]
-    hole = found.source == Provenance.HOLE
-    kind = np.where(hole, np.where(best == 0, Provenance.FILLED, Provenance.INTERPOLATED), found.source)
+    hole = candidates.source == Provenance.HOLE
+    kind = np.where(hole, np.where(best == 0, Provenance.FILLED, Provenance.INTERPOLATED), candidates.source)
     # A line across a hole is right if both of its ends are; both may have passed through the same pane.
     line = hole & (kind == Provenance.INTERPOLATED)
     least = np.where(line, math.sqrt(max(least_probability, 0.0)), least_probability)
     least = np.where(kind == Provenance.AVERAGED, 0.0, least)
     taken = np.flatnonzero(chance >= np.maximum(least, 0.0))
-    at = found.source.size - 1 - taken if scan.step_rad < 0.0 else taken
-    value, kind = found.beams[best[taken], taken, 0], kind[taken]
+    at = candidates.source.size - 1 - taken if scan.step_rad < 0.0 else taken
+    value, kind = candidates.beams[best[taken], taken, 0], kind[taken]
     result.ranges_m[at], result.lidar_source[at] = value, kind
     result.lidar_probability[at] = chance[taken]
-    result.lidar_sigma_m[at] = np.hypot(found.sigma_shares[kind] * value, 0.5 * HEIGHT_STEP_M)
-    for camera, rows in found.pixels.items():
+    result.lidar_sigma_m[at] = np.hypot(candidates.sigma_shares[kind] * value, 0.5 * HEIGHT_STEP_M)
+    for camera, rows in candidates.pixels.items():
         pixel, kinds = rows[:, 0].astype(np.intp), rows[:, 1].astype(np.intp)
         chance = probabilities(kinds, rows[:, 3:], PIXEL_ODDS)
         taken = np.flatnonzero(chance >= least_probability)
@@ -276,7 +276,7 @@ def _put_in(
         depth[burrs], source[burrs] = 0.0, Provenance.HOLE
         depth[at], source[at] = value, Provenance.FILLED
         result.depth_probability[camera].ravel()[at] = chance[taken]
-        sigma_m = np.hypot(found.pixel_sigma_share * value, 0.5 * HEIGHT_STEP_M)
+        sigma_m = np.hypot(candidates.pixel_sigma_share * value, 0.5 * HEIGHT_STEP_M)
         result.depth_sigma_m[camera].ravel()[at] = sigma_m
     return replace(result, applied=True)
 

@@ -137,18 +137,18 @@ def register(
     # Walls are vertical: all heights together select the offset, then the best height is chosen.
     profile = scores.mean(axis=0)
     u = int(np.argmax(profile))
-    found = registration_at(curve, stacks, scores, int(np.argmax(scores[:, u])), u, _belief_near(profile, u))
-    return replace(found, grade=Grade.MIDDLE) if found.grade == Grade.HIGH and _swings(found) else found
+    match = registration_at(curve, stacks, scores, int(np.argmax(scores[:, u])), u, _belief_near(profile, u))
+    return replace(match, grade=Grade.MIDDLE) if match.grade == Grade.HIGH and _swings(match) else match
 
 
-def _swings(found: Registration) -> bool:
+def _swings(match: Registration) -> bool:
     """Return whether the offset changes once the camera may have another position than the lidar."""
-    aligned = align([found.curve], [join(found.stacks).curve(found.v)], found.yaw_rad)
+    aligned = align([match.curve], [join(match.stacks).curve(match.v)], match.yaw_rad)
     if aligned is None:
         return False  # a single wall does not determine the motion
     T = aligned.T_laser_level
-    turn_rad = math.remainder(math.atan2(T[1, 0], T[0, 0]) - found.yaw_rad, 2.0 * math.pi)
-    return abs(turn_rad) > NEAR_SAMPLES * found.curve.step_rad
+    turn_rad = math.remainder(math.atan2(T[1, 0], T[0, 0]) - match.yaw_rad, 2.0 * math.pi)
+    return abs(turn_rad) > NEAR_SAMPLES * match.curve.step_rad
 
 
 def registration_at(

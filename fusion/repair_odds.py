@@ -105,18 +105,18 @@ def beam_candidates(
     doubted = np.isnan(steady) | (source == FILLED) | (source == INTERPOLATED)
     value = np.where(hole, other, replaced)
     nothing = np.full_like(value, np.nan)
-    found = np.stack(
+    ranges = np.stack(
         [describe_beams(own, steady, other, doubted, put, eps_share, crowd) for put in (value, nothing)]
     )
-    kind = np.full(found.shape[:2], -1)
+    kind = np.full(ranges.shape[:2], -1)
     kind[0] = np.select(
         [hole & np.isfinite(other), source == FILLED, source == INTERPOLATED, source == AVERAGED],
         [0, 2, 3, 4],
         -1,
     )
     kind[1, hole] = 1
-    kind[np.isnan(found[..., 0])] = -1
-    return kind, found
+    kind[np.isnan(ranges[..., 0])] = -1
+    return kind, ranges
 
 
 @kernel

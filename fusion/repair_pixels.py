@@ -63,15 +63,15 @@ def island_size(at: int, islands: Islands, slack_share: float) -> int:
     slack_share
         Step between neighbours of one surface, as a share of the range.
     """
-    depth, sizes, found = islands
+    depth, sizes, queue = islands
     if sizes[at] > 0:
         return int(sizes[at])
     height, width = depth.shape
     flat = depth.ravel()
     count, done, size = 1, 0, 0
-    found[0], sizes[at] = at, -1
+    queue[0], sizes[at] = at, -1
     while done < count and size == 0:
-        here = found[done]
+        here = queue[done]
         done += 1
         row, col = here // width, here % width
         for step in range(4):
@@ -81,13 +81,13 @@ def island_size(at: int, islands: Islands, slack_share: float) -> int:
             there = r * width + c
             if sizes[there] == -1 or not _hang(flat[here], flat[there], slack_share):
                 continue
-            if sizes[there] > 0 or count == found.size:
-                size = found.size
+            if sizes[there] > 0 or count == queue.size:
+                size = queue.size
                 break
-            found[count], sizes[there] = there, -1
+            queue[count], sizes[there] = there, -1
             count += 1
     for k in range(count):
-        sizes[found[k]] = size if size > 0 else count
+        sizes[queue[k]] = size if size > 0 else count
     return size if size > 0 else count
 
 
@@ -188,7 +188,7 @@ def _with_run(
     lookup: tuple[IntArray, Float32Array, Float32Array],
 ) -> tuple[FloatArray, int]:
     """Add one more run of columns to the rows of `pixel_candidates`; return the rows and their number."""
-    (found, count), (first, last, crowd), (pixel, measured, scale) = rows, run, seen
+    (table, count), (first, last, crowd), (pixel, measured, scale) = rows, run, seen
     (shifted, lost, residual, nans), (range_max_m, farthest, eps_share, noise_share) = curves, limits
     predicted, columns = shifted[0], shifted.shape[1]
     left = first > 0 and abs(residual[first - 1]) <= eps_share * predicted[first - 1]
@@ -199,9 +199,9 @@ def _with_run(
         bad = between if hole else (left or right) and island_size(pixel[i], islands, 0.5 * eps_share) <= most
         if pixel[i] < 0 or not bad:
             continue
-        if count == found.shape[0]:
-            found = np.concatenate((found, np.empty_like(found)))
-        row = found[count]
+        if count == table.shape[0]:
+            table = np.concatenate((table, np.empty_like(table)))
+        row = table[count]
         count += 1
         row[0], row[1] = pixel[i], -1.0
         if not between:
@@ -221,7 +221,7 @@ def _with_run(
         row[9], row[10] = math.log(put), math.log(row[2] / farthest)
         row[11] = math.log(SLACK_M + noise_share * put)
         row[12], row[13] = _beside(i, pixel[i], put, islands[0].ravel(), lookup, range_max_m, eps_share)
-    return found, count
+    return table, count
 
 
 @kernel

@@ -130,10 +130,10 @@ def localize_log(
         localizer = Localizer(saved, config, registrations, known)
         drive = _driven(localizer, log, config, viewer, on_progress or silent)
     if not len(drive):
-        wanted = "clouds of a 3D lidar" if saved.contents.clouds else "planar scans"
-        wanted += "" if saved.contents.frames is None else ", or frames of its camera"
+        needed = "clouds of a 3D lidar" if saved.contents.clouds else "planar scans"
+        needed += "" if saved.contents.frames is None else ", or frames of its camera"
         raise DatasetError(
-            f"{log.name} contains nothing that can be localised in {saved.path}, which needs {wanted}; "
+            f"{log.name} contains nothing that can be localised in {saved.path}, which needs {needed}; "
             "'scanweave inspect' shows what the log contains"
         )
     warning = localizer.warning()

@@ -180,21 +180,21 @@ def _beside_file(
     return Begun(export, partial(_head, result.map, identity) if report else lambda: None)
 
 
-def _head(found: MapContents, identity: MapIdentity) -> dict[str, Any]:
+def _head(saved: MapContents, identity: MapIdentity) -> dict[str, Any]:
     """The map as the data of its page."""
     from slam.evaluation.page_data import map_data
 
-    return map_data(found, identity.config, title=identity.log_name, sessions=_sessions(found, identity))
+    return map_data(saved, identity.config, title=identity.log_name, sessions=_sessions(saved, identity))
 
 
-def _sessions(found: MapContents, identity: MapIdentity) -> list[MapSession]:
+def _sessions(saved: MapContents, identity: MapIdentity) -> list[MapSession]:
     """Of a map that is about to be saved."""
-    return sessions_of(identity.to_meta(), len(found.node_poses), len(found.trajectory))
+    return sessions_of(identity.to_meta(), len(saved.node_poses), len(saved.trajectory))
 
 
-def _needs_file(found: MapContents) -> bool:
+def _needs_file(saved: MapContents) -> bool:
     """Whether parts of a map are in its open file: those no copy of this process may read."""
-    return found.frames is not None or found.clouds is not None
+    return saved.frames is not None or saved.clouds is not None
 
 
 def _written(folder: Path, made: Exports) -> tuple[list[Path], list[str]]:

@@ -94,8 +94,8 @@ def merge(
     written = merged.save(folder, overwrite=overwrite)
     merged.close()
     kept_in.remove()
-    found = load_map(folder)
-    return Merged(found, refused, (*written, write_saved_page(found)))
+    saved = load_map(folder)
+    return Merged(saved, refused, (*written, write_saved_page(saved)))
 
 
 def _joined(merged: Map, other: Map, folder: Path) -> str:

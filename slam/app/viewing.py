@@ -98,11 +98,11 @@ class MapView:
             self._take(self._map.undone(out=self._map.path.parent))
         return f"undone; {len(self._map.edits)} edits are left"
 
-    def _take(self, found: Map) -> None:
+    def _take(self, saved: Map) -> None:
         """Show another map from now on."""
         self._map.close()
-        self._map = found
-        write_saved_page(found)
+        self._map = saved
+        write_saved_page(saved)
 
 
 def application(view: MapView, token: str, port: int) -> Starlette:

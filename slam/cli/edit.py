@@ -52,10 +52,10 @@ def edit(
     if sessions is not None:
         from slam.app.rolling_back import roll_back
 
-        found = roll_back(saved, sessions, out=folder)
+        edited_map = roll_back(saved, sessions, out=folder)
     else:
-        found = saved.undone(out=folder) if undo else saved.edited(edits or "", out=folder)
-    _tell(saved, found, started)
+        edited_map = saved.undone(out=folder) if undo else saved.edited(edits or "", out=folder)
+    _tell(saved, edited_map, started)
 
 
 @command()
@@ -71,15 +71,15 @@ def merge(
     started = time.perf_counter()
     from slam.app.merging import merge as merged
 
-    found = merged(maps, out, overwrite=force)
-    for path, reason in found.refused.items():
+    result = merged(maps, out, overwrite=force)
+    for path, reason in result.refused.items():
         tell(f"warning: {path} does not connect: {reason}", sys.stderr)
-    joined = len(maps) - len(found.refused)
+    joined = len(maps) - len(result.refused)
     say(
-        f"{joined} of {len(maps)} maps in one, {len(found.map.sessions)} sessions, "
-        f"{len(found.map.keyframe_poses)} keyframes; {time.perf_counter() - started:.1f} s"
+        f"{joined} of {len(maps)} maps in one, {len(result.map.sessions)} sessions, "
+        f"{len(result.map.keyframe_poses)} keyframes; {time.perf_counter() - started:.1f} s"
     )
-    say("wrote " + ", ".join(str(path) for path in found.written))
+    say("wrote " + ", ".join(str(path) for path in result.written))
 
 
 @command()

@@ -30,15 +30,15 @@ def interruptible(show: Show) -> Iterator[Show]:
     if signal.getsignal(signal.SIGINT) is not signal.default_int_handler:
         yield show  # whoever ignores or handles the signal has a reason
         return
-    asked = False
+    interrupted = False
 
     def note(number: int, frame: FrameType | None) -> None:
-        nonlocal asked
-        asked = True
+        nonlocal interrupted
+        interrupted = True
         signal.signal(signal.SIGINT, signal.default_int_handler)
 
     def show_or_stop(progress: Progress) -> None:
-        if asked:
+        if interrupted:
             raise KeyboardInterrupt
         show(progress)
 

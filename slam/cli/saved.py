@@ -51,8 +51,8 @@ def info(map_: MapArgument, as_json: JsonOption = False) -> None:
     load_later("gtsam")
     from slam.evaluation.map_info import map_info, render_info
 
-    found = map_info(map_)
-    tell(json.dumps(found, indent=2) if as_json else render_info(found))
+    facts = map_info(map_)
+    tell(json.dumps(facts, indent=2) if as_json else render_info(facts))
 
 
 @command()

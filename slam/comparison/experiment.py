@@ -149,15 +149,15 @@ class Experiment(StrictModel):
 
 def swept_overrides(configuration: Configuration) -> list[tuple[str, dict[str, Value]]]:
     """Name and overrides of every combination of a sweep; the configuration itself if there is no sweep."""
-    found = [(configuration.name, dict(configuration.overrides))]
+    swept = [(configuration.name, dict(configuration.overrides))]
     for key, values in configuration.sweep.items():
         short = key.rpartition(".")[2]
-        found = [
+        swept = [
             (f"{name}, {short}={value}", {**overrides, key: value})
-            for name, overrides in found
+            for name, overrides in swept
             for value in values
         ]
-    return found
+    return swept
 
 
 def baseline_name(baseline: Baseline) -> str:

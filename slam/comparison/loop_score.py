@@ -56,12 +56,12 @@ def _is_right(loop: AcceptedLoop, truth: Trajectory) -> bool:
 
 def _revisits(poses: FloatArray, path_m: FloatArray) -> BoolArray:
     """(K,) whether a keyframe is near an older one, with enough path length between."""
-    found = np.zeros(len(poses), dtype=bool)
+    revisited = np.zeros(len(poses), dtype=bool)
     for key in range(len(poses)):
         old = path_m <= path_m[key] - LEAST_PATH_M
         if old.any():
-            found[key] = np.hypot(*(poses[old, :2] - poses[key, :2]).T).min() <= REVISIT_M
-    return found
+            revisited[key] = np.hypot(*(poses[old, :2] - poses[key, :2]).T).min() <= REVISIT_M
+    return revisited
 
 
 def _true_poses(truth: Trajectory, stamps_s: FloatArray) -> tuple[FloatArray, BoolArray]:

@@ -30,7 +30,7 @@ def robot_radius_m(truth: Path) -> float | None:
 
 
 def plan_scores(
-    found: StateGrid,
+    grid: StateGrid,
     truth: TrueGrid,
     T_true_map: FloatArray,
     true_xy: FloatArray,
@@ -65,7 +65,7 @@ def plan_scores(
     reachable: Cells = np.isin(region, np.setdiff1d(region[driven], 0))
     in_reach = ndimage.distance_transform_edt(~driven) * resolution <= REACH_M
 
-    space = free_space(found.states, found.resolution_m, found.T_map_grid, radius_m)
+    space = free_space(grid.states, grid.resolution_m, grid.T_map_grid, radius_m)
     starts = np.unique([space.cell_of((x, y)) for x, y in map_xy[::_EVERY]], axis=0)
     starts = starts[_inside(starts, space.allowed.shape)]
     starts = starts[space.allowed[tuple(starts.T)]]
@@ -81,10 +81,10 @@ def plan_scores(
         return sampled
 
     scores = {
-        name: float(at(wanted, goals).sum() / max(wanted.sum(), 1))
-        for name, wanted in (("reach", reachable), ("reach_near", reachable & in_reach))
+        name: float(at(reference, goals).sum() / max(reference.sum(), 1))
+        for name, reference in (("reach", reachable), ("reach_near", reachable & in_reach))
     }
-    scores["danger"] = float(at(truth.occupied, np.argwhere(found.states == FREE)).sum())
+    scores["danger"] = float(at(truth.occupied, np.argwhere(grid.states == FREE)).sum())
     if len(starts):
         least_m = np.array([at(clearance, plan).min() for plan in _plans(space, starts, goals)])
         scores["collide"] = float((least_m < radius_m - resolution - 1e-9).mean())

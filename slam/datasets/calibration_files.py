@@ -85,9 +85,9 @@ class KnownCalibration:
         called = [item for item in fit if _ROLES[role].search(f"{item.name} {item.topic}")]
         other = "color" if role == "depth" else "depth"
         nameless = [item for item in fit if not _ROLES[other].search(f"{item.name} {item.topic}")]
-        for found in (called, nameless):
-            if len(found) == 1 or (found and found[0].source in self.sure):
-                return found[0]
+        for group in (called, nameless):
+            if len(group) == 1 or (group and group[0].source in self.sure):
+                return group[0]
         return None
 
     def depth_steps_per_m(self) -> tuple[float, str] | None:
@@ -96,14 +96,14 @@ class KnownCalibration:
         return next(((steps, source) for steps, source in stated if steps is not None), None)
 
 
-def known_beside(path: Path, given: Sequence[Path] = ()) -> KnownCalibration:
+def known_beside(path: Path, named: Sequence[Path] = ()) -> KnownCalibration:
     """Read the files that the user gave, and those next to a recording.
 
     Parameters
     ----------
     path
         The recording; the search is in this folder, or in the folder of this file.
-    given
+    named
         Files that the user named.
 
     Raises
@@ -116,21 +116,21 @@ def known_beside(path: Path, given: Sequence[Path] = ()) -> KnownCalibration:
     # Next to a bag and an image list, as in a simulated drive, `calibration.yaml` belongs to the images.
     of_images = path.is_file() and (folder / _IMAGE_LIST).is_file()
     own = [folder / FILE_NAME] if (folder / FILE_NAME).is_file() and not of_images else []
-    for file in [*given, *own]:
+    for file in [*named, *own]:
         try:
-            _add(known, file, sure=True)
+            _add(known, file, priority=True)
         except (OSError, ValueError) as error:
             raise DatasetError(f"{file}: {plain(error)}; correct the calibration, or leave it out") from error
-    if silent := [file for file in given if file.name not in known.sure]:
+    if silent := [file for file in named if file.name not in known.sure]:
         raise DatasetError(
             f"{silent[0]} contains neither lens nor mounting; give a calibration.yaml, a camera_info yaml, a "
             "Kalibr camchain, a URDF, a yaml of tf or what OpenCV wrote"
         )
     for file in _candidates(folder):
-        if file in own or file in given or (of_images and file.name == FILE_NAME):
+        if file in own or file in named or (of_images and file.name == FILE_NAME):
             continue
         try:
-            _add(known, file, sure=False)
+            _add(known, file, priority=False)
         except (OSError, ValueError) as error:
             known.notes.append(f"{file.name}, beside the recording, is not used: {plain(error)}")
     return known
@@ -183,31 +183,31 @@ def _told(lens: CameraIntrinsics) -> str:
     return f"fx {lens.fx:.1f} fy {lens.fy:.1f} cx {lens.cx:.1f} cy {lens.cy:.1f}{size}"
 
 
-def _add(known: KnownCalibration, file: Path, *, sure: bool) -> None:
+def _add(known: KnownCalibration, file: Path, *, priority: bool) -> None:
     """Add one file."""
-    found = read_calibration_file(file)
-    if not found:
+    content = read_calibration_file(file)
+    if not content:
         return
-    known.cameras += found.cameras
-    known.transforms += found.transforms
-    if found.T_base_camera is not None:
-        known.T_base_camera = known.T_base_camera or (found.T_base_camera, file.name)
-    if found.T_base_lidar is not None:
-        known.T_base_lidar = known.T_base_lidar or (found.T_base_lidar, file.name)
-    if sure:
+    known.cameras += content.cameras
+    known.transforms += content.transforms
+    if content.T_base_camera is not None:
+        known.T_base_camera = known.T_base_camera or (content.T_base_camera, file.name)
+    if content.T_base_lidar is not None:
+        known.T_base_lidar = known.T_base_lidar or (content.T_base_lidar, file.name)
+    if priority:
         known.sure.add(file.name)
 
 
 def _candidates(folder: Path) -> list[Path]:
     """Files that may be calibrations, sorted by name."""
-    found: list[Path] = []
+    paths: list[Path] = []
     for place in (folder, *(folder / name for name in _INSIDE)):
         if place.is_dir():
             files = (file for file in place.iterdir() if file.suffix.lower() in _SUFFIXES)
-            found += sorted(
+            paths += sorted(
                 islice((f for f in files if f.is_file() and f.name not in _NO_CALIBRATION), _MOST_FILES)
             )
-    return found
+    return paths
 
 
 def _size(camera: FileCamera) -> tuple[int, int]:

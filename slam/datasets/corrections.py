@@ -169,31 +169,31 @@ class Unwound:
         return heading_rad
 
 
-def _corrected_scan(given: LidarCorrection, scan: LaserScan) -> LaserScan:
+def _corrected_scan(fix: LidarCorrection, scan: LaserScan) -> LaserScan:
     """Correct a scan of a lidar."""
-    ranges = scan.ranges_m * np.float32(given.range_scale)
-    for first, last in given.blocked_beams:
+    ranges = scan.ranges_m * np.float32(fix.range_scale)
+    for first, last in fix.blocked_beams:
         if last >= ranges.size:
             raise DatasetError(
                 f"the calibration leaves out beams {first} to {last} of '{scan.sensor}', "
                 f"which has {ranges.size}"
             )
         ranges[first : last + 1] = np.nan
-    if given.floor is not None:
-        ahead = np.cos(scan.bearings_rad() - math.radians(given.floor.bearing_deg))
-        ranges[scan.ranges_m * ahead > given.floor.from_m] = np.nan
-    start_rad = scan.start_angle_rad if given.start_angle_deg is None else math.radians(given.start_angle_deg)
-    step_rad = scan.step_rad if given.step_deg is None else math.radians(given.step_deg)
-    if given.upside_down:
+    if fix.floor is not None:
+        ahead = np.cos(scan.bearings_rad() - math.radians(fix.floor.bearing_deg))
+        ranges[scan.ranges_m * ahead > fix.floor.from_m] = np.nan
+    start_rad = scan.start_angle_rad if fix.start_angle_deg is None else math.radians(fix.start_angle_deg)
+    step_rad = scan.step_rad if fix.step_deg is None else math.radians(fix.step_deg)
+    if fix.upside_down:
         start_rad, ranges = -(start_rad + step_rad * (ranges.size - 1)), ranges[::-1].copy()
         scan = replace(scan, beam_s=-scan.beam_s)
-    mounting = given.T_base_laser
+    mounting = fix.T_base_laser
     return replace(
         scan,
         ranges_m=ranges,
         start_angle_rad=start_rad,
         step_rad=step_rad,
-        range_max_m=scan.range_max_m * given.range_scale,
+        range_max_m=scan.range_max_m * fix.range_scale,
         T_base_laser=scan.T_base_laser
         if mounting is None
         else gtsam.Pose2(mounting.x_m, mounting.y_m, math.radians(mounting.yaw_deg)),
@@ -214,14 +214,14 @@ class _Wheels:
         self._pose = np.zeros(3)
 
     def __call__(self, reading: WheelOdometry) -> WheelOdometry:
-        given, read = self._correction, reading.T_odom_base
+        fix, read = self._correction, reading.T_odom_base
         x, y = self._axes @ (read.x(), read.y())
-        heading_rad = given.heading_scale * self._heading.of(reading.stamp_s, read.theta())
-        heading_rad += math.radians(given.heading_offset_deg)
-        written = np.array([given.scale * x, given.scale * y, heading_rad])
-        if given.mirrored:
+        heading_rad = fix.heading_scale * self._heading.of(reading.stamp_s, read.theta())
+        heading_rad += math.radians(fix.heading_offset_deg)
+        written = np.array([fix.scale * x, fix.scale * y, heading_rad])
+        if fix.mirrored:
             written[1:] = -written[1:]
-        if given.turn_scale != 1.0:
+        if fix.turn_scale != 1.0:
             written = self._driven(written)
         return replace(reading, T_odom_base=gtsam.Pose2(*written.tolist()))
 

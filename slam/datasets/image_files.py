@@ -153,10 +153,10 @@ def _array(content: bytes, name: str) -> NDArray[Any]:
 def file_content(path: Path, budget: Budget) -> bytes:
     """The content of a file; pipes and devices are rejected."""
     try:
-        found = path.stat()
-        if not stat.S_ISREG(found.st_mode) or found.st_size > LARGEST_BYTES:
-            raise RecordFault(UNREADABLE, f"{path.name}: no file, or one of {found.st_size} bytes")
-        budget.add_file(path, found.st_size)
+        status = path.stat()
+        if not stat.S_ISREG(status.st_mode) or status.st_size > LARGEST_BYTES:
+            raise RecordFault(UNREADABLE, f"{path.name}: no file, or one of {status.st_size} bytes")
+        budget.add_file(path, status.st_size)
         return path.read_bytes()
     except FileNotFoundError as error:
         raise RecordFault(MISSING, str(path)) from error

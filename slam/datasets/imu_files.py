@@ -199,5 +199,5 @@ def _columns(head: str) -> _Columns | None:
 
 def _axes(names: list[str], pattern: re.Pattern[str]) -> tuple[int, ...]:
     """Column indices of a sensor's three axes; empty if one is missing."""
-    found = {match[3]: n for n, name in reversed(list(enumerate(names))) if (match := pattern.match(name))}
-    return tuple(found[axis] for axis in "xyz") if len(found) == 3 else ()
+    columns = {match[3]: n for n, name in reversed(list(enumerate(names))) if (match := pattern.match(name))}
+    return tuple(columns[axis] for axis in "xyz") if len(columns) == 3 else ()

@@ -155,7 +155,7 @@ def _groundtruth(path: Path, account: Account) -> Trajectory | None:
     """Ground truth of the lidar by latitude, longitude, height and angles, projected as published."""
     # Without a calibration, the lidar is assumed to be at the pose of the IMU.
     T_imu_velo = (_calibration(path, account) or gtsam.Pose3()).inverse()
-    found: list[tuple[float, gtsam.Pose3]] = []
+    poses: list[tuple[float, gtsam.Pose3]] = []
     scale = None
     for _, stamp_s, numbers in _oxts(path, _stamps_of_oxts(path, account), 6, account):
         latitude, longitude, height, roll, pitch, yaw = numbers[:6]
@@ -164,8 +164,8 @@ def _groundtruth(path: Path, account: Account) -> Trajectory | None:
         north = scale * _EARTH_RADIUS_M * math.log(math.tan(math.radians(90.0 + latitude) / 2.0))
         place_m = np.array([east, north, height])
         T_world_imu = gtsam.Pose3(gtsam.Rot3.Ypr(yaw, pitch, roll), place_m)
-        found.append((stamp_s, T_world_imu.compose(T_imu_velo)))
-    return trajectory_of(found)
+        poses.append((stamp_s, T_world_imu.compose(T_imu_velo)))
+    return trajectory_of(poses)
 
 
 def _calibration(path: Path, account: Account) -> gtsam.Pose3 | None:

@@ -62,11 +62,11 @@ def _load(path: Path, account: Account) -> Contents:
 
 def _images(path: Path, pattern: str, account: Account) -> list[StampedFile]:
     """Files sorted by the stamps in their names; empty ones are counted."""
-    found = []
+    stamped = []
     for number, file in enumerate(sorted(path.glob(pattern)), 1):
         with account.refusing(file.name, number):
-            found.append(StampedFile(stamp_of(file.name.split("-")[1].encode()), file, number))
-    return sorted(found, key=lambda image: image.stamp_s)
+            stamped.append(StampedFile(stamp_of(file.name.split("-")[1].encode()), file, number))
+    return sorted(stamped, key=lambda image: image.stamp_s)
 
 
 class _Dumps:

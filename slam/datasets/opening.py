@@ -172,7 +172,7 @@ def _what_is_wrong(folder: Path) -> str:
             return f"needs both {color} and {depths[0]}"
     if any(name.lower().endswith(".e57") for name in names):
         return "holds E57; convert each to .ply (pye57, CloudCompare), and list the stamps in times.txt"
-    inside = [str(found.relative_to(folder)) for found in _recordings(folder)]
+    inside = [str(recording.relative_to(folder)) for recording in _recordings(folder)]
     if inside:
         return f"is no log itself but holds some; give one of {', '.join(inside[:8])}"
     return f"is a directory of no known format; {_supported()}"
@@ -185,8 +185,8 @@ def _recordings(folder: Path) -> list[Path]:
         below = [
             sub for place in level for sub in islice(sorted(place.iterdir()), _LOOKED_AT) if sub.is_dir()
         ]
-        found = [sub for sub in below if any(known.recognises(sub, b"") for known in _formats())]
-        if found:
-            return found
+        recordings = [sub for sub in below if any(known.recognises(sub, b"") for known in _formats())]
+        if recordings:
+            return recordings
         level = below[:_LOOKED_AT]
     return []

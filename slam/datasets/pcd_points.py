@@ -91,9 +91,9 @@ def _compressed(stream: BinaryIO, fields: list[tuple[str, str, int]], count: int
         int(size) for size in binary_rows(stream, [("size", "<u4", 2)], 1)["size"][0]
     )
     check_bytes(stream, packed_bytes)
-    wanted = count * row_bytes(fields)
-    if whole_bytes != wanted or whole_bytes > min(LARGEST_BYTES, _MOST_GROWTH * packed_bytes):
-        raise ValueError(f"{whole_bytes} bytes in {packed_bytes} for {wanted} bytes of points")
+    expected = count * row_bytes(fields)
+    if whole_bytes != expected or whole_bytes > min(LARGEST_BYTES, _MOST_GROWTH * packed_bytes):
+        raise ValueError(f"{whole_bytes} bytes in {packed_bytes} for {expected} bytes of points")
     data = np.empty(whole_bytes, np.uint8)
     if not _unpack(np.frombuffer(stream.read(packed_bytes), np.uint8), data):
         raise ValueError("damaged compression")

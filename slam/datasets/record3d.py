@@ -99,15 +99,15 @@ class _Archive:
 
         packed = self._paid(name, budget)
         width, height = self.depth_size
-        wanted = width * height * np.dtype(kind).itemsize
-        budget.take(wanted, 0)
+        expected = width * height * np.dtype(kind).itemsize
+        budget.take(expected, 0)
         try:
-            if unpacked_bytes(packed) != wanted:
-                raise ValueError(f"not {wanted} bytes for {width} x {height}")
+            if unpacked_bytes(packed) != expected:
+                raise ValueError(f"not {expected} bytes for {width} x {height}")
             content = liblzfse.decompress(packed)
         except (liblzfse.error, MemoryError, ValueError, struct.error) as error:
             raise RecordFault(DAMAGED, f"{name}: {error}") from error
-        if len(content) != wanted:
+        if len(content) != expected:
             raise RecordFault(DAMAGED, f"{name}: {len(content)} bytes for {width} x {height}")
         return np.frombuffer(content, kind).reshape(height, width)
 

@@ -67,16 +67,16 @@ def open_robot_at_home(path: Path, strict: bool) -> Recording:
 
 def _load(indexes: list[Path], account: Account) -> Contents:
     """The observations of all indexes by sensor, the earliest index first."""
-    found: dict[str, list[list[_Observation]]] = defaultdict(list)
+    listed_by: dict[str, list[list[_Observation]]] = defaultdict(list)
     for index in indexes:
         observations: dict[str, list[_Observation]] = defaultdict(list)
         for label, observation in _observations(index, account):
             observations[label].append(observation)
         for label, listed in observations.items():
-            found[label].append(listed)
+            listed_by[label].append(listed)
     in_order = {
         label: [shot for part in sorted(parts, key=lambda part: part[0].stamp_s) for shot in part]
-        for label, parts in found.items()
+        for label, parts in listed_by.items()
     }
     scans = in_order.pop(LASER, [])
     cameras = [camera(label, [_pair(shot) for shot in in_order[label]]) for label in sorted(in_order)]
@@ -139,7 +139,7 @@ def _both_trees(path: Path) -> list[Path]:
     room = Path(other)
     # A room is a folder in the tree of scans, and a file in the tree of images.
     rgbd = room.parent / f"{room.name}_rgbd.txt"
-    return [path, *(found for found in (room, rgbd) if found != path.resolve() and found.exists())]
+    return [path, *(tree for tree in (room, rgbd) if tree != path.resolve() and tree.exists())]
 
 
 def _indexes(path: Path) -> Iterator[Path]:

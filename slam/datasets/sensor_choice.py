@@ -241,7 +241,7 @@ class SensorTally:
             Why the run could not use a sensor that was chosen, by name.
         """
         assert self.choice is not None
-        found = [
+        known = [
             SensorUse(
                 sensor,
                 _KINDS.get(kind, kind.__name__),
@@ -250,7 +250,7 @@ class SensorTally:
             )
             for (kind, sensor), count in sorted(self.counts.items(), key=lambda item: item[0][1])
         ]
-        why_not = {use.sensor: use.why_not for use in found}
+        why_not = {use.sensor: use.why_not for use in known}
         rest = [
             (name, count, why_not.get(report.part_of.get(name, ""), ""))
             for name, count in report.beside.items()
@@ -259,7 +259,7 @@ class SensorTally:
             (name, count, report.reasons.get(name, "nothing reads it"))
             for name, count in report.ignored.items()
         ]
-        return found + [SensorUse(*_name_and_kind(name), count, why) for name, count, why in sorted(rest)]
+        return known + [SensorUse(*_name_and_kind(name), count, why) for name, count, why in sorted(rest)]
 
 
 @dataclass(frozen=True, slots=True)

@@ -88,10 +88,10 @@ def straight(scan: LaserScan, twist: FloatArray, turn_s: float, cut_rad: float) 
     with np.errstate(divide="ignore", invalid="ignore"):
         between_m = near_m * other * gaps.sum(axis=0) / (gaps[0] * near_m + gaps[1] * other)
     nearest = order[np.where(gaps[0] < gaps[1], after - 1, after)]
-    found = np.where(hit, far_m, scan.ranges_m)[nearest]
-    found = np.where(on_one & np.isfinite(between_m), between_m, found)
-    found[gaps.min(axis=0) > step_rad] = np.nan
-    return replace(scan, ranges_m=found.astype(np.float32), beam_s=0.0)
+    ranges = np.where(hit, far_m, scan.ranges_m)[nearest]
+    ranges = np.where(on_one & np.isfinite(between_m), between_m, ranges)
+    ranges[gaps.min(axis=0) > step_rad] = np.nan
+    return replace(scan, ranges_m=ranges.astype(np.float32), beam_s=0.0)
 
 
 def middle_s(scan: LaserScan) -> float:

@@ -139,29 +139,29 @@ def later_evidence(
     first
         The first keyframe of the session.
     """
-    found = []
+    updated = []
     for entry in entries:
         cuts = [
             Cut(region.points(contents.keyframe_poses), outside=region.kind == "crop")
             for region in entry.regions
             if region.kind in ("erase", "crop") and region.value
         ]
-        found.append(replace(entry, erased={**entry.erased, **taken(contents, cuts, config, first)}))
-    return found
+        updated.append(replace(entry, erased={**entry.erased, **taken(contents, cuts, config, first)}))
+    return updated
 
 
 def _turned(entry: AppliedEdits, known: Known, edits: Edits, config: Config) -> AppliedEdits:
     """The entry with the rotation of the map, from the keyframe poses after all other edits."""
     entries = [*known.contents.edits, entry]
-    found = settled(known.base, entries, known.before, config, known.sessions)
-    before, after = known.contents.keyframe_poses, found.keyframe_poses
+    contents = settled(known.base, entries, known.before, config, known.sessions)
+    before, after = known.contents.keyframe_poses, contents.keyframe_poses
 
     def now(*points: tuple[float, float]) -> FloatArray:
         return held("place", np.array(points), before).points(after)
 
     angle, turn = 0.0, edits.turn
     if turn is not None and turn.to_walls:
-        angle = to_walls_rad(found, config)
+        angle = to_walls_rad(contents, config)
     elif turn is not None and turn.degrees is not None:
         angle = math.radians(turn.degrees)
     elif turn is not None and turn.along_x is not None:

@@ -56,9 +56,9 @@ def write_with(known: Known, edits: Edits, path: Path) -> list[str]:
 
 def write_entries(known: Known, entries: Sequence[AppliedEdits], path: Path) -> list[str]:
     """Write a map with some of its edits, or others; returns and raises as `write_with`."""
-    found, warnings = remade(known.base, entries, known.before, known.sessions)
+    contents, warnings = remade(known.base, entries, known.before, known.sessions)
     config = remade_config(known.before, entries)
-    _write(path, UneditedFile(known.file), found, None if config == known.before else config)
+    _write(path, UneditedFile(known.file), contents, None if config == known.before else config)
     return warnings
 
 

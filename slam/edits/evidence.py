@@ -128,10 +128,10 @@ def _floor_m(contents: MapContents, T_map_base: Pose | None) -> float | None:
 
 def scans_without(scans: Sequence[LaserScan | None], erased: Mapping[int, bytes]) -> list[LaserScan | None]:
     """Return scans with readings removed: these get negative ranges."""
-    left = list(scans)
+    remaining = list(scans)
     for node, bits in erased.items():
         scan = scans[node]
         if scan is not None:
             is_cut = mask_of(bits, scan.ranges_m.size)
-            left[node] = replace(scan, ranges_m=np.where(is_cut, -scan.ranges_m, scan.ranges_m))
-    return left
+            remaining[node] = replace(scan, ranges_m=np.where(is_cut, -scan.ranges_m, scan.ranges_m))
+    return remaining

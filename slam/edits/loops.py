@@ -141,14 +141,14 @@ def refuse_unknown(loops: Sequence[LoopCandidate], pair: Pair, ends: str, *, mat
 def matched_loops(
     contents: MapContents,
     sessions: Sequence[MapSession],
-    wanted: Sequence[tuple[int, int, FloatArray | None, str]],
+    pairs: Sequence[tuple[int, int, FloatArray | None, str]],
     config: Config,
 ) -> list[LoopCandidate]:
     """Match pairs of keyframes.
 
     Parameters
     ----------
-    wanted
+    pairs
         Two rows each, the pose (3,) of the second relative to the first or None, and their names.
 
     Raises
@@ -156,14 +156,14 @@ def matched_loops(
     MapFileError
         If two do not match, with the reason.
     """
-    if not wanted:
+    if not pairs:
         return []
     if not contents.planar:
-        return [_checked(*_match_in_space(contents, pair, config)) for pair in wanted]
+        return [_checked(*_match_in_space(contents, pair, config)) for pair in pairs]
     poses, path_m = contents.keyframe_poses, contents.path_m
     closer = closer_of(contents.keyframe_scans, poses, path_m, session_numbers(sessions), config)
     matched, loops = [], config.loops
-    for first, second, guess, ends in wanted:
+    for first, second, guess, ends in pairs:
         if guess is None:
             # At about the same position, with any heading.
             widths = loops.greatest_half_width_m, np.pi
@@ -179,10 +179,10 @@ def matched_loops(
 
 
 def _match_in_space(
-    contents: MapContents, wanted: tuple[int, int, FloatArray | None, str], config: Config
+    contents: MapContents, named_pair: tuple[int, int, FloatArray | None, str], config: Config
 ) -> tuple[LoopCandidate, str]:
     """Return the match of two clouds, or of two frames of a camera alone, and its name."""
-    first, second, row, ends = wanted
+    first, second, row, ends = named_pair
     earlier, later = min(first, second), max(first, second)
     guess = None if row is None else gtsam.Pose3(pose2_from_row(row))
     if guess is not None and earlier != first:

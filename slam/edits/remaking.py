@@ -94,14 +94,14 @@ def remade(
         If an edit does not fit, or a setting needs the log.
     """
     config = remade_config(before, entries)
-    found = replace(settled(base, entries, before, config, sessions), edits=list(entries))
-    found = _seen(found, base, entries, before, config)
-    found, warnings = drawn(found, config)
+    contents = replace(settled(base, entries, before, config, sessions), edits=list(entries))
+    contents = _seen(contents, base, entries, before, config)
+    contents, warnings = drawn(contents, config)
     for crop in regions_of(entries, "crop"):
-        corners = crop.points(found.keyframe_poses)
-        grids = {name: _cropped(grid, corners) for name, grid in found.grids.items()}
-        found = replace(found, grids={name: grid for name, grid in grids.items() if grid is not None})
-    return found, warnings
+        corners = crop.points(contents.keyframe_poses)
+        grids = {name: _cropped(grid, corners) for name, grid in contents.grids.items()}
+        contents = replace(contents, grids={name: grid for name, grid in grids.items() if grid is not None})
+    return contents, warnings
 
 
 def settled(
@@ -216,7 +216,7 @@ def _unrepaired(measured: LaserScan | None, mended: LaserScan | None) -> LaserSc
 
 
 def _seen(
-    found: MapContents, base: MapContents, entries: Sequence[AppliedEdits], before: Config, config: Config
+    contents: MapContents, base: MapContents, entries: Sequence[AppliedEdits], before: Config, config: Config
 ) -> MapContents:
     """Return the map with the evidence that remains after edits and settings."""
     frames = base.frames and base.frames.without(erased_bits(entries, FRAME))
@@ -237,13 +237,13 @@ def _seen(
         measured = mended = band_scans(clouds, poses, base.ground_m, ground, config)
     else:
         same = mended is measured
-        left = scans_without(mended, erased_bits(entries, REPAIRED))
+        uncut = scans_without(mended, erased_bits(entries, REPAIRED))
         alone = scans_without(measured, erased_bits(entries, MEASURED))
         # An unrepaired scan remains the same object.
-        both = zip(measured, mended, alone, left, strict=True)
+        both = zip(measured, mended, alone, uncut, strict=True)
         mended = [one if same or scan is other else two for scan, other, one, two in both]
         measured = alone
-    return replace(found, frames=frames, clouds=clouds, measured_scans=measured, keyframe_scans=mended)
+    return replace(contents, frames=frames, clouds=clouds, measured_scans=measured, keyframe_scans=mended)
 
 
 def _cropped(grid: OccupancyGrid, polygon: FloatArray) -> OccupancyGrid | None:

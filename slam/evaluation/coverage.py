@@ -68,20 +68,20 @@ def coverage(
     EvaluationError
         If fewer than two poses have a ground truth, or a covariance is not positive definite.
     """
-    truth, found = _truth_at(reference, trajectory.stamps_s, max_difference_s)
-    estimate, covariances = trajectory[found], covariances[found]
+    truth, covered = _truth_at(reference, trajectory.stamps_s, max_difference_s)
+    estimate, covariances = trajectory[covered], covariances[covered]
     if len(estimate) < 2:
         raise EvaluationError(f"{len(estimate)} poses have a true one within {max_difference_s} s")
-    held = int(np.trace(covariances, axis1=1, axis2=2).argmin())
-    errors = _errors(estimate, truth, held)
+    fixed = int(np.trace(covariances, axis1=1, axis2=2).argmin())
+    errors = _errors(estimate, truth, fixed)
     planar = covariances.shape[1] == 3
     errors = errors[:, [0, 1, 5]] if planar else errors
-    others = np.arange(len(estimate)) != held
+    others = np.arange(len(estimate)) != fixed
     errors, covariances = errors[others], covariances[others]
     axes = 2 if planar else 3
     return Coverage(
         count=len(errors),
-        held_at_s=float(estimate.stamps_s[held]),
+        held_at_s=float(estimate.stamps_s[fixed]),
         nees=float(np.mean(_squares(errors, covariances)) / errors.shape[1]),
         position=_within(errors[:, :axes], covariances[:, :axes, :axes]),
         yaw=_within(errors[:, -1:], covariances[:, -1:, -1:]),
@@ -102,15 +102,15 @@ def _squares(errors: FloatArray, covariances: FloatArray) -> FloatArray:
     return np.asarray(np.sum(whitened**2, axis=1))
 
 
-def _errors(estimate: Trajectory, truth: Trajectory, held: int) -> FloatArray:
+def _errors(estimate: Trajectory, truth: Trajectory, fixed: int) -> FloatArray:
     """Return (N, 6) position and rotation vector, along the map's axes, from poses to their ground truth.
 
     In exponential coordinates, rotating a path about one of its points gives errors on a straight line (Long,
     Wolfe, Mashner, Chirikjian 2012, "The banana distribution is Gaussian").
     """
     own, true = (spatial.transform.Rotation.from_quat(path.quaternions_xyzw) for path in (estimate, truth))
-    turn = own[held] * true[held].inv()
-    shifted = turn.apply(truth.positions_m - truth.positions_m[held]) + estimate.positions_m[held]
+    turn = own[fixed] * true[fixed].inv()
+    shifted = turn.apply(truth.positions_m - truth.positions_m[fixed]) + estimate.positions_m[fixed]
     angles = (turn * true * own.inv()).as_rotvec()
     across = np.cross(angles, shifted - estimate.positions_m)
     half = np.maximum(0.5 * np.linalg.norm(angles, axis=1), _SMALLEST)[:, None]

@@ -81,12 +81,12 @@ def _page(title: str, drive: DriveLog, layers: LayeredMap | None) -> WorkPage:
         }
         for name, values in columns
     ]
-    found = {
+    column = {
         "name": "found",
         "title": "when it was found",
         "classes": ["at once", "later, from when the robot was found"],
     }
-    path["more"].append({**found, "values": found_later.astype(np.uint8)})
+    path["more"].append({**column, "values": found_later.astype(np.uint8)})
     head: dict[str, Any] = {
         "kind": "localization",
         "title": title,

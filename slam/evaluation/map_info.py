@@ -116,10 +116,10 @@ def _origin(identity: MapIdentity) -> dict[str, Any]:
     }
 
 
-def render_info(found: Mapping[str, Any]) -> str:
+def render_info(facts: Mapping[str, Any]) -> str:
     """Format the facts for the user, one per line."""
     lines = []
-    for name, value in found.items():
+    for name, value in facts.items():
         if isinstance(value, Mapping):
             value = ", ".join(f"{key} {_text(part)}" for key, part in value.items()) or "none"
         lines.append(f"{name.replace('_', ' ') + ':':17} {_text(value)}")
@@ -148,15 +148,15 @@ def _grids(file: MapFile, small: Unpacker, config: Config) -> dict[str, Any]:
     """Return every grid, and the decision if there are two."""
     has_depth = (DEPTH,) in file.tally(GRIDS, "name")
     grids = read_grids(file, small, placed=has_depth)
-    found = {name: _grid(grid.states(), grid.resolution_m) for name, grid in grids.items()}
+    shares = {name: _grid(grid.states(), grid.resolution_m) for name, grid in grids.items()}
     if not has_depth:
-        return found
+        return shares
     from slam.mapping.keyframe_grid import layers_of_grids
 
     layers = layers_of_grids(grids.get(OCCUPANCY), grids[DEPTH], config)
     if layers is not None:
-        found["decision"] = _grid(layers.states("decision"), layers.resolution_m)
-    return found
+        shares["decision"] = _grid(layers.states("decision"), layers.resolution_m)
+    return shares
 
 
 def _grid(states: StateArray, resolution_m: float) -> dict[str, Any]:

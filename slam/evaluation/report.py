@@ -103,14 +103,14 @@ def _duration(seconds: float) -> str:
 
 def _page(data: ReportData, head: dict[str, Any] | None) -> WorkPage:
     """Return the interactive plan."""
-    found, truth = data.result.map, data.beside.truth
+    contents, truth = data.result.map, data.beside.truth
     if head is None:
-        head = map_data(found, data.config, title=data.log_name, sessions=data.sessions)
+        head = map_data(contents, data.config, title=data.log_name, sessions=data.sessions)
     head["digest"] = data.digest
     head["charts"] = map_charts(data.result, data.unit, truth)
     if truth is not None:
         head["truth"] = {"xy": truth.true_positions_m[:, :2].astype(np.float32)}
-    return map_work_page(head, found, data.config, data.beside.cloud)
+    return map_work_page(head, contents, data.config, data.beside.cloud)
 
 
 def fusion_section(fused: FusionSummary) -> str:

@@ -79,8 +79,8 @@ def evaluate(
     """
     poses = _poses(trajectory)
     if (groundtruth is None) == (relations is None):
-        given = "none" if relations is None else "both"
-        raise EvaluationError(f"a trajectory is scored by groundtruth or by relations: give one, not {given}")
+        count = "none" if relations is None else "both"
+        raise EvaluationError(f"a trajectory is scored by groundtruth or by relations: give one, not {count}")
     if relations is not None:
         checked = (
             relations if isinstance(relations, Relations) else read_relations(path_of(relations, "relations"))

@@ -147,11 +147,11 @@ class CloudSensor:
             ends = [guess, *([] if aligned is None else [aligned.found.pose])]  # large voxels may mislead
             arrived.append(max(((self.weigh(at, view), at, tile.local) for at in ends), key=lambda a: a[0]))
         arrived.sort(key=lambda place: -place[0])
-        found = []
+        proposed = []
         for _, pose, local in arrived[: self._settings.places]:
             exact = local.align(view.points, pose, REACH * self.voxel_m)  # may be some voxels off
-            found.append(pose if exact is None else exact.found.pose)
-        return found
+            proposed.append(pose if exact is None else exact.found.pose)
+        return proposed
 
     def _aligned(self, view: CloudView, guess: Pose) -> tuple[Aligned | None, float]:
         """Return an alignment, and the share of the cloud that agrees, relative to the map's own clouds."""

@@ -33,12 +33,12 @@ def drawn_walls(grid: OccupancyGrid) -> OrientedPoints:
     slope_y, slope_x = (np.gradient(filled, axis=axis) for axis in (0, 1))
     cells, normals = list[Float32Array](), list[Float32Array]()
     for row, column in ((0, 1), (0, -1), (1, 0), (-1, 0)):
-        found = np.argwhere(free & np.roll(walls, (-row, -column), (0, 1)))
-        gradient = -np.column_stack([slope_x[tuple(found.T)], slope_y[tuple(found.T)]])
+        free_cells = np.argwhere(free & np.roll(walls, (-row, -column), (0, 1)))
+        gradient = -np.column_stack([slope_x[tuple(free_cells.T)], slope_y[tuple(free_cells.T)]])
         length = np.hypot(*gradient.T)
         sided = length > TINY
         normals.append(gradient[sided] / length[sided, None])
-        cells.append(np.asarray(found[sided] + (row, column), np.float32)[:, ::-1])
+        cells.append(np.asarray(free_cells[sided] + (row, column), np.float32)[:, ::-1])
     middles = (np.concatenate(cells) - np.float32(0.5)) * np.float32(grid.resolution_m)
     corner = row_from_pose2(grid.T_map_grid)
     turned = transform_points(np.concatenate(normals), np.array([0.0, 0.0, corner[2]]))

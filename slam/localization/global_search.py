@@ -68,8 +68,8 @@ def at_once(steps: Steps[T]) -> T:
         try:
             next(steps)
         except StopIteration as ended:
-            found: T = ended.value
-            return found
+            result: T = ended.value
+            return result
 
 
 def search_map(
@@ -128,13 +128,13 @@ def search_map(
 def _apart(poses: FloatArray, most: int) -> list[int]:
     """Return the first of every group of close poses, (n, 3) in order of preference."""
     chosen: list[int] = []
-    left = np.ones(len(poses), np.bool_)
-    while len(chosen) < most and left.any():
-        n = int(left.argmax())
+    candidates = np.ones(len(poses), np.bool_)
+    while len(chosen) < most and candidates.any():
+        n = int(candidates.argmax())
         chosen.append(n)
         is_far = np.hypot(poses[:, 0] - poses[n, 0], poses[:, 1] - poses[n, 1]) > SAME_M
         turn = np.abs((poses[:, 2] - poses[n, 2] + np.pi) % (2.0 * np.pi) - np.pi)
-        left &= is_far | (turn > SAME_RAD)
+        candidates &= is_far | (turn > SAME_RAD)
     return chosen
 
 

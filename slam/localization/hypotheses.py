@@ -157,10 +157,10 @@ class HypothesisSet(Generic[V, N]):
         if self._search is None:
             return
         search, searched_at = self._search
-        for found in search:
-            if found is None:
+        for proposal in search:
+            if proposal is None:
                 break
-            self._take_in(composed(found, motion_between(searched_at, self._log.keyframes[-1].pose)), 0.0)
+            self._take_in(composed(proposal, motion_between(searched_at, self._log.keyframes[-1].pose)), 0.0)
         else:
             self._search = None
             self._prune()

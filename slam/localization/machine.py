@@ -132,9 +132,9 @@ class StateMachine(Generic[V, N]):
             return None
         return motion if self._may_be(predicted, _measured(motion)) else None
 
-    def _may_be(self, expected: Measured, found: Measured) -> bool:
+    def _may_be(self, expected: Measured, measured: Measured) -> bool:
         """Return whether a pose passes the gate."""
-        return squared_mahalanobis(expected, found) <= self._config.gate_sigmas**2
+        return squared_mahalanobis(expected, measured) <= self._config.gate_sigmas**2
 
     def _search(
         self, observed: Observation[V], predicted: Measured | None
@@ -171,14 +171,14 @@ class StateMachine(Generic[V, N]):
             return math.nan, self._found(together, observed.pose)
         return math.nan, ()
 
-    def _found(self, found: Measured, odometry_pose: Pose) -> Sequence[RecoveredPose]:
+    def _found(self, start: Measured, odometry_pose: Pose) -> Sequence[RecoveredPose]:
         """Start to track a pose that was found; the path up to here becomes known."""
         self._state, self._contradicted = State.TRACKING, False
-        self._smoother = PoseSmoother(found)
+        self._smoother = PoseSmoother(start)
         self._known = self._smoother.newest
         self._loss.reset(self._config.lost_nats)
         recovered = [
-            RecoveredPose(stamp_s, composed(found.pose, motion_between(odometry_pose, pose)))
+            RecoveredPose(stamp_s, composed(start.pose, motion_between(odometry_pose, pose)))
             for stamp_s, pose in self._unknown[:-1]
         ]
         self._forget()

@@ -143,8 +143,8 @@ class PlanarSensor:
         merged = np.concatenate(points)
         merged = merged[first_in_cells(merged, settings.novel_cell_m)[0]]
         window = None if within is None else Window.of(within, settings.gate_sigmas)
-        found = yield from search_map(self._field, merged, settings, settings.hypotheses, window)
-        yield from (pose2_from_row(place.pose) for place in found)
+        places = yield from search_map(self._field, merged, settings, settings.hypotheses, window)
+        yield from (pose2_from_row(place.pose) for place in places)
 
     def _without_dynamic_points(self, view: ScanView, known: Pose | None) -> ScanView:
         """Return a scan without points in known free space (people), if the pose is tracked.

@@ -70,8 +70,8 @@ class SidedPlanes:
         off_m = np.abs(np.einsum("ij,ij->i", placed - pairs.centers, pairs.normals))
         ahead = (np.einsum("ij,ij->i", lidar - placed, pairs.normals) > 0.0).astype(np.int64)
         facing = self._seen[ahead, pairs.planes]
-        found = OnPlanes(*np.zeros((3, len(points)), np.bool_))
-        found.on[pairs.found] = (off_m <= reach_m) & facing
-        found.upright[pairs.found] = (off_m <= reach_m) & facing & (np.abs(pairs.normals[:, 2]) < _LEVEL)
-        found.strange[pairs.found] = ~facing
-        return found
+        judged = OnPlanes(*np.zeros((3, len(points)), np.bool_))
+        judged.on[pairs.found] = (off_m <= reach_m) & facing
+        judged.upright[pairs.found] = (off_m <= reach_m) & facing & (np.abs(pairs.normals[:, 2]) < _LEVEL)
+        judged.strange[pairs.found] = ~facing
+        return judged

@@ -67,10 +67,10 @@ def as_place(pose: Pose) -> Measured:
     return Measured(pose, diagonal(pose, SAME_M / 3.0, SAME_RAD / 3.0))
 
 
-def squared_mahalanobis(expected: Measured, found: Measured) -> float:
+def squared_mahalanobis(expected: Measured, measured: Measured) -> float:
     """Return the squared Mahalanobis distance of a measured and an expected pose, by both covariances."""
-    offset = logarithm(motion_between(expected.pose, found.pose))
-    return float(offset @ np.linalg.solve(expected.covariance + found.covariance, offset))
+    offset = logarithm(motion_between(expected.pose, measured.pose))
+    return float(offset @ np.linalg.solve(expected.covariance + measured.covariance, offset))
 
 
 def diagonal(like: Pose, sigma_m: float, sigma_rad: float) -> FloatArray:

@@ -77,12 +77,12 @@ class VisualLocator:
 
     def anywhere(self, frame: PreparedFrame) -> list[MotionEstimate]:
         """Return all places that the frame may show, without a guess: ``T_map_base`` of each, verified."""
-        found = []
-        alike = self._index.query(frame.features.descriptors, len(self._index), self._loops.by_appearance)
-        for place in alike:
+        motions = []
+        similar = self._index.query(frame.features.descriptors, len(self._index), self._loops.by_appearance)
+        for place in similar:
             match = self._matcher.match_anywhere(frame, [self._keyframe(place.key)])
-            found.append(self._believed(match))
-        return [motion for motion in found if motion is not None]
+            motions.append(self._believed(match))
+        return [motion for motion in motions if motion is not None]
 
     def near(self, frame: PreparedFrame, guess: Pose) -> MotionEstimate | None:
         """Find ``T_map_base`` from a guess; return None if no keyframe sees the same, or it does not fit."""

@@ -143,7 +143,7 @@ def _hit_voxels(
     # Height error due to noise along the ray.
     lift = np.abs(T_grid_camera[2, :3] @ (points / points[:, 2:]).T) if len(points) else np.zeros(0)
     margin_m = model.margin_sigmas * lift * model.noise.sigma_m(points[:, 2])
-    left = obstacle_points(
+    inside = obstacle_points(
         to_frame(points, T_grid_camera),
         model.band,
         margin_m=margin_m,
@@ -151,15 +151,15 @@ def _hit_voxels(
         least_neighbours=model.least_neighbours,
         voxel_m=model.voxel_m,
     )
-    cells = np.floor(left[:, :2] / cell_m).astype(np.int64)
+    cells = np.floor(inside[:, :2] / cell_m).astype(np.int64)
     if not len(cells):
         return cells, np.zeros(0, dtype=np.int64)
     first, last = cells.min(axis=0), cells.max(axis=0)
     place = (cells - first) @ np.array([1, last[0] - first[0] + 1])
-    held = (np.bincount(place) >= model.least_points)[place]
+    is_dense = (np.bincount(place) >= model.least_points)[place]
     low_m, high_m = model.band.low_m, model.band.high_m
-    heights = ((left[:, 2] - low_m) / (high_m - low_m) * model.bins).astype(np.int64)
-    return cells[held], 1 + np.clip(heights[held], 0, model.bins - 1)
+    heights = ((inside[:, 2] - low_m) / (high_m - low_m) * model.bins).astype(np.int64)
+    return cells[is_dense], 1 + np.clip(heights[is_dense], 0, model.bins - 1)
 
 
 def _cells_taken(

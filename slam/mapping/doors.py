@@ -28,7 +28,7 @@ def find_doors(
         (N, 2) positions of the robot.
     """
     free = grid.states() == FREE
-    found: list[Door] = []
+    doors: list[Door] = []
     for index, room in enumerate(rooms):
         for other in rooms[index + 1 :]:
             for shape in room.walls:
@@ -39,8 +39,8 @@ def find_doors(
                     for begin, end in _open(*line, free, grid):
                         driven = crossed(begin, end, way_map)
                         if driven or not _met(begin, end, points):
-                            found.append(Door(begin, end, (room.number, other.number), driven))
-    return found
+                            doors.append(Door(begin, end, (room.number, other.number), driven))
+    return doors
 
 
 def _between(

@@ -195,9 +195,9 @@ def _beams(grid: OccupancyGrid, scans: Sequence[LaserScan | None], poses: FloatA
 def _first_met(grid: OccupancyGrid, from_m: FloatArray, along: FloatArray, reach_m: float) -> FloatArray:
     """Return (N,) the range of the first obstacle on each beam; 0 if there is none."""
     obstacle, step_m = grid.steps > 0, 0.5 * grid.resolution_m
-    found, left = np.zeros(len(from_m)), np.arange(len(from_m))
+    distance_m, open_beams = np.zeros(len(from_m)), np.arange(len(from_m))
     for at_m in np.arange(step_m, reach_m, step_m):
-        hit = looked_up(obstacle, grid.cells_of(from_m[left] + at_m * along[left])) > 0
-        found[left[hit]] = at_m
-        left = left[~hit]
-    return found
+        hit = looked_up(obstacle, grid.cells_of(from_m[open_beams] + at_m * along[open_beams])) > 0
+        distance_m[open_beams[hit]] = at_m
+        open_beams = open_beams[~hit]
+    return distance_m

@@ -47,7 +47,7 @@ def _flat(
     half: int,
     step_rad: float,
     limits: tuple[float, float, float, float],
-    found: BoolArray,
+    is_flat: BoolArray,
 ) -> None:
     """Mark (N,) beams whose window fits a line across them, by its slope and residuals."""
     turns = step_rad**2 * half * (half + 1) * (2 * half + 1) / 3
@@ -61,11 +61,11 @@ def _flat(
             moment += reading * beam * step_rad
         count = 2 * half + 1
         mean, slope = total / count, moment / turns
-        left = (squares - total * mean - slope * moment) / count
+        residual = (squares - total * mean - slope * moment) / count
         spread = limits[1] + limits[2] * mean
-        if abs(slope) < limits[0] * mean and left < spread**2 and spread <= limits[3]:
+        if abs(slope) < limits[0] * mean and residual < spread**2 and spread <= limits[3]:
             for beam in range(-half, half + 1):
-                found[middle + beam] = True
+                is_flat[middle + beam] = True
 
 
 def straight_runs(cells: BoolArray, resolution_m: float) -> BoolArray:
@@ -96,7 +96,7 @@ def in_straight_runs(cells: NDArray[np.intp], shape: tuple[int, int], resolution
     """
     margin = max(3, round(SHORTEST_M / resolution_m)) + 2
     rows, cols = np.divmod(cells, shape[1])
-    found = np.zeros(len(cells), np.bool_)
+    in_run = np.zeros(len(cells), np.bool_)
     for first in range(0, shape[0], SIDE):
         inside = slice(*np.searchsorted(rows, [first, first + SIDE]))
         around = slice(*np.searchsorted(rows, [first - margin, first + SIDE + margin]))
@@ -104,5 +104,5 @@ def in_straight_runs(cells: NDArray[np.intp], shape: tuple[int, int], resolution
             row, col = rows[around].min(), cols[around].min()
             band = np.zeros((np.ptp(rows[around]) + 1, np.ptp(cols[around]) + 1), np.bool_)
             band[rows[around] - row, cols[around] - col] = True
-            found[inside] = straight_runs(band, resolution_m)[rows[inside] - row, cols[inside] - col]
-    return found
+            in_run[inside] = straight_runs(band, resolution_m)[rows[inside] - row, cols[inside] - col]
+    return in_run

@@ -41,8 +41,8 @@ def horizon_scan(
     is_level = np.abs(elevation) <= _STEEPEST_RAD
     if not is_level.any():
         return None
-    found, counts = np.unique(bins[is_level], return_counts=True)
-    rings = found[counts >= LEVEL_SHARE * counts.max()]
+    bin_numbers, counts = np.unique(bins[is_level], return_counts=True)
+    rings = bin_numbers[counts >= LEVEL_SHARE * counts.max()]
     ring = int(rings[np.argmin(np.abs(rings))])
     on_ring = np.abs(elevation - ring * _BIN_RAD) <= _BIN_RAD
     step_rad = 2.0 * math.pi / config.bearings

@@ -135,12 +135,12 @@ class LayerBuilder:
         for first in range(0, rows, SIDE):
             part = steps[first : first + SIDE]
             panes = self._tiles["head on"].clipped((row + first, col, len(part), cols), low, high)
-            held = np.flatnonzero((panes > math.log(2.0) * bayes.STEPS_A_UNIT) & (part < 0))
-            numbers.append(held + first * cols)
-            values.append(panes.ravel()[held])
-        held = np.concatenate(numbers)
-        straight = in_straight_runs(held, (rows, cols), self._settings.resolution_m)
-        steps.ravel()[held[straight]] = np.concatenate(values)[straight]
+            cells = np.flatnonzero((panes > math.log(2.0) * bayes.STEPS_A_UNIT) & (part < 0))
+            numbers.append(cells + first * cols)
+            values.append(panes.ravel()[cells])
+        cells = np.concatenate(numbers)
+        straight = in_straight_runs(cells, (rows, cols), self._settings.resolution_m)
+        steps.ravel()[cells[straight]] = np.concatenate(values)[straight]
 
     def _boards(self, reading: Reading, T_map_base: Pose) -> Iterator[tuple[str, Board]]:
         """Yield the evidence of a reading by layer; for a scan also that of its head-on beams."""

@@ -127,15 +127,15 @@ class MovingThings:
     def taken_from(self, scans: Sequence[LaserScan | None]) -> list[LaserScan | None]:
         """Return the keyframe scans, repaired or not; the beams of moving objects become negative."""
         self.lose()
-        left = list(scans)
+        remaining = list(scans)
         for key, (scan, sweep) in enumerate(zip(scans, self._keyframes, strict=True)):
             moves = sweep is not None and (sweep.moves == 2).any(axis=0)
             if scan is not None and sweep is not None and np.any(moves):
                 beams = sweep.beams[np.repeat(moves, np.diff(sweep.begun))]
                 ranges_m = scan.ranges_m.copy()
                 ranges_m[beams] = -np.abs(ranges_m[beams])
-                left[key] = replace(scan, ranges_m=ranges_m)
-        return left
+                remaining[key] = replace(scan, ranges_m=ranges_m)
+        return remaining
 
     def _judge(self) -> None:
         """Find the moving objects in the next scan that is not judged yet."""

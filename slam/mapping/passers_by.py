@@ -64,10 +64,10 @@ def without_passers_by(
     taken = cells[own]
     if not taken.size:
         return grid, None
-    left = np.isin(of_cell[own], _not_there(of_cell, since, missed, enough))
+    is_free = np.isin(of_cell[own], _not_there(of_cell, since, missed, enough))
     static, stood = grid.steps.copy(), np.zeros(grid.shape, grid.steps.dtype)
     stood.flat[taken] = static.flat[taken]
-    static.flat[taken] = np.where(left, enough * miss, 0)
+    static.flat[taken] = np.where(is_free, enough * miss, 0)
     return replace(grid, steps=static), replace(grid, steps=stood)
 
 
@@ -83,8 +83,8 @@ def things_of(cells: NDArray[np.intp], cols: int) -> NDArray[np.intp]:
     for right, offset in ((1, 1), (-1, cols - 1), (0, cols), (1, cols + 1)):
         at = np.searchsorted(cells, cells + offset)
         inside = (cells % cols + right >= 0) & (cells % cols + right < cols) & (at < len(cells))
-        (found,) = np.nonzero(inside & (cells[at.clip(max=len(cells) - 1)] == cells + offset))
-        ends.append(np.stack([found, at[found]]))
+        (touching,) = np.nonzero(inside & (cells[at.clip(max=len(cells) - 1)] == cells + offset))
+        ends.append(np.stack([touching, at[touching]]))
     first, second = np.concatenate(ends, axis=1)
     joined = coo_array((np.ones(len(first), np.bool_), (first, second)), shape=(len(cells), len(cells)))
     return np.asarray(connected_components(joined, directed=False)[1], np.intp)

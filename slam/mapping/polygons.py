@@ -21,11 +21,11 @@ def inside(points: FloatArray, polygon: FloatArray) -> BoolArray:
     >>> inside(np.array([[1.0, 1.0], [3.0, 3.0]]), triangle).tolist()
     [True, False]
     """
-    found = np.zeros(len(points), np.bool_)
+    is_inside = np.zeros(len(points), np.bool_)
     low, high = polygon.min(axis=0), polygon.max(axis=0)
     (in_box,) = np.nonzero(((points >= low) & (points <= high)).all(axis=1))
-    found[in_box] = _odd(np.ascontiguousarray(points[in_box]), np.ascontiguousarray(polygon))
-    return found
+    is_inside[in_box] = _odd(np.ascontiguousarray(points[in_box]), np.ascontiguousarray(polygon))
+    return is_inside
 
 
 def cells_inside(
@@ -41,7 +41,7 @@ def cells_inside(
 @kernel
 def _odd(points, polygon):  # type: ignore[no-untyped-def]
     """Return whether a ray from each point along x crosses the outline an odd number of times."""
-    found = np.zeros(len(points), np.bool_)
+    is_inside = np.zeros(len(points), np.bool_)
     for n in range(len(points)):
         x, y = points[n, 0], points[n, 1]
         before = len(polygon) - 1
@@ -50,6 +50,6 @@ def _odd(points, polygon):  # type: ignore[no-untyped-def]
             if (from_y > y) != (to_y > y):
                 share = (y - from_y) / (to_y - from_y)
                 if x < polygon[before, 0] + share * (polygon[corner, 0] - polygon[before, 0]):
-                    found[n] = not found[n]
+                    is_inside[n] = not is_inside[n]
             before = corner
-    return found
+    return is_inside

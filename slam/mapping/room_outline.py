@@ -144,8 +144,8 @@ def _axes(segments: list[Segment]) -> FloatArray:
     lengths = np.array([segment.length_m for segment in segments])
     # Four times the angle is the same for all four directions.
     turned = np.exp(4j * np.array([math.atan2(*segment.along[::-1]) for segment in segments]))
-    alike = np.abs(np.angle(turned[:, None] / turned)) < 0.5 * SAME_DIRECTION_RAD
-    best = alike[np.argmax(alike @ lengths)]
+    parallel = np.abs(np.angle(turned[:, None] / turned)) < 0.5 * SAME_DIRECTION_RAD
+    best = parallel[np.argmax(parallel @ lengths)]
     x, y = _direction(complex((turned * lengths)[best].sum()))
     return np.array([(x, y), (-x, -y), (-y, x), (y, -x)])
 
@@ -181,7 +181,7 @@ def _faces(segments: list[Segment], axes: FloatArray, cell_m: float) -> list[Fac
 
 def _ends(faces: list[Face], axes: FloatArray, middles_m: FloatArray, cell_m: float) -> list[Face]:
     """Return faces where the visible area ends without a wall."""
-    found = []
+    sides = []
     for inward in axes:
         at = float(np.percentile(middles_m @ inward, 1)) - 0.5 * cell_m
         walls = [
@@ -191,8 +191,8 @@ def _ends(faces: list[Face], axes: FloatArray, middles_m: FloatArray, cell_m: fl
             and abs(face.point_m @ inward - at) < 4 * cell_m
         ]
         if not walls:
-            found.append(Face(at * inward, inward, False, 0.0))
-    return found
+            sides.append(Face(at * inward, inward, False, 0.0))
+    return sides
 
 
 def _inside(labels: NDArray[np.int32], label: int, before: BoolArray, cell_m: float) -> BoolArray:

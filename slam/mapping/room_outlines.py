@@ -29,11 +29,11 @@ def room_outlines(
     def drawn(label: int, *others: Outline) -> Outline | None:
         return room_outline(rooms, label, own[label], others)
 
-    found = {label: drawn(label) for label in own}
+    shapes = {label: drawn(label) for label in own}
     # A room without walls that the robot did not enter is behind a window.
     outlines = {
         label: outline
-        for label, outline in found.items()
+        for label, outline in shapes.items()
         if outline is not None and (label in entered or any(face.seen for face in outline.faces))
     }
     return _apart(rooms, outlines, drawn)

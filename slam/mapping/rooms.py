@@ -256,7 +256,7 @@ def _places(points_m: FloatArray, gap: Segment, grid: OccupancyGrid) -> NDArray[
 
 def _in_line(labels: Labels, free: BoolArray, gap: Segment, grid: OccupancyGrid) -> _InLine:
     """Return the objects in line with a gap, up to a door's width past each end."""
-    step_m, cells, found, is_near = grid.resolution_m, [], [], []
+    step_m, cells, labels_of, is_near = grid.resolution_m, [], [], []
     asides = np.arange(2.0 * step_m, THICKEST_WALL_M, step_m)
     for end_m, begin_m in ((gap.end_m, gap.begin_m), (gap.begin_m, gap.end_m)):
         along = (end_m - begin_m) / max(gap.length_m, step_m)
@@ -268,10 +268,10 @@ def _in_line(labels: Labels, free: BoolArray, gap: Segment, grid: OccupancyGrid)
             # The nearest label to the wall is beside it.
             sides.append(labels_met[np.argmax(labels_met > 0, axis=0), np.arange(len(labels_met.T))])
         stands = ~_open(free, beyond, grid)
-        found.append(np.array(sides)[:, stands])
+        labels_of.append(np.array(sides)[:, stands])
         cells.append(_places(beyond.points(step_m)[stands], gap, grid))
         is_near.append((np.arange(len(stands)) * step_m < THICKEST_WALL_M)[stands])
-    return _InLine(np.concatenate(cells), np.concatenate(found, axis=1), np.concatenate(is_near))
+    return _InLine(np.concatenate(cells), np.concatenate(labels_of, axis=1), np.concatenate(is_near))
 
 
 def _open(free: BoolArray, line: Segment, grid: OccupancyGrid) -> BoolArray:
@@ -283,10 +283,10 @@ def _open(free: BoolArray, line: Segment, grid: OccupancyGrid) -> BoolArray:
 
 def _sides(labels: Labels, gap: Segment, open_: BoolArray, grid: OccupancyGrid) -> list[int]:
     """Return the most frequent labels on the left and right of its open cells; 0 if there is none."""
-    found = []
+    sides = []
     for side in (1.0, -1.0):
         points = [gap.points(grid.resolution_m, side * far * grid.resolution_m)[open_] for far in (2.0, 3.0)]
         counts = np.bincount(looked_up(labels, grid.cells_of(np.concatenate(points))), minlength=1)
         counts[0] = 0
-        found.append(int(np.argmax(counts)))
-    return found
+        sides.append(int(np.argmax(counts)))
+    return sides

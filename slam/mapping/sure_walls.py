@@ -91,15 +91,15 @@ def sure_walls(sides: Sequence[Side], segments: Sequence[Segment], rooms: RoomMa
     is_seen = np.array([side.fit is not None for side in sides], dtype=np.bool_)
     ends = np.array([(side.begin_m, side.end_m) for side in sides]).reshape(-1, 2, 2)
     into = np.array([side.fit.offset_m if side.fit else 0.0 for side in sides])
-    gap_m, over, alike = _behind(ends, ends)
+    gap_m, over, cosines = _behind(ends, ends)
     pairs = (labels[:, None] != labels) & is_seen & is_seen[:, None]
-    back = pairs & (alike < -level) & (over > THICKEST_WALL_M) & (np.abs(gap_m) < THICKEST_WALL_M)
+    back = pairs & (cosines < -level) & (over > THICKEST_WALL_M) & (np.abs(gap_m) < THICKEST_WALL_M)
     backed = (back & _usual(gap_m + into + into[:, None], back, cell_m)).any(axis=1)
     is_near = np.abs(gap_m + into[:, None] - into) < 0.5 * cell_m
-    in_line = pairs & (alike > level) & (over > -THICKEST_WALL_M) & is_near
+    in_line = pairs & (cosines > level) & (over > -THICKEST_WALL_M) & is_near
     whole = np.array([side.seen_whole(cell_m) for side in sides], dtype=np.bool_)
-    odd = np.array([side.odd for side in sides], dtype=np.bool_)
-    doubtful = odd | _hidden(ends, labels, segments, rooms)
+    is_odd = np.array([side.odd for side in sides], dtype=np.bool_)
+    doubtful = is_odd | _hidden(ends, labels, segments, rooms)
     return np.asarray(is_seen & (backed | (whole | in_line.any(axis=1)) & ~doubtful))
 
 
@@ -113,8 +113,8 @@ def _behind(ends_m: FloatArray, others_m: FloatArray) -> tuple[FloatArray, Float
     reach = np.sort(np.einsum("nmek,nk->nme", to, along), axis=2)
     over = np.minimum(reach[..., 1], length[:, None]) - np.maximum(reach[..., 0], 0.0)
     turned = others_m[:, 1] - others_m[:, 0]
-    alike = along @ (turned / np.maximum(np.hypot(*turned.T), TINY)[:, None]).T
-    return -np.einsum("nmek,nk->nm", to, across) / 2.0, over, alike
+    cosines = along @ (turned / np.maximum(np.hypot(*turned.T), TINY)[:, None]).T
+    return -np.einsum("nmek,nk->nm", to, across) / 2.0, over, cosines
 
 
 def _usual(thickness_m: FloatArray, back: BoolArray, cell_m: float) -> BoolArray:
@@ -122,9 +122,9 @@ def _usual(thickness_m: FloatArray, back: BoolArray, cell_m: float) -> BoolArray
     one, other = np.nonzero(np.triu(back | back.T))
     thick = thickness_m[one, other]
     like = (np.abs(thick - thick[:, None]) < 0.5 * cell_m).sum(axis=1) > min(len(thick) - 1, 1)
-    found = np.zeros_like(back)
-    found[one, other] = found[other, one] = like
-    return found
+    usual = np.zeros_like(back)
+    usual[one, other] = usual[other, one] = like
+    return usual
 
 
 def _hidden(ends_m: FloatArray, labels: FloatArray, segments: Sequence[Segment], rooms: RoomMap) -> BoolArray:
@@ -135,6 +135,6 @@ def _hidden(ends_m: FloatArray, labels: FloatArray, segments: Sequence[Segment],
     normals, cell_m = np.array([piece.normal for piece in segments]), rooms.resolution_m
     before = [rooms.at(pieces.mean(axis=1) + cells * cell_m * normals) for cells in (2, 3)]
     free = [(label == 0) | (label == labels[:, None]) for label in before]
-    gap_m, over, alike = _behind(ends_m, pieces)
+    gap_m, over, cosines = _behind(ends_m, pieces)
     behind = (gap_m > 2.0 * cell_m) & (gap_m < LARGEST_FURNITURE_M2**0.5) & (over > 2.0 * cell_m)
-    return np.asarray((behind & (alike > np.cos(SAME_DIRECTION_RAD)) & free[0] & free[1]).any(axis=1))
+    return np.asarray((behind & (cosines > np.cos(SAME_DIRECTION_RAD)) & free[0] & free[1]).any(axis=1))

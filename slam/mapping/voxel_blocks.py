@@ -86,8 +86,8 @@ class VoxelBlocks:
         if not len(self):
             return np.full(keys.shape, -1)
         place = np.searchsorted(self.keys, keys, sorter=self._order).clip(max=len(self) - 1)
-        found = self._order[place]
-        return np.where(self.keys[found] == keys, found, -1)
+        blocks = self._order[place]
+        return np.where(self.keys[blocks] == keys, blocks, -1)
 
     def add(self, keys: Keys) -> None:
         """Take blocks that are new, all voxels unknown."""

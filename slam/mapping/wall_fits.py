@@ -178,12 +178,12 @@ def _by_poses(
     return jacobian
 
 
-def _noise(gain: FloatArray, left: FloatArray, owners: NDArray[np.int64]) -> FloatArray:
+def _noise(gain: FloatArray, residuals: FloatArray, owners: NDArray[np.int64]) -> FloatArray:
     """(2,) variances where the errors of one scan go together (Liang & Zeger 1986, one cluster a scan)."""
     scans = np.unique(owners, return_inverse=True)[1]
-    sums = np.array([np.bincount(scans, weights * left) for weights in gain])
+    sums = np.array([np.bincount(scans, weights * residuals) for weights in gain])
     count = sums.shape[1]
-    one_by_one = (left**2).mean() * (gain**2).sum(axis=1)
+    one_by_one = (residuals**2).mean() * (gain**2).sum(axis=1)
     return np.asarray((sums**2).sum(axis=1) * count / max(count - 2, 1) + one_by_one)
 
 
@@ -204,9 +204,9 @@ def straightened(fits: Sequence[WallFit], covariance: FloatArray) -> tuple[list[
     if len(fits) < 3:
         return list(fits), covariance
     slopes, variances = np.array([fit.slope for fit in fits]), np.diag(covariance)[1::2]
-    sure = variances <= np.median(variances)
+    precise = variances <= np.median(variances)
     common = float(np.average(slopes, weights=1.0 / variances))
-    spread = (median_to_sigma() * float(np.median(np.abs(slopes[sure] - common)))) ** 2
+    spread = (median_to_sigma() * float(np.median(np.abs(slopes[precise] - common)))) ** 2
     keep = np.ones(2 * len(fits))
     aligned = (slopes - common) ** 2 < gate() * (variances + spread)
     keep[1::2][aligned] = (spread / (spread + variances))[aligned]
@@ -214,6 +214,6 @@ def straightened(fits: Sequence[WallFit], covariance: FloatArray) -> tuple[list[
         replace(fit, slope=common + share * (fit.slope - common))
         for fit, share in zip(fits, keep[1::2], strict=True)
     ]
-    left = np.zeros(2 * len(fits))
-    left[1::2] = (1.0 - keep[1::2]) ** 2 * spread
-    return turned, np.asarray(keep[:, None] * covariance * keep + np.diag(left))
+    uncertain = np.zeros(2 * len(fits))
+    uncertain[1::2] = (1.0 - keep[1::2]) ** 2 * spread
+    return turned, np.asarray(keep[:, None] * covariance * keep + np.diag(uncertain))

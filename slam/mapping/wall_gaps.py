@@ -30,14 +30,14 @@ def wall_gaps(segments: Sequence[Segment], grid: OccupancyGrid) -> tuple[list[Se
         for index, next_ in following.items()
     ]
     gaps += _before_walls(segments, following, np.array(lengths) > WIDEST_DOOR_M, occupied, grid)
-    found, walls = [], sturdy.copy()
+    closed, walls = [], sturdy.copy()
     for gap, one, other in gaps:
         if leaves[one] or leaves[other] or _across(gap, occupied, grid):
             continue
-        found.append(gap)
+        closed.append(gap)
         if one != other:
             walls[[one, other]] = True
-    return found, [segment for segment, wall in zip(segments, walls, strict=True) if wall]
+    return closed, [segment for segment, wall in zip(segments, walls, strict=True) if wall]
 
 
 def _leaves(segments: Sequence[Segment], following: dict[int, int]) -> list[bool]:

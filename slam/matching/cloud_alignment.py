@@ -92,36 +92,36 @@ def align_cloud(
     -------
     None if fewer than six points lie on planes.
     """
-    pose, found, converged = guess, None, False
+    pose, linear, converged = guess, None, False
     for _ in range(iterations):
-        found = _linearise(points, planes, pose, kernel_m)
-        if found is None:
+        linear = _linearise(points, planes, pose, kernel_m)
+        if linear is None:
             return None
-        step = _step(found.hessian, found.gradient)
+        step = _step(linear.hessian, linear.gradient)
         pose = pose.compose(gtsam.Pose3.Expmap(step))
         # The remaining gain is less than a hundredth of a point: only noise.
-        if -(found.gradient @ step) < LEAST_EIGENVALUE * found.kernel_m**2 or np.abs(step).max() < SETTLED:
+        if -(linear.gradient @ step) < LEAST_EIGENVALUE * linear.kernel_m**2 or np.abs(step).max() < SETTLED:
             converged = True
             break
-    found = _linearise(points, planes, pose, kernel_m)
-    if found is None:
+    linear = _linearise(points, planes, pose, kernel_m)
+    if linear is None:
         return None
-    agree = np.abs(found.residuals) <= found.kernel_m
-    inliers = found.residuals[agree]
+    agree = np.abs(linear.residuals) <= linear.kernel_m
+    inliers = linear.residuals[agree]
     return CloudAlignment(
         pose,
-        found.hessian,
-        found.spread(),
-        float(found.weights.sum()),
+        linear.hessian,
+        linear.spread(),
+        float(linear.weights.sum()),
         arms_of(points),
-        len(found.residuals),
-        len(found.residuals) / len(points),
+        len(linear.residuals),
+        len(linear.residuals) / len(points),
         float(agree.mean()),
-        float(found.weights.mean()),
+        float(linear.weights.mean()),
         float(np.sqrt(np.mean(inliers**2))) if len(inliers) else np.inf,
         converged,
-        share_on_planes(found.residuals, kernel_m, len(points)),
-        planes.roughness(found.planes),
+        share_on_planes(linear.residuals, kernel_m, len(points)),
+        planes.roughness(linear.planes),
     )
 
 
@@ -140,8 +140,8 @@ def drawn_near(
         pose = pose.compose(gtsam.Pose3.Expmap(step))
         if np.linalg.norm(step[3:]) < _ARRIVED * reach_m:
             break
-    found = align_cloud(points, planes, pose, iterations, reach_m)
-    return pose if found is None else found.pose
+    aligned = align_cloud(points, planes, pose, iterations, reach_m)
+    return pose if aligned is None else aligned.pose
 
 
 def share_on_planes(residuals: FloatArray, kernel_m: float, point_count: int) -> float:
@@ -162,9 +162,9 @@ def arms_of(points: FloatArray) -> FloatArray:
 
 def levers(arms_m: FloatArray) -> FloatArray:
     """Return (6, 6) that converts a twist, GTSAM's tangent, to the motion of points, metres."""
-    found = np.eye(6)
-    found[:3, :3] = arms_m
-    return found
+    scaling = np.eye(6)
+    scaling[:3, :3] = arms_m
+    return scaling
 
 
 def motion_of(alignment: CloudAlignment, config: Config, guess: gtsam.Pose3) -> MotionEstimate:
@@ -242,8 +242,8 @@ def _step(hessian: FloatArray, gradient: FloatArray) -> FloatArray:
 def _linearise(points: FloatArray, planes: PlaneVoxels, pose: gtsam.Pose3, kernel_m: float) -> _Linear | None:
     """Return Hessian and gradient for a motion of the base in its own frame."""
     T_map_base = pose.matrix()
-    found = planes.residuals(points, T_map_base)
-    residuals = found.distances_m
+    pairs = planes.residuals(points, T_map_base)
+    residuals = pairs.distances_m
     if len(residuals) < 6:
         return None
     # As `numpy.median`, in a third of its time.
@@ -252,5 +252,5 @@ def _linearise(points: FloatArray, planes: PlaneVoxels, pose: gtsam.Pose3, kerne
     median_m = distances_m[half] if len(residuals) % 2 else 0.5 * (distances_m[half - 1] + distances_m[half])
     spread = median_to_sigma() * float(median_m)
     kernel_m = float(np.clip(math.sqrt(gate()) * spread, _LEAST_KERNEL_M, kernel_m))
-    weights, gradients, sums = planes.normal_equations(points, T_map_base, found, kernel_m)
-    return _Linear(sums[:6], sums[6], residuals, weights, kernel_m, gradients, found.voxels)
+    weights, gradients, sums = planes.normal_equations(points, T_map_base, pairs, kernel_m)
+    return _Linear(sums[:6], sums[6], residuals, weights, kernel_m, gradients, pairs.voxels)

@@ -188,14 +188,14 @@ def _descend(levels, columns, rows, width_steps, least, top, side, bounds, order
     best = least
     best_dx = best_dy = ZERO
     best_turn = NONE
-    for found in order:
-        if bounds[found] <= best:
+    for node in order:
+        if bounds[node] <= best:
             break
-        turn = found // (side * side)
-        stack[0, 0] = 4 * bounds[found]
+        turn = node // (side * side)
+        stack[0, 0] = 4 * bounds[node]
         stack[0, 1] = top
-        stack[0, 2] = found % side * block - width_steps
-        stack[0, 3] = found // side % side * block - width_steps
+        stack[0, 2] = node % side * block - width_steps
+        stack[0, 3] = node // side % side * block - width_steps
         depth = ONE
         while depth > 0:
             depth -= 1

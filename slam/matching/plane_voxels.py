@@ -116,9 +116,9 @@ class PlaneVoxels:
             self._flat,
             self._planes,
         )
-        left = self._sums[: self._count, 0] > 0.5
-        if len(removed) and 2 * np.count_nonzero(left) < self._count:
-            kept = np.flatnonzero(left)
+        remains = self._sums[: self._count, 0] > 0.5
+        if len(removed) and 2 * np.count_nonzero(remains) < self._count:
+            kept = np.flatnonzero(remains)
             self._store(len(kept), kept)
 
     def settle(self) -> None:
@@ -169,10 +169,10 @@ class PlaneVoxels:
     def pairs(self, points: FloatArray) -> PlanePairs:
         """Return the plane of the largest voxel with one around each point (N, 3), map frame."""
         residuals, flat = self.residuals(points, np.eye(4)), self._flat[: self._count] == 2
-        voxels, found = residuals.voxels[flat[residuals.voxels]], np.zeros(len(points), dtype=np.bool_)
-        found[residuals.which[flat[residuals.voxels]]] = True
+        voxels, is_paired = residuals.voxels[flat[residuals.voxels]], np.zeros(len(points), dtype=np.bool_)
+        is_paired[residuals.which[flat[residuals.voxels]]] = True
         planes, numbers = self._planes[voxels], np.cumsum(flat)[voxels] - 1
-        return PlanePairs(found, planes[:, :3], planes[:, 3:], numbers)
+        return PlanePairs(is_paired, planes[:, :3], planes[:, 3:], numbers)
 
     def _store(self, room: int, kept: NDArray[np.int64]) -> None:
         """Allocate arrays for so many voxels, and copy the existing ones."""

@@ -88,11 +88,11 @@ class Map:
     _folder: TemporaryFolder | None = field(default=None, repr=False)
 
     def __repr__(self) -> str:
-        found, trajectory = self.contents, self.trajectory
+        contents, trajectory = self.contents, self.trajectory
         return (
-            f"Map({str(self.path)!r}, sessions={len(self.sessions)}, keyframes={len(found.node_poses)}, "
-            f"poses={len(trajectory)} over {extent(trajectory.positions_m)} m, loops={len(found.loops)}, "
-            f"frames={len(found.frames or ())}, clouds={len(found.clouds or ())})"
+            f"Map({str(self.path)!r}, sessions={len(self.sessions)}, keyframes={len(contents.node_poses)}, "
+            f"poses={len(trajectory)} over {extent(trajectory.positions_m)} m, loops={len(contents.loops)}, "
+            f"frames={len(contents.frames or ())}, clouds={len(contents.clouds or ())})"
         )
 
     def __enter__(self) -> Map:
@@ -265,8 +265,8 @@ class Map:
         settings
             Overrides as for `slam.load_config`; settings that need the log raise an error.
         """
-        given = [settings] if isinstance(settings, str) else settings
-        pairs = (str(setting).partition("=") for setting in given)
+        texts = [settings] if isinstance(settings, str) else settings
+        pairs = (str(setting).partition("=") for setting in texts)
         return self.edited({"settings": {name: value for name, _, value in pairs}}, out=out)
 
     def undone(self, *, out: Path | str | None = None) -> Map:
@@ -318,8 +318,8 @@ def made_anew(saved: Map, write: Callable[[Path], list[str]], out: Path | str | 
     def write_all(work: Path) -> None:
         for warning in write(work / MAP_NAME):
             log.warning("%s", warning)
-        with load_map(work) as found:
-            found.write_files(work, like=saved if ours else None)
+        with load_map(work) as written_map:
+            written_map.write_files(work, like=saved if ours else None)
 
     remake(folder, write_all)
     return load_map(folder)

@@ -55,16 +55,16 @@ def floor_plan(contents: MapContents, config: Config) -> FloorPlan:
                 for edge, face in enumerate(outline.faces)
             ]
         )
-    sure = iter(sure_walls(sides_of(outlines, fits), segments, rooms))
-    fits = [[fit if next(sure) else None for fit in ones] for ones in fits]
+    is_sure = iter(sure_walls(sides_of(outlines, fits), segments, rooms))
+    fits = [[fit if next(is_sure) else None for fit in ones] for ones in fits]
     covariance = _covariance([fit for ones in fits for fit in ones if fit], contents, config)
-    found, first = list[Room](), 0
+    built, first = list[Room](), 0
     for (label, outline), ones in zip(outlines.items(), fits, strict=True):
         last = first + 2 * sum(fit is not None for fit in ones)
         own_covariance = covariance[first:last, first:last]
-        found.append(_room(len(found) + 1, outline, ones, own_covariance, label in entered, cell_m))
+        built.append(_room(len(built) + 1, outline, ones, own_covariance, label in entered, cell_m))
         first = last
-    return FloorPlan(found, find_doors(found, grid, points, path_m))
+    return FloorPlan(built, find_doors(built, grid, points, path_m))
 
 
 def _covariance(fits: Sequence[WallFit], contents: MapContents, config: Config) -> FloatArray:
@@ -136,7 +136,7 @@ def _lengths(
     corners, faces = outline.corners_m, outline.faces
     sizes = np.hypot(*(np.roll(corners, -1, axis=0) - corners).T)
     middles = 0.5 * (np.roll(corners, -1, axis=0) + corners)
-    found: list[Length] = []
+    lengths: list[Length] = []
     for normal in (
         faces[int(np.argmax(sizes))].normal,
         faces[int(np.argmax(sizes))].normal @ [[0, 1], [-1, 0]],
@@ -151,8 +151,8 @@ def _lengths(
             continue
         length = _between(one, other, outline, normal, fits, at, covariance)
         if length is not None:
-            found.append(length)
-    return found
+            lengths.append(length)
+    return lengths
 
 
 def _between(

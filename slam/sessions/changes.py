@@ -174,12 +174,12 @@ def spread_between(contents: MapContents, before: NDArray[np.int64], after: NDAr
             return np.full((2, 2), np.inf)
         seen_from = after[second]
         start = int(seen_from[np.hypot(*(poses[seen_from, :2] - point_m).T).argmin()])
-        found = graph.relative_covariances(start, before[first], poses)
+        covariances = graph.relative_covariances(start, before[first], poses)
         x, y, yaw = poses[start]
         c, s = math.cos(yaw), math.sin(yaw)
         # In GTSAM's tangent space of the start, a rotation moves the point about the start.
         lever = np.array([[c, -s, -(point_m[1] - y)], [s, c, point_m[0] - x]])
-        at_point = lever @ found @ lever.T
+        at_point = lever @ covariances @ lever.T
         return np.asarray(at_point[np.argmin(np.trace(at_point, axis1=1, axis2=2))])
 
     return spread

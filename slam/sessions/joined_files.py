@@ -76,8 +76,8 @@ def _edit(folder: Path, known: Map, path: Path) -> None:
     entries = known.contents.edits
     with load_map(folder) as joined:
         first, parts = len(known.contents.node_poses), joined.parts()
-        found, _ = remade(parts.base, entries, parts.before, parts.sessions)
-        entries = later_evidence(found, entries, first, known.config)
+        contents, _ = remade(parts.base, entries, parts.before, parts.sessions)
+        entries = later_evidence(contents, entries, first, known.config)
         write_entries(parts, entries, path)
 
 

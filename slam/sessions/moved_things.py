@@ -67,14 +67,14 @@ def changed_things(changes: Sequence[Change], cell_m: float) -> list[ChangedThin
     """
     went = [change for change in changes if not change.appeared]
     came = [change for change in changes if change.appeared]
-    alike = np.array([[_likeness(old.cells_m, new.cells_m, cell_m) for new in came] for old in went])
+    likeness = np.array([[_likeness(old.cells_m, new.cells_m, cell_m) for new in came] for old in went])
     things, paired = [], set()
     # Among similar objects, assume the smallest total motion.
     ways_m = [[math.dist(old.cells_m.mean(axis=0), new.cells_m.mean(axis=0)) for new in came] for old in went]
-    cost = np.where(alike > _ALIKE, ways_m, 1.0 + np.sum(ways_m)) if alike.size else np.zeros((0, 0))
+    cost = np.where(likeness > _ALIKE, ways_m, 1.0 + np.sum(ways_m)) if likeness.size else np.zeros((0, 0))
     for n, m in zip(*optimize.linear_sum_assignment(cost), strict=True):
         old, new = went[n], came[m]
-        if alike[n, m] > _ALIKE:
+        if likeness[n, m] > _ALIKE:
             paired |= {id(old), id(new)}
             larger = max(old.cells_m, new.cells_m, key=len)
             probability = old.probability * new.probability

@@ -86,7 +86,7 @@ def place(known: Side, session: Side, config: Config) -> Placing:
         paths.append((path.anchors[len(path.anchors) // 2] if path.anchors else proposal, path))
     if not paths:
         return Placing()
-    winner, best = max(paths, key=lambda found: found[1].nats)
+    winner, best = max(paths, key=lambda item: item[1].nats)
     rivals = [path.nats for sighting, path in paths if not _agree(winner, sighting, poses)]
     settings = config.localization
     confident_nats = math.log(settings.confident_probability / (1.0 - settings.confident_probability))
@@ -101,14 +101,14 @@ def place(known: Side, session: Side, config: Config) -> Placing:
 
 def _proposals(sensor: Sensor[Any, Any], known: Side, session: Side, config: Config) -> list[Sighting]:
     """Return candidate poses of stretches of each in the other, as keyframes of the session in the map."""
-    poses, found = session.bases, []
+    poses, sightings = session.bases, []
     for key, pose, nats in _stretches(sensor, session, config):
-        found.append(Sighting.of(key, pose, poses[key], nats))
+        sightings.append(Sighting.of(key, pose, poses[key], nats))
     for key, pose, nats in _stretches(session.sensor(), known, config):
         T_map_session = composed(known.bases[key], pose.inverse())
         nearest = session.nearest(pose)
-        found.append(Sighting(nearest, composed(T_map_session, poses[nearest]), T_map_session, nats))
-    return found
+        sightings.append(Sighting(nearest, composed(T_map_session, poses[nearest]), T_map_session, nats))
+    return sightings
 
 
 def _stretches(sensor: Sensor[Any, Any], path: Side, config: Config) -> Iterator[tuple[int, Pose, float]]:

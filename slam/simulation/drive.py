@@ -267,16 +267,16 @@ def _schedules(rig: Rig, faults: DriveFaults, duration_s: float, seed: int) -> d
             dead_s=dead_s if faults.dying_sensor == name else None,
         )
 
-    found: dict[str, Schedule] = {}
+    schedules: dict[str, Schedule] = {}
     for name, lidar in ((LIDAR, rig.lidar), (LIDAR_3D, rig.lidar_3d)):
         if lidar is not None:
             rate_hz, offset_s = lidar.model.rate_hz, faults.lidar_clock_offset_s
-            found[name] = runs(name, rate_hz, offset_s, faults.dropped_scan_share)
+            schedules[name] = runs(name, rate_hz, offset_s, faults.dropped_scan_share)
     for camera in rig.cameras:
         own_s = faults.camera_clock_spread_s * float(generator(seed, camera.name, 2).standard_normal())
         offset_s = faults.camera_clock_offset_s + own_s
-        found[camera.name] = runs(camera.name, camera.model.rate_hz, offset_s, faults.dropped_frame_share)
-    return found
+        schedules[camera.name] = runs(camera.name, camera.model.rate_hz, offset_s, faults.dropped_frame_share)
+    return schedules
 
 
 def _ticks(times_s: FloatArray, place: int) -> Iterator[tuple[float, int, int]]:

@@ -171,10 +171,10 @@ class MovingBoxes:
         -------
         (N,) index of the box, -1 for none; (N,) cosine between ray and face.
         """
-        found = np.full(len(rays), -1, np.int32)
+        boxes = np.full(len(rays), -1, np.int32)
         cosine = np.zeros(len(rays), np.float32)
-        _meet_boxes(rays, late_s, self.table, range_m, found, cosine)
-        return found, cosine
+        _meet_boxes(rays, late_s, self.table, range_m, boxes, cosine)
+        return boxes, cosine
 
 
 def _streets(town: Town) -> list[tuple[FloatArray, FloatArray]]:
@@ -211,7 +211,7 @@ def _meet_boxes(
     late_s: FloatArray,
     table: FloatArray,
     range_m: Float32Array,
-    found: NDArray[np.int32],
+    boxes: NDArray[np.int32],
     cosine: Float32Array,
 ) -> None:
     """Intersect rays with the slabs of each box in its own frame."""
@@ -235,4 +235,4 @@ def _meet_boxes(
                     near, face = enter, abs(step)
                 far = min(far, leave)
             if near < far and face > 0.0:
-                range_m[ray], found[ray], cosine[ray] = near, box, face
+                range_m[ray], boxes[ray], cosine[ray] = near, box, face

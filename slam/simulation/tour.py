@@ -186,11 +186,11 @@ def _laps(home: Home, floor: FloorMap, rng: np.random.Generator) -> list[FloatAr
     parts = sparse.csgraph.connected_components(floor.graph, directed=False)[1]
     stops, groups = [start], []
     for room in _depth_first(home, rng):
-        found = _stops(room, floor, centres, parts == parts[start], rng)
-        if not found:
+        lap = _stops(room, floor, centres, parts == parts[start], rng)
+        if not lap:
             log.warning("no way into room %s for a robot with %.2f m about it", room.name, floor.required_m)
-        groups.append(list(range(len(stops), len(stops) + len(found))))
-        stops += found
+        groups.append(list(range(len(stops), len(stops) + len(lap))))
+        stops += lap
     costs, paths = cheapest_paths(floor, stops)
     laps: list[FloatArray] = []
     for last in range(len(groups), 0, -1):

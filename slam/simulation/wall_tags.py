@@ -138,14 +138,14 @@ def _ink_at(points_m: FloatArray, cells: BoolArray, across_m: float) -> tuple[Fl
 def _places(rectangle: tuple[float, float, float, float], rng: np.random.Generator) -> list[gtsam.Pose3]:
     """Possible tag poses in a room: x to the right as seen by a viewer, y up, z out of the wall."""
     x0, y0, x1, y1 = rectangle
-    found = list[gtsam.Pose3]()
+    places = list[gtsam.Pose3]()
     for _ in range(_CANDIDATES_A_WALL):
         x, y, z = rng.uniform(x0, x1), rng.uniform(y0, y1), rng.uniform(*_Z_M)
         walls = (((x0, y), (1.0, 0.0)), ((x1, y), (-1.0, 0.0)), ((x, y0), (0.0, 1.0)), ((x, y1), (0.0, -1.0)))
         for at, out in walls:
             axes = np.array([[-out[1], out[0], 0.0], [0.0, 0.0, 1.0], [*out, 0.0]]).T
-            found.append(gtsam.Pose3(gtsam.Rot3(axes), np.array([*at, z])))
-    return found
+            places.append(gtsam.Pose3(gtsam.Rot3(axes), np.array([*at, z])))
+    return places
 
 
 def _is_seen(place: gtsam.Pose3, way_xyt: FloatArray) -> bool:

@@ -104,12 +104,12 @@ def _joined(parts: Iterable[ColoredCloud]) -> ColoredCloud:
     nothing = ColoredCloud(
         np.zeros((0, 3), np.float32), np.zeros((0, 3), np.uint8), np.zeros((0, 3), np.float32)
     )
-    held = [nothing, *parts]
-    intensities = [part.intensities for part in held if part.intensities is not None]
+    clouds = [nothing, *parts]
+    intensities = [part.intensities for part in clouds if part.intensities is not None]
     return ColoredCloud(
-        np.concatenate([part.points_map for part in held]),
-        np.concatenate([part.colors for part in held]),
-        np.concatenate([part.normals_map for part in held]),
+        np.concatenate([part.points_map for part in clouds]),
+        np.concatenate([part.colors for part in clouds]),
+        np.concatenate([part.normals_map for part in clouds]),
         np.concatenate(intensities) if intensities else None,
     )
 

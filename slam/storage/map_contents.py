@@ -169,7 +169,7 @@ class MapContents:
     def registrations(self) -> dict[str, ColorRegistration]:
         """Pose of colour cameras relative to their depth cameras, by name, if the run estimated them."""
         learned = {name: camera.registration for name, camera in self.cameras.items()}
-        return {name: found for name, found in learned.items() if found is not None}
+        return {name: registration for name, registration in learned.items() if registration is not None}
 
 
 def clock_sigma_s(contents: MapContents, nodes: slice = slice(None)) -> float:
@@ -296,8 +296,8 @@ def refuse_misfits(file: MapFile, contents: MapContents) -> None:
     frames, clouds, nodes = contents.frames, contents.clouds, contents.node_poses
     in_space = sum(isinstance(pose, gtsam.Pose3) for pose in nodes)
     if clouds is not None and not len(clouds) == len(nodes) == in_space:
-        held = f"{len(clouds)} clouds for {len(nodes)} nodes, {in_space} of them in space"
-        raise MapFileError(f"{file.path} holds {held}; make the map anew")
+        counts = f"{len(clouds)} clouds for {len(nodes)} nodes, {in_space} of them in space"
+        raise MapFileError(f"{file.path} holds {counts}; make the map anew")
     for index in range(len(frames) if frames else 0):
         assert frames
         with file.blaming(FRAMES, index):
@@ -318,10 +318,10 @@ def _each(pairs: Sequence[Any], of_pair: Callable[[_Scans], LaserScan | None]) -
 def _keyframe(row: tuple[Any, ...], small: Unpack) -> tuple[float, int, Pose, _Scans]:
     """Parse stamp, reading, pose, scan as measured and, if repaired, as repaired."""
     stamp_s, reading, pose, *scans = row
-    found = unpack(pose)
-    found = found if isinstance(found, gtsam.Pose2) else of(gtsam.Pose3, found)
+    node_pose = unpack(pose)
+    node_pose = node_pose if isinstance(node_pose, gtsam.Pose2) else of(gtsam.Pose3, node_pose)
     measured, repaired = (None if scan is None else of(LaserScan, small(scan)) for scan in scans)
-    return sound_stamp(stamp_s), reading, found, (measured, repaired)
+    return sound_stamp(stamp_s), reading, node_pose, (measured, repaired)
 
 
 def _loop(row: tuple[Any, ...], nodes: int) -> LoopCandidate:
@@ -374,5 +374,5 @@ def _triangles(row: tuple[Any, ...], dimension: int, small: Unpack) -> FloatArra
 def _camera(row: tuple[Any, ...]) -> tuple[str, LearnedCamera]:
     """Parse a row of estimated camera data, with the camera's name."""
     name, learned = row
-    found = of(LearnedCamera, unpack(learned))
-    return sound_name(name), found
+    camera = of(LearnedCamera, unpack(learned))
+    return sound_name(name), camera

@@ -195,8 +195,8 @@ class MapFile:
             If it is missing or damaged.
         """
         with self.blaming(table, number):
-            found = self.connection.execute(f"SELECT * FROM {table.name} WHERE number = ?", (number,))
-            return self._checked(table, number, found.fetchone(), again=again)
+            cursor = self.connection.execute(f"SELECT * FROM {table.name} WHERE number = ?", (number,))
+            return self._checked(table, number, cursor.fetchone(), again=again)
 
     def rows(self, table: Table) -> Iterator[tuple[Value, ...]]:
         """Yield the values of all rows in order, one in memory at a time; `MapFileError` as in `row`."""
@@ -204,21 +204,21 @@ class MapFile:
             return  # the map is older than the table
         number = -1
         with self.blaming(table, 0):
-            found = iter(self.connection.execute(f"SELECT * FROM {table.name} ORDER BY number"))
+            rows = iter(self.connection.execute(f"SELECT * FROM {table.name} ORDER BY number"))
         for number in range(self._counts[table.name]):
             with self.blaming(table, number):
-                values = self._checked(table, number, next(found, None))
+                values = self._checked(table, number, next(rows, None))
             yield values
         with self.blaming(table, number + 1):
-            if next(found, None) is not None:
+            if next(rows, None) is not None:
                 raise MapFileError(f"row {number + 1} should not be there")
 
     def parsed(self, table: Table, parse: Callable[[tuple[Any, ...]], T]) -> Iterator[T]:
         """Yield every parsed row of a table; an invalid row is reported by its number."""
         for number, row in enumerate(self.rows(table)):
             with self.blaming(table, number):
-                found = parse(row)
-            yield found
+                value = parse(row)
+            yield value
 
     def tally(self, table: Table, *columns: str) -> Counter[tuple[Value, ...]]:
         """Count rows by the values of some columns; other columns are not read."""
@@ -226,10 +226,10 @@ class MapFile:
             return Counter()
         names = ", ".join(columns)
         with self.blaming(table, 0):
-            found = self.connection.execute(
+            rows = self.connection.execute(
                 f"SELECT {names}, count(*) FROM {table.name} GROUP BY {names} ORDER BY {names}"
             )
-            return Counter({values: count for *values, count in found for values in [tuple(values)]})
+            return Counter({values: count for *values, count in rows for values in [tuple(values)]})
 
     def clear(self, table: Table) -> None:
         """Remove all rows of a table."""
@@ -311,10 +311,10 @@ class MapFile:
         """Count the rows of every table."""
         for table in self.tables:
             with self.blaming(table, 0):
-                found = self.connection.execute(f"SELECT count(*), max(number) FROM {table.name}").fetchone()
-                if found[0] != (-1 if found[1] is None else found[1]) + 1:
-                    raise MapFileError(f"its {found[0]} rows are not numbered without a gap")
-            self._counts[table.name] = found[0]
+                counts = self.connection.execute(f"SELECT count(*), max(number) FROM {table.name}").fetchone()
+                if counts[0] != (-1 if counts[1] is None else counts[1]) + 1:
+                    raise MapFileError(f"its {counts[0]} rows are not numbered without a gap")
+            self._counts[table.name] = counts[0]
 
     def _check_seal(self) -> None:
         """Raise an error for a map that is not finished, or has lost rows."""
@@ -324,10 +324,10 @@ class MapFile:
             raise UnfinishedMapError(_unfinished(self.path))
         with self.blaming(META, self.count(META) - 1):
             known = list(zip(self.tables, self._digests(), from_json(seal), strict=True))
-        for table, found, sealed in known:
-            if found != sealed:
+        for table, actual, sealed in known:
+            if actual != sealed:
                 raise MapFileError(
-                    f"{self.path} is damaged: table {table.name} has {found[0]} rows of digest {found[1]}, "
+                    f"{self.path} is damaged: table {table.name} has {actual[0]} rows of digest {actual[1]}, "
                     f"sealed were {sealed[0]} of {sealed[1]}; make the map anew"
                 )
 
@@ -347,16 +347,16 @@ class MapFile:
         return digests
 
     def _checked(
-        self, table: Table, number: int, found: tuple[Value, ...] | None, *, again: bool = False
+        self, table: Table, number: int, row: tuple[Value, ...] | None, *, again: bool = False
     ) -> tuple[Value, ...]:
         """Return the values of a row if its checksum is correct."""
-        if found is None or found[0] != number:
+        if row is None or row[0] != number:
             raise MapFileError("it is missing")
-        if not again and found[1] != table.checksum(number, found[2:]):
+        if not again and row[1] != table.checksum(number, row[2:]):
             raise MapFileError("its checksum is wrong")
-        if misfit := table.misfit(found[2:]):
+        if misfit := table.misfit(row[2:]):
             raise MapFileError(misfit)
-        return found[2:]
+        return row[2:]
 
     @contextmanager
     def blaming(self, table: Table, number: int) -> Iterator[None]:

@@ -97,13 +97,13 @@ class MapFrames:
         """Return the data of a frame without its images; errors as in `frame`."""
         node, stamp_s, sensor, steps_per_m, camera = self._row(index)[:5]
         with self._file.blaming(FRAMES, index):
-            found = of(tuple, unpack(cast(bytes, camera)))
-            require(len(found) == 2 and 0.0 < cast(float, steps_per_m) < math.inf, "its camera is none")
-            intrinsics = of(CameraIntrinsics, found[0])
+            fields = of(tuple, unpack(cast(bytes, camera)))
+            require(len(fields) == 2 and 0.0 < cast(float, steps_per_m) < math.inf, "its camera is none")
+            intrinsics = of(CameraIntrinsics, fields[0])
             require(
                 intrinsics.width * intrinsics.height <= MOST_PIXELS, "its camera has more pixels than any"
             )
-            T_base_camera = None if found[1] is None else of(gtsam.Pose3, found[1])
+            T_base_camera = None if fields[1] is None else of(gtsam.Pose3, fields[1])
             sound_stamp(stamp_s)
             sound_name(sensor)
         return FrameHead(

@@ -171,7 +171,7 @@ def fingerprint_of(log: Path) -> str:
 
 def _files(root: Path) -> list[Path]:
     """Return the files of a log's folder, without those of its maps."""
-    maps = {found.parent for found in root.rglob(MAP_NAME)} - {root}
+    maps = {entry.parent for entry in root.rglob(MAP_NAME)} - {root}
     return [
         file
         for file in sorted(root.rglob("*"))
@@ -183,13 +183,13 @@ def _files(root: Path) -> list[Path]:
 
 def _versions() -> dict[str, str]:
     """Return the versions of the libraries."""
-    found = {"scanweave": __version__}
+    versions = {"scanweave": __version__}
     for name in _LIBRARIES:
         try:
-            found[name] = version(name)
+            versions[name] = version(name)
         except PackageNotFoundError:
-            found[name] = "unknown"
-    return found
+            versions[name] = "unknown"
+    return versions
 
 
 @cache

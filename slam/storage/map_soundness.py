@@ -158,7 +158,7 @@ def _array(dtype: str, *shape: int | None) -> Rule:
     def fits(value: Any) -> bool:
         if not isinstance(value, np.ndarray) or value.dtype != dtype or value.ndim != len(shape):
             return False
-        same = all(wanted in (None, size) for wanted, size in zip(shape, value.shape, strict=True))
+        same = all(expected in (None, size) for expected, size in zip(shape, value.shape, strict=True))
         return same and bool(np.isfinite(value).all())
 
     return fits

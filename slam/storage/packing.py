@@ -146,11 +146,11 @@ def _inflated(content: bytes) -> bytes:
     (size,) = _I8.unpack_from(content)
     if not 0 <= size <= _LARGEST_BYTES:
         raise MapFileError(f"compressed values of {size} bytes")
-    unpacker, plain, left = zlib.decompressobj(), bytearray(), content[_I8.size :]
+    unpacker, plain, packed = zlib.decompressobj(), bytearray(), content[_I8.size :]
     try:
-        while len(plain) <= size and (part := unpacker.decompress(left, _LARGEST_BYTES >> 8)):
+        while len(plain) <= size and (part := unpacker.decompress(packed, _LARGEST_BYTES >> 8)):
             plain += part
-            left = unpacker.unconsumed_tail
+            packed = unpacker.unconsumed_tail
     except zlib.error as error:
         raise MapFileError(f"compressed values are damaged: {error}") from error
     if len(plain) != size or not unpacker.eof:
@@ -266,6 +266,6 @@ def _unpack_array(content: bytes, at: int) -> tuple[np.ndarray[Any, Any], int]:
     size = dtype.itemsize * math.prod(shape)
     if size > len(content) - at:
         raise ValueError(f"an array of {size} bytes in {len(content) - at}")
-    found = np.frombuffer(content, dtype, math.prod(shape), at).reshape(shape, order="F" if fortran else "C")
-    own = isinstance(content, bytearray) and found.flags.aligned
-    return found if own else found.copy(order="A"), at + size
+    array = np.frombuffer(content, dtype, math.prod(shape), at).reshape(shape, order="F" if fortran else "C")
+    own = isinstance(content, bytearray) and array.flags.aligned
+    return array if own else array.copy(order="A"), at + size

@@ -55,9 +55,9 @@ def carried_covariances(
     share = ((path - path[anchors[gap]]) / length)[:, None, None]
     start = _moved(ends[gap], _from(trajectory, anchors[gap]))
     stop = _moved(ends[gap + 1], _from(trajectory, anchors[gap + 1]))
-    left = _moved(_left_over(between, ends)[gap], _from(trajectory, anchors[gap + 1]))
+    bridge = _moved(_left_over(between, ends)[gap], _from(trajectory, anchors[gap + 1]))
     onward = _moved(between[gap], _from(trajectory, anchors[gap + 1]))
-    inside = (1.0 - share) * start + share * stop + share * (1.0 - share) * left
+    inside = (1.0 - share) * start + share * stop + share * (1.0 - share) * bridge
     return np.where(
         share < 0.0, start - share * onward, np.where(share > 1.0, stop + (share - 1.0) * onward, inside)
     )
@@ -114,10 +114,10 @@ def unseen_covariances(
 
 def bridged_covariances(trajectory: Trajectory, bridged: Mapping[int, FloatArray]) -> FloatArray:
     """Return the (N, 6, 6) additional covariance of poses from an IMU alone, see `Readings.bridged`."""
-    found, rows = np.zeros((len(trajectory), 6, 6)), list(bridged)
+    covariances, rows = np.zeros((len(trajectory), 6, 6)), list(bridged)
     turns = scipy.spatial.transform.Rotation.from_quat(trajectory.quaternions_xyzw[rows])
-    found[rows] = _along_map(np.array(list(bridged.values())), turns)
-    return found
+    covariances[rows] = _along_map(np.array(list(bridged.values())), turns)
+    return covariances
 
 
 def grown_covariances(trajectory: Trajectory, covariances: FloatArray, first: int, last: int) -> FloatArray:
@@ -133,14 +133,14 @@ def grown_covariances(trajectory: Trajectory, covariances: FloatArray, first: in
     return covariances[rows] - _moved(np.repeat(covariances[[first]], len(shifts), axis=0), shifts)
 
 
-def late_covariances(trajectory: Trajectory, held: int, sessions: Sequence[tuple[int, float]]) -> FloatArray:
+def late_covariances(trajectory: Trajectory, fixed: int, sessions: Sequence[tuple[int, float]]) -> FloatArray:
     """Compute the effect of a common stamp error per session on planar poses, one of which is fixed.
 
     Parameters
     ----------
     trajectory
         N poses in the map, one session after the other.
-    held
+    fixed
         Number of the fixed pose, in the first session: if it moves, all others get an error.
     sessions
         For each its number of poses, and the standard deviation of its error in seconds; errors of two
@@ -154,8 +154,8 @@ def late_covariances(trajectory: Trajectory, held: int, sessions: Sequence[tuple
     speeds = np.concatenate(
         [_speeds(trajectory[end - n : end]) for end, (n, _) in zip(ends, sessions, strict=True)]
     )
-    x, y, _ = _from(trajectory, np.full(len(trajectory), held)).T
-    along_x, along_y, turn = speeds[held]
+    x, y, _ = _from(trajectory, np.full(len(trajectory), fixed)).T
+    along_x, along_y, turn = speeds[fixed]
     held_errors = sessions[0][1] * np.column_stack(
         [along_x - turn * y, along_y + turn * x, np.full_like(x, turn)]
     )

@@ -155,8 +155,8 @@ class Readings:
         poses = self._scans_of(Poses.of(keyframe_poses), motion)[trusted]
         if motion is None:
             motion = _motion_without_wheels(stamps_s, scans, poses)
-        found = spread_correction(motion, scans, poses).trajectory(stamps_s)
-        return at_stamps(found, np.array(self._told_s))
+        spread = spread_correction(motion, scans, poses).trajectory(stamps_s)
+        return at_stamps(spread, np.array(self._told_s))
 
     def _trusted(self) -> BoolArray:
         """Return (S,) which scans are anchors for the others: keyframes, and trusted scans."""

@@ -120,7 +120,7 @@ def _look_up(planes, at, count, inverse, nx, ny, nz):  # type: ignore[no-untyped
 
 
 @kernel(nogil=True)
-def _turn(nx, ny, nz, ox, oy, oz, T, mx, my, mz, alike):  # type: ignore[no-untyped-def]
+def _turn(nx, ny, nz, ox, oy, oz, T, mx, my, mz, facing):  # type: ignore[no-untyped-def]
     """Rotate the view's normals to the frame; write whether they agree with its own, 1 or 0."""
     nothing, one = np.float32(0.0), np.float32(1.0)
     r00, r01, r02 = T[0, 0], T[0, 1], T[0, 2]
@@ -132,7 +132,7 @@ def _turn(nx, ny, nz, ox, oy, oz, T, mx, my, mz, alike):  # type: ignore[no-unty
         c = r02 * nx[i] + r12 * ny[i] + r22 * nz[i]
         cosine = a * ox[i] + b * oy[i] + c * oz[i]
         mx[i], my[i], mz[i] = a, b, c
-        alike[i] = one if cosine >= _LEAST_NORMAL_COSINE else nothing
+        facing[i] = one if cosine >= _LEAST_NORMAL_COSINE else nothing
 
 
 @kernel(nogil=True, error_model="numpy")

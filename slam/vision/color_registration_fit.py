@@ -131,13 +131,13 @@ def _refusal(halves: Sequence[_Half], gain: float, disagreement: float, depth: C
     """Return why the registration must not be used; empty if the evidence is clear."""
     clear = _standard_errors(np.concatenate([half.gains for half in halves]))
     over_rescaled = _standard_errors(np.concatenate([half.gains_over_rescaled for half in halves]))
-    asked = math.sqrt(gate())
+    gate_sigmas = math.sqrt(gate())
     moves = [_distance_px(half.guess, Guess(depth.fx, depth.cx, depth.cy), depth) for half in halves]
     if gain < _LEAST_GAIN:
         return f"another camera explains {100 * gain:z.1f} % more of the held-out matches, 1 % is asked"
-    if clear < asked:
-        return f"the gain of another camera is {clear:.1f} standard errors, {asked:.1f} are asked"
-    if over_rescaled < asked:
+    if clear < gate_sigmas:
+        return f"the gain of another camera is {clear:.1f} standard errors, {gate_sigmas:.1f} are asked"
+    if over_rescaled < gate_sigmas:
         return f"other intrinsics explain it as well ({over_rescaled:.1f} standard errors): check them"
     if min(moves) < MATCH_PX:
         return f"another camera moves pixels by {min(moves):.1f}, {MATCH_PX} are asked"

@@ -60,7 +60,7 @@ def pose_from_features(
     camera = np.array([[k.fx, 0.0, k.cx], [0.0, k.fy, k.cy], [0.0, 0.0, 1.0]])
     points = np.ascontiguousarray(points_reference, np.float64)
     observed = np.ascontiguousarray(pixels, np.float64)
-    found, rotation, translation, inliers = cv2.solvePnPRansac(
+    solved, rotation, translation, inliers = cv2.solvePnPRansac(
         points,
         observed,
         camera,
@@ -70,7 +70,7 @@ def pose_from_features(
         confidence=CONFIDENCE,
         flags=cv2.SOLVEPNP_AP3P,
     )
-    if not found or inliers is None:
+    if not solved or inliers is None:
         return None
     mask = np.zeros(len(points), bool)
     mask[inliers[:, 0]] = True

@@ -63,28 +63,28 @@ class FrameMatcher:
         self, best: JointAlignment, others: list[JointAlignment], landmarks: Landmarks, frame: PreparedFrame
     ) -> JointAlignment:
         """Return the valid match with most feature inliers."""
-        held = [match for match in others if self._judge(match) is not None]
-        return max([best, *held], key=lambda match: self._support(match.pose, landmarks, frame))
+        accepted = [match for match in others if self._judge(match) is not None]
+        return max([best, *accepted], key=lambda match: self._support(match.pose, landmarks, frame))
 
     def match_anywhere(self, frame: PreparedFrame, local: list[VisualKeyframe]) -> VisualMatch | None:
         """Estimate the pose of the frame's camera without a guess; None if too few features agree."""
-        found = self._by_features(frame, local, self._landmarks(frame, local))
-        return self._judge(found[0]) if found else None
+        matches = self._by_features(frame, local, self._landmarks(frame, local))
+        return self._judge(matches[0]) if matches else None
 
     def _by_features(
         self, frame: PreparedFrame, local: list[VisualKeyframe], landmarks: Landmarks
     ) -> list[JointAlignment]:
         """Align from the pose of PnP-RANSAC within the accuracy of features; None if too few agree."""
-        found = pose_from_features(
+        solved = pose_from_features(
             landmarks.points,
             landmarks.pixels,
             frame.frame.intrinsics,
             self._config.kernel_sigmas,  # the accuracy of a keypoint is a pixel
             self._config.least_inliers,
         )
-        if found is None:
+        if solved is None:
             return []
-        return [self._align(frame, local, landmarks, found.T_reference_camera, 0)]
+        return [self._align(frame, local, landmarks, solved.T_reference_camera, 0)]
 
     def _support(self, pose: gtsam.Pose3, landmarks: Landmarks, frame: PreparedFrame) -> float:
         """Return how many features agree with a pose, with Geman-McClure weights."""

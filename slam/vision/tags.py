@@ -102,14 +102,14 @@ def find_tags(color: ColorImage, intrinsics: CameraIntrinsics, places: KnownPlac
     gray = cv2.cvtColor(color, cv2.COLOR_RGB2GRAY)
     quads, numbers, _ = _detector(places.family).detectMarkers(gray)
     cells = _dictionary(places.family).markerSize + 2
-    found = []
+    views = []
     for quad, number in zip(quads, [] if numbers is None else numbers.ravel().tolist(), strict=True):
         side_m = places.sizes_m.get(number, places.size_m)
         corners = _refined(gray, quad.reshape(4, 2).astype(np.float64), cells)
         view = None if corners is None else _posed(number, corners, side_m, intrinsics)
         if view is not None:
-            found.append(view)
-    return found
+            views.append(view)
+    return views
 
 
 def _refined(gray: NDArray[np.uint8], corners: FloatArray, cells: int) -> FloatArray | None:
@@ -141,11 +141,11 @@ def _refined(gray: NDArray[np.uint8], corners: FloatArray, cells: int) -> FloatA
         last = ends + (shift + 0.5 * slope)[:, None] * outward
         lines = np.cross(np.insert(first, 2, 1.0, axis=1), np.insert(last, 2, 1.0, axis=1))
         meet = np.cross(np.roll(lines, 1, axis=0), lines)
-        found = meet[:, :2] / meet[:, 2:]
-        moved_px = np.abs(found - corners).max()
+        crossings = meet[:, :2] / meet[:, 2:]
+        moved_px = np.abs(crossings - corners).max()
         if not moved_px <= sides_px.min() / cells:
             return None
-        corners = found
+        corners = crossings
         if moved_px < 100 * SETTLED:
             break
     return corners

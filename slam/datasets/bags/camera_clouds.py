@@ -16,20 +16,20 @@ def camera_clouds(survey: Survey) -> dict[str, str]:
     frames = {frame_name(lens.header.frame_id): topic for topic, lens in survey.lenses.items()}
     frames |= {survey.frames[topic]: topic for topic in survey.stamps_s if topic in survey.frames}
     stamps_s = {stamp_s: topic for topic, stamps in survey.stamps_s.items() for stamp_s in stamps}
-    found = {}
+    reasons = {}
     for topic, view in survey.clouds.items():
         frame = survey.frames[topic]
         in_camera = "optical" in frame or (frame and frame in frames)
         if not view.along and (view.timed or not in_camera):
             continue
         if "optical" in frame:
-            found[topic] = f"its frame is {frame}"
+            reasons[topic] = f"its frame is {frame}"
         elif frame and frame in frames:
-            found[topic] = f"it is in the frame of {frames[frame]}"
+            reasons[topic] = f"it is in the frame of {frames[frame]}"
         elif view.stamp_s in stamps_s:
-            found[topic] = f"its stamps are those of {stamps_s[view.stamp_s]}"
+            reasons[topic] = f"its stamps are those of {stamps_s[view.stamp_s]}"
         elif view.along == "z" and survey.stamps_s:
-            found[topic] = "its view is along z, the optical axis"
+            reasons[topic] = "its view is along z, the optical axis"
         elif view.rows > 1 and survey.stamps_s:
-            found[topic] = "its points are in the order of an image"
-    return found
+            reasons[topic] = "its points are in the order of an image"
+    return reasons

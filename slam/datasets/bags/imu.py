@@ -153,7 +153,7 @@ class JoinedImu:
 
     def _complete(self) -> list[Measurement]:
         """Readings at gyroscope stamps between two accelerations; gyroscope messages without are counted."""
-        found: list[Measurement] = []
+        readings: list[Measurement] = []
         while self._rates and (self._forces or abs(self._rates[-1][0] - self._rates[0][0]) > GAP_S):
             stamp_s, gyro = self._rates[0]
             if self._forces and self._forces[-1][0] < stamp_s <= self._forces[-1][0] + GAP_S:
@@ -163,8 +163,8 @@ class JoinedImu:
             if force is None:
                 self._alone += 1
             else:
-                found.append(ImuReading(stamp_s, gyro, force, self.T_base_imu, self.topic))
-        return found
+                readings.append(ImuReading(stamp_s, gyro, force, self.T_base_imu, self.topic))
+        return readings
 
     def _force_at(self, stamp_s: float) -> FloatArray | None:
         """(3,) acceleration, interpolated between neighbours; None if there are none."""

@@ -117,7 +117,7 @@ def frames_of(camera: str) -> str:
     return f"{camera} frame"
 
 
-def layout_of(bag: Bag, survey: Survey, wanted: tuple[str, ...], known: KnownCalibration) -> Layout:
+def layout_of(bag: Bag, survey: Survey, requested: tuple[str, ...], known: KnownCalibration) -> Layout:
     """How to read a bag.
 
     Parameters
@@ -132,7 +132,7 @@ def layout_of(bag: Bag, survey: Survey, wanted: tuple[str, ...], known: KnownCal
     """
     files = FileFacts(known)
     files.place(survey)
-    choice = _choice(bag, survey, wanted)
+    choice = _choice(bag, survey, requested)
     layout = Layout(survey.base_frame(choice.odometry), files, ousters=survey.ousters)
     layout.lenses |= {f"{space}/metadata" for space in survey.ousters}
     layout.left_out = choice.left_out
@@ -140,7 +140,7 @@ def layout_of(bag: Bag, survey: Survey, wanted: tuple[str, ...], known: KnownCal
         if channel.kind in TRANSFORMS and survey.robots.of_another(topic):
             layout.left_out[topic] = f"it is of another robot than {survey.robots.read}"
     for topic, channel in survey.channels.items():
-        if channel.kind not in SENSORS and (is_truth(topic, channel.kind) or topic in wanted):
+        if channel.kind not in SENSORS and (is_truth(topic, channel.kind) or topic in requested):
             layout.left_out[topic] = IS_TRUTH
     for topic in choice.scans:
         layout.readers[topic] = _scan_reader(survey, layout, topic)
@@ -177,15 +177,15 @@ def _read_clocks(survey: Survey, layout: Layout) -> None:
             layout.notes.append(f"{WARNING}{topic}: its clock is {ahead}; corrected by its first arrival")
 
 
-def _choice(bag: Bag, survey: Survey, wanted: tuple[str, ...]) -> Choice:
+def _choice(bag: Bag, survey: Survey, requested: tuple[str, ...]) -> Choice:
     """Choose the topics; the error lists those among which it cannot choose."""
-    wanted = tuple(
-        topic for topic in wanted if topic.rstrip("/") != survey.robots.read or not topic.strip("/")
+    requested = tuple(
+        topic for topic in requested if topic.rstrip("/") != survey.robots.read or not topic.strip("/")
     )
-    if unknown := [topic for topic in wanted if topic not in survey.channels]:
+    if unknown := [topic for topic in requested if topic not in survey.channels]:
         raise DatasetError(f"{bag.path} has no topic {unknown[0]}; it holds {_listing(bag, survey)}")
     kinds = {topic: survey.channels[topic].kind for topic in sorted(survey.seen)}
-    for topic in wanted:
+    for topic in requested:
         kind = survey.channels[topic].kind
         if kind in TRUTHS - SENSORS:
             continue
@@ -196,18 +196,18 @@ def _choice(bag: Bag, survey: Survey, wanted: tuple[str, ...]) -> Choice:
         kinds[topic] = kind
     # If no image could be decoded, its name must decide.
     depths = {topic: survey.depths.get(topic, "depth" in topic.lower()) for topic in kinds}
-    return choose(kinds, depths, wanted, never_read(survey), evidence_of(survey))
+    return choose(kinds, depths, requested, never_read(survey), evidence_of(survey))
 
 
 def _listing(bag: Bag, survey: Survey) -> str:
     """Sensor topics with types and numbers of messages."""
     counts = count_messages(bag)
-    found = [
+    topics = [
         f"{topic} ({channel.kind.rpartition('/')[2]}, {counts[topic]} messages)"
         for topic, channel in sorted(survey.channels.items())
         if channel.kind in SENSORS
     ]
-    return ", ".join(found) or "no topic of a sensor"
+    return ", ".join(topics) or "no topic of a sensor"
 
 
 def _mount(

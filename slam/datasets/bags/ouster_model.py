@@ -166,15 +166,15 @@ def metadata_beside(path: Path) -> str | None:
     """The metadata next to or in a recording: with its name, else the only one, else None."""
     places = [path, path.parent] if path.is_dir() else [path.parent]
     for place in places:
-        found = {}
+        texts = {}
         for file in islice(sorted(place.glob("*.json")), _MOST_FILES):
             try:
                 text = file.read_text("utf-8") if file.stat().st_size < _MOST_BYTES else ""
             except (OSError, ValueError):
                 continue
             if "beam_altitude_angles" in text:
-                found[file.stem] = text
-        named = [text for stem, text in found.items() if stem in (path.name, path.stem)]
-        if named or len(found) == 1:
-            return (named or list(found.values()))[0]
+                texts[file.stem] = text
+        named = [text for stem, text in texts.items() if stem in (path.name, path.stem)]
+        if named or len(texts) == 1:
+            return (named or list(texts.values()))[0]
     return None

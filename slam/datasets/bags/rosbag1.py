@@ -43,12 +43,12 @@ class Rosbag1Container:
                 if index >= size:
                     return None
                 file.seek(index)
-                found: dict[int, Channel] = {}
+                channels: dict[int, Channel] = {}
                 for fields, content, _ in _raw_records(file, Budget(size)):
                     if fields.get("op") == bytes([_CONNECTION]):
                         number, channel = _connection(fields, content)
-                        found[number] = channel
-                return list(found.values()) or None
+                        channels[number] = channel
+                return list(channels.values()) or None
             except (CutError, RecordFault, struct.error, OSError):
                 return None
 
@@ -108,15 +108,15 @@ def _raw_records(stream: BinaryIO, budget: Budget) -> Iterator[tuple[_Fields, by
 
 def _fields(header: bytes) -> _Fields:
     """The named values of a header."""
-    found, at = {}, 0
+    values, at = {}, 0
     while at + 4 <= len(header):
         (size,) = struct.unpack_from("<I", header, at)
         name, equals, value = header[at + 4 : at + 4 + size].partition(b"=")
         if not equals or at + 4 + size > len(header):
             raise RecordFault(DAMAGED, "header of a record")
-        found[name.decode("ascii", "replace")] = value
+        values[name.decode("ascii", "replace")] = value
         at += 4 + size
-    return found
+    return values
 
 
 def _from_chunk(

@@ -148,12 +148,12 @@ class Survey:
         return same[0] if frame and same else None
 
 
-def survey_bag(bag: Bag, wanted: Sequence[str] = ()) -> Survey:
+def survey_bag(bag: Bag, requested: Sequence[str] = ()) -> Survey:
     """Survey the start of a bag, or all of it if its index is missing.
 
     Parameters
     ----------
-    wanted
+    requested
         Topics or namespaces named by the user: they select one of several robots.
 
     Raises
@@ -165,7 +165,7 @@ def survey_bag(bag: Bag, wanted: Sequence[str] = ()) -> Survey:
     announced = bag.announced()
     for channel in announced or []:
         survey.channels.setdefault(channel.topic, channel)
-    survey.robots = Robots.of({topic: info.kind for topic, info in survey.channels.items()}, wanted)
+    survey.robots = Robots.of({topic: info.kind for topic, info in survey.channels.items()}, requested)
     budget = bag.budget()
     decoder = Decoder(budget, Ousters(bag.path))
     quiet = Account.quiet(bag.path)
@@ -229,10 +229,10 @@ def _look(survey: Survey, record: BagRecord, decoder: Decoder) -> None:
     kind, topic = record.channel.kind, record.channel.topic
     if kind in SENSORS:
         survey.seen.add(topic)
-    wanted = kind in SENSORS | TRANSFORMS or kind == CAMERA_INFO or survey.facts.describes_camera(topic, kind)
+    useful = kind in SENSORS | TRANSFORMS or kind == CAMERA_INFO or survey.facts.describes_camera(topic, kind)
     known: Container[str] = survey.in_pieces if kind in CLOUDS else survey.frames
     is_done = (topic in known and kind not in IMAGES | SCANS) or topic in survey.lenses
-    if not wanted or is_done or survey.robots.of_another(topic):
+    if not useful or is_done or survey.robots.of_another(topic):
         return
     try:
         message = decoder.decode(record)

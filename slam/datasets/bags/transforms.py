@@ -84,15 +84,15 @@ class FrameTree:
         for parent, child, pose in self._steps():
             neighbours.setdefault(parent, []).append((child, pose))
             neighbours.setdefault(child, []).append((parent, pose.inverse()))
-        found = {base: gtsam.Pose3()}
+        poses = {base: gtsam.Pose3()}
         ahead = deque([base])
-        while ahead and sensor not in found:
+        while ahead and sensor not in poses:
             frame = ahead.popleft()
             for other, pose in neighbours.get(frame, []):
-                if other not in found:
-                    found[other] = found[frame].compose(pose)
+                if other not in poses:
+                    poses[other] = poses[frame].compose(pose)
                     ahead.append(other)
-        return found.get(sensor)
+        return poses.get(sensor)
 
     def moves_between(self, base: str, sensor: str) -> bool:
         """Whether a joint between the base and a sensor moves in the bag."""
