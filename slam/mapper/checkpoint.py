@@ -42,7 +42,7 @@ class Checkpoint:
     def __init__(self, file: MapFile | None = None) -> None:
         # Called after each computed result, as a sign of life.
         self.on_answer: Callable[[], None] = lambda: None
-        # Source of results that another process may have computed already, as `telling` sends them.
+        # Source of results that another process may have computed already, as `sending` sends them.
         self.ahead: Callable[[], bytes | None] | None = None
         self._file = file
         self._count = 0
@@ -95,9 +95,9 @@ class Checkpoint:
             self._file.commit_if_due()
         self.on_answer()
 
-    def telling(self, tell: Callable[[bytes], None]) -> Checkpoint:
+    def sending(self, send: Callable[[bytes], None]) -> Checkpoint:
         """Create one that sends its results to another run of the same log, and stores nothing."""
-        return _Telling(self._file, tell)
+        return _Sending(self._file, send)
 
     def findings(self, compute: Callable[[], list[Finding]]) -> list[Finding]:
         """Return the findings about the sensors: the first query of a run."""
@@ -193,18 +193,18 @@ class Checkpoint:
                 yield question, key, answer
 
 
-class _Telling(Checkpoint):
-    """See `Checkpoint.telling`."""
+class _Sending(Checkpoint):
+    """See `Checkpoint.sending`."""
 
-    def __init__(self, file: MapFile | None, tell: Callable[[bytes], None]) -> None:
+    def __init__(self, file: MapFile | None, send: Callable[[bytes], None]) -> None:
         super().__init__()
-        self._file, self._tell = file, tell
+        self._file, self._send = file, send
 
     def cached(self, question: str, key: float, compute: Callable[[], T]) -> T:
         """Compute the result, and send it."""
         answer = compute()
         if question in _FORETOLD:
-            self._tell(pack((question, float(key), answer)))
+            self._send(pack((question, float(key), answer)))
         return answer
 
 

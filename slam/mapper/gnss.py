@@ -37,7 +37,7 @@ class GnssAnchors:
         self.georeference: Georeference | None = None
         self.unused = ""
         self._fixes: list[GnssFix] = []
-        self._told = ""
+        self._note = ""
 
     def __len__(self) -> int:
         return len(self._fixes)
@@ -54,7 +54,7 @@ class GnssAnchors:
 
     def notes(self) -> list[str]:
         """Return notes for the user."""
-        return [self._told] if self._told else []
+        return [self._note] if self._note else []
 
     def anchor(
         self, graph: KeyframeGraph, track: Track, outcome: BatchResult, inlier_probability: float
@@ -76,7 +76,7 @@ class GnssAnchors:
             self.unused = "the trajectory is not longer than the uncertainty of its fixes"
             return outcome
         self.georeference = Georeference(plane, found.T_enu_map)
-        self._tell(found, graph, anchors, outcome)
+        self._add_notes(found, graph, anchors, outcome)
         return outcome
 
     def _anchors(self, track: Track, plane: TangentPlane) -> list[Anchor]:
@@ -108,7 +108,7 @@ class GnssAnchors:
             replace(one, together=float(count)) for one, count in zip(anchors, together.tolist(), strict=True)
         ]
 
-    def _tell(
+    def _add_notes(
         self, found: Anchored, graph: KeyframeGraph, anchors: Sequence[Anchor], outcome: BatchResult
     ) -> None:
         """Write a line about how well the fixes fit."""
@@ -129,7 +129,7 @@ class GnssAnchors:
         larger = f", errors {found.scale:.1f} times their stated sigma" if found.scale > 1.0 else ""
         rms = f"; those used are {np.sqrt(np.mean(np.square(off_m))):.2f} m off (RMS)" if off_m else ""
         all_ = sum(one.node > 0 for one in anchors)
-        self._told = (
+        self._note = (
             f"GNSS: {len(used)} of {all_} keyframes with a fix georeference the map{larger}{rms}; its x "
             f"axis points {self.georeference.heading_deg:.1f} degrees east of north"
         )

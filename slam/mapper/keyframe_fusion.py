@@ -63,20 +63,20 @@ class _DepthSpool:
     """Depth images of keyframes, stored on disk."""
 
     def __init__(self) -> None:
-        self._packed, self._told = Spool(), list[tuple[float, CameraIntrinsics]]()
+        self._packed, self._heads = Spool(), list[tuple[float, CameraIntrinsics]]()
 
     def __len__(self) -> int:
-        return len(self._told)
+        return len(self._heads)
 
     def add(self, frame: RgbdFrame) -> None:
         """Store the next image."""
         steps_per_m = depth_steps_per_m(frame)
         self._packed.append(packed_depth(frame.depth_m, steps_per_m))
-        self._told.append((steps_per_m, frame.intrinsics))
+        self._heads.append((steps_per_m, frame.intrinsics))
 
     def depth(self, index: int, T_level_camera: FloatArray) -> fusion.DepthImage:
         """Return an image in the form that fusion takes."""
-        steps_per_m, camera = self._told[index]
+        steps_per_m, camera = self._heads[index]
         depth_m = unpacked_depth(self._packed[index], steps_per_m, camera)
         return fusion.DepthImage(depth_m, camera, T_level_camera)
 

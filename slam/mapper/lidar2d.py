@@ -146,7 +146,7 @@ class PlanarRobot(FrontEnd):
         """Add the repaired scans, and the grids drawn from scans and images."""
         started = time.perf_counter()
         result.notes += [*registration_notes(self._registrations), *self._cameras.notes()]
-        self._odometry.tell(result)
+        self._odometry.add_notes(result)
         scans, result.fused = self._still, self._fused
         result.notes += [] if result.fused is None else [result.fused.note]
         result.stage_seconds["fusion"] = time.perf_counter() - started

@@ -70,7 +70,7 @@ class MapResult:
         learned = {name: record.learned for name, record in cameras.items()}
         self.map = replace(self.map, cameras=learned, frames=frames if len(frames) else None)
 
-    def add_told(self, notes: list[str], unused: dict[str, str]) -> None:
+    def add_imu_notes(self, notes: list[str], unused: dict[str, str]) -> None:
         """Add the notes of an IMU, and, by its name, why it was not used."""
         self.notes += notes
         self.warnings += [f"{name} is not used: {why}" for name, why in unused.items()]

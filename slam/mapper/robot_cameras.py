@@ -288,5 +288,5 @@ class RobotCameras:
                 (refused, camera.refused_steps, camera.steps),
             ):
                 lines += [f"{failed:,} of {count:,} of {name}"] if failed > 0.01 * count else []
-        told = [f"Frames that matched nothing: {', '.join(lost)}"] if lost else []
-        return told + ([f"Rejected motions off the floor: {', '.join(refused)}"] if refused else [])
+        lines_lost = [f"Frames that matched nothing: {', '.join(lost)}"] if lost else []
+        return lines_lost + ([f"Rejected motions off the floor: {', '.join(refused)}"] if refused else [])

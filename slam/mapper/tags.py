@@ -175,15 +175,15 @@ class PlaceAnchors:
         if self._laid is None:
             return
         poses = graph.poses()
-        told = told_edges(poses, graph.graph.edges, outcome.kept, config)
-        spreads = seen_from_earth(poses, told, self._laid)
+        edges = told_edges(poses, graph.graph.edges, outcome.kept, config)
+        spreads = seen_from_earth(poses, edges, self._laid)
         unseen = list[str]()
         for one in self._places.surveyed:
             name = f"tag {one.tag}" if one.stamp_s is None else f"the place at {one.stamp_s:.1f} s"
-            if (seen := self._seen_at(one, track)) is None:
+            if (sighting := self._seen_at(one, track)) is None:
                 unseen.append(name)
                 continue
-            node, arm_m, variance = seen
+            node, arm_m, variance = sighting
             pose, axes = poses[node], 2 if isinstance(poses[node], gtsam.Pose2) else len(one.at_m)
             at_m = self._laid.T_enu_map.transformFrom(spatial(pose).transformFrom(arm_m))
             off_m = (np.asarray(at_m) - [*one.at_m, 0.0][:3])[:axes]
@@ -210,20 +210,20 @@ class PlaceAnchors:
         flat = [in_plane(ones) if planar else (ones, gtsam.Rot3()) for ones in spatials]
         held = [edge for edge, keep in zip(edges, outcome.kept, strict=True) if keep]
         landmarks = landmarks_of(poses, held, [ones for ones, _ in flat])
-        told, tags = list[Edge](), list(self.found.tags)
+        found_edges, tags = list[Edge](), list(self.found.tags)
         for number, ones, (_, lean), landmark in zip(numbers, spatials, flat, landmarks, strict=True):
             if landmark is None:
                 self.warnings.append(f"Tag {number}: no view fits another; it is not used")
                 continue
             tags.append(self._tag(number, ones, lean, landmark))
-            told += landmark.edges
+            found_edges += landmark.edges
             if landmark.elsewhere:
                 self.warnings.append(
                     f"Tag {number} is elsewhere in {landmark.elsewhere} of {len(ones)} views, which were "
                     "left out: it was moved, there are two of this number, or something else was taken for it"
                 )
         self.found = replace(self.found, tags=tuple(sorted(tags, key=lambda tag: tag.number)))
-        return told
+        return found_edges
 
     def _tag(self, number: int, spatials: Sequence[Sighting], lean: gtsam.Rot3, found: Landmark) -> MapTag:
         """Return the saved record of a tag."""

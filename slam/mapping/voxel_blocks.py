@@ -113,7 +113,7 @@ class VoxelBlocks:
         camera: tuple[float, float, float, float],
         T_camera_map: FloatArray,
     ) -> None:
-        """Tell blocks by number what a frame saw; see `touched`."""
+        """Add a frame to blocks by number; see `touched`."""
         places = coordinates(self.keys[numbers])
         fields = self.distance, self.weight, self.color
         _integrate(numbers, places, depth_m, color, *camera, T_camera_map, self.voxel_m, *fields)

@@ -236,7 +236,7 @@ class ImuTracker:
         down = np.asarray(self._readings.T_base_imu.rotation().rotate(down_imu))
         return Gravity(state.stamp_s, down, self._smoother.down_sigma_rad())
 
-    def told(self) -> tuple[list[str], dict[str, str]]:
+    def outcome(self) -> tuple[list[str], dict[str, str]]:
         """Return notes for the user at the end of the log, and, by its name, why it was not used."""
         if not self._sensor:
             return [], {}
@@ -266,9 +266,9 @@ class ImuTracker:
         poses, self._poses = self._poses, []
         self._parameters = self._readings.parameters()
         self._smoother = ImuSmoother(self._first(poses), _GUESS)
-        for told in poses[1:]:
+        for measured in poses[1:]:
             if self._smoother is not None:
-                self._advance(self._smoother, *told)
+                self._advance(self._smoother, *measured)
 
     def _first(self, poses: list[tuple[float, gtsam.Pose3, FloatArray]]) -> ImuState:
         """Estimate the state at the first pose: velocity by differences, gravity from forces."""
@@ -314,10 +314,10 @@ class ImuTracker:
         return self._whole[2]
 
 
-def alike(seen: gtsam.Pose3, told: gtsam.Pose3) -> bool:
+def alike(matched: gtsam.Pose3, predicted: gtsam.Pose3) -> bool:
     """Return whether two motions have the same rotation, within the error of a match."""
-    turn_rad = float(np.linalg.norm(gtsam.Rot3.Logmap(seen.rotation())))
-    apart_rad = float(np.linalg.norm(gtsam.Rot3.Logmap(told.rotation().between(seen.rotation()))))
+    turn_rad = float(np.linalg.norm(gtsam.Rot3.Logmap(matched.rotation())))
+    apart_rad = float(np.linalg.norm(gtsam.Rot3.Logmap(predicted.rotation().between(matched.rotation()))))
     return apart_rad <= _APART_RAD + _APART_SHARE * turn_rad
 
 

@@ -122,7 +122,7 @@ class MotionTracker:
             tracked = TrackedScan(pose, motion, wheels, dispute, gyro)
             # Errors along a corridor are corrected at once at its end: this is no motion of the robot.
             if not (self._last.open and tracked.determined):
-                self._learn_velocity(between(self._last.pose, pose), step_s, told=pose is not self._blind)
+                self._learn_velocity(between(self._last.pose, pose), step_s, measured=pose is not self._blind)
         self._last = tracked
         self._stamp_s = stamp_s
         self._recent.append((stamp_s, tracked))
@@ -177,13 +177,13 @@ class MotionTracker:
         looking = guess.looking(begun.pose[2] + turn[0], turn[1] + float(begun.dispute[2, 2]))
         return looking.widened(np.diag([0.0, 0.0, _SENSOR_FLOOR[2, 2]]))
 
-    def _learn_velocity(self, step: FloatArray, step_s: float, *, told: bool) -> None:
+    def _learn_velocity(self, step: FloatArray, step_s: float, *, measured: bool) -> None:
         """Learn from a step (3,), except one that repeats the velocity, and the next, which corrects it."""
-        if told and not self._blind_s and abs(step_s) > SHORTEST_STEP_S:
+        if measured and not self._blind_s and abs(step_s) > SHORTEST_STEP_S:
             self._velocity_step, self._velocity_step_s = step, step_s
             if step_s <= GAP_S:
                 self._squares += step[0] ** 2 + step[1] ** 2, step[2] ** 2, step_s**2
-        self._blind_s = 0.0 if told else self._blind_s + abs(step_s)
+        self._blind_s = 0.0 if measured else self._blind_s + abs(step_s)
         if self._blind_s >= GAP_S:
             self._velocity_step = np.zeros(3)
 

@@ -65,7 +65,7 @@ class TurnMatcher:
         before: gtsam.Pose3,
         step_s: float,
         *,
-        told: bool,
+        turn_known: bool,
     ) -> MotionEstimate | None:
         """Return the pose of a cloud in the odometry frame; None if nothing fits.
 
@@ -77,21 +77,21 @@ class TurnMatcher:
             See `CloudOdometry.match`.
         step_s
             Time since ``before``.
-        told
+        turn_known
             Whether a gyroscope measured the rotation: then no sudden rotation is searched for.
         """
         turned_rad = max(_TURN_RATE_OFFSETS_RAD_S) * step_s
         motion = self._odometry.match(seen.points, guesses, before, turned_rad)
-        if not told and (motion is None or not motion.converged):
+        if not turn_known and (motion is None or not motion.converged):
             seen, motion = self._after_a_sudden_turn(cloud, seen, motion)
         for _ in range(_DESKEWED_TIMES):
             if motion is None or not self._is_skewed(cloud, seen, motion):
                 break
-            again = DeskewedCloud.of(cloud, self._velocity.at(pose_of(motion), cloud.stamp_s), self._config)
-            better = self._odometry.match(again.points, [pose_of(motion)])
-            if self._share(again, better) <= self._share(seen, motion):
+            redone = DeskewedCloud.of(cloud, self._velocity.at(pose_of(motion), cloud.stamp_s), self._config)
+            better = self._odometry.match(redone.points, [pose_of(motion)])
+            if self._share(redone, better) <= self._share(seen, motion):
                 break
-            seen, motion = again, better
+            seen, motion = redone, better
         return motion
 
     def _after_a_sudden_turn(

@@ -32,7 +32,7 @@ class WheelGaps:
     """
 
     def __init__(self) -> None:
-        self._told: FloatArray | None = None
+        self._reported: FloatArray | None = None
         self._pose = self._counted = np.zeros(3)
         # Stamps of the last reading, of the last moving one, and up to which the path is in the pose.
         self._stamp_s = self._counted_s = self._placed_s = math.nan
@@ -59,9 +59,9 @@ class WheelGaps:
         guess, guess_m = self.guess_at(reading.stamp_s)
         self._stands = guess_m > 0.0 and not guess.any()
         stamp_s, self._stamp_s = reading.stamp_s, reading.stamp_s
-        told, self._told = self._told, row_from_pose2(reading.T_odom_base)
-        if told is None:
-            self._pose = self._counted = self._told
+        previous, self._reported = self._reported, row_from_pose2(reading.T_odom_base)
+        if previous is None:
+            self._pose = self._counted = self._reported
             self._counted_s = self._placed_s = stamp_s
             return self._pose
         if step_s > 0.0:
@@ -96,9 +96,9 @@ class WheelGaps:
 
     def step(self, reading: WheelOdometry) -> tuple[FloatArray, float]:
         """Return the motion (3,) since the last reading and its time; zero and NaN before any."""
-        if self._told is None:
+        if self._reported is None:
             return np.zeros(3), math.nan
-        return between(self._told, row_from_pose2(reading.T_odom_base)), reading.stamp_s - self._stamp_s
+        return between(self._reported, row_from_pose2(reading.T_odom_base)), reading.stamp_s - self._stamp_s
 
     def guess_at(self, stamp_s: float) -> tuple[FloatArray, float]:
         """Return (3,) the uncounted motion since the last reading, and its possible error.

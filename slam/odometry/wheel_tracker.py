@@ -52,7 +52,7 @@ class WheelTracker:
         self._config, self._gyro = config, gyro
         self._gaps = WheelGaps()
         # Sums over steps; their initial values keep the scale at one for the first metres.
-        self._told_m2 = self._true_m2 = 1.0
+        self._counted_m2 = self._true_m2 = 1.0
         self._scale = np.ones(3)
         # Rotation per metre that the wheels miss, its sums over steps, and the mean square residual.
         self._aside_rad_m = self._aside_m_rad = self._aside_m2 = 0.0
@@ -177,13 +177,13 @@ class WheelTracker:
         rotation per metre of two wheels of different size.
         """
         (x, y, _), (true_x, true_y, _), scale = step.tolist(), matched.tolist(), float(self._scale[0])
-        told, true = math.hypot(x, y), math.hypot(true_x, true_y)
-        if abs(true - told) > self._config.distance_share * told or x * true_x + y * true_y <= 0.0:
+        counted, true = math.hypot(x, y), math.hypot(true_x, true_y)
+        if abs(true - counted) > self._config.distance_share * counted or x * true_x + y * true_y <= 0.0:
             return
-        told /= scale
-        self._told_m2 += told * told
-        self._true_m2 += told * true
-        self._scale[:2] = self._true_m2 / self._told_m2
+        counted /= scale
+        self._counted_m2 += counted * counted
+        self._true_m2 += counted * true
+        self._scale[:2] = self._true_m2 / self._counted_m2
         missed_rad = wrap(matched[2] - step[2])
         if (self._alone and self._alone[1]) or missed_rad**2 > gate() * self._missed_rad2:
             return

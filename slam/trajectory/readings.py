@@ -31,7 +31,7 @@ class Readings:
     def __init__(self) -> None:
         self.bridged: dict[int, FloatArray] = {}
         self._stamps_s = array("d")
-        self._told_s = array("d")
+        self._reported_s = array("d")
         self._wheel_poses = array("d")
         self._scan_readings = array("q")
         self._scan_poses = array("d")
@@ -44,10 +44,10 @@ class Readings:
         """Number of scans, clouds or frames so far that have a pose."""
         return len(self._scan_readings)
 
-    def add_wheel(self, stamp_s: float, pose: FloatArray | None, told_s: float | None = None) -> None:
+    def add_wheel(self, stamp_s: float, pose: FloatArray | None, reported_s: float | None = None) -> None:
         """Add a reading with the wheels' pose (3,), odom frame; None if there is none."""
         self._stamps_s.append(stamp_s)
-        self._told_s.append(stamp_s if told_s is None else told_s)
+        self._reported_s.append(stamp_s if reported_s is None else reported_s)
         self._wheel_poses.extend((np.nan,) * 3 if pose is None else pose)
 
     def add_scan(
@@ -58,7 +58,7 @@ class Readings:
         *,
         covariance: FloatArray | None = None,
         trusted: bool = True,
-        told_s: float | None = None,
+        reported_s: float | None = None,
     ) -> None:
         """Add a scan with its pose in the odometry frame; an untrusted one is no anchor for others.
 
@@ -66,7 +66,7 @@ class Readings:
         ----------
         covariance
             (d, d) of the pose against the scans around it, GTSAM's order; None if nothing measured it.
-        told_s
+        reported_s
             Stamp in the log, if it differs from that of the pose.
         """
         variances = [math.nan] * 6
@@ -78,12 +78,12 @@ class Readings:
         self._scan_readings.append(len(self._stamps_s))
         self._scan_trusted.append(trusted)
         self._scan_poses.extend(spatial(pose).matrix()[:3].ravel().tolist())
-        self.add_wheel(stamp_s, wheel_pose, told_s)
+        self.add_wheel(stamp_s, wheel_pose, reported_s)
 
     def restamp(self, scans: NDArray[np.int64], stamps_s: FloatArray) -> None:
         """Correct the times (M,) of scans (M,)."""
         for reading, stamp_s in zip(np.array(self._scan_readings)[scans], stamps_s, strict=True):
-            self._stamps_s[reading] = self._told_s[reading] = stamp_s
+            self._stamps_s[reading] = self._reported_s[reading] = stamp_s
 
     def read_wheels_at(self, ahead_s: float, scans: NDArray[np.int64] | None = None) -> None:
         """Read the wheels' pose of each reading again: their stamps are ahead by this offset.
@@ -118,7 +118,7 @@ class Readings:
 
     def scan_stamps_s(self) -> FloatArray:
         """(S,) stamps of the scans in the log."""
-        return np.array(self._told_s)[np.array(self._scan_readings, dtype=np.int64)]
+        return np.array(self._reported_s)[np.array(self._scan_readings, dtype=np.int64)]
 
     def keyframe_wheels(self) -> FloatArray:
         """(K, 3) pose of the wheels at each keyframe, odom frame; NaN if there is none."""
@@ -156,7 +156,7 @@ class Readings:
         if motion is None:
             motion = _motion_without_wheels(stamps_s, scans, poses)
         spread = spread_correction(motion, scans, poses).trajectory(stamps_s)
-        return at_stamps(spread, np.array(self._told_s))
+        return at_stamps(spread, np.array(self._reported_s))
 
     def _trusted(self) -> BoolArray:
         """Return (S,) which scans are anchors for the others: keyframes, and trusted scans."""
