@@ -115,14 +115,14 @@ def _forward_m(first: LaserScan, last: LaserScan, rows: FloatArray, config: Conf
     stamps_s = np.array([first.stamp_s, last.stamp_s])
     if not rows[0, 0] <= stamps_s[0] < stamps_s[1] <= rows[-1, 0]:
         return None
-    told = np.column_stack([np.interp(stamps_s, rows[:, 0], column) for column in rows[:, 1:].T])
-    step = between(told[0], told[1])
+    ends = np.column_stack([np.interp(stamps_s, rows[:, 0], column) for column in rows[:, 1:].T])
+    step = between(ends[0], ends[1])
     if 2.0 * step[0] < config.keyframes.distance_m:
         return None  # with too few scans, both directions fit
     points = [OrientedPoints.from_scan(points_by(config.scan, scan)) for scan in (first, last)]
     local_map = LocalMap.build(points[:1], limits)
-    found = [local_map.align(points[1], guess) for guess in (step, step * [-1.0, -1.0, 1.0])]
-    best = max(found, key=lambda one: one.fit)
+    matches = [local_map.align(points[1], guess) for guess in (step, step * [-1.0, -1.0, 1.0])]
+    best = max(matches, key=lambda match: match.fit)
     if best.inlier_share < limits.confident_inlier_share or not best.converged:
         return None
     if weak_direction(best, limits.degenerate_share) is not None:

@@ -104,22 +104,22 @@ def anchored(
     if far_m <= _FREEDOM * math.sqrt(float(np.median(variances))):
         return None
     seen = _seen(poses, anchors)
-    laid = _laid(seen, places, 1.0 / variances)
-    nodes = [*poses, _like(poses[0], laid)]
-    scale2 = _scale2(seen, places, spreads, laid) if kind is EdgeKind.GNSS else 1.0
+    T_map_enu = _laid(seen, places, 1.0 / variances)
+    nodes = [*poses, _like(poses[0], T_map_enu)]
+    scale2 = _scale2(seen, places, spreads, T_map_enu) if kind is EdgeKind.GNSS else 1.0
     held = [*edges, _upright(nodes)]
     together = np.array([one.together for one in anchors])
     weights, before = np.ones(len(anchors)), np.full(len(anchors), np.inf)
     for _ in range(ROUNDS):
-        told = _edges(nodes, len(poses), anchors, together * scale2 / weights, kind)
-        values = solved(*held_graph(nodes, [*held, *told]))
+        ties = _edges(nodes, len(poses), anchors, together * scale2 / weights, kind)
+        values = solved(*held_graph(nodes, [*held, *ties]))
         nodes = [values.atPose3(n) if axes == 3 else values.atPose2(n) for n in range(len(nodes))]
         T_enu_map = spatial(nodes[-1]).inverse()
-        off = np.array([T_enu_map.transformFrom(seen) for seen in _seen(nodes, anchors)]) - places
+        offsets = np.array([T_enu_map.transformFrom(seen) for seen in _seen(nodes, anchors)]) - places
         if axes == 2:
-            height_m = np.array([0.0, 0.0, -np.median(off[:, 2])])
+            height_m = np.array([0.0, 0.0, -np.median(offsets[:, 2])])
             T_enu_map = gtsam.Pose3(T_enu_map.rotation(), T_enu_map.translation() + height_m)
-        squares = np.einsum("ki,kij,kj->k", off[:, :axes], np.linalg.inv(spreads), off[:, :axes])
+        squares = np.einsum("ki,kij,kj->k", offsets[:, :axes], np.linalg.inv(spreads), offsets[:, :axes])
         squares /= scale2
         weights = (_FREEDOM + axes) / (_FREEDOM + squares)
         sigmas = np.sqrt(squares)
@@ -127,7 +127,7 @@ def anchored(
             break
         before = sigmas
     fits = squares <= gate(axes)
-    told, from_earth = (
+    ties, from_earth = (
         [
             edge
             for edge, fit in zip(_edges(nodes, source, anchors, together * scale2, kind), fits, strict=True)
@@ -136,7 +136,7 @@ def anchored(
         for source in (0, len(poses))
     )
     return Anchored(
-        T_enu_map, told, [_upright(nodes).turned(), *from_earth], math.sqrt(scale2), 1.0 - float(fits.mean())
+        T_enu_map, ties, [_upright(nodes).turned(), *from_earth], math.sqrt(scale2), 1.0 - float(fits.mean())
     )
 
 

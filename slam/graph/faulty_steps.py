@@ -51,13 +51,13 @@ class FaultySteps:
     Parameters
     ----------
     edges, poses
-        Of the graph: how far wrong a step may be is told by those of its edges that cannot be refused. Where
-        it was matched, that is no more than what nothing measured in a second, or, less likely, in its time.
+        Of the graph: edges that cannot be rejected limit the error of a step. If it was matched, the error
+        is at most that of an unmeasured second, or, less likely, of an unmeasured step of its duration.
     kept
         (E,) which of them the optimisation has kept.
     stamps_s
-        (n,) of the keyframes: in the time of a part the robot went and turned no farther than it does as a
-        rule, and what is told on top, however many claims say so.
+        (n,) of the keyframes: in the time of a part the robot moved and turned no farther than its usual
+        speed allows, plus the estimated motion, however many claims say so.
     config, loops, match
         What nothing measured; the share of the steps that are no faster than that rule, and how far
         surroundings reach; how far a step moves these at least that is wrong.
@@ -139,8 +139,8 @@ class FaultySteps:
         begun, ended = self._ends.T
         time_s = np.abs(stamps_s[ended] - stamps_s[begun])[:, None]
         self._time_s = np.maximum(time_s[:, 0], 1.0)
-        told = _moves(seen_from(poses[begun], poses[ended]))
-        self._farthest = told + time_s * np.quantile(speeds, loops.inlier_probability, axis=0)
+        moved = _moves(seen_from(poses[begun], poses[ended]))
+        self._farthest = moved + time_s * np.quantile(speeds, loops.inlier_probability, axis=0)
 
     @cached_property
     def lone(self) -> LoneSteps:

@@ -97,16 +97,16 @@ def landmarks_of(
     """
     visits = [visit for sightings in seen for visit in _visits(sightings)]
     of = np.repeat(np.arange(len(seen)), [len(_visits(sightings)) for sightings in seen])
-    nodes, told, holds = _visited(poses, edges, visits)
+    nodes, ties, holds = _visited(poses, edges, visits)
     hubs = [nodes[len(poses) + int(np.flatnonzero(of == number)[0])] for number in range(len(seen))]
-    nodes, still = _still([*nodes, *hubs], told, len(poses), of, holds)
+    nodes, still = _still([*nodes, *hubs], ties, len(poses), of, holds)
     found = list[Landmark | None]()
     for number, sightings in enumerate(seen):
         mine = np.flatnonzero(of == number)
         fit = np.concatenate([holds[visit] & still[visit] for visit in mine])
         landmark = nodes[len(poses) + len(of) + number]
         away = sum(len(holds[visit]) for visit in mine[~still[mine]])
-        found.append(_told(nodes, landmark, sightings, fit, away) if fit.any() else None)
+        found.append(_landmark_of(nodes, landmark, sightings, fit, away) if fit.any() else None)
     return found
 
 
@@ -114,27 +114,27 @@ def _visited(
     poses: Sequence[Pose], edges: Sequence[Edge], visits: Sequence[Sequence[Sighting]]
 ) -> tuple[list[Pose], list[Edge], list[BoolArray]]:
     """Return the graph with one node per visit, its inliers, and which sightings agree within their visit."""
-    nodes, told = [*poses], [*edges]
+    nodes, ties = [*poses], [*edges]
     for visit in visits:
         best = min(visit, key=_size)
         nodes.append(composed(poses[best.node], best.T_node_landmark))
-        told += [
+        ties += [
             Edge(one.node, len(nodes) - 1, one.T_node_landmark, one.covariance, EdgeKind.TAG, trusted=False)
             for one in visit
         ]
         # A visit without inliers still needs a pose.
         far = NOWHERE_M**2 * np.eye(len(best.covariance))
-        told.append(Edge(best.node, len(nodes) - 1, best.T_node_landmark, far, EdgeKind.TAG, trusted=True))
+        ties.append(Edge(best.node, len(nodes) - 1, best.T_node_landmark, far, EdgeKind.TAG, trusted=True))
     graph = PoseGraph(poses[0])
     for node in nodes[1:]:
         graph.add_node(node)
-    for edge in told:
+    for edge in ties:
         graph.add_edge(edge)
     kept = graph.optimize().kept
-    fits = iter(kept[[n for n, edge in enumerate(told) if edge.kind is EdgeKind.TAG and not edge.trusted]])
+    fits = iter(kept[[n for n, edge in enumerate(ties) if edge.kind is EdgeKind.TAG and not edge.trusted]])
     holds = [np.array([next(fits) for _ in visit]) for visit in visits]
-    told = [edge for edge, keep in zip(told, kept, strict=True) if keep]
-    return [graph.pose(node) for node in range(len(nodes))], told, holds
+    ties = [edge for edge, keep in zip(ties, kept, strict=True) if keep]
+    return [graph.pose(node) for node in range(len(nodes))], ties, holds
 
 
 def _still(
@@ -180,7 +180,7 @@ def _visits(sightings: Sequence[Sighting]) -> list[list[Sighting]]:
     return found
 
 
-def _told(
+def _landmark_of(
     nodes: Sequence[Pose], landmark: Pose, sightings: Sequence[Sighting], holds: BoolArray, away: int
 ) -> Landmark:
     """Return a landmark relative to the node that saw it best."""

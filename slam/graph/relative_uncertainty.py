@@ -273,11 +273,11 @@ def inverse(a: FloatArray) -> FloatArray:
     return np.stack([-cos * a[:, 0] - sin * a[:, 1], sin * a[:, 0] - cos * a[:, 1], -a[:, 2]], axis=1)
 
 
-def seen_from(told: FloatArray, found: FloatArray) -> FloatArray:
+def seen_from(origins: FloatArray, poses: FloatArray) -> FloatArray:
     """Return (K, 3) the found poses in the frames of the given ones."""
-    off = composed(inverse(told), found)
-    off[:, 2] = np.remainder(off[:, 2] + np.pi, 2.0 * np.pi) - np.pi
-    return off
+    offsets = composed(inverse(origins), poses)
+    offsets[:, 2] = np.remainder(offsets[:, 2] + np.pi, 2.0 * np.pi) - np.pi
+    return offsets
 
 
 def moved(covariance: FloatArray, T_a_b: FloatArray) -> FloatArray:
