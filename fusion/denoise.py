@@ -150,7 +150,7 @@ def repair_by(
     if len(matrices) != len(images):
         raise ValueError(f"{len(images)} images for {len(matrices)} registered cameras")
     candidates = find_candidates(scan, images, registration, matrices)
-    return _put_in(scan, images, candidates, least_probability)
+    return _insert(scan, images, candidates, least_probability)
 
 
 def _view(image: DepthImage, registration: Registration | RigEstimate) -> ImageView:
@@ -245,7 +245,7 @@ def find_candidates(
     return Candidates(source, kinds, beams, pixels, shares, smoothed)
 
 
-def _put_in(
+def _insert(
     scan: LidarCurve, images: tuple[DepthImage, ...], candidates: Candidates, least_probability: float
 ) -> Denoised:
     """Insert the candidates that are likely enough to be right."""

@@ -79,7 +79,7 @@ def island_size(at: int, islands: Islands, slack_share: float) -> int:
             if not (0 <= r < height and 0 <= c < width):
                 continue
             there = r * width + c
-            if sizes[there] == -1 or not _hang(flat[here], flat[there], slack_share):
+            if sizes[there] == -1 or not _same_surface(flat[here], flat[there], slack_share):
                 continue
             if sizes[there] > 0 or count == queue.size:
                 size = queue.size
@@ -92,7 +92,7 @@ def island_size(at: int, islands: Islands, slack_share: float) -> int:
 
 
 @kernel
-def _hang(near: float, far: float, slack_share: float) -> bool:
+def _same_surface(near: float, far: float, slack_share: float) -> bool:
     """Return whether two neighbours may be on one surface; false for a hole."""
     return near > 0.0 and far > 0.0 and abs(near - far) <= 0.5 * HEIGHT_STEP_M + slack_share * min(near, far)
 
@@ -220,12 +220,12 @@ def _with_run(
         row[8] = over_noise(put if np.isnan(error) else error, put, eps_share)
         row[9], row[10] = math.log(put), math.log(row[2] / farthest)
         row[11] = math.log(SLACK_M + noise_share * put)
-        row[12], row[13] = _beside(i, pixel[i], put, islands[0].ravel(), lookup, range_max_m, eps_share)
+        row[12], row[13] = _around(i, pixel[i], put, islands[0].ravel(), lookup, range_max_m, eps_share)
     return table, count
 
 
 @kernel
-def _beside(
+def _around(
     col: int,
     at: int,
     put_m: float,

@@ -115,7 +115,7 @@ def run_into(
 
         def on_step(stage: str, count: int) -> None:
             if stage == "begun":
-                _load_what_ends_a_run()
+                _load_last_modules()
                 return
             on_progress(Progress(stage, count, dataset.report.share if stage == "mapping" else None))
 
@@ -157,7 +157,7 @@ def run_into(
     return run
 
 
-def _load_what_ends_a_run() -> None:
+def _load_last_modules() -> None:
     """Load it while a copy of the process tracks, see `slam.mapper.lookahead`, not before that begins."""
     import slam.evaluation.report
     import slam.outputs.exports  # noqa: F401

@@ -132,11 +132,11 @@ def simulate(
     building = generate_home(home, "office" if office else "home", moved=moved, day=seed)
     if tags:
         from slam.simulation.tour import plan_tour
-        from slam.simulation.wall_tags import hang_tags
+        from slam.simulation.wall_tags import place_tags
 
         robot = RIGS[rig]
         tour = plan_tour(building, robot.robot_radius_m, robot.robot_height_m, seed, duration)
-        building = hang_tags(building, tags, home, tour.poses_xyt)
+        building = place_tags(building, tags, home, tour.poses_xyt)
     chosen = FAULT_PRESETS[faults]
     if chosen.dying_sensor:
         chosen = replace(chosen, dying_sensor=leading_sensor(RIGS[rig]))

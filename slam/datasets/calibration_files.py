@@ -172,12 +172,12 @@ def contradiction(what: str, used: tuple[Lens, str], other: tuple[Lens, str]) ->
     if np.abs(values[0] - scale * values[1]).max() <= _APART_SHARE * max(width, first.fx):
         return ""
     return (
-        f"warning: {what}: {used[1]} says {_told(first)}, {other[1]} says {_told(second)}; "
+        f"warning: {what}: {used[1]} says {_lens_text(first)}, {other[1]} says {_lens_text(second)}; "
         f"that of {used[1]} is used"
     )
 
 
-def _told(lens: CameraIntrinsics) -> str:
+def _lens_text(lens: CameraIntrinsics) -> str:
     """A lens as text for the user."""
     size = f" at {lens.width} x {lens.height}" if lens.width else ""
     return f"fx {lens.fx:.1f} fy {lens.fy:.1f} cx {lens.cx:.1f} cy {lens.cy:.1f}{size}"

@@ -124,7 +124,7 @@ def _fitted(color: ColorImage, depth_m: Float32Array, calibration: Calibration) 
     """The colour image at the size of the depth image, warped to the depth image's lens."""
     size, target = (color.shape[1], color.shape[0]), (depth_m.shape[1], depth_m.shape[0])
     if (lens := calibration.color_lens) is not None:
-        return _drawn_by(lens, color, calibration.intrinsics_for(*target))
+        return _warped(lens, color, calibration.intrinsics_for(*target))
     if size == target:
         return color
     if not same_aspect(size, target):
@@ -132,7 +132,7 @@ def _fitted(color: ColorImage, depth_m: Float32Array, calibration: Calibration) 
     return resized(color, target)
 
 
-def _drawn_by(lens: Lens, color: ColorImage, seen_by: CameraIntrinsics) -> ColorImage:
+def _warped(lens: Lens, color: ColorImage, seen_by: CameraIntrinsics) -> ColorImage:
     """An image warped to the lens of another camera at the same position."""
     import cv2
 

@@ -54,7 +54,7 @@ def corrected(log: Iterable[Measurement], calibration: Calibration) -> Iterable[
     stream = _corrected_one_by_one(log, calibration)
     offsets_s = [correction.clock_offset_s for correction in _by_name(calibration).values()]
     if any(offsets_s):
-        stream = _in_time(stream, max([0.0, *offsets_s]) - min([0.0, *offsets_s]))
+        stream = _in_time_order(stream, max([0.0, *offsets_s]) - min([0.0, *offsets_s]))
     spinning = {name: lidar for name, lidar in calibration.lidars.items() if lidar.turn_s}
     return straightened(stream, spinning) if spinning else stream
 
@@ -243,7 +243,7 @@ class _Wheels:
         return self._pose
 
 
-def _in_time(stream: Iterable[Measurement], spread_s: float) -> Iterator[Measurement]:
+def _in_time_order(stream: Iterable[Measurement], spread_s: float) -> Iterator[Measurement]:
     """Sort by corrected stamp, each sensor in its own order, with a delay up to the clock difference."""
     waiting: list[tuple[float, int, Measurement]] = []
     reached: dict[str, float] = {}

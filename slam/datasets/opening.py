@@ -104,7 +104,7 @@ def open_dataset(
         # A session in a database also has a path: DATABASE/SESSION.
         if looks_like_robot_at_home2(path, b""):
             return open_robot_at_home2(path, strict)
-        raise DatasetError(f"{path} does not exist; {_meant(path)}")
+        raise DatasetError(f"{path} does not exist; {_suggestion(path)}")
     if not (path.is_file() or path.is_dir()):
         raise DatasetError(f"{path} is neither a file nor a directory")
     head = read_head(path, HEAD_BYTES) if path.is_file() else b""
@@ -124,7 +124,7 @@ def open_dataset(
             return open_dataset(
                 inside[0], strict=strict, topics=topics, images=images, calibration=calibration
             )
-        raise DatasetError(f"{path} {_what_is_wrong(path)}")
+        raise DatasetError(f"{path} {_problem_of(path)}")
     suffix = path.suffix[1:].lower()
     what = next((words for suffixes, words in _UNREAD if re.fullmatch(suffixes, suffix)), None)
     raise DatasetError(
@@ -154,7 +154,7 @@ def _opened(known: DatasetFormat, path: Path, strict: bool, topics: tuple[str, .
     return known.open(path, strict)
 
 
-def _meant(path: Path) -> str:
+def _suggestion(path: Path) -> str:
     """Suggestions for a path that does not exist."""
     folder = path.parent
     names = [entry.name for entry in islice(folder.iterdir(), _LOOKED_AT)] if folder.is_dir() else []
@@ -162,7 +162,7 @@ def _meant(path: Path) -> str:
     return f"did you mean {' or '.join(similar)}?" if similar else "give the path of a log"
 
 
-def _what_is_wrong(folder: Path) -> str:
+def _problem_of(folder: Path) -> str:
     """Why a folder is no dataset, as far as known."""
     names = {entry.name for entry in islice(folder.iterdir(), _LOOKED_AT)}
     if not names:

@@ -47,7 +47,7 @@ class Known:
     sessions: Sequence[MapSession]
 
 
-def understood(known: Known, edits: Edits) -> AppliedEdits:
+def resolved(known: Known, edits: Edits) -> AppliedEdits:
     """Resolve edits in a map.
 
     Raises

@@ -9,7 +9,7 @@ from pathlib import Path
 
 from slam.config import Config
 from slam.config.edits import Edits
-from slam.edits.applying import Known, understood
+from slam.edits.applying import Known, resolved
 from slam.edits.remaking import remade, remade_config
 from slam.mapping.band_scan import ground_of
 from slam.matching.cloud_points import voxel_of
@@ -50,7 +50,7 @@ def write_with(known: Known, edits: Edits, path: Path) -> list[str]:
     """
     entries = [*known.contents.edits]
     if not edits.empty:
-        entries.append(understood(known, edits))
+        entries.append(resolved(known, edits))
     return write_entries(known, entries, path)
 
 

@@ -72,7 +72,7 @@ def _finished(file: MapFile) -> dict[str, Any]:
 
 def _is_planar(file: MapFile) -> bool:
     """Return whether the robot stays on a floor."""
-    with file.blaming(KEYFRAMES, 0):
+    with file.naming_row(KEYFRAMES, 0):
         return is_in_plane(cast(bytes, file.row(KEYFRAMES, 0)[2]))
 
 

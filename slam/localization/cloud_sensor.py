@@ -94,7 +94,7 @@ class CloudSensor:
         view = CloudView.of(points, cloud.T_base_lidar, self.voxel_m)
         return Observation(cloud.stamp_s, view, step.pose, step.moved, step.moved is None)
 
-    def sees_anew(self, view: CloudView, before: Pose | None, pose: Pose) -> bool:
+    def sees_new(self, view: CloudView, before: Pose | None, pose: Pose) -> bool:
         """See `Sensor`."""
         return len(view.points) > 0 and moved_on(before, pose, self._general)
 

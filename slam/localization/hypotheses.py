@@ -11,7 +11,7 @@ import numpy as np
 
 from slam.config.localization import LocalizationConfig
 from slam.estimates import MotionEstimate
-from slam.localization.poses import Measured, apart, as_place, mixed, same_place, squared_mahalanobis
+from slam.localization.poses import Measured, as_place, mixture, same_place, separation, squared_mahalanobis
 from slam.localization.sensor import Keyframe, N, Sensor, V
 from slam.measurements import FloatArray, Pose, composed, motion_between
 
@@ -77,14 +77,14 @@ class KeyframeLog(Generic[V, N]):
 
     def due(self, view: V, pose: Pose) -> bool:
         """Return whether a reading at ``T_odom_base`` should be weighted."""
-        return self._sensor.sees_anew(view, self.keyframes[-1].pose if self.keyframes else None, pose)
+        return self._sensor.sees_new(view, self.keyframes[-1].pose if self.keyframes else None, pose)
 
     def add(self, view: V, pose: Pose) -> int:
         """Add a reading at ``T_odom_base`` as a keyframe; return how many of the oldest were dropped."""
         travelled_m = 0.0
         if self.keyframes:
             newest = self.keyframes[-1]
-            travelled_m = newest.travelled_m + apart(newest.pose, pose)[0]
+            travelled_m = newest.travelled_m + separation(newest.pose, pose)[0]
         kept = [earlier for earlier in self.keyframes if travelled_m - earlier.travelled_m <= self._window_m]
         dropped = len(self.keyframes) - len(kept)
         self.keyframes = [*kept, Keyframe(pose, travelled_m, self._sensor.novel(view, pose, kept))]
@@ -212,7 +212,7 @@ class HypothesisSet(Generic[V, N]):
         ):
             return None
         poses = [member.measured for member in self.members]
-        return mixed(self._within.pose, poses, probabilities / probabilities.sum())
+        return mixture(self._within.pose, poses, probabilities / probabilities.sum())
 
     def _total(self, member: Hypothesis) -> float:
         """Return the evidence for a hypothesis, with its distance to dead reckoning, limited by surprise."""

@@ -83,7 +83,7 @@ class PlanarSensor:
         step = self._odometry.add(self._without_dynamic_points(view, known))
         return Observation(view.stamp_s, view, step.pose, step.moved, step.moved is None)
 
-    def sees_anew(self, view: ScanView, before: Pose | None, pose: Pose) -> bool:
+    def sees_new(self, view: ScanView, before: Pose | None, pose: Pose) -> bool:
         """See `Sensor`."""
         return moved_on(before, pose, self._settings)
 

@@ -29,7 +29,7 @@ def after(known: Measured, step: Measured) -> Measured:
     return Measured(composed(known.pose, step.pose), covariance)
 
 
-def apart(one: Pose, other: Pose) -> tuple[float, float]:
+def separation(one: Pose, other: Pose) -> tuple[float, float]:
     """Return metres and radians between two poses."""
     step = motion_between(one, other)
     if isinstance(step, gtsam.Pose2):
@@ -45,7 +45,7 @@ def position_sigma_m(known: Measured) -> float:
     return math.sqrt(float(np.linalg.eigvalsh(position)[-1]))
 
 
-def mixed(origin: Pose, poses: Sequence[Measured], weights: FloatArray) -> Measured:
+def mixture(origin: Pose, poses: Sequence[Measured], weights: FloatArray) -> Measured:
     """Return mean and covariance of near poses of which one is true, with probabilities (n,)."""
     apart_ = np.array([logarithm(motion_between(origin, item.pose)) for item in poses])
     mean = weights @ apart_
@@ -58,7 +58,7 @@ def mixed(origin: Pose, poses: Sequence[Measured], weights: FloatArray) -> Measu
 
 def same_place(one: Pose, other: Pose) -> bool:
     """Return whether two poses are the same place."""
-    apart_m, turned_rad = apart(one, other)
+    apart_m, turned_rad = separation(one, other)
     return apart_m < SAME_M and turned_rad < SAME_RAD
 
 

@@ -186,7 +186,7 @@ class Checkpoint:
             content = cast(bytes, file.row(CHECKPOINT, number)[1])
             at = 0
             while at < len(content):
-                with file.blaming(CHECKPOINT, number):
+                with file.naming_row(CHECKPOINT, number):
                     (length,) = _LENGTH.unpack_from(content, at)
                     question, key, answer = unpack(content[at + 4 : at + 4 + length])
                 at += 4 + length

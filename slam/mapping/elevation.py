@@ -110,7 +110,7 @@ def elevation(
     low[row - first[0], col - first[1]] = ((keys & below) - _MIDDLE) * STEP_M
     feet = np.array([pose.transformFrom(np.array([0.0, 0.0, ground_m])) for pose in poses])
     feet = feet[np.isfinite(feet).all(axis=1)]
-    ground = _hanging_together(low, feet, first * _CELL_M)
+    ground = _connected_ground(low, feet, first * _CELL_M)
     if not ground.any():
         return None
     nearest = scipy.ndimage.distance_transform_edt(~ground, return_distances=False, return_indices=True)
@@ -154,7 +154,7 @@ def _quantiles(keys: Keys, share: float) -> Keys:
     return keys[starts + (share * counts).astype(np.int64)]
 
 
-def _hanging_together(low: FloatArray, feet: FloatArray, origin_yx: FloatArray) -> BoolArray:
+def _connected_ground(low: FloatArray, feet: FloatArray, origin_yx: FloatArray) -> BoolArray:
     """Return (rows, cols) cells that are reachable from the robot's positions without too high a step."""
     from scipy.spatial import cKDTree
 

@@ -56,22 +56,22 @@ def without_passers_by(
     if not cells.size:
         return grid, None
     before, since, missed = _passes(grid, cells, scans, model)
-    of_cell = things_of(cells, grid.shape[1])
+    of_cell = components_of(cells, grid.shape[1])
     rows_cols = np.column_stack(np.unravel_index(cells, grid.shape))
-    moved = _not_there(of_cell, before + since, missed, enough)
+    moved = _moved_objects(of_cell, before + since, missed, enough)
     removed = [thing for thing in moved if not _may_be_a_pane(rows_cols[of_cell == thing] * cell_m, cell_m)]
     own = np.isin(of_cell, removed)
     taken = cells[own]
     if not taken.size:
         return grid, None
-    is_free = np.isin(of_cell[own], _not_there(of_cell, since, missed, enough))
+    is_free = np.isin(of_cell[own], _moved_objects(of_cell, since, missed, enough))
     static, stood = grid.steps.copy(), np.zeros(grid.shape, grid.steps.dtype)
     stood.flat[taken] = static.flat[taken]
     static.flat[taken] = np.where(is_free, enough * miss, 0)
     return replace(grid, steps=static), replace(grid, steps=stood)
 
 
-def things_of(cells: NDArray[np.intp], cols: int) -> NDArray[np.intp]:
+def components_of(cells: NDArray[np.intp], cols: int) -> NDArray[np.intp]:
     """Return (C,) the connected component of each cell, given by ascending indices.
 
     A label image would take twice the memory of the grid.
@@ -90,7 +90,7 @@ def things_of(cells: NDArray[np.intp], cols: int) -> NDArray[np.intp]:
     return np.asarray(connected_components(joined, directed=False)[1], np.intp)
 
 
-def _not_there(
+def _moved_objects(
     of_cell: NDArray[np.intp], passes: NDArray[np.int32], missed: FloatArray, enough: int
 ) -> NDArray[np.intp]:
     """Return the numbers of the objects that beams passed too often for a fixed object.

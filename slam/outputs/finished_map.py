@@ -354,7 +354,7 @@ def load_map(path: Path | str, kept_in: TemporaryFolder | None = None) -> Map:
         identity = MapIdentity.from_meta(meta, file.path)
         contents = read_contents(file)
         sessions = sessions_of(meta, len(contents.node_poses), len(contents.trajectory))
-        with file.blaming(KEYFRAMES, len(contents.node_poses) - 1):
+        with file.naming_row(KEYFRAMES, len(contents.node_poses) - 1):
             sound_readings(contents.readings, sessions)
         refuse_misfits(file, contents)
     except BaseException:

@@ -133,13 +133,13 @@ def compare(before: Visit, after: Visit, spread: Spread, config: Config) -> Comp
             standing = _standing(int(hits), int(through))
             if (
                 np.ptp(middles_m, axis=0).max() <= _APART_M
-                and _met_s(visits[own], sightings[own][0][:, n]) < _WAITING_S
+                and _hit_span_s(visits[own], sightings[own][0][:, n]) < _WAITING_S
             ):
                 standing = 0.0
             witnesses = [np.flatnonzero(item[0][:, n] | item[1][:, n]) for item in sightings]
             covariance = spread(witnesses[0], witnesses[1], middles_m.mean(axis=0))
             there = float(special.expit(steps[own][tuple(cells.T)].mean() / STEPS_A_UNIT))
-            is_gone = _gone(dilated[other], cells, covariance, resolution_m)
+            is_gone = _missing_probability(dilated[other], cells, covariance, resolution_m)
             changes.append(Change(appeared, middles_m, standing * there * is_gone, standing))
     changes.sort(key=lambda item: -item.probability)
     return Comparison(changes, steps, resolution_m, corner_m)
@@ -262,13 +262,13 @@ def _standing(hits: int, through: int) -> float:
     return float(special.expit(stood - special.betaln(1 + hits, 1 + through)))
 
 
-def _met_s(visit: Visit, hits: BoolArray) -> float:
+def _hit_span_s(visit: Visit, hits: BoolArray) -> float:
     """Return the time from the first to the last of the scans that (K,) selects."""
     stamps_s = [scan.stamp_s for scan, hit in zip(visit.scans, hits, strict=True) if hit and scan is not None]
     return max(stamps_s, default=0.0) - min(stamps_s, default=0.0)
 
 
-def _gone(
+def _missing_probability(
     other: NDArray[np.int16], cells: NDArray[np.int64], covariance: FloatArray, resolution_m: float
 ) -> float:
     """Return the probability that a visit did not hit an object of the other in (N, 2) cells.

@@ -16,7 +16,7 @@ from slam.edits.applying import later_evidence
 from slam.edits.edited_file import write_entries
 from slam.edits.keyframes import bases_of
 from slam.edits.remaking import remade
-from slam.localization.poses import apart
+from slam.localization.poses import separation
 from slam.mapper.map_result import depth_grid
 from slam.mapping.layered_map import DEPTH
 from slam.mapping.occupancy_grid import OccupancyGrid
@@ -63,7 +63,7 @@ def _unedited(known: Map, session: Map, connection: Connection) -> tuple[Map, Ma
     poses, base = (bases_of(source.contents, source.contents.node_poses) for source in (known, before))
     anchors = []
     for anchor in connection.placing.anchors:
-        nearest = min(range(len(poses)), key=lambda key: apart(poses[key], anchor.pose)[0])
+        nearest = min(range(len(poses)), key=lambda key: separation(poses[key], anchor.pose)[0])
         T_base_map = composed(base[nearest], poses[nearest].inverse())
         T_base_session = composed(T_base_map, anchor.T_map_session)
         anchors.append(replace(anchor, pose=composed(T_base_map, anchor.pose), T_map_session=T_base_session))

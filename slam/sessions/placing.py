@@ -16,7 +16,7 @@ from typing import Any
 from fusion.estimation import gate
 from slam.config import Config
 from slam.localization.hypotheses import HypothesisSet
-from slam.localization.poses import apart
+from slam.localization.poses import separation
 from slam.localization.sensor import Sensor
 from slam.measurements import Pose, composed
 from slam.sessions.sides import Side
@@ -68,7 +68,7 @@ class Placing:
         poses
             K of the session's keyframes, session frame.
         """
-        distances = [apart(poses[anchor.keyframe], pose)[0] for anchor in self.anchors]
+        distances = [separation(poses[anchor.keyframe], pose)[0] for anchor in self.anchors]
         least_m = min(distances)
         return self.anchors[distances.index(least_m)].T_map_session, least_m
 
@@ -160,8 +160,8 @@ def _distinct(proposals: Sequence[Sighting], poses: Sequence[Pose]) -> list[Sigh
 
 def _agree(one: Sighting, other: Sighting, poses: Sequence[Pose]) -> bool:
     """Return whether one sighting predicts the keyframe of another where that was found."""
-    miss_m, miss_rad = apart(composed(one.T_map_session, poses[other.keyframe]), other.pose)
-    apart_m, _ = apart(poses[one.keyframe], poses[other.keyframe])
+    miss_m, miss_rad = separation(composed(one.T_map_session, poses[other.keyframe]), other.pose)
+    apart_m, _ = separation(poses[one.keyframe], poses[other.keyframe])
     sigmas = math.sqrt(gate())
     position_fits = miss_m <= sigmas * SIGHT_SIGMA_M + BEND_RAD * apart_m
     return position_fits and miss_rad <= sigmas * SIGHT_SIGMA_RAD

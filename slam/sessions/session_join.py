@@ -14,7 +14,7 @@ from slam.estimates import one_after_another
 from slam.graph.keyframe_graph import row_of
 from slam.graph.loop_candidate import LoopCandidate, judged
 from slam.graph.pose_covariances import pose_covariances
-from slam.localization.poses import apart
+from slam.localization.poses import separation
 from slam.mapping.keyframe_grid import lidar_grids
 from slam.measurements import Pose, composed
 from slam.outputs.finished_map import Map
@@ -111,7 +111,7 @@ def join(
         ),
         loops_between=len(joined),
         loops_kept=sum(factor.kept for factor in joined),
-        moved_m=max(apart(one, other)[0] for one, other in zip(before[:nodes], bases, strict=False)),
+        moved_m=max(separation(one, other)[0] for one, other in zip(before[:nodes], bases, strict=False)),
     )
 
 

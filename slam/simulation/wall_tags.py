@@ -25,7 +25,7 @@ _FAMILY, _CANDIDATES_A_WALL = "36h11", 12
 _INK, _PAPER, _RAYS, _THICK_M = 25.0, 225.0, 4, 0.01
 
 
-def hang_tags(home: Home, count: int, seed: int, way_xyt: FloatArray, side_m: float = 0.16) -> Home:
+def place_tags(home: Home, count: int, seed: int, way_xyt: FloatArray, side_m: float = 0.16) -> Home:
     """A home with tags on its walls, far from each other, each visible from the robot's path.
 
     Parameters

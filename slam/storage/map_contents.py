@@ -268,7 +268,7 @@ def read_contents(file: MapFile) -> MapContents:
     trajectory, grids = read_trajectory(file, small), read_grids(file, small)
     factors = list(file.parsed(FACTORS, lambda row: _factor(row, poses, len(loops))))
     wrong = unsound_covariance([factor.edge.covariance for factor in factors], 3 if planar else 6)
-    with file.blaming(FACTORS, wrong or 0):
+    with file.naming_row(FACTORS, wrong or 0):
         require(wrong is None, "its covariance is not finite, symmetric and positive definite")
     return MapContents(
         node_poses=poses,
@@ -300,7 +300,7 @@ def refuse_misfits(file: MapFile, contents: MapContents) -> None:
         raise MapFileError(f"{file.path} holds {counts}; make the map anew")
     for index in range(len(frames) if frames else 0):
         assert frames
-        with file.blaming(FRAMES, index):
+        with file.naming_row(FRAMES, index):
             head = frames.head(index)
             if not 0 <= head.node < len(nodes):
                 raise MapFileError("it belongs to no node")

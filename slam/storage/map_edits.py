@@ -159,7 +159,7 @@ def read_edits(file: MapFile) -> list[AppliedEdits]:
     for number, (source, _, content) in enumerate(file.rows(EDITS)):
         if source != EDITS.name:
             continue
-        with file.blaming(EDITS, number):
+        with file.naming_row(EDITS, number):
             entries.append(_entry(small(cast(bytes, content)), nodes))
     return entries
 
@@ -240,7 +240,7 @@ class UneditedFile(MapFile):
                 continue
             key = (cast(str, source), cast(int, row))
             self._before[key] = number
-            with file.blaming(EDITS, number):
+            with file.naming_row(EDITS, number):
                 require(source in {table.name for table in _KEPT}, "it is of no table that edits change")
                 if cast(int, row) < 0:  # the number of rows
                     self._counts[cast(str, source)] = -1 - cast(int, row)
@@ -251,7 +251,7 @@ class UneditedFile(MapFile):
         if place is None:
             return self._edited.row(table, number, again=again)
         values = of(list, unpack(cast(bytes, self._edited.row(EDITS, place)[2])))
-        with self.blaming(table, number):
+        with self.naming_row(table, number):
             require(
                 len(values) == len(table.columns) and not table.misfit(tuple(values)), "it has other values"
             )

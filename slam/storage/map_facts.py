@@ -42,7 +42,7 @@ def write_facts(
 
 def ground_of_file(file: MapFile) -> float | None:
     """Return the floor height in the base frame, if the map has it; MapFileError if it is no number."""
-    with file.blaming(META, 0):
+    with file.naming_row(META, 0):
         text = file.meta().get(_GROUND)
         return None if text is None else float(of(float, from_json(text)))
 
@@ -55,7 +55,7 @@ def georeference_of_file(file: MapFile, first: Pose) -> Georeference | None:
     MapFileError
         If the stored value is invalid.
     """
-    with file.blaming(META, 0):
+    with file.naming_row(META, 0):
         if (text := file.meta().get(_EARTH)) is None:
             return None
         fields = of(dict, from_json(text))

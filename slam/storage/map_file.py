@@ -194,7 +194,7 @@ class MapFile:
         MapFileError
             If it is missing or damaged.
         """
-        with self.blaming(table, number):
+        with self.naming_row(table, number):
             cursor = self.connection.execute(f"SELECT * FROM {table.name} WHERE number = ?", (number,))
             return self._checked(table, number, cursor.fetchone(), again=again)
 
@@ -203,20 +203,20 @@ class MapFile:
         if table.name not in self._counts:
             return  # the map is older than the table
         number = -1
-        with self.blaming(table, 0):
+        with self.naming_row(table, 0):
             rows = iter(self.connection.execute(f"SELECT * FROM {table.name} ORDER BY number"))
         for number in range(self._counts[table.name]):
-            with self.blaming(table, number):
+            with self.naming_row(table, number):
                 values = self._checked(table, number, next(rows, None))
             yield values
-        with self.blaming(table, number + 1):
+        with self.naming_row(table, number + 1):
             if next(rows, None) is not None:
                 raise MapFileError(f"row {number + 1} should not be there")
 
     def parsed(self, table: Table, parse: Callable[[tuple[Any, ...]], T]) -> Iterator[T]:
         """Yield every parsed row of a table; an invalid row is reported by its number."""
         for number, row in enumerate(self.rows(table)):
-            with self.blaming(table, number):
+            with self.naming_row(table, number):
                 value = parse(row)
             yield value
 
@@ -225,7 +225,7 @@ class MapFile:
         if table.name not in self._counts:
             return Counter()
         names = ", ".join(columns)
-        with self.blaming(table, 0):
+        with self.naming_row(table, 0):
             rows = self.connection.execute(
                 f"SELECT {names}, count(*) FROM {table.name} GROUP BY {names} ORDER BY {names}"
             )
@@ -310,7 +310,7 @@ class MapFile:
     def _count_rows(self) -> None:
         """Count the rows of every table."""
         for table in self.tables:
-            with self.blaming(table, 0):
+            with self.naming_row(table, 0):
                 counts = self.connection.execute(f"SELECT count(*), max(number) FROM {table.name}").fetchone()
                 if counts[0] != (-1 if counts[1] is None else counts[1]) + 1:
                     raise MapFileError(f"its {counts[0]} rows are not numbered without a gap")
@@ -322,7 +322,7 @@ class MapFile:
         seal = self.meta().get(SEAL)
         if seal is None:
             raise UnfinishedMapError(_unfinished(self.path))
-        with self.blaming(META, self.count(META) - 1):
+        with self.naming_row(META, self.count(META) - 1):
             known = list(zip(self.tables, self._digests(), from_json(seal), strict=True))
         for table, actual, sealed in known:
             if actual != sealed:
@@ -337,7 +337,7 @@ class MapFile:
         for table in self.tables:
             digest, count = hashlib.blake2b(digest_size=16), 0
             seal = " WHERE key != 'seal'" if table is META else ""
-            with self.blaming(table, 0):
+            with self.naming_row(table, 0):
                 for number, checksum in self.connection.execute(
                     f"SELECT number, checksum FROM {table.name}{seal} ORDER BY number"
                 ):
@@ -359,7 +359,7 @@ class MapFile:
         return row[2:]
 
     @contextmanager
-    def blaming(self, table: Table, number: int) -> Iterator[None]:
+    def naming_row(self, table: Table, number: int) -> Iterator[None]:
         """Raise a `MapFileError` that names a row if the block fails."""
         try:
             yield

@@ -96,7 +96,7 @@ class MapFrames:
     def head(self, index: int) -> FrameHead:
         """Return the data of a frame without its images; errors as in `frame`."""
         node, stamp_s, sensor, steps_per_m, camera = self._row(index)[:5]
-        with self._file.blaming(FRAMES, index):
+        with self._file.naming_row(FRAMES, index):
             fields = of(tuple, unpack(cast(bytes, camera)))
             require(len(fields) == 2 and 0.0 < cast(float, steps_per_m) < math.inf, "its camera is none")
             intrinsics = of(CameraIntrinsics, fields[0])
@@ -117,7 +117,7 @@ class MapFrames:
 
     def features(self, index: int) -> Features:
         """Return the ORB features of a frame, in the depth camera's image; errors as in `frame`."""
-        with self._file.blaming(FRAMES, index):
+        with self._file.naming_row(FRAMES, index):
             features = of(Features, unpack(cast(bytes, self._row(index)[5])))
             counts = {len(features.pixels), len(features.descriptors), len(features.sigma_px)}
             require(counts == {len(features)}, "its features are not as many as their places")
@@ -145,7 +145,7 @@ class MapFrames:
         """
         head = self.head(index)
         images = self._file.row(IMAGES, index)
-        with self._file.blaming(IMAGES, index):
+        with self._file.naming_row(IMAGES, index):
             color, depth_m = unpacked_images(
                 cast(bytes, images[0]), cast(bytes, images[1]), head.steps_per_m, head.intrinsics
             )

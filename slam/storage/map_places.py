@@ -96,7 +96,7 @@ def places_of_file(file: MapFile, poses: Sequence[Pose]) -> MapPlaces | None:
     MapFileError
         If the stored values are invalid.
     """
-    with file.blaming(META, 0):
+    with file.naming_row(META, 0):
         meta = file.meta()
         if _TAGS not in meta:
             return None

@@ -55,7 +55,7 @@ def carried_covariances(
     share = ((path - path[anchors[gap]]) / length)[:, None, None]
     start = _moved(ends[gap], _from(trajectory, anchors[gap]))
     stop = _moved(ends[gap + 1], _from(trajectory, anchors[gap + 1]))
-    bridge = _moved(_left_over(between, ends)[gap], _from(trajectory, anchors[gap + 1]))
+    bridge = _moved(_excess(between, ends)[gap], _from(trajectory, anchors[gap + 1]))
     onward = _moved(between[gap], _from(trajectory, anchors[gap + 1]))
     inside = (1.0 - share) * start + share * stop + share * (1.0 - share) * bridge
     return np.where(
@@ -175,7 +175,7 @@ def _speeds(trajectory: Trajectory) -> FloatArray:
     return np.asarray((after - before) / GAP_S)
 
 
-def _left_over(steps: FloatArray, ends: FloatArray) -> FloatArray:
+def _excess(steps: FloatArray, ends: FloatArray) -> FloatArray:
     """Return the (K - 1, d, d) covariance of steps that exceeds that of their two ends."""
     values, axes = np.linalg.eigh(steps - 2.0 * (ends[:-1] + ends[1:]))
     return np.einsum("kij,kj,klj->kil", axes, np.maximum(values, 0.0), axes)

@@ -27,10 +27,10 @@ from slam.datasets.bags.topics import (
     TRANSFORMS,
     CameraTopics,
     Choice,
+    advice,
     choose,
     is_rectified,
     is_registered,
-    mended,
 )
 from slam.datasets.bags.truth import IS_TRUTH, TRUTHS, is_truth
 from slam.datasets.bags.wheels import wheel_reader, wheels_from_tf
@@ -108,7 +108,7 @@ class Layout:
         if topic in self.left_out:
             return self.left_out[topic]
         if kind not in SENSORS:
-            return f"{kind or 'a type without a name'} is not read{mended(kind)}"
+            return f"{kind or 'a type without a name'} is not read{advice(kind)}"
         return f"its first message comes late; --topics {topic} reads it" if count else "it has no message"
 
 

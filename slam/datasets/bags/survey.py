@@ -114,7 +114,7 @@ class Survey:
         for child in children:
             if child in self.tree:
                 # Visual odometry moves the camera, which is mounted on the robot.
-                above = [frame for frame in named if self.tree.sits_on(child, frame)]
+                above = [frame for frame in named if self.tree.is_attached(child, frame)]
                 return child if child in named or not above else above[0]
         if named:
             return named[0]
@@ -187,7 +187,7 @@ def survey_bag(bag: Bag, requested: Sequence[str] = ()) -> Survey:
         sensor, *_ = FRAMES
         for frame, pose in model.mountings().items():
             if frame not in survey.tree:
-                survey.tree.sits(sensor, frame, pose)
+                survey.tree.add_frame(sensor, frame, pose)
     return survey
 
 

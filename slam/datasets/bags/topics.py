@@ -301,6 +301,6 @@ def shared(first: str, second: str) -> str:
     return "".join(letter for letter, _ in same)
 
 
-def mended(kind: str) -> str:
+def advice(kind: str) -> str:
     """The remedy for messages of an unsupported type, to append to the reason; or nothing."""
     return next((f"; {remedy}" for pattern, remedy in _REMEDIES if re.search(pattern, kind)), "")

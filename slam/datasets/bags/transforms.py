@@ -42,7 +42,7 @@ class FrameTree:
         else:
             self._told[parent, child] = pose
 
-    def sits(self, parent: str, child: str, pose: gtsam.Pose3) -> None:
+    def add_frame(self, parent: str, child: str, pose: gtsam.Pose3) -> None:
         """Add a frame that the tree does not contain, as a tf message would."""
         self._parents[child] = parent, pose
 
@@ -102,7 +102,7 @@ class FrameTree:
         """Whether such a joint tilts its z axis in the bag."""
         return bool(self.tilting & (set(self._chain(base)) ^ set(self._chain(sensor))))
 
-    def sits_on(self, frame: str, other: str) -> bool:
+    def is_attached(self, frame: str, other: str) -> bool:
         """Whether a frame is attached to another, directly or through other frames."""
         return other in self._chain(frame)[1:]
 
