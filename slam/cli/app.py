@@ -25,7 +25,7 @@ def tell(text: str, stream: TextIO | None = None) -> None:
 
 
 def say(text: str) -> None:
-    """Tell what a command has to tell, unless only warnings and errors are wanted."""
+    """Print a message of a command, unless only warnings and errors are wanted."""
     if not verbosity["quiet"]:
         tell(text)
 

@@ -56,7 +56,7 @@ def progress_bar(unit: str = "scans and frames", first: str = "") -> Iterator[Sh
     Parameters
     ----------
     first
-        Told once the work has begun; a command that is refused says why, and nothing else.
+        Printed once the work has begun; a command that is refused prints only the reason.
     """
     begun = iter([first] if first and not verbosity["quiet"] else [])
 
@@ -99,13 +99,13 @@ class _Lines:
     """A line now and then."""
 
     def __init__(self, unit: str) -> None:
-        self._unit, self._told_s = unit, time.monotonic()
+        self._unit, self._printed_s = unit, time.monotonic()
 
     def __call__(self, progress: Progress) -> None:
-        """Tell how far it is, if it is time."""
+        """Print the progress if it is time."""
         now_s = time.monotonic()
-        if now_s - self._told_s >= _LINE_S:
-            self._told_s = now_s
+        if now_s - self._printed_s >= _LINE_S:
+            self._printed_s = now_s
             share = "" if progress.share is None else f", {progress.share:.0%} of the log"
             tell(f"{progress.stage}: {progress.readings:,} {self._unit}{share}", sys.stderr)
 

@@ -44,12 +44,12 @@ class PointTimes:
         self._stamped = stamped
         self._field = ""
         self._unit_s = 0.0
-        self._filled = False
+        self._interpolated = False
 
     def notes(self, sensor: str) -> list[str]:
         """Notes for the user about the lidar with this name."""
         zero = f"{WARNING}{sensor}: many points have no time; it is interpolated from their neighbours"
-        return [f"{sensor}: {self.choice}"] * bool(self.choice) + [zero] * self._filled
+        return [f"{sensor}: {self.choice}"] * bool(self.choice) + [zero] * self._interpolated
 
     def of(
         self, names: Iterable[str], column: Callable[[str], NDArray[Any]], stamp_s: float
@@ -73,7 +73,7 @@ class PointTimes:
         timed = np.flatnonzero(times_s)
         if FEWEST < 4 * timed.size < 3 * times_s.size:  # a quarter is not at the stamp itself
             times_s = np.interp(np.arange(times_s.size), timed, times_s[timed])
-            self._filled = True
+            self._interpolated = True
         if not times_s.size or not np.isfinite(times_s).all() or np.ptp(times_s) > LONGEST_TURN_S:
             return None
         first_s = float(times_s.min())

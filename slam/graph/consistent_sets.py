@@ -46,7 +46,7 @@ class ClaimSets:
         self._chain, self._reach_m = chain, reach_m
         self._claims: list[LoopCandidate] = []
         self._agree = np.zeros((0, 0), np.bool_)
-        self._ways: dict[tuple[int, int], Motion] = {}
+        self._motions: dict[tuple[int, int], Motion] = {}
 
     def add(self, claim: LoopCandidate) -> None:
         """Add a claim."""
@@ -102,9 +102,9 @@ class ClaimSets:
         """Return the motion from one keyframe to another by the chain, with its covariance."""
         if start == end:
             return Motion(np.zeros(3), np.zeros((3, 3)))
-        if (start, end) not in self._ways:
-            self._ways[start, end] = self._chain.motion(start, end, self._poses)
-        return self._ways[start, end]
+        if (start, end) not in self._motions:
+            self._motions[start, end] = self._chain.motion(start, end, self._poses)
+        return self._motions[start, end]
 
 
 def largest_cliques(agree: BoolArray) -> list[list[int]]:

@@ -146,7 +146,7 @@ class _Factor:
         # With diagonal pivots, the other factor is the transpose up to the pivots.
         lower, self._roots = found.L.tocsc(), np.sqrt(found.U.diagonal())
         self._lower = lower.indptr, lower.indices, lower.data
-        self._room = np.zeros((len(self._roots), 0))
+        self._buffer = np.zeros((len(self._roots), 0))
 
     def solve(self, right: FloatArray) -> FloatArray:
         """Solve with the information for (N,); SciPy's own object would take much more memory."""
@@ -157,19 +157,19 @@ class _Factor:
 
     def forward(self, jacobian: csr_array, rows: NDArray[np.int64]) -> tuple[NDArray[np.intp], FloatArray]:
         """Return L^-1 times some rows: (t,) indices that are not zero in any, and (t, m) the values."""
-        if self._room.shape[1] != len(rows):
-            self._room = np.zeros((len(self._roots), len(rows)))
+        if self._buffer.shape[1] != len(rows):
+            self._buffer = np.zeros((len(self._roots), len(rows)))
         nonzero = np.zeros(len(self._roots), np.bool_)
         # By hand: slicing rows of a sparse matrix in SciPy takes longer than all the rest.
         for place, row in enumerate(rows.tolist()):
             entries = slice(jacobian.indptr[row], jacobian.indptr[row + 1])
             at = self._order[jacobian.indices[entries]]
-            self._room[at, place], nonzero[at] = jacobian.data[entries], True
-        _forward(*self._lower, self._room, nonzero)
+            self._buffer[at, place], nonzero[at] = jacobian.data[entries], True
+        _forward(*self._lower, self._buffer, nonzero)
         (at,) = nonzero.nonzero()
-        values: FloatArray = self._room[at]
+        values: FloatArray = self._buffer[at]
         values /= self._roots[at, None]
-        self._room[at] = 0.0
+        self._buffer[at] = 0.0
         return at, values
 
     def backward(self, at: NDArray[np.intp], columns: FloatArray) -> FloatArray:

@@ -34,7 +34,7 @@ class CameraSensor:
     def __init__(self, locator: VisualLocator, config: Config) -> None:
         self._locator = locator
         self._odometry = RgbdTracker(FrameMatcher(config), config)
-        self._anew = 0.5 * config.rgbd_odometry.keyframe_parallax
+        self._new_parallax = 0.5 * config.rgbd_odometry.keyframe_parallax
         guessed = config.prediction.velocity_floor_m, config.prediction.velocity_floor_rad
         self._guess = Measured(locator.origin, diagonal(locator.origin, *guessed))
         self._matched_nats = config.localization.lost_nats / self.least_keyframes
@@ -62,7 +62,7 @@ class CameraSensor:
         if before is None:
             return True
         apart_m, turned_rad = separation(before, pose)
-        return float(np.hypot(apart_m / view.median_depth_m, turned_rad)) > self._anew
+        return float(np.hypot(apart_m / view.median_depth_m, turned_rad)) > self._new_parallax
 
     def novel(self, view: PreparedFrame, pose: Pose, before: Sequence[Keyframe[float]] | None) -> float:
         """See `Sensor`."""

@@ -45,7 +45,7 @@ class StateMachine(Generic[V, N]):
         start: Measured | None = None,
         alike: Callable[[], float] = float,
     ) -> None:
-        self._alike, self.copied = cache(alike), 0.0
+        self._look_alikes, self.copied = cache(alike), 0.0
         self._sensor, self._config, self._start = sensor, config, start
         self._hypotheses = HypothesisSet(sensor, config)
         self._loss = LossTest(config)
@@ -55,7 +55,7 @@ class StateMachine(Generic[V, N]):
         self._known: Measured | None = None
         self._unknown: list[tuple[float, Pose]] = []
         self._odometry_pose: Pose | None = None
-        self._helped_at: Pose | None = None
+        self._supported_at: Pose | None = None
 
     @property
     def tracked(self) -> Measured | None:
@@ -71,7 +71,7 @@ class StateMachine(Generic[V, N]):
         self._odometry_pose = observed.pose
         if observed.restarted:
             self._forget()
-            self._helped_at = None
+            self._supported_at = None
             self._contradicted = True
         predicted = None
         if self._known is not None:
@@ -92,9 +92,9 @@ class StateMachine(Generic[V, N]):
 
     def wants_help(self) -> bool:
         """Return whether the robot has moved since another sensor helped: only then is it new evidence."""
-        if self._odometry_pose is None or not moved_on(self._helped_at, self._odometry_pose, self._config):
+        if self._odometry_pose is None or not moved_on(self._supported_at, self._odometry_pose, self._config):
             return False
-        self._helped_at = self._odometry_pose
+        self._supported_at = self._odometry_pose
         return True
 
     def confirm(self, measured: Measured) -> None:
@@ -164,7 +164,7 @@ class StateMachine(Generic[V, N]):
                 self._forget()
         winner = self._hypotheses.winner()
         if winner is not None and winner.motion is not None and winner.determined:
-            self.copied = self.copied if bound else self._alike()
+            self.copied = self.copied if bound else self._look_alikes()
             return winner.motion.inlier_share, self._found(_measured(winner.motion), observed.pose)
         together = self._hypotheses.together()
         if together is not None and position_sigma_m(together) <= SAME_M:

@@ -69,7 +69,7 @@ class CloudTiles:
             rows = self._thinned(tile.tolist())
             heights.append(rows[::FEWEST, 2].astype(np.float32))
             self._tiles.append(self._keep(rows))
-        self._usual = _usual(np.concatenate(heights))
+        self._height_range = _usual(np.concatenate(heights))
 
     def points(self) -> Iterator[FloatArray]:
         """Yield (N, 3) points of one tile after the other, map frame."""
@@ -88,7 +88,7 @@ class CloudTiles:
             normals = surface_normals(points, _NORMAL_VOXELS * self._voxel_m)
             is_back = np.einsum("ij,ij->i", normals, self._path[rows[:, 3].astype(np.int64)] - points) < 0.0
             normals[is_back] *= -1.0
-            colors = ramp(points[:, 2], self._usual)
+            colors = ramp(points[:, 2], self._height_range)
             intensities = rows[:, 4].astype(np.float32) if self._columns > 4 else None
             return ColoredCloud(points.astype(np.float32), colors, normals.astype(np.float32), intensities)
 

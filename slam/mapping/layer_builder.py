@@ -69,7 +69,7 @@ class LayerBuilder:
     def __init__(self, settings: LayerSettings) -> None:
         self._settings = settings
         self._tiles: dict[str, EvidenceTiles] = {}
-        self._seen: set[tuple[str, float, bytes]] = set()
+        self._scans_added: set[tuple[str, float, bytes]] = set()
 
     def add(self, reading: Reading, T_map_base: Pose) -> bool:
         """Add the scan or depth image of a keyframe; return False if it was added before.
@@ -91,7 +91,7 @@ class LayerBuilder:
             raise ScanweaveError(f"cannot map the reading at {reading.stamp_s:.6f} s: its pose is lost")
         under = planar(T_map_base)
         key = (reading.sensor, reading.stamp_s, row_from_pose2(under).tobytes())
-        if key in self._seen:
+        if key in self._scans_added:
             return False
         settings = self._settings
         footprint = footprint_board(under, settings.robot_radius_m, settings.resolution_m)
@@ -102,7 +102,7 @@ class LayerBuilder:
             tiles.add(board)
             if footprint is not None:
                 tiles.add(footprint)
-        self._seen.add(key)
+        self._scans_added.add(key)
         return True
 
     def grid(self, name: str) -> OccupancyGrid | None:

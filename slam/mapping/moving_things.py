@@ -87,9 +87,9 @@ class MovingThings:
         self._range_max_m = range_max_m
         # Those of two moments; so many of them are judged.
         self._sweeps, self._stamps_s = list[_Sweep](), list[float]()
-        self._judged = 0
+        self._next_judged = 0
         self._keyframes: list[_Sweep | None] = []
-        self._kept = ArraySpool()
+        self._spool = ArraySpool()
 
     def add(self, scan: LaserScan, pose: FloatArray) -> None:
         """Add the next scan, with the base at a pose (3,) in the odometry frame."""
@@ -97,17 +97,17 @@ class MovingThings:
             self.lose()
         self._sweeps.append(_Sweep.of(scan, pose, min(self._range_max_m, scan.range_max_m)))
         self._stamps_s.append(scan.stamp_s)
-        while scan.stamp_s - self._stamps_s[self._judged] >= 2 * GAP_S:
+        while scan.stamp_s - self._stamps_s[self._next_judged] >= 2 * GAP_S:
             self._judge()
-        old = max(bisect_right(self._stamps_s, self._stamps_s[self._judged] - 2 * GAP_S) - 1, 0)
+        old = max(bisect_right(self._stamps_s, self._stamps_s[self._next_judged] - 2 * GAP_S) - 1, 0)
         del self._sweeps[:old], self._stamps_s[:old]
-        self._judged -= old
+        self._next_judged -= old
 
     def lose(self) -> None:
         """Restart: the pose of the next scan relative to the previous ones is unknown."""
-        while self._judged < len(self._sweeps):
+        while self._next_judged < len(self._sweeps):
             self._judge()
-        self._sweeps, self._stamps_s, self._judged = [], [], 0
+        self._sweeps, self._stamps_s, self._next_judged = [], [], 0
 
     def keep(self, scan: LaserScan | None) -> None:
         """Mark the newest scan as a keyframe; for another scan, nothing is known."""
@@ -115,7 +115,7 @@ class MovingThings:
         if newest is None or newest.scan is not scan:
             self._keyframes.append(None)
             return
-        keep = self._kept.keep
+        keep = self._spool.keep
         self._sweeps[-1] = newest._replace(
             beams=keep(newest.beams),
             points=keep(newest.points),
@@ -139,9 +139,9 @@ class MovingThings:
 
     def _judge(self) -> None:
         """Find the moving objects in the next scan that is not judged yet."""
-        sweeps, number = self._sweeps, self._judged
+        sweeps, number = self._sweeps, self._next_judged
         sweep, now_s = sweeps[number], self._stamps_s[number]
-        self._judged += 1
+        self._next_judged += 1
         adjacent = sweeps[max(number - 1, 0)]
         # A walking person leaves the old place completely in the longer time, partly in the shorter one.
         away_s = GAP_S, 2 * GAP_S

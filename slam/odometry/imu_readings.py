@@ -31,7 +31,7 @@ class ImuReadings:
         self.T_base_imu = gtsam.Pose3()
         self._gyro_density: float | None = None
         # Usual time between two readings, and number of readings until it is computed again.
-        self._usual_s, self._left = 0.0, 0
+        self._usual_s, self._until_median = 0.0, 0
 
     def add(self, reading: ImuReading) -> bool:
         """Take the next reading; one that is not later than the one before is left out.
@@ -49,9 +49,9 @@ class ImuReadings:
         elif self._rows:
             self._steps_s.append(step_s)
             # There are hundreds per second: a median for each would be too slow.
-            self._left -= 1
-            if self._left <= 0:
-                self._usual_s, self._left = median(self._steps_s), min(len(self._steps_s), FEWEST)
+            self._until_median -= 1
+            if self._until_median <= 0:
+                self._usual_s, self._until_median = median(self._steps_s), min(len(self._steps_s), FEWEST)
         self.T_base_imu = reading.T_base_imu or gtsam.Pose3()
         row = np.concatenate([reading.gyro_rad_s, reading.specific_force_m_s2])
         self._rows.append((reading.stamp_s, row))

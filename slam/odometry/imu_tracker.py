@@ -65,14 +65,14 @@ class ImuTracker:
             self._parameters, self._smoother = start.parameters, ImuSmoother(start.state, start.spread)
         self._poses: list[tuple[float, gtsam.Pose3, FloatArray]] = []
         self._agree: deque[bool] = deque(maxlen=2 * FEWEST)
-        self._whole: tuple[ImuState, float, gtsam.PreintegratedCombinedMeasurements] | None = None
+        self._interval: tuple[ImuState, float, gtsam.PreintegratedCombinedMeasurements] | None = None
 
     def add(self, reading: ImuReading) -> None:
         """Add the next reading."""
         self._sensor = reading.sensor
         if self._readings.add(reading):
             self._lose()
-        self._whole = None
+        self._interval = None
 
     @property
     def state(self) -> ImuState | None:
@@ -307,11 +307,11 @@ class ImuTracker:
 
     def _integrated(self, state: ImuState, stamp_s: float) -> gtsam.PreintegratedCombinedMeasurements:
         """Integrate readings from a state to a stamp; cached, since a cloud needs them more than once."""
-        if self._whole is None or self._whole[0] is not state or self._whole[1] != stamp_s:
+        if self._interval is None or self._interval[0] is not state or self._interval[1] != stamp_s:
             assert self._parameters is not None
             whole = self._readings.integrated(state.stamp_s, stamp_s, self._parameters, state.bias)
-            self._whole = state, stamp_s, whole
-        return self._whole[2]
+            self._interval = state, stamp_s, whole
+        return self._interval[2]
 
 
 def alike(matched: gtsam.Pose3, predicted: gtsam.Pose3) -> bool:

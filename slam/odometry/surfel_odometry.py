@@ -29,9 +29,9 @@ class SurfelOdometry:
     """Coarse and fine point-to-line alignment; a correlative search if the guesses fail."""
 
     def __init__(self, config: Config) -> None:
-        self._match, self._sight_m = config.match, config.scan.range_max_m
+        self._match, self._range_m = config.match, config.scan.range_max_m
         self._loops = config.loops
-        self._ways_m: deque[float] = deque(maxlen=config.match.local_map_keyframes)
+        self._path_m: deque[float] = deque(maxlen=config.match.local_map_keyframes)
         self._last = np.zeros(3)
         self._keyframes: deque[OrientedPoints] = deque(maxlen=config.match.local_map_keyframes)
         self._images: deque[Callable[[], RangeImage]] = deque(maxlen=config.match.local_map_keyframes)
@@ -40,12 +40,12 @@ class SurfelOdometry:
     def add_keyframe(self, points: ScanPoints, pose: FloatArray) -> None:
         """Add a scan at a pose (3,) of the odometry frame to the local map."""
         step, self._last = between(self._last, pose), pose
-        way_m = math.hypot(step[0], step[1]) + (self._ways_m[-1] if self._ways_m else 0.0)
+        way_m = math.hypot(step[0], step[1]) + (self._path_m[-1] if self._path_m else 0.0)
         # Keyframes farther back on the path are another visit: they are for loop closure.
-        while self._ways_m and way_m - self._ways_m[0] > self._sight_m:
-            for remembered in (self._ways_m, self._keyframes, self._images):
+        while self._path_m and way_m - self._path_m[0] > self._range_m:
+            for remembered in (self._path_m, self._keyframes, self._images):
                 remembered.popleft()
-        self._ways_m.append(way_m)
+        self._path_m.append(way_m)
         self._keyframes.append(OrientedPoints.surface(points).moved(pose))
         self._images.append(cache(partial(RangeImage.of, points.points_base, pose, points.points_base)))
         self._local_map = None
@@ -95,7 +95,7 @@ class SurfelOdometry:
         least_share = max(self._match.confident_inlier_share, self._match.least_inlier_share)
         fits = best.inlier_share >= least_share * known
         # The farther apart keyframes are, the less of a scan can be known.
-        spacing_m = (self._ways_m[-1] - self._ways_m[0]) / max(len(self._ways_m) - 1, 1)
+        spacing_m = (self._path_m[-1] - self._path_m[0]) / max(len(self._path_m) - 1, 1)
         seen = self._loops.reach_m / max(spacing_m, self._loops.reach_m)
         return fits and known >= seen * self._loops.least_overlap
 

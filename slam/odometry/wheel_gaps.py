@@ -43,7 +43,7 @@ class WheelGaps:
         # Stopping time of a robot, and the longest time between two readings since the last moving one.
         self._stop_s = self._silent_s = 0.0
         # Whether readings have repeated for so long that the robot stands still.
-        self._stands = False
+        self._has_stopped = False
         self.guessed_m = 0.0
 
     def add(self, reading: WheelOdometry, step: FloatArray, step_s: float, *, usual: bool) -> FloatArray:
@@ -57,7 +57,7 @@ class WheelGaps:
             Whether such a motion is usual for the robot.
         """
         guess, guess_m = self.guess_at(reading.stamp_s)
-        self._stands = guess_m > 0.0 and not guess.any()
+        self._has_stopped = guess_m > 0.0 and not guess.any()
         stamp_s, self._stamp_s = reading.stamp_s, reading.stamp_s
         previous, self._reported = self._reported, row_from_pose2(reading.T_odom_base)
         if previous is None:
@@ -109,7 +109,7 @@ class WheelGaps:
         if not self._stop_s > self._lasted_s < 0.5 * uncounted_s or since_s <= 0.0:
             return np.zeros(3), 0.0
         repeated = uncounted_s > 0.5 * FEWEST * GAP_S and stamp_s - self._stamp_s < GAP_S
-        guess = np.zeros(3) if repeated or self._stands else self._twist * since_s
+        guess = np.zeros(3) if repeated or self._has_stopped else self._twist * since_s
         return guess, math.hypot(self._twist[0], self._twist[1]) * since_s
 
     def _count(self, stamp_s: float) -> None:

@@ -38,7 +38,7 @@ class MapClouds:
         self._count = 0 if begun else file.count(CLOUDS)
         # Points, stamp and lidar of a keyframe are read one after the other.
         self._newest: tuple[int, tuple[Value, ...]] = (-1, ())
-        self._sound = set[int]()  # rows with a verified checksum: they are read several times
+        self._verified = set[int]()  # rows with a verified checksum: they are read several times
 
     def __len__(self) -> int:
         return self._count
@@ -131,6 +131,6 @@ class MapClouds:
         if not 0 <= key < len(self):
             raise IndexError(f"cloud {key} of {len(self)}")
         if key != self._newest[0]:
-            self._newest = key, self._file.row(CLOUDS, key, again=key in self._sound)
-            self._sound.add(key)
+            self._newest = key, self._file.row(CLOUDS, key, again=key in self._verified)
+            self._verified.add(key)
         return self._newest[1]

@@ -110,12 +110,12 @@ class Unpacker:
     """
 
     def __init__(self, size: int) -> None:
-        self._left = _LARGEST_BYTES + _GROWTH * size
+        self._bytes_left = _LARGEST_BYTES + _GROWTH * size
 
     def __call__(self, content: bytes, read: Callable[[bytes], Any] | None = None) -> Any:
         """As `unpack_small`, or with another function than `unpack`."""
-        self._left -= _I8.unpack_from(content)[0] if len(content) >= _I8.size else 0
-        if self._left < 0:
+        self._bytes_left -= _I8.unpack_from(content)[0] if len(content) >= _I8.size else 0
+        if self._bytes_left < 0:
             raise MapFileError("it unpacks to more than any map")
         return (read or unpack)(_inflated(content))
 

@@ -114,17 +114,17 @@ class JoinedImu:
     # Limits the queue, whatever the stamps are.
     _rates: deque[tuple[float, FloatArray]] = field(default_factory=lambda: deque(maxlen=WHEELS_KEPT))
     _forces: deque[tuple[float, FloatArray]] = field(default_factory=lambda: deque(maxlen=WHEELS_KEPT))
-    _alone: int = 0
+    _unpaired: int = 0
 
     def restart(self) -> None:
         """Clear the queue of an earlier pass."""
         self._rates.clear()
         self._forces.clear()
-        self._alone = 0
+        self._unpaired = 0
 
     def notes(self) -> list[str]:
         """Notes for the user."""
-        alone = self._alone + len(self._rates)
+        alone = self._unpaired + len(self._rates)
         unpaired = f"; {alone} angular rates without accelerations around them are ignored" if alone else ""
         text = f"joined with {self.forces_topic}, accelerations between its stamps by interpolation{unpaired}"
         return [f"{self.topic}: {note}" for note in (text, self.unit.choice) if note]
@@ -135,7 +135,7 @@ class JoinedImu:
         if not np.isfinite(gyro).all():
             raise RecordFault(NO_HALF, f"{gyro}")
         stamp_s = stamp_of(message.header)
-        self._alone += len(self._rates) == self._rates.maxlen
+        self._unpaired += len(self._rates) == self._rates.maxlen
         self._rates.append((stamp_s, gyro))
         return self._complete()
 
@@ -161,7 +161,7 @@ class JoinedImu:
             self._rates.popleft()
             force = self._force_at(stamp_s)
             if force is None:
-                self._alone += 1
+                self._unpaired += 1
             else:
                 readings.append(ImuReading(stamp_s, gyro, force, self.T_base_imu, self.topic))
         return readings

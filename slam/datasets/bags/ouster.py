@@ -54,7 +54,7 @@ class Ouster:
     left_out: int = 0
     behind_s: float | None = None
     _frame: int | None = None
-    _over: int | None = None
+    _finished: int | None = None
     _first_ns: int = 0
     _stamps_ns: NDArray[Any] = field(default_factory=lambda: np.zeros(0, np.int64))
     _steps: NDArray[Any] = field(default_factory=lambda: np.zeros(0, np.uint32))
@@ -85,7 +85,7 @@ class Ouster:
         damaged |= int(data["kind"]) != 1 if "kind" in names else bool((columns["frame"] != frame).any())
         if damaged or (numbers >= len(model.sent)).any():
             raise RecordFault(DAMAGED, f"frame {frame}, columns {numbers.min()} to {numbers.max()}")
-        if frame == self._over:
+        if frame == self._finished:
             raise RecordFault(LATE, f"frame {frame}")
         before = self.rest() if frame != self._frame else None
         if self.behind_s is None:
@@ -104,7 +104,7 @@ class Ouster:
         """The revolution so far; None if there is none, or if half of its columns or more are missing."""
         if self._frame is None:
             return None
-        self._over, self._frame = self._frame, None
+        self._finished, self._frame = self._frame, None
         received, expected = int((self._stamps_ns[self.model.sent] >= 0).sum()), int(self.model.sent.sum())
         if 2 * received <= expected:
             self.left_out += 1
@@ -117,7 +117,7 @@ class Ouster:
         model = self.model
         at, row = np.nonzero(self._steps)
         if not at.size:
-            raise RecordFault(NO_RETURN, f"frame {self._over}")
+            raise RecordFault(NO_RETURN, f"frame {self._finished}")
         along_m = self._steps[at, row] * model.step_m - model.arm_m
         points = along_m[:, None] * model.ahead[at, row] + model.origins_m[at]
         first_ns = int(self._stamps_ns[self._stamps_ns >= 0].min())

@@ -26,7 +26,7 @@ class FrameTree:
 
     def __init__(self) -> None:
         self._parents: dict[str, tuple[str, gtsam.Pose3]] = {}
-        self._told: dict[tuple[str, str], gtsam.Pose3] = {}
+        self._poses: dict[tuple[str, str], gtsam.Pose3] = {}
         self.moving: set[str] = set()
         self.tilting: set[str] = set()
 
@@ -40,7 +40,7 @@ class FrameTree:
         elif (self._parents.get(parent) or ("",))[0] == child:
             self._parents[parent] = child, pose.inverse()
         else:
-            self._told[parent, child] = pose
+            self._poses[parent, child] = pose
 
     def add_frame(self, parent: str, child: str, pose: gtsam.Pose3) -> None:
         """Add a frame that the tree does not contain, as a tf message would."""
@@ -48,7 +48,7 @@ class FrameTree:
 
     def _steps(self) -> Iterator[tuple[str, str, gtsam.Pose3]]:
         """Parent, child and pose of all known transforms; those from tf first."""
-        yield from ((parent, child, pose) for (parent, child), pose in self._told.items())
+        yield from ((parent, child, pose) for (parent, child), pose in self._poses.items())
         yield from ((parent, child, pose) for child, (parent, pose) in self._parents.items())
 
     def add(self, message: Any) -> None:
