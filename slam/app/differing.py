@@ -30,7 +30,7 @@ class Difference:
         Objects that disappeared, appeared or moved, in the frame of the first map. The most likely change
         comes first; each has a probability above one half.
     passing
-        Number of things that were seen only at times: people, glass.
+        Number of objects that were seen only at times: people, glass.
     comparison
         Everything that may have changed, and what both visits saw.
     written

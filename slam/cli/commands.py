@@ -47,4 +47,4 @@ def run() -> None:
             os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         sys.exit(1)
     finally:
-        gc.freeze()  # the interpreter would look through them all once more before it ends
+        gc.freeze()  # the interpreter would check them all again before it ends

@@ -89,7 +89,7 @@ def progress_bar(unit: str = "scans and frames", first: str = "") -> Iterator[Sh
         TextColumn("{task.fields[rate]}"),
         TimeRemainingColumn(elapsed_when_finished=True),
     )
-    # Drawn by who works: beside a thread that draws it no copy of the process could help, see `slam.forked`.
+    # Drawn by the working thread: with another thread the process could not be forked, see `slam.forked`.
     with Bars(*columns, console=Console(stderr=True), transient=True, auto_refresh=False) as bars:
         show = _Bars(bars)
         yield tell_and_show

@@ -41,7 +41,7 @@ def _ground_m(contents: MapContents, config: Config) -> float | None:
 
 
 def write_with(known: Known, edits: Edits, path: Path) -> list[str]:
-    """Write a map with more edits; return one line for each thing that cannot be drawn.
+    """Write a map with more edits; return one line for each item that cannot be drawn.
 
     Raises
     ------

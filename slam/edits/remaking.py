@@ -86,7 +86,7 @@ def remade(
 
     Returns
     -------
-    The map, and one line for each thing that cannot be drawn.
+    The map, and one line for each item that cannot be drawn.
 
     Raises
     ------

@@ -46,7 +46,7 @@ def page_parts(
 ) -> Iterator[str]:
     """Yield a page part by part; every text is escaped, an image is PNG bytes.
 
-    A policy in its head lets the browser run these scripts and no others, and ask for nothing.
+    A policy in its head allows the browser only these scripts, and no requests.
 
     Parameters
     ----------

@@ -13,7 +13,7 @@ from slam.evaluation.page_blob import packed
 from slam.evaluation.pages import TEMPLATES, render
 from slam.measurements import FloatArray
 
-# So many corners of the way, and loops, are enough for a picture.
+# Largest number of corners of the path, and of loops, in a picture.
 _CORNERS, _LINES = 2000, 400
 _MARGIN_M = 0.5
 
@@ -55,7 +55,7 @@ def work_page(data: Mapping[str, Any], title: str, legend: str = "") -> WorkPage
 
 
 def picture_of(data: Mapping[str, Any]) -> Markup:
-    """The first layer with the way and the accepted loops drawn in, as SVG in metres."""
+    """The first layer with the path and the accepted loops drawn in, as SVG in metres."""
     layers, path_m = data["layers"], data["trajectory"]["xy"].astype(np.float64)
     path_m = path_m[np.isfinite(path_m).all(axis=1)]
     path_m = path_m[:: max(1, len(path_m) // _CORNERS)]

@@ -102,7 +102,7 @@ class Walls:
         return None if view is None else view.only(self._standing(view, self._poses[key])[1])
 
     def sampled(self, count: int) -> Iterator[tuple[Pose, ScanView]]:
-        """So many keyframes from all of its way, ``T_map_base`` and what each saw; all where it has fewer.
+        """Keyframes evenly from the whole path, ``T_map_base`` and the view of each; all if there are fewer.
 
         Of a map that is a grid alone, what would be seen from so many of its free places.
         """

@@ -59,12 +59,12 @@ def passed_by(
 ) -> PassedBy:
     """Find passed voxels; only objects above the ground are tested.
 
-    A keyframe hits a voxel that holds a point of it, or where the beam through its middle ends; it passes one
-    where all beams through it, and those above and below, end behind by more than a pixel is wide: along a
-    wall and past a pole they end before and behind. A voxel has gone where, in the mean with those that it
-    touches, it was passed before its first hit and after its last one more often than it was hit, and than
-    its share of hits between them allows (Laplace's rule of succession) once in `FEWEST` times. With it go
-    those that hang together with it and were so passed more than half as often as they were hit.
+    A keyframe hits a voxel that contains one of its points, or in which the beam through its middle ends. It
+    passes a voxel if all beams through it, and those above and below, end behind it by more than the width of
+    a pixel: along a wall and past a pole some end before it. A voxel is removed if, on average with its
+    neighbours, it was passed before its first hit and after its last one more often than it was hit, and more
+    often than its share of hits between them allows once in `FEWEST` times (Laplace's rule of succession).
+    Connected voxels that were passed more than half as often as they were hit are removed, too.
 
     Parameters
     ----------
@@ -75,7 +75,7 @@ def passed_by(
     poses
         ``T_map_base`` of each.
     reach_m
-        Voxels farther from a lidar are not tested, nor where a pixel is two of them wide.
+        Voxels farther from a lidar, or where a pixel is two voxels wide, are not tested.
     """
     voxel_m = 0.5 * ground.cell_m
     reach_m = min(reach_m, 2 * voxel_m / _PIXEL_RAD)

@@ -41,15 +41,15 @@ class DepthModel:
     p_hit, p_miss
         Probability that a cell is occupied if a keyframe saw points in it, or saw it free at all heights.
     margin_sigmas
-        By so many standard deviations a point must be above the band's lower end, and a ray frees nothing
-        so near to its end.
+        Number of standard deviations that a point must be above the lower end of the band, and within
+        which a ray frees nothing before its end.
     radius_m, least_neighbours, voxel_m
         Of Yang2021's radius filter, after thinning to voxels.
     least_points
         N of Yang2021 Eq. (20): so many voxels make a cell occupied.
     pixel_stride
-        Every how many rows and columns a pixel is looked at for obstacles, voxels need no more; for what is
-        free every pixel along the way down is, and half as many across.
+        Step in rows and columns between pixels used for obstacles, sufficient for voxels; free space uses
+        every pixel downwards, and half of this step across.
     """
 
     band: HeightBand
@@ -80,9 +80,9 @@ def depth_board(
     A negative depth is a reading removed by an edit: its ray frees cells, and the cell at its end is not
     marked.
 
-    Each cell has the floor and `DepthModel.bins` heights above it. What is seen through is freed there, and
-    what is met is marked there: many images together cover all heights of a cell, and also those where
-    somebody stood, which a later ray passes.
+    Each cell has the floor and `DepthModel.bins` heights above it. Heights that a ray
+    passes are freed, heights with a point are marked: many images together cover all heights of a cell, and
+    also free those where somebody stood.
 
     Parameters
     ----------

@@ -108,9 +108,9 @@ def glass_gaps(
 def _loss(
     gap: Segment, beams: _Beams, every: NDArray[np.int64], lost: NDArray[np.int64], cell_m: float
 ) -> float:
-    """The share of beams that a gap loses and the things behind it do not; 0 where that is not sure.
+    """The share of beams lost in a gap but not by the objects behind it; 0 if it is not certain.
 
-    By the ratio of likelihoods of glass, which has a share of losses of its own, and of no glass. A scan has
+    By the likelihood ratio of glass, which has its own share of losses, to no glass. A scan has
     one vote per cell, because neighbouring beams are correlated. The result must be certain without the
     object with the most evidence, which may be dark. No part of the gap, half as long as the shortest pane,
     may decide alone, and the evidence of parts against glass must not be certain.
@@ -118,7 +118,7 @@ def _loss(
     Parameters
     ----------
     every, lost
-        (T,) of all beams to each thing, how many there are and how many are lost.
+        (T,) number of all beams to each object, and how many of them are lost.
     """
     share, _ = _crossings(gap, beams.chosen(beams.lost))
     if not ((share > 0.0) & (share < 1.0)).any():
@@ -145,12 +145,12 @@ def _loss(
 
 
 def _crossings(gap: Segment, beams: _Beams) -> tuple[FloatArray, BoolArray]:
-    """Find where beams that end half a wall's thickness behind a gap cross it, and which pass its wall.
+    """Find where beams that end half a wall's thickness behind a gap cross it, and which pass the wall.
 
     Returns
     -------
-    (N,) share of the gap, ``nan`` where one does not cross; (N,) whether it passes what is as near to the
-    gap as a wall is thick: its other side, and what else stands in it.
+    (N,) share of the gap, ``nan`` without a crossing; (N,) whether it passes everything within the thickness
+    of a wall behind the gap: the other side of the wall, and objects in it.
     """
     along_x, along_y = ((gap.end_m - gap.begin_m) / gap.length_m).tolist()
     x, y = beams.from_m[:, 0] - gap.begin_m[0], beams.from_m[:, 1] - gap.begin_m[1]

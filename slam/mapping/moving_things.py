@@ -31,7 +31,7 @@ class _Sweep(NamedTuple):
     scan, laser, reach_m
         The scan, (3,) pose of its laser in the odometry frame, and its range.
     beams, points, begun
-        (M,) the beams that met them, (M, 2) where, odometry frame, and (T + 1,) where each thing begins.
+        (M,) the beams that hit them, (M, 2) their ends, odometry frame, and (T + 1,) first beam of each.
     moves
         (2, T) by the scans before and by those after: 2 if it moves, 1 if only this scan shows that it
         moves, else 0.
@@ -72,15 +72,15 @@ class _Sweep(NamedTuple):
 class MovingThings:
     """Tracks moving objects in the scans of a run.
 
-    A thing hangs together and is small. It moves where a third of it was seen free at both of two moments
-    before, or after, and so was what is there in the scan before; or where that has something that moves: who
-    stands still is followed. What moves off was there before: it is followed back over the keyframes. A beam
-    without a return says nothing, for what is dark gives none either.
+    An object is a small connected set of points. It moves if a third of it was seen free at both of two
+    moments before, or after, and so was the object there in the previous scan; or if that object moves: a
+    person who stands still is followed. An object that moves away is followed back over the keyframes. A beam
+    without a return is no evidence, because dark surfaces return none either.
 
     Parameters
     ----------
     range_max_m
-        Readings beyond are none.
+        Longer readings are ignored.
     """
 
     def __init__(self, range_max_m: float) -> None:

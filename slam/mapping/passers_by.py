@@ -1,4 +1,4 @@
-"""Remove temporary objects from the lidar grid: things that beams passed through before or after.
+"""Remove temporary objects from the lidar grid: those that beams passed through before or after.
 
 Bayes' rule counts all hits of a cell at any time, so a person who stands still for some scans outweighs the
 few beams that pass. But a fixed object is hit from the first to the last time that the lidar looks at it.
@@ -27,20 +27,20 @@ from slam.measurements import FloatArray, LaserScan
 def without_passers_by(
     grid: OccupancyGrid, scans: Iterable[tuple[LaserScan, gtsam.Pose2]], model: LidarModel
 ) -> tuple[OccupancyGrid, OccupancyGrid | None]:
-    """Take out of a grid each thing all of whose cells were passed before the first hit or after the last.
+    """Remove from a grid the objects whose cells were all passed before the first hit or after the last.
 
-    A thing is what hangs together of the occupied cells, corners included. In the mean its cells must have
-    been passed more often than their own share of hits from the first to the last one allows (Laplace's rule
-    of succession): a thin leg is often passed while it stands, an edge of a wall hangs together with what is
-    not passed. And so often that these beams alone make them twice as likely free as not. Beams count where
-    they are no farther apart than a cell is wide. What stands in a straight row may be a pane of glass, which
-    only some beams meet, and stays. Cells are free where this is so of the beams since the last hit alone;
-    else the thing may still be there, and they are unknown.
+    An object is a connected component of the occupied cells, corners included. On average, its cells must
+    have been passed more often than their share of hits from the first to the last one allows (Laplace's rule
+    of succession): a thin leg is often passed while it stands, an edge of a wall is connected to cells that
+    are not passed. And so often that these beams alone make them twice as likely free as not. Beams count if
+    they are at most a cell apart. A straight row may be a pane of glass, which only some beams hit, and
+    stays. Cells become free if the beams since the last hit alone suffice; otherwise the object may still be
+    there, and they become unknown.
 
     Parameters
     ----------
     grid
-        Drawn of the scans, in cells as fine as they were drawn.
+        Drawn from the scans, at their original resolution.
     scans
         With ``T_map_base`` of each, in the order of time.
     model
@@ -95,7 +95,7 @@ def _moved_objects(
 ) -> NDArray[np.intp]:
     """Return the numbers of the objects that beams passed too often for a fixed object.
 
-    ``of_cell`` (C,) is the number of each cell's thing, the others are as of `_passes`.
+    ``of_cell`` (C,) is the number of each cell's object, the others are as of `_passes`.
     """
     size, fewest = np.bincount(of_cell), np.full(of_cell.max(initial=-1) + 1, np.iinfo(np.int32).max)
     np.minimum.at(fewest, of_cell, passes)
@@ -113,7 +113,7 @@ def _passes(
 
     Returns
     -------
-    (C,) scans that passed it before the first hit, and since the last one, and the logarithm of the chance
+    (C,) scans that passed it before the first hit, and since the last, and the log of the probability
     that one scan passes what is there.
     """
     cell_m, cols = grid.resolution_m, grid.shape[1]

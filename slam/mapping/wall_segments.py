@@ -97,7 +97,7 @@ class Segment:
     Attributes
     ----------
     begin_m, end_m
-        (2,) map frame; the side that was seen lies on the left on the way from one to the other.
+        (2,) map frame; from begin to end, the side that was seen is on the left.
     """
 
     begin_m: FloatArray

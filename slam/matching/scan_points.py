@@ -170,7 +170,7 @@ def _walls_between(points, usable, cos, sin, at_x, at_y, walls, normals):  # typ
             ax = points[j + side, 0] - points[j, 0]
             ay = points[j + side, 1] - points[j, 1]
             along = side * (ax * dx + ay * dy)
-            # A reading close by says little of the direction: two things in a row are no wall.
+            # A close reading hardly determines the direction: two objects in a row are no wall.
             thickest = _LINE_THICKNESS * (1.0 + along / length)
             straight = straight and 3.0 * along > length and abs(ay * dx - ax * dy) <= thickest
         if not straight:

@@ -40,7 +40,7 @@ class RangeImage(NamedTuple):
     def less_far(self, points: AnyFloatArray, margins_m: FloatArray, sign: int) -> BoolArray:
         """(M,) whether points (M, 2), base frame, are nearer than the image; farther where the sign is minus.
 
-        By a margin (M,), and so are those beside them by as much, or by a bearing.
+        By a margin (M,), and so are their neighbours, by the same margin, or by a bearing.
         """
         own = np.array([[0.0, 0.0, 1.0, 0.0]]), np.array([0, len(self.nearest_m)]), self.nearest_m
         return RangeImages(*own).less_far(points, margins_m, sign)
@@ -154,7 +154,7 @@ def _stands_before(  # type: ignore[no-untyped-def]
     newest,
     before,
 ):
-    """Write the distance of the nearest of points (M, 2) that stands in the way, seen at xs, ys and angles.
+    """Write the distance of the nearest of points (M, 2) that occludes, seen at xs, ys and angles.
 
     ``nearest_m`` (B,) are zeros: first how far it has to be free by bearing. Points of a bearing are a
     linked list: the ``newest`` (B,), and the one ``before`` each (M,).

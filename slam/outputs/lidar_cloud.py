@@ -60,7 +60,7 @@ def lidar_cloud(contents: MapContents, config: Config, ground: Elevation | None)
 
 @dataclass(frozen=True, slots=True)
 class _Parts:
-    """Parts of a cloud, made anew each time that they are asked for."""
+    """Parts of a cloud, computed again at each iteration."""
 
     make: Callable[[], Iterator[ColoredCloud]]
 

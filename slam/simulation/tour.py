@@ -106,7 +106,7 @@ def plan_tour(
         Size of the robot; it drives under higher objects, and over thresholds.
     duration_s
         Visit as many rooms as possible in this time, including the return, and repeat until the time is up;
-        if it is too short for a single room, the drive ends on the way. None: all rooms, and a part of the
+        if it is too short for a single room, the drive ends before it. None: all rooms, and a part of the
         next lap.
 
     Raises

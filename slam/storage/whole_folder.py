@@ -55,7 +55,7 @@ def copy_into(folder: Path, path: Path, *, overwrite: bool) -> Path:
 
 @contextmanager
 def only_one_in(folder: Path) -> Iterator[None]:
-    """Keep others from changing the map of a folder during the block; a killed process lets go of it.
+    """Keep others from changing the map of a folder during the block; a killed process releases it.
 
     Raises
     ------
