@@ -72,7 +72,7 @@ class Readings:
         variances = [math.nan] * 6
         if covariance is not None:
             own = covariance.diagonal().tolist()
-            # Of position and rotation along x, y, z, from GTSAM's order; zero for the axes that a plane lacks.
+            # Of position and rotation along x, y, z, from GTSAM's order; zero for axes that a plane lacks.
             variances = [*own[:2], 0.0, 0.0, 0.0, own[2]] if len(own) == 3 else own[3:] + own[:3]
         self._scan_variances.extend(variances)
         self._scan_readings.append(len(self._stamps_s))
