@@ -101,8 +101,8 @@ class Checkpoint:
 
     def findings(self, compute: Callable[[], list[Finding]]) -> list[Finding]:
         """Return the findings about the sensors: the first query of a run."""
-        found: list[str] = self.cached(_FINDINGS, 0.0, lambda: _texts(compute()))
-        return [Finding.from_plain(json.loads(row)) for row in found]
+        texts: list[str] = self.cached(_FINDINGS, 0.0, lambda: _texts(compute()))
+        return [Finding.from_plain(json.loads(row)) for row in texts]
 
     def registrations(
         self, compute: Callable[[], dict[str, ColorRegistration]]
@@ -130,7 +130,7 @@ class Checkpoint:
             self._file.clear(table)
         self._remember(pack((_FINDINGS, 0.0, _texts(findings))))
         self._remember(pack((_REGISTRATIONS, 0.0, list(registrations.items()))))
-        rows = [(name, found.T_base_camera, found.note) for name, found in mountings.items()]
+        rows = [(name, mounting.T_base_camera, mounting.note) for name, mounting in mountings.items()]
         self._remember(pack((_MOUNTINGS, 0.0, rows)))
         self._file.commit()
 

@@ -71,12 +71,12 @@ class GnssAnchors:
         if len(anchors) < FEWEST:
             self.unused = f"only {len(anchors)} keyframes have a fix"
             return outcome
-        outcome, found = anchor(graph, anchors, outcome, inlier_probability, EdgeKind.GNSS)
-        if found is None:
+        outcome, solution = anchor(graph, anchors, outcome, inlier_probability, EdgeKind.GNSS)
+        if solution is None:
             self.unused = "the trajectory is not longer than the uncertainty of its fixes"
             return outcome
-        self.georeference = Georeference(plane, found.T_enu_map)
-        self._add_notes(found, graph, anchors, outcome)
+        self.georeference = Georeference(plane, solution.T_enu_map)
+        self._add_notes(solution, graph, anchors, outcome)
         return outcome
 
     def _anchors(self, track: Track, plane: TangentPlane) -> list[Anchor]:
@@ -109,7 +109,7 @@ class GnssAnchors:
         ]
 
     def _add_notes(
-        self, found: Anchored, graph: KeyframeGraph, anchors: Sequence[Anchor], outcome: BatchResult
+        self, fit: Anchored, graph: KeyframeGraph, anchors: Sequence[Anchor], outcome: BatchResult
     ) -> None:
         """Write a line about how well the fixes fit."""
         assert self.georeference is not None
@@ -121,12 +121,12 @@ class GnssAnchors:
         poses = graph.poses()
         off_m = [
             np.linalg.norm(
-                (found.T_enu_map.compose(spatial(poses[one.node])).transformFrom(one.arm_m) - one.place_m)[:2]
+                (fit.T_enu_map.compose(spatial(poses[one.node])).transformFrom(one.arm_m) - one.place_m)[:2]
             )
             for one in anchors
             if one.node in used
         ]
-        larger = f", errors {found.scale:.1f} times their stated sigma" if found.scale > 1.0 else ""
+        larger = f", errors {fit.scale:.1f} times their stated sigma" if fit.scale > 1.0 else ""
         rms = f"; those used are {np.sqrt(np.mean(np.square(off_m))):.2f} m off (RMS)" if off_m else ""
         all_ = sum(one.node > 0 for one in anchors)
         self._note = (

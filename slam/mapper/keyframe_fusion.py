@@ -94,16 +94,16 @@ class KeyframeFusion:
 
     def add(self, key: int, scan: LaserScan, pictures: Sequence[Picture]) -> None:
         """Store the scan of a keyframe with the newest image of every camera."""
-        near = [p for p in pictures if abs(p.frame.stamp_s - scan.stamp_s) <= self._config.tolerance_s]
-        if not near or len(near) < self._cameras:
+        in_time = [p for p in pictures if abs(p.frame.stamp_s - scan.stamp_s) <= self._config.tolerance_s]
+        if not in_time or len(in_time) < self._cameras:
             return  # a pair is compared by all cameras or not at all
-        if len(near) > self._cameras:
+        if len(in_time) > self._cameras:
             # Another camera has started: pairs of fewer cameras belong to another rig.
-            self._cameras, self._rig = len(near), fusion.Rig()
+            self._cameras, self._rig = len(in_time), fusion.Rig()
             self._pairs.clear()
             self._views.clear()
-        frames = [picture.frame.frame for picture in near]
-        turns = tuple(picture.T_base_camera.rotation().matrix() for picture in near)
+        frames = [picture.frame.frame for picture in in_time]
+        turns = tuple(picture.T_base_camera.rotation().matrix() for picture in in_time)
         try:
             pair = fusion.register(_curve(scan), _depths(frames, turns))
         except ValueError:
@@ -128,14 +128,14 @@ class KeyframeFusion:
         views = list(self._views.items())
         half = len(views) // 2
 
-        def found(first: int, end: int) -> list[tuple[NDArray[np.int64] | None, Float32Array | None, str]]:
+        def repairs(first: int, end: int) -> list[tuple[NDArray[np.int64] | None, Float32Array | None, str]]:
             return [self._repaired(scans[key], *view, estimate) for key, view in views[first:end]]
 
-        rest = Begun(lambda: found(half, len(views)))
+        rest = Begun(lambda: repairs(half, len(views)))
         repaired = list(scans)
         pairs: list[FusionPair] = []
-        for (key, _), pair, one in zip(views, self._pairs, found(0, half) + rest(), strict=True):
-            counts, ranges_m, fault = one
+        for (key, _), pair, result in zip(views, self._pairs, repairs(0, half) + rest(), strict=True):
+            counts, ranges_m, fault = result
             scan = scans[key]
             if scan is None:
                 continue

@@ -93,18 +93,18 @@ class PlanarRobot(FrontEnd):
 
     def step(self, key: int) -> tuple[Pose, Sequence[Edge]]:
         """Return the motion from the last keyframe to the newest pose, and its edges."""
-        found = self._step = self._steps.step(key)
-        self._travelled_m += float(np.hypot(found.step[0], found.step[1]))
-        return pose2_from_row(found.step), found.edges
+        step_done = self._step = self._steps.step(key)
+        self._travelled_m += float(np.hypot(step_done.step[0], step_done.step[1]))
+        return pose2_from_row(step_done.step), step_done.edges
 
     def recognise(self, key: int, graph: KeyframeGraph) -> list[LoopCandidate]:
         """Store a keyframe, and try to close loops with places it may have returned to."""
-        moment, found = self._newest, self._step
-        assert moment is not None and found is not None
-        surface = OrientedPoints(*map(self._spool.keep, (found.surface.points, found.surface.normals)))
+        moment, step = self._newest, self._step
+        assert moment is not None and step is not None
+        surface = OrientedPoints(*map(self._spool.keep, (step.surface.points, step.surface.normals)))
         # The points seen are the first part of the surface: stored once.
-        seen = surface.only(slice(found.seen))
-        self._closer.add_keyframe(seen, moment.pose, self._travelled_m, surface=surface)
+        visible = surface.only(slice(step.seen))
+        self._closer.add_keyframe(visible, moment.pose, self._travelled_m, surface=surface)
         self._keyframe_scans.append(moment.scan)
         self._moving.keep(moment.scan)
         if self._fusion is not None and moment.scan is not None:
@@ -134,13 +134,13 @@ class PlanarRobot(FrontEnd):
             poses, scans = np.array([row_of(pose) for pose in graph.poses()]), self._keyframe_scans
             self._grid_task = poses, Begun(lambda: lidar_grids(self._still, poses, self._config, scans))
         stamps_s = self.readings.scan_stamps_s()[self.readings.keyframe_scans()]
-        found = self._places.search(rows, stamps_s, graph.graph.edges, kept, graph.loops)
-        if found:
+        loops = self._places.search(rows, stamps_s, graph.graph.edges, kept, graph.loops)
+        if loops:
             self._grid_task = self._grid_task[0], None
         else:
             del self._places, self._closer, self._spool  # it was the last search: their data are large
             end_stage()
-        return found
+        return loops
 
     def complete(self, result: MapResult) -> None:
         """Add the repaired scans, and the grids drawn from scans and images."""

@@ -66,12 +66,12 @@ class Ahead:
         if isinstance(motion, int):
             motion = answers[motion][2]
         if step is not None:
-            moved, edges, points, normals, seen = step
+            moved, edges, points, normals, visible = step
             # From `_plain` values.
             restored = [
                 Edge(a, b, T_a_b, spread, EdgeKind(kind), sure) for a, b, T_a_b, spread, kind, sure in edges
             ]
-            self._step = Step(moved, restored, OrientedPoints(points, normals), seen)
+            self._step = Step(moved, restored, OrientedPoints(points, normals), visible)
         return Moment(stamp_s, measurement, pose, motion, step is not None)
 
     def step(self, key: int) -> Step:
@@ -152,10 +152,10 @@ class Lookahead:
         def work(send: Send) -> None:
             """Run in the copy."""
             checkpoint = self._checkpoint.sending(send)
-            found = known
-            if found is None:
-                found = checkpoint.registrations(lambda: registrations(choice.cameras))
-            self._track_frames(config, choice, found, checkpoint)
+            registered = known
+            if registered is None:
+                registered = checkpoint.registrations(lambda: registrations(choice.cameras))
+            self._track_frames(config, choice, registered, checkpoint)
 
         self._copy = Forked(work)
         self._checkpoint.ahead = self._copy.receive
@@ -171,10 +171,10 @@ class Lookahead:
                 continue
             step = None
             if moment.new_keyframe:
-                found = odometry.step(key)
+                stepped = odometry.step(key)
                 odometry.readings.mark_keyframe()
-                edges = [_plain(edge) for edge in found.edges]
-                step = found.step, edges, found.surface.points, found.surface.normals, found.seen
+                edges = [_plain(edge) for edge in stepped.edges]
+                step = stepped.step, edges, stepped.surface.points, stepped.surface.normals, stepped.seen
                 key += 1
             # A match is sent once, as the number of its result.
             which = (n for n, (_, _, answer) in enumerate(answers.found) if answer is moment.motion)

@@ -235,9 +235,9 @@ def edges_of(
         edges.append(_edge(key - 1, key, loose, EdgeKind.ASSUMED, trusted=True))
     if wheels is not None and match_open:
         # Translation and rotation may be rejected separately: a heading may jump.
-        far = wheels.widened(np.diag([0.0, 0.0, math.pi**2]))
+        translation = wheels.widened(np.diag([0.0, 0.0, math.pi**2]))
         turn = wheels.widened(np.diag([config.lost_sigma_m**2, config.lost_sigma_m**2, 0.0]))
-        edges += [_edge(key - 1, key, part, EdgeKind.WHEEL, trusted=False) for part in (far, turn)]
+        edges += [_edge(key - 1, key, part, EdgeKind.WHEEL, trusted=False) for part in (translation, turn)]
     elif wheels is not None:
         edges.append(_edge(key - 1, key, wheels, EdgeKind.WHEEL, trusted=match is None))
     edges += [_camera_edge(key - 1, key, camera) for camera in cameras]

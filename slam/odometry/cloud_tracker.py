@@ -108,18 +108,18 @@ class CloudTracker:
         self._cloud = cloud
         moves = guesses or self._matcher is None
         twist = self._velocity.at(expected, cloud.stamp_s) if moves else np.zeros(6)
-        deskewed_cloud = DeskewedCloud.of(cloud, twist, self._turns)
-        if len(deskewed_cloud.points) < self._turns.least_pairs:
+        turn = DeskewedCloud.of(cloud, twist, self._turns)
+        if len(turn.points) < self._turns.least_pairs:
             self._lost += 1
-            return self._guessed(deskewed_cloud.points, expected, new_keyframe=False)
+            return self._guessed(turn.points, expected, new_keyframe=False)
         if self._matcher is None:
-            return self._begun(cloud, deskewed_cloud)
+            return self._begun(cloud, turn)
         unseen_m = 0.0 if guesses or step_s < LONGEST_STEP_S else self._velocity.speed_m_s * step_s
         if unseen_m > REACH * self.voxel_m:
             # A fit around the previous place would be another place that looks like it.
             self._lost = self._config.match.lost_after
             ahead = gtsam.Pose3(gtsam.Rot3(), step_s * self._velocity.twist[3:])
-            guessed = self._guessed(deskewed_cloud.points, before.compose(ahead), new_keyframe=True)
+            guessed = self._guessed(turn.points, before.compose(ahead), new_keyframe=True)
             return replace(guessed, unseen_m=unseen_m)
         matcher, odometry = self._matcher, self._odometry
         assert odometry is not None
@@ -127,7 +127,7 @@ class CloudTracker:
             "cloud",
             float(expected.x()),
             lambda: (
-                matcher.match(cloud, deskewed_cloud, guesses, before, step_s, turn_known=by_imu is not None),
+                matcher.match(cloud, turn, guesses, before, step_s, turn_known=by_imu is not None),
                 odometry.settles,
             ),
         )
@@ -137,9 +137,9 @@ class CloudTracker:
         if motion is None or not self._believed(motion, by_imu):
             self._lost += 1
             return self._guessed(
-                deskewed_cloud.points, expected, new_keyframe=self._lost >= self._config.match.lost_after
+                turn.points, expected, new_keyframe=self._lost >= self._config.match.lost_after
             )
-        return self._matched(cloud, deskewed_cloud, motion)
+        return self._matched(cloud, turn, motion)
 
     def follow(self, cloud: PointCloud) -> TrackedCloud:
         """`track`, and add the cloud to the local map if the robot has moved far enough."""
@@ -202,31 +202,31 @@ class CloudTracker:
             guesses.append(self._pose.compose(gtsam.Pose3.Expmap(self._velocity.twist * step_s)))
         return guesses
 
-    def _begun(self, cloud: PointCloud, seen: DeskewedCloud) -> TrackedCloud:
+    def _begun(self, cloud: PointCloud, turn: DeskewedCloud) -> TrackedCloud:
         """Start with the first cloud, the reference for all later ones."""
-        self.voxel_m = voxel_of(seen.points, self._turns)
+        self.voxel_m = voxel_of(turn.points, self._turns)
         self._odometry = CloudOdometry(self._config, self.voxel_m)
         self._matcher = TurnMatcher(self._turns, self._odometry, self._velocity, self.voxel_m)
         self._velocity.begin(cloud.stamp_s)
         self._feed(np.diag([self._config.match.floor_rad**2] * 3 + [self._config.match.floor_m**2] * 3))
-        return TrackedCloud(seen.points, self._pose, None, new_keyframe=True)
+        return TrackedCloud(turn.points, self._pose, None, new_keyframe=True)
 
-    def _matched(self, cloud: PointCloud, seen: DeskewedCloud, motion: MotionEstimate) -> TrackedCloud:
+    def _matched(self, cloud: PointCloud, turn: DeskewedCloud, motion: MotionEstimate) -> TrackedCloud:
         """Return pose and velocity from a match."""
         if self._lost == 0 and motion.converged and not motion.degenerate:
             self._judge_wheels(self._pose.between(pose_of(motion)))
         self._lost = 0
         self._pose = pose_of(motion)
-        points, measured = seen.points, motion.covariance
+        points, measured = turn.points, motion.covariance
         if motion.converged:
             if deskewed(cloud, self._turns):
                 points = base_points(cloud, self._velocity.at(self._pose, cloud.stamp_s), self._turns)
-            self._velocity.learn(self._pose, cloud.stamp_s, seen.arms_m, motion)
+            self._velocity.learn(self._pose, cloud.stamp_s, turn.arms_m, motion)
             if self._wheels is not None:
                 self._wheels.see(self._velocity.speed_m_s)
         self._feed(measured + _UNSEEN_M**2 * np.outer(motion.weak_direction, motion.weak_direction))
-        sure = motion.converged and not motion.degenerate
-        by_imu = None if sure or self._imu is None else self._imu.off(self._pose)
+        certain = motion.converged and not motion.degenerate
+        by_imu = None if certain or self._imu is None else self._imu.off(self._pose)
         if by_imu is None:
             motion = self._open.widened(cloud.stamp_s, motion, self._velocity.twist)
         else:
@@ -236,9 +236,9 @@ class CloudTracker:
     def _judge_wheels(self, step: gtsam.Pose3) -> None:
         """Learn the uncertainty of the wheels from a matched step."""
         if self._wheels is not None and self.by_wheels.guesses:
-            seen = np.array([step.x(), step.y(), step.rotation().yaw()])
-            self._wheels.learn_scale(self.by_wheels.guesses[0].pose, seen)
-            self.by_wheels.judge(seen)
+            matched = np.array([step.x(), step.y(), step.rotation().yaw()])
+            self._wheels.learn_scale(self.by_wheels.guesses[0].pose, matched)
+            self.by_wheels.judge(matched)
 
     def _believed(self, motion: MotionEstimate, by_imu: gtsam.Pose3 | None) -> bool:
         """Return whether a match agrees with the IMU's prediction; a usual fit may be off by a voxel more.
@@ -299,5 +299,5 @@ class CloudTracker:
         step = self._keyframe.between(pose)
         turn_rad = float(np.linalg.norm(gtsam.Rot3.Logmap(step.rotation())))
         path_m = float(np.linalg.norm(step.translation()))
-        far = path_m > self._turns.keyframe_voxels * self.voxel_m
-        return far or turn_rad > self._config.keyframes.angle_rad
+        moved = path_m > self._turns.keyframe_voxels * self.voxel_m
+        return moved or turn_rad > self._config.keyframes.angle_rad

@@ -84,7 +84,7 @@ class YawGyro:
     def moment(self, stamp_s: float) -> GyroMoment | None:
         """Return its rotation at a stamp of the lidar's clock; None if unknown."""
         at_s = stamp_s + self._ahead_s
-        before = next((one for one in reversed(self._recent) if one.stamp_s <= at_s), None)
+        before = next((moment for moment in reversed(self._recent) if moment.stamp_s <= at_s), None)
         if before is None or self._readings.is_gap(at_s - before.stamp_s):
             return None
         turned_rad = before.turned_rad + (at_s - before.stamp_s) * before.rate_rad_s
@@ -140,7 +140,7 @@ class YawGyro:
         if self._clocks.clock.significant_s != self._ahead_s:
             self._ahead_s = self._clocks.clock.significant_s
             # Values read with another clock offset are not compared with later ones.
-            self._recent = deque(replace(one, piece=one.piece + 1) for one in self._recent)
+            self._recent = deque(replace(moment, piece=moment.piece + 1) for moment in self._recent)
 
     def notes(self) -> list[str]:
         """What a person should know of it."""

@@ -134,11 +134,11 @@ class ImuTracker:
         # Composed with the mounting, so that each point is transformed once.
         moved = (turns @ lever - lever) @ mounting
         poses = np.concatenate([mounting.T @ turns @ mounting, moved[:, :, None]], axis=2)
-        ways = np.stack([velocity, 0.5 * acceleration]) @ mounting
+        slopes = np.stack([velocity, 0.5 * acceleration]) @ mounting
         points = np.empty((len(cloud.points_lidar), 3), np.float32)
         per_slice_s = (last_s - first_s) / SLICES
         times_s = np.asarray(cloud.times_s, dtype=np.float64)
-        _turned(cloud.points_lidar, times_s, first_s, per_slice_s, poses, ways, points)
+        _turned(cloud.points_lidar, times_s, first_s, per_slice_s, poses, slopes, points)
         return replace(cloud, points_lidar=points, times_s=None)
 
     def took(
@@ -189,11 +189,11 @@ class ImuTracker:
         if not self._readings.covers(state.stamp_s, stamp_s):
             self._lose()
             return
-        whole = self._integrated(state, stamp_s)
+        integral = self._integrated(state, stamp_s)
         if covariance is not None:
-            self._judge(state.pose.between(pose), whole, state)
+            self._judge(state.pose.between(pose), integral, state)
         try:
-            smoother.advance(stamp_s, whole, pose if covariance is not None else None, covariance, step)
+            smoother.advance(stamp_s, integral, pose if covariance is not None else None, covariance, step)
         except RuntimeError:  # indeterminate: an extreme contradiction to the lidar
             self._lose()
             return
@@ -224,8 +224,8 @@ class ImuTracker:
         state, spread = self.state, self.spread()
         if state is None or spread is None:
             return None
-        apart = gtsam.Pose3.Logmap(pose.between(state.pose.compose(self._readings.T_base_imu.inverse())))
-        return spread + np.outer(apart, apart)
+        offset = gtsam.Pose3.Logmap(pose.between(state.pose.compose(self._readings.T_base_imu.inverse())))
+        return spread + np.outer(offset, offset)
 
     def gravity(self) -> Gravity | None:
         """Return gravity in the base frame at the newest state."""
@@ -292,10 +292,10 @@ class ImuTracker:
         )
 
     def _judge(
-        self, seen: gtsam.Pose3, whole: gtsam.PreintegratedCombinedMeasurements, state: ImuState
+        self, matched: gtsam.Pose3, integral: gtsam.PreintegratedCombinedMeasurements, state: ImuState
     ) -> None:
         """Check whether lidar and gyroscope measure the same rotations; if mostly not, ignore the IMU."""
-        self._agree.append(alike(seen, state.pose.between(state.carried(whole)[0])))
+        self._agree.append(alike(matched, state.pose.between(state.carried(integral)[0])))
         if len(self._agree) == 2 * FEWEST and sum(self._agree) < FEWEST:
             why = "its rotation does not agree with the lidar's: a wrong mounting, clock or unit"
             raise UnfitImuError(self._sensor, why)
@@ -309,8 +309,8 @@ class ImuTracker:
         """Integrate readings from a state to a stamp; cached, since a cloud needs them more than once."""
         if self._interval is None or self._interval[0] is not state or self._interval[1] != stamp_s:
             assert self._parameters is not None
-            whole = self._readings.integrated(state.stamp_s, stamp_s, self._parameters, state.bias)
-            self._interval = state, stamp_s, whole
+            integral = self._readings.integrated(state.stamp_s, stamp_s, self._parameters, state.bias)
+            self._interval = state, stamp_s, integral
         return self._interval[2]
 
 
@@ -322,8 +322,8 @@ def alike(matched: gtsam.Pose3, predicted: gtsam.Pose3) -> bool:
 
 
 @kernel
-def _turned(points, times_s, first_s, per_slice_s, poses, ways, found):  # type: ignore[no-untyped-def]
-    """Transform points (N, 3) into ``found`` by the poses (S + 1, 3, 4) around their slices.
+def _turned(points, times_s, first_s, per_slice_s, poses, slopes, straight):  # type: ignore[no-untyped-def]
+    """Transform points (N, 3) into ``straight`` by the poses (S + 1, 3, 4) around their slices.
 
     Within a slice, the rotation is small enough for linear interpolation.
     """
@@ -340,4 +340,4 @@ def _turned(points, times_s, first_s, per_slice_s, poses, ways, found):  # type:
             ended = (
                 poses[n + 1, k, 0] * x + poses[n + 1, k, 1] * y + poses[n + 1, k, 2] * z + poses[n + 1, k, 3]
             )
-            found[i, k] = begun + part * (ended - begun) + t * (ways[0, k] + t * ways[1, k])
+            straight[i, k] = begun + part * (ended - begun) + t * (slopes[0, k] + t * slopes[1, k])

@@ -67,8 +67,8 @@ class SurfelOdometry:
         weak = weak_direction(best, self._match.degenerate_share)
         if weak is not None and not guesses[0].holds(best.pose):
             # A guess other than the most certain one has converged along a corridor, where all looks alike.
-            away = compose(best.pose, weak * (weak @ between(best.pose, guesses[0].pose)))
-            best = local_map.align(scan, away)
+            start = compose(best.pose, weak * (weak @ between(best.pose, guesses[0].pose)))
+            best = local_map.align(scan, start)
         share = best.inlier_share
         if share < self._match.least_inlier_share and not self._fits_what_is_known(local_map, scan, best):
             return None
@@ -96,8 +96,8 @@ class SurfelOdometry:
         fits = best.inlier_share >= least_share * known
         # The farther apart keyframes are, the less of a scan can be known.
         spacing_m = (self._path_m[-1] - self._path_m[0]) / max(len(self._path_m) - 1, 1)
-        seen = self._loops.reach_m / max(spacing_m, self._loops.reach_m)
-        return fits and known >= seen * self._loops.least_overlap
+        share = self._loops.reach_m / max(spacing_m, self._loops.reach_m)
+        return fits and known >= share * self._loops.least_overlap
 
     def _known(self) -> LocalMap | None:
         """Return the local map, built at first use; None before the first keyframe."""
@@ -110,7 +110,7 @@ class SurfelOdometry:
         if len(local_map.points) == 0:
             return None
         match = self._match
-        found = search_window(
+        result = search_window(
             build_field(local_map.points.points, 0.5 * match.cell_m, match.cell_m),
             scan.thinned(match.search_points),
             guess,
@@ -118,7 +118,7 @@ class SurfelOdometry:
             match.search_half_yaw_rad,
             match.search_least_score,
         )
-        return local_map.align(scan, found.pose) if found.found else None
+        return local_map.align(scan, result.pose) if result.found else None
 
 
 def _more_confident(a: Alignment, b: Alignment | None) -> Alignment:
