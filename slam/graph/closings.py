@@ -115,8 +115,8 @@ def loop_groups(ends: FloatArray, reach: float) -> list[NDArray[np.int64]]:
 
 def _missed(loop: Edge, poses: Sequence[Pose]) -> tuple[float, float]:
     """Return the residual of a loop: metres, and Mahalanobis distance."""
-    found = motion_between(poses[loop.source], poses[loop.target])
-    off = motion_between(loop.T_source_target, found)
-    innovation = loop.T_source_target.localCoordinates(found)  # type: ignore[arg-type]
+    motion = motion_between(poses[loop.source], poses[loop.target])
+    error = motion_between(loop.T_source_target, motion)
+    innovation = loop.T_source_target.localCoordinates(motion)  # type: ignore[arg-type]
     squares = float(innovation @ np.linalg.solve(loop.covariance, innovation))
-    return float(np.linalg.norm(off.translation())), math.sqrt(squares)
+    return float(np.linalg.norm(error.translation())), math.sqrt(squares)

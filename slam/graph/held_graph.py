@@ -48,7 +48,7 @@ def marginals(poses: Sequence[Pose], edges: Iterable[Edge]) -> FloatArray:
     give_back()
     linear.eliminateMultifrontal(None, eliminate)
     size = 3 if isinstance(poses[0], gtsam.Pose2) else 6
-    found, above = np.empty((len(poses), size, size)), dict[int, int]()
+    covariances, above = np.empty((len(poses), size, size)), dict[int, int]()
     clique_of = {key: n for n, (keys, root, _) in enumerate(cliques) for key in keys[: len(root) // size]}
     below = defaultdict[int, list[int]](list)
     for n, (keys, root, _) in enumerate(cliques):
@@ -69,9 +69,9 @@ def marginals(poses: Sequence[Pose], edges: Iterable[Edge]) -> FloatArray:
         joint[:own, own:], joint[own:, :own] = -across, -across.T
         places = {key: size * place for place, key in enumerate(keys)}
         for key in keys[: own // size]:
-            found[key] = joint[places[key] : places[key] + size, places[key] : places[key] + size]
+            covariances[key] = joint[places[key] : places[key] + size, places[key] : places[key] + size]
         waiting += [(child, places, joint) for child in below[clique]]
-    return found
+    return covariances
 
 
 def held_graph(

@@ -139,12 +139,12 @@ class _Factor:
         symmetric = {"SymmetricMode": True}
         information = (held.T @ held).tocsc()
         try:
-            found = splu(information, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options=symmetric)
+            superlu = splu(information, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options=symmetric)
         except RuntimeError as error:
             raise GraphError("the edges that are kept do not join all keyframes") from error
-        self._order = found.perm_c.copy()  # its own keeps all data of SuperLU
+        self._order = superlu.perm_c.copy()  # its own keeps all data of SuperLU
         # With diagonal pivots, the other factor is the transpose up to the pivots.
-        lower, self._roots = found.L.tocsc(), np.sqrt(found.U.diagonal())
+        lower, self._roots = superlu.L.tocsc(), np.sqrt(superlu.U.diagonal())
         self._lower = lower.indptr, lower.indices, lower.data
         self._buffer = np.zeros((len(self._roots), 0))
 
@@ -174,10 +174,10 @@ class _Factor:
 
     def backward(self, at: NDArray[np.intp], columns: FloatArray) -> FloatArray:
         """Return (N, m) L'^-1 times some columns, in the form of `forward`."""
-        found = np.zeros((len(self._roots), columns.shape[1]))
-        found[at] = columns / self._roots[at, None]
-        _backward(*self._lower, found)
-        return found[self._order]
+        values = np.zeros((len(self._roots), columns.shape[1]))
+        values[at] = columns / self._roots[at, None]
+        _backward(*self._lower, values)
+        return values[self._order]
 
 
 @kernel
@@ -204,8 +204,8 @@ def _backward(first: NDArray[np.int32], below: NDArray[np.int32], lower: FloatAr
         for k in range(first[column], first[column + 1]):
             if below[k] > column:
                 other = x[below[k]]
-                for one in range(len(other)):
-                    solved[one] -= lower[k] * other[one]
+                for place in range(len(other)):
+                    solved[place] -= lower[k] * other[place]
 
 
 def influences(poses: Sequence[Pose], edges: Sequence[Edge], kept: Sequence[bool] | BoolArray) -> Influences:

@@ -70,8 +70,8 @@ class Stretches:
         if not others.size:
             return []
         likest = others[np.argsort(-self._bank.likeness(number, others), kind="stable")]
-        near = others[apart_m[others] <= self.window_m]
-        nearest = near[np.argsort(apart_m[near], kind="stable")]
+        in_window = others[apart_m[others] <= self.window_m]
+        nearest = in_window[np.argsort(apart_m[in_window], kind="stable")]
         return [*dict.fromkeys([*self._of_neighbourhoods(likest), *self._of_neighbourhoods(nearest)])]
 
     def _of_neighbourhoods(self, ordered: NDArray[np.int64]) -> list[int]:

@@ -63,8 +63,8 @@ def calibrate_wheel_edges(
         free = unmeasured(config, max(abs(stamps_s[edge.target] - stamps_s[edge.source]), 1.0), planar=True)
         # Both together have the stated covariance; with distant scans, too few loops test a step.
         claimed = edge.covariance @ np.linalg.solve(free, edge.covariance + free)
-        both = [(edge.covariance, True)] if sparse else [(edge.covariance + free, True), (claimed, False)]
-        for covariance, trusted in both:
+        noises = [(edge.covariance, True)] if sparse else [(edge.covariance + free, True), (claimed, False)]
+        for covariance, trusted in noises:
             graph.add_edge(replace(edge, kind=EdgeKind.ASSUMED, covariance=covariance, trusted=trusted))
 
 
@@ -73,8 +73,8 @@ def _errors_of_stretches(graph: KeyframeGraph, longer: Sequence[Edge]) -> FloatA
     rows = graph.rows()
     ends = np.array([(edge.source, edge.target) for edge in longer])
     claimed = np.array([row_of(edge.T_source_target) for edge in longer])
-    off = seen_from(claimed, composed(inverse(rows[ends[:, 0]]), rows[ends[:, 1]]))
-    return off / np.sqrt([np.diag(edge.covariance) for edge in longer])
+    errors = seen_from(claimed, composed(inverse(rows[ends[:, 0]]), rows[ends[:, 1]]))
+    return errors / np.sqrt([np.diag(edge.covariance) for edge in longer])
 
 
 def _calibrated_by_steps(edges: list[Edge], poses: FloatArray, least_m: float) -> FloatArray:
@@ -123,11 +123,11 @@ def _calibrated_by_steps(edges: list[Edge], poses: FloatArray, least_m: float) -
 def _fitted(design: FloatArray, measured: FloatArray, variances: FloatArray) -> FloatArray:
     """Fit small factors by least squares, with Cauchy weights at the scale of the most certain residuals."""
     values: FloatArray = np.zeros(design.shape[1])
-    sure = variances <= np.median(variances)
+    precise = variances <= np.median(variances)
     for _ in range(ROUNDS):
-        off = measured - design @ values
-        scale = median_to_sigma() * float(np.median(np.abs(off[sure])))
-        weighted = design / (scale**2 + off**2 + variances)[:, None]
+        residuals = measured - design @ values
+        scale = median_to_sigma() * float(np.median(np.abs(residuals[precise])))
+        weighted = design / (scale**2 + residuals**2 + variances)[:, None]
         # Undetermined factors have a prior of one in so many.
         information = weighted.T @ design + FEWEST**2 * np.eye(len(values))
         values = np.asarray(np.linalg.solve(information, weighted.T @ measured), np.float64)
