@@ -289,11 +289,9 @@ class FaultySteps:
         # What is farther than it can have gone the ways to the part and on from it must explain.
         shares = np.minimum(1.0, farthest / np.maximum(_moves(needed), TINY))
         beyond = seen_from(needed * shares[:, [0, 0, 1]], needed)
-        open_ = moved(
-            self.known.relative_covariances(start, first, poses), inverse(composed(to_part, needed))
-        )
-        open_ += moved(self.known.relative_covariances(end, last, poses) + claim.covariance, rest)
-        possible = _squares(beyond, open_) <= self._gate
+        cov = moved(self.known.relative_covariances(start, first, poses), inverse(composed(to_part, needed)))
+        cov += moved(self.known.relative_covariances(end, last, poses) + claim.covariance, rest)
+        possible = _squares(beyond, cov) <= self._gate
         price = np.where(alone & ~possible, np.inf, np.maximum(longer - free, 0.0) + self._prices[numbers])
         options, larger = np.stack([own, bent, wider]), np.stack([np.zeros_like(free), bend, price])
         squares = np.stack([_squares(error, one + around) for one in options]) + larger
