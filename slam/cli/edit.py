@@ -55,7 +55,7 @@ def edit(
         edited_map = roll_back(saved, sessions, out=folder)
     else:
         edited_map = saved.undone(out=folder) if undo else saved.edited(edits or "", out=folder)
-    _tell(saved, edited_map, started)
+    _report(saved, edited_map, started)
 
 
 @command()
@@ -89,7 +89,7 @@ def remap(map_: MapArgument, set_: SetOption = None, out: OutOption = None) -> N
     from slam.outputs.finished_map import load_map
 
     saved = load_map(map_)
-    _tell(saved, saved.remap(set_ or [], out=out or _own_folder(saved)), started)
+    _report(saved, saved.remap(set_ or [], out=out or _own_folder(saved)), started)
 
 
 @command()
@@ -113,7 +113,7 @@ def _own_folder(saved: Map) -> Path:
     return saved.path.parent
 
 
-def _tell(before: Map, after: Map, started: float) -> None:
+def _report(before: Map, after: Map, started: float) -> None:
     """What became of a map."""
     import numpy as np
 
