@@ -14,7 +14,7 @@ from slam.measurements import BoolArray, FloatArray
 
 
 def find_doors(
-    rooms: Sequence[Room], grid: OccupancyGrid, points: WallPoints, way_map: FloatArray
+    rooms: Sequence[Room], grid: OccupancyGrid, points: WallPoints, path_map: FloatArray
 ) -> list[Door]:
     """Find openings between neighbouring rooms that are at least as wide as a wall may be thick.
 
@@ -24,7 +24,7 @@ def find_doors(
         Free cells.
     points
         Points on straight objects: an opening that contains some, and was not driven through, is glass.
-    way_map
+    path_map
         (N, 2) positions of the robot.
     """
     free = grid.states() == FREE
@@ -37,7 +37,7 @@ def find_doors(
                     if line is None:
                         continue
                     for begin, end in _open(*line, free, grid):
-                        driven = crossed(begin, end, way_map)
+                        driven = crossed(begin, end, path_map)
                         if driven or not _met(begin, end, points):
                             doors.append(Door(begin, end, (room.number, other.number), driven))
     return doors
@@ -114,10 +114,10 @@ def _met(begin_m: FloatArray, end_m: FloatArray, points: WallPoints) -> bool:
     return bool((inside & on_line).any())
 
 
-def crossed(begin_m: FloatArray, end_m: FloatArray, way_map: FloatArray) -> bool:
+def crossed(begin_m: FloatArray, end_m: FloatArray, path_map: FloatArray) -> bool:
     """Return whether a path crosses a line."""
-    step = np.diff(way_map, axis=0)
-    line, to = end_m - begin_m, begin_m - way_map[:-1]
+    step = np.diff(path_map, axis=0)
+    line, to = end_m - begin_m, begin_m - path_map[:-1]
     cross = step[:, 0] * line[1] - step[:, 1] * line[0]
     with np.errstate(divide="ignore", invalid="ignore"):
         on_way = (to[:, 0] * line[1] - to[:, 1] * line[0]) / cross

@@ -54,14 +54,14 @@ class RoomMap:
         return looked_up(self.labels, frame.cells_of(points_map))
 
 
-def segment_rooms(grid: OccupancyGrid, segments: Sequence[Segment], way_map: FloatArray) -> RoomMap:
+def segment_rooms(grid: OccupancyGrid, segments: Sequence[Segment], path_map: FloatArray) -> RoomMap:
     """Divide the free cells of a grid into rooms.
 
     Parameters
     ----------
     segments
         Segments of walls and other straight objects.
-    way_map
+    path_map
         (N, 2) where the robot has been.
 
     Returns
@@ -70,18 +70,18 @@ def segment_rooms(grid: OccupancyGrid, segments: Sequence[Segment], way_map: Flo
     """
     free = grid.states() == FREE
     gaps, walls = wall_gaps(segments, grid)
-    labels, real = _regions(free, [*gaps, *walls], grid, way_map)
+    labels, real = _regions(free, [*gaps, *walls], grid, path_map)
     labels = _merged(labels, gaps, real, grid)
     return RoomMap(labels, grid.resolution_m, grid.T_map_grid)
 
 
 def _regions(
-    free: BoolArray, lines: Sequence[Segment], grid: OccupancyGrid, way_map: FloatArray
+    free: BoolArray, lines: Sequence[Segment], grid: OccupancyGrid, path_map: FloatArray
 ) -> tuple[Labels, BoolArray]:
     """Return the parts of free space between lines, and (parts + 1,) which are indoors; label 0 is, too."""
     labels = _wide_parts(free & ~_drawn(lines, grid), int(0.25 * THICKEST_WALL_M / grid.resolution_m))
     real = _closed(labels, grid.states())
-    real[looked_up(labels, grid.cells_of(way_map))] = True
+    real[looked_up(labels, grid.cells_of(path_map))] = True
     real[0] = True
     return labels, real
 

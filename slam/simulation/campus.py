@@ -12,7 +12,7 @@ from scipy import spatial
 
 from slam.estimates import Trajectory
 from slam.measurements import FloatArray, WheelOdometry, pose2_from_row
-from slam.simulation.campus_drive import IntArray, drive_way, plan_way, scan_steps, travelled_m
+from slam.simulation.campus_drive import IntArray, drive_route, plan_route, scan_steps, travelled_m
 from slam.simulation.campus_lidar import CampusLidar
 from slam.simulation.campus_plan import Campus, generate_campus
 from slam.simulation.campus_wheels import RATE_HZ, CampusFaults, CampusWheels, GrossError, campus_wheels
@@ -97,7 +97,7 @@ def record_campus(
     campus = generate_campus(home)
     rng = generator(seed, "campus", home)
     length_m = float(np.clip(rng.uniform(1.5, 2.0) * campus.corridor_m, _SHORTEST_M, _LONGEST_M))
-    poses = drive_way(campus, plan_way(campus, rng, length_m), rng)
+    poses = drive_route(campus, plan_route(campus, rng, length_m), rng)
     lidar = CampusLidar(campus, poses, faults.encounters_per_m, generator(seed, "campus lidar", home))
     wheels = campus_wheels(faults, poses[::_STEPS_A_READING], generator(seed, "campus wheels", home))
     clock = generator(seed, "campus clock", home)

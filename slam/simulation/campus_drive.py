@@ -27,7 +27,7 @@ _SCANS_BY_WAY, _SCAN_RAD, _SCAN_S = 3700, 0.35, 4.0
 _GAP_S = (5.0, 28.0)
 
 
-def plan_way(campus: Campus, rng: np.random.Generator, length_m: float) -> list[int]:
+def plan_route(campus: Campus, rng: np.random.Generator, length_m: float) -> list[int]:
     """Plan the junctions of a drive: first the whole ring, then rarely seen corridors, up to a length."""
     pairs = [corridor.junctions for corridor in campus.corridors]
     ends, count = np.array(pairs), len(campus.junctions_m)
@@ -55,7 +55,7 @@ def plan_way(campus: Campus, rng: np.random.Generator, length_m: float) -> list[
     return route
 
 
-def drive_way(campus: Campus, route: list[int], rng: np.random.Generator) -> FloatArray:
+def drive_route(campus: Campus, route: list[int], rng: np.random.Generator) -> FloatArray:
     """Return true poses on a path, (N, 3) rows of x, y, yaw (not wrapped), `STEP_S` apart, with stops."""
     path, share = _path(campus, route, rng)
     stops = np.cumsum(5.0 + rng.exponential(_STOP_EVERY_M - 5.0, len(path))) / _SPACING_M

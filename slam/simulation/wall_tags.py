@@ -25,12 +25,12 @@ _FAMILY, _CANDIDATES_A_WALL = "36h11", 12
 _INK, _PAPER, _RAYS, _THICK_M = 25.0, 225.0, 4, 0.01
 
 
-def place_tags(home: Home, count: int, seed: int, way_xyt: FloatArray, side_m: float = 0.16) -> Home:
+def place_tags(home: Home, count: int, seed: int, path_xyt: FloatArray, side_m: float = 0.16) -> Home:
     """A home with tags on its walls, far from each other, each visible from the robot's path.
 
     Parameters
     ----------
-    way_xyt
+    path_xyt
         (n, 3) x, y, yaw along the robot's path.
 
     Raises
@@ -40,7 +40,7 @@ def place_tags(home: Home, count: int, seed: int, way_xyt: FloatArray, side_m: f
     """
     rng, scene = generator(seed, "tags"), Scene(home)
     places = [place for room in home.rooms for place in _places(room.rectangle, rng)]
-    places = [place for place in places if _is_seen(place, way_xyt)]
+    places = [place for place in places if _is_seen(place, path_xyt)]
     free = [place for place in places if _is_free(scene, place, 0.5 * side_m * 1.5)]
     if len(free) < count:
         raise ConfigError(
@@ -148,11 +148,11 @@ def _places(rectangle: tuple[float, float, float, float], rng: np.random.Generat
     return places
 
 
-def _is_seen(place: gtsam.Pose3, way_xyt: FloatArray) -> bool:
+def _is_seen(place: gtsam.Pose3, path_xyt: FloatArray) -> bool:
     """Whether the robot comes close, looks at it, and sees it without too much slant."""
-    offset = np.asarray(place.translation())[:2] - way_xyt[:, :2]
+    offset = np.asarray(place.translation())[:2] - path_xyt[:, :2]
     far_m, out = np.linalg.norm(offset, axis=1), np.asarray(place.rotation().matrix())[:2, 2]
-    ahead = np.sum(offset * np.column_stack([np.cos(way_xyt[:, 2]), np.sin(way_xyt[:, 2])]), axis=1)
+    ahead = np.sum(offset * np.column_stack([np.cos(path_xyt[:, 2]), np.sin(path_xyt[:, 2])]), axis=1)
     in_range = (far_m > _NEAR_M[0]) & (far_m < _NEAR_M[1])
     return bool(np.any(in_range & (ahead > _AHEAD * far_m) & (-offset @ out > _FACING * far_m)))
 
