@@ -170,9 +170,9 @@ def matched_points(lidar: Curve, camera: Curve, yaw_rad: float) -> tuple[FloatAr
     """Return points of the camera and of the lidar, (N, 2) each, at samples where both have one."""
     at = np.round((camera.bearings_rad() + yaw_rad - lidar.start_angle_rad) / lidar.step_rad).astype(int)
     inside = (at >= 0) & (at < lidar.ranges_m.size)
-    ours, theirs = camera.points()[inside], lidar.points()[at[inside]]
-    in_both = np.isfinite(ours).all(axis=1) & np.isfinite(theirs).all(axis=1)
-    return ours[in_both], theirs[in_both]
+    of_camera, of_lidar = camera.points()[inside], lidar.points()[at[inside]]
+    in_both = np.isfinite(of_camera).all(axis=1) & np.isfinite(of_lidar).all(axis=1)
+    return of_camera[in_both], of_lidar[in_both]
 
 
 @dataclass(frozen=True)

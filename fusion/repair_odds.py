@@ -167,15 +167,15 @@ def describe_beams(
         line = width + 1.0
         # A straight wall is almost a straight line in 1 / range.
         line /= (right - i) / steady[left] + (i - left) / steady[right]
-        put = line if np.isnan(value[i]) else value[i]
+        put_m = line if np.isnan(value[i]) else value[i]
         low, high = max(0, i - crowd), min(count, i + crowd + 1)
         around = lost[high] - lost[low] - lost[min(high, right)] + lost[max(low, left + 1)]
-        result[i, 0], result[i, 1] = put, math.log(width)
+        result[i, 0], result[i, 1] = put_m, math.log(width)
         result[i, 2] = over_noise(steady[left] - steady[right], line, eps_share)
         result[i, 3] = math.log(1.0 + around)
         result[i, 4] = 0.0 if np.isnan(other[i]) else over_noise(other[i] - line, line, eps_share)
-        result[i, 5] = math.log(put)
-        result[i, 6] = 0.0 if np.isnan(own[i]) else over_noise(own[i] - put, put, eps_share)
+        result[i, 5] = math.log(put_m)
+        result[i, 6] = 0.0 if np.isnan(own[i]) else over_noise(own[i] - put_m, put_m, eps_share)
     return result
 
 

@@ -234,8 +234,8 @@ class _Wheels:
             chord_rad = math.atan2(dy, dx) - self._last[2] - 0.5 * turn_rad
             turn_rad *= self._correction.turn_scale
             ahead_rad = self._pose[2] + 0.5 * turn_rad + chord_rad
-            way_m = math.hypot(dx, dy)
-            step = np.array([way_m * math.cos(ahead_rad), way_m * math.sin(ahead_rad), turn_rad])
+            path_m = math.hypot(dx, dy)
+            step = np.array([path_m * math.cos(ahead_rad), path_m * math.sin(ahead_rad), turn_rad])
             self._pose = self._pose + step
         else:
             self._pose = written

@@ -35,17 +35,17 @@ def starts_after_stops(rows: FloatArray, distance_m: float) -> FloatArray:
     steps = np.diff(rows[:, 1:3], axis=0)
     headings_rad = rows[:-1, 3]
     ahead_m = steps[:, 0] * np.cos(headings_rad) + steps[:, 1] * np.sin(headings_rad)
-    way_m = np.concatenate([[0.0], np.cumsum(np.hypot(*steps.T))])
-    if len(rows) < FEWEST or -ahead_m[ahead_m < 0.0].sum() > max(distance_m, SETTLED * way_m[-1]):
+    path_m = np.concatenate([[0.0], np.cumsum(np.hypot(*steps.T))])
+    if len(rows) < FEWEST or -ahead_m[ahead_m < 0.0].sum() > max(distance_m, SETTLED * path_m[-1]):
         return np.zeros((0, 2))
     stamps_s = rows[:, 0]
     # By time, not by readings, which may come every millisecond.
-    still = way_m - np.interp(stamps_s - SPACING_S, stamps_s, way_m) < distance_m / FEWEST
+    still = path_m - np.interp(stamps_s - SPACING_S, stamps_s, path_m) < distance_m / FEWEST
     leaves = np.nonzero(still[:-1] & ~still[1:])[0]
-    gone = np.searchsorted(way_m, way_m[leaves] + distance_m)
+    arrived = np.searchsorted(path_m, path_m[leaves] + distance_m)
     # A robot that stops again earlier may have moved in both directions.
-    alone = gone <= np.append(leaves[1:], len(rows) - 1)
-    spans_s = np.column_stack([stamps_s[leaves[alone]], stamps_s[gone[alone]]])
+    alone = arrived <= np.append(leaves[1:], len(rows) - 1)
+    spans_s = np.column_stack([stamps_s[leaves[alone]], stamps_s[arrived[alone]]])
     spans_s = spans_s[np.ptp(spans_s, axis=1) < FEWEST * GAP_S]
     most = 10 * FEWEST  # 0.5 s of CPU time
     return np.asarray(spans_s[:: -(-len(spans_s) // most) or 1])

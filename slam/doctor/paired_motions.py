@@ -36,8 +36,8 @@ class BaseTrack:
         columns = [*self.rows[:, 1:3].T, np.unwrap(self.rows[:, 3])]
         poses = np.stack([np.interp(stamps_s, rows_s, column) for column in columns], axis=1)
         after = np.searchsorted(rows_s, stamps_s).clip(1, len(rows_s) - 1)
-        lone = (rows_s[after] - rows_s[after - 1] > GAP_S) | (stamps_s < rows_s[0]) | (stamps_s > rows_s[-1])
-        poses[lone] = np.nan
+        gaps = (rows_s[after] - rows_s[after - 1] > GAP_S) | (stamps_s < rows_s[0]) | (stamps_s > rows_s[-1])
+        poses[gaps] = np.nan
         return poses
 
     def steps(self, begun_s: FloatArray, ended_s: FloatArray) -> FloatArray:

@@ -84,8 +84,8 @@ class WheelSteps:
 
     def misfits(self, reading: Reading, found: Relation) -> FloatArray:
         """(K,) residual of each step, metres."""
-        swung = np.exp(1j * self.lidar_turns_rad) - 1.0
-        return np.abs(self.lidar - found.alpha * self.steps(reading) - found.beta * swung)
+        swing = np.exp(1j * self.lidar_turns_rad) - 1.0
+        return np.abs(self.lidar - found.alpha * self.steps(reading) - found.beta * swing)
 
     def best(self, readings: list[Reading]) -> tuple[Reading, Relation] | None:
         """The interpretation that most steps agree with; the first, unless another is clearly better."""

@@ -96,11 +96,11 @@ def fits_as_read(wheels: WheelSteps, reading: Reading, relation: Relation, confi
 
     A robot that mostly turns on the spot has steps so short that errors of matches are a large part.
     """
-    way_m = np.abs(wheels.lidar)
-    allowed_m = IN_ORDER * way_m + config.wheels.swing_m_per_rad * np.abs(wheels.lidar_turns_rad)
+    path_m = np.abs(wheels.lidar)
+    allowed_m = IN_ORDER * path_m + config.wheels.swing_m_per_rad * np.abs(wheels.lidar_turns_rad)
     off = wheels.misfits(reading, relation) / allowed_m
     order = np.argsort(off)
-    half = np.searchsorted(np.cumsum(way_m[order]), 0.5 * way_m.sum())
+    half = np.searchsorted(np.cumsum(path_m[order]), 0.5 * path_m.sum())
     return median_to_sigma(2) * float(off[order[half]]) < 1.0
 
 

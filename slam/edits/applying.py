@@ -108,12 +108,12 @@ def _with_regions(known: Known, edits: Edits, config: Config) -> tuple[dict[Evid
     cuts = [Cut(np.array(area.polygon)) for area in edits.erase]
     cuts += [] if edits.crop is None else [Cut(np.array(edits.crop), outside=True)]
     erased = taken(known.contents, cuts, config)
-    saw = np.zeros(len(poses), np.bool_)
+    has_evidence = np.zeros(len(poses), np.bool_)
     frames = known.contents.frames
-    saw[[frames.head(at).node if kind == "frame" and frames else at for kind, at in erased]] = True
+    has_evidence[[frames.head(at).node if kind == "frame" and frames else at for kind, at in erased]] = True
     for area, cut in zip(edits.erase, cuts, strict=False):
         name, later = area.name or "", float(area.later)
-        regions.append(held("erase", cut.polygon, poses, name=name, value=later, candidates=saw))
+        regions.append(held("erase", cut.polygon, poses, name=name, value=later, candidates=has_evidence))
     if edits.crop is not None:
         regions.append(held("crop", np.array(edits.crop), poses, value=1.0))
     regions += [held("keep_out", np.array(zone.polygon), poses, name=zone.name) for zone in edits.keep_out]

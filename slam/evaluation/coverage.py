@@ -115,8 +115,8 @@ def _errors(estimate: Trajectory, truth: Trajectory, fixed: int) -> FloatArray:
     across = np.cross(angles, shifted - estimate.positions_m)
     half = np.maximum(0.5 * np.linalg.norm(angles, axis=1), _SMALLEST)[:, None]
     # The inverse of the left Jacobian of SO(3).
-    bent = np.cross(angles, across) * (1.0 - half / np.tan(half)) / (2.0 * half) ** 2
-    return np.hstack([shifted - estimate.positions_m - 0.5 * across + bent, angles])
+    curvature = np.cross(angles, across) * (1.0 - half / np.tan(half)) / (2.0 * half) ** 2
+    return np.hstack([shifted - estimate.positions_m - 0.5 * across + curvature, angles])
 
 
 def _truth_at(reference: Trajectory, stamps_s: FloatArray, limit_s: float) -> tuple[Trajectory, Indices]:

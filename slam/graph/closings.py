@@ -64,10 +64,10 @@ def closings(held: Sequence[Edge], poses: Sequence[Pose], reach_m: float, most: 
     if not loops:
         return []
     rows = np.array([row_of(pose) for pose in poses])
-    way_m = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(rows[:, :2], axis=0).T))])
+    travelled_m = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(rows[:, :2], axis=0).T))])
     tracked, piece = _tracked(held, poses)
     groups = []
-    for group in loop_groups(way_m[list(map(_ends, loops))], reach_m):
+    for group in loop_groups(travelled_m[list(map(_ends, loops))], reach_m):
         members = sorted((loops[n] for n in group.tolist()), key=lambda loop: (loop.target, loop.source))
         first = members[0]
         if piece[first.source] == piece[first.target]:
@@ -83,7 +83,7 @@ def closings(held: Sequence[Edge], poses: Sequence[Pose], reach_m: float, most: 
         first = members[0]
         without = graph.relative_covariances(first.target, np.array([first.source]), rows, without=n)
         after_m, after_sigmas = max(_missed(loop, poses) for loop in members)
-        path_m = float(abs(way_m[first.target] - way_m[first.source]))
+        path_m = float(abs(travelled_m[first.target] - travelled_m[first.source]))
         without_m = float(position_sigmas(without)[0])
         found.append(Closing(*_ends(first), len(members), path_m, before_m, after_m, after_sigmas, without_m))
     return found

@@ -89,8 +89,8 @@ class CloudLoopCloser:
         context = scan_context(points, self._voxel_m)
         self._contexts.append(context.tobytes())
         self._rings.append(ring_key(context))
-        before, way_m = (self._poses[-1], self._travelled_m[-1]) if self._poses else (pose, 0.0)
-        self._travelled_m.append(way_m + float(np.linalg.norm(before.between(pose).translation())))
+        before, path_m = (self._poses[-1], self._travelled_m[-1]) if self._poses else (pose, 0.0)
+        self._travelled_m.append(path_m + float(np.linalg.norm(before.between(pose).translation())))
         self._poses.append(pose)
         if np.isfinite(residual_m):
             self._residuals_m.append(residual_m)

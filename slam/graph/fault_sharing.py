@@ -12,7 +12,7 @@ from slam.measurements import FloatArray
 
 
 def share_faults(
-    way: FloatArray,
+    path: FloatArray,
     parts: NDArray[np.int64],
     wrong: FloatArray,
     end: int,
@@ -23,7 +23,7 @@ def share_faults(
 
     Parameters
     ----------
-    way
+    path
         (n, 3) x, y, yaw of consecutive poses.
     parts
         (k, 2) first and last pose of each step that may be wrong, in order, not nested.
@@ -48,8 +48,8 @@ def share_faults(
     (2.0, [0.0, 2.0, 3.0, 5.0])
     """
     stops = [0, *parts.ravel().tolist(), end]
-    certain = [between(way[a], way[b]) for a, b in zip(stops[::2], stops[1::2], strict=True)]
-    steps = [between(way[a], way[b]) for a, b in parts.tolist()]
+    certain = [between(path[a], path[b]) for a, b in zip(stops[::2], stops[1::2], strict=True)]
+    steps = [between(path[a], path[b]) for a, b in parts.tolist()]
     errors = [np.zeros(3) for _ in steps]
     information, priors = np.linalg.inv(covariance), np.linalg.inv(wrong)
     for _ in range(ROUNDS):
@@ -70,16 +70,16 @@ def share_faults(
     left = missed @ information @ missed + sum(
         error @ prior @ error for error, prior in zip(errors, priors, strict=True)
     )
-    led = way.copy()
+    shifted = path.copy()
     for (first, last), step, error in zip(parts.tolist(), steps, errors, strict=True):
-        moved = compose(compose(led[first], compose(step, error)), between(led[last], np.zeros(3)))
-        led[last:] = composed(moved[None], led[last:])
-    return float(left), led
+        moved = compose(compose(shifted[first], compose(step, error)), between(shifted[last], np.zeros(3)))
+        shifted[last:] = composed(moved[None], shifted[last:])
+    return float(left), shifted
 
 
 def _rests(certain: list[FloatArray], steps: list[FloatArray], errors: list[FloatArray]) -> list[FloatArray]:
     """Return the end relative to the beginning, and to the end of each wrong step."""
     rests = [certain[-1]]
-    for between_steps, step, error in zip(certain[-2::-1], steps[::-1], errors[::-1], strict=True):
-        rests.insert(0, compose(between_steps, compose(compose(step, error), rests[0])))
+    for onward, step, error in zip(certain[-2::-1], steps[::-1], errors[::-1], strict=True):
+        rests.insert(0, compose(onward, compose(compose(step, error), rests[0])))
     return rests

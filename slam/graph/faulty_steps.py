@@ -186,8 +186,8 @@ class FaultySteps:
         expected = known.widened(claim.covariance)
         asked = self._asked(start, end, expected, claim, self.poses, self._bounded)
         squares = asked.squares
-        any_part, able = (float(some.min(initial=np.inf)) for some in (squares, squares[asked.possible]))
-        return expected.squared_mahalanobis(claim.pose), any_part, able
+        any_part, possible = (float(some.min(initial=np.inf)) for some in (squares, squares[asked.possible]))
+        return expected.squared_mahalanobis(claim.pose), any_part, possible
 
     def shared(
         self, start: int, end: int, known: Motion, claim: Motion, most: float = math.inf
@@ -224,7 +224,7 @@ class FaultySteps:
         Each may be wrong alone, or all together: infinite where one is farther wrong than the robot goes.
         """
         expected, poses = known.widened(claim.covariance), self.poses
-        least, able = math.inf, (math.inf, poses)
+        least, best = math.inf, (math.inf, poses)
         chosen: dict[int, FloatArray] = {}
         paid = 0.0
         while paid + self._gate < min(most, least):
@@ -237,15 +237,15 @@ class FaultySteps:
             parts = sorted(chosen)
             wrong = np.array([chosen[one] for one in parts])
             behind = self.poses[start:], self._ends[parts] - start, wrong, end - start
-            remaining, led = share_faults(*behind, claim.pose, expected.covariance)
+            remaining, path = share_faults(*behind, claim.pose, expected.covariance)
             paid += self._gate + asked.volumes[n]
             if (cost := remaining + paid) >= least:
                 break
-            least, poses = cost, np.concatenate([self.poses[:start], led])
+            least, poses = cost, np.concatenate([self.poses[:start], path])
             first, last = self._ends[parts].T
             if alone or (_moves(seen_from(poses[first], poses[last])) <= self._farthest[parts]).all():
-                able = cost, poses
-        return able
+                best = cost, poses
+        return best
 
     def likelihood(self, start: int, end: int, expected: Motion, claim: Motion) -> float:
         """Log of the density of a claim where a step was wrong that nothing saw.
@@ -254,11 +254,11 @@ class FaultySteps:
         as what is known and the claim are.
         """
         asked = self._asked(start, end, expected, claim, self.poses, self._bounded)
-        able = asked.possible & self.lone.unseen[self._ends[asked.numbers, 0]]
-        if not able.any() or not np.isfinite(expected.covariance).all():
+        possible = asked.possible & self.lone.unseen[self._ends[asked.numbers, 0]]
+        if not possible.any() or not np.isfinite(expected.covariance).all():
             return -math.inf
         densities = -0.5 * (asked.squares + np.linalg.slogdet(2.0 * math.pi * asked.covariances)[1])
-        return math.log(self.lone.share) + float(densities[able].max())
+        return math.log(self.lone.share) + float(densities[possible].max())
 
     def _asked(
         self, start: int, end: int, expected: Motion, claim: Motion, poses: FloatArray, bounded: FloatArray
@@ -278,8 +278,8 @@ class FaultySteps:
         # A heading that slips on the way bends it, more than a straight line that is claimed.
         farthest, alone = self._farthest[numbers], self._alone[numbers]
         bent_m = 2.0 * np.abs(np.sin(0.5 * error[:, 2])) * farthest[:, 0]
-        bent = own + np.square([bent_m, bent_m, np.zeros_like(bent_m)]).T[..., None] * np.eye(3)
-        bend = np.where(alone, np.linalg.slogdet(bent)[1] - np.linalg.slogdet(own)[1], np.inf)
+        bends = own + np.square([bent_m, bent_m, np.zeros_like(bent_m)]).T[..., None] * np.eye(3)
+        nats = np.where(alone, np.linalg.slogdet(bends)[1] - np.linalg.slogdet(own)[1], np.inf)
         # Over a matched step, a position that is off without a heading adds up like a random walk.
         time_s = self._time_s[numbers]
         share = np.where(alone, 1.0, np.minimum(1.0, (bent_m + np.sqrt(time_s)) / time_s))
@@ -293,7 +293,7 @@ class FaultySteps:
         cov += moved(self.known.relative_covariances(end, last, poses) + claim.covariance, rest)
         possible = _squares(beyond, cov) <= self._gate
         price = np.where(alone & ~possible, np.inf, np.maximum(longer - free, 0.0) + self._prices[numbers])
-        options, larger = np.stack([own, bent, wider]), np.stack([np.zeros_like(free), bend, price])
+        options, larger = np.stack([own, bends, wider]), np.stack([np.zeros_like(free), nats, price])
         squares = np.stack([_squares(error, one + around) for one in options]) + larger
         best = squares.argmin(axis=0), np.arange(len(error))
         return _Asked(numbers, squares[best], possible, own + around, options[best], larger[best])

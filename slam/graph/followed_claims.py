@@ -117,11 +117,11 @@ class FollowedClaims:
         The cost of these errors and the evidence of each scan count once.
         """
         costs = [self._likeliest(one, known, loose, faulty) for one in claims]
-        able = [n for n, nats in enumerate(costs) if self._most + nats > 0.0]
+        possible = [n for n, nats in enumerate(costs) if self._most + nats > 0.0]
         sets: dict[int, tuple[float, list[int]]] = {}
-        for n in able:
+        for n in possible:
             one = claims[n]
-            same = [m for m in able if m == n or self._borne(one, claims[m], known) > 0.0]
+            same = [m for m in possible if m == n or self._borne(one, claims[m], known) > 0.0]
             best: dict[int, float] = {}
             for key, nats in (item for m in same for item in claims[m].nats.items()):
                 best[key] = max(nats, best.get(key, nats))
@@ -143,21 +143,21 @@ class FollowedClaims:
     def _likeliest(self, one: Claim, known: Known, loose: Known, faulty: FaultySteps) -> float:
         """Return the evidence of the path for a claim, in nats: as estimated, or with wrong steps."""
         ends = one.place, one.keyframe
-        way = known(*ends)
+        rel = known(*ends)
         return max(
-            self._expected(way, one),
+            self._expected(rel, one),
             math.log(faulty.lone.share) + self._expected(loose(*ends), one),
-            math.log(self._window) + faulty.likelihood(*ends, way.widened(one.motion.covariance), one.motion),
+            math.log(self._window) + faulty.likelihood(*ends, rel.widened(one.motion.covariance), one.motion),
         )
 
     def _borne(self, one: Claim, other: Claim, known: Known) -> float:
         """Return by how many nats a claim makes another one likelier."""
         onward = after(one.motion, known(one.keyframe, other.keyframe))
-        way = after(known(other.place, one.place), onward)
-        away_m = math.dist(way.pose[:2], other.motion.pose[:2])
+        expected = after(known(other.place, one.place), onward)
+        away_m = math.dist(expected.pose[:2], other.motion.pose[:2])
         if one.keyframe == other.keyframe and away_m > self._config.reach_m:
             return -math.inf
-        return self._expected(way, other)
+        return self._expected(expected, other)
 
     def _nats(self, evidence: dict[int, float], keyframe: int, share: float) -> float:
         """Return the evidence of all scans; after an unobserved step, its error probability limits it."""
@@ -175,16 +175,16 @@ class FollowedClaims:
         """Return whether no scan supports both of two claims."""
         return abs(one.keyframe - other.keyframe) > 2 * self._config.half_keyframes
 
-    def _expected(self, way: Motion, claim: Claim) -> float:
+    def _expected(self, relative: Motion, claim: Claim) -> float:
         """Return the log likelihood ratio of a claim by the path, against any pose in the window, in nats.
 
         The tails are heavy: steps may be grossly wrong.
         """
-        if not np.isfinite(way.covariance).all():
+        if not np.isfinite(relative.covariance).all():
             return 0.0
-        way = way.widened(claim.motion.covariance)
-        tail = 3 * math.log1p(way.squared_mahalanobis(claim.motion.pose) / 3)
-        nats = math.log(self._window / math.sqrt((2.0 * math.pi) ** 3 * way.volume()))
+        relative = relative.widened(claim.motion.covariance)
+        tail = 3 * math.log1p(relative.squared_mahalanobis(claim.motion.pose) / 3)
+        nats = math.log(self._window / math.sqrt((2.0 * math.pi) ** 3 * relative.volume()))
         return max(nats, self._least_nats) - tail
 
     def _nearest(self, place: int, pose: FloatArray, key: int) -> tuple[int, FloatArray] | None:

@@ -102,11 +102,11 @@ def landmarks_of(
     nodes, still = _still([*nodes, *hubs], ties, len(poses), of, holds)
     landmarks = list[Landmark | None]()
     for number, sightings in enumerate(seen):
-        mine = np.flatnonzero(of == number)
-        fit = np.concatenate([holds[visit] & still[visit] for visit in mine])
+        own = np.flatnonzero(of == number)
+        fit = np.concatenate([holds[visit] & still[visit] for visit in own])
         landmark = nodes[len(poses) + len(of) + number]
-        away = sum(len(holds[visit]) for visit in mine[~still[mine]])
-        landmarks.append(_landmark_of(nodes, landmark, sightings, fit, away) if fit.any() else None)
+        moved = sum(len(holds[visit]) for visit in own[~still[own]])
+        landmarks.append(_landmark_of(nodes, landmark, sightings, fit, moved) if fit.any() else None)
     return landmarks
 
 

@@ -31,13 +31,13 @@ class Stretches:
 
     def __init__(self, submaps: SubmapStore, config: LoopConfig, match: MatchConfig) -> None:
         self._config, self._match, self._submaps = config, match, submaps
-        way_m = submaps.ways_m()
+        path_m = submaps.ways_m()
         self.spacing_m = submaps.wide_m(0.5 * config.reach_m, 1.0)
         # If each pass sees a place once, scans look alike too often to try only the most similar.
         self._most = config.near * (3 if self.spacing_m > config.reach_m else 1)
-        middles_m = np.arange(0.0, way_m[-1] + config.reach_m, self.spacing_m)
-        self.keys = np.unique(np.searchsorted(way_m, np.minimum(middles_m, way_m[-1])))
-        self._path_m = way_m[self.keys]
+        middles_m = np.arange(0.0, path_m[-1] + config.reach_m, self.spacing_m)
+        self.keys = np.unique(np.searchsorted(path_m, np.minimum(middles_m, path_m[-1])))
+        self._path_m = path_m[self.keys]
         # Computed on demand: few are needed if loops connect the map.
         self._points: dict[int, OrientedPoints] = {}
         self._walls = np.full(len(self.keys), -1, np.int8)

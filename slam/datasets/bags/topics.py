@@ -144,8 +144,8 @@ def choose(
     imus, receivers = (_named(of(kind), requested) or tuple(of(kind)) for kind in (IMU, NAVSAT))
     images = of(*IMAGES)
     named = [topic for topic in images if topic in requested]
-    cameras, lonely = _cameras(named or _raw_first(images), depths, evidence, named=bool(named))
-    read = {*scans, *clouds, *odometry, *imus, *receivers, *lonely}
+    cameras, unpaired = _cameras(named or _raw_first(images), depths, evidence, named=bool(named))
+    read = {*scans, *clouds, *odometry, *imus, *receivers, *unpaired}
     read |= {topic for camera in cameras for topic in (camera.color, camera.depth)}
     for topic, kind in kinds.items():
         if topic in read or topic in left_out or kind not in SENSORS:
@@ -157,7 +157,7 @@ def choose(
         else:
             instead = ", ".join(other for other in (*scans, *clouds, *odometry) if kinds[other] == kind)
             left_out[topic] = f"{instead} is read, {_WHY[kind]}; --topics {topic} reads this one"
-    return Choice(scans, clouds, odometry, cameras, lonely, left_out, imus, receivers)
+    return Choice(scans, clouds, odometry, cameras, unpaired, left_out, imus, receivers)
 
 
 def _named(topics: list[str], requested: tuple[str, ...]) -> tuple[str, ...]:
@@ -212,18 +212,18 @@ def _cameras(
     for topic in sorted(images):
         groups.setdefault(_namespace(topic), []).append(topic)
     cameras: list[CameraTopics] = []
-    lonely: list[str] = []
+    unpaired: list[str] = []
     for space, topics in groups.items():
         pair = _of_one_place(topics, depths, evidence, named=named)
         if len(pair) == 1:
             pair = [CameraTopics(space or "/camera", pair[0].color, pair[0].depth)]
         cameras += pair
-        lonely += [] if pair else topics
+        unpaired += [] if pair else topics
     # If names share nothing, topics with the same frame, or the only ones of their type, still match.
-    if not cameras and (pair := _of_one_place(lonely, depths, evidence, named=named)):
+    if not cameras and (pair := _of_one_place(unpaired, depths, evidence, named=named)):
         cameras = [CameraTopics("/camera", pair[0].color, pair[0].depth)]
-        lonely = []
-    return tuple(cameras), tuple(lonely)
+        unpaired = []
+    return tuple(cameras), tuple(unpaired)
 
 
 def _of_one_place(
