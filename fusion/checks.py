@@ -29,24 +29,24 @@ def numbers(value: Any, shape: tuple[int | None, ...], name: str, *, finite: boo
     ValueError: the guess is float64[2]; give numbers of shape (3)
     """
     try:
-        found = np.asarray(value)
+        array = np.asarray(value)
     except ValueError:  # rows of different lengths
-        found = np.array(None)
-    alike = len(shape) == found.ndim and all(n in (None, m) for n, m in zip(shape, found.shape, strict=True))
-    real = found.dtype.kind in "iuf"
-    if real and alike:
-        bad = np.count_nonzero(~np.isfinite(found)) if finite else 0
+        array = np.array(None)
+    fits = len(shape) == array.ndim and all(n in (None, m) for n, m in zip(shape, array.shape, strict=True))
+    real = array.dtype.kind in "iuf"
+    if real and fits:
+        bad = np.count_nonzero(~np.isfinite(array)) if finite else 0
         if not bad:
-            return found
-        raise ValueError(f"{name}: {bad} of {found.size} numbers are not finite; leave them out")
-    given = f"{found.dtype}{list(found.shape)}" if found.ndim else " ".join(f"{value!r:.60}".split())
-    wanted = f" of shape ({', '.join('N' if n is None else str(n) for n in shape)})" if shape else ""
-    raise ValueError(f"{name} is {given}; give numbers{wanted}")
+            return array
+        raise ValueError(f"{name}: {bad} of {array.size} numbers are not finite; leave them out")
+    actual = f"{array.dtype}{list(array.shape)}" if array.ndim else " ".join(f"{value!r:.60}".split())
+    expected = f" of shape ({', '.join('N' if n is None else str(n) for n in shape)})" if shape else ""
+    raise ValueError(f"{name} is {actual}; give numbers{expected}")
 
 
 def instance(value: Any, kinds: type[T] | tuple[type[T], ...], name: str) -> T:
     """Return a value of one of these types, or raise a ValueError that names them."""
     if not isinstance(value, kinds):
-        wanted = " or ".join(kind.__name__ for kind in (kinds if isinstance(kinds, tuple) else (kinds,)))
-        raise ValueError(f"{name} is {type(value).__name__}; give {wanted}")
+        expected = " or ".join(kind.__name__ for kind in (kinds if isinstance(kinds, tuple) else (kinds,)))
+        raise ValueError(f"{name} is {type(value).__name__}; give {expected}")
     return value

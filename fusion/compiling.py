@@ -36,14 +36,14 @@ def dispatcher_of(kernel: Any) -> Dispatcher:
     typeof_impl.register(type(kernel), lambda called, _: numba.types.Dispatcher(called.dispatcher))
     _loaded_ns.update(kernel.loaded_ns)
     # Kernels are never called by their C address.
-    found = numba.njit(**{"no_cfunc_wrapper": True, **kernel.options})(kernel.py_func)
+    compiled = numba.njit(**{"no_cfunc_wrapper": True, **kernel.options})(kernel.py_func)
     try:
-        found._cache = _Cache(kernel.py_func)
+        compiled._cache = _Cache(kernel.py_func)
     except RuntimeError as error:
         if "cannot cache" not in str(error):
             raise
         _warn()
-    return found
+    return compiled
 
 
 @cache
@@ -78,12 +78,12 @@ class _Cache(caching.FunctionCache):  # type: ignore[misc]
         """Return the stored code of a signature; None if there is none."""
         _tell_linker()
         with self._guard_against_spurious_io_errors():
-            found = self._load_overload(sig, target_context)
-            if found is None and self._file not in _locks:
+            overload = self._load_overload(sig, target_context)
+            if overload is None and self._file not in _locks:
                 self._wait()
-                if found := self._load_overload(sig, target_context):
+                if overload := self._load_overload(sig, target_context):
                     os.close(_locks.pop(self._file))
-            return found
+            return overload
 
     def save_overload(self, sig: Any, data: Any) -> None:
         """Store compiled code, and let other processes look for it."""
@@ -136,10 +136,10 @@ def _stamp(function: FunctionType) -> str:
 
 def _used(value: Any, function: FunctionType) -> FunctionType | None:
     """Return whether a kernel may call it in another file: a kernel, or a function of a file with kernels."""
-    found = getattr(value, "py_func", value) if callable(value) else value
-    if not isinstance(found, FunctionType) or found.__globals__ is function.__globals__:
+    function_used = getattr(value, "py_func", value) if callable(value) else value
+    if not isinstance(function_used, FunctionType) or function_used.__globals__ is function.__globals__:
         return None
-    return found if found is not value or "kernel" in found.__globals__ else None
+    return function_used if function_used is not value or "kernel" in function_used.__globals__ else None
 
 
 _stamps: dict[str, str] = {}

@@ -255,32 +255,32 @@ def resample(scan: LidarCurve, step_rad: float = SAMPLE_STEP_RAD) -> Curve:
         raise ValueError(f"the sweep has {math.degrees(aperture):.0f} degrees; more than one turn")
     count = math.floor(aperture / step_rad + 1e-6) + 1
     medians, samples_a_beam = np.full(count, np.nan, np.float32), own / step_rad
-    held = np.empty(math.ceil(1.0 / samples_a_beam) + 3, np.float32)
-    _fill_medians(ranges, samples_a_beam, held, medians)
+    window = np.empty(math.ceil(1.0 / samples_a_beam) + 3, np.float32)
+    _fill_medians(ranges, samples_a_beam, window, medians)
     return Curve(medians, start, step_rad)
 
 
 @kernel
-def _fill_medians(ranges, samples_a_beam, held, medians):  # type: ignore[no-untyped-def]
+def _fill_medians(ranges, samples_a_beam, window, medians):  # type: ignore[no-untyped-def]
     """Compute medians of the valid beams within half a sample; if there are none, use the nearest beam.
 
-    ``held`` is a buffer for the beams of a sample.
+    ``window`` is a buffer for the beams of a sample.
     """
     for sample in range(medians.size):
         low = max(0, math.ceil((sample - 0.5) / samples_a_beam))
         high = min(ranges.size - 1, math.ceil((sample + 0.5) / samples_a_beam) - 1)
         if high < low:
             low = high = min(ranges.size - 1, math.floor(sample / samples_a_beam + 0.5))
-        found = ZERO
+        count = ZERO
         for beam in range(low, high + 1):
             if not math.isnan(ranges[beam]):
                 # Insertion sort, because numba takes a second to compile a library sort.
-                place = found
-                while place > 0 and held[place - 1] > ranges[beam]:
-                    held[place] = held[place - 1]
+                place = count
+                while place > 0 and window[place - 1] > ranges[beam]:
+                    window[place] = window[place - 1]
                     place -= 1
-                held[place] = ranges[beam]
-                found += 1
-        if 2 * found >= high - low + 1 and found > 0:
+                window[place] = ranges[beam]
+                count += 1
+        if 2 * count >= high - low + 1 and count > 0:
             # The lower of two middle values, because a mean of two surfaces would be neither.
-            medians[sample] = held[(found - 1) // 2]
+            medians[sample] = window[(count - 1) // 2]

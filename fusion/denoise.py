@@ -70,7 +70,7 @@ class Denoised:
     __repr__ = one_line
 
     def _repr_html_(self) -> str:
-        return with_pictures(self, *(shaded(np.where(one > 0.0, one, np.nan)) for one in self.depth_m))
+        return with_pictures(self, *(shaded(np.where(depth > 0.0, depth, np.nan)) for depth in self.depth_m))
 
 
 def denoise(
@@ -128,7 +128,7 @@ def denoise(
     instance(least_grade, Grade, "least_grade")
     images = as_images(depth)
     if isinstance(registration, RigEstimate):
-        matrices = [None if found is None else found.T_laser_level for found in registration.alignments]
+        matrices = [None if fit is None else fit.T_laser_level for fit in registration.alignments]
     elif registration.grade >= least_grade:
         rng = np.random.default_rng(0)
         matrices = [rigid_fit(*pairs, rng) for pairs in matched_curves(registration)]
@@ -149,8 +149,8 @@ def repair_by(
         return _unchanged(scan, images)
     if len(matrices) != len(images):
         raise ValueError(f"{len(images)} images for {len(matrices)} registered cameras")
-    found = find_candidates(scan, images, registration, matrices)
-    return _put_in(scan, images, found, least_probability)
+    candidates = find_candidates(scan, images, registration, matrices)
+    return _insert(scan, images, candidates, least_probability)
 
 
 def _view(image: DepthImage, registration: Registration | RigEstimate) -> ImageView:
@@ -170,9 +170,9 @@ def matched_points(lidar: Curve, camera: Curve, yaw_rad: float) -> tuple[FloatAr
     """Return points of the camera and of the lidar, (N, 2) each, at samples where both have one."""
     at = np.round((camera.bearings_rad() + yaw_rad - lidar.start_angle_rad) / lidar.step_rad).astype(int)
     inside = (at >= 0) & (at < lidar.ranges_m.size)
-    ours, theirs = camera.points()[inside], lidar.points()[at[inside]]
-    both = np.isfinite(ours).all(axis=1) & np.isfinite(theirs).all(axis=1)
-    return ours[both], theirs[both]
+    of_camera, of_lidar = camera.points()[inside], lidar.points()[at[inside]]
+    in_both = np.isfinite(of_camera).all(axis=1) & np.isfinite(of_lidar).all(axis=1)
+    return of_camera[in_both], of_lidar[in_both]
 
 
 @dataclass(frozen=True)
@@ -204,7 +204,7 @@ def find_candidates(
     matrices: Sequence[FloatArray | None],
 ) -> Candidates:
     """Reproject and compare; arguments as for `repair_by`."""
-    seen = {
+    views = {
         camera: (_view(images[camera], registration), matrix)
         for camera, matrix in enumerate(matrices)
         if matrix is not None
@@ -215,7 +215,7 @@ def find_candidates(
     start = scan.start_angle_rad + (scan.step_rad * (own.size - 1) if flip else 0.0)
     other = np.full(own.size, np.nan, dtype=np.float32)
     noise = []
-    for view, matrix in seen.values():
+    for view, matrix in views.values():
         reprojected, rough = _seen_by_lidar(view.curve, matrix, (start, step, own.size))
         np.fmin(other, reprojected, out=other)
         noise.append(rough)
@@ -232,12 +232,12 @@ def find_candidates(
         camera: _pixel_candidates(
             images[camera], view, matrix, steady, beams[0, :, 3], (start, step), (share, mine)
         )
-        for camera, (view, matrix) in seen.items()
+        for camera, (view, matrix) in views.items()
     }
     # Agreeing readings differ by the noise of both, and by the error of the reprojection.
     agreed = source == Provenance.AVERAGED
-    apart = float(np.median(np.abs(own - other)[agreed] / own[agreed])) if agreed.any() else share
-    carried = math.sqrt(max(apart**2 - mine**2, theirs**2)) if np.isfinite(mine + theirs) else share
+    spread = float(np.median(np.abs(own - other)[agreed] / own[agreed])) if agreed.any() else share
+    carried = math.sqrt(max(spread**2 - mine**2, theirs**2)) if np.isfinite(mine + theirs) else share
     mean = math.hypot((1.0 - trust) * mine, trust * carried)
     shares = median_to_sigma() * np.array([math.nan, carried, mine, math.nan, mean])
     # A pixel's value is a range smoothed over at least `BESIDE` readings, on the image's own surfaces.
@@ -245,27 +245,27 @@ def find_candidates(
     return Candidates(source, kinds, beams, pixels, shares, smoothed)
 
 
-def _put_in(
-    scan: LidarCurve, images: tuple[DepthImage, ...], found: Candidates, least_probability: float
+def _insert(
+    scan: LidarCurve, images: tuple[DepthImage, ...], candidates: Candidates, least_probability: float
 ) -> Denoised:
     """Insert the candidates that are likely enough to be right."""
     result = _unchanged(scan, images)
-    judged = probabilities(found.kinds, found.beams[..., 1:], BEAM_ODDS)
-    best, beam = judged.argmax(axis=0), np.arange(found.source.size)
+    judged = probabilities(candidates.kinds, candidates.beams[..., 1:], BEAM_ODDS)
+    best, beam = judged.argmax(axis=0), np.arange(candidates.source.size)
     chance = judged[best, beam]
-    hole = found.source == Provenance.HOLE
-    kind = np.where(hole, np.where(best == 0, Provenance.FILLED, Provenance.INTERPOLATED), found.source)
+    hole = candidates.source == Provenance.HOLE
+    kind = np.where(hole, np.where(best == 0, Provenance.FILLED, Provenance.INTERPOLATED), candidates.source)
     # A line across a hole is right if both of its ends are; both may have passed through the same pane.
     line = hole & (kind == Provenance.INTERPOLATED)
     least = np.where(line, math.sqrt(max(least_probability, 0.0)), least_probability)
     least = np.where(kind == Provenance.AVERAGED, 0.0, least)
     taken = np.flatnonzero(chance >= np.maximum(least, 0.0))
-    at = found.source.size - 1 - taken if scan.step_rad < 0.0 else taken
-    value, kind = found.beams[best[taken], taken, 0], kind[taken]
+    at = candidates.source.size - 1 - taken if scan.step_rad < 0.0 else taken
+    value, kind = candidates.beams[best[taken], taken, 0], kind[taken]
     result.ranges_m[at], result.lidar_source[at] = value, kind
     result.lidar_probability[at] = chance[taken]
-    result.lidar_sigma_m[at] = np.hypot(found.sigma_shares[kind] * value, 0.5 * HEIGHT_STEP_M)
-    for camera, rows in found.pixels.items():
+    result.lidar_sigma_m[at] = np.hypot(candidates.sigma_shares[kind] * value, 0.5 * HEIGHT_STEP_M)
+    for camera, rows in candidates.pixels.items():
         pixel, kinds = rows[:, 0].astype(np.intp), rows[:, 1].astype(np.intp)
         chance = probabilities(kinds, rows[:, 3:], PIXEL_ODDS)
         taken = np.flatnonzero(chance >= least_probability)
@@ -276,7 +276,7 @@ def _put_in(
         depth[burrs], source[burrs] = 0.0, Provenance.HOLE
         depth[at], source[at] = value, Provenance.FILLED
         result.depth_probability[camera].ravel()[at] = chance[taken]
-        sigma_m = np.hypot(found.pixel_sigma_share * value, 0.5 * HEIGHT_STEP_M)
+        sigma_m = np.hypot(candidates.pixel_sigma_share * value, 0.5 * HEIGHT_STEP_M)
         result.depth_sigma_m[camera].ravel()[at] = sigma_m
     return replace(result, applied=True)
 
@@ -288,11 +288,11 @@ def eps_of(own: Float32Array, other: Float32Array) -> float:
     Each residual is limited to a twentieth of the range: real differences (a low cupboard) can be metres, and
     a few of them would hide all outliers.
     """
-    both = np.isfinite(own) & np.isfinite(other)
-    if not both.any():
+    in_both = np.isfinite(own) & np.isfinite(other)
+    if not in_both.any():
         return LEAST_EPS_SHARE
-    apart = np.abs(own[both] - other[both]) / own[both]
-    mean = float(np.minimum(apart, 2.0 * LEAST_EPS_SHARE).mean())
+    errors = np.abs(own[in_both] - other[in_both]) / own[in_both]
+    mean = float(np.minimum(errors, 2.0 * LEAST_EPS_SHARE).mean())
     return max(EPS_OVER_E * mean, LEAST_EPS_SHARE)
 
 
@@ -310,8 +310,8 @@ def _seen_by_lidar(
 
 def roughness(ranges: Float32Array, steady: Float32Array) -> float:
     """Return the noise of a curve as a share of the range, from the residual of smoothing; else ``nan``."""
-    apart = np.abs(ranges - steady) / ranges
-    return float(np.nanmedian(apart)) if np.isfinite(apart).any() else math.nan
+    errors = np.abs(ranges - steady) / ranges
+    return float(np.nanmedian(errors)) if np.isfinite(errors).any() else math.nan
 
 
 def _pixel_candidates(
@@ -362,6 +362,6 @@ def _unchanged(scan: LidarCurve, images: tuple[DepthImage, ...]) -> Denoised:
         for depth, image in zip(depths, images, strict=True)
     )
     ranges = np.array(scan.ranges_m, dtype=np.float32)
-    told, sigma_m = (np.full(ranges.size, np.nan, np.float32) for _ in range(2))
-    tolds, sigmas_m = (tuple(np.full(depth.shape, np.nan, np.float32) for depth in depths) for _ in range(2))
-    return Denoised(ranges, lidar, depths, sources, told, tolds, sigma_m, sigmas_m, False)
+    prob, sigma_m = (np.full(ranges.size, np.nan, np.float32) for _ in range(2))
+    probs, sigmas_m = (tuple(np.full(depth.shape, np.nan, np.float32) for depth in depths) for _ in range(2))
+    return Denoised(ranges, lidar, depths, sources, prob, probs, sigma_m, sigmas_m, False)

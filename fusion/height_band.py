@@ -183,8 +183,8 @@ def dense_enough(points: FloatArray, radius_m: float, least_neighbours: int) -> 
 
     if not len(points):
         return np.zeros(0, dtype=np.bool_)
-    found = cKDTree(points).query_ball_point(points, radius_m, return_length=True)
-    return np.asarray(found > least_neighbours)
+    neighbours = cKDTree(points).query_ball_point(points, radius_m, return_length=True)
+    return np.asarray(neighbours > least_neighbours)
 
 
 def obstacle_points(

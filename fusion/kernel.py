@@ -3,7 +3,7 @@
 Numba stores the code in the folder that ``NUMBA_CACHE_DIR`` names, else next to the source, else in the
 user's cache folder. This decorator improves three things. It loads numba at the first call of a kernel. Numba
 recompiles a kernel if its own file changed; here also if a kernel or constant that it imports from another
-file changed. And if no folder is writable, numba stops with an error; here the user is told once, and every
+file changed. And if no folder is writable, numba stops with an error; here the user is warned once, and every
 run compiles again.
 """
 

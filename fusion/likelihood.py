@@ -96,8 +96,8 @@ def _log_ratios(
                     continue
                 near, gain, sharp = curve[w:], weight[w:], sharpness[w:]
                 for u in range(windows):
-                    apart = (expected - near[u]) * sharp[u]
-                    total[u] += max(gain[u] - apart * apart, floor)
+                    residual = (expected - near[u]) * sharp[u]
+                    total[u] += max(gain[u] - residual * residual, floor)
             for u in range(windows):
                 best[v, u] = max(best[v, u], total[u])
     return best
@@ -126,10 +126,10 @@ def log_ratios_at(
     inside = (at >= 0) & (at < curve.ranges_m.size)
     at = at.clip(0, curve.ranges_m.size - 1)
     expected = np.where(inside, curve.ranges_m[at], np.nan)
-    both = np.isfinite(candidates_m) & np.isfinite(expected)
-    apart = np.where(both, candidates_m - np.where(inside, np.nan_to_num(expected), 0.0), 0.0)
+    in_both = np.isfinite(candidates_m) & np.isfinite(expected)
+    residual = np.where(in_both, candidates_m - np.where(inside, np.nan_to_num(expected), 0.0), 0.0)
     # A camera in front of the lidar measures shorter ranges, most of all straight ahead.
     shifts = offsets_m[:, None, None] * np.cos(bearings_rad)
-    scaled = (apart + shifts) * sharpness[at]
-    gained = np.where(both, np.maximum(weight[at] - scaled * scaled, floor), 0.0)
-    return gained.sum(axis=2), both.sum(axis=1).astype(np.float64)
+    scaled = (residual + shifts) * sharpness[at]
+    gained = np.where(in_both, np.maximum(weight[at] - scaled * scaled, floor), 0.0)
+    return gained.sum(axis=2), in_both.sum(axis=1).astype(np.float64)

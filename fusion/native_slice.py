@@ -106,11 +106,11 @@ def _slice(
             if not 0.0 < value <= range_max_m:
                 continue
             reach = value * range_of_depth[row, col]
-            off = abs(slope * reach - height_m)
+            error_m = abs(slope * reach - height_m)
             # The tolerance is half a pixel, plus noise and the quantisation of the height.
-            if off > 0.5 * (fall * reach + HEIGHT_STEP_M):
+            if error_m > 0.5 * (fall * reach + HEIGHT_STEP_M):
                 continue
             nearer = reach < best[col] - EDGE_M
-            if np.isnan(best[col]) or nearer or (off < error[col] and reach < best[col] + EDGE_M):
-                best[col], error[col] = reach, off
+            if np.isnan(best[col]) or nearer or (error_m < error[col] and reach < best[col] + EDGE_M):
+                best[col], error[col] = reach, error_m
     return best

@@ -70,10 +70,10 @@ class Registration:
 
     def _repr_html_(self) -> str:
         """Draw the lidar curve, and in red the curves of the cameras as registered."""
-        seen = join(self.stacks).curve(self.v)
-        turned = Curve(seen.ranges_m, seen.start_angle_rad + self.yaw_rad, seen.step_rad)
-        both = drawn(black=self.curve.points(), red=turned.points())
-        return with_pictures(self, both, shaded(self.score_map[::-1]))
+        curve = join(self.stacks).curve(self.v)
+        turned = Curve(curve.ranges_m, curve.start_angle_rad + self.yaw_rad, curve.step_rad)
+        drawing = drawn(black=self.curve.points(), red=turned.points())
+        return with_pictures(self, drawing, shaded(self.score_map[::-1]))
 
     @property
     def first_yaw_step(self) -> int:
@@ -124,18 +124,18 @@ def register(scan: LidarCurve, depth: Depths, *, heights_m: FloatArray = HEIGHTS
     # Walls are vertical: all heights together select the offset, then the best height is chosen.
     profile = scores.mean(axis=0)
     u = int(np.argmax(profile))
-    found = registration_at(curve, stacks, scores, int(np.argmax(scores[:, u])), u, _belief_near(profile, u))
-    return replace(found, grade=Grade.MIDDLE) if found.grade == Grade.HIGH and _swings(found) else found
+    match = registration_at(curve, stacks, scores, int(np.argmax(scores[:, u])), u, _belief_near(profile, u))
+    return replace(match, grade=Grade.MIDDLE) if match.grade == Grade.HIGH and _swings(match) else match
 
 
-def _swings(found: Registration) -> bool:
+def _swings(match: Registration) -> bool:
     """Return whether the offset changes once the camera may have another position than the lidar."""
-    aligned = align([found.curve], [join(found.stacks).curve(found.v)], found.yaw_rad)
+    aligned = align([match.curve], [join(match.stacks).curve(match.v)], match.yaw_rad)
     if aligned is None:
         return False  # a single wall does not determine the motion
     T = aligned.T_laser_level
-    apart = math.remainder(math.atan2(T[1, 0], T[0, 0]) - found.yaw_rad, 2.0 * math.pi)
-    return abs(apart) > NEAR_SAMPLES * found.curve.step_rad
+    turn_rad = math.remainder(math.atan2(T[1, 0], T[0, 0]) - match.yaw_rad, 2.0 * math.pi)
+    return abs(turn_rad) > NEAR_SAMPLES * match.curve.step_rad
 
 
 def registration_at(

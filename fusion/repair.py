@@ -113,16 +113,16 @@ def _drop_bumps(
     """Move short runs behind a surface onto it, if it is whole on both sides and for the other sensor."""
     first = 1
     while first < own.size - 1:
-        if not _odd(own, other, first, eps_share):
+        if not _is_outlier(own, other, first, eps_share):
             first += 1
             continue
         last = first
-        while last + 1 < own.size and _odd(own, other, last + 1, eps_share):
+        while last + 1 < own.size and _is_outlier(own, other, last + 1, eps_share):
             last += 1
         if last - first < burr_samples and last + 1 < own.size:
             left, right = own[first - 1], own[last + 1]
-            one = abs(left - right) <= EDGE_M + 2.0 * eps_share * min(left, right)  # false for nan
-            if one and (
+            one_surface = abs(left - right) <= EDGE_M + 2.0 * eps_share * min(left, right)  # false for nan
+            if one_surface and (
                 _agrees(own, other, first - 1, eps_share) or _agrees(own, other, last + 1, eps_share)
             ):
                 for i in range(first, last + 1):
@@ -142,9 +142,9 @@ def _drop_veil(
     that extends over this beam. An object in front of both of its neighbours is never changed.
     """
     for i in range(2, own.size - 2):
-        if source[i] != MEASURED or not _odd(own, other, i, eps_share):
+        if source[i] != MEASURED or not _is_outlier(own, other, i, eps_share):
             continue
-        if not _hangs(own, i, max(SLACK_M, eps_share * own[i])):
+        if not _is_between(own, i, max(SLACK_M, eps_share * own[i])):
             continue
         rim = SLACK_M + 2.0 * eps_share * other[i]
         left = abs(other[i - 1] - other[i]) <= rim
@@ -159,7 +159,7 @@ def _drop_veil(
 
 
 @kernel
-def _hangs(own: Float32Array, i: int, slack_m: float) -> bool:
+def _is_between(own: Float32Array, i: int, slack_m: float) -> bool:
     """Return whether there are a nearer and a farther reading within two beams, and none as far."""
     nearer = farther = False
     for j in range(i - 2, i + 3):
@@ -190,7 +190,7 @@ def _moved(
 
 
 @kernel
-def _odd(own: Float32Array, other: Float32Array, i: int, eps_share: float) -> bool:
+def _is_outlier(own: Float32Array, other: Float32Array, i: int, eps_share: float) -> bool:
     """Return whether both have a reading, and no nearby one of the other agrees with this one."""
     if np.isnan(own[i]) or np.isnan(other[i]):
         return False

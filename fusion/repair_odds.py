@@ -105,18 +105,18 @@ def beam_candidates(
     doubted = np.isnan(steady) | (source == FILLED) | (source == INTERPOLATED)
     value = np.where(hole, other, replaced)
     nothing = np.full_like(value, np.nan)
-    found = np.stack(
+    ranges = np.stack(
         [describe_beams(own, steady, other, doubted, put, eps_share, crowd) for put in (value, nothing)]
     )
-    kind = np.full(found.shape[:2], -1)
+    kind = np.full(ranges.shape[:2], -1)
     kind[0] = np.select(
         [hole & np.isfinite(other), source == FILLED, source == INTERPOLATED, source == AVERAGED],
         [0, 2, 3, 4],
         -1,
     )
     kind[1, hole] = 1
-    kind[np.isnan(found[..., 0])] = -1
-    return kind, found
+    kind[np.isnan(ranges[..., 0])] = -1
+    return kind, ranges
 
 
 @kernel
@@ -167,15 +167,15 @@ def describe_beams(
         line = width + 1.0
         # A straight wall is almost a straight line in 1 / range.
         line /= (right - i) / steady[left] + (i - left) / steady[right]
-        put = line if np.isnan(value[i]) else value[i]
+        put_m = line if np.isnan(value[i]) else value[i]
         low, high = max(0, i - crowd), min(count, i + crowd + 1)
         around = lost[high] - lost[low] - lost[min(high, right)] + lost[max(low, left + 1)]
-        result[i, 0], result[i, 1] = put, math.log(width)
+        result[i, 0], result[i, 1] = put_m, math.log(width)
         result[i, 2] = over_noise(steady[left] - steady[right], line, eps_share)
         result[i, 3] = math.log(1.0 + around)
         result[i, 4] = 0.0 if np.isnan(other[i]) else over_noise(other[i] - line, line, eps_share)
-        result[i, 5] = math.log(put)
-        result[i, 6] = 0.0 if np.isnan(own[i]) else over_noise(own[i] - put, put, eps_share)
+        result[i, 5] = math.log(put_m)
+        result[i, 6] = 0.0 if np.isnan(own[i]) else over_noise(own[i] - put_m, put_m, eps_share)
     return result
 
 

@@ -63,15 +63,15 @@ def island_size(at: int, islands: Islands, slack_share: float) -> int:
     slack_share
         Step between neighbours of one surface, as a share of the range.
     """
-    depth, sizes, found = islands
+    depth, sizes, queue = islands
     if sizes[at] > 0:
         return int(sizes[at])
     height, width = depth.shape
     flat = depth.ravel()
     count, done, size = 1, 0, 0
-    found[0], sizes[at] = at, -1
+    queue[0], sizes[at] = at, -1
     while done < count and size == 0:
-        here = found[done]
+        here = queue[done]
         done += 1
         row, col = here // width, here % width
         for step in range(4):
@@ -79,20 +79,20 @@ def island_size(at: int, islands: Islands, slack_share: float) -> int:
             if not (0 <= r < height and 0 <= c < width):
                 continue
             there = r * width + c
-            if sizes[there] == -1 or not _hang(flat[here], flat[there], slack_share):
+            if sizes[there] == -1 or not _same_surface(flat[here], flat[there], slack_share):
                 continue
-            if sizes[there] > 0 or count == found.size:
-                size = found.size
+            if sizes[there] > 0 or count == queue.size:
+                size = queue.size
                 break
-            found[count], sizes[there] = there, -1
+            queue[count], sizes[there] = there, -1
             count += 1
     for k in range(count):
-        sizes[found[k]] = size if size > 0 else count
+        sizes[queue[k]] = size if size > 0 else count
     return size if size > 0 else count
 
 
 @kernel
-def _hang(near: float, far: float, slack_share: float) -> bool:
+def _same_surface(near: float, far: float, slack_share: float) -> bool:
     """Return whether two neighbours may be on one surface; false for a hole."""
     return near > 0.0 and far > 0.0 and abs(near - far) <= 0.5 * HEIGHT_STEP_M + slack_share * min(near, far)
 
@@ -149,17 +149,17 @@ def pixel_candidates(
     depth = image.ravel()
     islands = (image, np.zeros(depth.size, np.int32), np.empty(max(most_pixels) + 1, np.int32))
     predicted, columns = shifted[0], shifted.shape[1]
-    residual, gone, farthest = np.empty(columns), np.zeros(columns + 1, np.int32), np.float32(0.0)
+    residual, nans, farthest = np.empty(columns), np.zeros(columns + 1, np.int32), np.float32(0.0)
     for value in depth:
         if farthest < value <= range_max_m:
             farthest = value
-    rows, curves = (np.empty((256, 14)), 0), (shifted, lost, residual, gone)
+    rows, curves = (np.empty((256, 14)), 0), (shifted, lost, residual, nans)
     limits = range_max_m, farthest, eps_share, noise_share
     for k in range(heights_m.size):
         seen = look_at(depth, lookup[0], lookup[1], lookup[2], predicted, heights_m[k], range_max_m)
         pixel, measured = seen[0], seen[1]
         for i in range(columns):
-            gone[i + 1] = gone[i] + (pixel[i] >= 0 and np.isnan(measured[i]))
+            nans[i + 1] = nans[i] + (pixel[i] >= 0 and np.isnan(measured[i]))
             residual[i] = measured[i] - predicted[i] if pixel[i] >= 0 else np.nan
         first = 0
         while first < columns:
@@ -188,8 +188,8 @@ def _with_run(
     lookup: tuple[IntArray, Float32Array, Float32Array],
 ) -> tuple[FloatArray, int]:
     """Add one more run of columns to the rows of `pixel_candidates`; return the rows and their number."""
-    (found, count), (first, last, crowd), (pixel, measured, scale) = rows, run, seen
-    (shifted, lost, residual, gone), (range_max_m, farthest, eps_share, noise_share) = curves, limits
+    (table, count), (first, last, crowd), (pixel, measured, scale) = rows, run, seen
+    (shifted, lost, residual, nans), (range_max_m, farthest, eps_share, noise_share) = curves, limits
     predicted, columns = shifted[0], shifted.shape[1]
     left = first > 0 and abs(residual[first - 1]) <= eps_share * predicted[first - 1]
     right = last + 1 < columns and abs(residual[last + 1]) <= eps_share * predicted[last + 1]
@@ -199,33 +199,33 @@ def _with_run(
         bad = between if hole else (left or right) and island_size(pixel[i], islands, 0.5 * eps_share) <= most
         if pixel[i] < 0 or not bad:
             continue
-        if count == found.shape[0]:
-            found = np.concatenate((found, np.empty_like(found)))
-        row = found[count]
+        if count == table.shape[0]:
+            table = np.concatenate((table, np.empty_like(table)))
+        row = table[count]
         count += 1
         row[0], row[1] = pixel[i], -1.0
         if not between:
             continue
-        one, two, width = residual[first - 1], residual[last + 1], last - first + 1
-        put = predicted[i] + one + (two - one) * (i - first + 1) / (width + 1)
+        before, after, width = residual[first - 1], residual[last + 1], last - first + 1
+        put = predicted[i] + before + (after - before) * (i - first + 1) / (width + 1)
         if put > range_max_m * scale[i]:
             continue
         low, high = max(0, i - crowd), min(columns, i + crowd + 1)
-        around = gone[high] - gone[low] - gone[min(high, last + 1)] + gone[max(low, first)]
+        around = nans[high] - nans[low] - nans[min(high, last + 1)] + nans[max(low, first)]
         jump = 0.0 if hole else over_noise(measured[i] - put, put, eps_share)
-        beside = max(abs(shifted[1, i] - predicted[i]), abs(shifted[2, i] - predicted[i]))
+        error = max(abs(shifted[1, i] - predicted[i]), abs(shifted[2, i] - predicted[i]))
         row[1], row[2], row[3] = 0.0 if hole else 1.0, put / scale[i], math.log(width)
-        row[4], row[5] = over_noise(max(abs(one), abs(two)), put, eps_share), math.log(1.0 + around)
+        row[4], row[5] = over_noise(max(abs(before), abs(after)), put, eps_share), math.log(1.0 + around)
         row[6], row[7] = lost[i], jump if hole or measured[i] > put else -jump
-        row[8] = over_noise(put if np.isnan(beside) else beside, put, eps_share)
+        row[8] = over_noise(put if np.isnan(error) else error, put, eps_share)
         row[9], row[10] = math.log(put), math.log(row[2] / farthest)
         row[11] = math.log(SLACK_M + noise_share * put)
-        row[12], row[13] = _beside(i, pixel[i], put, islands[0].ravel(), lookup, range_max_m, eps_share)
-    return found, count
+        row[12], row[13] = _around(i, pixel[i], put, islands[0].ravel(), lookup, range_max_m, eps_share)
+    return table, count
 
 
 @kernel
-def _beside(
+def _around(
     col: int,
     at: int,
     put_m: float,
@@ -244,8 +244,8 @@ def _beside(
         while 0 <= row < pixels.shape[0]:
             near = pixels[row, col]
             if near >= 0 and near != at and 0.0 < depth[near] <= range_max_m:
-                off = over_noise(depth[near] * range_of_depth[row, col] - put_m, put_m, eps_share)
-                least, most = min(least, off), max(most, off)
+                sigmas = over_noise(depth[near] * range_of_depth[row, col] - put_m, put_m, eps_share)
+                least, most = min(least, sigmas), max(most, sigmas)
                 break
             row += step
     return (most if math.isinf(least) else least), most

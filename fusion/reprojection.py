@@ -47,7 +47,7 @@ def reproject(
     (count,) ranges of the nearest surfaces; ``nan`` if the curve has none.
     """
     other_start, other_step, count = other
-    seen = np.full(count, np.inf, np.float32)
+    nearest = np.full(count, np.inf, np.float32)
     bearing = np.full(ranges.size, np.nan)
     reach = np.full(ranges.size, np.nan)
     for i in range(ranges.size):
@@ -69,29 +69,29 @@ def reproject(
             wide = abs(bearing[i + 1] - bearing[i])
             slack = SLACK_M + slack_share * min(reach[i], reach[i + 1])
             if wide * other_step < 4.0 * step and joined(reach[i], reach[i + 1], step, slack):
-                _draw(seen, bearing[i], bearing[i + 1], reach[i], reach[i + 1])
+                _draw(nearest, bearing[i], bearing[i + 1], reach[i], reach[i + 1])
                 continue
         # At an edge, as wide as the reading itself.
         half = 0.5 * step / other_step
-        _draw(seen, bearing[i] - half, bearing[i] + half, reach[i], reach[i])
+        _draw(nearest, bearing[i] - half, bearing[i] + half, reach[i], reach[i])
     for k in range(count):
-        if np.isinf(seen[k]):
-            seen[k] = np.nan
-    return seen
+        if np.isinf(nearest[k]):
+            nearest[k] = np.nan
+    return nearest
 
 
 @kernel
-def _draw(seen: Float32Array, from_at: float, to_at: float, from_m: float, to_m: float) -> None:
+def _draw(nearest: Float32Array, from_at: float, to_at: float, from_m: float, to_m: float) -> None:
     """Draw a straight piece into the samples that look at it, if it is the nearest; in place."""
     if from_at > to_at:
         from_at, to_at, from_m, to_m = to_at, from_at, to_m, from_m
     wide = max(to_at - from_at, 1e-9)
-    for k in range(max(0, math.ceil(from_at)), min(seen.size - 1, math.floor(to_at)) + 1):
+    for k in range(max(0, math.ceil(from_at)), min(nearest.size - 1, math.floor(to_at)) + 1):
         share = (k - from_at) / wide
         # A straight wall is almost a straight line in 1 / range.
         here = 1.0 / ((1.0 - share) / from_m + share / to_m)
-        if here < seen[k]:
-            seen[k] = here
+        if here < nearest[k]:
+            nearest[k] = here
 
 
 @kernel

@@ -155,11 +155,11 @@ class Rig:
         count = np.zeros(len(self._sum))
         for pair in self._last:
             for stack in pair.stacks:
-                gained, seen = log_ratios_at(
+                gained, counts = log_ratios_at(
                     stack.ranges_m, stack.bearings_rad(), pair.curve, yaw_rad, offsets_m
                 )
                 ratio += gained
-                count += seen
+                count += counts
         mean = ratio / np.maximum(count, max(LEAST_COVER * count.max(), 1.0))
         offset, v = np.unravel_index(np.argmax(mean), mean.shape)
         return int(v), float(offsets_m[offset])

@@ -49,16 +49,16 @@ class HeightContest:
 
         Upright walls are equal at many heights; only surfaces that begin or end between them differ.
         """
-        seen = np.diag(self._shared)
+        cover = np.diag(self._shared)
         laplacian = np.diag(self._shared.sum(axis=1)) - self._shared
-        values = np.linalg.lstsq(laplacian + 1e-6 * np.eye(seen.size), self._gain.sum(axis=1), rcond=None)[0]
-        values = np.where(seen > LEAST_COVER * seen.max(), values, -np.inf)
+        values = np.linalg.lstsq(laplacian + 1e-6 * np.eye(cover.size), self._gain.sum(axis=1), rcond=None)[0]
+        values = np.where(cover > LEAST_COVER * cover.max(), values, -np.inf)
         best = int(np.argmax(values))
-        near = values >= values[best] - _AS_GOOD
+        is_good = values >= values[best] - _AS_GOOD
         first = last = best
-        while first > 0 and near[first - 1] and best - first < _MOST_STEPS:
+        while first > 0 and is_good[first - 1] and best - first < _MOST_STEPS:
             first -= 1
-        while last + 1 < seen.size and near[last + 1] and last - best < _MOST_STEPS:
+        while last + 1 < cover.size and is_good[last + 1] and last - best < _MOST_STEPS:
             last += 1
         return best, first, last
 
@@ -94,9 +94,9 @@ def log_ratios(
             if np.isnan(expected):
                 continue
             sigma = SIGMA_SHARE * (0.5 + expected)
-            apart = (np.hypot(x, y) - expected) / sigma
+            error = (np.hypot(x, y) - expected) / sigma
             same = (
-                SAME_SHARE * np.exp(-0.5 * apart * apart) / (np.sqrt(2.0 * np.pi) * sigma * ELSEWHERE_PER_M)
+                SAME_SHARE * np.exp(-0.5 * error * error) / (np.sqrt(2.0 * np.pi) * sigma * ELSEWHERE_PER_M)
             )
             result[v, w] = np.log(same + 1.0 - SAME_SHARE)
     return result

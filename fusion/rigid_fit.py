@@ -59,10 +59,10 @@ def ransac(
     for _ in range(ROUNDS):
         residual = residuals(matrix, source, target)
         agree = residual <= EPS_OVER_E * min(float(residual.mean()), 3.0 * float(np.median(residual)))
-        again = solve(source[agree], target[agree]) if agree.sum() >= size else None
-        if again is None:
+        refined = solve(source[agree], target[agree]) if agree.sum() >= size else None
+        if refined is None:
             break
-        matrix = again
+        matrix = refined
     return matrix
 
 

@@ -63,9 +63,9 @@ def _counted(name: str, value: Sized) -> str:
     """Return a few short values as they are; for more, their number and type."""
     kinds = set[str]()
     if isinstance(value, list | tuple):
-        text = ", ".join(_shown(name, one) for one in value[:5])
+        text = ", ".join(_shown(name, item) for item in value[:5])
         text = f"({text})" if isinstance(value, tuple) else f"[{text}]"
-        kinds = {type(one).__name__ for one in value if one is not None}
+        kinds = {type(item).__name__ for item in value if item is not None}
     else:
         text = repr(value) if isinstance(value, dict) and len(value) <= 4 else "..."
     if len(value) <= 4 and len(text) <= 100 and "..." not in text:

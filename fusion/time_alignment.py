@@ -138,8 +138,8 @@ def turns_between(known_s: FloatArray, turned_rad: FloatArray, spans_s: FloatArr
     [0.3]
     """
     yaw_rad = np.column_stack([np.cumsum(turned_rad) - turned_rad, np.cumsum(turned_rad)])
-    found = np.interp(spans_s, known_s.ravel(), yaw_rad.ravel())
-    return np.asarray(found[..., 1] - found[..., 0])
+    yaws = np.interp(spans_s, known_s.ravel(), yaw_rad.ravel())
+    return np.asarray(yaws[..., 1] - yaws[..., 0])
 
 
 def _covered(spans_s: FloatArray, known_s: FloatArray, margin_s: float) -> NDArray[np.bool_]:

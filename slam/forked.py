@@ -18,7 +18,7 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any, TypeAlias
 
-Tell: TypeAlias = Callable[[bytes], None]
+Send: TypeAlias = Callable[[bytes], None]
 
 _LENGTH = struct.Struct("<I")
 
@@ -37,7 +37,7 @@ class Forked:
         Ends it, wherever it is.
     """
 
-    def __init__(self, work: Callable[[Tell], None]) -> None:
+    def __init__(self, work: Callable[[Send], None]) -> None:
         self._source, target = os.pipe()
         self._received = bytearray()
         gc.freeze()  # or else the copy's collector would write to, and so copy, all that it shares
@@ -93,9 +93,9 @@ class Begun:
         self._left = list(computes)
         self._copy: Forked | None = None
 
-        def work(tell: Tell) -> None:
+        def work(send: Send) -> None:
             for compute in computes:
-                tell(pickle.dumps(compute(), pickle.HIGHEST_PROTOCOL))
+                send(pickle.dumps(compute(), pickle.HIGHEST_PROTOCOL))
 
         if is_core_free():
             self._copy = Forked(work)
@@ -138,11 +138,11 @@ def _end(source: int, number: int) -> None:
         os.waitpid(number, 0)
 
 
-def _work(work: Callable[[Tell], None], target: int) -> None:
+def _work(work: Callable[[Send], None], target: int) -> None:
     """What a copy does; it never returns."""
     waiting = bytearray()
 
-    def tell(content: bytes) -> None:
+    def send(content: bytes) -> None:
         waiting.extend(_LENGTH.pack(len(content)) + content)
         with suppress(BlockingIOError):
             del waiting[: os.write(target, waiting)]
@@ -152,7 +152,7 @@ def _work(work: Callable[[Tell], None], target: int) -> None:
         warnings.simplefilter("ignore")
         logging.disable()
         os.set_blocking(target, False)
-        work(tell)
+        work(send)
         os.set_blocking(target, True)
         while waiting:
             del waiting[: os.write(target, waiting)]

@@ -32,7 +32,7 @@ ColorImage: TypeAlias = NDArray[np.uint8]
 Pose: TypeAlias = "gtsam.Pose2 | gtsam.Pose3"
 
 
-# Standard gravity, by which a reading in g is told (ISO 80000-3).
+# Standard gravity, the unit of a reading in g (ISO 80000-3).
 GRAVITY_M_S2 = 9.80665
 # x, y and yaw in GTSAM's order of a tangent in space: roll, pitch, yaw, x, y, z.
 IN_PLANE = [3, 4, 2]

@@ -80,7 +80,7 @@ class ArraySpool:
 
 
 def no_room(what: str, error: OSError) -> ScanweaveError:
-    """What is told where the disk is full."""
+    """The error for a full disk."""
     return ScanweaveError(
         f"cannot keep {what} in {tempfile.gettempdir()}: {error.strerror or error}; "
         "set TMPDIR to a folder with free space"

@@ -12,15 +12,15 @@ import numpy as np
 import pytest
 
 from slam import forked
-from slam.forked import Begun, Forked, Tell, is_core_free
+from slam.forked import Begun, Forked, Send, is_core_free
 
 
 def test_all_that_is_told_comes_in_its_order_however_much_waits() -> None:
     blocks = [bytes([number]) * size for number, size in enumerate((0, 1, 70_000, 3_000_000, 5))]
 
-    def work(tell: Tell) -> None:
+    def work(send: Send) -> None:
         for block in blocks:
-            tell(block)
+            send(block)
 
     copy = Forked(work)
     time.sleep(0.05)  # it is not waited for, and waits for nobody
@@ -31,8 +31,8 @@ def test_all_that_is_told_comes_in_its_order_however_much_waits() -> None:
 
 
 def test_an_error_ends_what_it_tells_without_a_word(capfd: pytest.CaptureFixture[str]) -> None:
-    def work(tell: Tell) -> None:
-        tell(b"one")
+    def work(send: Send) -> None:
+        send(b"one")
         raise ValueError("nobody reads this")
 
     copy = Forked(work)
@@ -42,8 +42,8 @@ def test_an_error_ends_what_it_tells_without_a_word(capfd: pytest.CaptureFixture
 
 
 def test_it_does_not_heed_an_interrupt_and_ends_when_it_is_closed() -> None:
-    def work(tell: Tell) -> None:
-        tell(b"begun")
+    def work(send: Send) -> None:
+        send(b"begun")
         while True:
             time.sleep(0.01)
 
@@ -58,7 +58,7 @@ def test_it_does_not_heed_an_interrupt_and_ends_when_it_is_closed() -> None:
 
 
 def test_nobody_is_left_where_it_is_forgotten() -> None:
-    copy = Forked(lambda tell: time.sleep(60.0))
+    copy = Forked(lambda send: time.sleep(60.0))
     number = copy.number
     del copy
     with pytest.raises(ProcessLookupError):
@@ -102,8 +102,8 @@ def test_a_copy_that_waits_for_what_never_comes_is_given_up(monkeypatch: pytest.
     wait = select.select
     monkeypatch.setattr(forked.select, "select", lambda *of: wait(*of[:3], 0.05))
 
-    def work(tell: Tell) -> None:
-        tell(b"begun")
+    def work(send: Send) -> None:
+        send(b"begun")
         closed = threading.Lock()
         closed.acquire()
         closed.acquire()
@@ -128,7 +128,7 @@ def test_a_copy_that_is_gone_already_is_no_error() -> None:
     """As in a service that was started with SIGCHLD ignored."""
     before = signal.signal(signal.SIGCHLD, signal.SIG_IGN)
     try:
-        copy = Forked(lambda tell: tell(b"done"))
+        copy = Forked(lambda send: send(b"done"))
         assert copy.receive() == b"done" and copy.receive() is None
         copy.close()
     finally:

@@ -41,9 +41,9 @@ def main() -> None:
             for name in METHODS:
                 cost = child(name, options.folder, Path(folder) / name)
                 costs[name] += [] if cost is None else [cost]
-        for name, told in costs.items():
-            if told:
-                cpu_s, peak_mb = min(cpu for cpu, _ in told), max(peak for _, peak in told)
+        for name, measured in costs.items():
+            if measured:
+                cpu_s, peak_mb = min(cpu for cpu, _ in measured), max(peak for _, peak in measured)
                 print(f"| {name} | {cpu_s:.1f} | {peak_mb:.0f} | ", end="", flush=True)
                 child("sharpness", options.folder, Path(folder) / name)
 
@@ -117,10 +117,10 @@ def sharpness(folder: Path, out: Path) -> None:
     from slam.storage.tum import read_tum
 
     if out.is_dir():
-        told = read_tum(out / "trajectory.tum")
-        poses = np.tile(np.eye(4), (len(told), 1, 1))
-        poses[:, :3, :3] = Rotation.from_quat(told.quaternions_xyzw).as_matrix()
-        poses[:, :3, 3] = told.positions_m
+        trajectory = read_tum(out / "trajectory.tum")
+        poses = np.tile(np.eye(4), (len(trajectory), 1, 1))
+        poses[:, :3, :3] = Rotation.from_quat(trajectory.quaternions_xyzw).as_matrix()
+        poses[:, :3, 3] = trajectory.positions_m
     else:
         poses = np.load(out.with_suffix(".npy"))
     planes, others = PlaneVoxels(1.0, 0.2), []

@@ -1,7 +1,7 @@
 """Say by which commit each table of figures was measured, and tell those that are too old to stand so.
 
     python tools/date_figures.py            marks tables without a mark, by git's account of their oldest row
-    python tools/date_figures.py --check    tells what is wrong, and ends with 1 if anything is
+    python tools/date_figures.py --check    prints what is wrong, and ends with 1 if anything is
 
 A mark is the line before a table, ``<!-- measured: COMMIT DATE -->``: no row is of an earlier commit. A table
 that is older than the release before the latest says so: ``<!-- measured: COMMIT DATE, earlier version -->``.
@@ -66,10 +66,10 @@ def outdated(repo: Path, commit: str) -> bool:
     releases = (_git(repo, "tag", "--list", "v*", "--sort=-creatordate") or "").split()
     if len(releases) < 2:
         return False
-    told = subprocess.run(
+    completed = subprocess.run(
         ["git", "merge-base", "--is-ancestor", releases[1], commit], cwd=repo, capture_output=True
     )
-    return told.returncode != 0
+    return completed.returncode != 0
 
 
 def mark_tables(repo: Path, page: Path) -> None:
@@ -79,9 +79,9 @@ def mark_tables(repo: Path, page: Path) -> None:
     missing = [(first, end) for first, end, mark in tables(lines) if mark is None]
     if not missing:
         return
-    told = _git(repo, "blame", "-w", "-C", "-C", "--line-porcelain", "HEAD", "--", str(page)) or ""
-    commits = re.findall(r"^([0-9a-f]{40}) \d+ \d+", told, re.MULTILINE)
-    times = [int(time) for time in re.findall(r"^committer-time (\d+)$", told, re.MULTILINE)]
+    blame = _git(repo, "blame", "-w", "-C", "-C", "--line-porcelain", "HEAD", "--", str(page)) or ""
+    commits = re.findall(r"^([0-9a-f]{40}) \d+ \d+", blame, re.MULTILINE)
+    times = [int(time) for time in re.findall(r"^committer-time (\d+)$", blame, re.MULTILINE)]
     for first, end in reversed(missing):
         oldest = min(range(first, end), key=times.__getitem__)
         day = _git(repo, "show", "-s", "--format=%cs", commits[oldest])
@@ -92,8 +92,8 @@ def mark_tables(repo: Path, page: Path) -> None:
 
 def _git(repo: Path, *arguments: str) -> str | None:
     """What git says; None where it fails."""
-    told = subprocess.run(["git", *arguments], cwd=repo, capture_output=True, text=True)
-    return told.stdout.strip() if told.returncode == 0 else None
+    completed = subprocess.run(["git", *arguments], cwd=repo, capture_output=True, text=True)
+    return completed.stdout.strip() if completed.returncode == 0 else None
 
 
 if __name__ == "__main__":

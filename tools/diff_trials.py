@@ -8,8 +8,8 @@ Two drives a home, of different seeds (tour, noise, somebody who walks about), a
 command line, once each, into a folder that keeps them, and the maps compared. A moved piece of furniture is
 two places: one that it left, and one that it came to. A place is in sight where each drive looked there for
 a second: scans of the one met the thing at the height of the lidar, and scans of the other looked through
-what had been met. A report is right where it lies within a cell of such a place and tells what happened
-there; what is told of places that were in sight for less is neither right by chance nor wrong.
+what had been met. A report is right if it lies within a cell of such a place and states what happened
+there; reports of places that were in sight for less are neither right nor wrong.
 """
 
 from __future__ import annotations
@@ -80,7 +80,7 @@ def main() -> None:
             missed = ", ".join(f"{place.kind}" for place in row.places if place.in_sight and not place.found)
             print(
                 f"| {home} | {row.count('in sight')} | {row.count('found')} | {row.reports} | "
-                f"{len(row.wrong)} | {row.told} of {row.movable} | {row.cpu_s:.1f} | "
+                f"{len(row.wrong)} | {row.moved_reported} of {row.movable} | {row.cpu_s:.1f} | "
                 f"{missed}; {', '.join(row.wrong)} |",
                 flush=True,
             )
@@ -89,12 +89,12 @@ def main() -> None:
 
 @dataclass
 class Row:
-    """What became of a pair: true places, reports, the wrong ones, and things told as moved."""
+    """The result of a pair: true places, reports, the wrong ones, and objects reported as moved."""
 
     places: list[Place]
     reports: int
     wrong: list[str]
-    told: int
+    moved_reported: int
     movable: int
     cpu_s: float
 
@@ -109,7 +109,7 @@ class Row:
 
 
 def summary(rows: Sequence[Row]) -> str:
-    """Precision, recall and F1 over all pairs, and what was told beside that."""
+    """Precision, recall and F1 over all pairs, and the share of moved objects."""
     total = Counter({key: sum(row.count(key) for row in rows) for key in ("all", "in sight", "found")})
     of_all = sum(row.count("found of all") for row in rows)
     reports, wrong = sum(row.reports for row in rows), sum(len(row.wrong) for row in rows)
@@ -121,7 +121,7 @@ def summary(rows: Sequence[Row]) -> str:
         f"\n{len(rows)} pairs: F1 {f1:.3f}, precision {precision:.3f} ({reports - wrong} of {reports}), "
         f"recall {recall:.3f} ({total['found']} of {total['in sight']} places in sight); of all "
         f"{total['all']} places {of_all} found; {wrong} false alarms in {with_false} pairs; moved told as "
-        f"moved {sum(row.told for row in rows)} of {sum(row.movable for row in rows)}"
+        f"moved {sum(row.moved_reported for row in rows)} of {sum(row.movable for row in rows)}"
     )
 
 

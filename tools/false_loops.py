@@ -236,8 +236,8 @@ def ranked(
     kept = np.ones(len(edges), np.bool_)
     poses = solved(found, edges)
     loops = np.array([number for number, edge in enumerate(edges) if edge.loop is not None])
-    told = LinearMap(poses, edges, kept).influences(loops)
-    rankings = [loops[np.argsort(-values)] for values in (told.shifts_m, told.residuals, told.left_out)]
+    effect = LinearMap(poses, edges, kept).influences(loops)
+    rankings = [loops[np.argsort(-values)] for values in (effect.shifts_m, effect.residuals, effect.left_out)]
     ends = np.array([(edges[loop].source, edges[loop].target) for loop in loops])
     gates = []
     for reach in (0, keyframes):

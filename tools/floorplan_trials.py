@@ -3,7 +3,7 @@
     python tools/floorplan_trials.py WORK --homes 1-15 [--rig sick2d]
 
 Drives and maps are made in WORK where they are missing. A room is found where one of the plan has it with an
-intersection over union of half; what is told of walls, lengths and areas is compared in these. A length or
+intersection over union of half; walls, lengths and areas are compared in these. A length or
 an area counts where the plan gives an interval.
 """
 
@@ -143,7 +143,7 @@ def _overlap(one: FloatArray, other: FloatArray) -> float:
 
 
 def _compare(score: Score, room: Room, found: FoundRoom, turn: FloatArray, shift: FloatArray) -> None:
-    """What a plan tells of a room against the room."""
+    """Compare a room of a plan with the true room."""
     sides = np.array(room.rectangle).reshape(2, 2)
     for wall in found.walls:
         if wall.sigma_m is None:
@@ -164,17 +164,17 @@ def _compare(score: Score, room: Room, found: FoundRoom, turn: FloatArray, shift
 
 def _row(score: Score, doors: str) -> str:
     """The rest of a row."""
-    told = len(score.walls_m)
+    walls = len(score.walls_m)
     return (
         f"| {np.mean(score.overlaps):.3f} | {doors} | {_rms(np.array(score.walls_m)):.4f} "
-        f"| {told} of {told + score.walls_untold} | {_held(score.lengths)} | {_held(score.areas)} |"
+        f"| {walls} of {walls + score.walls_untold} | {_held(score.lengths)} | {_held(score.areas)} |"
     )
 
 
-def _held(told: list[tuple[float, float]]) -> str:
+def _held(errors: list[tuple[float, float]]) -> str:
     """How many intervals hold the truth."""
-    held = sum(abs(off) <= half for off, half in told)
-    return f"{held} of {len(told)} ({held / max(len(told), 1):.3f})"
+    held = sum(abs(error) <= half for error, half in errors)
+    return f"{held} of {len(errors)} ({held / max(len(errors), 1):.3f})"
 
 
 def _counts(pair: list[int]) -> str:

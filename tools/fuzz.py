@@ -104,7 +104,7 @@ class Tally:
 
 
 def log_content(path: Path) -> dict[str, list[str]]:
-    """The readings of a log and its truth, and what is told of it: skips, topics that are not read, notes."""
+    """The readings of a log and its truth, and what is reported: skips, topics that are not read, notes."""
     from slam.datasets import open_dataset
 
     dataset = open_dataset(path)

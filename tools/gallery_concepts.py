@@ -177,8 +177,8 @@ def layers(work: Work) -> Image.Image:
     found = {name: layer(work.home, name) for name in ("lidar", "depth", "decision")}
     seen = window(*(one.values for one in found.values()))
     figure, drawn = panels(3)
-    told = ("Lidar, at its own height", "Cameras, over the robot's height", "Both: what a robot may drive by")
-    for axes, name, title in zip(drawn, found, told, strict=True):
+    head = ("Lidar, at its own height", "Cameras, over the robot's height", "Both: what a robot may drive by")
+    for axes, name, title in zip(drawn, found, head, strict=True):
         values = found[name].values
         image = painted(values)
         if name == "decision":
@@ -197,18 +197,18 @@ def localisation(work: Work) -> Image.Image:
     outputs = [
         localizer.add(measurement) for measurement in log if measurement.stamp_s > log[0].stamp_s + BEGUN_S
     ]
-    told = [output for output in outputs if output is not None]
-    for output in told:
+    done = [output for output in outputs if output is not None]
+    for output in done:
         if output.state is slam.State.TRACKING and output.pose is not None:
             way += [row_from_pose2(past.pose) for past in output.recovered] + [row_from_pose2(output.pose)]
-    found_s = next(output.stamp_s for output in told if output.state is slam.State.TRACKING) - told[0].stamp_s
+    found_s = next(output.stamp_s for output in done if output.state is slam.State.TRACKING) - done[0].stamp_s
     figure, (search, track) = panels(2, 1300, 620)
     for axes in (search, track):
         draw_walls(axes, house)
     house.close()
-    for one in told[0].hypotheses:
+    for one in done[0].hypotheses:
         robot(search, row_from_pose2(one.pose), ORANGE, 0.6)
-    share = max(one.probability for one in told[0].hypotheses)
+    share = max(one.probability for one in done[0].hypotheses)
     titled(search, f"The first scan: here with {share:.0%}; else elsewhere, or in no map")
     track.plot(*np.array(way)[:, :2].T, color=BLUE, linewidth=1.6)
     titled(track, f"Found after {found_s:.1f} s; the way before is known then, too")

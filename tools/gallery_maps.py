@@ -96,7 +96,7 @@ class Work:
 
     @cached_property
     def rooms(self) -> Path:
-        """The map of another home, whose rooms are told apart."""
+        """The map of another home, divided into rooms."""
         return self._mapped(self._driven(self.folder / "tour", RIGS["sick2d"], 1, home=1), "rooms")
 
     @cached_property

@@ -3,7 +3,7 @@
     python tools/gnss_trials.py STREET/log.mcap [...] [--gap BEGIN END] [--until SECONDS]
 
 Each is a bag of ``scanweave simulate --street``, with ``groundtruth.txt`` beside it. It is mapped without its
-IMU, with its fixes and without; a row each tells the error of the way as laid on the truth, and how often
+IMU, with its fixes and without; each row has the error of the path aligned to the truth, and how often
 the 95 % ellipses hold it. What the runs say goes to stderr.
 """
 
@@ -54,8 +54,8 @@ def main() -> None:
             held = coverage(made.trajectory, made.covariances, truth, 0.02)
             name = f"{street.parent.name}, {'with fixes' if fixes else 'loops alone'}"
             print(f"| {name} | {error.rmse:.2f} | {error.max:.2f} | {held.position:.2f} |", flush=True)
-            told = [note for note in made.notes if note.startswith("GNSS")]
-            print("; ".join([*told, *made.warnings]), file=sys.stderr)
+            gnss_notes = [note for note in made.notes if note.startswith("GNSS")]
+            print("; ".join([*gnss_notes, *made.warnings]), file=sys.stderr)
             made.close()
 
 

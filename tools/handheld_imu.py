@@ -4,7 +4,7 @@
 
 Somebody carries an RGB-D camera (Kinect, 15 frames a second) along a simulated tour of a home: bobbing,
 swaying, looking up and down, held askew at the start. Written are a folder that ``scanweave map`` reads and
-its truth; it is mapped with its IMU (EuRoC's, usual faults) and without. A row each tells how far the upright
+its truth; it is mapped with its IMU (EuRoC's, usual faults) and without. Each row has how far the upright
 of the map leans from the true one, and the error of the way as laid on the truth.
 """
 

@@ -180,11 +180,11 @@ BAGS["run lengths of a gigapixel"] = _image(
 BAGS["pgm of a gigapixel"] = _image("png", b"P5 32768 32767 255\n")
 
 
-def _chunk(packing: str, pack: Callable[[bytes], bytes], unit: bytes, times: int, told: int = -1) -> Writer:
+def _chunk(packing: str, pack: Callable[[bytes], bytes], unit: bytes, times: int, stated: int = -1) -> Writer:
     """An MCAP with one chunk that decompresses to a repeated unit."""
 
     def write(folder: Path) -> Path:
-        packed, size = pack(unit * times), len(unit) * times if told < 0 else told
+        packed, size = pack(unit * times), len(unit) * times if stated < 0 else stated
         name = packing.encode()
         body = struct.pack("<QQQI", 0, 1, size, 0) + struct.pack("<I", len(name)) + name
         body += struct.pack("<Q", len(packed)) + packed
@@ -198,7 +198,7 @@ def _chunk(packing: str, pack: Callable[[bytes], bytes], unit: bytes, times: int
 _NOTHING = b"\x63" + bytes(8)
 BAGS["zstd, records of no bytes"] = _chunk("zstd", zstd.compress, _NOTHING, 14_000_000)
 BAGS["zstd, a chunk of half a gigabyte"] = _chunk("zstd", zstd.compress, bytes(1 << 20), 500)
-BAGS["zstd, a chunk that tells too little"] = _chunk("zstd", zstd.compress, bytes(1 << 20), 500, 100)
+BAGS["zstd, a chunk that states too small a size"] = _chunk("zstd", zstd.compress, bytes(1 << 20), 500, 100)
 BAGS["lz4, records of no bytes"] = _chunk("lz4", lz4.frame.compress, _NOTHING, 14_000_000)
 BAGS["a message that unpacks to a gigabyte"] = mcap(
     _SCAN, of(_SCAN)[0], zstd.compress(bytes(1 << 20) * 1000), packing=CompressionType.NONE, messages=20

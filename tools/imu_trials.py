@@ -6,7 +6,7 @@ Streets of the simulator (42 s, usual faults) whose corners are taken at 6 m/s, 
 each is drawn into FOLDER once and mapped without its satellite fixes, whole, without every third cloud, and
 with clouds of 20 points only for 3 s about its first corner after 15 s, or for 20 s, where wheels tell 0.3 %
 too much. A row a case: over the worlds, the median and in brackets the worst. Where the log ends with the gap
-it is told how far off the robot then is, of the way driven in it. What the runs say goes to stderr.
+printed is the error of the robot then, as a share of the path driven in it. What the runs say goes to stderr.
 """
 
 from __future__ import annotations
@@ -95,7 +95,7 @@ def cut(log: Dataset, case: Case, truth: Trajectory) -> Iterator[Measurement]:
 
 
 def wheels(truth: Trajectory, every: int = 5) -> Iterator[WheelOdometry]:
-    """What a car's wheels tell, 20 times a second: its way, told too long, and turns about its upright."""
+    """Wheel odometry of a car, 20 Hz: its path, measured too long, and turns about its upright axis."""
     rolled, before = gtsam.Pose2(), None
     for stamp_s, place, turn in zip(
         truth.stamps_s[::every].tolist(),
@@ -167,10 +167,10 @@ def main() -> None:
     for case in CASES:
         rows = np.array([trial(street, case) for street in streets])
         (ate, far, lean, most, off, nees, held), worst = np.median(rows, axis=0), rows.max(axis=0)
-        told = f"{off:.2f} ({worst[4]:.2f}) %" if case.ends else ""
+        drift = f"{off:.2f} ({worst[4]:.2f}) %" if case.ends else ""
         print(
             f"| {case.name} | {ate:.1f} ({worst[0]:.1f}) | {far:.0f} ({worst[1]:.0f}) | {lean:.2f} "
-            f"({worst[2]:.2f}) | {most:.2f} ({worst[3]:.2f}) | {told} | {nees:.1f} ({worst[5]:.1f}) | "
+            f"({worst[2]:.2f}) | {most:.2f} ({worst[3]:.2f}) | {drift} | {nees:.1f} ({worst[5]:.1f}) | "
             f"{held:.2f} ({rows[:, 6].min():.2f}) |",
             flush=True,
         )

@@ -21,7 +21,7 @@ from pathlib import Path
 
 import numpy as np
 
-# What must be the same. The report tells of times, and a surface's last bits are Open3D's threads'.
+# What must be the same. The report contains times, and a surface's last bits depend on Open3D's threads.
 COMPARED = ("trajectory.tum", "graph.g2o", "map.yaml", "map.pgm", "map.db")
 _COMMAND = "import sys; from slam.cli import main; sys.argv[0] = 'scanweave'; main()"
 

@@ -45,11 +45,11 @@ def main() -> None:
         place = round(truth[key].x()), round(truth[key].y())
         before = last_seen.get(place, key)
         if key - before > 100 and rng.random() < 0.6:
-            told = noisy(rng, truth[before], truth[key], LOOP)
+            measured = noisy(rng, truth[before], truth[key], LOOP)
             if rng.random() < 0.02:
                 false.append(len(graph.edges))
-                told = gtsam.Pose2(*rng.normal(0.0, 1.0, 3))
-            graph.add_edge(Edge(before, key, told, np.diag(LOOP**2), EdgeKind.LOOP, False, loop=loops))
+                measured = gtsam.Pose2(*rng.normal(0.0, 1.0, 3))
+            graph.add_edge(Edge(before, key, measured, np.diag(LOOP**2), EdgeKind.LOOP, False, loop=loops))
             loops += 1
         last_seen[place] = key
         graph.update()

@@ -183,15 +183,15 @@ def _mapped(
 
 def _verdict(name: str, place: Path, nursery: Nursery, *, maps: bool) -> dict[str, Any]:
     """As `judged`, in a process of its own: what a sample leaves behind, or breaks, is gone with it."""
-    told = place / "verdict.json"
+    file = place / "verdict.json"
     if child := os.fork():
         os.waitpid(child, 0)
-        return json.loads(told.read_text())
+        return json.loads(file.read_text())
     try:
         verdict = judged(name, place, nursery, maps=maps)
     except BaseException:
         verdict = {"result": "BROKEN", "why": traceback.format_exc()[-1500:]}
-    told.write_text(json.dumps(verdict))
+    file.write_text(json.dumps(verdict))
     os._exit(0)
 
 

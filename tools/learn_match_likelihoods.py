@@ -25,7 +25,7 @@ from slam.estimates import Trajectory
 from slam.localization.cloud_sensor import CloudSensor
 from slam.localization.known_map import Walls, has_walls
 from slam.localization.planar_sensor import PlanarSensor
-from slam.localization.poses import apart
+from slam.localization.poses import separation
 from slam.localization.scan_view import ScanView
 from slam.localization.sensor import Keyframe
 from slam.mapper.pipeline import build_map
@@ -106,7 +106,7 @@ def rivals(
     aligned = [(place, sensor.align(view, place)) for place in places]
     poses = [place if found is None else found.T_reference_base for place, found in aligned]
     right = [] if motion is None else [motion.T_reference_base]
-    return right, [pose for pose in poses if apart(pose, true)[0] > WRONG_M]
+    return right, [pose for pose in poses if separation(pose, true)[0] > WRONG_M]
 
 
 def at(trajectory: Trajectory, n: int) -> gtsam.Pose3:

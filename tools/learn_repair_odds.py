@@ -5,8 +5,8 @@
 Of simulated drives (seed 5, two rigs of Xu2024) in homes 11 to 18 and 41 to 48, by the simulator's own
 sensors and by those of `tools/second_sensors.py`, all that could be put in is compared with the truth: what
 holds of one model of a sensor alone is not learned. What takes the place of a lidar's reading, and the mean,
-are learned by the own sensors alone. Printed are the weights, and for homes 21 to 24 how often what was told
-came true. What is told of the repair is told of others: `tools/repair_worth.py`.
+are learned by the own sensors alone. Printed are the weights, and for homes 21 to 24 the predicted and
+true shares. The repair is scored on other homes: `tools/repair_worth.py`.
 """
 
 from __future__ import annotations
@@ -48,8 +48,8 @@ def main() -> None:
     print(table(learned))
     for kind, (features, right) in checked.items():
         weights = np.round(logistic(*learned[kind]), 2)
-        told = probabilities(np.zeros(len(right), np.intp), features, weights[None])
-        print(f"{kind}: {reliability(told, right)}")
+        predicted = probabilities(np.zeros(len(right), np.intp), features, weights[None])
+        print(f"{kind}: {reliability(predicted, right)}")
 
 
 def table(learned: Samples) -> str:
@@ -118,19 +118,19 @@ def logistic(features: Floats, right: NDArray[np.bool_]) -> Floats:
     return weights
 
 
-def reliability(told: Floats, right: NDArray[np.bool_]) -> str:
-    """What was told and what came true, tenth by tenth, with how many there were."""
-    tenth = np.minimum((10.0 * told).astype(int), 9)
+def reliability(predicted: Floats, is_right: NDArray[np.bool_]) -> str:
+    """Mean predicted probability and true share for each tenth of the range, with the number of values."""
+    tenth = np.minimum((10.0 * predicted).astype(int), 9)
     parts = [tenth == number for number in range(10)]
     return ", ".join(
-        f"{told[own].mean():.2f} {right[own].mean():.2f} ({own.sum()})" for own in parts if own.any()
+        f"{predicted[own].mean():.2f} {is_right[own].mean():.2f} ({own.sum()})" for own in parts if own.any()
     )
 
 
-def by_rank(told: Floats, right: NDArray[np.bool_]) -> str:
-    """What was told and what came true of each tenth of the values, the least likely tenth first."""
-    parts = np.array_split(np.argsort(told), 10)
-    return ", ".join(f"{told[own].mean():.3f} {right[own].mean():.3f}" for own in parts if own.size)
+def by_rank(predicted: Floats, is_right: NDArray[np.bool_]) -> str:
+    """Mean predicted probability and true share of each tenth of the values, the least likely first."""
+    parts = np.array_split(np.argsort(predicted), 10)
+    return ", ".join(f"{predicted[own].mean():.3f} {is_right[own].mean():.3f}" for own in parts if own.size)
 
 
 if __name__ == "__main__":

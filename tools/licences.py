@@ -55,14 +55,14 @@ def needed_by(name: str, extras: Iterable[str] = ()) -> list[Package]:
 
 def licence_of(package: Distribution) -> str:
     """What a package says: an SPDX expression, else its classifiers, else the first line of its text."""
-    told = package.metadata
-    if expression := told.get("License-Expression"):
+    metadata = package.metadata
+    if expression := metadata.get("License-Expression"):
         return str(expression)
     classes = [
-        line.rsplit(" :: ", 1)[-1] for line in told.get_all("Classifier") or () if "License ::" in line
+        line.rsplit(" :: ", 1)[-1] for line in metadata.get_all("Classifier") or () if "License ::" in line
     ]
     named = [line for line in classes if line != "OSI Approved"]
-    return ", ".join(named) or (told.get("License") or "").strip().partition("\n")[0]
+    return ", ".join(named) or (metadata.get("License") or "").strip().partition("\n")[0]
 
 
 def forbidden(licence: str) -> bool:

@@ -2,12 +2,12 @@
 
 The truth is the full run's own trajectory, seen from the nearest of the mapped readings, which both runs
 have: how the two maps bend against each other over their length is not the localiser's error. For comparison
-the tracking error is also told against the full run aligned as a whole. Travel counts as mapped where the
+the tracking error is also given against the full run aligned as a whole. Travel counts as mapped where the
 true pose explains most of the scan.
 
 With ``--drawn`` the robot is localised in the map's picture alone, or a worse one: see `tools.drawn_maps`.
-Truth, starts and the mapped part stay those of the map itself. With ``--told`` every start is told as well
-as a person points at it (``right``), or is told to be where another one is (``wrong``).
+Truth, starts and the mapped part stay those of the map itself. With ``--told`` every start is given as well
+as a person points at it (``right``), or is given at the place of another one (``wrong``).
 
 Of a folder of ``scanweave simulate --campus`` the map is drawn from the true poses, so that no error of the
 map is the localiser's, and the drive, tracked and found from random starts, has all its faults.
@@ -229,7 +229,7 @@ def search_trial(case: Case, rng: np.random.Generator) -> None:
     )
 
 
-def starts_trial(case: Case, count: int, rng: np.random.Generator, told: str | None = None) -> None:
+def starts_trial(case: Case, count: int, rng: np.random.Generator, given_start: str | None = None) -> None:
     """Localisation from random starts."""
     found, confident_and_wrong = 0, 0
     print("\n| start | first found after m | of them mapped | error m | degrees | wrong and sure |")
@@ -238,8 +238,8 @@ def starts_trial(case: Case, count: int, rng: np.random.Generator, told: str | N
     sigmas = np.array([START_SIGMA[0], *START_SIGMA])
     for n, start in enumerate(starts):
         known = None
-        if told:
-            true = case.truth[start if told == "right" else starts[n - count // 2]]
+        if given_start:
+            true = case.truth[start if given_start == "right" else starts[n - count // 2]]
             pose = pose2_from_row(compose(true, sigmas * rng.standard_normal(3)))
             known = Measured(pose, np.diag(sigmas**2))
         path_m, mapped_m, first, errors = run_from(case, int(start), known)

@@ -24,7 +24,7 @@ from pathlib import Path
 import numpy as np
 
 COPIED = ("slam", "fusion", "tests", "tools", "configs", "pyproject.toml")
-# What tells of a room or a file besides the tests of its name and those that import it.
+# Tests of a package or a file besides those of its name and those that import it.
 _BELIEVED = ("tests/mapper/test_whom_to_believe*.py",)
 BESIDE = {
     "slam/odometry": _BELIEVED,

@@ -30,7 +30,7 @@ _SAME_HEIGHT_M = 0.10
 
 @dataclass(frozen=True)
 class Mounting:
-    """Of the camera on the robot, and whether its tilt is told."""
+    """Of the camera on the robot, and whether its tilt is given."""
 
     name: str
     x_m: float = 0.0
@@ -39,7 +39,7 @@ class Mounting:
     yaw_deg: float = 0.0
     pitch_deg: float = 0.0
     roll_deg: float = 0.0
-    told: bool = True
+    is_given: bool = True
 
     def rig(self) -> Rig:
         """The robot with it."""
@@ -51,12 +51,12 @@ class Mounting:
         )
 
     def turn(self, pair: TruePair, rig: Rig) -> fusion.DepthImage:
-        """The image without the yaw, and without the tilt where it is not told."""
+        """The image without the yaw, and without the tilt if it is not given."""
         image = pair.images[0].depth
         mounted = rig.cameras[0].T_base_camera.rotation().matrix()
         turned = image.R_level_camera @ mounted.T
         own = camera_pose((0.0, 0.0, 0.0)).rotation().matrix()
-        if self.told:
+        if self.is_given:
             own = gtsam.Rot3.Rz(-math.radians(self.yaw_deg)).matrix() @ mounted
         return dataclasses.replace(image, R_level_camera=turned @ own)
 
@@ -64,10 +64,10 @@ class Mounting:
 MOUNTINGS = (
     Mounting("level, 0.7 m over the lidar"),
     *(Mounting(f"{angle} degrees down", pitch_deg=angle) for angle in (5, 10, 20)),
-    *(Mounting(f"{angle} degrees down, not given", pitch_deg=angle, told=False) for angle in (5, 10, 20)),
+    *(Mounting(f"{angle} degrees down, not given", pitch_deg=angle, is_given=False) for angle in (5, 10, 20)),
     *(Mounting(f"{angle} degrees up", z_m=0.3, pitch_deg=-angle) for angle in (10, 20)),
     Mounting("rolled by 10 degrees", roll_deg=10),
-    Mounting("rolled by 10 degrees, not given", roll_deg=10, told=False),
+    Mounting("rolled by 10 degrees, not given", roll_deg=10, is_given=False),
     Mounting("0.5 m in front", x_m=0.6),
     Mounting("0.5 m behind", x_m=-0.4),
     Mounting("0.5 m to the side", y_m=0.5),
@@ -122,8 +122,8 @@ def line(mounting: Mounting, homes: list[int], seed: int, most: int) -> str:
         offset = np.hypot(*(T[:2, 2] - T_laser_camera.translation()[:2]))
         height = estimate.height_m + T_laser_camera.z()
         drives.append((f"{math.degrees(yaw - yaw_rad):.1f}", f"{height:.2f}", f"{offset:.2f}"))
-    told = " | ".join(", ".join(column) for column in zip(*drives, strict=True))
-    return f"| {mounting.name} | {high / max(count, 1):.2f} | {wrong} | {told} |"
+    cells = " | ".join(", ".join(column) for column in zip(*drives, strict=True))
+    return f"| {mounting.name} | {high / max(count, 1):.2f} | {wrong} | {cells} |"
 
 
 if __name__ == "__main__":

@@ -342,8 +342,8 @@ def polycam(folder: Path, footage: Footage) -> Path:
         put(folder / "keyframes" / "images" / f"{name}.jpg", color)
         put(folder / "keyframes" / "depth" / f"{name}.png", depth)
         put(folder / "keyframes" / "confidence" / f"{name}.png", np.full(depth.shape, 255, np.uint8))
-        told = {f"t_{row}{column}": float(phone[row, column]) for row in range(3) for column in range(4)}
-        put(folder / "keyframes" / "cameras" / f"{name}.json", json.dumps({**fields, **told}))
+        transform = {f"t_{row}{column}": float(phone[row, column]) for row in range(3) for column in range(4)}
+        put(folder / "keyframes" / "cameras" / f"{name}.json", json.dumps({**fields, **transform}))
     return folder
 
 

@@ -96,8 +96,8 @@ def kitti_raw(folder: Path, turns: Turns) -> Path:
         place = [latitude, np.degrees(east / (scale * radius)), 112.0 + imu[2, 3], *_rpy(imu)]
         # Five speeds, forces and rates on the vehicle's axes and on level ones, two errors, five states.
         rates, forces, level = felt[1:4], felt[4:7], [0.0] * 3
-        told = [*place, *[0.0] * 5, *forces, *level, *rates, *level, 0.1, 0.1, *[4.0] * 5]
-        put(drive / "oxts" / "data" / f"{number:010d}.txt", numbers(told) + "\n")
+        fields = [*place, *[0.0] * 5, *forces, *level, *rates, *level, 0.1, 0.1, *[4.0] * 5]
+        put(drive / "oxts" / "data" / f"{number:010d}.txt", numbers(fields) + "\n")
     put(drive / "velodyne_points" / "timestamps.txt", stamps)
     put(drive / "oxts" / "timestamps.txt", felt_at)
     return drive
@@ -228,8 +228,8 @@ def complex_urban(folder: Path, turns: Turns) -> Path:
     """Complex Urban: two lidars on their sides, poses of the car; turns are of the left one."""
     truth, first_s = "", 1559194000
     for side in ("left", "right"):
-        told = f"R: {numbers(TILTED[:3, :3])}\nT: {numbers(TILTED[:3, 3])}\n"
-        put(folder / "calibration" / f"Vehicle2{side.title()}VLP.txt", told)
+        mounting = f"R: {numbers(TILTED[:3, :3])}\nT: {numbers(TILTED[:3, 3])}\n"
+        put(folder / "calibration" / f"Vehicle2{side.title()}VLP.txt", mounting)
     for stamp_s, points, _, pose in _turns(turns):
         ticks = round(1e9 * (stamp_s + first_s))
         for side in ("left", "right"):

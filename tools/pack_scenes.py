@@ -32,12 +32,12 @@ def three_r_scan(folder: Path, footage: Footage, color_lens: CameraIntrinsics | 
     lens = footage.lens
     place = folder / "0a4b8ef6-a83a-21f2-8672-dce34dd0d7ca" / "sequence"
     lenses = {"Color": color_lens or lens, "Depth": lens}
-    told = ["m_versionNumber = 4", "m_sensorName = tango", "m_depthShift = 1000"]
+    lines = ["m_versionNumber = 4", "m_sensorName = tango", "m_depthShift = 1000"]
     for kind, one in lenses.items():
-        told += [f"m_{kind.lower()}Width = {one.width}", f"m_{kind.lower()}Height = {one.height}"]
-        told.append(f"m_calibration{kind}Intrinsic = {numbers(matrix(one, 4))}")
-        told.append(f"m_calibration{kind}Extrinsic = {numbers(np.eye(4))}")
-    put(place / "_info.txt", "\n".join([*told, f"m_frames.size = {len(footage.poses)}"]) + "\n")
+        lines += [f"m_{kind.lower()}Width = {one.width}", f"m_{kind.lower()}Height = {one.height}"]
+        lines.append(f"m_calibration{kind}Intrinsic = {numbers(matrix(one, 4))}")
+        lines.append(f"m_calibration{kind}Extrinsic = {numbers(np.eye(4))}")
+    put(place / "_info.txt", "\n".join([*lines, f"m_frames.size = {len(footage.poses)}"]) + "\n")
     return _frames(place, footage, "jpg", "pgm")
 
 

@@ -71,12 +71,12 @@ def main() -> None:
             )
         )
         person = {one.scan.stamp_s: one.fault == Fault.PERSON for one in events if isinstance(one, ScanEvent)}
-        told = [
+        measurements = [
             event.scan if isinstance(event, ScanEvent) else event.reading
             for event in events
             if isinstance(event, ScanEvent | OdometryEvent)
         ]
-        made = build_map(Measured(told), config).map
+        made = build_map(Measured(measurements), config).map
         placed = [
             (scan, pose2_from_row(pose))
             for scan, pose in zip(made.measured_scans, made.keyframe_poses, strict=True)

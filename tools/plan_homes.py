@@ -83,8 +83,8 @@ def scores_of(drive: Drive, home: int) -> dict[str, dict[str, float]]:
     way = drive.tour.poses_at(np.arange(0.0, drive.tour.duration_s, 0.02))[:, :2]
     stamps = np.array([scan.stamp_s for scan in raw])
     true_poses = np.array([row_from_pose2(pose) for pose in keys.true_poses])
-    told, true = (Trajectory.from_planar(stamps, rows) for rows in (poses, true_poses))
-    T_true_map = absolute_error(told, true).T_reference_map
+    estimate, true = (Trajectory.from_planar(stamps, rows) for rows in (poses, true_poses))
+    T_true_map = absolute_error(estimate, true).T_reference_map
     found = {}
     for name, grid, rule in (
         ("no fusion, Table 3", first, DecisionRule("corrected")),

@@ -4,7 +4,7 @@
 
 Frames of a room at 640 x 480 and turns of 64 x 1024 points are packed as folders and as bags. Alone means:
 OpenCV on each image file, NumPy on each cloud, of bags the rosbags package before that. Passes take turns;
-told is the ratio of the fastest of each.
+printed is the ratio of the fastest of each.
 """
 
 from __future__ import annotations

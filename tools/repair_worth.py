@@ -4,7 +4,7 @@
 
 Of simulated drives: how much of what was put in is off (a range by more than 0.2 m, a depth by more than 0.1
 m), how many holes were filled rightly, of all and of those for which anything right was at hand, what became
-of readings that were replaced; then what the repair told of itself against what came true, for all that could
+of readings that were replaced; then the probabilities of the repair against the true shares, for all that can
 have been put in, and for each tenth of what was filled. Intervals (95 %) are by drawing the pairs anew.
 `--second` takes the sensors of `tools/second_sensors.py` instead of the simulator's own.
 """
@@ -34,11 +34,11 @@ Floats = NDArray[np.float64]
 
 
 class Worth:
-    """What became of the readings of some pairs: counts by name and pair, and what was told of each."""
+    """The readings of some pairs: counts by name and pair, and the probability of each."""
 
     def __init__(self) -> None:
         self.counts: dict[str, list[int]] = defaultdict(list)
-        self.told: dict[str, list[tuple[Floats, Floats, Floats]]] = defaultdict(list)
+        self.odds: dict[str, list[tuple[Floats, Floats, Floats]]] = defaultdict(list)
 
     def add(self, pair: TruePair, estimate: fusion.RigEstimate) -> None:
         """Repair a pair as usual, and with all that could be put in."""
@@ -69,7 +69,7 @@ class Worth:
             was = np.abs(before - truth)
         hole = np.isnan(before)
         new = np.isin(kept[1], _INVENTED)
-        self.told[f"{name} filled"].append(
+        self.odds[f"{name} filled"].append(
             tuple(value[new & hole].astype(float) for value in (kept[2], off[0], kept[3]))
         )
         for what, own in (("filled", new & hole), ("replaced", new & ~hole)):
@@ -88,7 +88,7 @@ class Worth:
         totals[f"{name} dropped good"] += int((gone & (was <= right_m)).sum())
         for kind, own in ((name, np.isin(possible[1], _INVENTED)),
                           (f"{name} mean", possible[1] == fusion.Provenance.AVERAGED)):  # fmt: skip
-            self.told[kind].append(
+            self.odds[kind].append(
                 tuple(value[own].astype(float) for value in (possible[2], off[1], possible[3]))
             )
 
@@ -116,8 +116,8 @@ _SHARES = {
 }
 
 
-def tell(title: str, worth: Worth) -> None:
-    """Print the figures: a table of shares, and how far the probabilities that were told come true."""
+def print_figures(title: str, worth: Worth) -> None:
+    """Print the figures: a table of shares, and the calibration of the probabilities."""
     print(f"| {title} | ranges | depths |\n|---|---|---|")
     for label, (part, whole) in _SHARES.items():
         cells = (share(worth, f"{name} {part}", f"{name} {whole}") for name in ("beam", "pixel"))
@@ -125,14 +125,14 @@ def tell(title: str, worth: Worth) -> None:
     print()
     for name, right_m in (("beam", RIGHT_BEAM_M), ("pixel", RIGHT_PIXEL_M)):
         for kind in (name, f"{name} mean"):
-            told, off, sigma = (np.concatenate(column) for column in zip(*worth.told[kind], strict=True))
-            right = off <= right_m
-            if told.size:
-                print(f"{kind}: told, true: {reliability(told, right)}")
-                inside = [f"{np.mean(off[right] <= times * sigma[right]):.2f}" for times in (1.0, 2.0)]
+            odds, err, sigma = (np.concatenate(column) for column in zip(*worth.odds[kind], strict=True))
+            right = err <= right_m
+            if odds.size:
+                print(f"{kind}: predicted, true: {reliability(odds, right)}")
+                inside = [f"{np.mean(err[right] <= times * sigma[right]):.2f}" for times in (1.0, 2.0)]
                 print(f"{kind}: right ones within one and two sigma: {', '.join(inside)}", flush=True)
-        told, off, _ = (np.concatenate(column) for column in zip(*worth.told[f"{name} filled"], strict=True))
-        print(f"{name} filled, tenths of them: told, true: {by_rank(told, off <= right_m)}", flush=True)
+        odds, err, _ = (np.concatenate(column) for column in zip(*worth.odds[f"{name} filled"], strict=True))
+        print(f"{name} filled, tenths of them: predicted, true: {by_rank(odds, err <= right_m)}", flush=True)
 
 
 def of_pairs(pairs: Sequence[TruePair], worth: Worth) -> None:
@@ -161,7 +161,7 @@ def main() -> None:
             drive = prepare_drive(generate_home(home), RIGS[rig], arguments.seed)
             pairs: Iterable[TruePair] = simulate_pairs(drive, arguments.pairs)
             of_pairs(list(second_pairs(drive, pairs) if arguments.second else pairs), worth)
-    tell(
+    print_figures(
         f"homes {arguments.homes}, {arguments.rigs}, {'second' if arguments.second else 'own'} faults", worth
     )
 

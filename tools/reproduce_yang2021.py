@@ -37,7 +37,7 @@ from slam.simulation.rigs import RIGS
 
 # The paper's l and sigma; its h is the camera's height over the base's centre, which here is on the floor.
 BAND = HeightBand(base_height_m=0.0, workspace_m=0.20, climb_m=0.03)
-# Chosen on the drive of seed 0, which is not among those that are scored. The paper tells neither.
+# Chosen on the drive of seed 0, which is not among those that are scored. The paper gives neither.
 LEAST_POINTS, OCCUPIED_ABOVE = 9, 0.9
 
 

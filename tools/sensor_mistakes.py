@@ -226,7 +226,7 @@ MISTAKES: dict[str, Mistake] = {
     "wheels left for right": Mistake(
         lambda log, _: _wheels(log, lambda x, y, yaw, s: (x, -y, -yaw)),
         "mirrored",
-        lambda _: _wheel(mirrored=True),  # or the lidar: undecidable without an IMU, and told so
+        lambda _: _wheel(mirrored=True),  # or the lidar: undecidable without an IMU, and reported as such
     ),
     "wheel base wrong": Mistake(
         _turned_more, "turn scale", lambda size: _wheel(turn_scale=1.0 / size), (1.5, 0.7)

@@ -41,19 +41,19 @@ class Mistake:
 
 
 def _turned(pose: gtsam.Pose3, yaw_deg: float) -> gtsam.Pose3:
-    """A mounting told with another yaw, where it is."""
+    """A mounting given with another yaw, at its true position."""
     turn = gtsam.Rot3.Yaw(math.radians(yaw_deg))
     return gtsam.Pose3(turn.compose(pose.rotation()), pose.translation())
 
 
 def _rolled(pose: gtsam.Pose3, _: float) -> gtsam.Pose3:
-    """A mounting told upside down."""
+    """A mounting given upside down."""
     turn = gtsam.Rot3.Roll(math.pi)
     return gtsam.Pose3(turn.compose(pose.rotation()), pose.translation())
 
 
 def _moved(pose: gtsam.Pose3, by_m: float) -> gtsam.Pose3:
-    """A mounting told too far ahead."""
+    """A mounting given too far ahead."""
     return gtsam.Pose3(pose.rotation(), np.asarray(pose.translation()) + np.array([by_m, 0.0, 0.0]))
 
 
@@ -79,7 +79,7 @@ def _times(cloud: PointCloud, factor: float) -> PointCloud:
 
 
 def _mounting(sensor: type, change: Callable[[gtsam.Pose3, float], gtsam.Pose3], *sizes: float) -> Mistake:
-    """A mounting told wrongly."""
+    """A wrong mounting."""
     name = "T_base_camera" if sensor is RgbdFrame else "T_base_lidar"
 
     def make(reading: Any, size: float) -> Any:

@@ -2,7 +2,7 @@
 
 Drives are simulated and mapped by the command line, once each, into a folder that keeps them. Every ordered
 pair of a map and a session is then connected. Both trajectories of a joined map are scored together, after
-one rigid alignment to the truth: the simulator tells it in the frame of the home for all drives.
+one rigid alignment to the truth: the simulator gives it in the frame of the home for all drives.
 """
 
 from __future__ import annotations

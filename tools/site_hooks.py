@@ -32,15 +32,15 @@ def _settings() -> Iterator[str]:
     """A table for each section of the configuration, as ``scanweave config`` prints it."""
     yield "# All settings\n\nWhat `scanweave config` prints: defaults, with their limits in brackets.\n"
     yield "| setting | default | meaning |\n|---|---|---|"
-    path, told = list[str](), ""
+    path, comment = list[str](), ""
     for line in filter(str.strip, dump_config(load_config()).splitlines()):
         text = line.strip()
         if text.startswith("#"):
-            told = text.strip(" #").replace("|", "\\|")
+            comment = text.strip(" #").replace("|", "\\|")
             continue
         name, _, value = text.partition(":")
         path = [*path[: (len(line) - len(text)) // 2], name]
         if value:
-            yield f"| `{'.'.join(path)}` | `{value.strip()}` | {told} |"
+            yield f"| `{'.'.join(path)}` | `{value.strip()}` | {comment} |"
         elif len(path) == 1:
-            yield f"\n## {name}\n\n{told}\n\n| setting | default | meaning |\n|---|---|---|"
+            yield f"\n## {name}\n\n{comment}\n\n| setting | default | meaning |\n|---|---|---|"

@@ -35,7 +35,7 @@ from slam.simulation.home import generate_home
 from slam.simulation.record import record_drive
 from slam.simulation.rigs import RIGS, Rig
 from slam.simulation.tour import plan_tour
-from slam.simulation.wall_tags import hang_tags, known_places
+from slam.simulation.wall_tags import known_places, place_tags
 from slam.storage.tum import read_tum
 from slam.vision.tags import TagView, find_tags
 
@@ -56,7 +56,7 @@ def drive_of(
     """A drive on disk, drawn where it is missing; all its tags, and when its first lap ends."""
     building = generate_home(home, "office")
     tour = plan_tour(building, rig.robot_radius_m, rig.robot_height_m, home, duration_s)
-    building = hang_tags(building, tags, home, tour.poses_xyt)
+    building = place_tags(building, tags, home, tour.poses_xyt)
     log, lap = folder / f"{rig.name}-{home}", folder / f"{rig.name}-{home}.lap"
     if not log.exists():
         made = record_drive(building, rig, home, log, FAULT_PRESETS["usual"], duration_s, formats=("folder",))

@@ -128,44 +128,44 @@ def row(path: Path, options: Namespace, evaluate: Callable[..., Any]) -> str:
     kept = np.array([factor.kept for factor in factors] + [False] * (len(edges) - len(factors)))
     graph = Graph(found.planar, found.contents.node_poses, edges, kept)
     began = time.process_time()
-    told = LinearMap(graph.poses, edges, kept).influences(
+    effect = LinearMap(graph.poses, edges, kept).influences(
         [n for n, one in enumerate(edges) if one.loop is not None]
     )
     seconds = time.process_time() - began
     evaluate(SETUP, graph.page())
     base = graph.solved(kept)
-    ratios, left_out = measure(graph, left_out_loops(told, kept, options.loops), base, told, evaluate)
-    _, forced = measure(graph, refused_loops(told, kept, options.forced), base, told, evaluate)
+    ratios, left_out = measure(graph, left_out_loops(effect, kept, options.loops), base, effect, evaluate)
+    _, forced = measure(graph, refused_loops(effect, kept, options.forced), base, effect, evaluate)
     off = np.abs(ratios - 1.0)
-    cells = [path.name, len(graph.poses), len(edges), len(told.edges), f"{seconds:.2f}"]
+    cells = [path.name, len(graph.poses), len(edges), len(effect.edges), f"{seconds:.2f}"]
     cells += [f"{np.mean(off <= 0.15):.0%}", f"{off.max():.1%}", *times(left_out), *times(forced)]
     found.close()
     return "| " + " | ".join(str(cell) for cell in cells) + " |"
 
 
-def left_out_loops(told: Influences, kept: BoolArray, count: int) -> list[int]:
+def left_out_loops(effect: Influences, kept: BoolArray, count: int) -> list[int]:
     """Half are the strongest, the others evenly taken from what is left."""
-    inside = [n for n in np.argsort(-told.shifts_m) if kept[told.edges[n]]]
+    inside = [n for n in np.argsort(-effect.shifts_m) if kept[effect.edges[n]]]
     strong, rest = inside[: count // 2], inside[count // 2 :]
     even = rest[:: max(1, len(rest) // max(count - len(strong), 1))]
     return [int(n) for n in [*strong, *even]]
 
 
-def refused_loops(told: Influences, kept: BoolArray, count: int) -> list[int]:
+def refused_loops(effect: Influences, kept: BoolArray, count: int) -> list[int]:
     """Those that the map misses least."""
-    outside = [n for n in np.argsort(told.left_out) if not kept[told.edges[n]]]
+    outside = [n for n in np.argsort(effect.left_out) if not kept[effect.edges[n]]]
     return [int(n) for n in outside[:count]]
 
 
 def measure(
-    graph: Graph, chosen: Sequence[int], base: FloatArray, told: Influences, evaluate: Callable[..., Any]
+    graph: Graph, chosen: Sequence[int], base: FloatArray, effect: Influences, evaluate: Callable[..., Any]
 ) -> tuple[FloatArray, FloatArray]:
     """Ratios of first order to GTSAM, and (n, 2) milliseconds and millimetres of the page."""
     ratios, rows = [], []
     for n in chosen:
-        edge = int(told.edges[n])
+        edge = int(effect.edges[n])
         exact = graph.solved(graph.switched(edge))
-        ratios.append(told.shifts_m[n] / distances(exact, base).max())
+        ratios.append(effect.shifts_m[n] / distances(exact, base).max())
         answer = evaluate(SWITCH, edge)
         poses = np.array(answer["poses"]).reshape(len(exact), -1)[:, : exact.shape[1]]
         rows.append((answer["milliseconds"], 1e3 * distances(poses, exact).max()))

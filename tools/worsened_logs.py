@@ -60,12 +60,12 @@ def main() -> None:
     print(f"| | {' | '.join(logs)} |\n|---|{'---|' * len(logs)}", flush=True)
     for kind in arguments.kind or KINDS:
         for seed in arguments.seed or [1]:
-            cells = [told(arguments.data / "lidar2d" / log, kind, seed, arguments.set) for log in logs]
+            cells = [cell_of(arguments.data / "lidar2d" / log, kind, seed, arguments.set) for log in logs]
             draw = f", draw {seed}" if len(arguments.seed or []) > 1 else ""
             print(f"| {KINDS[kind]}{draw} | {' | '.join(cells)} |", flush=True)
 
 
-def told(folder: Path, kind: str, seed: int, settings: list[str]) -> str:
+def cell_of(folder: Path, kind: str, seed: int, settings: list[str]) -> str:
     """Mean error of the relations of a log that was made worse, and the greatest."""
     config = load_config(None, settings)
     mapper, scans_s = Mapper(config, PlanarRobot(config)), []

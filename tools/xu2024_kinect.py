@@ -42,7 +42,7 @@ def half_real_check(folder: Path) -> dict[str, float]:
         kept.append((scan, image, _truth(scene, pose, depth.shape)))
     estimate = rig.estimate()
     assert estimate is not None
-    filled, chances, replaced, told, worse, holes, good, changed = [], [], [], [], 0, 0, 0, 0
+    filled, chances, replaced, odds, worse, holes, good, changed = [], [], [], [], 0, 0, 0, 0
     for scan, image, truth in kept:
         repaired = fusion.denoise(scan, image, estimate)
         source, after = repaired.depth_source[0], repaired.depth_m[0]
@@ -54,15 +54,15 @@ def half_real_check(folder: Path) -> dict[str, float]:
         possible = fusion.denoise(scan, image, estimate, least_probability=0.0)
         put = (possible.depth_source[0] == fusion.Provenance.FILLED) & np.isfinite(truth)
         right = np.abs(possible.depth_m[0] - truth) <= RIGHT_PIXEL_M
-        told.append(np.column_stack([possible.depth_probability[0][put], right[put]]))
+        odds.append(np.column_stack([possible.depth_probability[0][put], right[put]]))
         on_plane = _on_plane(image, truth, estimate.height_m)
         holes += int((was_hole & on_plane).sum())
         fine = (np.abs(image.depth_m - truth) < _BAND_M) & on_plane
         good += int(fine.sum())
         changed += int((fine & new).sum())
         worse += int((fine & new & (np.abs(after - truth) > np.abs(image.depth_m - truth) + 0.05)).sum())
-    errors, others, telling, sure = (np.concatenate(parts) for parts in (filled, replaced, told, chances))
-    print(f"half-real, told and true: {reliability(telling[:, 0].astype(float), telling[:, 1] > 0.5)}")
+    errors, others, telling, sure = (np.concatenate(parts) for parts in (filled, replaced, odds, chances))
+    print(f"half-real, predicted and true: {reliability(telling[:, 0].astype(float), telling[:, 1] > 0.5)}")
     print(f"half-real, tenths of what is filled: {by_rank(sure.astype(float), errors <= RIGHT_PIXEL_M)}")
     return {
         "frames": float(len(kept)),

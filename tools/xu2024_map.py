@@ -51,7 +51,7 @@ class DriveMaps:
         """One scan into both; what it truly met is what a map can be asked for."""
         scan, pose = pair.scan, row_from_pose2(pair.T_map_laser)
         for builder, ranges in ((self.before, scan.ranges_m), (self.after, repaired_m)):
-            # Scans of one place are told apart by their times, and a pair tells none.
+            # Scans of one place are distinguished by their times, which a pair does not contain.
             numbered = LaserScan(
                 float(len(self._met)), ranges, scan.start_angle_rad, scan.step_rad, scan.range_max_m
             )

@@ -22,7 +22,7 @@ _SMOOTH_BEAMS, _LIDAR_SLACK = 4, 0.04
 
 
 def score_recall(pair: TruePair, rig: fusion.RigEstimate, tally: Tally) -> None:
-    """Count, for every eps, the pairs of readings told apart rightly.
+    """Count, for every eps, the pairs of readings classified correctly.
 
     A pair of readings is a beam whose true point a camera has in view, and that camera's slice at the
     beam's bearing. It is good where both masks are clean, noise where either has a hole or a burr.

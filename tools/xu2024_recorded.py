@@ -91,7 +91,7 @@ def _load(
 
 
 def _depth_image(frame: RgbdFrame) -> fusion.DepthImage:
-    """The depth of a frame, levelled by its mount where the log tells it."""
+    """The depth of a frame, levelled by its mounting if the log contains it."""
     camera = frame.intrinsics
     mount = frame.T_base_camera or gtsam.Pose3(
         gtsam.Rot3(np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])), np.zeros(3)

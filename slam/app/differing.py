@@ -30,7 +30,7 @@ class Difference:
         Objects that disappeared, appeared or moved, in the frame of the first map. The most likely change
         comes first; each has a probability above one half.
     passing
-        Number of things that were seen only at times: people, glass.
+        Number of objects that were seen only at times: people, glass.
     comparison
         Everything that may have changed, and what both visits saw.
     written
@@ -86,9 +86,9 @@ def diff_maps(
     """
     before = before if isinstance(before, Map) else load_map(before)
     after = after if isinstance(after, Map | None) else load_map(after)
-    for one in (before, after):
-        if one is not None:
-            _refuse_unfit(one)
+    for saved in (before, after):
+        if saved is not None:
+            _refuse_unfit(saved)
     if (after is None) == (sessions is None):
         raise ScanweaveError("give two maps, or two sessions of one map")
     if after is None:
@@ -101,16 +101,16 @@ def diff_maps(
     visits = [
         Visit([contents.measured_scans[k] for k in part], contents.keyframe_poses[part]) for part in parts
     ]
-    found = compare(visits[0], visits[1], spread_between(contents, *parts), before.config)
-    believed = [change for change in found.changes if change.probability > 0.5]
-    things = changed_things(believed, found.resolution_m)
-    passing = sum(change.standing < 0.5 for change in found.changes)
-    difference = Difference(things, passing, found)
+    compared = compare(visits[0], visits[1], spread_between(contents, *parts), before.config)
+    believed = [change for change in compared.changes if change.probability > 0.5]
+    things = changed_things(believed, compared.resolution_m)
+    passing = sum(change.standing < 0.5 for change in compared.changes)
+    difference = Difference(things, passing, compared)
     if out is None:
         return difference
     names = [before.path, after.path] if after else [before.path] * 2
-    written = write_difference(path_of(out, "out"), things, passing, found, [str(name) for name in names])
-    return Difference(things, passing, found, tuple(written))
+    written = write_difference(path_of(out, "out"), things, passing, compared, [str(name) for name in names])
+    return Difference(things, passing, compared, tuple(written))
 
 
 def _refuse_unfit(saved: Map) -> None:
@@ -125,10 +125,10 @@ def _refuse_unfit(saved: Map) -> None:
 def _keyframes_of(saved: Map, sessions: tuple[int, int]) -> list[np.ndarray]:
     """Return the keyframes of two sessions."""
     count = len(saved.sessions)
-    found = [number for number in sessions if number in range(1, count + 1)]
-    if len(found) != 2 or found[0] == found[1] or len(sessions) != 2:
-        told = " and ".join(map(str, sessions))
-        raise ScanweaveError(f"{saved.path} has sessions 1 to {count}; name two of them, not {told}")
+    numbers = [number for number in sessions if number in range(1, count + 1)]
+    if len(numbers) != 2 or numbers[0] == numbers[1] or len(sessions) != 2:
+        named = " and ".join(map(str, sessions))
+        raise ScanweaveError(f"{saved.path} has sessions 1 to {count}; name two of them, not {named}")
     ends = list(accumulate(session.keyframes for session in saved.sessions))
     return [np.arange(ends[n - 1] - saved.sessions[n - 1].keyframes, ends[n - 1]) for n in sessions]
 

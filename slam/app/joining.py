@@ -146,17 +146,17 @@ def _connected(log: Dataset, known: Map, session: MapRun, folder: Path) -> tuple
         session.map.close()
         shutil.rmtree(work)  # to go on with it would lead here again
         raise
-    whole = folder / WORK / "map"
-    shutil.rmtree(whole, ignore_errors=True)  # of a run that was killed
-    write_joined(whole, known, session.map, connection)
+    built = folder / WORK / "map"
+    shutil.rmtree(built, ignore_errors=True)  # of a run that was killed
+    write_joined(built, known, session.map, connection)
     if not (work / REPORT).is_file():  # of a run that was stopped before it
         write_saved_page(session.map)
     session.map.close()
-    with load_map(whole) as saved:
-        saved.write_files(whole)
-    write_bytes(whole / f"report-{len(known.sessions) + 1}.html", (work / REPORT).read_bytes())
+    with load_map(built) as saved:
+        saved.write_files(built)
+    write_bytes(built / f"report-{len(known.sessions) + 1}.html", (work / REPORT).read_bytes())
     keep_report(folder)
-    written = move_into(folder, whole)
+    written = move_into(folder, built)
     shutil.rmtree(work)
     return connection, written
 

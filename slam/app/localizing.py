@@ -33,7 +33,7 @@ from slam.viewer.map_recording import record_localization
 from slam.viewer.viewer import Viewer, recording
 from slam.vision.color_registration import ColorRegistration
 
-# Of a start that somebody has told, metres and radians: those that RViz sends with a pose set by hand.
+# Standard deviations of a given start, metres and radians: those that RViz sends with a pose set by hand.
 START_SIGMA = (0.5, math.pi / 12.0)
 
 
@@ -130,10 +130,10 @@ def localize_log(
         localizer = Localizer(saved, config, registrations, known)
         drive = _driven(localizer, log, config, viewer, on_progress or silent)
     if not len(drive):
-        wanted = "clouds of a 3D lidar" if saved.contents.clouds else "planar scans"
-        wanted += "" if saved.contents.frames is None else ", or frames of its camera"
+        needed = "clouds of a 3D lidar" if saved.contents.clouds else "planar scans"
+        needed += "" if saved.contents.frames is None else ", or frames of its camera"
         raise DatasetError(
-            f"{log.name} contains nothing that can be localised in {saved.path}, which needs {wanted}; "
+            f"{log.name} contains nothing that can be localised in {saved.path}, which needs {needed}; "
             "'scanweave inspect' shows what the log contains"
         )
     warning = localizer.warning()

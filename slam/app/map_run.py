@@ -48,7 +48,7 @@ class MapRun:
     folder
         Where the map is.
     report
-        What its report tells; None if the map was finished before, and nothing was done.
+        Content of its report; None if the map was finished before, and nothing was done.
     written
         The files, ``map.db`` and the report among them.
     dropped
@@ -115,7 +115,7 @@ def run_into(
 
         def on_step(stage: str, count: int) -> None:
             if stage == "begun":
-                _load_what_ends_a_run()
+                _load_last_modules()
                 return
             on_progress(Progress(stage, count, dataset.report.share if stage == "mapping" else None))
 
@@ -158,7 +158,7 @@ def run_into(
     return run
 
 
-def _load_what_ends_a_run() -> None:
+def _load_last_modules() -> None:
     """Load it while a copy of the process tracks, see `slam.mapper.lookahead`, not before that begins."""
     import slam.evaluation.report
     import slam.outputs.exports  # noqa: F401
@@ -181,21 +181,21 @@ def _beside_file(
     return Begun(export, partial(_head, result.map, identity) if report else lambda: None)
 
 
-def _head(found: MapContents, identity: MapIdentity) -> dict[str, Any]:
+def _head(saved: MapContents, identity: MapIdentity) -> dict[str, Any]:
     """The map as the data of its page."""
     from slam.evaluation.page_data import map_data
 
-    return map_data(found, identity.config, title=identity.log_name, sessions=_sessions(found, identity))
+    return map_data(saved, identity.config, title=identity.log_name, sessions=_sessions(saved, identity))
 
 
-def _sessions(found: MapContents, identity: MapIdentity) -> list[MapSession]:
+def _sessions(saved: MapContents, identity: MapIdentity) -> list[MapSession]:
     """Of a map that is about to be saved."""
-    return sessions_of(identity.to_meta(), len(found.node_poses), len(found.trajectory))
+    return sessions_of(identity.to_meta(), len(saved.node_poses), len(saved.trajectory))
 
 
-def _needs_file(found: MapContents) -> bool:
+def _needs_file(saved: MapContents) -> bool:
     """Whether parts of a map are in its open file: those no copy of this process may read."""
-    return found.frames is not None or found.clouds is not None
+    return saved.frames is not None or saved.clouds is not None
 
 
 def _written(folder: Path, made: Exports) -> tuple[list[Path], list[str]]:

@@ -103,10 +103,10 @@ def run_log(
     if out is None:
         return _in_memory(dataset, identity, on_progress)
     folder = path_of(out, "out")
-    left = left_in(folder)
-    if left in (Left.FINISHED, Left.DAMAGED) and not (resume or overwrite):
+    state = left_in(folder)
+    if state in (Left.FINISHED, Left.DAMAGED) and not (resume or overwrite):
         raise MapFileError(
-            f"{folder / MAP_NAME} is {left.value}; --force (overwrite=True) replaces it, another --out "
+            f"{folder / MAP_NAME} is {state.value}; --force (overwrite=True) replaces it, another --out "
             "(out=) keeps it"
         )
     return run_into(

@@ -69,46 +69,46 @@ def merge(maps: Sequence[Map | Path | str], out: Path | str, *, overwrite: bool 
     folder = path_of(out, "out")
     if (folder / MAP_NAME).exists() and not overwrite:
         raise MapFileError(f"{folder / MAP_NAME} is a map; --force (overwrite=True) replaces it")
-    whole, *waiting = (one if isinstance(one, Map) else load_map(one) for one in maps)
-    first, kept_in, refused = whole, TemporaryFolder(), dict[Path, str]()
+    merged, *waiting = (source if isinstance(source, Map) else load_map(source) for source in maps)
+    first, kept_in, refused = merged, TemporaryFolder(), dict[Path, str]()
     tried = -1
-    while waiting and tried < len(whole.sessions):
+    while waiting and tried < len(merged.sessions):
         # What nothing connects to may connect once another has been joined.
-        tried = len(whole.sessions)
+        tried = len(merged.sessions)
         for other in list(waiting):
-            step = kept_in.path / str(len(whole.sessions))
-            why = refused[other.path] = _joined(whole, other, step)
+            step = kept_in.path / str(len(merged.sessions))
+            why = refused[other.path] = _joined(merged, other, step)
             if why:
                 continue
             del refused[other.path]
             waiting.remove(other)
-            whole = load_map(step)
-    if whole is first:
+            merged = load_map(step)
+    if merged is first:
         reasons = "; ".join(f"{path}: {why}" for path, why in refused.items())
         raise ScanweaveError(f"none of the maps connects to {first.path}: {reasons}")
-    written = whole.save(folder, overwrite=overwrite)
-    whole.close()
+    written = merged.save(folder, overwrite=overwrite)
+    merged.close()
     kept_in.remove()
-    found = load_map(folder)
-    return Merged(found, refused, (*written, write_saved_page(found)))
+    saved = load_map(folder)
+    return Merged(saved, refused, (*written, write_saved_page(saved)))
 
 
-def _joined(whole: Map, other: Map, folder: Path) -> str:
+def _joined(merged: Map, other: Map, folder: Path) -> str:
     """Join a map to others and write the result into a folder; return why it failed, or an empty text."""
     try:
-        kinds = [kind_of(one, str(one.path)) for one in (whole, other)]
-        known = {session.log_fingerprint: session.log_name for session in whole.sessions}
-        shared = [known[one.log_fingerprint] for one in other.sessions if one.log_fingerprint in known]
+        kinds = [kind_of(item, str(item.path)) for item in (merged, other)]
+        known = {session.log_fingerprint: session.log_name for session in merged.sessions}
+        shared = [known[item.log_fingerprint] for item in other.sessions if item.log_fingerprint in known]
         if kinds[0] != kinds[1]:
             return f"it is of {kinds[1]}, the first of {kinds[0]}"
         if shared:
             return f"its log {shared[0]} is already in the others"
         if other.edits:
             return "it has edits, which only the first map may have; give it first, or undo them"
-        connection = connect(whole, other)
+        connection = connect(merged, other)
     except ScanweaveError as error:
         return str(error)
     if connection.joined is None:
         return connection.reason
-    write_joined(folder, whole, other, connection)
+    write_joined(folder, merged, other, connection)
     return ""

@@ -59,7 +59,7 @@ def roll_back(saved: Map | Path | str, sessions: int, *, out: Path | str | None 
         raise MapFileError(
             f"{saved.path} has {before} sessions; of these 1 to {before - 1} can stay, not {sessions}"
         )
-    found = made_anew(saved, lambda path: _write_first_sessions(saved, sessions, path), out)
+    remaining = made_anew(saved, lambda path: _write_first_sessions(saved, sessions, path), out)
     if out is not None:
         first = 1 if sessions == 1 else sessions + 1
         endings = (".tum", "_covariance.csv")
@@ -67,7 +67,7 @@ def roll_back(saved: Map | Path | str, sessions: int, *, out: Path | str | None 
         stale += [f"report-{number}.html" for number in range(sessions + 1, before + 1)]
         for name in stale:
             (Path(out) / name).unlink(missing_ok=True)
-    return found
+    return remaining
 
 
 def _write_first_sessions(saved: Map, count: int, path: Path) -> list[str]:

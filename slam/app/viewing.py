@@ -98,11 +98,11 @@ class MapView:
             self._take(self._map.undone(out=self._map.path.parent))
         return f"undone; {len(self._map.edits)} edits are left"
 
-    def _take(self, found: Map) -> None:
+    def _take(self, saved: Map) -> None:
         """Show another map from now on."""
         self._map.close()
-        self._map = found
-        write_saved_page(found)
+        self._map = saved
+        write_saved_page(saved)
 
 
 def application(view: MapView, token: str, port: int) -> Starlette:
@@ -123,7 +123,7 @@ def application(view: MapView, token: str, port: int) -> Starlette:
     hosts = {f"{name}:{port}" for name in (_LOOPBACK, "localhost")}
 
     def refused(request: Request, *, writes: bool) -> Response | None:
-        """The answer to whom nothing is told."""
+        """The error response to a request that is not allowed."""
         if request.headers.get("host") not in hosts:
             return PlainTextResponse("wrong host", 421, _HEADERS)
         if not secrets.compare_digest(str(request.path_params.get("token", "")).encode(), token.encode()):
@@ -178,7 +178,7 @@ def serve(path: Path | str, port: int, tell: Callable[[str], None]) -> None:
     port
         0 takes one that is free.
     tell
-        Told the address.
+        Called with the address.
 
     Raises
     ------
@@ -190,8 +190,8 @@ def serve(path: Path | str, port: int, tell: Callable[[str], None]) -> None:
     except ImportError as error:
         raise LibraryError(_lacking()) from error
 
-    class Told(uvicorn.Server):
-        """Tells its address when it answers there, and an interrupt ends it."""
+    class _Server(uvicorn.Server):
+        """A server that reports its address when it answers; an interrupt ends it."""
 
         async def startup(self, sockets: list[socket.socket] | None = None) -> None:
             await super().startup(sockets)
@@ -206,7 +206,7 @@ def serve(path: Path | str, port: int, tell: Callable[[str], None]) -> None:
             raise ScanweaveError(f"port {port}: {error.strerror}; give another --port") from error
         bound = int(listening.getsockname()[1])
         options: dict[str, Any] = {"access_log": False, "server_header": False, "log_level": "warning"}
-        server = Told(uvicorn.Config(application(view, token, bound), lifespan="off", **options))
+        server = _Server(uvicorn.Config(application(view, token, bound), lifespan="off", **options))
         try:
             server.run(sockets=[listening])
         except KeyboardInterrupt:

@@ -25,7 +25,7 @@ def tell(text: str, stream: TextIO | None = None) -> None:
 
 
 def say(text: str) -> None:
-    """Tell what a command has to tell, unless only warnings and errors are wanted."""
+    """Print a message of a command, unless only warnings and errors are wanted."""
     if not verbosity["quiet"]:
         tell(text)
 
@@ -41,9 +41,9 @@ def command(name: str | None = None) -> Callable[[_Command], _Command]:
     """Make a function a command, with the options that every command has wherever they stand in the line."""
 
     def register(function: _Command) -> _Command:
-        def run(*, verbose: bool, quiet: bool, **given: Any) -> None:
+        def run(*, verbose: bool, quiet: bool, **arguments: Any) -> None:
             _set_verbosity(verbose, quiet)
-            function(**given)
+            function(**arguments)
 
         own = inspect.signature(function, eval_str=True).parameters.values()
         shared = [

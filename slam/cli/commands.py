@@ -37,14 +37,14 @@ def run() -> None:
         app()
     except (ScanweaveError, OSError) as error:
         logging.info("where it failed:", exc_info=error)
-        told: object = error
+        message: object = error
         if isinstance(error, OSError) and error.strerror:
-            told = f"{error.filename or 'the output'}: {error.strerror}"
-        tell(f"scanweave: {told}", sys.stderr)
+            message = f"{error.filename or 'the output'}: {error.strerror}"
+        tell(f"scanweave: {message}", sys.stderr)
         try:
             print(end="", flush=True)
         except OSError:  # the output takes nothing more; when Python ends it would report that again
             os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         sys.exit(1)
     finally:
-        gc.freeze()  # the interpreter would look through them all once more before it ends
+        gc.freeze()  # the interpreter would check them all again before it ends

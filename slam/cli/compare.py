@@ -62,7 +62,7 @@ def compare(
             workers=workers,
             scheduler=scheduler,
             resume=resume,
-            on_row=_tell,
+            on_row=_report,
         )
         if viewer is not None:
             record_comparison(viewer, done.rows, ResultStore(out))
@@ -75,7 +75,7 @@ def compare(
         raise ScanweaveError(f"no run has a result; the first: {lost[0]['reason']}")
 
 
-def _tell(row: Row, done: int, count: int) -> None:
+def _report(row: Row, done: int, count: int) -> None:
     """One line a run, as it ends: on stderr, for the results are in the files."""
     name = ", ".join(part for part in (row["dataset"], row["configuration"], f"seed {row['seed']}") if part)
     reason = f" ({row['reason']})" if row["reason"] else ""

@@ -51,10 +51,10 @@ def edit(
     if sessions is not None:
         from slam.app.rolling_back import roll_back
 
-        found = roll_back(saved, sessions, out=folder)
+        edited_map = roll_back(saved, sessions, out=folder)
     else:
-        found = saved.undone(out=folder) if undo else saved.edited(edits or "", out=folder)
-    _tell(saved, found, started)
+        edited_map = saved.undone(out=folder) if undo else saved.edited(edits or "", out=folder)
+    _report(saved, edited_map, started)
 
 
 @command()
@@ -69,15 +69,15 @@ def merge(
     started = time.perf_counter()
     from slam.app.merging import merge as merged
 
-    found = merged(maps, out, overwrite=force)
-    for path, reason in found.refused.items():
+    result = merged(maps, out, overwrite=force)
+    for path, reason in result.refused.items():
         tell(f"warning: {path} does not connect: {reason}", sys.stderr)
-    joined = len(maps) - len(found.refused)
+    joined = len(maps) - len(result.refused)
     say(
-        f"{joined} of {len(maps)} maps in one, {len(found.map.sessions)} sessions, "
-        f"{len(found.map.keyframe_poses)} keyframes; {time.perf_counter() - started:.1f} s"
+        f"{joined} of {len(maps)} maps in one, {len(result.map.sessions)} sessions, "
+        f"{len(result.map.keyframe_poses)} keyframes; {time.perf_counter() - started:.1f} s"
     )
-    say("wrote " + ", ".join(str(path) for path in found.written))
+    say("wrote " + ", ".join(str(path) for path in result.written))
 
 
 @command()
@@ -87,7 +87,7 @@ def remap(map_: MapArgument, set_: SetOption = None, out: OutOption = None) -> N
     from slam.outputs.finished_map import load_map
 
     saved = load_map(map_)
-    _tell(saved, saved.remap(set_ or [], out=out or _own_folder(saved)), started)
+    _report(saved, saved.remap(set_ or [], out=out or _own_folder(saved)), started)
 
 
 @command()
@@ -111,7 +111,7 @@ def _own_folder(saved: Map) -> Path:
     return saved.path.parent
 
 
-def _tell(before: Map, after: Map, started: float) -> None:
+def _report(before: Map, after: Map, started: float) -> None:
     """What became of a map."""
     import numpy as np
 
@@ -119,8 +119,8 @@ def _tell(before: Map, after: Map, started: float) -> None:
     from slam.matching.planar import between
 
     # Seen from the first keyframe: a map that was turned has not changed.
-    both = (before.keyframe_poses, after.keyframe_poses)
-    ends = [[between(poses[0], pose)[:2] for pose in poses] for poses in both]
+    old_and_new = (before.keyframe_poses, after.keyframe_poses)
+    ends = [[between(poses[0], pose)[:2] for pose in poses] for poses in old_and_new]
     moved_m = float(np.hypot(*(np.array(ends[1]) - ends[0][: len(ends[1])]).T).max())
     loops = sum(loop.accepted for loop in after.loops)
     say(

@@ -71,7 +71,7 @@ def localize(
     begin = None if start is None else (start[0], start[1], math.radians(start[2]))
     sigma = START_SIGMA if start_sigma is None else (start_sigma[0], math.radians(start_sigma[1]))
     with progress_bar() as show, interruptible(show) as on_progress:
-        found = localize_log(
+        result = localize_log(
             saved,
             log,
             settings,
@@ -83,16 +83,16 @@ def localize(
             record=record,
         )
     saved.close()
-    shares = ", ".join(f"{100.0 * found.drive.share_of(state):.0f} % {state.value}" for state in STATES)
+    shares = ", ".join(f"{100.0 * result.drive.share_of(state):.0f} % {state.value}" for state in STATES)
     say(
-        f"{len(found.drive)} scans and frames: {shares}; {len(found.trajectory)} poses; "
+        f"{len(result.drive)} scans and frames: {shares}; {len(result.trajectory)} poses; "
         f"{time.perf_counter() - started:.1f} s"
     )
-    for warning in found.warnings:
+    for warning in result.warnings:
         tell(f"warning: {warning}", sys.stderr)
-    say("wrote " + ", ".join(str(path) for path in found.written))
+    say("wrote " + ", ".join(str(path) for path in result.written))
     if update:
         from slam.cli.map_log import map_into
 
-        given = settings if config or set_ else None
-        map_into(log, map_, None, given, strict=strict, resume=False, calibration=calibration)
+        own_settings = settings if config or set_ else None
+        map_into(log, map_, None, own_settings, strict=strict, resume=False, calibration=calibration)

@@ -74,7 +74,7 @@ def map_command(
     """Map a log: write trajectory, pose graph, grid and report, and map.db with everything."""
     overrides = [*(set_ or []), *topics_override(topics)]
     left_out = {"sensors.wheels": no_odometry, "loops.enabled": no_loops, "fusion.enabled": no_fusion}
-    overrides += [f"{part}=false" for part, off in left_out.items() if off]
+    overrides += [f"{part}=false" for part, is_off in left_out.items() if is_off]
     if into is not None and record is not None:
         raise typer.BadParameter("--record cannot be combined with --into")
     if into is None and out is None:
@@ -87,8 +87,8 @@ def map_command(
     if tags is not None:
         settings = with_places(settings, tags)
     if into is not None:
-        given = settings if config or overrides else None
-        map_into(log, into, out, given, strict=strict, resume=resume, calibration=calibration)
+        own_settings = settings if config or overrides else None
+        map_into(log, into, out, own_settings, strict=strict, resume=resume, calibration=calibration)
     else:
         assert out is not None
         map_log(log, out, settings, strict=strict, resume=resume, force=force, record=record)
@@ -171,10 +171,10 @@ def _told_of(folder: Path, *, resume: bool, session: bool = False) -> Iterator[S
     from slam.app.map_folder import Left, left_in
     from slam.storage.map_file import MAP_NAME
 
-    left, path, first = left_in(folder), folder / MAP_NAME, ""
-    if left is Left.UNFINISHED:
+    state, path, first = left_in(folder), folder / MAP_NAME, ""
+    if state is Left.UNFINISHED:
         first = f"going on with {path}" if resume else f"replacing {path}, left by an interrupted run"
-    elif resume and left is Left.NOTHING:
+    elif resume and state is Left.NOTHING:
         first = f"nothing to resume in {folder}; mapping from the beginning"
     try:
         with progress_bar(first=first) as bar, interruptible(bar) as show:
@@ -183,8 +183,8 @@ def _told_of(folder: Path, *, resume: bool, session: bool = False) -> Iterator[S
         cause = error.__cause__ or error
         stopped = isinstance(cause, KeyboardInterrupt | OSError | sqlite3.Error)  # not by what is in the log
         busy = isinstance(cause, BlockingIOError) or "locked" in str(cause)
-        left = left_in(folder) if stopped and not busy else Left.NOTHING
-        if left is Left.UNFINISHED or (left is Left.FINISHED and session):
+        state = left_in(folder) if stopped and not busy else Left.NOTHING
+        if state is Left.UNFINISHED or (state is Left.FINISHED and session):
             tell(f"{path} is kept; the same command with --resume continues it", sys.stderr)
         raise
 
@@ -199,11 +199,11 @@ def _tell(run: MapRun, took: str, of: str = "") -> None:
         tell(f"warning: {warning}", sys.stderr)
     for note in report.result.notes:
         say(note)
-    found = report.result.map
-    accepted = sum(loop.accepted for loop in found.loops)
-    path_m = extent_of(found.trajectory, report.sessions)["path_length_m"]
+    contents = report.result.map
+    accepted = sum(loop.accepted for loop in contents.loops)
+    path_m = extent_of(contents.trajectory, report.sessions)["path_length_m"]
     say(
-        f"{of}{report.result.scans.stamps_s.size} {report.unit}s, {len(found.node_poses)} keyframes, "
-        f"{path_m:.1f} m, {accepted} of {len(found.loops)} loops accepted, "
+        f"{of}{report.result.scans.stamps_s.size} {report.unit}s, {len(contents.node_poses)} keyframes, "
+        f"{path_m:.1f} m, {accepted} of {len(contents.loops)} loops accepted, "
         f"{run.dropped} records dropped{took}"
     )

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from slam.app.progress import Progress
 
 Show = Callable[["Progress"], None]
-# Of what is no terminal, whoever looks into its log is told so often.
+# Interval of the lines in a log, if the output is no terminal.
 _LINE_S = 30.0
 
 
@@ -30,15 +30,15 @@ def interruptible(show: Show) -> Iterator[Show]:
     if signal.getsignal(signal.SIGINT) is not signal.default_int_handler:
         yield show  # whoever ignores or handles the signal has a reason
         return
-    asked = False
+    interrupted = False
 
     def note(number: int, frame: FrameType | None) -> None:
-        nonlocal asked
-        asked = True
+        nonlocal interrupted
+        interrupted = True
         signal.signal(signal.SIGINT, signal.default_int_handler)
 
     def show_or_stop(progress: Progress) -> None:
-        if asked:
+        if interrupted:
             raise KeyboardInterrupt
         show(progress)
 
@@ -56,7 +56,7 @@ def progress_bar(unit: str = "scans and frames", first: str = "") -> Iterator[Sh
     Parameters
     ----------
     first
-        Told once the work has begun; a command that is refused says why, and nothing else.
+        Printed once the work has begun; a command that is refused prints only the reason.
     """
     begun = iter([first] if first and not verbosity["quiet"] else [])
 
@@ -89,7 +89,7 @@ def progress_bar(unit: str = "scans and frames", first: str = "") -> Iterator[Sh
         TextColumn("{task.fields[rate]}"),
         TimeRemainingColumn(elapsed_when_finished=True),
     )
-    # Drawn by who works: beside a thread that draws it no copy of the process could help, see `slam.forked`.
+    # Drawn by the working thread: with another thread the process could not be forked, see `slam.forked`.
     with Bars(*columns, console=Console(stderr=True), transient=True, auto_refresh=False) as bars:
         show = _Bars(bars)
         yield tell_and_show
@@ -99,13 +99,13 @@ class _Lines:
     """A line now and then."""
 
     def __init__(self, unit: str) -> None:
-        self._unit, self._told_s = unit, time.monotonic()
+        self._unit, self._printed_s = unit, time.monotonic()
 
     def __call__(self, progress: Progress) -> None:
-        """Tell how far it is, if it is time."""
+        """Print the progress if it is time."""
         now_s = time.monotonic()
-        if now_s - self._told_s >= _LINE_S:
-            self._told_s = now_s
+        if now_s - self._printed_s >= _LINE_S:
+            self._printed_s = now_s
             share = "" if progress.share is None else f", {progress.share:.0%} of the log"
             tell(f"{progress.stage}: {progress.readings:,} {self._unit}{share}", sys.stderr)
 

@@ -76,8 +76,8 @@ def doctor(
     diagnosis = examine(UsedMeasurements(dataset, sensors))
     findings = diagnosis.findings
     if as_json:
-        found = [finding.plain() for finding in findings]
-        tell(json.dumps({"findings": found, "open": diagnosis.open}, indent=2))
+        plain_findings = [finding.plain() for finding in findings]
+        tell(json.dumps({"findings": plain_findings, "open": diagnosis.open}, indent=2))
     else:
         tell("\n".join(finding.line for finding in findings) or "no error found in the log")
         refused = [f"records that cannot be read ({dataset.report.refusals})"]

@@ -51,8 +51,8 @@ def info(map_: MapArgument, as_json: JsonOption = False) -> None:
     load_later("gtsam")
     from slam.evaluation.map_info import map_info, render_info
 
-    found = map_info(map_)
-    tell(json.dumps(found, indent=2) if as_json else render_info(found))
+    facts = map_info(map_)
+    tell(json.dumps(facts, indent=2) if as_json else render_info(facts))
 
 
 @command()
@@ -137,9 +137,9 @@ def diff(
     from slam.sessions.difference_files import difference_plain, difference_text
 
     first, second = load_map(before), None if after is None else load_map(after)
-    found = diff_maps(first, second, sessions=sessions, out=out)
-    told = found.things, found.passing, found.comparison
+    difference = diff_maps(first, second, sessions=sessions, out=out)
+    result = difference.things, difference.passing, difference.comparison
     names = [str(before), str(before if after is None else after)]
-    tell(json.dumps(difference_plain(*told, names), indent=2) if as_json else difference_text(*told))
-    if found.written and not as_json:
-        say("wrote " + ", ".join(str(path) for path in found.written))
+    tell(json.dumps(difference_plain(*result, names), indent=2) if as_json else difference_text(*result))
+    if difference.written and not as_json:
+        say("wrote " + ", ".join(str(path) for path in difference.written))

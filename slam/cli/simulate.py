@@ -90,7 +90,7 @@ def simulate(
                 f"{', '.join(STREET_FAULTS)}"
             )
         with _seconds_shown() as on_progress:
-            seen = record_street(
+            recording = record_street(
                 home,
                 seed,
                 out,
@@ -102,7 +102,7 @@ def simulate(
                 undistorted=undistorted,
                 formats=tuple(formats) if formats else FORMATS,
             )
-        say(f"{seen.text}\nwrote {out}")
+        say(f"{recording.text}\nwrote {out}")
         return
     if rig not in RIGS:
         raise ConfigError(f"no rig '{rig}'; there are {', '.join(sorted(RIGS))}")
@@ -122,11 +122,11 @@ def simulate(
     building = generate_home(home, "office" if office else "home", moved=moved, day=seed)
     if tags:
         from slam.simulation.tour import plan_tour
-        from slam.simulation.wall_tags import hang_tags
+        from slam.simulation.wall_tags import place_tags
 
         robot = RIGS[rig]
         tour = plan_tour(building, robot.robot_radius_m, robot.robot_height_m, seed, duration)
-        building = hang_tags(building, tags, home, tour.poses_xyt)
+        building = place_tags(building, tags, home, tour.poses_xyt)
     chosen = FAULT_PRESETS[faults]
     if chosen.dying_sensor:
         chosen = replace(chosen, dying_sensor=leading_sensor(RIGS[rig]))

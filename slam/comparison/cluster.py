@@ -106,9 +106,9 @@ def _check_workers(client: Client, scheduler: str) -> None:
     if not codes:
         raise ScanweaveError(f"{scheduler} has no workers; start some with 'dask worker {scheduler}'")
     own = current_versions()
-    for address, found in codes.items():
-        if found != own:
-            reported = "no scanweave" if isinstance(found, Exception) else f"version {found.get('code')}"
+    for address, code in codes.items():
+        if code != own:
+            reported = "no scanweave" if isinstance(code, Exception) else f"version {code.get('code')}"
             raise ScanweaveError(
                 f"worker {address} has {reported}, here is {own['code']}; install the same on all of them"
             )
@@ -160,8 +160,8 @@ def _drives(client: Client, runs: Sequence[Run], sources: Sequence[Source], root
     for source in sources:
         path = str(source.path.resolve())
         if source.drive is not None and path in needed:
-            asked = [run for run in runs if run.log == path]
-            limits = (max(run.timeout_s for run in asked), max(run.memory_mb for run in asked))
+            users = [run for run in runs if run.log == path]
+            limits = (max(run.timeout_s for run in users), max(run.memory_mb for run in users))
             futures[path] = client.submit(
                 record_drive, asdict(source.drive), path, root, *limits, key=f"drive-{path}", pure=False
             )

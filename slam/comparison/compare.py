@@ -78,8 +78,8 @@ def compare(
     plan = plan_of(load_experiment(experiment), data or experiment.parent, cache or out / "drives")
     make_folder(out)
     store = ResultStore(out)
-    wanted = store.missing([run.key for run in plan.runs], resume=resume)
-    todo = [run for run in plan.runs if run.key in wanted]
+    missing = store.missing([run.key for run in plan.runs], resume=resume)
+    todo = [run for run in plan.runs if run.key in missing]
     if todo:
         with client_of(workers or os.cpu_count() or 1, scheduler) as client:
             done: list[Row] = []

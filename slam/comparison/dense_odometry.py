@@ -67,8 +67,8 @@ class DenseOdometry:
         step: FloatArray = result.transformation.numpy()
         if not np.isfinite(step).all() or result.fitness < _LEAST_FITNESS:
             return seed
-        left = gtsam.Pose3.Logmap(keyframe.pose.between(start).between(_exact(step)))
-        if np.linalg.norm(left[:3]) > _REACH_RAD or np.linalg.norm(left[3:]) > _REACH_M:
+        offset = gtsam.Pose3.Logmap(keyframe.pose.between(start).between(_exact(step)))
+        if np.linalg.norm(offset[:3]) > _REACH_RAD or np.linalg.norm(offset[3:]) > _REACH_M:
             return seed
         information = odometry.compute_odometry_information_matrix(
             source.depth, target.depth, camera, result.transformation, self._config.gate_m, 1.0, farthest_m

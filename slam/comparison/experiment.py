@@ -143,21 +143,21 @@ class Experiment(StrictModel):
     def names(self) -> list[str]:
         """Names of everything compared, in the order of the tables; parts of a sweep are named after it."""
         swept = [name for configuration in self.configurations for name, _ in swept_overrides(configuration)]
-        others = [*(one.name for one in self.external), *(one.name for one in self.commands)]
+        others = [*(system.name for system in self.external), *(system.name for system in self.commands)]
         return [*swept, *map(baseline_name, self.baselines), *others]
 
 
 def swept_overrides(configuration: Configuration) -> list[tuple[str, dict[str, Value]]]:
     """Name and overrides of every combination of a sweep; the configuration itself if there is no sweep."""
-    found = [(configuration.name, dict(configuration.overrides))]
+    swept = [(configuration.name, dict(configuration.overrides))]
     for key, values in configuration.sweep.items():
         short = key.rpartition(".")[2]
-        found = [
+        swept = [
             (f"{name}, {short}={value}", {**overrides, key: value})
-            for name, overrides in found
+            for name, overrides in swept
             for value in values
         ]
-    return found
+    return swept
 
 
 def baseline_name(baseline: Baseline) -> str:

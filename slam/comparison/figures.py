@@ -96,8 +96,7 @@ def headline_in(rows: list[Row]) -> list[Figure]:
     figures = figures_in(rows)
     return [
         figure
-        for wanted in HEADLINE
+        for name in HEADLINE
         for figure in figures
-        if figure.name == wanted
-        or (wanted == "rpe" and _RPE.match(figure.name) and figure.name.endswith("_m"))
+        if figure.name == name or (name == "rpe" and _RPE.match(figure.name) and figure.name.endswith("_m"))
     ]

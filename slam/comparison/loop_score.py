@@ -50,18 +50,18 @@ def _is_right(loop: AcceptedLoop, truth: Trajectory) -> bool:
     if not reported.all():
         return False
     moved = between(*poses)
-    near = float(np.linalg.norm(moved[:2] - loop.xyt[:2])) <= RIGHT_WITHIN_M
-    return near and abs(wrap(moved[2] - loop.xyt[2])) <= RIGHT_WITHIN_RAD
+    position_fits = float(np.linalg.norm(moved[:2] - loop.xyt[:2])) <= RIGHT_WITHIN_M
+    return position_fits and abs(wrap(moved[2] - loop.xyt[2])) <= RIGHT_WITHIN_RAD
 
 
 def _revisits(poses: FloatArray, path_m: FloatArray) -> BoolArray:
     """(K,) whether a keyframe is near an older one, with enough path length between."""
-    found = np.zeros(len(poses), dtype=bool)
+    revisited = np.zeros(len(poses), dtype=bool)
     for key in range(len(poses)):
         old = path_m <= path_m[key] - LEAST_PATH_M
         if old.any():
-            found[key] = np.hypot(*(poses[old, :2] - poses[key, :2]).T).min() <= REVISIT_M
-    return found
+            revisited[key] = np.hypot(*(poses[old, :2] - poses[key, :2]).T).min() <= REVISIT_M
+    return revisited
 
 
 def _true_poses(truth: Trajectory, stamps_s: FloatArray) -> tuple[FloatArray, BoolArray]:

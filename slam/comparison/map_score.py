@@ -43,7 +43,7 @@ def read_true_grid(path: Path) -> TrueGrid:
 
 
 def map_scores(
-    found: StateGrid, truth: TrueGrid, T_true_map: FloatArray, true_xy: FloatArray
+    grid: StateGrid, truth: TrueGrid, T_true_map: FloatArray, true_xy: FloatArray
 ) -> dict[str, float]:
     """Completeness, share of false cells, and F1 of the occupied cells.
 
@@ -58,24 +58,24 @@ def map_scores(
     true_xy
         (N, 2) true path of the robot.
     """
-    inside, outside = on_truth(found, truth, T_true_map)
-    wanted = to_be_seen(truth, true_xy)
+    inside, outside = on_truth(grid, truth, T_true_map)
+    visible = to_be_seen(truth, true_xy)
     near_true = ndimage.binary_dilation(truth.occupied, _AROUND)
     near_found = ndimage.binary_dilation(inside, _AROUND)
     count = int(inside.sum()) + outside
     right = int((inside & near_true).sum())
-    completeness = float((wanted & near_found).sum() / max(wanted.sum(), 1))
+    completeness = float((visible & near_found).sum() / max(visible.sum(), 1))
     precision = right / max(count, 1)
     f1 = 2.0 * precision * completeness / max(precision + completeness, 1e-9)
     return {"completeness": completeness, "false_occupied": 1.0 - precision if count else 0.0, "f1": f1}
 
 
-def on_truth(found: StateGrid, truth: TrueGrid, T_true_map: FloatArray) -> tuple[Cells, int]:
+def on_truth(grid: StateGrid, truth: TrueGrid, T_true_map: FloatArray) -> tuple[Cells, int]:
     """Bring the occupied cells of a map, by their centres, onto the truth's lattice; count those outside."""
-    rows, cols = np.nonzero(found.states == OCCUPIED)
-    corner = found.T_map_grid
+    rows, cols = np.nonzero(grid.states == OCCUPIED)
+    corner = grid.T_map_grid
     c, s = np.cos(corner.theta()), np.sin(corner.theta())
-    x, y = (cols + 0.5) * found.resolution_m, (rows + 0.5) * found.resolution_m
+    x, y = (cols + 0.5) * grid.resolution_m, (rows + 0.5) * grid.resolution_m
     points = np.column_stack([corner.x() + c * x - s * y, corner.y() + s * x + c * y, np.zeros(x.size)])
     points = points @ T_true_map[:3, :3].T + T_true_map[:3, 3]
     return _laid(truth, points[:, :2])
@@ -101,5 +101,5 @@ def to_be_seen(truth: TrueGrid, true_xy: FloatArray) -> Cells:
     floor = np.isin(labels, driven[driven > 0])
     if not passed.any():
         return np.zeros_like(passed)
-    near = ndimage.distance_transform_edt(~passed) * truth.resolution_m <= REACH_M
-    return np.asarray(truth.occupied & ndimage.binary_dilation(floor, _AROUND) & near)
+    in_reach = ndimage.distance_transform_edt(~passed) * truth.resolution_m <= REACH_M
+    return np.asarray(truth.occupied & ndimage.binary_dilation(floor, _AROUND) & in_reach)

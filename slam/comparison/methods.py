@@ -123,7 +123,7 @@ def open3d(dataset: Dataset) -> Product:
         image = o3d.t.geometry.RGBDImage(*(o3d.t.geometry.Image(picture) for picture in pictures))
         if before is not None:
             try:
-                found = odometry.rgbd_odometry_multi_scale(
+                odometry_result = odometry.rgbd_odometry_multi_scale(
                     image,
                     before,
                     camera,
@@ -131,7 +131,7 @@ def open3d(dataset: Dataset) -> Product:
                     depth_max=_FARTHEST_DEPTH_M,
                     method=odometry.Method.Hybrid,
                 )
-                step = found.transformation.numpy()
+                step = odometry_result.transformation.numpy()
             except RuntimeError:
                 step = np.full((4, 4), np.nan)
             failed += not np.isfinite(step).all()

@@ -97,15 +97,15 @@ def _differences(plan: Plan, rows: list[Row], figures: Sequence[Figure]) -> list
     body: list[list[Cell]] = []
     for name in configurations_of(rows):
         for figure in figures if name != plan.reference else ():
-            found = difference_of(rows, name, plan.reference, figure)
-            if found is None:
+            difference = difference_of(rows, name, plan.reference, figure)
+            if difference is None:
                 continue
-            one = found.difference
-            texts = [f"{value:+,.{figure.decimals}f}" for value in (one.median, one.low, one.high)]
-            ends = texts[1:] if one.count > 1 else ["–", "–"]
-            better = (f"{found.better} of {one.count}", found.better / one.count)
-            numbers = [(texts[0], one.median), (ends[0], one.low), (ends[1], one.high), better]
-            body.append([name, figure.title, *numbers, found.verdict])
+            median = difference.difference
+            texts = [f"{value:+,.{figure.decimals}f}" for value in (median.median, median.low, median.high)]
+            ends = texts[1:] if median.count > 1 else ["–", "–"]
+            better = (f"{difference.better} of {median.count}", difference.better / median.count)
+            numbers = [(texts[0], median.median), (ends[0], median.low), (ends[1], median.high), better]
+            body.append([name, figure.title, *numbers, difference.verdict])
     return body
 
 
@@ -114,9 +114,9 @@ def _distributions(rows: list[Row], figures: Sequence[Figure]) -> list[tuple[str
     pictures = []
     for figure in figures:
         values = {
-            name: list(found.values())
+            name: list(sample.values())
             for name in configurations_of(rows)
-            if (found := values_of(rows, name, figure))
+            if (sample := values_of(rows, name, figure))
         }
         if values:
             pictures.append((figure.title, distribution_png(values, figure.title)))

@@ -78,12 +78,12 @@ def distribution_png(values: Mapping[str, Sequence[float]], title: str) -> bytes
     height = figure.get_size_inches()[1] * figure.dpi
     axes = figure.add_axes((0.36, 48.0 / height, 0.61, 1.0 - 60.0 / height))
     for at, color in zip(range(len(names)), _colors(values), strict=True):
-        found = np.asarray(values[names[at]], dtype=np.float64)
-        low, middle, high = np.quantile(found, [0.25, 0.5, 0.75])
+        sample = np.asarray(values[names[at]], dtype=np.float64)
+        low, middle, high = np.quantile(sample, [0.25, 0.5, 0.75])
         axes.barh(at, high - low, left=low, height=0.62, color=color, alpha=0.22, linewidth=0)
         axes.plot([middle, middle], [at - 0.33, at + 0.33], color=color, linewidth=2.0)
-        spread = 0.24 * np.cos(np.pi * np.arange(found.size))  # so that equal values do not hide each other
-        axes.plot(found, at + spread * (found.size > 1), "o", color=color, markersize=3.5, alpha=0.75)
+        spread = 0.24 * np.cos(np.pi * np.arange(sample.size))  # so that equal values do not hide each other
+        axes.plot(sample, at + spread * (sample.size > 1), "o", color=color, markersize=3.5, alpha=0.75)
     every = np.concatenate([np.asarray(each, dtype=np.float64) for each in values.values()])
     if every.min() > 0.0 and every.max() > 50.0 * every.min():
         axes.set_xscale("log")

@@ -30,7 +30,7 @@ def robot_radius_m(truth: Path) -> float | None:
 
 
 def plan_scores(
-    found: StateGrid,
+    grid: StateGrid,
     truth: TrueGrid,
     T_true_map: FloatArray,
     true_xy: FloatArray,
@@ -59,13 +59,13 @@ def plan_scores(
     resolution = truth.resolution_m
     clearance = clearance_m(np.where(truth.occupied, OCCUPIED, FREE).astype(np.int8), resolution)
     region, _ = ndimage.label(clearance >= radius_m)
-    way = _cells(true_xy, truth)
+    path_cells = _cells(true_xy, truth)
     driven = np.zeros(region.shape, dtype=bool)
-    driven[tuple(way[_inside(way, region.shape)].T)] = True
+    driven[tuple(path_cells[_inside(path_cells, region.shape)].T)] = True
     reachable: Cells = np.isin(region, np.setdiff1d(region[driven], 0))
-    near = ndimage.distance_transform_edt(~driven) * resolution <= REACH_M
+    in_reach = ndimage.distance_transform_edt(~driven) * resolution <= REACH_M
 
-    space = free_space(found.states, found.resolution_m, found.T_map_grid, radius_m)
+    space = free_space(grid.states, grid.resolution_m, grid.T_map_grid, radius_m)
     starts = np.unique([space.cell_of((x, y)) for x, y in map_xy[::_EVERY]], axis=0)
     starts = starts[_inside(starts, space.allowed.shape)]
     starts = starts[space.allowed[tuple(starts.T)]]
@@ -74,21 +74,21 @@ def plan_scores(
     def at(values: NDArray[np.generic], cells: NDArray[np.int64]) -> FloatArray:
         """Values of the ground truth at cells of the map, 0 outside: not free, at distance 0."""
         points = space.middle_of(cells) @ T_true_map[:2, :2].T + T_true_map[:2, 3]
-        laid = _cells(points, truth)
-        inside = _inside(laid, values.shape)
-        told = np.zeros(len(cells))
-        told[inside] = values[tuple(laid[inside].T)]
-        return told
+        true_cells = _cells(points, truth)
+        inside = _inside(true_cells, values.shape)
+        sampled = np.zeros(len(cells))
+        sampled[inside] = values[tuple(true_cells[inside].T)]
+        return sampled
 
     scores = {
-        name: float(at(wanted, goals).sum() / max(wanted.sum(), 1))
-        for name, wanted in (("reach", reachable), ("reach_near", reachable & near))
+        name: float(at(reference, goals).sum() / max(reference.sum(), 1))
+        for name, reference in (("reach", reachable), ("reach_near", reachable & in_reach))
     }
-    scores["danger"] = float(at(truth.occupied, np.argwhere(found.states == FREE)).sum())
+    scores["danger"] = float(at(truth.occupied, np.argwhere(grid.states == FREE)).sum())
     if len(starts):
-        away = np.array([at(clearance, plan).min() for plan in _plans(space, starts, goals)])
-        scores["collide"] = float((away < radius_m - resolution - 1e-9).mean())
-        scores["collide_hard"] = float((away < _HARD_M).mean())
+        least_m = np.array([at(clearance, plan).min() for plan in _plans(space, starts, goals)])
+        scores["collide"] = float((least_m < radius_m - resolution - 1e-9).mean())
+        scores["collide_hard"] = float((least_m < _HARD_M).mean())
     return scores
 
 

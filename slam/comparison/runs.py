@@ -114,10 +114,10 @@ def _sources(entry: DatasetEntry, data: Path, cache: Path) -> Iterator[Source]:
             yield Source(drive.name, entry.group or drive.group, cache / drive.folder_name, drive)
     elif entry.glob is not None:
         root = data if not Path(entry.glob).is_absolute() else Path(entry.glob).anchor
-        found = sorted(Path(root).glob(entry.glob.removeprefix(str(Path(entry.glob).anchor))))
-        if not found:
+        paths = sorted(Path(root).glob(entry.glob.removeprefix(str(Path(entry.glob).anchor))))
+        if not paths:
             raise DatasetError(f"nothing matches {entry.glob} under {root}; is --data right?")
-        yield from (Source(path.name, entry.group or path.name, path) for path in found)
+        yield from (Source(path.name, entry.group or path.name, path) for path in paths)
     else:
         assert entry.path is not None
         path = _existing(data / entry.path)

@@ -40,12 +40,12 @@ def scenes(plan: Plan, rows: Sequence[Row], store: ResultStore) -> Iterator[tupl
 
 def _pictures(source: Source, folders: dict[str, Path], reference: str) -> Iterator[Picture]:
     """The pictures of one data set."""
-    errors = {name: found for name, folder in folders.items() if (found := _arrays(folder / ERRORS))}
+    errors = {name: arrays for name, folder in folders.items() if (arrays := _arrays(folder / ERRORS))}
     if errors:
-        paths = {name: _in_truth(found, "positions_m") for name, found in errors.items()}
-        truth = max((_in_truth(found, "true_positions_m") for found in errors.values()), key=len)
+        paths = {name: _in_truth(arrays, "positions_m") for name, arrays in errors.items()}
+        truth = max((_in_truth(arrays, "true_positions_m") for arrays in errors.values()), key=len)
         yield f"paths on {source.name} over the true one", trajectories_png(paths, truth), "plot"
-        over_time = {name: (found["stamps_s"], found["errors_m"]) for name, found in errors.items()}
+        over_time = {name: (arrays["stamps_s"], arrays["errors_m"]) for name, arrays in errors.items()}
         yield f"error over time on {source.name}", errors_png(over_time), "plot"
     elif paths := _aligned_paths(folders, reference):
         yield f"paths on {source.name}", trajectories_png(paths, None), "plot"
@@ -64,21 +64,21 @@ def _arrays(path: Path) -> dict[str, Any] | None:
         return {name: file[name] for name in file.files}
 
 
-def _in_truth(found: dict[str, Any], name: str) -> FloatArray:
+def _in_truth(arrays: dict[str, Any], name: str) -> FloatArray:
     """(N, 2) positions in the frame of the ground truth, which is the same for all runs."""
-    T_true_map, positions = found["T_true_map"], found[name]
+    T_true_map, positions = arrays["T_true_map"], arrays[name]
     return np.asarray((positions @ T_true_map[:3, :3].T + T_true_map[:3, 3])[:, :2])
 
 
 def _aligned_paths(folders: dict[str, Path], reference: str) -> dict[str, FloatArray]:
     """(N, 2) paths, the reference first, the others aligned to it as well as possible."""
-    found = {name: read_tum(path) for name, f in folders.items() if (path := f / TRAJECTORY).is_file()}
-    if not found:
+    by_name = {name: read_tum(path) for name, f in folders.items() if (path := f / TRAJECTORY).is_file()}
+    if not by_name:
         return {}
-    found = {name: found[name] for name in sorted(found, key=lambda name: name != reference)}
-    base = next(iter(found.values()))
+    by_name = {name: by_name[name] for name in sorted(by_name, key=lambda name: name != reference)}
+    base = next(iter(by_name.values()))
     paths = {}
-    for name, trajectory in found.items():
+    for name, trajectory in by_name.items():
         try:
             own, others = associate(trajectory, base, _ALIGN_WITHIN_S)
             T = align(own, others).T_target_point
@@ -90,11 +90,11 @@ def _aligned_paths(folders: dict[str, Path], reference: str) -> dict[str, FloatA
 
 def _map(path: Path) -> tuple[StateArray, float] | None:
     """The navigation map, or else the map at the lidar's height."""
-    found = _arrays(path)
-    if found is None:
+    arrays = _arrays(path)
+    if arrays is None:
         return None
-    name = "decision" if "decision" in found else "plane"
-    return found[name], float(found[f"{name}_at"][0])
+    name = "decision" if "decision" in arrays else "plane"
+    return arrays[name], float(arrays[f"{name}_at"][0])
 
 
 def _true_map(source: Source) -> tuple[StateArray, float] | None:

@@ -87,13 +87,13 @@ class ResultStore:
 
     def missing(self, keys: Iterable[str], *, resume: bool) -> set[str]:
         """Keys to run: all, or those without a final result; their leftovers are removed."""
-        wanted = set()
+        missing = set()
         for key in keys:
             row = self.row(key) if resume else None
             if row is None or row["status"] in PASSING:
                 self.forget(key)
-                wanted.add(key)
-        return wanted
+                missing.add(key)
+        return missing
 
     def sweep(self) -> None:
         """Remove leftovers of killed workers."""

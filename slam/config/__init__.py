@@ -119,8 +119,8 @@ def load_config(
     """
     overrides = [overrides] if isinstance(overrides, str) else overrides
     if not isinstance(preset_or_path, str | Path | None):
-        given = type(preset_or_path).__name__
-        raise ConfigError(f"a {given} is no configuration; give one by slam.load_config, or a preset or file")
+        kind = type(preset_or_path).__name__
+        raise ConfigError(f"a {kind} is no configuration; give one by slam.load_config, or a preset or file")
     file = find_file(preset_or_path or DEFAULT_PRESET, _PRESET_FOLDER, "preset")
     tree = read_tree(file)
     # The file is validated alone first, so that a message refers to the file or to the override.
@@ -264,10 +264,10 @@ def _dump_lines(model: BaseModel, indent: str) -> Iterator[str]:
 def _limits(field: FieldInfo) -> str:
     """The limits of a field as text, `` (> 0, <= 1)``, or nothing."""
     signs = {"gt": ">", "ge": ">=", "lt": "<", "le": "<="}
-    found = [
+    limits = [
         f"{sign} {getattr(limit, name):g}"
         for limit in field.metadata
         for name, sign in signs.items()
         if hasattr(limit, name)
     ]
-    return f" ({', '.join(found)})" if found else ""
+    return f" ({', '.join(limits)})" if limits else ""

@@ -91,9 +91,9 @@ def model_of(
     except ValidationError as error:
         # An unknown key is more informative than the missing key that it replaces.
         faults = sorted(error.errors(), key=lambda fault: fault["type"] != "extra_forbidden")
-        told = [_described(fault, hint or partial(_nearest_key, kind)) for fault in faults[:most]]
-        more = [f"and {len(faults) - len(told)} more"] if len(faults) > len(told) else []
-        raise ConfigError(f"{source}: {'; '.join(told + more)}") from None
+        texts = [_described(fault, hint or partial(_nearest_key, kind)) for fault in faults[:most]]
+        more = [f"and {len(faults) - len(texts)} more"] if len(faults) > len(texts) else []
+        raise ConfigError(f"{source}: {'; '.join(texts + more)}") from None
     except (TypeError, ValueError, RecursionError) as error:  # a date as a key, a recursive anchor
         raise ConfigError(f"{source}: not plain keys and values ({error})") from error
 
@@ -103,9 +103,9 @@ def _described(fault: ErrorDetails, hint: Callable[[str], str]) -> str:
     dotted = ".".join(str(part) for part in fault["loc"])
     if fault["type"] == "extra_forbidden":
         return f"unknown key '{dotted}'{hint(dotted)}"
-    told = fault["msg"].removeprefix("Value error, ")
+    problem = fault["msg"].removeprefix("Value error, ")
     shown = plain(json.dumps(fault["input"], default=str), longest=60)
-    return f"{dotted} = {shown}: {told[0].lower()}{told[1:]}" if dotted else told
+    return f"{dotted} = {shown}: {problem[0].lower()}{problem[1:]}" if dotted else problem
 
 
 def nearest(name: str, candidates: Sequence[str]) -> str:
@@ -127,12 +127,12 @@ def _nearest_key(model: type[BaseModel], dotted: str) -> str:
     paths = list(_all_paths(model))
     # Only last names are compared: a long shared section would make every key in it look similar.
     anywhere = {path.rpartition(".")[2]: path for path in paths}
-    beside = {path.rpartition(".")[2]: path for path in paths if path.rpartition(".")[0] == section}
-    for candidates in ({name: anywhere[name]} if name in anywhere else {}, beside, anywhere):
+    in_section = {path.rpartition(".")[2]: path for path in paths if path.rpartition(".")[0] == section}
+    for candidates in ({name: anywhere[name]} if name in anywhere else {}, in_section, anywhere):
         match = difflib.get_close_matches(name, candidates, n=1)
         if match:
             return f"; did you mean '{candidates[match[0]]}'?"
-    return f"; valid here: {', '.join(beside.values())}"
+    return f"; valid here: {', '.join(in_section.values())}"
 
 
 def _all_paths(model: type[BaseModel], prefix: str = "") -> Iterator[str]:

@@ -15,6 +15,6 @@ class StrictModel(BaseModel):
         """Return the fields that differ from their defaults: `repr` shows only these."""
         fields = type(self).model_fields
         shown = super().__repr_args__()
-        return [one for one in shown if one[1] != fields[str(one[0])].get_default(call_default_factory=True)]
+        return [arg for arg in shown if arg[1] != fields[str(arg[0])].get_default(call_default_factory=True)]
 
     model_config = ConfigDict(extra="forbid", frozen=True, strict=True, allow_inf_nan=False)

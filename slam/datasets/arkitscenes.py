@@ -42,13 +42,13 @@ def _load(path: Path, account: Account) -> Contents:
 
 def _stamped(folder: Path) -> list[StampedFile]:
     """Files in the order of the stamps in their names."""
-    found = [
+    entries = [
         (match, entry)
         for entry in (folder.iterdir() if folder.is_dir() else ())
         if (match := _NAME.fullmatch(entry.name))
     ]
-    found.sort(key=lambda item: (float(item[0][1]), item[1].name))
-    return [StampedFile(float(match[1]), entry, number) for number, (match, entry) in enumerate(found, 1)]
+    entries.sort(key=lambda item: (float(item[0][1]), item[1].name))
+    return [StampedFile(float(match[1]), entry, number) for number, (match, entry) in enumerate(entries, 1)]
 
 
 def _lens(path: Path, account: Account) -> CameraIntrinsics:

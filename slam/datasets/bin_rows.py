@@ -23,7 +23,7 @@ def rows_of(files: Sequence[Path]) -> Rows:
     looked_at = files[:: max(1, len(files) // _FILES)][:_FILES]
     for kind in ("f4", "f8"):
         read = [_values(path, kind) for path in looked_at]
-        values = [one for one in read if len(one) >= FEWEST * len(_FIELDS)]
+        values = [row for row in read if len(row) >= FEWEST * len(_FIELDS)]
         if not values:
             return KITTI_ROWS
         if 2 * sum(map(are_no_readings, values)) < len(values):
@@ -55,8 +55,8 @@ def _period(values: Sequence[FloatArray]) -> int:
     This is true for points in any order: the expected distance between samples of two distributions is never
     less than the mean of the expected distances within each (energy distance, Szekely 2013).
     """
-    scaled = [np.arcsinh(np.nan_to_num(one, posinf=0.0, neginf=0.0)) for one in values]
+    scaled = [np.arcsinh(np.nan_to_num(row, posinf=0.0, neginf=0.0)) for row in values]
     counts = range(_FEWEST_FIELDS, len(_FIELDS) + 1)
-    apart = [np.mean([np.abs(one[count:] - one[:-count]).mean() for one in scaled]) for count in counts]
-    near = [count for count, one in zip(counts, apart, strict=True) if one <= min(apart) * (1 + 1 / FEWEST)]
-    return near[0]
+    diffs = [np.mean([np.abs(row[count:] - row[:-count]).mean() for row in scaled]) for count in counts]
+    good = [count for count, row in zip(counts, diffs, strict=True) if row <= min(diffs) * (1 + 1 / FEWEST)]
+    return good[0]

@@ -76,34 +76,34 @@ class KnownCalibration:
         size
             Its width and height; None if unknown.
         """
-        lenses = [one for one in self.cameras if one.lens is not None]
+        lenses = [item for item in self.cameras if item.lens is not None]
         own = {name.strip("/") for name in names if name}
-        for one in lenses:
-            if {one.topic.strip("/"), one.frame.strip("/")} & own - {""}:
-                return one
-        fit = [one for one in lenses if size is None or _size(one) in (size, (0, 0))]
-        called = [one for one in fit if _ROLES[role].search(f"{one.name} {one.topic}")]
+        for item in lenses:
+            if {item.topic.strip("/"), item.frame.strip("/")} & own - {""}:
+                return item
+        fit = [item for item in lenses if size is None or _size(item) in (size, (0, 0))]
+        called = [item for item in fit if _ROLES[role].search(f"{item.name} {item.topic}")]
         other = "color" if role == "depth" else "depth"
-        nameless = [one for one in fit if not _ROLES[other].search(f"{one.name} {one.topic}")]
-        for found in (called, nameless):
-            if len(found) == 1 or (found and found[0].source in self.sure):
-                return found[0]
+        nameless = [item for item in fit if not _ROLES[other].search(f"{item.name} {item.topic}")]
+        for group in (called, nameless):
+            if len(group) == 1 or (group and group[0].source in self.sure):
+                return group[0]
         return None
 
     def depth_steps_per_m(self) -> tuple[float, str] | None:
         """Units per metre of depth images, with the source file."""
-        told = [(one.depth_steps_per_m, one.source) for one in self.cameras]
-        return next(((steps, source) for steps, source in told if steps is not None), None)
+        stated = [(camera.depth_steps_per_m, camera.source) for camera in self.cameras]
+        return next(((steps, source) for steps, source in stated if steps is not None), None)
 
 
-def known_beside(path: Path, given: Sequence[Path] = ()) -> KnownCalibration:
+def known_beside(path: Path, named: Sequence[Path] = ()) -> KnownCalibration:
     """Read the files that the user gave, and those next to a recording.
 
     Parameters
     ----------
     path
         The recording; the search is in this folder, or in the folder of this file.
-    given
+    named
         Files that the user named.
 
     Raises
@@ -116,21 +116,21 @@ def known_beside(path: Path, given: Sequence[Path] = ()) -> KnownCalibration:
     # Next to a bag and an image list, as in a simulated drive, `calibration.yaml` belongs to the images.
     of_images = path.is_file() and (folder / _IMAGE_LIST).is_file()
     own = [folder / FILE_NAME] if (folder / FILE_NAME).is_file() and not of_images else []
-    for file in [*given, *own]:
+    for file in [*named, *own]:
         try:
-            _add(known, file, sure=True)
+            _add(known, file, priority=True)
         except (OSError, ValueError) as error:
             raise DatasetError(f"{file}: {plain(error)}; correct the calibration, or leave it out") from error
-    if silent := [file for file in given if file.name not in known.sure]:
+    if silent := [file for file in named if file.name not in known.sure]:
         raise DatasetError(
             f"{silent[0]} contains neither lens nor mounting; give a calibration.yaml, a camera_info yaml, a "
             "Kalibr camchain, a URDF, a yaml of tf or what OpenCV wrote"
         )
     for file in _candidates(folder):
-        if file in own or file in given or (of_images and file.name == FILE_NAME):
+        if file in own or file in named or (of_images and file.name == FILE_NAME):
             continue
         try:
-            _add(known, file, sure=False)
+            _add(known, file, priority=False)
         except (OSError, ValueError) as error:
             known.notes.append(f"{file.name}, beside the recording, is not used: {plain(error)}")
     return known
@@ -143,18 +143,18 @@ def by_files(camera: Camera, known: KnownCalibration, account: Account) -> Camer
     """
     calibration = camera.calibration
     file = known.lens("color", [camera.sensor])
-    sure = known.sure - {FILE_NAME}  # the folder reader has used this file already
-    if file is not None and file.lens is not None and (calibration.assumed or file.source in sure):
+    priority = known.sure - {FILE_NAME}  # the folder reader has used this file already
+    if file is not None and file.lens is not None and (calibration.assumed or file.source in priority):
         lens = file.lens
         if calibration.assumed:
             account.report.note(f"{camera.sensor}: lens by {file.source}", 1)
         else:
-            told = contradiction(
+            warning = contradiction(
                 camera.sensor,
                 (lens, file.source),
                 (Lens(calibration.intrinsics, np.zeros(0)), "the data set"),
             )
-            account.report.note(told or f"{camera.sensor}: lens by {file.source}", 1)
+            account.report.note(warning or f"{camera.sensor}: lens by {file.source}", 1)
         if lens.distortion.size or lens.unknown_model:
             account.report.note(f"{camera.sensor}: the distortion in {file.source} is left in the images", 1)
         calibration = replace(calibration, intrinsics=lens.intrinsics, assumed="")
@@ -172,42 +172,42 @@ def contradiction(what: str, used: tuple[Lens, str], other: tuple[Lens, str]) ->
     if np.abs(values[0] - scale * values[1]).max() <= _APART_SHARE * max(width, first.fx):
         return ""
     return (
-        f"warning: {what}: {used[1]} says {_told(first)}, {other[1]} says {_told(second)}; "
+        f"warning: {what}: {used[1]} says {_lens_text(first)}, {other[1]} says {_lens_text(second)}; "
         f"that of {used[1]} is used"
     )
 
 
-def _told(lens: CameraIntrinsics) -> str:
+def _lens_text(lens: CameraIntrinsics) -> str:
     """A lens as text for the user."""
     size = f" at {lens.width} x {lens.height}" if lens.width else ""
     return f"fx {lens.fx:.1f} fy {lens.fy:.1f} cx {lens.cx:.1f} cy {lens.cy:.1f}{size}"
 
 
-def _add(known: KnownCalibration, file: Path, *, sure: bool) -> None:
+def _add(known: KnownCalibration, file: Path, *, priority: bool) -> None:
     """Add one file."""
-    found = read_calibration_file(file)
-    if not found:
+    content = read_calibration_file(file)
+    if not content:
         return
-    known.cameras += found.cameras
-    known.transforms += found.transforms
-    if found.T_base_camera is not None:
-        known.T_base_camera = known.T_base_camera or (found.T_base_camera, file.name)
-    if found.T_base_lidar is not None:
-        known.T_base_lidar = known.T_base_lidar or (found.T_base_lidar, file.name)
-    if sure:
+    known.cameras += content.cameras
+    known.transforms += content.transforms
+    if content.T_base_camera is not None:
+        known.T_base_camera = known.T_base_camera or (content.T_base_camera, file.name)
+    if content.T_base_lidar is not None:
+        known.T_base_lidar = known.T_base_lidar or (content.T_base_lidar, file.name)
+    if priority:
         known.sure.add(file.name)
 
 
 def _candidates(folder: Path) -> list[Path]:
     """Files that may be calibrations, sorted by name."""
-    found: list[Path] = []
+    paths: list[Path] = []
     for place in (folder, *(folder / name for name in _INSIDE)):
         if place.is_dir():
             files = (file for file in place.iterdir() if file.suffix.lower() in _SUFFIXES)
-            found += sorted(
+            paths += sorted(
                 islice((f for f in files if f.is_file() and f.name not in _NO_CALIBRATION), _MOST_FILES)
             )
-    return found
+    return paths
 
 
 def _size(camera: FileCamera) -> tuple[int, int]:

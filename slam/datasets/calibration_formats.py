@@ -134,66 +134,66 @@ def _yaml(text: str) -> Any:
 def _from_tree(tree: Mapping[Any, Any], path: Path) -> FileContent:
     """Parse a mapping by its keys."""
     for reads in (_own, _kalibr, _printed_tf, _matrices, _orb_slam, _euroc, _camera_info):
-        if found := reads(tree, path):
-            return found
+        if content := reads(tree, path):
+            return content
     return FileContent()
 
 
 def _own(tree: Mapping[Any, Any], path: Path) -> FileContent:
     """Parse Scanweave's ``calibration.yaml``."""
-    found, source = FileContent(), path.name
+    content, source = FileContent(), path.name
     lens, fields = None, tree.get("intrinsics")
     if isinstance(fields, Mapping):
         size = int(fields.get("width") or 0), int(fields.get("height") or 0)
         lens = _lens([float(fields[name]) for name in ("fx", "fy", "cx", "cy")], size)
     steps = _steps(tree.get("depth_steps_per_m"))
     if lens is not None or steps is not None:
-        found.cameras.append(FileCamera("", lens, source, depth_steps_per_m=steps))
+        content.cameras.append(FileCamera("", lens, source, depth_steps_per_m=steps))
     for name in ("T_base_camera", "T_base_lidar"):
         if isinstance(placed := tree.get(name), Mapping):
-            setattr(found, name, pose_from(placed["translation_m"], placed["quaternion_xyzw"]))
-    return found
+            setattr(content, name, pose_from(placed["translation_m"], placed["quaternion_xyzw"]))
+    return content
 
 
 def _kalibr(tree: Mapping[Any, Any], path: Path) -> FileContent:
     """Parse Kalibr's camchain; its transforms map points of the second frame to the first."""
-    found, source = FileContent(), path.name
+    content, source = FileContent(), path.name
     for name, fields in tree.items():
         if not (isinstance(fields, Mapping) and _CAMERA.fullmatch(str(name))):
             continue
         if "intrinsics" in fields:
             lens = _named_lens(fields, fields.get("distortion_coeffs", ()))
             topic = str(fields.get("rostopic", ""))
-            found.cameras.append(FileCamera(str(name), lens, source, topic, str(name)))
+            content.cameras.append(FileCamera(str(name), lens, source, topic, str(name)))
         before = f"cam{int(str(name)[3:]) - 1}"
         for key, other in (("T_cam_imu", "imu"), ("T_cn_cnm1", before), ("T_cam_lidar", "lidar")):
             if key in fields:
                 pose = pose_from_matrix(np.asarray(fields[key], dtype=np.float64).reshape(4, 4))
-                found.transforms.append(FileTransform(str(name), other, pose, source))
+                content.transforms.append(FileTransform(str(name), other, pose, source))
         if "T_imu_cam" in fields:  # OpenVINS writes the inverse
             pose = pose_from_matrix(np.asarray(fields["T_imu_cam"], dtype=np.float64).reshape(4, 4))
-            found.transforms.append(FileTransform("imu", str(name), pose, source))
-    return found
+            content.transforms.append(FileTransform("imu", str(name), pose, source))
+    return content
 
 
 def _printed_tf(tree: Mapping[Any, Any], path: Path) -> FileContent:
     """Parse a printed TFMessage or TransformStamped, or a list of them."""
     rows = tree.get("transforms", [tree] if "child_frame_id" in tree else ())
-    found = FileContent()
+    content = FileContent()
     for row in rows if isinstance(rows, list) else ():
         at = row["transform"]
         translation = [at["translation"][axis] for axis in "xyz"]
         pose = pose_from(translation, [at["rotation"][axis] for axis in "xyzw"])
         parent = row["header"]["frame_id"] if "header" in row else row["frame_id"]
-        found.transforms.append(
+        content.transforms.append(
             FileTransform(frame_name(parent), frame_name(row["child_frame_id"]), pose, path.name)
         )
-    return found
+    return content
 
 
 def _matrices(tree: Mapping[Any, Any], path: Path) -> FileContent:
     """Parse lists of transforms with frame names: matrices, or a translation and a rotation each."""
-    found = FileContent()
+    content = FileContent()
     for rows in tree.values():
         for row in rows if isinstance(rows, list) else ():
             if not (isinstance(row, Mapping) and {"parent_frame", "child_frame"} <= set(row)):
@@ -203,21 +203,21 @@ def _matrices(tree: Mapping[Any, Any], path: Path) -> FileContent:
             else:
                 pose = pose_from(numbers_in(row["translation"]), numbers_in(row["rotation"]))
             frames = frame_name(row["parent_frame"]), frame_name(row["child_frame"])
-            found.transforms.append(FileTransform(*frames, pose, path.name))
-    return found
+            content.transforms.append(FileTransform(*frames, pose, path.name))
+    return content
 
 
 def _orb_slam(tree: Mapping[Any, Any], path: Path) -> FileContent:
     """Parse settings of ORB-SLAM 2 and 3."""
-    given = {re.sub(r"^Camera1?\.", "", key): tree[key] for key in map(str, tree) if key in tree}
-    if "fx" not in given or not any(str(key).startswith("Camera") for key in tree):
+    fields = {re.sub(r"^Camera1?\.", "", key): tree[key] for key in map(str, tree) if key in tree}
+    if "fx" not in fields or not any(str(key).startswith("Camera") for key in tree):
         return FileContent()
-    distortion = [float(given.get(name, 0.0)) for name in ("k1", "k2", "p1", "p2", "k3")]
-    size = int(given.get("width", 0)), int(given.get("height", 0))
-    model = "equidistant" if given.get("type") == "KannalaBrandt8" else "plumb_bob"
+    distortion = [float(fields.get(name, 0.0)) for name in ("k1", "k2", "p1", "p2", "k3")]
+    size = int(fields.get("width", 0)), int(fields.get("height", 0))
+    model = "equidistant" if fields.get("type") == "KannalaBrandt8" else "plumb_bob"
     if model == "equidistant":
-        distortion = [float(given.get(f"k{place}", 0.0)) for place in range(1, 5)]
-    pin_hole = [float(given[name]) for name in ("fx", "fy", "cx", "cy")]
+        distortion = [float(fields.get(f"k{place}", 0.0)) for place in range(1, 5)]
+    pin_hole = [float(fields[name]) for name in ("fx", "fy", "cx", "cy")]
     steps = _steps(tree.get("DepthMapFactor", tree.get("RGBD.DepthMapFactor")))
     lens = _lens(pin_hole, size, distortion, model)
     return FileContent([FileCamera(path.stem, lens, path.name, depth_steps_per_m=steps)])
@@ -229,11 +229,11 @@ def _euroc(tree: Mapping[Any, Any], path: Path) -> FileContent:
         return FileContent()
     name = path.parent.name
     lens = _named_lens(tree, tree.get("distortion_coefficients", ()))
-    found = FileContent([FileCamera(name, lens, f"{name}/{path.name}", frame=name)])
+    content = FileContent([FileCamera(name, lens, f"{name}/{path.name}", frame=name)])
     if "T_BS" in tree:
         pose = pose_from_matrix(numbers_in(tree["T_BS"]).reshape(4, 4))
-        found.transforms.append(FileTransform("body", name, pose, f"{name}/{path.name}"))
-    return found
+        content.transforms.append(FileTransform("body", name, pose, f"{name}/{path.name}"))
+    return content
 
 
 def _camera_info(tree: Mapping[Any, Any], path: Path) -> FileContent:
@@ -270,8 +270,8 @@ def _lens(pin_hole: Any, size: tuple[int, int], distortion: Any = (), model: str
     """A lens from fx, fy, cx and cy, checked like that of a CameraInfo."""
     fx, fy, cx, cy = (float(number) for number in pin_hole)
     k = [fx, 0.0, cx, 0.0, fy, cy, 0.0, 0.0, 1.0]
-    told = SimpleNamespace(k=k, p=[], d=distortion, width=size[0], height=size[1], distortion_model=model)
-    return lens_of(told, rectified=False)
+    info = SimpleNamespace(k=k, p=[], d=distortion, width=size[0], height=size[1], distortion_model=model)
+    return lens_of(info, rectified=False)
 
 
 def _from_xml(text: str, path: Path) -> FileContent:
@@ -305,11 +305,11 @@ def _joints(text: str, source: str) -> Iterator[FileTransform]:
 
 def _joint(joint: Mapping[str, str], source: str) -> FileTransform:
     """One joint; roll, pitch and yaw are rotations about fixed axes."""
-    given = dict(re.findall(r"(\w+)=([^\n]*)", joint.get("origin", "")))
-    translation = numbers_in(given.get("xyz", "0 0 0").split())
-    turn = gtsam.Rot3.RzRyRx(*numbers_in(given.get("rpy", "0 0 0").split()).tolist())
+    origin = dict(re.findall(r"(\w+)=([^\n]*)", joint.get("origin", "")))
+    translation = numbers_in(origin.get("xyz", "0 0 0").split())
+    turn = gtsam.Rot3.RzRyRx(*numbers_in(origin.get("rpy", "0 0 0").split()).tolist())
     if translation.size != 3:
-        raise ValueError(f"origin {given}")
+        raise ValueError(f"origin {origin}")
     links = [joint[end].partition("=")[2].strip() for end in ("parent", "child")]
     return FileTransform(frame_name(links[0]), frame_name(links[1]), gtsam.Pose3(turn, translation), source)
 
@@ -319,20 +319,20 @@ def _elements(text: str, *, attributes: bool = False) -> Iterator[tuple[str, str
 
     With ``attributes``, elements are returned when they start. Entities are not resolved.
     """
-    stack, texts, found = list[str](), list[list[str]](), list[tuple[str, str, str]]()
+    stack, texts, elements = list[str](), list[list[str]](), list[tuple[str, str, str]]()
 
     def begin(name: str, given: dict[str, str]) -> None:
         if attributes:
-            told = "\n".join(f"{key}={value}" for key, value in given.items())
-            found.append((name, stack[-1] if stack else "", told))
+            content = "\n".join(f"{key}={value}" for key, value in given.items())
+            elements.append((name, stack[-1] if stack else "", content))
         stack.append(name)
         texts.append([])
 
     def end(name: str) -> None:
         stack.pop()
-        told = "".join(texts.pop())
+        content = "".join(texts.pop())
         if not attributes:
-            found.append((name, stack[-1] if stack else "", told.strip()))
+            elements.append((name, stack[-1] if stack else "", content.strip()))
 
     def refuse(*_: Any) -> None:
         raise ValueError("entities are not read")
@@ -350,19 +350,19 @@ def _elements(text: str, *, attributes: bool = False) -> Iterator[tuple[str, str
         parser.Parse(text, True)
     except expat.ExpatError:
         return iter(())
-    return iter(found)
+    return iter(elements)
 
 
-def numbers_in(given: Any) -> FloatArray:
+def numbers_in(value: Any) -> FloatArray:
     """The finite numbers of a list, nested lists, or a matrix as OpenCV writes it, (N,)."""
     numbers: FloatArray = np.asarray(
-        given["data"] if isinstance(given, Mapping) else given, dtype=np.float64
+        value["data"] if isinstance(value, Mapping) else value, dtype=np.float64
     ).ravel()
     if not np.isfinite(numbers).all():
-        raise ValueError(f"{given} is not of finite numbers")
+        raise ValueError(f"{value} is not of finite numbers")
     return numbers
 
 
-def _steps(given: Any) -> float | None:
+def _steps(value: Any) -> float | None:
     """A positive number, or None."""
-    return None if given is None else positive(given)
+    return None if value is None else positive(value)

@@ -122,17 +122,17 @@ def _decode(request: tuple[Camera, FramePair], budget: Budget) -> _Images:
 
 def _fitted(color: ColorImage, depth_m: Float32Array, calibration: Calibration) -> ColorImage:
     """The colour image at the size of the depth image, warped to the depth image's lens."""
-    size, wanted = (color.shape[1], color.shape[0]), (depth_m.shape[1], depth_m.shape[0])
+    size, target = (color.shape[1], color.shape[0]), (depth_m.shape[1], depth_m.shape[0])
     if (lens := calibration.color_lens) is not None:
-        return _drawn_by(lens, color, calibration.intrinsics_for(*wanted))
-    if size == wanted:
+        return _warped(lens, color, calibration.intrinsics_for(*target))
+    if size == target:
         return color
-    if not same_aspect(size, wanted):
-        raise RecordFault(SIZES_DIFFER, f"{size[0]} x {size[1]} and {wanted[0]} x {wanted[1]}")
-    return resized(color, wanted)
+    if not same_aspect(size, target):
+        raise RecordFault(SIZES_DIFFER, f"{size[0]} x {size[1]} and {target[0]} x {target[1]}")
+    return resized(color, target)
 
 
-def _drawn_by(lens: Lens, color: ColorImage, seen_by: CameraIntrinsics) -> ColorImage:
+def _warped(lens: Lens, color: ColorImage, seen_by: CameraIntrinsics) -> ColorImage:
     """An image warped to the lens of another camera at the same position."""
     import cv2
 
@@ -171,9 +171,9 @@ def _lookup(lens: Lens, stored: tuple[int, int], seen_by: CameraIntrinsics) -> t
     return (width, height), replace(lens, intrinsics=shrunk).maps(seen_by)
 
 
-def resized(color: ColorImage, wanted: tuple[int, int]) -> ColorImage:
+def resized(color: ColorImage, target: tuple[int, int]) -> ColorImage:
     """The image at another width and height."""
     import cv2
 
-    how = cv2.INTER_AREA if wanted[0] < color.shape[1] else cv2.INTER_LINEAR
-    return np.asarray(cv2.resize(color, wanted, interpolation=how))
+    how = cv2.INTER_AREA if target[0] < color.shape[1] else cv2.INTER_LINEAR
+    return np.asarray(cv2.resize(color, target, interpolation=how))

@@ -85,7 +85,7 @@ def _of_ouster(path: Path, account: Account, dpkt: Any, model: OusterModel) -> I
                 yield from _read(lidar, number, sensor.add(stamp_s, payload), account)
     with account.refusing(path.name, number):
         yield from _read(lidar, number, sensor.rest(), account)
-    for line, text in enumerate(sensor.told(), 1):
+    for line, text in enumerate(sensor.notes(), 1):
         account.report.note(text, line)
 
 
@@ -140,14 +140,14 @@ def _payload(frame: bytes, before: int, waiting: dict[bytes, dict[int, tuple[byt
     packet = frame[before + _VLAN_BYTES * (before == 14 and frame[_TYPE_AT:][:2] == _VLAN) :]
     if len(packet) < _LEAST_BYTES or packet[0] >> 4 != 4 or packet[9] != _UDP:
         return None
-    whole, _, told = struct.unpack_from(">HHH", packet, 2)
-    part = packet[4 * (packet[0] & 15) : whole or None]
-    offset = 8 * (told & _OFFSET)
-    if not told & (_MORE | _OFFSET):
+    length, _, fragment = struct.unpack_from(">HHH", packet, 2)
+    part = packet[4 * (packet[0] & 15) : length or None]
+    offset = 8 * (fragment & _OFFSET)
+    if not fragment & (_MORE | _OFFSET):
         return part[_UDP_BYTES:]
     key = packet[4:6] + packet[12:20]
     parts = waiting.setdefault(key, {})
-    parts[offset] = part, not told & _MORE
+    parts[offset] = part, not fragment & _MORE
     if len(waiting) > _MOST_WAITING:
         del waiting[next(iter(waiting))]
     datagram, ended = b"", False

@@ -128,8 +128,8 @@ def read_messages(
                 for measurement in decoder.decode(message, number):
                     yield number, measurement
         except RecordFault as fault:
-            whole = line.endswith(b"\n")
-            account.refuse(fault if whole else RecordFault(TRUNCATED, str(fault)), where, number)
+            is_complete = line.endswith(b"\n")
+            account.refuse(fault if is_complete else RecordFault(TRUNCATED, str(fault)), where, number)
 
 
 class _Decoder:
@@ -275,8 +275,8 @@ def _preferred_kinds(head: bytes) -> frozenset[str]:
     preferred: set[str] = set()
     for group in _SAME_LASER:
         most = max(present[kind] for kind in group)
-        found = [kind for kind in group if present[kind] and 2 * present[kind] >= most]
-        preferred.update(found[:1] or group)
+        frequent = [kind for kind in group if present[kind] and 2 * present[kind] >= most]
+        preferred.update(frequent[:1] or group)
     return frozenset(preferred)
 
 

@@ -177,27 +177,27 @@ def _plain_numbers(text, values):  # type: ignore[no-untyped-def]
     one division rounds correctly (Clinger 1990).
     """
     count = ZERO
-    whole = ZERO
+    mantissa = ZERO
     scale, sign = 1.0, 1.0
     digits, begun, point = 0, True, False
     for i in range(text.size + 1):
         letter = text[i] if i < text.size else 32
         if 48 <= letter <= 57:
-            whole = 10 * whole + (letter - 48)
+            mantissa = 10 * mantissa + (letter - 48)
             digits += 1
             begun = False
             if point:
                 scale *= 10.0
-            if whole > _EXACT or digits > _MOST_DIGITS:
+            if mantissa > _EXACT or digits > _MOST_DIGITS:
                 break
         elif letter == 46 and not point:
             point, begun = True, False
         elif letter == 45 and begun:
             sign, begun = -1.0, False
         elif letter == 32 and digits > 0:
-            values[count] = sign * whole / scale
+            values[count] = sign * mantissa / scale
             count += 1
-            whole = ZERO
+            mantissa = ZERO
             scale, sign = 1.0, 1.0
             digits, begun, point = 0, True, False
         else:

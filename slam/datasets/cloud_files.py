@@ -103,7 +103,7 @@ def is_return(points: Float32Array) -> NDArray[np.bool_]:
     x, y, z = points.T
     # Axis by axis, because a reduction over rows of three takes ten times as long.
     valid = np.isfinite(x) & np.isfinite(y) & np.isfinite(z) & ((x != 0.0) | (y != 0.0) | (z != 0.0))
-    if code_m := _told_alike_m(points, valid):
+    if code_m := _repeated_m(points, valid):
         with np.errstate(over="ignore"):
             valid &= np.abs(np.sqrt(x**2 + y**2 + z**2) - code_m) > _ALIKE_SHARE * code_m
     return valid
@@ -115,15 +115,15 @@ def are_no_readings(values: NDArray[Any]) -> bool:
     return bool(np.count_nonzero((sizes < _LEAST) | (sizes > _GREATEST)) * FEWEST > len(sizes))
 
 
-def _told_alike_m(points: Float32Array, valid: NDArray[np.bool_]) -> float:
+def _repeated_m(points: Float32Array, valid: NDArray[np.bool_]) -> float:
     """The range shared by more of (N, 3) points than a surface could cause; 0 if there is none."""
     step = len(points) // _LOOKED_AT | 1  # odd, so that no ring is skipped
     ranges_m = np.sort(np.linalg.norm(points[::step][valid[::step]].astype(np.float64), axis=1))
     ends = np.flatnonzero(np.diff(ranges_m, append=np.inf) > _ALIKE_SHARE * ranges_m)
-    alike = np.diff(ends, prepend=-1)
-    if len(alike) < FEWEST or alike.max() < FEWEST or alike.max() <= ALIKE * np.partition(alike, -2)[-2]:
+    counts = np.diff(ends, prepend=-1)
+    if len(counts) < FEWEST or counts.max() < FEWEST or counts.max() <= ALIKE * np.partition(counts, -2)[-2]:
         return 0.0
-    return float(ranges_m[ends[alike.argmax()]])
+    return float(ranges_m[ends[counts.argmax()]])
 
 
 @dataclass(frozen=True, slots=True)

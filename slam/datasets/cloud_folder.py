@@ -71,16 +71,16 @@ def _groundtruth(path: Path, account: Account) -> Trajectory | None:
     if (path / _GROUNDTRUTH).is_file():
         return read_poses(path / _GROUNDTRUTH, account)
     place = path.resolve()
-    found = first_file((path / "poses.txt", place.parent.parent / "poses" / f"{place.name}.txt"))
+    pose_file = first_file((path / "poses.txt", place.parent.parent / "poses" / f"{place.name}.txt"))
     times = times_of(path)
     calibration = path / _KITTI_CALIBRATION
-    if found is None or times is None or not calibration.is_file():
+    if pose_file is None or times is None or not calibration.is_file():
         return None
     T_camera_lidar = _kitti_rows(calibration, account).get("Tr")
     if T_camera_lidar is None:
         return None
     stamps = [file.stamp_s for file in stamped_clouds(times, _cloud_places(path)[0], account)]
-    poses = zip(stamps, pose_lines(found, account), strict=False)
+    poses = zip(stamps, pose_lines(pose_file, account), strict=False)
     T_lidar_camera = T_camera_lidar.inverse()
     return trajectory_of(
         (stamp_s, T_lidar_camera.compose(pose).compose(T_camera_lidar)) for stamp_s, pose in poses if pose
@@ -89,14 +89,14 @@ def _groundtruth(path: Path, account: Account) -> Trajectory | None:
 
 def _kitti_rows(path: Path, account: Account) -> dict[str, gtsam.Pose3]:
     """The transforms of ``calib.txt`` by name, without the projections."""
-    found = {}
+    poses = {}
     for _, line in numbered_lines(path, account):
         name, _, numbers = line.partition(b":")
         try:
-            found[name.decode("ascii", "replace").strip()] = pose_of_row(numbers.split())
+            poses[name.decode("ascii", "replace").strip()] = pose_of_row(numbers.split())
         except ValueError:
             continue
-    return found
+    return poses
 
 
 FORMAT = recorded(

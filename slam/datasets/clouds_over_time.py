@@ -82,11 +82,11 @@ class CloudFolder:
             account.report.accept("cloud")
             times_s = times.of(cloud.fields, cloud.fields.__getitem__, file.stamp_s)
             intensities = intensities_of(cloud.fields, cloud.fields.__getitem__)
-            seen = PointCloud(
+            measured = PointCloud(
                 file.stamp_s, cloud.points_lidar, times_s, self.T_base_lidar, intensities=intensities
             )
-            yield file.number, seen
-        for note in times.told("lidar"):
+            yield file.number, measured
+        for note in times.notes("lidar"):
             account.report.note(note, 1)
 
 
@@ -97,15 +97,15 @@ def times_of(folder: Path) -> Path | None:
 
 def cloud_files(folder: Path) -> list[Path]:
     """Clouds directly in a folder, numbers in their names in the order of numbers."""
-    found = files_inside(folder, CLOUD_SUFFIXES) or _plain_clouds(folder)
+    files = files_inside(folder, CLOUD_SUFFIXES) or _plain_clouds(folder)
     # What follows a point is a fraction, whose digits are in order as they are.
-    return sorted(found, key=lambda path: re.sub(r"(?<![.\d])\d+", lambda one: one[0].zfill(20), path.stem))
+    return sorted(files, key=lambda path: re.sub(r"(?<![.\d])\d+", lambda run: run[0].zfill(20), path.stem))
 
 
 def _plain_clouds(folder: Path) -> list[Path]:
     """Return texts or arrays with a number in their names if the first of them holds points."""
-    found = [file for file in files_inside(folder, PLAIN_SUFFIXES) if re.search(r"\d", file.stem)]
-    return found if len(found) > 1 and holds_points(min(found)) else []
+    files = [file for file in files_inside(folder, PLAIN_SUFFIXES) if re.search(r"\d", file.stem)]
+    return files if len(files) > 1 and holds_points(min(files)) else []
 
 
 def stamped_clouds(times: Path, folder: Path, account: Account) -> list[StampedFile]:
@@ -113,15 +113,15 @@ def stamped_clouds(times: Path, folder: Path, account: Account) -> list[StampedF
     if any(len(fields) > 1 for _, fields in fields_of(times, Account.quiet(times), 1, 2)):
         return read_image_list(times, account)
     lines, files = list(fields_of(times, account, 1)), cloud_files(folder)
-    found = []
+    stamped = []
     for (number, fields), path in zip(lines, files, strict=False):
         with account.refusing(times.name, number):
-            found.append(StampedFile(stamp_of(fields[0]), path, number))
+            stamped.append(StampedFile(stamp_of(fields[0]), path, number))
     for number, _ in lines[len(files) :]:
         account.refuse(RecordFault(WITHOUT_CLOUD, f"{len(lines)} and {len(files)}"), times.name, number)
     for place in range(len(lines), len(files)):
         account.refuse(RecordFault(UNPAIRED, f"{len(files)} and {len(lines)}"), times.name, place + 1)
-    return found
+    return stamped
 
 
 def clouds_by_name(
@@ -131,17 +131,17 @@ def clouds_by_name(
     stamp_of_name: Callable[[re.Match[str]], float] = lambda match: by_its_size(int(match[1])),
 ) -> list[StampedFile]:
     """The clouds whose names match a pattern, sorted by the stamps in their names."""
-    name, found = re.compile(pattern), []
+    name, stamped = re.compile(pattern), []
     for path in cloud_files(folder):
         match = name.fullmatch(path.name)
         if match is None:
             continue
         try:
-            found.append(StampedFile(stamp_of_name(match), path, 0))
+            stamped.append(StampedFile(stamp_of_name(match), path, 0))
         except ValueError as error:
             account.refuse(RecordFault(BAD_STAMP, f"{path.name}: {error}"), folder.name, 1)
-    found.sort(key=lambda file: (file.stamp_s, file.path.name))
-    return [replace(file, number=number) for number, file in enumerate(found, 1)]
+    stamped.sort(key=lambda file: (file.stamp_s, file.path.name))
+    return [replace(file, number=number) for number, file in enumerate(stamped, 1)]
 
 
 def merged(log: Iterable[Numbered], clouds: Iterator[tuple[int, PointCloud]]) -> Iterator[Numbered]:

@@ -49,7 +49,7 @@ def corrected(log: Iterable[Measurement], calibration: Calibration) -> Iterable[
     stream = _corrected_one_by_one(log, calibration)
     offsets_s = [correction.clock_offset_s for correction in _by_name(calibration).values()]
     if any(offsets_s):
-        stream = _in_time(stream, max([0.0, *offsets_s]) - min([0.0, *offsets_s]))
+        stream = _in_time_order(stream, max([0.0, *offsets_s]) - min([0.0, *offsets_s]))
     spinning = {name: lidar for name, lidar in calibration.lidars.items() if lidar.turn_s}
     return straightened(stream, spinning) if spinning else stream
 
@@ -70,12 +70,12 @@ def _by_name(calibration: Calibration) -> dict[tuple[type, str], SensorCorrectio
         ImuReading: calibration.imus,
         GnssFix: calibration.gnss,
     }
-    return {(kind, name): one for kind, sensors in kinds.items() for name, one in sensors.items()}
+    return {(kind, name): fix for kind, sensors in kinds.items() for name, fix in sensors.items()}
 
 
 def _corrected_one_by_one(log: Iterable[Measurement], calibration: Calibration) -> Iterator[Measurement]:
     """Correct each measurement separately, in the order of the log."""
-    by_name, seen = _by_name(calibration), dict[tuple[type, str], None]()
+    by_name, sensors = _by_name(calibration), dict[tuple[type, str], None]()
     correct: dict[type, Callable[[Any, Any], Any]] = {
         LaserScan: _corrected_scan,
         RgbdFrame: corrected_frame,
@@ -90,7 +90,7 @@ def _corrected_one_by_one(log: Iterable[Measurement], calibration: Calibration) 
     newest: dict[tuple[type, str], Measurement] = {}
     for measurement in log:
         key = type(measurement), measurement.sensor
-        seen[key] = None
+        sensors[key] = None
         correction = by_name.get(key)
         if correction is None:
             yield measurement
@@ -101,10 +101,10 @@ def _corrected_one_by_one(log: Iterable[Measurement], calibration: Calibration) 
         yield replace(correctors[key](measurement), stamp_s=measurement.stamp_s - correction.clock_offset_s)
     read_images = getattr(log, "read_images", True)
     for kind, name in by_name if read_images else ():
-        if (kind, name) not in seen:
-            there = ", ".join(sorted(name for of_kind, name in seen if of_kind is kind)) or "none"
+        if (kind, name) not in sensors:
+            names = ", ".join(sorted(name for of_kind, name in sensors if of_kind is kind)) or "none"
             raise DatasetError(
-                f"the calibration corrects '{name}', which the log does not hold; it has: {there}"
+                f"the calibration corrects '{name}', which the log does not hold; it has: {names}"
             )
 
 
@@ -120,8 +120,8 @@ def repeats(before: Measurement | None, now: Measurement) -> bool:
         halves = ((before.color, now.color), (before.depth_m, now.depth_m))
         return any(np.array_equal(*half) and bool(np.ptp(half[0])) for half in halves)
     if isinstance(before, PointCloud) and isinstance(now, PointCloud):
-        again = before.stamp_s == now.stamp_s or np.array_equal(before.points_lidar, now.points_lidar)
-        return again or begins_early(before, now)
+        is_copy = before.stamp_s == now.stamp_s or np.array_equal(before.points_lidar, now.points_lidar)
+        return is_copy or begins_early(before, now)
     if isinstance(before, ImuReading) and isinstance(now, ImuReading):
         same = np.array_equal(before.gyro_rad_s, now.gyro_rad_s)
         return same and np.array_equal(before.specific_force_m_s2, now.specific_force_m_s2)
@@ -154,9 +154,9 @@ class Unwound:
             last_s, expected_rad = last = self._recent[-1]
             since_s = stamp_s - last_s
             # The last step gives the rate, unless the stamps of two readings are almost equal.
-            older = (one for one in reversed(self._recent) if 2.0 * (last_s - one[0]) > since_s > 0.0)
+            older = (angle for angle in reversed(self._recent) if 2.0 * (last_s - angle[0]) > since_s > 0.0)
             begun = next(older, None)
-            repeated = all(abs(wrap(wrapped_rad - one[1])) < _REPEATED_RAD for one in self._recent)
+            repeated = all(abs(wrap(wrapped_rad - angle[1])) < _REPEATED_RAD for angle in self._recent)
             if begun and not (repeated and len(self._recent) == _RECENT):
                 expected_rad += (last[1] - begun[1]) * since_s / (last_s - begun[0])
             heading_rad = expected_rad + wrap(wrapped_rad - expected_rad)
@@ -164,31 +164,31 @@ class Unwound:
         return heading_rad
 
 
-def _corrected_scan(given: LidarCorrection, scan: LaserScan) -> LaserScan:
+def _corrected_scan(fix: LidarCorrection, scan: LaserScan) -> LaserScan:
     """Correct a scan of a lidar."""
-    ranges = scan.ranges_m * np.float32(given.range_scale)
-    for first, last in given.blocked_beams:
+    ranges = scan.ranges_m * np.float32(fix.range_scale)
+    for first, last in fix.blocked_beams:
         if last >= ranges.size:
             raise DatasetError(
                 f"the calibration leaves out beams {first} to {last} of '{scan.sensor}', "
                 f"which has {ranges.size}"
             )
         ranges[first : last + 1] = np.nan
-    if given.floor is not None:
-        ahead = np.cos(scan.bearings_rad() - math.radians(given.floor.bearing_deg))
-        ranges[scan.ranges_m * ahead > given.floor.from_m] = np.nan
-    start_rad = scan.start_angle_rad if given.start_angle_deg is None else math.radians(given.start_angle_deg)
-    step_rad = scan.step_rad if given.step_deg is None else math.radians(given.step_deg)
-    if given.upside_down:
+    if fix.floor is not None:
+        ahead = np.cos(scan.bearings_rad() - math.radians(fix.floor.bearing_deg))
+        ranges[scan.ranges_m * ahead > fix.floor.from_m] = np.nan
+    start_rad = scan.start_angle_rad if fix.start_angle_deg is None else math.radians(fix.start_angle_deg)
+    step_rad = scan.step_rad if fix.step_deg is None else math.radians(fix.step_deg)
+    if fix.upside_down:
         start_rad, ranges = -(start_rad + step_rad * (ranges.size - 1)), ranges[::-1].copy()
         scan = replace(scan, beam_s=-scan.beam_s)
-    mounting = given.T_base_laser
+    mounting = fix.T_base_laser
     return replace(
         scan,
         ranges_m=ranges,
         start_angle_rad=start_rad,
         step_rad=step_rad,
-        range_max_m=scan.range_max_m * given.range_scale,
+        range_max_m=scan.range_max_m * fix.range_scale,
         T_base_laser=scan.T_base_laser
         if mounting is None
         else gtsam.Pose2(mounting.x_m, mounting.y_m, math.radians(mounting.yaw_deg)),
@@ -209,14 +209,14 @@ class _Wheels:
         self._pose = np.zeros(3)
 
     def __call__(self, reading: WheelOdometry) -> WheelOdometry:
-        given, read = self._correction, reading.T_odom_base
+        fix, read = self._correction, reading.T_odom_base
         x, y = self._axes @ (read.x(), read.y())
-        heading_rad = given.heading_scale * self._heading.of(reading.stamp_s, read.theta())
-        heading_rad += math.radians(given.heading_offset_deg)
-        written = np.array([given.scale * x, given.scale * y, heading_rad])
-        if given.mirrored:
+        heading_rad = fix.heading_scale * self._heading.of(reading.stamp_s, read.theta())
+        heading_rad += math.radians(fix.heading_offset_deg)
+        written = np.array([fix.scale * x, fix.scale * y, heading_rad])
+        if fix.mirrored:
             written[1:] = -written[1:]
-        if given.turn_scale != 1.0:
+        if fix.turn_scale != 1.0:
             written = self._driven(written)
         return replace(reading, T_odom_base=gtsam.Pose2(*written.tolist()))
 
@@ -229,8 +229,8 @@ class _Wheels:
             chord_rad = math.atan2(dy, dx) - self._last[2] - 0.5 * turn_rad
             turn_rad *= self._correction.turn_scale
             ahead_rad = self._pose[2] + 0.5 * turn_rad + chord_rad
-            way_m = math.hypot(dx, dy)
-            step = np.array([way_m * math.cos(ahead_rad), way_m * math.sin(ahead_rad), turn_rad])
+            path_m = math.hypot(dx, dy)
+            step = np.array([path_m * math.cos(ahead_rad), path_m * math.sin(ahead_rad), turn_rad])
             self._pose = self._pose + step
         else:
             self._pose = written
@@ -238,7 +238,7 @@ class _Wheels:
         return self._pose
 
 
-def _in_time(stream: Iterable[Measurement], spread_s: float) -> Iterator[Measurement]:
+def _in_time_order(stream: Iterable[Measurement], spread_s: float) -> Iterator[Measurement]:
     """Sort by corrected stamp, each sensor in its own order, with a delay up to the clock difference."""
     waiting: list[tuple[float, int, Measurement]] = []
     reached: dict[str, float] = {}

@@ -21,32 +21,32 @@ from slam.measurements import (
 from slam.vision.camera_frame import T_BODY_CAMERA
 
 
-def corrected_frame(given: CameraCorrection, frame: RgbdFrame) -> RgbdFrame:
+def corrected_frame(fix: CameraCorrection, frame: RgbdFrame) -> RgbdFrame:
     """Correct a frame; its images are copied only if they change."""
     color, depth_m, lens, mounting = frame.color, frame.depth_m, frame.intrinsics, frame.T_base_camera
-    if given.depth_scale != 1.0:
-        depth_m = depth_m * np.float32(given.depth_scale)
-    if given.mirrored:
+    if fix.depth_scale != 1.0:
+        depth_m = depth_m * np.float32(fix.depth_scale)
+    if fix.mirrored:
         color, depth_m = color[:, ::-1].copy(), depth_m[:, ::-1].copy()
         lens = replace(lens, cx=lens.width - 1.0 - lens.cx)
-    if given.intrinsics is not None:
-        lens = replace(lens, **given.intrinsics.model_dump())
-    if given.T_base_camera is not None:
-        mounting = mounted(given.T_base_camera).compose(T_BODY_CAMERA)
+    if fix.intrinsics is not None:
+        lens = replace(lens, **fix.intrinsics.model_dump())
+    if fix.T_base_camera is not None:
+        mounting = mounted(fix.T_base_camera).compose(T_BODY_CAMERA)
     return replace(frame, color=color, depth_m=depth_m, intrinsics=lens, T_base_camera=mounting)
 
 
-def corrected_cloud(given: CloudCorrection, cloud: PointCloud) -> PointCloud:
+def corrected_cloud(fix: CloudCorrection, cloud: PointCloud) -> PointCloud:
     """Correct a cloud of a 3D lidar."""
-    times_s = retimed(cloud, given.times_scale).times_s
-    if times_s is None and given.turn_s != 0.0:
-        times_s = turn_times(cloud.points_lidar, given.turn_s, math.radians(given.cut_deg))
-    cloud = beyond(cloud, given.range_min_m)
+    times_s = retimed(cloud, fix.times_scale).times_s
+    if times_s is None and fix.turn_s != 0.0:
+        times_s = turn_times(cloud.points_lidar, fix.turn_s, math.radians(fix.cut_deg))
+    cloud = beyond(cloud, fix.range_min_m)
     return replace(
         cloud,
-        points_lidar=raised(cloud.points_lidar, given.elevation_deg) * np.float32(given.range_scale),
+        points_lidar=raised(cloud.points_lidar, fix.elevation_deg) * np.float32(fix.range_scale),
         times_s=times_s,
-        T_base_lidar=cloud.T_base_lidar if given.T_base_lidar is None else mounted(given.T_base_lidar),
+        T_base_lidar=cloud.T_base_lidar if fix.T_base_lidar is None else mounted(fix.T_base_lidar),
     )
 
 
@@ -97,15 +97,15 @@ def raised(points_lidar: Float32Array, elevation_deg: float) -> Float32Array:
     return np.column_stack([points_lidar[:, :2] * (outward / across)[:, None], up]).astype(np.float32)
 
 
-def corrected_imu(given: ImuCorrection, reading: ImuReading) -> ImuReading:
+def corrected_imu(fix: ImuCorrection, reading: ImuReading) -> ImuReading:
     """Correct an IMU reading."""
-    mounting = reading.T_base_imu if given.T_base_imu is None else mounted(given.T_base_imu)
-    return replace(reading, gyro_rad_s=given.gyro_scale * reading.gyro_rad_s, T_base_imu=mounting)
+    mounting = reading.T_base_imu if fix.T_base_imu is None else mounted(fix.T_base_imu)
+    return replace(reading, gyro_rad_s=fix.gyro_scale * reading.gyro_rad_s, T_base_imu=mounting)
 
 
-def corrected_fix(given: GnssCorrection, fix: GnssFix) -> GnssFix:
+def corrected_fix(correction: GnssCorrection, fix: GnssFix) -> GnssFix:
     """Correct a GNSS fix."""
-    return fix if given.antenna_m is None else replace(fix, antenna_m=np.array(given.antenna_m))
+    return fix if correction.antenna_m is None else replace(fix, antenna_m=np.array(correction.antenna_m))
 
 
 def mounted(mounting: Mounting) -> gtsam.Pose3:

@@ -149,11 +149,11 @@ class ReadReport:
     @property
     def warnings(self) -> list[str]:
         """The notes that a user should see before trusting a map."""
-        found = [note.removeprefix(WARNING) for note in self.notes if note.startswith(WARNING)]
+        texts = [note.removeprefix(WARNING) for note in self.notes if note.startswith(WARNING)]
         back_s = {name: tally.largest for name, tally in self.backward_steps.items() if tally.largest > GAP_S}
         if back_s:
-            found.append(f"stamps of {', '.join(back_s)} go back by up to {max(back_s.values()):.1f} s")
-        return sorted([*found, *(reason for reason in self.dropped if reason.endswith(READ_TO_THERE))])
+            texts.append(f"stamps of {', '.join(back_s)} go back by up to {max(back_s.values()):.1f} s")
+        return sorted([*texts, *(reason for reason in self.dropped if reason.endswith(READ_TO_THERE))])
 
     def accept(self, kind: str) -> None:
         """Count an accepted record."""

@@ -49,7 +49,7 @@ def _load(path: Path, account: Account) -> Contents:
 def _lidars(path: Path) -> dict[str, Path]:
     """Folders of lidars, by name, whose files have the row format of that lidar."""
     own = path.resolve().name
-    places = {name: one / name for name in _LIDARS for one in (path, path / "LiDAR") if (one / name).is_dir()}
+    places = {name: top / name for name in _LIDARS for top in (path, path / "LiDAR") if (top / name).is_dir()}
     places |= {own: path} if own in _LIDARS else {}
     return {name: folder for name, folder in places.items() if _row(name, folder)}
 

@@ -43,8 +43,8 @@ def _load(path: Path, account: Account) -> Contents:
 
 def _groundtruth(path: Path, account: Account) -> Trajectory | None:
     """The poses in or next to the folder, right-handed."""
-    found = next((file for place in (path, path.resolve().parent) for file in place.glob(_TRUTHS)), None)
-    truth = read_poses(found, account) if found else None
+    pose_file = next((file for place in (path, path.resolve().parent) for file in place.glob(_TRUTHS)), None)
+    truth = read_poses(pose_file, account) if pose_file else None
     if truth is None:
         return None
     return Trajectory(

@@ -71,10 +71,10 @@ class ImageFiles:
         """See `ImageSource`."""
         content = file_content(file.path, budget)
         depth_m = depth_of(content, file.path.name, calibration, budget, float_png=self.float_png)
-        if self.confidence and (beside := self.confidence / file.path.name).is_file():
-            trust = decoded(file_content(beside, budget), beside.name, budget)
+        if self.confidence and (trust_file := self.confidence / file.path.name).is_file():
+            trust = decoded(file_content(trust_file, budget), trust_file.name, budget)
             if trust.shape != depth_m.shape:
-                raise RecordFault(OTHER_CONFIDENCE, f"{beside.name}: {trust.shape}, {depth_m.shape}")
+                raise RecordFault(OTHER_CONFIDENCE, f"{trust_file.name}: {trust.shape}, {depth_m.shape}")
             depth_m[trust == 0] = 0.0
         return depth_m
 
@@ -153,10 +153,10 @@ def _array(content: bytes, name: str) -> NDArray[Any]:
 def file_content(path: Path, budget: Budget) -> bytes:
     """The content of a file; pipes and devices are rejected."""
     try:
-        found = path.stat()
-        if not stat.S_ISREG(found.st_mode) or found.st_size > LARGEST_BYTES:
-            raise RecordFault(UNREADABLE, f"{path.name}: no file, or one of {found.st_size} bytes")
-        budget.add_file(path, found.st_size)
+        status = path.stat()
+        if not stat.S_ISREG(status.st_mode) or status.st_size > LARGEST_BYTES:
+            raise RecordFault(UNREADABLE, f"{path.name}: no file, or one of {status.st_size} bytes")
+        budget.add_file(path, status.st_size)
         return path.read_bytes()
     except FileNotFoundError as error:
         raise RecordFault(MISSING, str(path)) from error

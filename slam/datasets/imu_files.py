@@ -79,8 +79,8 @@ class _Columns:
         """Stamp of a line in seconds."""
         if len(self.time) == 2:
             return float(row[self.time[0]] + 1e-9 * row[self.time[1]])
-        told = float(row[self.time[0]])
-        return by_its_size(told) if self.time_scale is None else told * self.time_scale
+        value = float(row[self.time[0]])
+        return by_its_size(value) if self.time_scale is None else value * self.time_scale
 
 
 @dataclass(frozen=True, slots=True)
@@ -135,8 +135,8 @@ def _read_imu(imu: ImuFile, account: Account) -> Iterator[tuple[int, ImuReading]
         if not text:
             continue
         if _is_head(text):
-            told = text.lstrip(b"#").decode("utf-8", "replace")
-            columns = columns if imu.head else _columns(told) or columns
+            names = text.lstrip(b"#").decode("utf-8", "replace")
+            columns = columns if imu.head else _columns(names) or columns
             continue
         with account.refusing(path.name, number, BAD_ROW, ValueError, IndexError):
             row = np.array([float(field) for field in _parted(text) if field.strip()])
@@ -193,11 +193,11 @@ def _columns(head: str) -> _Columns | None:
     gyro_scale = math.radians(1.0) if "deg" in names[gyro[0]] else 1.0
     if seconds and rest:
         return _Columns((seconds[0], rest[0]), gyro, force, gyro_scale)
-    told = next((scale for unit, scale in _UNITS.items() if f"[{unit}]" in names[time[0]]), None)
-    return _Columns((time[0],), gyro, force, gyro_scale, told)
+    time_scale = next((scale for unit, scale in _UNITS.items() if f"[{unit}]" in names[time[0]]), None)
+    return _Columns((time[0],), gyro, force, gyro_scale, time_scale)
 
 
 def _axes(names: list[str], pattern: re.Pattern[str]) -> tuple[int, ...]:
     """Column indices of a sensor's three axes; empty if one is missing."""
-    found = {match[3]: n for n, name in reversed(list(enumerate(names))) if (match := pattern.match(name))}
-    return tuple(found[axis] for axis in "xyz") if len(found) == 3 else ()
+    columns = {match[3]: n for n, name in reversed(list(enumerate(names))) if (match := pattern.match(name))}
+    return tuple(columns[axis] for axis in "xyz") if len(columns) == 3 else ()

@@ -50,7 +50,7 @@ def inspect_dataset(dataset: Dataset, calibration: Calibration | None = None) ->
     tally = SensorTally(config=SensorsConfig(calibration=calibration))
     streams: dict[str, _Stream] = {}
     earliest_s, latest_s, refusals = math.inf, -math.inf, list[str]()
-    for measurement in _as_far_as_it_goes(corrected(tally.counted(dataset), calibration), dataset, refusals):
+    for measurement in _readable_part(corrected(tally.counted(dataset), calibration), dataset, refusals):
         stream = streams.setdefault(measurement.sensor, _Stream())
         stream.add(measurement)
         earliest_s = min(earliest_s, measurement.stamp_s)
@@ -96,7 +96,7 @@ def map_commands(
     return commands
 
 
-def _as_far_as_it_goes(
+def _readable_part(
     log: Iterable[Measurement], dataset: Dataset, refusals: list[str]
 ) -> Iterator[Measurement]:
     """Iterate over a log; if a bag contains nothing that can be mapped, store the reason."""

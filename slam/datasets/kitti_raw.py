@@ -91,8 +91,8 @@ def _clouds(path: Path, account: Account) -> list[StampedFile]:
         # Published drives contain lines for clouds that were never recorded.
         reason = UNPAIRED if number in files else WITHOUT_CLOUD
         account.refuse(RecordFault(reason, f"number {number}"), "timestamps.txt", number + 1)
-    both = sorted(files.keys() & stamps.keys())
-    return [StampedFile(stamps[number], files[number], number) for number in both]
+    numbers = sorted(files.keys() & stamps.keys())
+    return [StampedFile(stamps[number], files[number], number) for number in numbers]
 
 
 def _stamps(path: Path, account: Account) -> Iterator[tuple[int, float]]:
@@ -101,8 +101,8 @@ def _stamps(path: Path, account: Account) -> Iterator[tuple[int, float]]:
         text = line.decode("ascii", "replace").strip()
         try:
             moment, _, fraction = text.partition(".")
-            whole = datetime.strptime(moment, "%Y-%m-%d %H:%M:%S").replace(tzinfo=UTC).timestamp()
-            yield number - 1, whole + float(f"0.{fraction or 0}")
+            seconds = datetime.strptime(moment, "%Y-%m-%d %H:%M:%S").replace(tzinfo=UTC).timestamp()
+            yield number - 1, seconds + float(f"0.{fraction or 0}")
         except ValueError as error:
             if text:
                 account.refuse(RecordFault(BAD_STAMP, str(error)), path.name, number)
@@ -155,7 +155,7 @@ def _groundtruth(path: Path, account: Account) -> Trajectory | None:
     """Ground truth of the lidar by latitude, longitude, height and angles, projected as published."""
     # Without a calibration, the lidar is assumed to be at the pose of the IMU.
     T_imu_velo = (_calibration(path, account) or gtsam.Pose3()).inverse()
-    found: list[tuple[float, gtsam.Pose3]] = []
+    poses: list[tuple[float, gtsam.Pose3]] = []
     scale = None
     for _, stamp_s, numbers in _oxts(path, _stamps_of_oxts(path, account), 6, account):
         latitude, longitude, height, roll, pitch, yaw = numbers[:6]
@@ -164,13 +164,13 @@ def _groundtruth(path: Path, account: Account) -> Trajectory | None:
         north = scale * _EARTH_RADIUS_M * math.log(math.tan(math.radians(90.0 + latitude) / 2.0))
         place_m = np.array([east, north, height])
         T_world_imu = gtsam.Pose3(gtsam.Rot3.Ypr(yaw, pitch, roll), place_m)
-        found.append((stamp_s, T_world_imu.compose(T_imu_velo)))
-    return trajectory_of(found)
+        poses.append((stamp_s, T_world_imu.compose(T_imu_velo)))
+    return trajectory_of(poses)
 
 
 def _calibration(path: Path, account: Account) -> gtsam.Pose3 | None:
     """``T_velo_imu`` from ``calib_imu_to_velo.txt`` next to the drive or in it; None if there is none."""
-    file = first_file(one / "calib_imu_to_velo.txt" for one in (path, path.resolve().parent))
+    file = first_file(folder / "calib_imu_to_velo.txt" for folder in (path, path.resolve().parent))
     return rotation_and_shift(file, account) if file else None
 
 

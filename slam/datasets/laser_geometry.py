@@ -75,7 +75,7 @@ def beam_layout(beam_count: int, fov_rad: float | None = None, step_rad: float |
     """
     fov = fov_rad if _is_angle(fov_rad) else None
     step = step_rad if _is_angle(step_rad) else None
-    odd = beam_count % 2
+    is_odd = beam_count % 2
     if beam_count == 1:
         return BeamLayout(0.0, fov or math.radians(_DEFAULT_FOV_DEG))
     if fov is not None and step is not None:
@@ -84,7 +84,7 @@ def beam_layout(beam_count: int, fov_rad: float | None = None, step_rad: float |
             return BeamLayout(-0.5 * fov, fov / intervals)
         return _spread(beam_count, _default_fov_rad(beam_count), contradiction=True)
     if step is not None:
-        fov = step * (beam_count - odd)
+        fov = step * (beam_count - is_odd)
         if fov > 2.0 * math.pi + step:
             return _spread(beam_count, _default_fov_rad(beam_count), contradiction=True)
     return _spread(beam_count, fov if fov is not None else _default_fov_rad(beam_count))
@@ -145,18 +145,18 @@ def classify_ranges(
         raise RecordFault(MANY_BEAMS, f"{ranges_m.size}, at most {MOST_BEAMS}")
     classified = np.empty(ranges_m.size, np.float32)
     # A stated 81.83 and a written 81.83 must match, whatever their last bit.
-    beyond, returns, *ends = _classify(ranges_m, limit_m - _CODE_TOLERANCE_M, classified)
-    if 2 * beyond > returns:
-        told = ranges_m[np.isfinite(ranges_m) & (classified == math.inf)]
-        if np.unique(told).size >= FEWEST:
-            limit_m *= next((one for one in _UNITS_IN_A_M if told.max() <= limit_m * one), _UNITS_IN_A_M[-1])
+    above_count, returns, *ends = _classify(ranges_m, limit_m - _CODE_TOLERANCE_M, classified)
+    if 2 * above_count > returns:
+        above = ranges_m[np.isfinite(ranges_m) & (classified == math.inf)]
+        if np.unique(above).size >= FEWEST:
+            limit_m *= next((by for by in _UNITS_IN_A_M if above.max() <= limit_m * by), _UNITS_IN_A_M[-1])
             ends = _classify(ranges_m, limit_m - _CODE_TOLERANCE_M, classified)[2:]
-    most_m, alike, least_m, near = ends
-    if near >= FEWEST and repeated.shortest_m == least_m:
+    most_m, most_count, least_m, least_count = ends
+    if least_count >= FEWEST and repeated.shortest_m == least_m:
         others = np.unique(ranges_m[(ranges_m > least_m) & np.isfinite(classified)], return_counts=True)[1]
-        classified[(ranges_m == least_m) & (near > ALIKE * max(others, default=0))] = math.nan
+        classified[(ranges_m == least_m) & (least_count > ALIKE * max(others, default=0))] = math.nan
     repeated.shortest_m = least_m
-    code_m = repeated.longest_m if repeated.take(most_m, alike) else math.inf
+    code_m = repeated.longest_m if repeated.take(most_m, most_count) else math.inf
     # Error codes may be above it, but there are few.
     if code_m <= most_m and 2 * np.count_nonzero(ranges_m == code_m) > np.count_nonzero(ranges_m >= code_m):
         limit_m = code_m
@@ -167,16 +167,16 @@ def classify_ranges(
 @kernel
 def _classify(ranges_m, limit_m, classified):  # type: ignore[no-untyped-def]
     """Write the result of `classify_ranges`; return counts (beyond, all), extremes and their counts."""
-    beyond, returns, alike, near = ZERO, ZERO, ZERO, ZERO
+    above_count, returns, most_count, least_count = ZERO, ZERO, ZERO, ZERO
     most_m, least_m = 0.0, math.inf
     for i in range(ranges_m.size):
         range_m = ranges_m[i]
         classified[i] = math.inf if range_m >= limit_m else range_m if range_m > 0.0 else math.nan
-        beyond += limit_m <= range_m < math.inf
+        above_count += limit_m <= range_m < math.inf
         returns += 0.0 < range_m < math.inf
         if 0.0 < range_m < limit_m:
-            alike = alike + 1 if range_m == most_m else alike if range_m < most_m else 1
-            near = near + 1 if range_m == least_m else near if range_m > least_m else 1
+            most_count = most_count + 1 if range_m == most_m else most_count if range_m < most_m else 1
+            least_count = least_count + 1 if range_m == least_m else least_count if range_m > least_m else 1
             most_m = max(most_m, range_m)
             least_m = min(least_m, range_m)
-    return beyond, returns, most_m, alike, least_m, near
+    return above_count, returns, most_m, most_count, least_m, least_count

@@ -40,10 +40,10 @@ def _load(path: Path, account: Account) -> Contents:
     roll, pitch, yaw = np.radians(_TURN_DEG).tolist()
     mounting = gtsam.Pose3(gtsam.Rot3.Ypr(yaw, pitch, roll), np.array(_SHIFT_M))
     if place.name != _LIDARS[0]:
-        told = rotation_and_shift(path / _MOUNT_FILE, account) if (path / _MOUNT_FILE).is_file() else None
-        if told is None:
+        mount = rotation_and_shift(path / _MOUNT_FILE, account) if (path / _MOUNT_FILE).is_file() else None
+        if mount is None:
             raise DatasetError(f"{path} has no {_MOUNT_FILE}, which contains the tilt of its lidars; add it")
-        mounting = told
+        mounting = mount
         account.report.ignore(_OTHER_LIDAR, "one 3D lidar is read")
     clouds = CloudFolder(tuple(files), mounting, with_column_times(KITTI_ROWS))
     return Contents(log=beside_imu(clouds.numbered(account), xsens((path / "sensor_data", path)), account))
@@ -52,7 +52,7 @@ def _load(path: Path, account: Account) -> Contents:
 def _clouds_folder(path: Path) -> Path | None:
     """The folder of the clouds: the file player expects them one level deeper than the archives."""
     places = (place / name for name in _LIDARS for place in (path / _SENSORS, path))
-    return next((one for one in places if one.is_dir()), None)
+    return next((folder for folder in places if folder.is_dir()), None)
 
 
 def xsens(folders: Iterable[Path]) -> ImuFile | None:

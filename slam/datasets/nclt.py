@@ -41,8 +41,8 @@ def _load(path: Path, account: Account) -> Contents:
         path / _INSIDE, account, r"(\d{10,17})\.bin", lambda match: int(match[1]) * _TICK_S
     )
     clouds = CloudFolder(tuple(files), parse=_parse).numbered(account)
-    found = first_file(path / name for name in _ODOMETRY)
-    log = merged(_wheels(found, account), clouds) if found else clouds
+    odometry = first_file(path / name for name in _ODOMETRY)
+    log = merged(_wheels(odometry, account), clouds) if odometry else clouds
     imu = ImuFile(path / _IMU, _IMU_HEAD) if (path / _IMU).is_file() else None
     return Contents(log=beside_imu(log, imu, account))
 

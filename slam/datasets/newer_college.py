@@ -37,8 +37,8 @@ def _load(path: Path, account: Account) -> Contents:
     assert folder is not None
     files = clouds_by_name(folder, account, _CLOUDS, lambda match: int(match[1]) + int(match[2]) * 1e-9)
     clouds = CloudFolder(tuple(files), parse=with_column_times(read_fields))
-    beside = [*sorted((folder.parent / _IMU).glob("*.csv")), folder.parent / f"{_IMU}.csv"]
-    file = first_file([*beside, folder / f"{_IMU}.csv"])
+    candidates = [*sorted((folder.parent / _IMU).glob("*.csv")), folder.parent / f"{_IMU}.csv"]
+    file = first_file([*candidates, folder / f"{_IMU}.csv"])
     imu = ImuFile(file, _IMU_HEAD) if file else None
     return Contents(log=beside_imu(clouds.numbered(account), imu, account))
 
@@ -46,7 +46,7 @@ def _load(path: Path, account: Account) -> Contents:
 def _clouds_folder(path: Path) -> Path | None:
     """The folder of the clouds."""
     places = (path / inside for inside in _PLACES)
-    return next((one for one in places if next(one.glob("cloud_*_*.p*"), None)), None)
+    return next((place for place in places if next(place.glob("cloud_*_*.p*"), None)), None)
 
 
 def _groundtruth(path: Path, account: Account) -> Trajectory | None:

@@ -30,11 +30,11 @@ def numbered_files(folder: Path, pattern: str) -> dict[int, Path]:
     """Files of a folder by the integer that is the first group of a pattern of their names."""
     name = re.compile(pattern, re.IGNORECASE)
     try:
-        found = [(name.fullmatch(entry.name), entry) for entry in folder.iterdir()]
+        matches = [(name.fullmatch(entry.name), entry) for entry in folder.iterdir()]
     except OSError:
         return {}
     # Sorted by name, so that of two files with one number the same one wins on every system.
-    return {int(match[1]): entry for match, entry in sorted(found, key=lambda one: one[1].name) if match}
+    return {int(match[1]): entry for match, entry in sorted(matches, key=lambda pair: pair[1].name) if match}
 
 
 def at_rate(rate_hz: float = RATE_HZ) -> Callable[[int], float]:

@@ -31,7 +31,7 @@ def _places(path: Path) -> list[Path]:
     return [
         place
         for place in inside
-        if place.is_dir() and any(name.fullmatch(one.name) for one in islice(place.iterdir(), _LOOKED_AT))
+        if place.is_dir() and any(name.fullmatch(file.name) for file in islice(place.iterdir(), _LOOKED_AT))
     ]
 
 

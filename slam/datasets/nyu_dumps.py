@@ -62,11 +62,11 @@ def _load(path: Path, account: Account) -> Contents:
 
 def _images(path: Path, pattern: str, account: Account) -> list[StampedFile]:
     """Files sorted by the stamps in their names; empty ones are counted."""
-    found = []
+    stamped = []
     for number, file in enumerate(sorted(path.glob(pattern)), 1):
         with account.refusing(file.name, number):
-            found.append(StampedFile(stamp_of(file.name.split("-")[1].encode()), file, number))
-    return sorted(found, key=lambda image: image.stamp_s)
+            stamped.append(StampedFile(stamp_of(file.name.split("-")[1].encode()), file, number))
+    return sorted(stamped, key=lambda image: image.stamp_s)
 
 
 class _Dumps:
@@ -83,8 +83,8 @@ class _Dumps:
             raise RecordFault(NOT_16_BIT, f"{file.path.name}: {steps.dtype} {steps.shape}")
         steps = steps.byteswap()
         known = (steps >= _FIRST_STEP) & (steps < INFINITE - SCALE / _FARTHEST_M) & (steps != _NO_STEP)
-        away = np.where(known, np.float32(INFINITE) - steps, np.float32(np.inf))
-        self._latest = self._camera.flat_depth((np.float32(SCALE) / away).astype(np.float32))
+        disparity = np.where(known, np.float32(INFINITE) - steps, np.float32(np.inf))
+        self._latest = self._camera.flat_depth((np.float32(SCALE) / disparity).astype(np.float32))
         return self._latest
 
     def color(self, file: StampedFile, budget: Budget) -> ColorImage:

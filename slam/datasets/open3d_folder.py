@@ -103,9 +103,9 @@ def _camera(path: Path, account: Account) -> Camera:
     sun3d = places[0].name == "image" and (path / "intrinsics.txt").is_file()
     source = _RotatedDepth() if sun3d else FILES
     calibration = _calibration(path)
-    odd = [file.name for name, file in (*colors, *depths) if not _NUMBER.fullmatch(name)]
-    if 2 * len(odd) < len(colors) + len(depths):
-        for name in odd:
+    unnumbered = [file.name for name, file in (*colors, *depths) if not _NUMBER.fullmatch(name)]
+    if 2 * len(unnumbered) < len(colors) + len(depths):
+        for name in unnumbered:
             account.refuse(RecordFault(NO_NUMBER, name), path.name, 0)
         account.report.note(NO_STAMPS.format(rate=RATE_HZ), 1)
         numbered = [numbered_files(place, _NUMBER.pattern + r"\.(?:png|jpe?g)") for place in places]
@@ -119,18 +119,18 @@ def _camera(path: Path, account: Account) -> Camera:
 
 def _stamped(folder: Path, named: list[tuple[str, Path]]) -> list[StampedFile]:
     """Images sorted by the stamps in their names."""
-    found = []
+    stamped = []
     for number, (name, file) in enumerate(named, 1):
         if match := _FRAME_AND_STAMP.fullmatch(name):
-            found.append(StampedFile(int(match[2]) * 1e-6, file, number))
+            stamped.append(StampedFile(int(match[2]) * 1e-6, file, number))
         elif match := _CLOCK.fullmatch(name):
-            found.append(StampedFile(by_its_size(float(match[1])), file, number))
+            stamped.append(StampedFile(by_its_size(float(match[1])), file, number))
         else:
             raise DatasetError(
                 f"{folder} holds '{file.name}', which is no number and no stamp; "
                 "list the images with their stamps in rgb.txt and depth.txt, as TUM does"
             )
-    return sorted(found, key=lambda image: image.stamp_s)
+    return sorted(stamped, key=lambda image: image.stamp_s)
 
 
 def _calibration(path: Path) -> Calibration:
@@ -163,8 +163,8 @@ def _groundtruth(path: Path, account: Account) -> Trajectory | None:
     """Camera to world from blocks of numbered matrices, or one file each; frame N has the stamp N / 30 s."""
     if files := numbered_files(path / "pose", _POSE_FILE):
         return poses_of_files(files, at_rate(), account)
-    found = next((file for pattern in _POSES for file in sorted(path.glob(pattern))), None)
-    poses = pose_blocks(found, account) if found else {}
+    pose_file = next((file for pattern in _POSES for file in sorted(path.glob(pattern))), None)
+    poses = pose_blocks(pose_file, account) if pose_file else {}
     return trajectory_of((number / RATE_HZ, pose) for number, pose in sorted(poses.items()))
 
 

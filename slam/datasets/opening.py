@@ -104,7 +104,7 @@ def open_dataset(
         # A session in a database also has a path: DATABASE/SESSION.
         if looks_like_robot_at_home2(path, b""):
             return open_robot_at_home2(path, strict)
-        raise DatasetError(f"{path} does not exist; {_meant(path)}")
+        raise DatasetError(f"{path} does not exist; {_suggestion(path)}")
     if not (path.is_file() or path.is_dir()):
         raise DatasetError(f"{path} is neither a file nor a directory")
     head = read_head(path, HEAD_BYTES) if path.is_file() else b""
@@ -113,8 +113,8 @@ def open_dataset(
     for known in _formats():
         if known.recognises(path, head):
             dataset = _opened(known, path, strict, tuple(topics))
-            told = {"read_images": images, "calibration_files": tuple(map(Path, calibration))}
-            for name, value in told.items():
+            options = {"read_images": images, "calibration_files": tuple(map(Path, calibration))}
+            for name, value in options.items():
                 if hasattr(dataset, name):
                     setattr(dataset, name, value)
             return dataset
@@ -124,7 +124,7 @@ def open_dataset(
             return open_dataset(
                 inside[0], strict=strict, topics=topics, images=images, calibration=calibration
             )
-        raise DatasetError(f"{path} {_what_is_wrong(path)}")
+        raise DatasetError(f"{path} {_problem_of(path)}")
     suffix = path.suffix[1:].lower()
     what = next((words for suffixes, words in _UNREAD if re.fullmatch(suffixes, suffix)), None)
     raise DatasetError(
@@ -154,15 +154,15 @@ def _opened(known: DatasetFormat, path: Path, strict: bool, topics: tuple[str, .
     return known.open(path, strict)
 
 
-def _meant(path: Path) -> str:
+def _suggestion(path: Path) -> str:
     """Suggestions for a path that does not exist."""
     folder = path.parent
     names = [entry.name for entry in islice(folder.iterdir(), _LOOKED_AT)] if folder.is_dir() else []
-    near = [str(folder / name) for name in get_close_matches(path.name, names)]
-    return f"did you mean {' or '.join(near)}?" if near else "give the path of a log"
+    similar = [str(folder / name) for name in get_close_matches(path.name, names)]
+    return f"did you mean {' or '.join(similar)}?" if similar else "give the path of a log"
 
 
-def _what_is_wrong(folder: Path) -> str:
+def _problem_of(folder: Path) -> str:
     """Why a folder is no dataset, as far as known."""
     names = {entry.name for entry in islice(folder.iterdir(), _LOOKED_AT)}
     if not names:
@@ -172,7 +172,7 @@ def _what_is_wrong(folder: Path) -> str:
             return f"needs both {color} and {depths[0]}"
     if any(name.lower().endswith(".e57") for name in names):
         return "holds E57; convert each to .ply (pye57, CloudCompare), and list the stamps in times.txt"
-    inside = [str(found.relative_to(folder)) for found in _recordings(folder)]
+    inside = [str(recording.relative_to(folder)) for recording in _recordings(folder)]
     if inside:
         return f"is no log itself but holds some; give one of {', '.join(inside[:8])}"
     return f"is a directory of no known format; {_supported()}"
@@ -183,10 +183,10 @@ def _recordings(folder: Path) -> list[Path]:
     level = [folder]
     for _ in range(_LEVELS):
         below = [
-            one for place in level for one in islice(sorted(place.iterdir()), _LOOKED_AT) if one.is_dir()
+            sub for place in level for sub in islice(sorted(place.iterdir()), _LOOKED_AT) if sub.is_dir()
         ]
-        found = [one for one in below if any(known.recognises(one, b"") for known in _formats())]
-        if found:
-            return found
+        recordings = [sub for sub in below if any(known.recognises(sub, b"") for known in _formats())]
+        if recordings:
+            return recordings
         level = below[:_LOOKED_AT]
     return []

@@ -57,7 +57,7 @@ def _place(path: Path) -> Path | None:
     name = re.compile(_NAME)
     for place in _folders(path):
         names = [file.name for file in cloud_files(place)[:_LOOKED_AT]]
-        if names and all(name.fullmatch(one) for one in names):
+        if names and all(name.fullmatch(entry) for entry in names):
             return place
     return None
 
@@ -65,11 +65,11 @@ def _place(path: Path) -> Path | None:
 def _folders(path: Path) -> Iterator[Path]:
     """The folder, and its subfolders with names of clouds or of a lidar."""
     yield path
-    below = sorted(one for one in islice(path.iterdir(), _LOOKED_AT) if one.is_dir())
-    yield from (one for one in below if _FOLDER.search(one.name))
-    for one in below:
-        inner = sorted(two for two in islice(one.iterdir(), _LOOKED_AT) if two.is_dir())
-        yield from (two for two in inner if _FOLDER.search(two.name))
+    below = sorted(folder for folder in islice(path.iterdir(), _LOOKED_AT) if folder.is_dir())
+    yield from (folder for folder in below if _FOLDER.search(folder.name))
+    for folder in below:
+        inner = sorted(child for child in islice(folder.iterdir(), _LOOKED_AT) if child.is_dir())
+        yield from (child for child in inner if _FOLDER.search(child.name))
 
 
 def _groundtruth(path: Path, account: Account) -> Trajectory | None:

@@ -59,12 +59,12 @@ def _fields(header: dict[str, list[str]]) -> list[tuple[str, str, int]]:
     names, kinds, sizes = (header.get(key, []) for key in ("FIELDS", "TYPE", "SIZE"))
     counts = header.get("COUNT", ["1"] * len(names))
     fields = []
-    for number, (name, kind, size, many) in enumerate(zip(names, kinds, sizes, counts, strict=True)):
-        if not (size.isdecimal() and int(size) in _SIZES.get(kind, ()) and many.isdecimal() and int(many)):
-            raise ValueError(f"field {name[:80]} of type {kind[:8]}, size {size[:8]}, count {many[:8]}")
+    for number, (name, kind, size, count) in enumerate(zip(names, kinds, sizes, counts, strict=True)):
+        if not (size.isdecimal() and int(size) in _SIZES.get(kind, ()) and count.isdecimal() and int(count)):
+            raise ValueError(f"field {name[:80]} of type {kind[:8]}, size {size[:8]}, count {count[:8]}")
         # Several fields may be padding; rows need distinct names.
         own_name = f"{_PADDING}{number}" if name == _PADDING else name
-        fields.append((own_name, f"<{_KINDS[kind]}{size}", int(many)))
+        fields.append((own_name, f"<{_KINDS[kind]}{size}", int(count)))
     return fields
 
 
@@ -91,23 +91,23 @@ def _compressed(stream: BinaryIO, fields: list[tuple[str, str, int]], count: int
         int(size) for size in binary_rows(stream, [("size", "<u4", 2)], 1)["size"][0]
     )
     check_bytes(stream, packed_bytes)
-    wanted = count * row_bytes(fields)
-    if whole_bytes != wanted or whole_bytes > min(LARGEST_BYTES, _MOST_GROWTH * packed_bytes):
-        raise ValueError(f"{whole_bytes} bytes in {packed_bytes} for {wanted} bytes of points")
-    whole = np.empty(whole_bytes, np.uint8)
-    if not _unpack(np.frombuffer(stream.read(packed_bytes), np.uint8), whole):
+    expected = count * row_bytes(fields)
+    if whole_bytes != expected or whole_bytes > min(LARGEST_BYTES, _MOST_GROWTH * packed_bytes):
+        raise ValueError(f"{whole_bytes} bytes in {packed_bytes} for {expected} bytes of points")
+    data = np.empty(whole_bytes, np.uint8)
+    if not _unpack(np.frombuffer(stream.read(packed_bytes), np.uint8), data):
         raise ValueError("damaged compression")
     columns, start = {}, 0
-    for name, code, many in fields:
-        bytes_ = np.dtype(code).itemsize * many * count
-        values = whole[start : start + bytes_].view(code)
-        columns[name] = values if many == 1 else values.reshape(count, many)
+    for name, code, width in fields:
+        bytes_ = np.dtype(code).itemsize * width * count
+        values = data[start : start + bytes_].view(code)
+        columns[name] = values if width == 1 else values.reshape(count, width)
         start += bytes_
     return columns
 
 
 @kernel
-def _unpack(packed: NDArray[np.uint8], whole: NDArray[np.uint8]) -> bool:
+def _unpack(packed: NDArray[np.uint8], data: NDArray[np.uint8]) -> bool:
     """Decompress LZF (M. Lehmann's liblzf) to an array of the right length; returns whether it fits."""
     read = written = np.int64(0)
     while read < packed.size:
@@ -115,10 +115,10 @@ def _unpack(packed: NDArray[np.uint8], whole: NDArray[np.uint8]) -> bool:
         read += 1
         if control < 32:  # control + 1 literal bytes
             length = control + 1
-            if read + length > packed.size or written + length > whole.size:
+            if read + length > packed.size or written + length > data.size:
                 return False
             for k in range(length):
-                whole[written + k] = packed[read + k]
+                data[written + k] = packed[read + k]
             read += length
         else:  # earlier bytes, which may overlap with the output
             length = control >> 5
@@ -130,9 +130,9 @@ def _unpack(packed: NDArray[np.uint8], whole: NDArray[np.uint8]) -> bool:
             length += 2
             start = written - ((control & 31) << 8) - np.int64(packed[read]) - 1
             read += 1
-            if start < 0 or written + length > whole.size:
+            if start < 0 or written + length > data.size:
                 return False
             for k in range(length):
-                whole[written + k] = whole[start + k]
+                data[written + k] = data[start + k]
         written += length
-    return bool(written == whole.size)
+    return bool(written == data.size)

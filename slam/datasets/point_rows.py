@@ -36,7 +36,7 @@ def check_bytes(stream: BinaryIO, needed: int) -> None:
 
 def row_bytes(fields: list[tuple[str, str, int]]) -> int:
     """Length of a row in bytes, see `row_type`."""
-    return sum(np.dtype(code).itemsize * many for _, code, many in fields)
+    return sum(np.dtype(code).itemsize * width for _, code, width in fields)
 
 
 def row_type(fields: list[tuple[str, str, int]]) -> np.dtype[np.void]:
@@ -72,12 +72,12 @@ def text_rows(stream: BinaryIO, fields: list[tuple[str, str, int]], count: int) 
         There are too few rows, a row has too many or too few numbers, or a number is invalid for its type.
     """
     # A number takes at least a digit and a separator.
-    check_bytes(stream, 2 * count * sum(many for _, _, many in fields) - 1)
+    check_bytes(stream, 2 * count * sum(width for _, _, width in fields) - 1)
     if count == 0:
         return np.empty(0, row_type(fields))
     lines = (line.decode("ascii") for line in islice(stream, count))
     # Zeros first: if all lines are empty, loadtxt warns and returns nothing.
-    zeros = " ".join("0" for _, _, many in fields for _ in range(many))
+    zeros = " ".join("0" for _, _, width in fields for _ in range(width))
     rows = np.loadtxt(chain([zeros], lines), row_type(fields), comments=None, ndmin=1)[1:]
     if len(rows) != count:
         raise ValueError(f"cut off, {len(rows)} of {count} lines")

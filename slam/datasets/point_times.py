@@ -44,12 +44,12 @@ class PointTimes:
         self._stamped = stamped
         self._field = ""
         self._unit_s = 0.0
-        self._filled = False
+        self._interpolated = False
 
-    def told(self, sensor: str) -> list[str]:
+    def notes(self, sensor: str) -> list[str]:
         """Notes for the user about the lidar with this name."""
         zero = f"{WARNING}{sensor}: many points have no time; it is interpolated from their neighbours"
-        return [f"{sensor}: {self.choice}"] * bool(self.choice) + [zero] * self._filled
+        return [f"{sensor}: {self.choice}"] * bool(self.choice) + [zero] * self._interpolated
 
     def of(
         self, names: Iterable[str], column: Callable[[str], NDArray[Any]], stamp_s: float
@@ -73,7 +73,7 @@ class PointTimes:
         timed = np.flatnonzero(times_s)
         if FEWEST < 4 * timed.size < 3 * times_s.size:  # a quarter is not at the stamp itself
             times_s = np.interp(np.arange(times_s.size), timed, times_s[timed])
-            self._filled = True
+            self._interpolated = True
         if not times_s.size or not np.isfinite(times_s).all() or np.ptp(times_s) > LONGEST_TURN_S:
             return None
         first_s = float(times_s.min())
@@ -86,21 +86,21 @@ class PointTimes:
 
     def _choose(self, own: dict[str, str], column: Callable[[str], NDArray[Any]]) -> None:
         """Find the time field, and its unit from the possible durations of a revolution."""
-        found = [own[name] for name in _NAMES if name in own]
-        if not found:
+        named = [own[name] for name in _NAMES if name in own]
+        if not named:
             self.choice = "points without times"
             return
-        values = column(found[0])
+        values = column(named[0])
         kind, values = values.dtype, values.astype(np.float64)
         span = float(np.ptp(values)) if values.size and np.isfinite(values).all() else 0.0
         for unit, unit_s in _UNITS_S.items():
             if _SHORTEST_TURN_S < span * unit_s <= LONGEST_TURN_S:
-                self._field, self._unit_s = found[0], unit_s
+                self._field, self._unit_s = named[0], unit_s
                 absolute = abs(float(values.min()) * unit_s) > LONGEST_TURN_S
                 after = "by a clock" if absolute else "after the stamp of the cloud"
-                self.choice = f"times of points from field {found[0]} ({kind}), {unit} {after}"
+                self.choice = f"times of points from field {named[0]} ({kind}), {unit} {after}"
                 return
-        self.choice = f"times of points in field {found[0]} span {span:g}, which is no revolution: not used"
+        self.choice = f"times of points in field {named[0]} span {span:g}, which is no revolution: not used"
 
 
 def intensities_of(names: Iterable[str], column: Callable[[str], NDArray[Any]]) -> Float32Array | None:
@@ -114,7 +114,7 @@ def intensities_of(names: Iterable[str], column: Callable[[str], NDArray[Any]]) 
         The values of a field, (N,).
     """
     own = {name.lower(): name for name in names}
-    found = next((own[name] for name in _INTENSITIES if name in own), None)
-    values = np.zeros(0) if found is None else column(found)
+    name_found = next((own[name] for name in _INTENSITIES if name in own), None)
+    values = np.zeros(0) if name_found is None else column(name_found)
     with np.errstate(invalid="ignore", over="ignore"):
         return values.astype(np.float32) if values.any() else None

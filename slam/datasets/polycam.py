@@ -68,7 +68,7 @@ def _lens(cameras: Path, account: Account) -> CameraIntrinsics:
 
 def _truth(path: Path, account: Account) -> Trajectory | None:
     """The poses of the app."""
-    found: list[tuple[float, gtsam.Pose3]] = []
+    poses: list[tuple[float, gtsam.Pose3]] = []
     _, cameras = _images_and_cameras(_keyframes(path))
     for number, file in sorted(numbered_files(cameras, _STAMPED % "json").items()):
         fields = json_object(file)
@@ -76,8 +76,8 @@ def _truth(path: Path, account: Account) -> Trajectory | None:
         with account.refusing(file.name, number, BAD_MATRIX, *damages):
             rows = [[float(fields[f"t_{row}{column}"]) for column in range(4)] for row in range(3)]
             pose = pose_from_matrix(np.array([*rows, [0.0, 0.0, 0.0, 1.0]]))
-            found.append((_stamp(number), pose.compose(T_ARKIT_OPTICAL)))
-    return trajectory_of(found)
+            poses.append((_stamp(number), pose.compose(T_ARKIT_OPTICAL)))
+    return trajectory_of(poses)
 
 
 FORMAT = recorded(

@@ -58,13 +58,13 @@ def decode_quietly(content: bytes, budget: Budget) -> NDArray[Any] | None:
             finally:
                 os.dup2(stderr, _STDERR)
             sink.seek(0)
-            said = sink.read()
-            if others := _CHATTER.sub(b"", said):
+            output = sink.read()
+            if others := _CHATTER.sub(b"", output):
                 os.write(stderr, others)
         finally:
             os.close(stderr)
     budget.take(0 if image is None else image.nbytes, 0)
-    damaged = any(not _HARMLESS.search(line) for line in _CHATTER.findall(said))
+    damaged = any(not _HARMLESS.search(line) for line in _CHATTER.findall(output))
     return None if image is None or damaged else np.asarray(image)
 
 

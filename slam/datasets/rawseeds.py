@@ -39,7 +39,7 @@ def _load(path: Path, account: Account) -> Contents:
         account.report.ignore(other.name, _NOT_PLACED)
     account.report.note(_CENTRE, 1)
     file = sorted(path.glob(_SCANS))[0]
-    tables = [_rows(one, account) for one in (*sorted(path.glob(_WHEELS))[:1], file)]
+    tables = [_rows(source, account) for source in (*sorted(path.glob(_WHEELS))[:1], file)]
     merged = heapq.merge(*tables, key=lambda row: row[0])
     rows = ((number, line) for _, number, line in merged)
     return Contents(log=read_messages(rows, _words, file.name, account))
@@ -69,7 +69,7 @@ def _words(line: bytes) -> Iterator[list[bytes]]:
     if count != len(ranges):
         raise RecordFault(WRONG_COUNT, f"{count} announced, {len(ranges)} follow")
     step_rad = math.radians(_STEP_DEG)
-    start, span, step = (repr(one).encode() for one in (first_rad, step_rad * (count - 1), step_rad))
+    start, span, step = (repr(angle).encode() for angle in (first_rad, step_rad * (count - 1), step_rad))
     head = [b"RAWLASER1", b"0", start, span, step, _GREATEST_M, b"0", b"0", fields[0]]
     yield [*head, *ranges, b"0", stamp, b"rawseeds", stamp]
 

@@ -99,15 +99,15 @@ class _Archive:
 
         packed = self._paid(name, budget)
         width, height = self.depth_size
-        wanted = width * height * np.dtype(kind).itemsize
-        budget.take(wanted, 0)
+        expected = width * height * np.dtype(kind).itemsize
+        budget.take(expected, 0)
         try:
-            if unpacked_bytes(packed) != wanted:
-                raise ValueError(f"not {wanted} bytes for {width} x {height}")
+            if unpacked_bytes(packed) != expected:
+                raise ValueError(f"not {expected} bytes for {width} x {height}")
             content = liblzfse.decompress(packed)
         except (liblzfse.error, MemoryError, ValueError, struct.error) as error:
             raise RecordFault(DAMAGED, f"{name}: {error}") from error
-        if len(content) != wanted:
+        if len(content) != expected:
             raise RecordFault(DAMAGED, f"{name}: {len(content)} bytes for {width} x {height}")
         return np.frombuffer(content, kind).reshape(height, width)
 
@@ -190,7 +190,7 @@ def _lens(path: Path, metadata: dict[str, Any], account: Account) -> CameraIntri
     try:
         size = int(metadata["w"]), int(metadata["h"])
         frames = metadata.get("perFrameIntrinsicCoeffs") or []
-        numbers = [[float(value) for value in one[:4]] for one in frames]
+        numbers = [[float(value) for value in frame[:4]] for frame in frames]
         if not numbers:
             k = np.array(metadata["K"], dtype=np.float64).reshape(3, 3).T
             numbers = [[k[0, 0], k[1, 1], k[0, 2], k[1, 2]]]
@@ -215,13 +215,13 @@ def _depth_size(path: Path, metadata: dict[str, Any]) -> tuple[int, int]:
 
 def _stamps(metadata: dict[str, Any], account: Account) -> Iterator[tuple[int, float]]:
     """Frames with their stamps; without stamps, from the frame rate of the recording."""
-    told = metadata.get("frameTimestamps")
-    if not isinstance(told, list) or not told:
+    stamps = metadata.get("frameTimestamps")
+    if not isinstance(stamps, list) or not stamps:
         poses, rate = metadata.get("poses"), metadata.get("fps")
         rate_hz = float(rate) if isinstance(rate, (int, float)) and 0 < rate < 1000 else 60.0
         account.report.note(f"no stamps: frame N taken as N / {rate_hz:g} s old", 1)
-        told = [number / rate_hz for number in range(len(poses) if isinstance(poses, list) else 0)]
-    for number, stamp in enumerate(told):
+        stamps = [number / rate_hz for number in range(len(poses) if isinstance(poses, list) else 0)]
+    for number, stamp in enumerate(stamps):
         with account.refusing(_METADATA, number):
             yield number, stamp_of(str(stamp).encode("ascii", "replace"))
 

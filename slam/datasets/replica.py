@@ -38,19 +38,19 @@ def _depths(path: Path) -> dict[int, Path]:
 
 def _calibration(path: Path) -> Calibration:
     """Calibration from the file in the folder or above, else as published."""
-    found = first_file((path / _LENS_FILE, path.resolve().parent / _LENS_FILE))
-    if found is None:
+    file = first_file((path / _LENS_FILE, path.resolve().parent / _LENS_FILE))
+    if file is None:
         return _PUBLISHED
-    fields = json_object(found).get("camera")
+    fields = json_object(file).get("camera")
     if not isinstance(fields, dict):
-        raise DatasetError(f"{found} describes no camera; correct it, or remove the file")
+        raise DatasetError(f"{file} describes no camera; correct it, or remove the file")
     try:
         scale = float(fields.get("scale", 0.0))
     except (TypeError, ValueError):
         scale = 0.0
     if not 0.0 < scale < 1e9:
-        raise DatasetError(f"{found}: scale {str(fields.get('scale'))[:24]} is none; correct the file")
-    return Calibration(lens_of_json(found, fields, "w", "h"), scale)
+        raise DatasetError(f"{file}: scale {str(fields.get('scale'))[:24]} is none; correct the file")
+    return Calibration(lens_of_json(file, fields, "w", "h"), scale)
 
 
 def _groundtruth(path: Path, account: Account) -> Trajectory | None:

@@ -67,19 +67,19 @@ def open_robot_at_home(path: Path, strict: bool) -> Recording:
 
 def _load(indexes: list[Path], account: Account) -> Contents:
     """The observations of all indexes by sensor, the earliest index first."""
-    found: dict[str, list[list[_Observation]]] = defaultdict(list)
+    listed_by: dict[str, list[list[_Observation]]] = defaultdict(list)
     for index in indexes:
         observations: dict[str, list[_Observation]] = defaultdict(list)
         for label, observation in _observations(index, account):
             observations[label].append(observation)
         for label, listed in observations.items():
-            found[label].append(listed)
+            listed_by[label].append(listed)
     in_order = {
-        label: [one for part in sorted(parts, key=lambda part: part[0].stamp_s) for one in part]
-        for label, parts in found.items()
+        label: [shot for part in sorted(parts, key=lambda part: part[0].stamp_s) for shot in part]
+        for label, parts in listed_by.items()
     }
     scans = in_order.pop(LASER, [])
-    cameras = [camera(label, [_pair(one) for one in in_order[label]]) for label in sorted(in_order)]
+    cameras = [camera(label, [_pair(shot) for shot in in_order[label]]) for label in sorted(in_order)]
     return Contents(cameras, _scans(scans, account))
 
 
@@ -93,26 +93,26 @@ def _observations(index: Path, account: Account) -> Iterator[tuple[str, _Observa
             yield label, _Observation(unix_stamp_s(fields[8]), number, key, index.with_suffix(""))
 
 
-def _pair(one: _Observation) -> FramePair:
+def _pair(shot: _Observation) -> FramePair:
     """The two images of an observation."""
     color, depth = (
-        StampedFile(one.stamp_s, one.folder / f"{one.key}_{kind}.png", one.number)
+        StampedFile(shot.stamp_s, shot.folder / f"{shot.key}_{kind}.png", shot.number)
         for kind in ("intensity", "depth")
     )
-    return FramePair(one.stamp_s, color, depth)
+    return FramePair(shot.stamp_s, color, depth)
 
 
 def _scans(observations: list[_Observation], account: Account) -> Iterator[Numbered]:
     """Scans, one file at a time."""
-    for one in observations:
+    for shot in observations:
         account.report.line_count += 1
-        with account.refusing(one.folder.name, one.number):
-            aperture, maximum, count, ranges, valid = _scan_lines(one.folder / f"{one.key}_scan.txt")
+        with account.refusing(shot.folder.name, shot.number):
+            aperture, maximum, count, ranges, valid = _scan_lines(shot.folder / f"{shot.key}_scan.txt")
             if not aperture.size == maximum.size == count.size == 1 or count[0] != ranges.size:
-                raise RecordFault(BAD_SCAN, f"{one.key}: {ranges.size} ranges")
-            scan = laser_scan(one.stamp_s, ranges, valid, float(aperture[0]), float(maximum[0]), account)
+                raise RecordFault(BAD_SCAN, f"{shot.key}: {ranges.size} ranges")
+            scan = laser_scan(shot.stamp_s, ranges, valid, float(aperture[0]), float(maximum[0]), account)
             account.report.accept(LASER)
-            yield one.number, scan
+            yield shot.number, scan
 
 
 def _scan_lines(path: Path) -> list[FloatArray]:
@@ -138,8 +138,8 @@ def _both_trees(path: Path) -> list[Path]:
     other = other.replace(scans, images) if scans in other else other.replace(images, scans)
     room = Path(other)
     # A room is a folder in the tree of scans, and a file in the tree of images.
-    beside = room.parent / f"{room.name}_rgbd.txt"
-    return [path, *(found for found in (room, beside) if found != path.resolve() and found.exists())]
+    rgbd = room.parent / f"{room.name}_rgbd.txt"
+    return [path, *(tree for tree in (room, rgbd) if tree != path.resolve() and tree.exists())]
 
 
 def _indexes(path: Path) -> Iterator[Path]:

@@ -151,12 +151,12 @@ def _pair(folder: Path, row: dict[str, Any]) -> FramePair:
     """The two images of an observation."""
     images = folder / _IMAGES if (folder / _IMAGES).is_dir() else folder
     names = [str(row[key]) for key in ("file_1", "file_2", "file_3") if row[key]]
-    found = {kind: [name for name in names if kind in name] for kind in ("intensity", "depth")}
-    if not all(found.values()):
+    by_kind = {kind: [name for name in names if kind in name] for kind in ("intensity", "depth")}
+    if not all(by_kind.values()):
         raise RecordFault(NO_FILES, f"files {names}")
     stamp_s = unix_stamp_s(row["ticks"])
     color, depth = (
-        StampedFile(stamp_s, images / str(row["folder"] or ".") / found[kind][0], int(row["id"]))
+        StampedFile(stamp_s, images / str(row["folder"] or ".") / by_kind[kind][0], int(row["id"]))
         for kind in ("intensity", "depth")
     )
     return FramePair(stamp_s, color, depth)

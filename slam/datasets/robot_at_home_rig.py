@@ -54,12 +54,12 @@ def camera(sensor: str, pairs: list[FramePair]) -> Camera:
 def unix_stamp_s(ticks: Any) -> float:
     """Return seconds since 1970 of 100 ns ticks since 1601; RecordFault if that is no time."""
     try:
-        whole, rest = divmod(int(ticks), _TICKS_PER_S)
+        seconds, rest = divmod(int(ticks), _TICKS_PER_S)
     except (TypeError, ValueError):
-        whole, rest = 0, 0
-    if not 0 <= whole - _EPOCH_S < STAMP_LIMIT_S:
+        seconds, rest = 0, 0
+    if not 0 <= seconds - _EPOCH_S < STAMP_LIMIT_S:
         raise RecordFault(BAD_TIME, f"{str(ticks)[:24]} ticks")
-    return (whole - _EPOCH_S) + rest / _TICKS_PER_S
+    return (seconds - _EPOCH_S) + rest / _TICKS_PER_S
 
 
 def laser_scan(

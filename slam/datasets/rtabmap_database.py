@@ -74,10 +74,10 @@ class _Database:
     def blob(self, column: str, number: int, budget: Budget | None = None) -> bytes:
         """The data of a node in a column; RecordFault if there are none."""
         try:
-            found = self.rows(f"SELECT {column} FROM Data WHERE id = ?", number)  # fixed column names
+            rows = self.rows(f"SELECT {column} FROM Data WHERE id = ?", number)  # fixed column names
         except DatasetError as error:
             raise RecordFault(DAMAGED, str(error)) from error
-        content = found[0][0] if found else None
+        content = rows[0][0] if rows else None
         if not isinstance(content, bytes) or not 4 < len(content) <= LARGEST_BYTES:
             raise RecordFault(MISSING, f"{column} of node {number}")
         if budget is not None:
@@ -87,14 +87,14 @@ class _Database:
     def nodes(self, account: Account) -> list[_Node]:
         """All nodes in time order."""
         truth = "ground_truth_pose" if self.has("Node", "ground_truth_pose") else "NULL"
-        found: list[_Node] = []
+        nodes: list[_Node] = []
         for number, stamp, pose, true in self.rows(f"SELECT id, stamp, pose, {truth} FROM Node ORDER BY id"):
             timed = isinstance(stamp, (int, float)) and 0.0 < stamp < STAMP_LIMIT_S
             if not isinstance(number, int) or not timed:
-                account.refuse(RecordFault(BAD_NODE, f"stamp {str(stamp)[:24]}"), "Node", len(found) + 1)
+                account.refuse(RecordFault(BAD_NODE, f"stamp {str(stamp)[:24]}"), "Node", len(nodes) + 1)
                 continue
-            found.append(_Node(number, float(stamp), _pose(pose), _pose(true)))
-        return sorted(found, key=lambda node: node.stamp_s)
+            nodes.append(_Node(number, float(stamp), _pose(pose), _pose(true)))
+        return sorted(nodes, key=lambda node: node.stamp_s)
 
     def has(self, table: str, column: str) -> bool:
         """Whether a table has a column."""
@@ -109,10 +109,10 @@ class _Database:
         """See `slam.datasets.image_files.ImageSource`."""
         content = self.blob("depth", file.number, budget)
         if content.startswith(_RUNS):
-            whole = metres_of(unpacked(content[len(_RUNS) :], budget), calibration)
+            depth_m = metres_of(unpacked(content[len(_RUNS) :], budget), calibration)
         else:
-            whole = depth_of(content, f"node {file.number}", calibration, budget, float_png=True)
-        return np.ascontiguousarray(_part(whole, file.path))
+            depth_m = depth_of(content, f"node {file.number}", calibration, budget, float_png=True)
+        return np.ascontiguousarray(_part(depth_m, file.path))
 
 
 def looks_like_rtabmap_database(path: Path, head: bytes) -> bool:

@@ -125,14 +125,14 @@ def scan_points(blob: bytes, budget: Budget) -> NDArray[Any]:
         raise RecordFault(BAD_PACKING, f"{len(blob)} bytes")
     rows, columns, kind = struct.unpack("<3i", blob[-12:])
     number, channels = _KINDS.get(kind & 7), (kind >> 3) + 1
-    wanted = rows * columns * channels * (np.dtype(number).itemsize if number else 0)
-    if min(rows, columns) < 1 or channels > 16 or not 0 < wanted <= LARGEST_BYTES:
+    expected = rows * columns * channels * (np.dtype(number).itemsize if number else 0)
+    if min(rows, columns) < 1 or channels > 16 or not 0 < expected <= LARGEST_BYTES:
         raise RecordFault(BAD_PACKING, f"{rows} x {columns} of kind {kind}")
-    budget.take(wanted, 0)
+    budget.take(expected, 0)
     try:
-        content = zlib.decompressobj().decompress(blob, wanted)
+        content = zlib.decompressobj().decompress(blob, expected)
     except zlib.error as error:
         raise RecordFault(BAD_PACKING, str(error)) from error
-    if len(content) != wanted:
-        raise RecordFault(BAD_PACKING, f"{len(content)} of {wanted} bytes")
+    if len(content) != expected:
+        raise RecordFault(BAD_PACKING, f"{len(content)} of {expected} bytes")
     return np.frombuffer(content, number).reshape(rows * columns, channels)

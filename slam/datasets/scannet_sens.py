@@ -90,15 +90,15 @@ class _Scan:
         """See `slam.datasets.image_files.ImageSource`."""
         frame, (width, height) = self.frames[file.number], self.head.depth_size
         content = self._bytes(frame.color_at + frame.color_bytes, frame.depth_bytes, budget)
-        wanted = 2 * width * height
-        budget.take(wanted, 0)
+        expected = 2 * width * height
+        budget.take(expected, 0)
         try:
             if self.head.depth_packing == _ZLIB:
-                content = zlib.decompressobj().decompress(content, wanted)
+                content = zlib.decompressobj().decompress(content, expected)
         except zlib.error as error:
             raise RecordFault(DAMAGED, f"frame {file.number}: {error}") from error
-        if len(content) != wanted:
-            raise RecordFault(DAMAGED, f"frame {file.number}: {len(content)} of {wanted} bytes of depth")
+        if len(content) != expected:
+            raise RecordFault(DAMAGED, f"frame {file.number}: {len(content)} of {expected} bytes of depth")
         return metres_of(np.frombuffer(content, "<u2").reshape(height, width).copy(), calibration)
 
     def _bytes(self, at: int, count: int, budget: Budget) -> bytes:
@@ -127,8 +127,8 @@ def _load(path: Path, account: Account) -> Contents:
 
 def _file(path: Path) -> Path:
     """The only such file in a folder, else the path."""
-    found = list(path.glob("*.sens")) if path.is_dir() else []
-    return found[0] if len(found) == 1 else path
+    files = list(path.glob("*.sens")) if path.is_dir() else []
+    return files[0] if len(files) == 1 else path
 
 
 def _read_head(path: Path) -> _Head:

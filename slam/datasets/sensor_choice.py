@@ -100,12 +100,12 @@ class SensorChoice:
 
     def used(self, log: Iterable[Measurement]) -> Iterator[Measurement]:
         """The measurements of a log in order, without those of unused sensors."""
-        for one in UsedMeasurements(log, self.config):
+        for item in UsedMeasurements(log, self.config):
             # Excluded wheels still get poses; two mixed odometries would be useless.
-            if isinstance(one, WheelOdometry) and one.sensor != (self.wheels or one.sensor):
+            if isinstance(item, WheelOdometry) and item.sensor != (self.wheels or item.sensor):
                 continue
-            if not isinstance(one, ImuReading | GnssFix) or not self.why_not(type(one), one.sensor):
-                yield one
+            if not isinstance(item, ImuReading | GnssFix) or not self.why_not(type(item), item.sensor):
+                yield item
 
     def why_not(self, kind: type, sensor: str) -> str:
         """Why a sensor of a measurement type is not used; empty if it is used."""
@@ -241,7 +241,7 @@ class SensorTally:
             Why the run could not use a sensor that was chosen, by name.
         """
         assert self.choice is not None
-        found = [
+        known = [
             SensorUse(
                 sensor,
                 _KINDS.get(kind, kind.__name__),
@@ -250,7 +250,7 @@ class SensorTally:
             )
             for (kind, sensor), count in sorted(self.counts.items(), key=lambda item: item[0][1])
         ]
-        why_not = {use.sensor: use.why_not for use in found}
+        why_not = {use.sensor: use.why_not for use in known}
         rest = [
             (name, count, why_not.get(report.part_of.get(name, ""), ""))
             for name, count in report.beside.items()
@@ -259,7 +259,7 @@ class SensorTally:
             (name, count, report.reasons.get(name, "nothing reads it"))
             for name, count in report.ignored.items()
         ]
-        return found + [SensorUse(*_name_and_kind(name), count, why) for name, count, why in sorted(rest)]
+        return known + [SensorUse(*_name_and_kind(name), count, why) for name, count, why in sorted(rest)]
 
 
 @dataclass(frozen=True, slots=True)

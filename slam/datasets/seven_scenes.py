@@ -51,7 +51,7 @@ _KNOWN = {
 def _names(folder: Path) -> str | None:
     """The naming scheme of the frames in a folder."""
     kinds = ("color", "depth")
-    return next((one for one in _KNOWN if any(numbered_files(folder, one % kind) for kind in kinds)), None)
+    return next((name for name in _KNOWN if any(numbered_files(folder, name % kind) for kind in kinds)), None)
 
 
 def _camera(folder: Path, account: Account) -> Camera:
@@ -70,8 +70,8 @@ def _calibration(folder: Path, published: Calibration) -> Calibration:
     info = first_file(folder / name for name in _INFOS)
     if info is None:
         return published
-    told = dict(line.partition(b"=")[::2] for _, line in numbered_lines(info, Account.quiet(info)))
-    values = {name.strip().decode("ascii", "replace"): value.split() for name, value in told.items()}
+    fields = dict(line.partition(b"=")[::2] for _, line in numbered_lines(info, Account.quiet(info)))
+    values = {name.strip().decode("ascii", "replace"): value.split() for name, value in fields.items()}
     try:
         depth, color = (_lens(info, values, kind) for kind in ("Depth", "Color"))
         steps = float(values["m_depthShift"][0])

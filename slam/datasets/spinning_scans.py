@@ -42,8 +42,8 @@ def straightened(log: Iterable[Measurement], lidars: Mapping[str, LidarCorrectio
     def waits(first: Measurement, now_s: float) -> bool:
         if not isinstance(first, LaserScan) or (lidar := lidars.get(first.sensor)) is None:
             return False
-        told = wheels and wheels[-1].stamp_s >= first.stamp_s + middle_s(first) + 0.5 * abs(lidar.turn_s)
-        return not told and now_s <= first.stamp_s + GAP_S and len(waiting) <= WHEELS_KEPT
+        covered = wheels and wheels[-1].stamp_s >= first.stamp_s + middle_s(first) + 0.5 * abs(lidar.turn_s)
+        return not covered and now_s <= first.stamp_s + GAP_S and len(waiting) <= WHEELS_KEPT
 
     for measurement in log:
         if isinstance(measurement, WheelOdometry) and (not wheels or measurement.sensor == wheels[0].sensor):
@@ -65,33 +65,33 @@ def straight(scan: LaserScan, twist: FloatArray, turn_s: float, cut_rad: float) 
         As for `turn_times`.
     """
     twist = scan.T_base_laser.inverse().AdjointMap() @ twist
-    bearings, met = scan.bearings_rad(), np.isfinite(scan.ranges_m)
-    ranges_m = np.where(met, scan.ranges_m, scan.range_max_m).astype(np.float64)
+    bearings, hit = scan.bearings_rad(), np.isfinite(scan.ranges_m)
+    ranges_m = np.where(hit, scan.ranges_m, scan.range_max_m).astype(np.float64)
     times_s = turn_times(np.column_stack([np.cos(bearings), np.sin(bearings)]), turn_s, cut_rad)
     times_s += middle_s(scan)
     # As complex numbers: translated along the chord, rotated by the full angle.
     turned_rad = twist[2] * times_s
     shift = times_s * complex(twist[0], twist[1]) * np.exp(0.5j * turned_rad)
     placed = shift + ranges_m * np.exp(1j * (bearings + turned_rad))
-    far_m, seen = np.abs(placed), bearings + np.angle(placed * np.exp(-1j * bearings))
+    far_m, angles = np.abs(placed), bearings + np.angle(placed * np.exp(-1j * bearings))
     # One revolution, extended by its end before and its start after it.
-    order = np.argsort(seen, kind="stable")
-    seen, order = np.concatenate([seen[order] + lap * math.tau for lap in (-1, 0, 1)]), np.tile(order, 3)
-    after = np.clip(np.searchsorted(seen, bearings), 1, len(seen) - 1)
+    order = np.argsort(angles, kind="stable")
+    angles, order = np.concatenate([angles[order] + lap * math.tau for lap in (-1, 0, 1)]), np.tile(order, 3)
+    after = np.clip(np.searchsorted(angles, bearings), 1, len(angles) - 1)
     ends = np.stack([after - 1, after])
-    gaps = np.abs(seen[ends] - bearings)
-    one, other = far_m[order[ends]]
+    gaps = np.abs(angles[ends] - bearings)
+    near_m, other = far_m[order[ends]]
     step_rad = abs(scan.step_rad)
-    on_one = met[order[ends]].all(axis=0)
-    on_one &= np.abs(other - one) < _STEEPEST * step_rad * np.minimum(one, other)
+    on_one = hit[order[ends]].all(axis=0)
+    on_one &= np.abs(other - near_m) < _STEEPEST * step_rad * np.minimum(near_m, other)
     # Interpolate inverse range linearly, as for a straight wall.
     with np.errstate(divide="ignore", invalid="ignore"):
-        between_m = one * other * gaps.sum(axis=0) / (gaps[0] * one + gaps[1] * other)
+        between_m = near_m * other * gaps.sum(axis=0) / (gaps[0] * near_m + gaps[1] * other)
     nearest = order[np.where(gaps[0] < gaps[1], after - 1, after)]
-    found = np.where(met, far_m, scan.ranges_m)[nearest]
-    found = np.where(on_one & np.isfinite(between_m), between_m, found)
-    found[gaps.min(axis=0) > step_rad] = np.nan
-    return replace(scan, ranges_m=found.astype(np.float32), beam_s=0.0)
+    ranges = np.where(hit, far_m, scan.ranges_m)[nearest]
+    ranges = np.where(on_one & np.isfinite(between_m), between_m, ranges)
+    ranges[gaps.min(axis=0) > step_rad] = np.nan
+    return replace(scan, ranges_m=ranges.astype(np.float32), beam_s=0.0)
 
 
 def middle_s(scan: LaserScan) -> float:
@@ -101,8 +101,8 @@ def middle_s(scan: LaserScan) -> float:
 
 def _twist(wheels: Iterable[WheelOdometry], stamp_s: float, half_s: float) -> FloatArray | None:
     """(3,) motion of the base per second over a revolution; None without wheel odometry at that time."""
-    before = [one for one in wheels if one.stamp_s <= stamp_s - half_s]
-    after = [one for one in wheels if one.stamp_s >= stamp_s + half_s]
+    before = [wheel for wheel in wheels if wheel.stamp_s <= stamp_s - half_s]
+    after = [wheel for wheel in wheels if wheel.stamp_s >= stamp_s + half_s]
     if not (before and after) or (span_s := after[0].stamp_s - before[-1].stamp_s) > GAP_S:
         return None
     step = before[-1].T_odom_base.between(after[0].T_odom_base)

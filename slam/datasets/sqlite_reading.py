@@ -49,12 +49,12 @@ def foreign_database(
 
 def bound_steps(database: sqlite3.Connection, path: Path) -> None:
     """Let endless queries of a file end with an error."""
-    left = (_FREE_STEPS + _STEPS_A_BYTE * path.stat().st_size) // _STEPS_AT_ONCE
+    steps_left = (_FREE_STEPS + _STEPS_A_BYTE * path.stat().st_size) // _STEPS_AT_ONCE
 
     def is_too_long() -> bool:
-        nonlocal left
-        left -= 1
-        return left < 0
+        nonlocal steps_left
+        steps_left -= 1
+        return steps_left < 0
 
     database.set_progress_handler(is_too_long, _STEPS_AT_ONCE)
 
@@ -66,12 +66,10 @@ def free_steps(database: sqlite3.Connection) -> None:
 
 def tables_of(database: sqlite3.Connection) -> set[str]:
     """The names of ordinary tables, without views, virtual tables, and tables with generated columns."""
-    found = database.execute(
-        "SELECT name FROM sqlite_master WHERE type = 'table' AND rootpage > 0"
-    ).fetchall()
+    rows = database.execute("SELECT name FROM sqlite_master WHERE type = 'table' AND rootpage > 0").fetchall()
     return {
         name
-        for (name,) in found
+        for (name,) in rows
         if isinstance(name, str)
         and all(row[6] < 2 for row in database.execute(f'PRAGMA table_xinfo("{name.replace(chr(34), "")}")'))
     }

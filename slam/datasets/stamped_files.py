@@ -57,11 +57,11 @@ def read_image_list(path: Path, account: Account) -> list[StampedFile]:
     account
         Counts damaged lines, or stops at the first.
     """
-    found = []
+    images = []
     for number, (stamp, name) in fields_of(path, account, 2, 2):
         with account.refusing(path.name, number):
-            found.append(StampedFile(stamp_of(stamp), image_path(path.parent, name), number))
-    return found
+            images.append(StampedFile(stamp_of(stamp), image_path(path.parent, name), number))
+    return images
 
 
 def read_associations(path: Path, account: Account) -> tuple[list[StampedFile], list[StampedFile]]:

@@ -54,8 +54,8 @@ class Finding:
         """The finding in one line of text."""
         trust = "" if self.sure else "perhaps "
         mend = " or ".join(remedy_text(remedy) for remedy in self.remedies)
-        told = f"{self.sensor}: {trust}{self.text}; {self.effect}"
-        return f"{told}; calibration: {mend}" if mend else told
+        text = f"{self.sensor}: {trust}{self.text}; {self.effect}"
+        return f"{text}; calibration: {mend}" if mend else text
 
     def plain(self) -> dict[str, Any]:
         """Convert to plain values for JSON."""

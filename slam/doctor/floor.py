@@ -65,13 +65,13 @@ def upright_mounting(
     -------
     ``T_base_lidar``; None if the log is right, or the evidence is not sufficient.
     """
-    told, height_m = T_base_lidar.rotation(), T_base_lidar.z()
+    stated, height_m = T_base_lidar.rotation(), T_base_lidar.z()
     if len(turns) < FEWEST or height_m < LEVER_M:
         return None
     points, spread, axes = np.concatenate(stretches), *np.linalg.eigh(turns.T @ turns)
     points = points[np.linalg.norm(points, axis=1) > height_m - LEVER_M]  # nearer is the robot, no floor
-    told_up = np.asarray(told.matrix())[2]
-    up = axes[:, 2] * math.copysign(1.0, axes[:, 2] @ told_up)
+    stated_up = np.asarray(stated.matrix())[2]
+    up = axes[:, 2] * math.copysign(1.0, axes[:, 2] @ stated_up)
 
     def stands(up: FloatArray) -> bool:
         below_m = floor_below_m(points, up)
@@ -80,9 +80,9 @@ def upright_mounting(
     on_head = not stands(up) and stands(-up)
     up = -up if on_head else up
     sigma_rad = math.sqrt(spread[1] / max(spread[2] * len(turns), SETTLED))
-    tilt_rad = math.acos(float(np.clip(up @ told_up, -1.0, 1.0)))
-    if tilt_rad < ANGLE_RAD + gate() ** 0.5 * sigma_rad or not stands(up) or stands(told_up):
+    tilt_rad = math.acos(float(np.clip(up @ stated_up, -1.0, 1.0)))
+    if tilt_rad < ANGLE_RAD + gate() ** 0.5 * sigma_rad or not stands(up) or stands(stated_up):
         return None
-    turned = told.compose(gtsam.Rot3.Roll(math.pi)) if on_head else told
+    turned = stated.compose(gtsam.Rot3.Roll(math.pi)) if on_head else stated
     upright = upright_of(-np.asarray(turned.rotate(up))).compose(turned)
     return gtsam.Pose3(upright, T_base_lidar.translation())

@@ -38,7 +38,7 @@ class LensFit:
     sigmas: FloatArray
 
 
-def lens_fit(pairs: Sequence[MatchedPair], told: CameraIntrinsics) -> LensFit | None:
+def lens_fit(pairs: Sequence[MatchedPair], stated: CameraIntrinsics) -> LensFit | None:
     """The lens with which matched features move rigidly; None if there are too few."""
     chosen = [pair for pair in pairs if len(pair.first) >= FEWEST]
     if len(chosen) < FEWEST:
@@ -50,13 +50,13 @@ def lens_fit(pairs: Sequence[MatchedPair], told: CameraIntrinsics) -> LensFit | 
     # Focal gain, and the principal point as a share of the focal length.
     lens = np.array([1.0, 0.0, 0.0])
     steps = np.diag([SETTLED] * 3)
-    errors = _errors(first, second, lens, told)
+    errors = _errors(first, second, lens, stated)
     sigma = max(_sigma(errors), SETTLED)
     information = np.eye(3)
     for _ in range(ROUNDS):
         weights = (gate(3) * sigma**2 / ((errors**2).sum(axis=-1) + gate(3) * sigma**2)) ** 2
         slopes = np.stack(
-            [(_errors(first, second, lens + step, told) - errors) / SETTLED for step in steps], axis=-1
+            [(_errors(first, second, lens + step, stated) - errors) / SETTLED for step in steps], axis=-1
         )
         information = np.einsum("pn,pnki,pnkj->ij", weights, slopes, slopes)
         change = -np.linalg.solve(
@@ -66,39 +66,39 @@ def lens_fit(pairs: Sequence[MatchedPair], told: CameraIntrinsics) -> LensFit | 
         # Weights that depend on the median do not converge completely.
         if np.abs(change).max() < 10 * SETTLED:
             break
-        errors = _errors(first, second, lens, told)
+        errors = _errors(first, second, lens, stated)
         sigma = max(_sigma(errors), SETTLED)
     else:
         return None
     # Features of a pair share the error of its motion.
     covariance = sigma**2 * np.linalg.inv(information) * first.shape[1] ** 0.5
-    center = np.array([told.cx + lens[1] * told.fx, told.cy + lens[2] * told.fy])
-    sigmas = np.sqrt(np.diag(covariance)) * [1.0, told.fx, told.fy]
+    center = np.array([stated.cx + lens[1] * stated.fx, stated.cy + lens[2] * stated.fy])
+    sigmas = np.sqrt(np.diag(covariance)) * [1.0, stated.fx, stated.fy]
     return LensFit(float(lens[0]), center, sigmas)
 
 
-def _points(rows: FloatArray, lens: FloatArray, told: CameraIntrinsics) -> FloatArray:
+def _points(rows: FloatArray, lens: FloatArray, stated: CameraIntrinsics) -> FloatArray:
     """(..., 3) points in the camera frame."""
-    x = ((rows[..., 0] - told.cx) / told.fx - lens[1]) / lens[0]
-    y = ((rows[..., 1] - told.cy) / told.fy - lens[2]) / lens[0]
+    x = ((rows[..., 0] - stated.cx) / stated.fx - lens[1]) / lens[0]
+    y = ((rows[..., 1] - stated.cy) / stated.fy - lens[2]) / lens[0]
     z = rows[..., 2]
     return np.stack([x * z, y * z, z], axis=-1)
 
 
-def _errors(first: FloatArray, second: FloatArray, lens: FloatArray, told: CameraIntrinsics) -> FloatArray:
+def _errors(first: FloatArray, second: FloatArray, lens: FloatArray, stated: CameraIntrinsics) -> FloatArray:
     """(P, N, 3) errors of points moved to the second view: of bearings, and of relative depth.
 
     Bearings are in units of the stated focal length, depths are not: otherwise a shorter focal length would
     reduce the residuals of depth, and with little rotation the fit would shrink it only for that.
     """
-    a, b = _points(first, lens, told), _points(second, lens, told)
+    a, b = _points(first, lens, stated), _points(second, lens, stated)
     # The error of depth grows with the depth.
     weights = 1.0 / np.maximum(a[..., 2:], SETTLED) ** 2
     for _ in range(3):
         moved = _moved(a, b, weights)
-        off = np.linalg.norm(moved - b, axis=-1, keepdims=True) / b[..., 2:]
-        width = np.median(off, axis=1, keepdims=True) + SETTLED
-        weights = 1.0 / (b[..., 2:] * (1.0 + (off / width) ** 2)) ** 2
+        error = np.linalg.norm(moved - b, axis=-1, keepdims=True) / b[..., 2:]
+        width = np.median(error, axis=1, keepdims=True) + SETTLED
+        weights = 1.0 / (b[..., 2:] * (1.0 + (error / width) ** 2)) ** 2
     return np.asarray((moved - b) / b[..., 2:] * [lens[0], lens[0], 1.0])
 
 

@@ -35,17 +35,17 @@ def starts_after_stops(rows: FloatArray, distance_m: float) -> FloatArray:
     steps = np.diff(rows[:, 1:3], axis=0)
     headings_rad = rows[:-1, 3]
     ahead_m = steps[:, 0] * np.cos(headings_rad) + steps[:, 1] * np.sin(headings_rad)
-    way_m = np.concatenate([[0.0], np.cumsum(np.hypot(*steps.T))])
-    if len(rows) < FEWEST or -ahead_m[ahead_m < 0.0].sum() > max(distance_m, SETTLED * way_m[-1]):
+    path_m = np.concatenate([[0.0], np.cumsum(np.hypot(*steps.T))])
+    if len(rows) < FEWEST or -ahead_m[ahead_m < 0.0].sum() > max(distance_m, SETTLED * path_m[-1]):
         return np.zeros((0, 2))
     stamps_s = rows[:, 0]
     # By time, not by readings, which may come every millisecond.
-    still = way_m - np.interp(stamps_s - SPACING_S, stamps_s, way_m) < distance_m / FEWEST
+    still = path_m - np.interp(stamps_s - SPACING_S, stamps_s, path_m) < distance_m / FEWEST
     leaves = np.nonzero(still[:-1] & ~still[1:])[0]
-    gone = np.searchsorted(way_m, way_m[leaves] + distance_m)
+    arrived = np.searchsorted(path_m, path_m[leaves] + distance_m)
     # A robot that stops again earlier may have moved in both directions.
-    alone = gone <= np.append(leaves[1:], len(rows) - 1)
-    spans_s = np.column_stack([stamps_s[leaves[alone]], stamps_s[gone[alone]]])
+    alone = arrived <= np.append(leaves[1:], len(rows) - 1)
+    spans_s = np.column_stack([stamps_s[leaves[alone]], stamps_s[arrived[alone]]])
     spans_s = spans_s[np.ptp(spans_s, axis=1) < FEWEST * GAP_S]
     most = 10 * FEWEST  # 0.5 s of CPU time
     return np.asarray(spans_s[:: -(-len(spans_s) // most) or 1])
@@ -115,14 +115,14 @@ def _forward_m(first: LaserScan, last: LaserScan, rows: FloatArray, config: Conf
     stamps_s = np.array([first.stamp_s, last.stamp_s])
     if not rows[0, 0] <= stamps_s[0] < stamps_s[1] <= rows[-1, 0]:
         return None
-    told = np.column_stack([np.interp(stamps_s, rows[:, 0], column) for column in rows[:, 1:].T])
-    step = between(told[0], told[1])
+    ends = np.column_stack([np.interp(stamps_s, rows[:, 0], column) for column in rows[:, 1:].T])
+    step = between(ends[0], ends[1])
     if 2.0 * step[0] < config.keyframes.distance_m:
         return None  # with too few scans, both directions fit
     points = [OrientedPoints.from_scan(points_by(config.scan, scan)) for scan in (first, last)]
     local_map = LocalMap.build(points[:1], limits)
-    found = [local_map.align(points[1], guess) for guess in (step, step * [-1.0, -1.0, 1.0])]
-    best = max(found, key=lambda one: one.fit)
+    matches = [local_map.align(points[1], guess) for guess in (step, step * [-1.0, -1.0, 1.0])]
+    best = max(matches, key=lambda match: match.fit)
     if best.inlier_share < limits.confident_inlier_share or not best.converged:
         return None
     if weak_direction(best, limits.degenerate_share) is not None:

@@ -37,9 +37,9 @@ def blocked_beams(stretches: Sequence[Sequence[LaserScan]], config: Config) -> B
         return None
     table = np.array(kept)
     table[~np.isfinite(table)] = np.nan
-    told = np.isfinite(table).mean(axis=0)
+    valid_share = np.isfinite(table).mean(axis=0)
     middle = np.zeros(count)
-    middle[told > 0.0] = np.nanmedian(table[:, told > 0.0], axis=0)
+    middle[valid_share > 0.0] = np.nanmedian(table[:, valid_share > 0.0], axis=0)
     with np.errstate(invalid="ignore"):
         differ = (~(np.abs(table - middle) < same_m)).mean(axis=0)
     # Allows for people and sunlight.
@@ -126,11 +126,11 @@ def blocked_finding(name: str, blocked: BoolArray) -> Finding | None:
     runs = [(int(first), int(last) - 1) for first, last in edges.reshape(-1, 2)]
     if not runs:
         return None
-    told = ", ".join(f"{first} to {last}" for first, last in runs)
+    beams = ", ".join(f"{first} to {last}" for first, last in runs)
     return Finding(
         name,
         "blocked beams",
-        f"{int(blocked.sum())} of {blocked.size} beams always see the robot itself: {told}",
+        f"{int(blocked.sum())} of {blocked.size} beams always see the robot itself: {beams}",
         "parts that move with the robot bias the matching and are drawn as walls",
         ({"lidars": {name: {"blocked_beams": [list(run) for run in runs]}}},),
         sure=True,

@@ -32,13 +32,13 @@ class BaseTrack:
 
     def poses(self, stamps_s: FloatArray) -> FloatArray:
         """(K, 3) interpolated x, y, unwrapped heading; NaN if no reading is near."""
-        told_s = self.rows[:, 0]
+        rows_s = self.rows[:, 0]
         columns = [*self.rows[:, 1:3].T, np.unwrap(self.rows[:, 3])]
-        found = np.stack([np.interp(stamps_s, told_s, column) for column in columns], axis=1)
-        after = np.searchsorted(told_s, stamps_s).clip(1, len(told_s) - 1)
-        lone = (told_s[after] - told_s[after - 1] > GAP_S) | (stamps_s < told_s[0]) | (stamps_s > told_s[-1])
-        found[lone] = np.nan
-        return found
+        poses = np.stack([np.interp(stamps_s, rows_s, column) for column in columns], axis=1)
+        after = np.searchsorted(rows_s, stamps_s).clip(1, len(rows_s) - 1)
+        gaps = (rows_s[after] - rows_s[after - 1] > GAP_S) | (stamps_s < rows_s[0]) | (stamps_s > rows_s[-1])
+        poses[gaps] = np.nan
+        return poses
 
     def steps(self, begun_s: FloatArray, ended_s: FloatArray) -> FloatArray:
         """(K, 3) x, y and rotation from one stamp to another, in the base frame at the first."""
@@ -60,11 +60,11 @@ def clock_of(runs: Sequence[Sequence[SensorStep]], base: BaseTrack, most_s: floa
     _, _, axes = np.linalg.svd(turns, full_matrices=False)
     about = turns @ axes[0]
     spans = np.array([(step.begun_s, step.ended_s) for step in steps])
-    told = base.rows[:, 0]
-    base_spans, base_turns = np.stack([told[:-1], told[1:]], axis=1), np.diff(np.unwrap(base.rows[:, 3]))
+    at_s = base.rows[:, 0]
+    base_spans, base_turns = np.stack([at_s[:-1], at_s[1:]], axis=1), np.diff(np.unwrap(base.rows[:, 3]))
     # The wheels cover all the time, the sensor only stretches, so its steps are searched in theirs.
     found = [clock_offset(spans, sign * about, base_spans, base_turns, most_s) for sign in (1.0, -1.0)]
-    best = max((one for one in found if one is not None), key=lambda one: one.correlation, default=None)
+    best = max((fit for fit in found if fit is not None), key=lambda fit: fit.correlation, default=None)
     return None if best is None else replace(best, offset_s=-best.offset_s)
 
 

@@ -138,10 +138,10 @@ def relate(
     lidar: ComplexArray, turns_rad: FloatArray, wheels: ComplexArray, stretch: FloatArray
 ) -> Relation | None:
     """Fit the relation to (K,) steps; None if there are too few, or no rotations."""
-    swung = np.exp(1j * turns_rad) - 1.0
+    swing = np.exp(1j * turns_rad) - 1.0
     # Wheels may have any unit, so their steps are scaled to a usual length.
     unit = max(float(np.median(np.abs(wheels))), np.finfo(float).tiny)
-    columns = [wheels / unit, 1j * wheels / unit, swung, 1j * swung]
+    columns = [wheels / unit, 1j * wheels / unit, swing, 1j * swing]
     design = np.column_stack([np.concatenate([column.real, column.imag]) for column in columns])
     lidar_parts = np.concatenate([lidar.real, lidar.imag])
     fitted = fit_linear(design, lidar_parts, np.concatenate([stretch, stretch]))

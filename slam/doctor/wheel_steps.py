@@ -50,12 +50,12 @@ class WheelSteps:
     @classmethod
     def of(cls, steps: Steps, rows: FloatArray, ahead_s: float) -> WheelSteps:
         """The steps with both ends in the wheels' readings (N, 4), whose clock is ahead by ``ahead_s``."""
-        asked_s = steps.spans_s + ahead_s
-        after = np.clip(np.searchsorted(rows[:, 0], asked_s), 1, len(rows) - 1)
-        told = (rows[after, 0] - rows[after - 1, 0] < 2.0 * GAP_S) & (asked_s >= rows[0, 0])
-        told &= asked_s <= rows[-1, 0]
-        use = told.all(axis=1)
-        x, y, heading = (np.interp(asked_s[use], rows[:, 0], column) for column in rows[:, 1:].T)
+        sensor_s = steps.spans_s + ahead_s
+        after = np.clip(np.searchsorted(rows[:, 0], sensor_s), 1, len(rows) - 1)
+        covered = (rows[after, 0] - rows[after - 1, 0] < 2.0 * GAP_S) & (sensor_s >= rows[0, 0])
+        covered &= sensor_s <= rows[-1, 0]
+        use = covered.all(axis=1)
+        x, y, heading = (np.interp(sensor_s[use], rows[:, 0], column) for column in rows[:, 1:].T)
         motions = steps.motions[use]
         return cls(motions[:, 0] + 1j * motions[:, 1], motions[:, 2], steps.stretch[use], x + 1j * y, heading)
 
@@ -84,8 +84,8 @@ class WheelSteps:
 
     def misfits(self, reading: Reading, found: Relation) -> FloatArray:
         """(K,) residual of each step, metres."""
-        swung = np.exp(1j * self.lidar_turns_rad) - 1.0
-        return np.abs(self.lidar - found.alpha * self.steps(reading) - found.beta * swung)
+        swing = np.exp(1j * self.lidar_turns_rad) - 1.0
+        return np.abs(self.lidar - found.alpha * self.steps(reading) - found.beta * swing)
 
     def best(self, readings: list[Reading]) -> tuple[Reading, Relation] | None:
         """The interpretation that most steps agree with; the first, unless another is clearly better."""

@@ -96,11 +96,11 @@ def fits_as_read(wheels: WheelSteps, reading: Reading, relation: Relation, confi
 
     A robot that mostly turns on the spot has steps so short that errors of matches are a large part.
     """
-    way_m = np.abs(wheels.lidar)
-    allowed_m = IN_ORDER * way_m + config.wheels.swing_m_per_rad * np.abs(wheels.lidar_turns_rad)
+    path_m = np.abs(wheels.lidar)
+    allowed_m = IN_ORDER * path_m + config.wheels.swing_m_per_rad * np.abs(wheels.lidar_turns_rad)
     off = wheels.misfits(reading, relation) / allowed_m
     order = np.argsort(off)
-    half = np.searchsorted(np.cumsum(way_m[order]), 0.5 * way_m.sum())
+    half = np.searchsorted(np.cumsum(path_m[order]), 0.5 * path_m.sum())
     return median_to_sigma(2) * float(off[order[half]]) < 1.0
 
 
@@ -164,21 +164,21 @@ def _mirrored(pair: Pair, relation: Relation) -> Finding:
     stated = complex(pair.mounting.x(), pair.mounting.y())
     # The wrong remedy would mirror a lateral or rotated mounting. Most lidars point straight ahead.
     misses = [
-        abs(one.position() - stated) ** 2 / one.sigma_beta**2
-        + wrap(one.yaw_rad - pair.mounting.theta()) ** 2 / (one.sigma_alpha + IN_ORDER) ** 2
-        for one in (relation.mirrored(), relation)
+        abs(candidate.position() - stated) ** 2 / candidate.sigma_beta**2
+        + wrap(candidate.yaw_rad - pair.mounting.theta()) ** 2 / (candidate.sigma_alpha + IN_ORDER) ** 2
+        for candidate in (relation.mirrored(), relation)
     ]
     sure = abs(misses[0] - misses[1]) > gate() and min(misses) < gate(3)
     by_lidar = misses[0] <= misses[1] + gate()
     if not sure and pair.handed:
         sure, by_lidar = True, pair.handed < 0.0
     remedies = (of_lidar, of_wheels) if by_lidar else (of_wheels, of_lidar)
-    told = "it is mounted upside down" if remedies[0] is of_lidar else "the wheels swap left and right"
+    cause = "it is mounted upside down" if remedies[0] is of_lidar else "the wheels swap left and right"
     other = "" if sure else ", or the wheels swap left and right: these two cannot tell which"
     return Finding(
         pair.lidar,
         "mirrored",
-        f"rotates opposite to {pair.wheels} but moves the same way: {told}{other}",
+        f"rotates opposite to {pair.wheels} but moves the same way: {cause}{other}",
         "the map is mirrored, or the wheels cannot be used",
         remedies[:1] if sure else remedies,
         sure=bool(sure),
@@ -307,12 +307,12 @@ def _both_lengths(pair: Pair, relation: Relation) -> tuple[list[Finding], Relati
     The lidar's lever arm, known in metres, determines the unit; without one, only ranges beyond any lidar do.
     """
     lever_m = abs(complex(pair.mounting.x(), pair.mounting.y()))
-    told = _unit(lever_m / abs(relation.beta)) if lever_m and relation.beta else None
-    if told is None and pair.range_scale > _UNITS[0]:
+    known_unit = _unit(lever_m / abs(relation.beta)) if lever_m and relation.beta else None
+    if known_unit is None and pair.range_scale > _UNITS[0]:
         return [], relation
-    unit = told or _UNITS[0]
+    unit = known_unit or _UNITS[0]
     text = f"its lengths are {1.0 / unit:g} times too long, as are those of"
-    effect, sure = "the map has the wrong size, or there is none", told is not None
+    effect, sure = "the map has the wrong size, or there is none", known_unit is not None
     of_lidar, of_wheels = pair.of_lidar(range_scale=unit), pair.of_wheels(scale=unit)
     findings = [
         Finding(pair.lidar, "range scale", f"{text} {pair.wheels}", effect, (of_lidar,), sure, unit),

@@ -47,7 +47,7 @@ class Known:
     sessions: Sequence[MapSession]
 
 
-def understood(known: Known, edits: Edits) -> AppliedEdits:
+def resolved(known: Known, edits: Edits) -> AppliedEdits:
     """Resolve edits in a map.
 
     Raises
@@ -76,28 +76,28 @@ def _override(name: str, value: object) -> str:
 
 def _rows(pair: Pair, known: Known) -> tuple[int, int, str]:
     """The rows of two keyframes, and a name for the pair."""
-    one, other = pair
-    told = f"{one} and {other}"
-    rows = row_of(one, known.base, known.sessions), row_of(other, known.base, known.sessions)
+    first, second = pair
+    ends = f"{first} and {second}"
+    rows = row_of(first, known.base, known.sessions), row_of(second, known.base, known.sessions)
     if rows[0] == rows[1]:
-        raise ConfigError(f"a loop joins two keyframes, not {one} with itself")
-    return *rows, told
+        raise ConfigError(f"a loop joins two keyframes, not {first} with itself")
+    return *rows, ends
 
 
 def _with_loops(entry: AppliedEdits, known: Known, edits: Edits, config: Config) -> AppliedEdits:
     """Add the forbidden, forced and new loops to the entry."""
-    wanted = []
+    requested = []
     for added in edits.loops.add:
-        one, other, told = _rows(added.pair, known)
-        wanted.append((one, other, None if added.guess is None else np.array(added.guess), told))
-    entry = replace(entry, added=tuple(matched_loops(known.contents, known.sessions, wanted, config)))
+        first, second, ends = _rows(added.pair, known)
+        requested.append((first, second, None if added.guess is None else np.array(added.guess), ends))
+    entry = replace(entry, added=tuple(matched_loops(known.contents, known.sessions, requested, config)))
     loops = edited_loops(known.base, [*known.contents.edits, entry], known.before, config)[1]
     chosen: dict[str, list[Rows]] = {"forbidden": [], "forced": []}
     for kind, pairs in (("forbidden", edits.loops.forbid), ("forced", edits.loops.force)):
         for pair in pairs:
-            one, other, told = _rows(pair, known)
-            rows = min(one, other), max(one, other)
-            refuse_unknown(loops, rows, told, matched=kind == "forced")
+            first, second, ends = _rows(pair, known)
+            rows = min(first, second), max(first, second)
+            refuse_unknown(loops, rows, ends, matched=kind == "forced")
             chosen[kind].append(rows)
     return replace(entry, forbidden=tuple(chosen["forbidden"]), forced=tuple(chosen["forced"]))
 
@@ -105,15 +105,15 @@ def _with_loops(entry: AppliedEdits, known: Known, edits: Edits, config: Config)
 def _with_regions(known: Known, edits: Edits, config: Config) -> tuple[dict[Evidence, bytes], list[Region]]:
     """The erased evidence, and the regions that keyframes hold in place."""
     poses, regions = known.contents.keyframe_poses, list[Region]()
-    cuts = [Cut(np.array(one.polygon)) for one in edits.erase]
+    cuts = [Cut(np.array(area.polygon)) for area in edits.erase]
     cuts += [] if edits.crop is None else [Cut(np.array(edits.crop), outside=True)]
     erased = taken(known.contents, cuts, config)
-    saw = np.zeros(len(poses), np.bool_)
+    has_evidence = np.zeros(len(poses), np.bool_)
     frames = known.contents.frames
-    saw[[frames.head(at).node if kind == "frame" and frames else at for kind, at in erased]] = True
-    for one, cut in zip(edits.erase, cuts, strict=False):
-        name, later = one.name or "", float(one.later)
-        regions.append(held("erase", cut.polygon, poses, name=name, value=later, near=saw))
+    has_evidence[[frames.head(at).node if kind == "frame" and frames else at for kind, at in erased]] = True
+    for area, cut in zip(edits.erase, cuts, strict=False):
+        name, later = area.name or "", float(area.later)
+        regions.append(held("erase", cut.polygon, poses, name=name, value=later, candidates=has_evidence))
     if edits.crop is not None:
         regions.append(held("crop", np.array(edits.crop), poses, value=1.0))
     regions += [held("keep_out", np.array(zone.polygon), poses, name=zone.name) for zone in edits.keep_out]
@@ -139,29 +139,29 @@ def later_evidence(
     first
         The first keyframe of the session.
     """
-    found = []
+    updated = []
     for entry in entries:
         cuts = [
             Cut(region.points(contents.keyframe_poses), outside=region.kind == "crop")
             for region in entry.regions
             if region.kind in ("erase", "crop") and region.value
         ]
-        found.append(replace(entry, erased={**entry.erased, **taken(contents, cuts, config, first)}))
-    return found
+        updated.append(replace(entry, erased={**entry.erased, **taken(contents, cuts, config, first)}))
+    return updated
 
 
 def _turned(entry: AppliedEdits, known: Known, edits: Edits, config: Config) -> AppliedEdits:
     """The entry with the rotation of the map, from the keyframe poses after all other edits."""
     entries = [*known.contents.edits, entry]
-    found = settled(known.base, entries, known.before, config, known.sessions)
-    before, after = known.contents.keyframe_poses, found.keyframe_poses
+    contents = settled(known.base, entries, known.before, config, known.sessions)
+    before, after = known.contents.keyframe_poses, contents.keyframe_poses
 
     def now(*points: tuple[float, float]) -> FloatArray:
         return held("place", np.array(points), before).points(after)
 
     angle, turn = 0.0, edits.turn
     if turn is not None and turn.to_walls:
-        angle = to_walls_rad(found, config)
+        angle = to_walls_rad(contents, config)
     elif turn is not None and turn.degrees is not None:
         angle = math.radians(turn.degrees)
     elif turn is not None and turn.along_x is not None:

@@ -9,7 +9,7 @@ from pathlib import Path
 
 from slam.config import Config
 from slam.config.edits import Edits
-from slam.edits.applying import Known, understood
+from slam.edits.applying import Known, resolved
 from slam.edits.remaking import remade, remade_config
 from slam.mapping.band_scan import ground_of
 from slam.matching.cloud_points import voxel_of
@@ -41,7 +41,7 @@ def _ground_m(contents: MapContents, config: Config) -> float | None:
 
 
 def write_with(known: Known, edits: Edits, path: Path) -> list[str]:
-    """Write a map with more edits; return one line for each thing that cannot be drawn.
+    """Write a map with more edits; return one line for each item that cannot be drawn.
 
     Raises
     ------
@@ -50,15 +50,15 @@ def write_with(known: Known, edits: Edits, path: Path) -> list[str]:
     """
     entries = [*known.contents.edits]
     if not edits.empty:
-        entries.append(understood(known, edits))
+        entries.append(resolved(known, edits))
     return write_entries(known, entries, path)
 
 
 def write_entries(known: Known, entries: Sequence[AppliedEdits], path: Path) -> list[str]:
     """Write a map with some of its edits, or others; returns and raises as `write_with`."""
-    found, warnings = remade(known.base, entries, known.before, known.sessions)
+    contents, warnings = remade(known.base, entries, known.before, known.sessions)
     config = remade_config(known.before, entries)
-    _write(path, UneditedFile(known.file), found, None if config == known.before else config)
+    _write(path, UneditedFile(known.file), contents, None if config == known.before else config)
     return warnings
 
 
@@ -75,8 +75,8 @@ def _write(path: Path, source: UneditedFile, contents: MapContents, config: Conf
     with closing(MapFile.create(path)) as file:
         for key, value in source.rows(META):
             if key != SEAL:
-                told = config is not None and key == CONFIG
-                file.append(META, key, config.model_dump_json() if told and config else value)
+                replaced = config is not None and key == CONFIG
+                file.append(META, key, config.model_dump_json() if replaced and config else value)
         for table in (FRAMES, IMAGES, CLOUDS):
             copy_rows(source, file, table)
         write_contents(file, contents)

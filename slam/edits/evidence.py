@@ -51,39 +51,39 @@ def taken(
     first
         First keyframe to check.
     """
-    found: dict[Evidence, bytes] = {}
+    evidence: dict[Evidence, bytes] = {}
     if not cuts:
-        return found
+        return evidence
     for kind, scans in ((MEASURED, contents.measured_scans), (REPAIRED, contents.keyframe_scans)):
         for node, scan in enumerate(scans):
             if node >= first and scan is not None:
                 beams = _beams(scan, contents.keyframe_poses[node], cuts, config)
                 if beams.any():
-                    found[kind, node] = np.packbits(beams).tobytes()
-    for (kind, number), points, told in _in_space(contents, first):
+                    evidence[kind, node] = np.packbits(beams).tobytes()
+    for (kind, number), points, z_m in _in_space(contents, first):
         floor = (
-            np.zeros(len(points), np.bool_) if told is None else points[:, 2] <= told + config.layers.climb_m
+            np.zeros(len(points), np.bool_) if z_m is None else points[:, 2] <= z_m + config.layers.climb_m
         )
-        gone = np.zeros(len(points), np.bool_)
+        cut_points = np.zeros(len(points), np.bool_)
         for cut in cuts:
-            gone |= cut.takes(points[:, :2]) & ~(floor & (not cut.outside))
-        if gone.any():
-            found[kind, number] = np.packbits(gone & np.isfinite(points[:, 0])).tobytes()
-    return found
+            cut_points |= cut.takes(points[:, :2]) & ~(floor & (not cut.outside))
+        if cut_points.any():
+            evidence[kind, number] = np.packbits(cut_points & np.isfinite(points[:, 0])).tobytes()
+    return evidence
 
 
 def _beams(scan: LaserScan, pose: FloatArray, cuts: Sequence[Cut], config: Config) -> BoolArray:
     """Return (N,) which beams of a scan hit something that is removed."""
     ranges = scan.ranges_m.astype(np.float64)
     limit_m = min(config.scan.range_max_m, scan.range_max_m)
-    met = np.flatnonzero((ranges > 0.0) & (ranges <= limit_m) & np.isfinite(ranges))
-    bearings = scan.bearings_rad()[met]
-    ends = ranges[met, None] * np.column_stack([np.cos(bearings), np.sin(bearings)])
+    hits = np.flatnonzero((ranges > 0.0) & (ranges <= limit_m) & np.isfinite(ranges))
+    bearings = scan.bearings_rad()[hits]
+    ends = ranges[hits, None] * np.column_stack([np.cos(bearings), np.sin(bearings)])
     ends = transform_points(ends, compose(pose, row_from_pose2(scan.T_base_laser)))
-    gone = np.zeros(len(ranges), np.bool_)
+    is_cut = np.zeros(len(ranges), np.bool_)
     for cut in cuts:
-        gone[met] |= cut.takes(ends)
-    return gone
+        is_cut[hits] |= cut.takes(ends)
+    return is_cut
 
 
 def _in_space(contents: MapContents, first: int) -> Iterator[tuple[Evidence, FloatArray, float | None]]:
@@ -128,10 +128,10 @@ def _floor_m(contents: MapContents, T_map_base: Pose | None) -> float | None:
 
 def scans_without(scans: Sequence[LaserScan | None], erased: Mapping[int, bytes]) -> list[LaserScan | None]:
     """Return scans with readings removed: these get negative ranges."""
-    left = list(scans)
+    remaining = list(scans)
     for node, bits in erased.items():
         scan = scans[node]
         if scan is not None:
-            gone = mask_of(bits, scan.ranges_m.size)
-            left[node] = replace(scan, ranges_m=np.where(gone, -scan.ranges_m, scan.ranges_m))
-    return left
+            is_cut = mask_of(bits, scan.ranges_m.size)
+            remaining[node] = replace(scan, ranges_m=np.where(is_cut, -scan.ranges_m, scan.ranges_m))
+    return remaining

@@ -42,7 +42,7 @@ def held(
     *,
     name: str = "",
     value: float = 0.0,
-    near: BoolArray | None = None,
+    candidates: BoolArray | None = None,
 ) -> Region:
     """Attach points (n, 2) of the map to keyframes, each to the nearest one.
 
@@ -50,14 +50,14 @@ def held(
     ----------
     poses
         (K, 3) poses of all keyframes.
-    near
+    candidates
         (K,) keyframes that may be used, if there are any; None for all.
     """
     rows: NDArray[np.int64] = np.arange(len(poses))
-    if near is not None and near.any():
-        rows = np.flatnonzero(near)
-    away = points[:, None] - poses[rows, :2]
-    chosen = rows[np.einsum("nkd,nkd->nk", away, away).argmin(axis=1)]
+    if candidates is not None and candidates.any():
+        rows = np.flatnonzero(candidates)
+    rays = points[:, None] - poses[rows, :2]
+    chosen = rows[np.einsum("nkd,nkd->nk", rays, rays).argmin(axis=1)]
     at = poses[chosen]
     cos, sin = np.cos(at[:, 2]), np.sin(at[:, 2])
     x, y = (points - at[:, :2]).T

@@ -117,7 +117,7 @@ def _rejudged(loop: LoopCandidate, config: Config) -> LoopCandidate:
     return replace(loop, accepted=True, reason="") if loop.reason in _FEW else loop
 
 
-def refuse_unknown(loops: Sequence[LoopCandidate], pair: Pair, told: str, *, matched: bool) -> None:
+def refuse_unknown(loops: Sequence[LoopCandidate], pair: Pair, ends: str, *, matched: bool) -> None:
     """Raise an error if a loop to forbid or force does not exist.
 
     Parameters
@@ -132,23 +132,23 @@ def refuse_unknown(loops: Sequence[LoopCandidate], pair: Pair, told: str, *, mat
     """
     numbers = _numbers(loops, pair)
     if not numbers:
-        raise MapFileError(f"no loop was ever tried between {told}; 'loops: add' matches the two")
+        raise MapFileError(f"no loop was ever tried between {ends}; 'loops: add' matches the two")
     if matched and all(loops[number].motion is None for number in numbers):
         reason = loops[numbers[-1]].reason
-        raise MapFileError(f"the loop between {told} has no match ({reason}); 'loops: add' matches them anew")
+        raise MapFileError(f"the loop between {ends} has no match ({reason}); 'loops: add' matches them anew")
 
 
 def matched_loops(
     contents: MapContents,
     sessions: Sequence[MapSession],
-    wanted: Sequence[tuple[int, int, FloatArray | None, str]],
+    pairs: Sequence[tuple[int, int, FloatArray | None, str]],
     config: Config,
 ) -> list[LoopCandidate]:
     """Match pairs of keyframes.
 
     Parameters
     ----------
-    wanted
+    pairs
         Two rows each, the pose (3,) of the second relative to the first or None, and their names.
 
     Raises
@@ -156,36 +156,36 @@ def matched_loops(
     MapFileError
         If two do not match, with the reason.
     """
-    if not wanted:
+    if not pairs:
         return []
     if not contents.planar:
-        return [_checked(*_match_in_space(contents, one, config)) for one in wanted]
+        return [_checked(*_match_in_space(contents, pair, config)) for pair in pairs]
     poses, path_m = contents.keyframe_poses, contents.path_m
     closer = closer_of(contents.keyframe_scans, poses, path_m, session_numbers(sessions), config)
-    found, loops = [], config.loops
-    for first, second, guess, told in wanted:
+    matched, loops = [], config.loops
+    for first, second, guess, ends in pairs:
         if guess is None:
             # At about the same position, with any heading.
-            wide = loops.greatest_half_width_m, np.pi
+            widths = loops.greatest_half_width_m, np.pi
             expected = np.array([0.0, 0.0, between(poses[first], poses[second])[2]])
         else:
-            wide, expected = (config.match.search_half_width_m, config.match.search_half_yaw_rad), guess
-        place, key = min(first, second), max(first, second)
-        if place != first:
+            widths, expected = (config.match.search_half_width_m, config.match.search_half_yaw_rad), guess
+        earlier, later = min(first, second), max(first, second)
+        if earlier != first:
             expected = between(expected, np.zeros(3))
-        sigmas = np.array([wide[0], wide[0], wide[1]]) / loops.sigmas
-        found.append(_checked(closer.verify(place, key, expected, np.diag(sigmas**2)), told))
-    return found
+        sigmas = np.array([widths[0], widths[0], widths[1]]) / loops.sigmas
+        matched.append(_checked(closer.verify(earlier, later, expected, np.diag(sigmas**2)), ends))
+    return matched
 
 
 def _match_in_space(
-    contents: MapContents, wanted: tuple[int, int, FloatArray | None, str], config: Config
+    contents: MapContents, named_pair: tuple[int, int, FloatArray | None, str], config: Config
 ) -> tuple[LoopCandidate, str]:
     """Return the match of two clouds, or of two frames of a camera alone, and its name."""
-    first, second, row, told = wanted
-    place, key = min(first, second), max(first, second)
+    first, second, row, ends = named_pair
+    earlier, later = min(first, second), max(first, second)
     guess = None if row is None else gtsam.Pose3(pose2_from_row(row))
-    if guess is not None and place != first:
+    if guess is not None and earlier != first:
         guess = guess.inverse()
     poses, clouds, frames = [spatial(pose) for pose in contents.node_poses], contents.clouds, contents.frames
     if clouds is not None:
@@ -195,17 +195,17 @@ def _match_in_space(
             closer.add_keyframe(points, pose)
         sigma_m = config.match.search_half_width_m / config.loops.sigmas
         wide_m = config.loops.greatest_half_width_m / config.loops.sigmas
-        return closer.verify(place, key, guess, wide_m if guess is None else sigma_m), told
+        return closer.verify(earlier, later, guess, wide_m if guess is None else sigma_m), ends
     assert frames is not None
     store = KeyframeStore(config.rgbd, config.match.local_map_keyframes, frames)
     visual = VisualLoopCloser(config, FrameMatcher(config), store)
     if guess is not None:
         T_base_camera = frames.head(0).T_base_camera or T_BODY_CAMERA
         guess = T_base_camera.inverse().compose(guess).compose(T_base_camera)
-    return visual.verify(place, key, guess), told
+    return visual.verify(earlier, later, guess), ends
 
 
-def _checked(loop: LoopCandidate, told: str) -> LoopCandidate:
+def _checked(loop: LoopCandidate, ends: str) -> LoopCandidate:
     """Return a loop that matches.
 
     Raises
@@ -214,5 +214,5 @@ def _checked(loop: LoopCandidate, told: str) -> LoopCandidate:
         If it does not, with the reason.
     """
     if not loop.accepted:
-        raise MapFileError(f"no loop between {told}: {loop.reason}")
+        raise MapFileError(f"no loop between {ends}: {loop.reason}")
     return loop

@@ -47,11 +47,11 @@ def remade_config(before: Config, entries: Sequence[AppliedEdits]) -> Config:
         If a key is unknown, a value is invalid, or a setting needs the log.
     """
     changed = with_settings(before, [setting for entry in entries for setting in entry.settings])
-    told, asked = (dict(leaves(one.model_dump(mode="json"))) for one in (before, changed))
-    for name in sorted({*told, *asked}):
-        if told.get(name) == asked.get(name) or name.startswith(_FREE) or name in _LOOPS:
+    old, new = (dict(leaves(config.model_dump(mode="json"))) for config in (before, changed))
+    for name in sorted({*old, *new}):
+        if old.get(name) == new.get(name) or name.startswith(_FREE) or name in _LOOPS:
             continue
-        if name == _FUSION and not asked[name]:
+        if name == _FUSION and not new[name]:
             continue
         why = (
             "the map holds what each keyframe saw, not the images that repaired it"
@@ -59,18 +59,17 @@ def remade_config(before: Config, entries: Sequence[AppliedEdits]) -> Config:
             else "it was decided when the log was read"
         )
         raise ConfigError(
-            f"{name} = {asked.get(name)} takes the log: {why}; "
-            f"'scanweave map LOG -s {name}={asked.get(name)}'"
+            f"{name} = {new.get(name)} takes the log: {why}; 'scanweave map LOG -s {name}={new.get(name)}'"
         )
     return changed
 
 
 def turned_by(entries: Sequence[AppliedEdits]) -> gtsam.Pose2:
     """Return ``T_new_old`` of all edits together."""
-    whole = gtsam.Pose2()
+    total = gtsam.Pose2()
     for entry in entries:
-        whole = whole if entry.turned is None else entry.turned.compose(whole)
-    return whole
+        total = total if entry.turned is None else entry.turned.compose(total)
+    return total
 
 
 def remade(
@@ -87,7 +86,7 @@ def remade(
 
     Returns
     -------
-    The map, and one line for each thing that cannot be drawn.
+    The map, and one line for each item that cannot be drawn.
 
     Raises
     ------
@@ -95,14 +94,14 @@ def remade(
         If an edit does not fit, or a setting needs the log.
     """
     config = remade_config(before, entries)
-    found = replace(settled(base, entries, before, config, sessions), edits=list(entries))
-    found = _seen(found, base, entries, before, config)
-    found, warnings = drawn(found, config)
+    contents = replace(settled(base, entries, before, config, sessions), edits=list(entries))
+    contents = _seen(contents, base, entries, before, config)
+    contents, warnings = drawn(contents, config)
     for crop in regions_of(entries, "crop"):
-        corners = crop.points(found.keyframe_poses)
-        grids = {name: _cropped(grid, corners) for name, grid in found.grids.items()}
-        found = replace(found, grids={name: grid for name, grid in grids.items() if grid is not None})
-    return found, warnings
+        corners = crop.points(contents.keyframe_poses)
+        grids = {name: _cropped(grid, corners) for name, grid in contents.grids.items()}
+        contents = replace(contents, grids={name: grid for name, grid in grids.items() if grid is not None})
+    return contents, warnings
 
 
 def settled(
@@ -165,18 +164,18 @@ def solved(
     certain = [replace(factor.edge, trusted=True) for factor in factors if factor.kept]
     graph = graph_of(poses, certain)
     graph.optimize()
-    found, edges = poses_of(graph), [factor.edge for factor in factors]
-    told, probability = before.loops.inlier_probability, config.loops.inlier_probability
-    if _misfits(found, edges, kept, probability) <= _misfits(poses, edges, kept, told):
-        return list(factors), found
-    graph = graph_of(found, edges)
+    solution, edges = poses_of(graph), [factor.edge for factor in factors]
+    old_probability, probability = before.loops.inlier_probability, config.loops.inlier_probability
+    if _misfits(solution, edges, kept, probability) <= _misfits(poses, edges, kept, old_probability):
+        return list(factors), solution
+    graph = graph_of(solution, edges)
     graph.begin_with(kept)
-    known = set[bytes]()
-    while kept.tobytes() not in known:
-        known.add(kept.tobytes())
+    seen_decisions = set[bytes]()
+    while kept.tobytes() not in seen_decisions:
+        seen_decisions.add(kept.tobytes())
         kept = graph.optimize(probability).kept
-    held = [replace(factor, kept=bool(keep)) for factor, keep in zip(factors, kept, strict=True)]
-    return held, poses_of(graph)
+    decided = [replace(factor, kept=bool(keep)) for factor, keep in zip(factors, kept, strict=True)]
+    return decided, poses_of(graph)
 
 
 def graph_of(poses: Sequence[Pose], edges: Sequence[Edge]) -> PoseGraph:
@@ -222,7 +221,7 @@ def _unrepaired(measured: LaserScan | None, mended: LaserScan | None) -> LaserSc
 
 
 def _seen(
-    found: MapContents, base: MapContents, entries: Sequence[AppliedEdits], before: Config, config: Config
+    contents: MapContents, base: MapContents, entries: Sequence[AppliedEdits], before: Config, config: Config
 ) -> MapContents:
     """Return the map with the evidence that remains after edits and settings."""
     frames = base.frames and base.frames.without(erased_bits(entries, FRAME))
@@ -243,13 +242,13 @@ def _seen(
         measured = mended = band_scans(clouds, poses, base.ground_m, ground, config)
     else:
         same = mended is measured
-        left = scans_without(mended, erased_bits(entries, REPAIRED))
+        uncut = scans_without(mended, erased_bits(entries, REPAIRED))
         alone = scans_without(measured, erased_bits(entries, MEASURED))
         # An unrepaired scan remains the same object.
-        both = zip(measured, mended, alone, left, strict=True)
+        both = zip(measured, mended, alone, uncut, strict=True)
         mended = [one if same or scan is other else two for scan, other, one, two in both]
         measured = alone
-    return replace(found, frames=frames, clouds=clouds, measured_scans=measured, keyframe_scans=mended)
+    return replace(contents, frames=frames, clouds=clouds, measured_scans=measured, keyframe_scans=mended)
 
 
 def _cropped(grid: OccupancyGrid, polygon: FloatArray) -> OccupancyGrid | None:

@@ -64,11 +64,11 @@ def align(estimate: Trajectory, truth: Trajectory) -> Alignment:
     if level is None:
         return Alignment(umeyama(estimate.positions_m, truth.positions_m), "se3")
     points, targets = estimate.positions_m, level.apply(truth.positions_m)
-    centred, wanted = points - points.mean(axis=0), targets - targets.mean(axis=0)
-    if not (np.abs(centred[:, :2]).max() > TINY and np.abs(wanted[:, :2]).max() > TINY):
+    centred, centred_targets = points - points.mean(axis=0), targets - targets.mean(axis=0)
+    if not (np.abs(centred[:, :2]).max() > TINY and np.abs(centred_targets[:, :2]).max() > TINY):
         raise EvaluationError(f"{len(points)} associated poses in one place leave the alignment open")
-    turn, rmse_m = _turned(centred, wanted)
-    _, mirrored_m = _turned(centred * [1.0, -1.0, 1.0], wanted)
+    turn, rmse_m = _turned(centred, centred_targets)
+    _, mirrored_m = _turned(centred * [1.0, -1.0, 1.0], centred_targets)
     rotation = level.inv() * spatial.transform.Rotation.from_rotvec([0.0, 0.0, turn])
     T = np.eye(4)
     T[:3, :3] = rotation.as_matrix()
@@ -117,8 +117,8 @@ def _turned(points: FloatArray, targets: FloatArray) -> tuple[float, float]:
     """Return the rotation about z that best aligns centred points (N, 3) with their targets, and the RMSE."""
     (xx, xy), (yx, yy) = targets[:, :2].T @ points[:, :2]
     turn = math.atan2(yx - xy, xx + yy)
-    off = spatial.transform.Rotation.from_rotvec([0.0, 0.0, turn]).apply(points) - targets
-    return turn, float(np.sqrt(np.mean(np.sum(off**2, axis=1))))
+    residuals = spatial.transform.Rotation.from_rotvec([0.0, 0.0, turn]).apply(points) - targets
+    return turn, float(np.sqrt(np.mean(np.sum(residuals**2, axis=1))))
 
 
 def _in_plane(trajectory: Trajectory) -> bool:

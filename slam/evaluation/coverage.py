@@ -68,20 +68,20 @@ def coverage(
     EvaluationError
         If fewer than two poses have a ground truth, or a covariance is not positive definite.
     """
-    truth, found = _truth_at(reference, trajectory.stamps_s, max_difference_s)
-    estimate, covariances = trajectory[found], covariances[found]
+    truth, covered = _truth_at(reference, trajectory.stamps_s, max_difference_s)
+    estimate, covariances = trajectory[covered], covariances[covered]
     if len(estimate) < 2:
         raise EvaluationError(f"{len(estimate)} poses have a true one within {max_difference_s} s")
-    held = int(np.trace(covariances, axis1=1, axis2=2).argmin())
-    errors = _errors(estimate, truth, held)
+    fixed = int(np.trace(covariances, axis1=1, axis2=2).argmin())
+    errors = _errors(estimate, truth, fixed)
     planar = covariances.shape[1] == 3
     errors = errors[:, [0, 1, 5]] if planar else errors
-    others = np.arange(len(estimate)) != held
+    others = np.arange(len(estimate)) != fixed
     errors, covariances = errors[others], covariances[others]
     axes = 2 if planar else 3
     return Coverage(
         count=len(errors),
-        held_at_s=float(estimate.stamps_s[held]),
+        held_at_s=float(estimate.stamps_s[fixed]),
         nees=float(np.mean(_squares(errors, covariances)) / errors.shape[1]),
         position=_within(errors[:, :axes], covariances[:, :axes, :axes]),
         yaw=_within(errors[:, -1:], covariances[:, -1:, -1:]),
@@ -102,34 +102,34 @@ def _squares(errors: FloatArray, covariances: FloatArray) -> FloatArray:
     return np.asarray(np.sum(whitened**2, axis=1))
 
 
-def _errors(estimate: Trajectory, truth: Trajectory, held: int) -> FloatArray:
+def _errors(estimate: Trajectory, truth: Trajectory, fixed: int) -> FloatArray:
     """Return (N, 6) position and rotation vector, along the map's axes, from poses to their ground truth.
 
     In exponential coordinates, rotating a path about one of its points gives errors on a straight line (Long,
     Wolfe, Mashner, Chirikjian 2012, "The banana distribution is Gaussian").
     """
-    own, true = (spatial.transform.Rotation.from_quat(one.quaternions_xyzw) for one in (estimate, truth))
-    turn = own[held] * true[held].inv()
-    shifted = turn.apply(truth.positions_m - truth.positions_m[held]) + estimate.positions_m[held]
+    own, true = (spatial.transform.Rotation.from_quat(path.quaternions_xyzw) for path in (estimate, truth))
+    turn = own[fixed] * true[fixed].inv()
+    shifted = turn.apply(truth.positions_m - truth.positions_m[fixed]) + estimate.positions_m[fixed]
     angles = (turn * true * own.inv()).as_rotvec()
     across = np.cross(angles, shifted - estimate.positions_m)
     half = np.maximum(0.5 * np.linalg.norm(angles, axis=1), _SMALLEST)[:, None]
     # The inverse of the left Jacobian of SO(3).
-    bent = np.cross(angles, across) * (1.0 - half / np.tan(half)) / (2.0 * half) ** 2
-    return np.hstack([shifted - estimate.positions_m - 0.5 * across + bent, angles])
+    curvature = np.cross(angles, across) * (1.0 - half / np.tan(half)) / (2.0 * half) ** 2
+    return np.hstack([shifted - estimate.positions_m - 0.5 * across + curvature, angles])
 
 
 def _truth_at(reference: Trajectory, stamps_s: FloatArray, limit_s: float) -> tuple[Trajectory, Indices]:
     """Return the ground truth at those of (N,) stamps where it is known, and their indices."""
-    found = np.flatnonzero(
+    covered = np.flatnonzero(
         np.abs(reference.stamps_s[nearest_indices(reference.stamps_s, stamps_s)] - stamps_s) <= limit_s
     )
-    known_s, order = np.unique(reference.stamps_s, return_index=True)
-    known, asked_s = reference[order], np.clip(stamps_s[found], known_s[0], known_s[-1])
-    if len(known_s) < 2 or not found.size:
-        return known[np.zeros(len(found), np.int64)], found
-    turns = spatial.transform.Slerp(known_s, spatial.transform.Rotation.from_quat(known.quaternions_xyzw))(
-        asked_s
-    )
-    places = [np.interp(asked_s, known_s, axis) for axis in known.positions_m.T]
-    return Trajectory(asked_s, np.column_stack(places), turns.as_quat()), found
+    unique_s, order = np.unique(reference.stamps_s, return_index=True)
+    truth, truth_s = reference[order], np.clip(stamps_s[covered], unique_s[0], unique_s[-1])
+    if len(unique_s) < 2 or not covered.size:
+        return truth[np.zeros(len(covered), np.int64)], covered
+    quaternions = spatial.transform.Slerp(
+        unique_s, spatial.transform.Rotation.from_quat(truth.quaternions_xyzw)
+    )(truth_s)
+    positions = [np.interp(truth_s, unique_s, axis) for axis in truth.positions_m.T]
+    return Trajectory(truth_s, np.column_stack(positions), quaternions.as_quat()), covered

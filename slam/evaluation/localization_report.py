@@ -30,7 +30,7 @@ def write_localization_report(
     notes: Sequence[tuple[str, str]],
     warnings: Sequence[str] = (),
 ) -> None:
-    """Write the report as one HTML file that asks nothing of the network.
+    """Write the report as one HTML file that needs no network.
 
     Parameters
     ----------
@@ -60,7 +60,7 @@ def write_localization_report(
         shares=_shares(drive),
         cost=_cost(drive),
         notes=notes,
-        told=warnings,
+        lines=warnings,
     )
 
 
@@ -68,10 +68,10 @@ def _page(title: str, drive: DriveLog, layers: LayeredMap | None) -> WorkPage:
     """Return the data of the plan with the path."""
     sigmas = drive.sigmas()
     positions, yaws = (drive.of_trajectory(values).astype(np.float32) for values in sigmas)
-    way, told, chosen = way_data(drive.trajectory(), (positions, yaws))
-    later = np.isnan(drive.of_trajectory(np.zeros(len(drive))))[chosen]
+    path, limits, chosen = way_data(drive.trajectory(), (positions, yaws))
+    found_later = np.isnan(drive.of_trajectory(np.zeros(len(drive))))[chosen]
     columns = [("confidence", drive.confidences), ("share that the map explains", drive.supports)]
-    way["more"] = [
+    path["more"] = [
         {
             "name": name.split(" ")[0],
             "title": name,
@@ -81,21 +81,21 @@ def _page(title: str, drive: DriveLog, layers: LayeredMap | None) -> WorkPage:
         }
         for name, values in columns
     ]
-    found = {
+    column = {
         "name": "found",
         "title": "when it was found",
         "classes": ["at once", "later, from when the robot was found"],
     }
-    way["more"].append({**found, "values": later.astype(np.uint8)})
+    path["more"].append({**column, "values": found_later.astype(np.uint8)})
     head: dict[str, Any] = {
         "kind": "localization",
         "title": title,
         "planar": True,
         "unit": "measurement",
         "sessions": [title],
-        "trajectory": way,
+        "trajectory": path,
         "layers": layer_pictures(layers),
-        "limits": told,
+        "limits": limits,
         "charts": _charts(drive, sigmas),
     }
     return work_page(head, "Path in the map")

@@ -72,7 +72,7 @@ def _finished(file: MapFile) -> dict[str, Any]:
 
 def _is_planar(file: MapFile) -> bool:
     """Return whether the robot stays on a floor."""
-    with file.blaming(KEYFRAMES, 0):
+    with file.naming_row(KEYFRAMES, 0):
         return is_in_plane(cast(bytes, file.row(KEYFRAMES, 0)[2]))
 
 
@@ -116,10 +116,10 @@ def _origin(identity: MapIdentity) -> dict[str, Any]:
     }
 
 
-def render_info(found: Mapping[str, Any]) -> str:
+def render_info(facts: Mapping[str, Any]) -> str:
     """Format the facts for the user, one per line."""
     lines = []
-    for name, value in found.items():
+    for name, value in facts.items():
         if isinstance(value, Mapping):
             value = ", ".join(f"{key} {_text(part)}" for key, part in value.items()) or "none"
         lines.append(f"{name.replace('_', ' ') + ':':17} {_text(value)}")
@@ -146,17 +146,17 @@ def _sensors(file: MapFile, small: Unpacker) -> dict[str, int]:
 
 def _grids(file: MapFile, small: Unpacker, config: Config) -> dict[str, Any]:
     """Return every grid, and the decision if there are two."""
-    both = (DEPTH,) in file.tally(GRIDS, "name")
-    grids = read_grids(file, small, placed=both)
-    found = {name: _grid(grid.states(), grid.resolution_m) for name, grid in grids.items()}
-    if not both:
-        return found
+    has_depth = (DEPTH,) in file.tally(GRIDS, "name")
+    grids = read_grids(file, small, placed=has_depth)
+    shares = {name: _grid(grid.states(), grid.resolution_m) for name, grid in grids.items()}
+    if not has_depth:
+        return shares
     from slam.mapping.keyframe_grid import layers_of_grids
 
     layers = layers_of_grids(grids.get(OCCUPANCY), grids[DEPTH], config)
     if layers is not None:
-        found["decision"] = _grid(layers.states("decision"), layers.resolution_m)
-    return found
+        shares["decision"] = _grid(layers.states("decision"), layers.resolution_m)
+    return shares
 
 
 def _grid(states: StateArray, resolution_m: float) -> dict[str, Any]:

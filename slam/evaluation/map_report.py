@@ -124,9 +124,9 @@ class ReportData:
     @property
     def notes(self) -> list[tuple[str, str]]:
         """Return notes of the reader, the graph and the run: subject and value."""
-        told = use_lines(self.result.uses)
-        found = [("note", note) for note in self.result.notes if note not in told]
-        return _reader_notes(self.reading) + _edge_notes(self.result.map.factors) + found
+        uses = use_lines(self.result.uses)
+        notes = [("note", note) for note in self.result.notes if note not in uses]
+        return _reader_notes(self.reading) + _edge_notes(self.result.map.factors) + notes
 
     @property
     def sensors(self) -> list[tuple[str, str, str, str]]:
@@ -173,8 +173,8 @@ def _registration_text(record: CameraRecord, config: Config) -> str:
     """Return whether a camera's colour is registered to its depth, with the evidence."""
     registration = record.learned.registration
     if registration is None:
-        asked = config.rgbd.registration == "auto"
-        return "taken as registered" if asked else "taken as registered (rgbd.registration=given)"
+        is_auto = config.rgbd.registration == "auto"
+        return "taken as registered" if is_auto else "taken as registered (rgbd.registration=given)"
     reason = registration.reason
     return f"registered by the log itself: {reason}" if registration.accepted else reason
 

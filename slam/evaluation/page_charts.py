@@ -59,21 +59,21 @@ def chart(
 
 def map_charts(result: MapResult, unit: str, truth: TruthComparison | None) -> list[dict[str, Any]]:
     """Return the charts of a run: fit of scans, certainty of poses, time, cameras."""
-    found = []
+    charts = []
     if unit == "scan":
-        found += _scores(result)
+        charts += _scores(result)
     if result.map.covariances is not None and len(result.map.trajectory):
-        found += sigma_charts(result.map.trajectory.stamps_s, result.map.covariances)
+        charts += sigma_charts(result.map.trajectory.stamps_s, result.map.covariances)
     if truth is not None:
         errors_cm = 100.0 * truth.errors_m
         series = {"error, cm": errors_cm}
-        found.append(chart("Error against the ground truth, cm", "time, s", _since(truth.stamps_s), series))
+        charts.append(chart("Error against the ground truth, cm", "time, s", _since(truth.stamps_s), series))
     for name, record in result.cameras.items():
-        found += _tracking(name, record.frames)
-    found += [] if result.fused is None else _fusion(result.fused)
+        charts += _tracking(name, record.frames)
+    charts += [] if result.fused is None else _fusion(result.fused)
     if result.scans.seconds.size:
-        found.append(_times(result.scans.seconds, unit))
-    return found
+        charts.append(_times(result.scans.seconds, unit))
+    return charts
 
 
 def sigma_charts(stamps_s: FloatArray, covariances: FloatArray) -> list[dict[str, Any]]:
@@ -130,7 +130,7 @@ def _tracking(name: str, frames: ScanRecord) -> list[dict[str, Any]]:
 
 def _fusion(fused: FusionSummary) -> list[dict[str, Any]]:
     """Return charts of the offset of every pair by grade, and of the repaired share of each scan."""
-    found = []
+    charts = []
     if fused.pairs:
         since = _since(np.array([pair.stamp_s for pair in fused.pairs]))
         offsets, grades = (np.array([getattr(pair, name) for pair in fused.pairs]) for name in ("u", "grade"))
@@ -139,7 +139,7 @@ def _fusion(fused: FusionSummary) -> list[dict[str, Any]]:
         }
         if fused.estimate is not None:
             series["u of the rig"] = np.full(len(offsets), float(fused.estimate.u))
-        found.append(chart("Fusion: offset u of every pair, samples", "time, s", since, series))
+        charts.append(chart("Fusion: offset u of every pair, samples", "time, s", since, series))
     repaired = [pair for pair in fused.pairs if pair.repaired is not None]
     if repaired:
         counts = np.array([pair.repaired for pair in repaired], dtype=np.float64)
@@ -147,8 +147,8 @@ def _fusion(fused: FusionSummary) -> list[dict[str, Any]]:
         kinds = (Provenance.FILLED, Provenance.INTERPOLATED, Provenance.AVERAGED)
         series = {kind.name.lower(): percent[:, kind] for kind in kinds}
         since = _since(np.array([pair.stamp_s for pair in repaired]))
-        found.append(chart("Fusion: beams of the scan that were repaired, %", "time, s", since, series))
-    return found
+        charts.append(chart("Fusion: beams of the scan that were repaired, %", "time, s", since, series))
+    return charts
 
 
 def _times(seconds: FloatArray, unit: str) -> dict[str, Any]:

@@ -25,12 +25,12 @@ _CONES = (0.8, 0.9, 0.95, 0.97)
 _LEAST_SHARE = 0.02
 
 
-def cloud_data(found: MapContents, cloud: ColoredCloud | None) -> tuple[dict[str, Any] | None, list[str]]:
+def cloud_data(contents: MapContents, cloud: ColoredCloud | None) -> tuple[dict[str, Any] | None, list[str]]:
     """Return the coloured cloud of the images, or else of the 3D lidar, and a line about its size.
 
     Points are (N, 3) in steps of ``step_m`` from ``low``, map frame; ``up`` is the upward direction. A
     hand-held camera does not know it, yet most of what faces up is a floor or a table. ``by_intensity`` are
-    colours by intensity, where a lidar told any that differ.
+    colours by intensity, if the lidar reports intensities that differ.
     """
     up = np.array([0.0, 0.0, 1.0])
     intensities: AnyFloatArray | None = None
@@ -38,10 +38,10 @@ def cloud_data(found: MapContents, cloud: ColoredCloud | None) -> tuple[dict[str
         total, step = f"{len(cloud.points_map):,} points", max(1, -(-len(cloud.points_map) // _POINTS))
         points, colors = cloud.points_map[::step].astype(np.float64), cloud.colors[::step]
         intensities = None if cloud.intensities is None else cloud.intensities[::step]
-        if not found.planar and found.clouds is None:
+        if not contents.planar and contents.clouds is None:
             up = _upward(cloud.normals_map)
-    elif found.clouds is not None and len(found.clouds):
-        points, intensities, total = _of_keyframes(found.clouds, found)
+    elif contents.clouds is not None and len(contents.clouds):
+        points, intensities, total = _of_keyframes(contents.clouds, contents)
         colors = ramp(points[:, 2])
     else:
         return None, []
@@ -55,19 +55,19 @@ def cloud_data(found: MapContents, cloud: ColoredCloud | None) -> tuple[dict[str
     return data, [f"The cloud: {len(steps):,} of {total}, evenly sampled."]
 
 
-def _of_keyframes(clouds: MapClouds, found: MapContents) -> tuple[FloatArray, FloatArray | None, str]:
+def _of_keyframes(clouds: MapClouds, contents: MapContents) -> tuple[FloatArray, FloatArray | None, str]:
     """Return (N, 3) sampled points of keyframes in the map, their intensities (N,), and the total number."""
-    keys, total, parts, told = _even(len(clouds)), 0, list[FloatArray](), list[FloatArray]()
+    keys, total, parts, intensities_of = _even(len(clouds)), 0, list[FloatArray](), list[FloatArray]()
     share = _POINTS // len(keys) + 1
     for key in keys:
         rows = clouds.rows(key)
         total += len(rows)
         rows = rows[:: max(1, -(-len(rows) // share))]
-        parts.append(moved(rows, spatial(found.node_poses[key])))
+        parts.append(moved(rows, spatial(contents.node_poses[key])))
         # A view would keep the whole keyframe in memory.
-        told.append(rows[:, 3].copy() if rows.shape[1] > 3 else np.full(len(rows), np.nan))
-    intensities, of = np.concatenate(told), f"{total:,} points of {len(keys):,} keyframes"
-    return np.vstack(parts), None if np.isnan(intensities).all() else intensities, of
+        intensities_of.append(rows[:, 3].copy() if rows.shape[1] > 3 else np.full(len(rows), np.nan))
+    intensity, size = np.concatenate(intensities_of), f"{total:,} points of {len(keys):,} keyframes"
+    return np.vstack(parts), None if np.isnan(intensity).all() else intensity, size
 
 
 def _even(count: int) -> list[int]:
@@ -87,11 +87,11 @@ def _upward(normals: NDArray[np.float32]) -> FloatArray:
     return up
 
 
-def image_data(found: MapContents) -> tuple[dict[str, Any] | None, list[str]]:
+def image_data(contents: MapContents) -> tuple[dict[str, Any] | None, list[str]]:
     """Return small images of camera keyframes, one JPEG after the other, and a line about their size."""
     from PIL import Image
 
-    frames = found.frames
+    frames = contents.frames
     if frames is None or not len(frames):
         return None, []
     files, heads = list[bytes](), []

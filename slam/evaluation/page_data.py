@@ -33,7 +33,7 @@ _FARTHEST_CM = np.iinfo(np.int16).max
 
 
 def map_data(
-    found: MapContents, config: Config, *, title: str, sessions: Sequence[MapSession] = (), digest: str = ""
+    saved: MapContents, config: Config, *, title: str, sessions: Sequence[MapSession] = (), digest: str = ""
 ) -> dict[str, Any]:
     """Return the data of a map's page, see `slam.evaluation.work_page.packed`.
 
@@ -44,66 +44,66 @@ def map_data(
     digest
         Digest of the map, so that edits refer to it.
     """
-    rows = _rows_of_nodes(found, sessions)
-    sigmas = _sigmas(found)
-    scans, told = _scans(found.keyframe_scans, len(found.node_poses))
-    way, way_told = _way(found, rows, sigmas)
-    names = [one.log_name for one in sessions] or [title]
-    of_nodes = session_numbers(sessions) if sessions else np.zeros(len(found.node_poses))
+    rows = _rows_of_nodes(saved, sessions)
+    sigmas = _sigmas(saved)
+    scans, scan_limits = _scans(saved.keyframe_scans, len(saved.node_poses))
+    path, path_limits = _way(saved, rows, sigmas)
+    names = [session.log_name for session in sessions] or [title]
+    of_nodes = session_numbers(sessions) if sessions else np.zeros(len(saved.node_poses))
     node_session = of_nodes.astype(np.int32)
-    way |= {"session": node_session[way["node"]].astype(np.uint8), "sessions": names}
+    path |= {"session": node_session[path["node"]].astype(np.uint8), "sessions": names}
     return {
         "kind": "map",
         "title": title,
         "digest": digest,
-        "planar": found.planar,
-        "unit": "scan" if any(scan is not None for scan in found.keyframe_scans) else "frame",
+        "planar": saved.planar,
+        "unit": "scan" if any(scan is not None for scan in saved.keyframe_scans) else "frame",
         "sessions": names,
         "nodes": {
-            "stamps_s": found.stamps_s,
+            "stamps_s": saved.stamps_s,
             "session": node_session,
-            "readings": found.readings.astype(np.int32),
-            "poses": pose_rows(found.node_poses),
-            "bases": found.keyframe_poses,
+            "readings": saved.readings.astype(np.int32),
+            "poses": pose_rows(saved.node_poses),
+            "bases": saved.keyframe_poses,
             "sigmas_m": sigmas[0][rows],
-            "ellipses": _plane_covariances(found.covariances, rows),
+            "ellipses": _plane_covariances(saved.covariances, rows),
         },
-        "edges": _edges(found.factors, found.planar),
-        "loops": _loops(found.loops, found.factors, found.planar),
+        "edges": _edges(saved.factors, saved.planar),
+        "loops": _loops(saved.loops, saved.factors, saved.planar),
         "scans": scans,
-        "repairs": _repairs(found),
-        "layers": layer_pictures(found.layers(config), found.grids.get(PASSED_BY)),
-        "trajectory": way,
-        "limits": [*told, *way_told],
-        **_what_if(found, config),
+        "repairs": _repairs(saved),
+        "layers": layer_pictures(saved.layers(config), saved.grids.get(PASSED_BY)),
+        "trajectory": path,
+        "limits": [*scan_limits, *path_limits],
+        **_what_if(saved, config),
     }
 
 
-def _what_if(found: MapContents, config: Config) -> dict[str, Any]:
+def _what_if(saved: MapContents, config: Config) -> dict[str, Any]:
     """Return influences and elimination order, see `slam.graph.influence`.
 
     Edges are those of the graph, and after them the matched loop candidates that never came into it, in
     order: so they are numbered in the page, too.
     """
-    factors = [factor.edge for factor in found.factors]
-    edges = all_edges(factors, found.loops)
-    kept = [factor.kept for factor in found.factors] + [False] * (len(edges) - len(factors))
-    size = 3 if found.planar else 6
-    told = influences(found.node_poses, edges, kept)
+    factors = [factor.edge for factor in saved.factors]
+    edges = all_edges(factors, saved.loops)
+    kept = [factor.kept for factor in saved.factors] + [False] * (len(edges) - len(factors))
+    size = 3 if saved.planar else 6
+    effect = influences(saved.node_poses, edges, kept)
     give_back()
     return {
         "influence": {
-            "edge": told.edges.astype(np.int32),
-            "shift_m": told.shifts_m.astype(np.float32),
-            "node": told.nodes.astype(np.int32),
-            "residual": told.residuals.astype(np.float32),
-            "left_out": told.left_out.astype(np.float32),
+            "edge": effect.edges.astype(np.int32),
+            "shift_m": effect.shifts_m.astype(np.float32),
+            "node": effect.nodes.astype(np.int32),
+            "residual": effect.residuals.astype(np.float32),
+            "left_out": effect.left_out.astype(np.float32),
             # Squared sigmas exceeded by one in a thousand true loops: for one loop, two and so on.
-            "gates": np.array([gate(size * n) for n in range(1, max(len(told.edges), 1) + 1)], np.float32),
+            "gates": np.array([gate(size * n) for n in range(1, max(len(effect.edges), 1) + 1)], np.float32),
             # Loops within a local map of each other at both ends are one claim.
             "reach": config.match.local_map_keyframes,
         },
-        "order": elimination_order(len(found.node_poses), edges).astype(np.int32),
+        "order": elimination_order(len(saved.node_poses), edges).astype(np.int32),
     }
 
 
@@ -136,18 +136,18 @@ def way_data(
         "yaw_sigma": sigmas[1][chosen],
         "speed": speed,
     }
-    told = [] if chosen.step == 1 else [f"Trajectory: {len(part):,} of {count:,} poses, evenly sampled."]
-    return data, told, chosen
+    limits = [] if chosen.step == 1 else [f"Trajectory: {len(part):,} of {count:,} poses, evenly sampled."]
+    return data, limits, chosen
 
 
 def _way(
-    found: MapContents, rows: NDArray[np.intp], sigmas: tuple[NDArray[np.float32], NDArray[np.float32]]
+    saved: MapContents, rows: NDArray[np.intp], sigmas: tuple[NDArray[np.float32], NDArray[np.float32]]
 ) -> tuple[dict[str, Any], list[str]]:
     """Return the path of the map, and the source of each step: the most certain inlier edge to it."""
-    data, told, chosen = way_data(found.trajectory, sigmas)
-    kinds = sorted({str(factor.edge.kind) for factor in found.factors if factor.edge.loop is None})
-    sources, spread = np.full(len(found.node_poses), len(kinds), np.uint8), dict[int, float]()
-    for factor in found.factors:
+    data, limits, chosen = way_data(saved.trajectory, sigmas)
+    kinds = sorted({str(factor.edge.kind) for factor in saved.factors if factor.edge.loop is None})
+    sources, spread = np.full(len(saved.node_poses), len(kinds), np.uint8), dict[int, float]()
+    for factor in saved.factors:
         edge = factor.edge
         if factor.kept and edge.loop is None and edge.target == edge.source + 1:
             size = float(np.trace(edge.covariance))
@@ -155,34 +155,34 @@ def _way(
                 spread[edge.target] = size
                 sources[edge.target] = kinds.index(str(edge.kind))
     sources[:1] = sources[1:2] if len(sources) > 1 else len(kinds)
-    numbers, before = np.arange(len(found.trajectory))[chosen], np.maximum.accumulate(rows)
+    numbers, before = np.arange(len(saved.trajectory))[chosen], np.maximum.accumulate(rows)
     data["source"], data["node"] = np.zeros(len(numbers), np.uint8), np.zeros(len(numbers), np.int32)
     if len(rows):
         data["source"] = sources[np.minimum(np.searchsorted(before, numbers), len(rows) - 1)]
         data["node"] = np.maximum(np.searchsorted(before, numbers, side="right") - 1, 0).astype(np.int32)
-    return {**data, "sources": [*kinds, "nothing"]}, told
+    return {**data, "sources": [*kinds, "nothing"]}, limits
 
 
-def _rows_of_nodes(found: MapContents, sessions: Sequence[MapSession]) -> NDArray[np.intp]:
+def _rows_of_nodes(saved: MapContents, sessions: Sequence[MapSession]) -> NDArray[np.intp]:
     """Return (K,) the trajectory pose of each node: the nearest stamp of its session."""
-    stamps_s = found.trajectory.stamps_s
+    stamps_s = saved.trajectory.stamps_s
     if not len(stamps_s):
         return np.zeros(0, np.intp)
     rows, node, pose = [], 0, 0
     for keyframes, poses in [(one.keyframes, one.poses) for one in sessions] or [
-        (len(found.stamps_s), len(stamps_s))
+        (len(saved.stamps_s), len(stamps_s))
     ]:
-        part = nearest_indices(stamps_s[pose : pose + poses], found.stamps_s[node : node + keyframes])
+        part = nearest_indices(stamps_s[pose : pose + poses], saved.stamps_s[node : node + keyframes])
         rows.append(part + pose)
         node, pose = node + keyframes, pose + poses
     return np.concatenate(rows)
 
 
-def _sigmas(found: MapContents) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+def _sigmas(saved: MapContents) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
     """Return (N,) the largest sigma of each position, and of the yaw, radians; NaN if unknown."""
-    covariances = found.covariances
+    covariances = saved.covariances
     if covariances is None:
-        unknown = np.full(len(found.trajectory), np.nan, np.float32)
+        unknown = np.full(len(saved.trajectory), np.nan, np.float32)
         return unknown, unknown
     positions, yaws = sigmas_of(covariances)
     return positions.astype(np.float32), yaws.astype(np.float32)
@@ -192,8 +192,8 @@ def _plane_covariances(covariances: FloatArray | None, rows: NDArray[np.intp]) -
     """Return (K, 3) xx, xy, yy of the nodes' positions; empty if unknown."""
     if covariances is None or not len(rows):
         return np.zeros((0, 3), np.float32)
-    found = covariances[rows]
-    return np.column_stack([found[:, 0, 0], found[:, 0, 1], found[:, 1, 1]]).astype(np.float32)
+    chosen = covariances[rows]
+    return np.column_stack([chosen[:, 0, 0], chosen[:, 0, 1], chosen[:, 1, 1]]).astype(np.float32)
 
 
 def _edges(factors: Sequence[SavedFactor], planar: bool) -> dict[str, Any]:
@@ -266,16 +266,16 @@ def _scans(scans: Sequence[LaserScan | None], count: int) -> tuple[dict[str, Any
         np.zeros((0, 2), np.int16) if scan is None else _centimetres(_points_base(scan)[::step])
         for scan in scans or [None] * count
     ]
-    told = [] if step == 1 else [f"Scans: one point in {step}."]
-    return _stacked(parts), told
+    limits = [] if step == 1 else [f"Scans: one point in {step}."]
+    return _stacked(parts), limits
 
 
-def _repairs(found: MapContents) -> dict[str, Any]:
+def _repairs(saved: MapContents) -> dict[str, Any]:
     """Return the changes of the scans by fusion, base frame: kind 0 new, 1 moved, 2 old position."""
     parts, kinds = [], []
-    total = sum(scan.ranges_m.size for scan in found.keyframe_scans if scan is not None)
+    total = sum(scan.ranges_m.size for scan in saved.keyframe_scans if scan is not None)
     step = max(1, -(-total // _SCAN_POINTS))
-    for before, after in zip(found.measured_scans, found.keyframe_scans, strict=False):
+    for before, after in zip(saved.measured_scans, saved.keyframe_scans, strict=False):
         if before is None or after is None or before is after:
             parts.append(np.zeros((0, 2), np.int16))
             continue

@@ -71,8 +71,8 @@ class Picture:
 def layer_pictures(layers: LayeredMap | None, passed_by: OccupancyGrid | None = None) -> list[dict[str, Any]]:
     """Return the map and then its layers for the header of the page's data; empty without a map.
 
-    Each tells its name, what its colours mean, the PNG as a data address, whether it lies over another that
-    stays, the side of a pixel, and the pose ``T_map_corner`` (x, y, yaw) of its lower-left corner.
+    Each has its name, the meaning of its colours, the PNG as a data URL, whether it is drawn over another
+    layer, the side of a pixel, and the pose ``T_map_corner`` (x, y, yaw) of its lower-left corner.
     """
     if layers is None:
         return []
@@ -82,7 +82,7 @@ def layer_pictures(layers: LayeredMap | None, passed_by: OccupancyGrid | None = 
     low = gtsam.Pose2(window[1].start * layers.resolution_m, window[0].start * layers.resolution_m, 0.0)
     corner = layers.T_map_grid.compose(low)
 
-    def told(picture: Picture) -> dict[str, Any]:
+    def entry(picture: Picture) -> dict[str, Any]:
         address = "data:image/png;base64," + base64.b64encode(picture.png(window)).decode("ascii")
         return {
             "name": picture.name,
@@ -96,7 +96,7 @@ def layer_pictures(layers: LayeredMap | None, passed_by: OccupancyGrid | None = 
         }
 
     # A loop would keep an image until it has the next one.
-    return [*map(told, _pictures(layers, passed_by))]
+    return [*map(entry, _pictures(layers, passed_by))]
 
 
 def areas_m2(layers: LayeredMap) -> tuple[float, float]:
@@ -142,8 +142,8 @@ def _gone(layers: LayeredMap, passed_by: OccupancyGrid) -> Picture:
     """Return temporary objects over the map; both have aligned cells."""
     rows, columns = np.nonzero(THRESHOLDS.occupied(passed_by.steps))
     kinds = _kinds(layers, "decision")
-    apart = layers.T_map_grid.between(passed_by.T_map_grid)
-    row, column = round(apart.y() / layers.resolution_m), round(apart.x() / layers.resolution_m)
+    offset = layers.T_map_grid.between(passed_by.T_map_grid)
+    row, column = round(offset.y() / layers.resolution_m), round(offset.x() / layers.resolution_m)
     kinds[rows + row, columns + column] = len(_SHADES)
     return Picture("removed objects", kinds, (*_SHADES, _GONE))
 

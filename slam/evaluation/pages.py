@@ -46,7 +46,7 @@ def page_parts(
 ) -> Iterator[str]:
     """Yield a page part by part; every text is escaped, an image is PNG bytes.
 
-    A policy in its head lets the browser run these scripts and no others, and ask for nothing.
+    A policy in its head allows the browser only these scripts, and no requests.
 
     Parameters
     ----------
@@ -57,7 +57,7 @@ def page_parts(
     """
     sources = [(TEMPLATES / name).read_text(encoding="utf-8") for name in scripts]
     hashes = [base64.b64encode(hashlib.sha256(text.encode()).digest()).decode() for text in sources]
-    allowed = " ".join(f"'sha256-{one}'" for one in hashes) or "'none'"
+    allowed = " ".join(f"'sha256-{digest}'" for digest in hashes) or "'none'"
     policy = (
         f"default-src 'none'; script-src {allowed}; style-src 'unsafe-inline'; img-src data: blob:; "
         f"worker-src blob:; connect-src {connect}; base-uri 'none'; form-action 'none'"

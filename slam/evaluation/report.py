@@ -25,12 +25,12 @@ from slam.measurements import FloatArray
 
 
 def write_report(path: Path, data: ReportData, head: Callable[[], Any] = lambda: None) -> None:
-    """Write the report as one HTML file that asks nothing of the network.
+    """Write the report as one HTML file that needs no network.
 
     Parameters
     ----------
     head
-        Tells `map_data` of the map without its digest, or None; asked when all else is there.
+        Returns `map_data` of the map without its digest, or None; called last.
 
     Raises
     ------
@@ -105,14 +105,14 @@ def _duration(seconds: float) -> str:
 
 def _page(data: ReportData, head: dict[str, Any] | None) -> WorkPage:
     """Return the interactive plan."""
-    found, truth = data.result.map, data.beside.truth
+    contents, truth = data.result.map, data.beside.truth
     if head is None:
-        head = map_data(found, data.config, title=data.log_name, sessions=data.sessions)
+        head = map_data(contents, data.config, title=data.log_name, sessions=data.sessions)
     head["digest"] = data.digest
     head["charts"] = map_charts(data.result, data.unit, truth)
     if truth is not None:
         head["truth"] = {"xy": truth.true_positions_m[:, :2].astype(np.float32)}
-    return map_work_page(head, found, data.config, data.beside.cloud)
+    return map_work_page(head, contents, data.config, data.beside.cloud)
 
 
 def fusion_section(fused: FusionSummary) -> str:
@@ -130,11 +130,11 @@ def _grade_rows(fused: FusionSummary) -> list[tuple[str, ...]]:
     rows: list[tuple[str, ...]] = []
     for grade in sorted(Grade, reverse=True):
         offsets = np.array([pair.u for pair in fused.pairs if pair.grade == grade])
-        apart = "–"
+        offset_px = "–"
         if fused.estimate is not None and offsets.size:
-            apart = f"{np.median(np.abs(offsets - fused.estimate.u)):.1f}"
+            offset_px = f"{np.median(np.abs(offsets - fused.estimate.u)):.1f}"
         share = f"{offsets.size / len(fused.pairs):.0%}"
-        rows.append((grade.name.lower(), f"{offsets.size:,}", share, apart))
+        rows.append((grade.name.lower(), f"{offsets.size:,}", share, offset_px))
     return rows
 
 

@@ -38,20 +38,20 @@ def saved_page(saved: Map, connect: str = "'none'") -> Iterator[str]:
     connect
         Permitted connections of its scripts, see `slam.evaluation.pages.page_parts`.
     """
-    found, config = saved.contents, saved.config
+    contents, config = saved.contents, saved.config
     title = saved.path.parent.name if len(saved.sessions) > 1 else saved.sessions[0].log_name
-    head = map_data(found, config, title=title, sessions=saved.sessions, digest=saved.digest)
-    head["applied"] = _applied(found)
-    if found.covariances is not None:
-        head["charts"] = sigma_charts(found.trajectory.stamps_s, found.covariances)
+    head = map_data(contents, config, title=title, sessions=saved.sessions, digest=saved.digest)
+    head["applied"] = _applied(contents)
+    if contents.covariances is not None:
+        head["charts"] = sigma_charts(contents.trajectory.stamps_s, contents.covariances)
     cloud, path = None, saved.path.parent / CLOUD_FILE
-    if found.frames is not None and path.is_file():
+    if contents.frames is not None and path.is_file():
         try:
             cloud = read_cloud_ply(path)
         except ScanweaveError as error:
             head["limits"].append(f"No cloud: {error}")
-    page = map_work_page(head, found, config, cloud)
-    loops = found.loops
+    page = map_work_page(head, contents, config, cloud)
+    loops = contents.loops
     return page_parts(
         "saved.html",
         scripts=page.scripts,
@@ -61,22 +61,22 @@ def saved_page(saved: Map, connect: str = "'none'") -> Iterator[str]:
         title=title,
         kind="map",
         headline=[
-            ("keyframes", f"{len(found.node_poses):,}"),
-            ("poses", f"{len(found.trajectory):,}"),
+            ("keyframes", f"{len(contents.node_poses):,}"),
+            ("poses", f"{len(contents.trajectory):,}"),
             ("loops accepted", f"{sum(loop.accepted for loop in loops):,} of {len(loops):,}"),
-            ("path", f"{extent_of(found.trajectory, saved.sessions)['path_length_m']:,.1f} m"),
+            ("path", f"{extent_of(contents.trajectory, saved.sessions)['path_length_m']:,.1f} m"),
             ("digest", saved.digest[:12]),
         ],
         warnings=list(saved.warnings),
         notes=[("note", note) for note in saved.notes],
-        logs=[(one.log_name, f"{one.keyframes:,}", f"{one.poses:,}") for one in saved.sessions],
-        loops=loop_section(found, config),
+        logs=[(log.log_name, f"{log.keyframes:,}", f"{log.poses:,}") for log in saved.sessions],
+        loops=loop_section(contents, config),
         effective_config=dump_config(config),
     )
 
 
 def write_saved_page(saved: Map) -> Path:
-    """Write the page as ``report.html`` beside the map, and tell where.
+    """Write the page as ``report.html`` into the map's folder; return its path.
 
     Raises
     ------
@@ -90,13 +90,13 @@ def write_saved_page(saved: Map) -> Path:
 
 
 def map_work_page(
-    head: dict[str, Any], found: MapContents, config: Config, cloud: ColoredCloud | None = None
+    head: dict[str, Any], contents: MapContents, config: Config, cloud: ColoredCloud | None = None
 ) -> WorkPage:
     """Return the plan of a map's data, with its cloud and images."""
-    for name, (part, told) in (("cloud", cloud_data(found, cloud)), ("images", image_data(found))):
+    for name, (part, limits) in (("cloud", cloud_data(contents, cloud)), ("images", image_data(contents))):
         head[name] = part
-        head["limits"] += told
-    layers = found.layers(config)
+        head["limits"] += limits
+    layers = contents.layers(config)
     legend = _legend(layers)
     for layer in head["layers"][:1]:
         layer["legend"] = legend
@@ -117,11 +117,15 @@ def _legend(layers: LayeredMap | None) -> str:
     )
 
 
-def _applied(found: MapContents) -> dict[str, Any]:
+def _applied(contents: MapContents) -> dict[str, Any]:
     """Return the texts of the edits, and the current positions of their zones and places in the map."""
     regions = [
-        {"kind": kind, "name": region.name, "points": region.points(found.keyframe_poses).round(3).tolist()}
+        {
+            "kind": kind,
+            "name": region.name,
+            "points": region.points(contents.keyframe_poses).round(3).tolist(),
+        }
         for kind in _KINDS
-        for region in regions_of(found.edits, kind)
+        for region in regions_of(contents.edits, kind)
     ]
-    return {"texts": [entry.text for entry in found.edits], "regions": regions}
+    return {"texts": [entry.text for entry in contents.edits], "regions": regions}

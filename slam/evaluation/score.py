@@ -78,8 +78,8 @@ def evaluate(
     """
     poses = _poses(trajectory)
     if (groundtruth is None) == (relations is None):
-        given = "none" if relations is None else "both"
-        raise EvaluationError(f"a trajectory is scored by groundtruth or by relations: give one, not {given}")
+        count = "none" if relations is None else "both"
+        raise EvaluationError(f"a trajectory is scored by groundtruth or by relations: give one, not {count}")
     if relations is not None:
         checked = (
             relations if isinstance(relations, Relations) else read_relations(path_of(relations, "relations"))
@@ -134,12 +134,12 @@ def _lines(values: dict[str, Any], indent: str) -> list[str]:
 
 def _beside(path: Path, poses: Trajectory) -> FloatArray | None:
     """Return the covariances of a trajectory file; None if there are none."""
-    beside = covariance_path(path)
-    if not beside.is_file():
+    file = covariance_path(path)
+    if not file.is_file():
         return None
-    stamps_s, covariances = read_covariances(beside)
+    stamps_s, covariances = read_covariances(file)
     if not np.array_equal(stamps_s, poses.stamps_s):
-        raise EvaluationError(f"{beside} has other stamps than {path}; it belongs to another trajectory")
+        raise EvaluationError(f"{file} has other stamps than {path}; it belongs to another trajectory")
     return covariances
 
 

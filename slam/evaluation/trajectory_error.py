@@ -103,14 +103,14 @@ def associate(
     reference_is_shorter = len(trajectory) > len(reference)
     short, long = (reference, trajectory) if reference_is_shorter else (trajectory, reference)
     nearest = nearest_indices(long.stamps_s, short.stamps_s)
-    found = np.flatnonzero(np.abs(long.stamps_s[nearest] - short.stamps_s) <= max_difference_s)
-    if not found.size:
+    matched = np.flatnonzero(np.abs(long.stamps_s[nearest] - short.stamps_s) <= max_difference_s)
+    if not matched.size:
         raise EvaluationError(
             f"no pose is within {max_difference_s} s of the reference's: trajectory"
             f" {trajectory.stamps_s.min():.3f} to {trajectory.stamps_s.max():.3f} s, reference"
             f" {reference.stamps_s.min():.3f} to {reference.stamps_s.max():.3f} s; is it the same clock?"
         )
-    short, long = short[found], long[nearest[found]]
+    short, long = short[matched], long[nearest[matched]]
     return (long, short) if reference_is_shorter else (short, long)
 
 

@@ -20,7 +20,7 @@ from slam.foreign import plain_lines
 from slam.measurements import FloatArray
 
 _ALIGNED = 8
-# So many corners of the way, and loops, are enough for a picture.
+# Largest number of corners of the path, and of loops, in a picture.
 _CORNERS, _LINES = 2000, 400
 _MARGIN_M = 0.5
 
@@ -62,32 +62,32 @@ def work_page(data: Mapping[str, Any], title: str, legend: str = "") -> WorkPage
 
 
 def picture_of(data: Mapping[str, Any]) -> Markup:
-    """The first layer with the way and the accepted loops drawn in, as SVG in metres."""
-    layers, way = data["layers"], data["trajectory"]["xy"].astype(np.float64)
-    way = way[np.isfinite(way).all(axis=1)]
-    way = way[:: max(1, len(way) // _CORNERS)]
+    """The first layer with the path and the accepted loops drawn in, as SVG in metres."""
+    layers, path_m = data["layers"], data["trajectory"]["xy"].astype(np.float64)
+    path_m = path_m[np.isfinite(path_m).all(axis=1)]
+    path_m = path_m[:: max(1, len(path_m) // _CORNERS)]
     loops = np.zeros((0, 4))
     if "loops" in data:
         ends, bases = data["loops"], data["nodes"]["bases"]
         chosen = np.flatnonzero(ends["accepted"])
         chosen = chosen[:: max(1, -(-len(chosen) // _LINES))]
         loops = np.hstack([bases[ends[side][chosen], :2] for side in ("place", "keyframe")])
-    low, high = _bounds(layers[0] if layers else None, way)
+    low, high = _bounds(layers[0] if layers else None, path_m)
     return render(
         "picture.html",
         box=[low[0], -high[1], *(high - low)],
         layer=layers[0] if layers else None,
         turn_deg=-np.degrees(layers[0]["corner"][2]) if layers else 0.0,
-        way=" ".join(f"{x:.2f},{-y:.2f}" for x, y in way.tolist()),
+        way=" ".join(f"{x:.2f},{-y:.2f}" for x, y in path_m.tolist()),
         loops=" ".join(f"M{a:.2f},{-b:.2f}L{c:.2f},{-d:.2f}" for a, b, c, d in loops.tolist()),
-        ends=[(x, -y) for x, y in way[[0, -1]].tolist()] if len(way) else [],
+        ends=[(x, -y) for x, y in path_m[[0, -1]].tolist()] if len(path_m) else [],
         dot_m=0.008 * float((high - low).max()),
     )
 
 
-def _bounds(layer: Mapping[str, Any] | None, way: FloatArray) -> tuple[FloatArray, FloatArray]:
+def _bounds(layer: Mapping[str, Any] | None, path_m: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Lowest and highest corner of layer and way, with a margin."""
-    corners = [way]
+    corners = [path_m]
     if layer is not None:
         x, y, yaw = layer["corner"]
         size = np.array([layer["cols"], layer["rows"]]) * layer["resolution_m"]

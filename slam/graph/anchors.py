@@ -97,29 +97,29 @@ def anchored(
     None if the path is no longer than the anchors' sigma: then they do not determine the heading.
     """
     axes = 3 if isinstance(poses[0], gtsam.Pose3) else 2
-    places = np.array([one.place_m for one in anchors])
-    spreads = np.array([one.covariance_m2[:axes, :axes] for one in anchors])
+    places = np.array([anchor.place_m for anchor in anchors])
+    spreads = np.array([anchor.covariance_m2[:axes, :axes] for anchor in anchors])
     variances = 0.5 * np.trace(spreads[:, :2, :2], axis1=1, axis2=2)
     far_m = np.linalg.norm(places[:, :2] - np.median(places[:, :2], axis=0), axis=1).max()
     if far_m <= _FREEDOM * math.sqrt(float(np.median(variances))):
         return None
-    seen = _seen(poses, anchors)
-    laid = _laid(seen, places, 1.0 / variances)
-    nodes = [*poses, _like(poses[0], laid)]
-    scale2 = _scale2(seen, places, spreads, laid) if kind is EdgeKind.GNSS else 1.0
+    antennas = _seen(poses, anchors)
+    T_map_enu = _laid(antennas, places, 1.0 / variances)
+    nodes = [*poses, _like(poses[0], T_map_enu)]
+    scale2 = _scale2(antennas, places, spreads, T_map_enu) if kind is EdgeKind.GNSS else 1.0
     held = [*edges, _upright(nodes)]
-    together = np.array([one.together for one in anchors])
+    together = np.array([anchor.together for anchor in anchors])
     weights, before = np.ones(len(anchors)), np.full(len(anchors), np.inf)
     for _ in range(ROUNDS):
-        told = _edges(nodes, len(poses), anchors, together * scale2 / weights, kind)
-        values = solved(*held_graph(nodes, [*held, *told]))
+        ties = _edges(nodes, len(poses), anchors, together * scale2 / weights, kind)
+        values = solved(*held_graph(nodes, [*held, *ties]))
         nodes = [values.atPose3(n) if axes == 3 else values.atPose2(n) for n in range(len(nodes))]
         T_enu_map = spatial(nodes[-1]).inverse()
-        off = np.array([T_enu_map.transformFrom(seen) for seen in _seen(nodes, anchors)]) - places
+        offsets = np.array([T_enu_map.transformFrom(antennas) for antennas in _seen(nodes, anchors)]) - places
         if axes == 2:
-            height_m = np.array([0.0, 0.0, -np.median(off[:, 2])])
+            height_m = np.array([0.0, 0.0, -np.median(offsets[:, 2])])
             T_enu_map = gtsam.Pose3(T_enu_map.rotation(), T_enu_map.translation() + height_m)
-        squares = np.einsum("ki,kij,kj->k", off[:, :axes], np.linalg.inv(spreads), off[:, :axes])
+        squares = np.einsum("ki,kij,kj->k", offsets[:, :axes], np.linalg.inv(spreads), offsets[:, :axes])
         squares /= scale2
         weights = (_FREEDOM + axes) / (_FREEDOM + squares)
         sigmas = np.sqrt(squares)
@@ -127,7 +127,7 @@ def anchored(
             break
         before = sigmas
     fits = squares <= gate(axes)
-    told, from_earth = (
+    ties, from_earth = (
         [
             edge
             for edge, fit in zip(_edges(nodes, source, anchors, together * scale2, kind), fits, strict=True)
@@ -136,22 +136,22 @@ def anchored(
         for source in (0, len(poses))
     )
     return Anchored(
-        T_enu_map, told, [_upright(nodes).turned(), *from_earth], math.sqrt(scale2), 1.0 - float(fits.mean())
+        T_enu_map, ties, [_upright(nodes).turned(), *from_earth], math.sqrt(scale2), 1.0 - float(fits.mean())
     )
 
 
-def seen_from_earth(poses: Sequence[Pose], edges: Sequence[Edge], found: Anchored) -> FloatArray:
+def seen_from_earth(poses: Sequence[Pose], edges: Sequence[Edge], solution: Anchored) -> FloatArray:
     """Return (n, d, d) covariance of each node with the earth fixed, in GTSAM's tangent of the node.
 
     ``edges`` are the inliers with their joint uncertainty; edges of the earth from node 0 are left out.
     """
-    earth = _like(poses[0], found.T_enu_map.inverse())
-    kinds = {edge.kind for edge in found.edges}
+    earth = _like(poses[0], solution.T_enu_map.inverse())
+    kinds = {edge.kind for edge in solution.edges}
     turned = [
         replace(
             edge, source=(edge.source + 1) % (len(poses) + 1), target=(edge.target + 1) % (len(poses) + 1)
         )
-        for edge in [*found.from_earth, *(edge for edge in edges if edge.kind not in kinds)]
+        for edge in [*solution.from_earth, *(edge for edge in edges if edge.kind not in kinds)]
     ]
     return marginals([earth, *poses], turned)[1:]
 
@@ -175,7 +175,7 @@ def with_alignment(edges: Sequence[Edge]) -> list[Edge]:
 
     The pose of the earth is estimated from all of them, so their sum gives its covariance.
     """
-    found, groups = list(edges), dict[tuple[int, str], list[int]]()
+    aligned, groups = list(edges), dict[tuple[int, str], list[int]]()
     for number, edge in enumerate(edges):
         if edge.kind in (EdgeKind.GNSS, EdgeKind.SURVEY):
             groups.setdefault((edge.source, edge.kind), []).append(number)
@@ -187,8 +187,8 @@ def with_alignment(edges: Sequence[Edge]) -> list[Edge]:
         spreads = turns @ covariances @ turns.transpose(0, 2, 1)
         # x, y, z of the earth, and its heading about the middle.
         slopes = np.tile(np.eye(3, 4), (len(members), 1, 1))
-        away = places - places.mean(axis=0)
-        slopes[:, 0, 3], slopes[:, 1, 3] = -away[:, 1], away[:, 0]
+        offsets = places - places.mean(axis=0)
+        slopes[:, 0, 3], slopes[:, 1, 3] = -offsets[:, 1], offsets[:, 0]
         information = np.einsum("kia,kij,kjb->ab", slopes, np.linalg.inv(spreads), slopes)
         shared = slopes @ np.linalg.inv(information + TINY * np.eye(4)) @ slopes.transpose(0, 2, 1)
         shared = turns.transpose(0, 2, 1) @ shared @ turns
@@ -200,8 +200,8 @@ def with_alignment(edges: Sequence[Edge]) -> list[Edge]:
                 covariance[3:, 3:] += more
             else:
                 covariance[:2, :2] += more[:2, :2]
-            found[number] = replace(edges[number], covariance=covariance)
-    return found
+            aligned[number] = replace(edges[number], covariance=covariance)
+    return aligned
 
 
 def _of_place(edge: Edge) -> FloatArray:
@@ -219,7 +219,7 @@ def _of_place(edge: Edge) -> FloatArray:
 
 def _seen(poses: Sequence[Pose], anchors: Sequence[Anchor]) -> FloatArray:
     """Return (k, 3) the measured points of the anchors in the map."""
-    return np.array([spatial(poses[one.node]).transformFrom(one.arm_m) for one in anchors])
+    return np.array([spatial(poses[anchor.node]).transformFrom(anchor.arm_m) for anchor in anchors])
 
 
 def _laid(seen_m: FloatArray, places_m: FloatArray, weights: FloatArray) -> gtsam.Pose3:
@@ -237,8 +237,8 @@ def _upright(nodes: Sequence[Pose]) -> Edge:
     nothing, leans = NOWHERE_M**2, _LEANS_RAD**2
     planar = isinstance(nodes[0], gtsam.Pose2)
     variances = [nothing, nothing, math.pi**2] if planar else [leans, leans, math.pi**2, *[nothing] * 3]
-    whole = motion_between(nodes[0], nodes[-1])
-    return Edge(0, len(nodes) - 1, whole, np.diag(variances), EdgeKind.GNSS, trusted=True)
+    motion = motion_between(nodes[0], nodes[-1])
+    return Edge(0, len(nodes) - 1, motion, np.diag(variances), EdgeKind.GNSS, trusted=True)
 
 
 def _edges(
@@ -248,24 +248,24 @@ def _edges(
 
     ``scales`` (k,) are factors of the covariances.
     """
-    earth, found = nodes[-1], list[Edge]()
+    earth, edges = nodes[-1], list[Edge]()
     T_source_earth = spatial(motion_between(nodes[source], earth))
-    for one, scale in zip(anchors, scales.tolist(), strict=True):
-        turn = spatial(motion_between(earth, nodes[one.node])).rotation()
-        place = gtsam.Pose3(turn, one.place_m - np.asarray(turn.rotate(one.arm_m)))
+    for anchor, scale in zip(anchors, scales.tolist(), strict=True):
+        turn = spatial(motion_between(earth, nodes[anchor.node])).rotation()
+        place = gtsam.Pose3(turn, anchor.place_m - np.asarray(turn.rotate(anchor.arm_m)))
         axes = np.asarray(turn.matrix())
         pose = _like(earth, T_source_earth.compose(place))
         covariance = np.full(6, math.pi**2) * np.eye(6)
         if isinstance(pose, gtsam.Pose2):
             covariance[:2, :2] = 0.0
-        covariance[3:, 3:] = scale * axes.T @ one.covariance_m2 @ axes
+        covariance[3:, 3:] = scale * axes.T @ anchor.covariance_m2 @ axes
         # The rotation is about the measured point, not about the node.
-        adjoint = gtsam.Pose3(gtsam.Rot3(), one.arm_m).AdjointMap()
+        adjoint = gtsam.Pose3(gtsam.Rot3(), anchor.arm_m).AdjointMap()
         covariance = adjoint @ covariance @ adjoint.T
         if isinstance(pose, gtsam.Pose2):
             covariance = covariance[np.ix_(IN_PLANE, IN_PLANE)]
-        found.append(Edge(source, one.node, pose, covariance, kind, trusted=False))
-    return found
+        edges.append(Edge(source, anchor.node, pose, covariance, kind, trusted=False))
+    return edges
 
 
 def _like(pose: Pose, other: gtsam.Pose3) -> Pose:

@@ -66,10 +66,10 @@ class ClaimTrial:
 
     def _along(self, members: Sequence[LoopCandidate]) -> Iterator[tuple[int, LoopCandidate]]:
         """Yield the keyframes around those of a set, each with the nearest claim along the path."""
-        way_m = self._submaps.travelled_m
-        ways = np.array([way_m(member.keyframe) for member in members])
-        for key in self._stretches.between(ways.min() - self._reach_m, ways.max() + self._reach_m):
-            yield key, members[int(np.abs(ways - way_m(key)).argmin())]
+        path_m = self._submaps.travelled_m
+        members_m = np.array([path_m(member.keyframe) for member in members])
+        for key in self._stretches.between(members_m.min() - self._reach_m, members_m.max() + self._reach_m):
+            yield key, members[int(np.abs(members_m - path_m(key)).argmin())]
 
     def _guesses(self, member: LoopCandidate, key: int) -> Iterator[tuple[int, Motion]]:
         """Yield the places from which a keyframe may be visible by a claim, and its pose in their frames."""
@@ -93,18 +93,18 @@ class ClaimTrial:
 
     def _places(self, place: int, expected: Motion, key: int) -> list[int]:
         """Return places around one on the same pass from which a pose may be visible, nearest first."""
-        way_m, config = self._submaps.travelled_m, self._config
-        around = self._stretches.between(way_m(place) - self._reach_m, way_m(place) + self._reach_m)
-        seen = [between(self._submaps.pose(place), self._submaps.pose(one)) for one in around]
-        apart_m = [math.dist(one[:2], expected.pose[:2]) for one in seen]
+        path_m, config = self._submaps.travelled_m, self._config
+        around = self._stretches.between(path_m(place) - self._reach_m, path_m(place) + self._reach_m)
+        relative = [between(self._submaps.pose(place), self._submaps.pose(one)) for one in around]
+        apart_m = [math.dist(one[:2], expected.pose[:2]) for one in relative]
         chosen: list[int] = []
         for n in np.argsort(apart_m, kind="stable").tolist():
             if len(chosen) == config.near or apart_m[n] > self._stretches.window_m:
                 break
             if not chosen and apart_m[n] > self._submaps.wide_m(config.reach_m, 1.0):
                 break
-            far = all(abs(way_m(around[n]) - way_m(one)) > self._stretches.spacing_m for one in chosen)
-            if far and way_m(key) - way_m(around[n]) > self._submaps.least_path_m:
+            is_far = all(abs(path_m(around[n]) - path_m(one)) > self._stretches.spacing_m for one in chosen)
+            if is_far and path_m(key) - path_m(around[n]) > self._submaps.least_path_m:
                 chosen.append(around[n])
         return chosen
 

@@ -64,10 +64,10 @@ def closings(held: Sequence[Edge], poses: Sequence[Pose], reach_m: float, most: 
     if not loops:
         return []
     rows = np.array([row_of(pose) for pose in poses])
-    way_m = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(rows[:, :2], axis=0).T))])
+    travelled_m = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(rows[:, :2], axis=0).T))])
     tracked, piece = _tracked(held, poses)
     groups = []
-    for group in loop_groups(way_m[list(map(_ends, loops))], reach_m):
+    for group in loop_groups(travelled_m[list(map(_ends, loops))], reach_m):
         members = sorted((loops[n] for n in group.tolist()), key=lambda loop: (loop.target, loop.source))
         first = members[0]
         if piece[first.source] == piece[first.target]:
@@ -83,7 +83,7 @@ def closings(held: Sequence[Edge], poses: Sequence[Pose], reach_m: float, most: 
         first = members[0]
         without = graph.relative_covariances(first.target, np.array([first.source]), rows, without=n)
         after_m, after_sigmas = max(_missed(loop, poses) for loop in members)
-        path_m = float(abs(way_m[first.target] - way_m[first.source]))
+        path_m = float(abs(travelled_m[first.target] - travelled_m[first.source]))
         without_m = float(position_sigmas(without)[0])
         found.append(Closing(*_ends(first), len(members), path_m, before_m, after_m, after_sigmas, without_m))
     return found
@@ -115,8 +115,8 @@ def loop_groups(ends: FloatArray, reach: float) -> list[NDArray[np.int64]]:
 
 def _missed(loop: Edge, poses: Sequence[Pose]) -> tuple[float, float]:
     """Return the residual of a loop: metres, and Mahalanobis distance."""
-    found = motion_between(poses[loop.source], poses[loop.target])
-    off = motion_between(loop.T_source_target, found)
-    innovation = loop.T_source_target.localCoordinates(found)  # type: ignore[arg-type]
+    motion = motion_between(poses[loop.source], poses[loop.target])
+    error = motion_between(loop.T_source_target, motion)
+    innovation = loop.T_source_target.localCoordinates(motion)  # type: ignore[arg-type]
     squares = float(innovation @ np.linalg.solve(loop.covariance, innovation))
-    return float(np.linalg.norm(off.translation())), math.sqrt(squares)
+    return float(np.linalg.norm(error.translation())), math.sqrt(squares)

@@ -89,8 +89,8 @@ class CloudLoopCloser:
         context = scan_context(points, self._voxel_m)
         self._contexts.append(context.tobytes())
         self._rings.append(ring_key(context))
-        before, way_m = (self._poses[-1], self._travelled_m[-1]) if self._poses else (pose, 0.0)
-        self._travelled_m.append(way_m + float(np.linalg.norm(before.between(pose).translation())))
+        before, path_m = (self._poses[-1], self._travelled_m[-1]) if self._poses else (pose, 0.0)
+        self._travelled_m.append(path_m + float(np.linalg.norm(before.between(pose).translation())))
         self._poses.append(pose)
         if np.isfinite(residual_m):
             self._residuals_m.append(residual_m)
@@ -146,9 +146,9 @@ class CloudLoopCloser:
         """
         if T_place_base is not None:
             return self._verify(key, _Guess(place, T_place_base, sigma_m, 1.0, False))
-        found, yaw = self._unlike(place, key)
+        distance, yaw = self._unlike(place, key)
         turned = gtsam.Pose3(gtsam.Rot3.Yaw(yaw), np.zeros(3))
-        return self._verify(key, _Guess(place, turned, sigma_m, 1.0 - found, True))
+        return self._verify(key, _Guess(place, turned, sigma_m, 1.0 - distance, True))
 
     def _propose(
         self, key: int, poses: Sequence[Pose], rows: FloatArray, uncertainty: UncertaintyGraph
@@ -185,10 +185,10 @@ class CloudLoopCloser:
             place = int(places[n])
             if len(chosen) >= loops.near + loops.by_appearance or not apart(place):
                 continue
-            found, yaw = self._unlike(place, key)
-            if found <= config.greatest_dissimilarity:
+            distance, yaw = self._unlike(place, key)
+            if distance <= config.greatest_dissimilarity:
                 turned = gtsam.Pose3(gtsam.Rot3.Yaw(yaw), np.zeros(3))
-                chosen.append(_Guess(place, turned, float(sigmas[n]) + reach_m, 1.0 - found, True))
+                chosen.append(_Guess(place, turned, float(sigmas[n]) + reach_m, 1.0 - distance, True))
         return chosen
 
     def _unlike(self, place: int, key: int) -> tuple[float, float]:
@@ -205,14 +205,14 @@ class CloudLoopCloser:
             self._poses[loop.keyframe].between(self._poses[key])
         )
         places = self._gaps.stretch_of(loop.place)
-        found = [
+        poses_seen = [
             self._poses[place].between(self._poses[loop.place]).compose(T_place_base) for place in places
         ]
-        nearest = int(np.argmin([np.linalg.norm(pose.translation()) for pose in found]))
+        nearest = int(np.argmin([np.linalg.norm(pose.translation()) for pose in poses_seen]))
         sigma_m = self._config.cloud_loops.drift_share * (
             self._travelled_m[key] - self._travelled_m[loop.keyframe]
         )
-        return [_Guess(places[nearest], found[nearest], sigma_m, 1.0, False)]
+        return [_Guess(places[nearest], poses_seen[nearest], sigma_m, 1.0, False)]
 
     def _verify(self, key: int, guess: _Guess) -> LoopCandidate:
         """Register the keyframe to the place, and accept or reject the result."""
@@ -229,14 +229,14 @@ class CloudLoopCloser:
         width_m = self._loops.sigmas * guess.sigma_m + 2.0 * self._voxel_m
         candidate = LoopCandidate(guess.place, key, width_m, 0.0, guess.score, None, False, "")
         scan = thin_evenly(self._clouds(key), self._voxel_m)
-        near = not guess.by_appearance and width_m <= REACH * self._voxel_m
-        reach_m = None if near else max(width_m, REACH * self._voxel_m)
+        is_near = not guess.by_appearance and width_m <= REACH * self._voxel_m
+        reach_m = None if is_near else max(width_m, REACH * self._voxel_m)
         aligned = local.align(scan, guess.T_place_base, reach_m)
         if aligned is None:
             return candidate.refused("too little fits")
         # A second registration refines the result of the wide kernel.
-        again = None if near else local.align(scan, aligned.found.pose)
-        return self._judge(candidate, guess, aligned if again is None else again)
+        refined = None if is_near else local.align(scan, aligned.found.pose)
+        return self._judge(candidate, guess, aligned if refined is None else refined)
 
     def _judge(self, candidate: LoopCandidate, guess: _Guess, aligned: Aligned) -> LoopCandidate:
         """Accept or reject a registration."""

@@ -46,7 +46,7 @@ class ClaimSets:
         self._chain, self._reach_m = chain, reach_m
         self._claims: list[LoopCandidate] = []
         self._agree = np.zeros((0, 0), np.bool_)
-        self._ways: dict[tuple[int, int], Motion] = {}
+        self._motions: dict[tuple[int, int], Motion] = {}
 
     def empty(self) -> ClaimSets:
         """Return new sets, without claims, of the same path."""
@@ -63,10 +63,10 @@ class ClaimSets:
 
     def remove(self, claims: Iterable[LoopCandidate]) -> None:
         """Remove claims."""
-        gone = {id(claim) for claim in claims}
-        left = [n for n, claim in enumerate(self._claims) if id(claim) not in gone]
-        self._claims = [self._claims[n] for n in left]
-        self._agree = self._agree[np.ix_(left, left)]
+        removed = {id(claim) for claim in claims}
+        rest = [n for n, claim in enumerate(self._claims) if id(claim) not in removed]
+        self._claims = [self._claims[n] for n in rest]
+        self._agree = self._agree[np.ix_(rest, rest)]
 
     def largest(self) -> list[list[LoopCandidate]]:
         """Return disjoint sets of claims that all agree, the largest first."""
@@ -79,8 +79,8 @@ class ClaimSets:
 
         None if their keyframes are too far apart.
         """
-        ways = [self._travelled_m[[claim.keyframe for claim in claims]] for claims in (one, other)]
-        apart_m = np.abs(np.subtract.outer(*ways))
+        travelled_m = [self._travelled_m[[claim.keyframe for claim in claims]] for claims in (one, other)]
+        apart_m = np.abs(np.subtract.outer(*travelled_m))
         if apart_m.min() > self._reach_m:
             return None
         n, m = np.unravel_index(apart_m.argmin(), apart_m.shape)
@@ -106,9 +106,9 @@ class ClaimSets:
         """Return the motion from one keyframe to another by the chain, with its covariance."""
         if start == end:
             return Motion(np.zeros(3), np.zeros((3, 3)))
-        if (start, end) not in self._ways:
-            self._ways[start, end] = self._chain.motion(start, end, self._poses)
-        return self._ways[start, end]
+        if (start, end) not in self._motions:
+            self._motions[start, end] = self._chain.motion(start, end, self._poses)
+        return self._motions[start, end]
 
 
 def largest_cliques(agree: BoolArray) -> list[list[int]]:
@@ -116,15 +116,15 @@ def largest_cliques(agree: BoolArray) -> list[list[int]]:
 
     Each starts with the claim with most agreements, and adds those that agree with most of the rest.
     """
-    left, ones = np.ones(len(agree), np.bool_), agree.astype(np.float32)  # counted by BLAS
+    remaining, ones = np.ones(len(agree), np.bool_), agree.astype(np.float32)  # counted by BLAS
     cliques = []
-    while left.any():
-        candidates, members = left.copy(), list[int]()
+    while remaining.any():
+        candidates, members = remaining.copy(), list[int]()
         while candidates.any():
             counts = np.where(candidates, ones @ candidates, -1)
             members.append(int(counts.argmax()))
             candidates &= agree[members[-1]]
-        left[members] = False
+        remaining[members] = False
         cliques.append(sorted(members))
     return sorted(cliques, key=len, reverse=True)
 

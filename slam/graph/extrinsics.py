@@ -231,8 +231,8 @@ def _untold_space(fit: Fit, vague: FloatArray) -> FloatArray:
 def _restored(fit: Fit, nominal: gtsam.Pose3, untold: FloatArray, vague: FloatArray) -> gtsam.Pose3:
     """Return the fitted mounting, with the nominal values in undetermined directions."""
     rotation = gtsam.Rot3(fit.R)
-    apart = gtsam.Rot3.Logmap(nominal.rotation().compose(rotation.inverse()))
-    offset = np.concatenate([apart, nominal.translation() - fit.t])
+    turn = gtsam.Rot3.Logmap(nominal.rotation().compose(rotation.inverse()))
+    offset = np.concatenate([turn, nominal.translation() - fit.t])
     offset = vague * (untold @ (offset / vague))
     return gtsam.Pose3(gtsam.Rot3.Expmap(offset[:3]).compose(rotation), fit.t + offset[3:])
 

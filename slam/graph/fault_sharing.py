@@ -12,7 +12,7 @@ from slam.measurements import FloatArray
 
 
 def share_faults(
-    way: FloatArray,
+    path: FloatArray,
     parts: NDArray[np.int64],
     wrong: FloatArray,
     end: int,
@@ -23,7 +23,7 @@ def share_faults(
 
     Parameters
     ----------
-    way
+    path
         (n, 3) x, y, yaw of consecutive poses.
     parts
         (k, 2) first and last pose of each step that may be wrong, in order, not nested.
@@ -48,38 +48,38 @@ def share_faults(
     (2.0, [0.0, 2.0, 3.0, 5.0])
     """
     stops = [0, *parts.ravel().tolist(), end]
-    sure = [between(way[a], way[b]) for a, b in zip(stops[::2], stops[1::2], strict=True)]
-    told = [between(way[a], way[b]) for a, b in parts.tolist()]
-    off = [np.zeros(3) for _ in told]
+    certain = [between(path[a], path[b]) for a, b in zip(stops[::2], stops[1::2], strict=True)]
+    steps = [between(path[a], path[b]) for a, b in parts.tolist()]
+    errors = [np.zeros(3) for _ in steps]
     information, priors = np.linalg.inv(covariance), np.linalg.inv(wrong)
     for _ in range(ROUNDS):
-        rests = _rests(sure, told, off)
+        rests = _rests(certain, steps, errors)
         missed = between(rests[0], claimed)
         # Derivative of the step's error with respect to a change of the step, in the frame of its end.
-        turns = [adjoint(one * [0.0, 0.0, 1.0]) for one in off]
+        turns = [adjoint(error * [0.0, 0.0, 1.0]) for error in errors]
         slopes = np.hstack([adjoint(between(rest, np.zeros(3))) for rest in rests[1:]])
         hessian, pull = slopes.T @ information @ slopes, slopes.T @ information @ missed
-        for k, (one, turn, prior) in enumerate(zip(off, turns, priors, strict=True)):
+        for k, (error, turn, prior) in enumerate(zip(errors, turns, priors, strict=True)):
             hessian[3 * k : 3 * k + 3, 3 * k : 3 * k + 3] += turn.T @ prior @ turn
-            pull[3 * k : 3 * k + 3] -= turn.T @ prior @ one
+            pull[3 * k : 3 * k + 3] -= turn.T @ prior @ error
         change: FloatArray = np.linalg.solve(hessian, pull).reshape(-1, 3).astype(np.float64)
-        off = [compose(one, further) for one, further in zip(off, change, strict=True)]
+        errors = [compose(error, further) for error, further in zip(errors, change, strict=True)]
         if np.abs(change).max() < SETTLED:
             break
-    missed = between(_rests(sure, told, off)[0], claimed)
+    missed = between(_rests(certain, steps, errors)[0], claimed)
     left = missed @ information @ missed + sum(
-        one @ prior @ one for one, prior in zip(off, priors, strict=True)
+        error @ prior @ error for error, prior in zip(errors, priors, strict=True)
     )
-    led = way.copy()
-    for (first, last), step, one in zip(parts.tolist(), told, off, strict=True):
-        moved = compose(compose(led[first], compose(step, one)), between(led[last], np.zeros(3)))
-        led[last:] = composed(moved[None], led[last:])
-    return float(left), led
+    shifted = path.copy()
+    for (first, last), step, error in zip(parts.tolist(), steps, errors, strict=True):
+        moved = compose(compose(shifted[first], compose(step, error)), between(shifted[last], np.zeros(3)))
+        shifted[last:] = composed(moved[None], shifted[last:])
+    return float(left), shifted
 
 
-def _rests(sure: list[FloatArray], told: list[FloatArray], off: list[FloatArray]) -> list[FloatArray]:
+def _rests(certain: list[FloatArray], steps: list[FloatArray], errors: list[FloatArray]) -> list[FloatArray]:
     """Return the end relative to the beginning, and to the end of each wrong step."""
-    rests = [sure[-1]]
-    for way, step, one in zip(sure[-2::-1], told[::-1], off[::-1], strict=True):
-        rests.insert(0, compose(way, compose(compose(step, one), rests[0])))
+    rests = [certain[-1]]
+    for onward, step, error in zip(certain[-2::-1], steps[::-1], errors[::-1], strict=True):
+        rests.insert(0, compose(onward, compose(compose(step, error), rests[0])))
     return rests

@@ -31,10 +31,10 @@ def believed_edges(edges: Sequence[Edge], kept: BoolArray, poses: FloatArray) ->
     doubts: dict[tuple[int, int], FloatArray] = {}
     for edge, keep in zip(edges, kept, strict=True):
         if not keep and edge.loop is None:
-            found = between(poses[edge.source], poses[edge.target])
-            off = between(row_from_pose2(edge.T_source_target), found)
+            estimate = between(poses[edge.source], poses[edge.target])
+            error = between(row_from_pose2(edge.T_source_target), estimate)
             ends = edge.source, edge.target
-            doubts[ends] = doubts.get(ends, np.zeros((3, 3))) + np.outer(off, off)
+            doubts[ends] = doubts.get(ends, np.zeros((3, 3))) + np.outer(error, error)
     held = []
     for edge, keep in zip(edges, kept, strict=True):
         doubt = None if edge.trusted or edge.loop is not None else doubts.get((edge.source, edge.target))
@@ -51,13 +51,13 @@ class FaultySteps:
     Parameters
     ----------
     edges, poses
-        Of the graph: how far wrong a step may be is told by those of its edges that cannot be refused. Where
-        it was matched, that is no more than what nothing measured in a second, or, less likely, in its time.
+        Of the graph: edges that cannot be rejected limit the error of a step. If it was matched, the error
+        is at most that of an unmeasured second, or, less likely, of an unmeasured step of its duration.
     kept
         (E,) which of them the optimisation has kept.
     stamps_s
-        (n,) of the keyframes: in the time of a part the robot went and turned no farther than it does as a
-        rule, and what is told on top, however many claims say so.
+        (n,) of the keyframes: in the time of a part the robot moved and turned no farther than its usual
+        speed allows, plus the estimated motion, however many claims say so.
     config, loops, match
         What nothing measured; the share of the steps that are no faster than that rule, and how far
         surroundings reach; how far a step moves these at least that is wrong.
@@ -139,8 +139,8 @@ class FaultySteps:
         begun, ended = self._ends.T
         time_s = np.abs(stamps_s[ended] - stamps_s[begun])[:, None]
         self._time_s = np.maximum(time_s[:, 0], 1.0)
-        told = _moves(seen_from(poses[begun], poses[ended]))
-        self._farthest = told + time_s * np.quantile(speeds, loops.inlier_probability, axis=0)
+        moved = _moves(seen_from(poses[begun], poses[ended]))
+        self._farthest = moved + time_s * np.quantile(speeds, loops.inlier_probability, axis=0)
 
     @cached_property
     def lone(self) -> LoneSteps:
@@ -186,8 +186,8 @@ class FaultySteps:
         expected = known.widened(claim.covariance)
         asked = self._asked(start, end, expected, claim, self.poses, self._bounded)
         squares = asked.squares
-        any_part, able = (float(some.min(initial=np.inf)) for some in (squares, squares[asked.possible]))
-        return expected.squared_mahalanobis(claim.pose), any_part, able
+        any_part, possible = (float(some.min(initial=np.inf)) for some in (squares, squares[asked.possible]))
+        return expected.squared_mahalanobis(claim.pose), any_part, possible
 
     def shared(
         self, start: int, end: int, known: Motion, claim: Motion, most: float = math.inf
@@ -197,17 +197,17 @@ class FaultySteps:
         One of them may be on the way round another. What is known and the claim are the end seen from the
         start; infinite where no part can be wrong so for less than ``most``. And the poses (n, 3) then.
         """
-        found = math.inf, self.poses
+        best = math.inf, self.poses
         if not np.isfinite(known.covariance).all():
-            return found
+            return best
         for loosely, alone in product((False, True), (True, False)):
             paid = self._gate * loosely
-            left = min(most, found[0]) - paid
-            if self._gate < left and not (loosely and self.loose is self.known):
+            budget = min(most, best[0]) - paid
+            if self._gate < budget and not (loosely and self.loose is self.known):
                 bounded = self._bounded_loosely if loosely else self._bounded
-                cost, poses = self._chosen(start, end, known, claim, bounded, alone, left)
-                found = min(found, (paid + cost, poses), key=lambda one: one[0])
-        return found
+                cost, poses = self._chosen(start, end, known, claim, bounded, alone, budget)
+                best = min(best, (paid + cost, poses), key=lambda one: one[0])
+        return best
 
     def _chosen(
         self,
@@ -224,7 +224,7 @@ class FaultySteps:
         Each may be wrong alone, or all together: infinite where one is farther wrong than the robot goes.
         """
         expected, poses = known.widened(claim.covariance), self.poses
-        least, able = math.inf, (math.inf, poses)
+        least, best = math.inf, (math.inf, poses)
         chosen: dict[int, FloatArray] = {}
         paid = 0.0
         while paid + self._gate < min(most, least):
@@ -237,15 +237,15 @@ class FaultySteps:
             parts = sorted(chosen)
             wrong = np.array([chosen[one] for one in parts])
             behind = self.poses[start:], self._ends[parts] - start, wrong, end - start
-            left, led = share_faults(*behind, claim.pose, expected.covariance)
+            remaining, path = share_faults(*behind, claim.pose, expected.covariance)
             paid += self._gate + asked.volumes[n]
-            if (cost := left + paid) >= least:
+            if (cost := remaining + paid) >= least:
                 break
-            least, poses = cost, np.concatenate([self.poses[:start], led])
+            least, poses = cost, np.concatenate([self.poses[:start], path])
             first, last = self._ends[parts].T
             if alone or (_moves(seen_from(poses[first], poses[last])) <= self._farthest[parts]).all():
-                able = cost, poses
-        return able
+                best = cost, poses
+        return best
 
     def likelihood(self, start: int, end: int, expected: Motion, claim: Motion) -> float:
         """Log of the density of a claim where a step was wrong that nothing saw.
@@ -254,11 +254,11 @@ class FaultySteps:
         as what is known and the claim are.
         """
         asked = self._asked(start, end, expected, claim, self.poses, self._bounded)
-        able = asked.possible & self.lone.unseen[self._ends[asked.numbers, 0]]
-        if not able.any() or not np.isfinite(expected.covariance).all():
+        possible = asked.possible & self.lone.unseen[self._ends[asked.numbers, 0]]
+        if not possible.any() or not np.isfinite(expected.covariance).all():
             return -math.inf
         densities = -0.5 * (asked.squares + np.linalg.slogdet(2.0 * math.pi * asked.covariances)[1])
-        return math.log(self.lone.share) + float(densities[able].max())
+        return math.log(self.lone.share) + float(densities[possible].max())
 
     def _asked(
         self, start: int, end: int, expected: Motion, claim: Motion, poses: FloatArray, bounded: FloatArray
@@ -270,16 +270,16 @@ class FaultySteps:
         rest = composed(inverse(poses[last]), poses[[end]])
         to_part = composed(inverse(poses[[start]]), poses[first])
         needed = seen_from(to_part, composed(claim.pose[None], inverse(rest)))
-        off = seen_from(seen_from(poses[first], poses[last]), needed)
+        error = seen_from(seen_from(poses[first], poses[last]), needed)
         around = moved(np.repeat(expected.covariance[None], len(rest), axis=0), rest)
         own, _, wider = np.moveaxis(bounded[numbers], 1, 0)
         # Who may be wrong by more is so by chance the oftener: by the volumes, as in a mixture of both.
         free, longer = np.linalg.slogdet(np.moveaxis(self._free[numbers, 1:], 1, 0))[1]
         # A heading that slips on the way bends it, more than a straight line that is claimed.
         farthest, alone = self._farthest[numbers], self._alone[numbers]
-        bent_m = 2.0 * np.abs(np.sin(0.5 * off[:, 2])) * farthest[:, 0]
-        bent = own + np.square([bent_m, bent_m, np.zeros_like(bent_m)]).T[..., None] * np.eye(3)
-        bend = np.where(alone, np.linalg.slogdet(bent)[1] - np.linalg.slogdet(own)[1], np.inf)
+        bent_m = 2.0 * np.abs(np.sin(0.5 * error[:, 2])) * farthest[:, 0]
+        bends = own + np.square([bent_m, bent_m, np.zeros_like(bent_m)]).T[..., None] * np.eye(3)
+        nats = np.where(alone, np.linalg.slogdet(bends)[1] - np.linalg.slogdet(own)[1], np.inf)
         # Over a matched step, a position that is off without a heading adds up like a random walk.
         time_s = self._time_s[numbers]
         share = np.where(alone, 1.0, np.minimum(1.0, (bent_m + np.sqrt(time_s)) / time_s))
@@ -289,13 +289,13 @@ class FaultySteps:
         # What is farther than it can have gone the ways to the part and on from it must explain.
         shares = np.minimum(1.0, farthest / np.maximum(_moves(needed), TINY))
         beyond = seen_from(needed * shares[:, [0, 0, 1]], needed)
-        ways = moved(self.known.relative_covariances(start, first, poses), inverse(composed(to_part, needed)))
-        ways += moved(self.known.relative_covariances(end, last, poses) + claim.covariance, rest)
-        possible = _squares(beyond, ways) <= self._gate
+        cov = moved(self.known.relative_covariances(start, first, poses), inverse(composed(to_part, needed)))
+        cov += moved(self.known.relative_covariances(end, last, poses) + claim.covariance, rest)
+        possible = _squares(beyond, cov) <= self._gate
         price = np.where(alone & ~possible, np.inf, np.maximum(longer - free, 0.0) + self._prices[numbers])
-        options, larger = np.stack([own, bent, wider]), np.stack([np.zeros_like(free), bend, price])
-        squares = np.stack([_squares(off, one + around) for one in options]) + larger
-        best = squares.argmin(axis=0), np.arange(len(off))
+        options, larger = np.stack([own, bends, wider]), np.stack([np.zeros_like(free), nats, price])
+        squares = np.stack([_squares(error, one + around) for one in options]) + larger
+        best = squares.argmin(axis=0), np.arange(len(error))
         return _Asked(numbers, squares[best], possible, own + around, options[best], larger[best])
 
 
@@ -318,7 +318,7 @@ def _moves(motions: FloatArray) -> FloatArray:
     return np.column_stack([np.hypot(motions[:, 0], motions[:, 1]), np.abs(motions[:, 2])])
 
 
-def _squares(off: FloatArray, covariances: FloatArray) -> FloatArray:
+def _squares(rows: FloatArray, covariances: FloatArray) -> FloatArray:
     """(K,) squared sigmas."""
-    squares: FloatArray = np.einsum("ki,ki->k", off, np.linalg.solve(covariances, off[..., None])[..., 0])
+    squares: FloatArray = np.einsum("ki,ki->k", rows, np.linalg.solve(covariances, rows[..., None])[..., 0])
     return squares

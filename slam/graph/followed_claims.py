@@ -32,8 +32,8 @@ class Claim(NamedTuple):
 
     place: int
     keyframe: int
-    said: Motion
-    told: dict[int, float]
+    motion: Motion
+    nats: dict[int, float]
     fits: list[LoopCandidate]
 
 
@@ -51,27 +51,27 @@ class FollowedClaims:
     def follow(self, place: int, keyframe: int, pose: FloatArray) -> None:
         """Add a claim: the pose (3,) of a keyframe in the frame of a place, found in a search window."""
         nats, fits = self._judged(place, keyframe, pose)
-        told, begun = {keyframe: nats}, found_motion(fits[0]).pose if fits else pose
+        evidence, begun = {keyframe: nats}, found_motion(fits[0]).pose if fits else pose
         for onward in (1, -1):
-            at, expected, said = place, begun, 0.0
+            at, expected, total = place, begun, 0.0
             for key in range(
                 keyframe + onward, keyframe + onward * (1 + self._config.half_keyframes), onward
             ):
-                if not 0 <= key < len(self._submaps) or said < -self._least:
+                if not 0 <= key < len(self._submaps) or total < -self._least:
                     break
                 step = between(self._submaps.pose(key - onward), self._submaps.pose(key))
-                near = self._nearest(at, compose(expected, step), key)
-                if near is None:
+                nearest = self._nearest(at, compose(expected, step), key)
+                if nearest is None:
                     break
-                at, expected = near
-                told[key], fit = self._judged(at, key, expected)
-                said, expected = said + told[key], found_motion(fit[0]).pose if fit else expected
+                at, expected = nearest
+                evidence[key], fit = self._judged(at, key, expected)
+                total, expected = total + evidence[key], found_motion(fit[0]).pose if fit else expected
                 fits += fit
         # The error rate of unobserved steps is known only when it is needed.
-        if self._looks(told, keyframe, 0.5) > 0.5 * self._least:
+        if self._nats(evidence, keyframe, 0.5) > 0.5 * self._least:
             sigma_m = self._match.coarse_cell_m / self._config.sigmas
             covariance = np.diag([sigma_m**2, sigma_m**2, (sigma_m / self._config.reach_m) ** 2])
-            self._claims.append(Claim(place, keyframe, Motion(pose, covariance), told, fits))
+            self._claims.append(Claim(place, keyframe, Motion(pose, covariance), evidence, fits))
 
     def believed(
         self, untied: Sequence[int], poses: FloatArray, known: Known, loose: Known, faulty: FaultySteps
@@ -85,29 +85,29 @@ class FollowedClaims:
         known, loose
             Relative covariances by the estimate, and those if steps measured only by wheels may be wrong.
         """
-        claims = [one for one in self._claims if one.keyframe in untied]
+        claims = [claim for claim in self._claims if claim.keyframe in untied]
         # However uncertain the path, it ends in the map.
         on_map = 2.0 * math.pi * float(np.ptp(poses[:, :2], axis=0).max()) ** 2
         self._least_nats = -math.log(max(on_map / self._window, 1.0))
-        looks = [self._looks(one.told, one.keyframe, faulty.lone.share) for one in claims]
+        evidence = [self._nats(claim.nats, claim.keyframe, faulty.lone.share) for claim in claims]
         odds = [
-            min(look, self._most) + self._expected(known(one.place, one.keyframe), one)
-            for look, one in zip(looks, claims, strict=True)
+            min(nats, self._most) + self._expected(known(claim.place, claim.keyframe), claim)
+            for nats, claim in zip(evidence, claims, strict=True)
         ]
-        at = [compose(poses[one.place], one.said.pose)[:2] for one in claims]
+        at = [compose(poses[claim.place], claim.motion.pose)[:2] for claim in claims]
         chosen: list[Claim] = []
         for n in np.argsort(odds)[::-1].tolist():
             rivals = [
                 odd
-                for odd, one, where in zip(odds, claims, at, strict=True)
-                if one.keyframe == claims[n].keyframe and math.dist(where, at[n]) > self._config.reach_m
+                for odd, claim, where in zip(odds, claims, at, strict=True)
+                if claim.keyframe == claims[n].keyframe and math.dist(where, at[n]) > self._config.reach_m
             ]
             clear = odds[n] - max(rivals, default=-math.inf) > 0.5 * self._least
-            if odds[n] > self._least and clear and all(self._apart(claims[n], one) for one in chosen):
+            if odds[n] > self._least and clear and all(self._apart(claims[n], claim) for claim in chosen):
                 chosen.append(claims[n])
         chosen = chosen[: self._config.near] or self._agreeing(claims, odds, known, loose, faulty)
-        self._claims = [one for one in self._claims if all(one is not other for other in chosen)]
-        return [fit for one in chosen for fit in one.fits]
+        self._claims = [claim for claim in self._claims if all(claim is not other for other in chosen)]
+        return [fit for claim in chosen for fit in claim.fits]
 
     def _agreeing(
         self, claims: list[Claim], odds: list[float], known: Known, loose: Known, faulty: FaultySteps
@@ -116,18 +116,18 @@ class FollowedClaims:
 
         The cost of these errors and the evidence of each scan count once.
         """
-        ways = [self._likeliest(one, known, loose, faulty) for one in claims]
-        able = [n for n, nats in enumerate(ways) if self._most + nats > 0.0]
+        costs = [self._likeliest(one, known, loose, faulty) for one in claims]
+        possible = [n for n, nats in enumerate(costs) if self._most + nats > 0.0]
         sets: dict[int, tuple[float, list[int]]] = {}
-        for n in able:
+        for n in possible:
             one = claims[n]
-            same = [m for m in able if m == n or self._borne(one, claims[m], known) > 0.0]
-            told: dict[int, float] = {}
-            for key, nats in (item for m in same for item in claims[m].told.items()):
-                told[key] = max(nats, told.get(key, nats))
+            same = [m for m in possible if m == n or self._borne(one, claims[m], known) > 0.0]
+            best: dict[int, float] = {}
+            for key, nats in (item for m in same for item in claims[m].nats.items()):
+                best[key] = max(nats, best.get(key, nats))
             # A whole wing may be a copy; less likely if two claims have no scan in common.
             most = self._most + self._least * any(self._apart(one, claims[m]) for m in same)
-            sets[n] = min(self._looks(told, one.keyframe, faulty.lone.share), most) + ways[n], same
+            sets[n] = min(self._nats(best, one.keyframe, faulty.lone.share), most) + costs[n], same
         for n, (odd, same) in sorted(sets.items(), key=lambda item: -item[1][0]):
             rivals = [
                 max(odds[m], sets.get(m, (-math.inf,))[0])
@@ -143,48 +143,48 @@ class FollowedClaims:
     def _likeliest(self, one: Claim, known: Known, loose: Known, faulty: FaultySteps) -> float:
         """Return the evidence of the path for a claim, in nats: as estimated, or with wrong steps."""
         ends = one.place, one.keyframe
-        way = known(*ends)
+        rel = known(*ends)
         return max(
-            self._expected(way, one),
+            self._expected(rel, one),
             math.log(faulty.lone.share) + self._expected(loose(*ends), one),
-            math.log(self._window) + faulty.likelihood(*ends, way.widened(one.said.covariance), one.said),
+            math.log(self._window) + faulty.likelihood(*ends, rel.widened(one.motion.covariance), one.motion),
         )
 
     def _borne(self, one: Claim, other: Claim, known: Known) -> float:
         """Return by how many nats a claim makes another one likelier."""
-        onward = after(one.said, known(one.keyframe, other.keyframe))
-        way = after(known(other.place, one.place), onward)
-        away_m = math.dist(way.pose[:2], other.said.pose[:2])
+        onward = after(one.motion, known(one.keyframe, other.keyframe))
+        expected = after(known(other.place, one.place), onward)
+        away_m = math.dist(expected.pose[:2], other.motion.pose[:2])
         if one.keyframe == other.keyframe and away_m > self._config.reach_m:
             return -math.inf
-        return self._expected(way, other)
+        return self._expected(expected, other)
 
-    def _looks(self, told: dict[int, float], keyframe: int, share: float) -> float:
+    def _nats(self, evidence: dict[int, float], keyframe: int, share: float) -> float:
         """Return the evidence of all scans; after an unobserved step, its error probability limits it."""
-        said = {1: 0.0, -1: 0.0}
-        for onward in said:
-            for key in sorted(told, key=lambda key: -onward * key):
+        totals = {1: 0.0, -1: 0.0}
+        for onward in totals:
+            for key in sorted(evidence, key=lambda key: -onward * key):
                 if (key - keyframe) * onward > 0:
-                    said[onward] += told[key]
+                    totals[onward] += evidence[key]
                     if self._submaps.parted(key, key - onward):
                         right, wrong = math.log1p(-share), math.log(share)
-                        said[onward] = float(np.logaddexp(right + said[onward], wrong))
-        return told[keyframe] + sum(said.values())
+                        totals[onward] = float(np.logaddexp(right + totals[onward], wrong))
+        return evidence[keyframe] + sum(totals.values())
 
     def _apart(self, one: Claim, other: Claim) -> bool:
         """Return whether no scan supports both of two claims."""
         return abs(one.keyframe - other.keyframe) > 2 * self._config.half_keyframes
 
-    def _expected(self, way: Motion, claim: Claim) -> float:
+    def _expected(self, relative: Motion, claim: Claim) -> float:
         """Return the log likelihood ratio of a claim by the path, against any pose in the window, in nats.
 
         The tails are heavy: steps may be grossly wrong.
         """
-        if not np.isfinite(way.covariance).all():
+        if not np.isfinite(relative.covariance).all():
             return 0.0
-        way = way.widened(claim.said.covariance)
-        tail = 3 * math.log1p(way.squared_mahalanobis(claim.said.pose) / 3)
-        nats = math.log(self._window / math.sqrt((2.0 * math.pi) ** 3 * way.volume()))
+        relative = relative.widened(claim.motion.covariance)
+        tail = 3 * math.log1p(relative.squared_mahalanobis(claim.motion.pose) / 3)
+        nats = math.log(self._window / math.sqrt((2.0 * math.pi) ** 3 * relative.volume()))
         return max(nats, self._least_nats) - tail
 
     def _nearest(self, place: int, pose: FloatArray, key: int) -> tuple[int, FloatArray] | None:

@@ -13,8 +13,8 @@ from slam.measurements import FloatArray, Pose, spatial
 
 def upright_poses(poses: Sequence[Pose], down: dict[int, Gravity]) -> list[gtsam.Pose3]:
     """Rotate all poses of a map together so that gravity at the nodes points down on average."""
-    seen = [spatial(poses[key]).rotation().rotate(one.down) / one.sigma_rad**2 for key, one in down.items()]
-    mean = np.sum(seen, axis=0)
+    downs = [spatial(poses[key]).rotation().rotate(one.down) / one.sigma_rad**2 for key, one in down.items()]
+    mean = np.sum(downs, axis=0)
     turn = gtsam.Pose3(upright_of(mean / np.linalg.norm(mean)), np.zeros(3))
     return [turn.compose(spatial(pose)) for pose in poses]
 

@@ -31,14 +31,14 @@ def marginals(poses: Sequence[Pose], edges: Iterable[Edge]) -> FloatArray:
     -------
     (n, d, d), GTSAM's tangent of each pose.
     """
-    told, nothing = list[tuple[list[int], FloatArray, FloatArray]](), np.ones(1)
+    cliques, nothing = list[tuple[list[int], FloatArray, FloatArray]](), np.ones(1)
 
     def eliminate(
         factors: gtsam.GaussianFactorGraph, keys: gtsam.Ordering
     ) -> tuple[gtsam.GaussianConditional, gtsam.GaussianFactor]:
         clique, rest = gtsam.EliminateQR(factors, keys)
         # These are views of the clique's own memory.
-        told.append((list(clique.keys()), clique.R().copy(), clique.S().copy()))
+        cliques.append((list(clique.keys()), clique.R().copy(), clique.S().copy()))
         # The tree would keep all the rows that were assembled, fifteen times as many as these.
         return gtsam.GaussianConditional(0, nothing, np.diag(nothing)), rest
 
@@ -48,16 +48,16 @@ def marginals(poses: Sequence[Pose], edges: Iterable[Edge]) -> FloatArray:
     give_back()
     linear.eliminateMultifrontal(None, eliminate)
     size = 3 if isinstance(poses[0], gtsam.Pose2) else 6
-    found, above = np.empty((len(poses), size, size)), dict[int, int]()
-    clique_of = {key: n for n, (keys, root, _) in enumerate(told) for key in keys[: len(root) // size]}
+    covariances, above = np.empty((len(poses), size, size)), dict[int, int]()
+    clique_of = {key: n for n, (keys, root, _) in enumerate(cliques) for key in keys[: len(root) // size]}
     below = defaultdict[int, list[int]](list)
-    for n, (keys, root, _) in enumerate(told):
+    for n, (keys, root, _) in enumerate(cliques):
         # Of the separator, the node eliminated first belongs to the parent clique.
         below[min((clique_of[key] for key in keys[len(root) // size :]), default=-1)].append(n)
     waiting = [(n, above, np.zeros((0, 0))) for n in below[-1]]
     while waiting:
         clique, above, known = waiting.pop()
-        keys, root, shares = told[clique]
+        keys, root, shares = cliques[clique]
         inverse, own = np.linalg.inv(root), len(root)
         # R x + S y = noise, with y the separator to the parent clique.
         first = np.array([above[key] for key in keys[own // size :]], np.int64)
@@ -69,9 +69,9 @@ def marginals(poses: Sequence[Pose], edges: Iterable[Edge]) -> FloatArray:
         joint[:own, own:], joint[own:, :own] = -across, -across.T
         places = {key: size * place for place, key in enumerate(keys)}
         for key in keys[: own // size]:
-            found[key] = joint[places[key] : places[key] + size, places[key] : places[key] + size]
+            covariances[key] = joint[places[key] : places[key] + size, places[key] : places[key] + size]
         waiting += [(child, places, joint) for child in below[clique]]
-    return found
+    return covariances
 
 
 def held_graph(

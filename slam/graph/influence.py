@@ -99,16 +99,16 @@ class LinearMap:
         gradient = self._jacobian[rows].T @ self._residuals[rows]
         return -self._factor.solve(gradient)
 
-    def influences(self, asked: Sequence[int] | NDArray[np.int64]) -> Influences:
+    def influences(self, chosen: Sequence[int] | NDArray[np.int64]) -> Influences:
         """Return the influences of these edges, or of the edges of each row switched together."""
-        sets, told = np.array(asked, np.int64), list[tuple[NDArray[Any], ...]]()
+        sets, rows = np.array(chosen, np.int64), list[tuple[NDArray[Any], ...]]()
         for at, pulled, residuals, left_out in self._switched(sets):
             tangents = self._factor.backward(at, pulled).reshape(-1, self._size, len(residuals))
             squares = np.square(tangents[:, :2] if self._planar else tangents[:, 3:]).sum(axis=1)
             most = squares.argmax(axis=0)
-            told.append((np.sqrt(squares.max(axis=0)), most + 1, np.linalg.norm(residuals, axis=1), left_out))
+            rows.append((np.sqrt(squares.max(axis=0)), most + 1, np.linalg.norm(residuals, axis=1), left_out))
             del at, pulled, tangents, squares
-        return Influences(sets, *map(np.concatenate, zip(*told, strict=True)))
+        return Influences(sets, *map(np.concatenate, zip(*rows, strict=True)))
 
     def left_out(self, asked: Sequence[int]) -> FloatArray:
         """Return the residual of each of these edges in the map without it: see `Influences`."""
@@ -139,14 +139,14 @@ class _Factor:
         symmetric = {"SymmetricMode": True}
         information = (held.T @ held).tocsc()
         try:
-            found = splu(information, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options=symmetric)
+            superlu = splu(information, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options=symmetric)
         except RuntimeError as error:
             raise GraphError("the edges that are kept do not join all keyframes") from error
-        self._order = found.perm_c.copy()  # its own keeps all data of SuperLU
+        self._order = superlu.perm_c.copy()  # its own keeps all data of SuperLU
         # With diagonal pivots, the other factor is the transpose up to the pivots.
-        lower, self._roots = found.L.tocsc(), np.sqrt(found.U.diagonal())
+        lower, self._roots = superlu.L.tocsc(), np.sqrt(superlu.U.diagonal())
         self._lower = lower.indptr, lower.indices, lower.data
-        self._room = np.zeros((len(self._roots), 0))
+        self._buffer = np.zeros((len(self._roots), 0))
 
     def solve(self, right: FloatArray) -> FloatArray:
         """Solve with the information for (N,); SciPy's own object would take much more memory."""
@@ -157,43 +157,43 @@ class _Factor:
 
     def forward(self, jacobian: csr_array, rows: NDArray[np.int64]) -> tuple[NDArray[np.intp], FloatArray]:
         """Return L^-1 times some rows: (t,) indices that are not zero in any, and (t, m) the values."""
-        if self._room.shape[1] != len(rows):
-            self._room = np.zeros((len(self._roots), len(rows)))
-        told = np.zeros(len(self._roots), np.bool_)
+        if self._buffer.shape[1] != len(rows):
+            self._buffer = np.zeros((len(self._roots), len(rows)))
+        nonzero = np.zeros(len(self._roots), np.bool_)
         # By hand: slicing rows of a sparse matrix in SciPy takes longer than all the rest.
         for place, row in enumerate(rows.tolist()):
             entries = slice(jacobian.indptr[row], jacobian.indptr[row + 1])
             at = self._order[jacobian.indices[entries]]
-            self._room[at, place], told[at] = jacobian.data[entries], True
-        _forward(*self._lower, self._room, told)
-        (at,) = told.nonzero()
-        found: FloatArray = self._room[at]
-        found /= self._roots[at, None]
-        self._room[at] = 0.0
-        return at, found
+            self._buffer[at, place], nonzero[at] = jacobian.data[entries], True
+        _forward(*self._lower, self._buffer, nonzero)
+        (at,) = nonzero.nonzero()
+        values: FloatArray = self._buffer[at]
+        values /= self._roots[at, None]
+        self._buffer[at] = 0.0
+        return at, values
 
     def backward(self, at: NDArray[np.intp], columns: FloatArray) -> FloatArray:
         """Return (N, m) L'^-1 times some columns, in the form of `forward`."""
-        found = np.zeros((len(self._roots), columns.shape[1]))
-        found[at] = columns / self._roots[at, None]
-        _backward(*self._lower, found)
-        return found[self._order]
+        values = np.zeros((len(self._roots), columns.shape[1]))
+        values[at] = columns / self._roots[at, None]
+        _backward(*self._lower, values)
+        return values[self._order]
 
 
 @kernel
 def _forward(
-    first: NDArray[np.int32], below: NDArray[np.int32], lower: FloatArray, x: FloatArray, told: BoolArray
+    first: NDArray[np.int32], below: NDArray[np.int32], lower: FloatArray, x: FloatArray, nonzero: BoolArray
 ) -> None:
     """Solve a unit lower triangular system by columns; return the rows of x that are not zero."""
     for column in range(len(x)):
-        if told[column]:
+        if nonzero[column]:
             solved = x[column]
             for k in range(first[column], first[column + 1]):
                 if below[k] > column:
-                    told[below[k]] = True
+                    nonzero[below[k]] = True
                     other = x[below[k]]  # one row at a time, so that its loop is vectorised
-                    for one in range(len(other)):
-                        other[one] -= lower[k] * solved[one]
+                    for place in range(len(other)):
+                        other[place] -= lower[k] * solved[place]
 
 
 @kernel
@@ -204,8 +204,8 @@ def _backward(first: NDArray[np.int32], below: NDArray[np.int32], lower: FloatAr
         for k in range(first[column], first[column + 1]):
             if below[k] > column:
                 other = x[below[k]]
-                for one in range(len(other)):
-                    solved[one] -= lower[k] * other[one]
+                for place in range(len(other)):
+                    solved[place] -= lower[k] * other[place]
 
 
 def influences(poses: Sequence[Pose], edges: Sequence[Edge], kept: Sequence[bool] | BoolArray) -> Influences:
@@ -263,8 +263,8 @@ def linearized(poses: Sequence[Pose], edges: _Edges) -> tuple[csr_array, FloatAr
     size = 3 if isinstance(poses[0], gtsam.Pose2) else 6
     # Indices from 1; node 0 is first, and minus the residual last.
     rows, columns, entries = graph.linearize(values).sparseJacobian_()
-    told = (rows > size) & (columns > size)
-    ends = (rows[told].astype(np.int64) - size - 1, columns[told].astype(np.int64) - size - 1)
+    is_jacobian = (rows > size) & (columns > size)
+    ends = (rows[is_jacobian].astype(np.int64) - size - 1, columns[is_jacobian].astype(np.int64) - size - 1)
     across = (len(poses) - 1) * size
-    whole = csr_array((entries[told], ends), shape=(len(edges) * size, across + 1))
-    return whole[:, :across], -whole[:, [across]].toarray().ravel()
+    augmented = csr_array((entries[is_jacobian], ends), shape=(len(edges) * size, across + 1))
+    return augmented[:, :across], -augmented[:, [across]].toarray().ravel()

@@ -114,9 +114,9 @@ class KeyframeGraph:
     def pieces(self, kept: BoolArray, reach_m: float) -> NDArray[np.int64]:
         """Return (n,) the piece of each keyframe by the kept edges (E,); only guesses connect two pieces."""
         edges, count, lost_m = self.graph.edges, len(self), self._config.lost_sigma_m
-        found = lone_steps(edges, kept, count, lost_m)
-        ties = tied(edges, kept, found.unseen, self.rows(), 2.0 * reach_m)
-        return (found if ties[kept].all() else lone_steps(edges, kept & ties, count, lost_m)).pieces
+        steps = lone_steps(edges, kept, count, lost_m)
+        ties = tied(edges, kept, steps.unseen, self.rows(), 2.0 * reach_m)
+        return (steps if ties[kept].all() else lone_steps(edges, kept & ties, count, lost_m)).pieces
 
     def optimize(self, inlier_probability: float) -> BatchResult:
         """Solve the whole graph; mark loops that disagree with the others as rejected."""
@@ -192,18 +192,18 @@ def lone_steps(edges: Sequence[Edge], kept: BoolArray, nodes: int, lost_sigma_m:
     judged_edges = list(zip(edges, kept.tolist(), strict=True))
     held = [edge for edge, keep in judged_edges if keep]
     single = [(edge, keep) for edge, keep in judged_edges if edge.target == edge.source + 1]
-    seen = {edge.source for edge, keep in single if keep and edge.kind not in GUESSES}
+    measured = {edge.source for edge, keep in single if keep and edge.kind not in GUESSES}
     right = {edge.source: True for edge, _ in single if edge.kind is EdgeKind.WHEEL}
     right |= {edge.source: False for edge, keep in single if edge.kind is EdgeKind.WHEEL and not keep}
-    lone, (ends, _, covariances) = sorted(right.keys() - seen), combined(held)
-    sure = np.linalg.eigvalsh(covariances[:, :2, :2])[:, -1] < lost_sigma_m**2
-    sure &= ~np.isin(ends[:, 0], lone) | (np.diff(ends)[:, 0] != 1)
+    lone, (ends, _, covariances) = sorted(right.keys() - measured), combined(held)
+    certain = np.linalg.eigvalsh(covariances[:, :2, :2])[:, -1] < lost_sigma_m**2
+    certain &= ~np.isin(ends[:, 0], lone) | (np.diff(ends)[:, 0] != 1)
     # A fix may be off by metres, and yet is no guess.
     fixes = [(edge.source, edge.target) for edge in held if edge.kind in _PLACES]
-    pieces = joined(nodes, [*ends[sure].tolist(), *fixes])
-    apart = {step for step in lone if pieces[step] != pieces[step + 1]}
-    tried = [right[step] for step in lone if not right[step] or step not in apart]
-    matched = [right[step] for step in right.keys() & seen]
+    pieces = joined(nodes, [*ends[certain].tolist(), *fixes])
+    parting = {step for step in lone if pieces[step] != pieces[step + 1]}
+    tried = [right[step] for step in lone if not right[step] or step not in parting]
+    matched = [right[step] for step in right.keys() & measured]
     before = (1.0 + matched.count(False)) / (2.0 + len(matched))
     share = (tried.count(False) + 2.0 * before) / (len(tried) + 2.0)
     return LoneSteps(np.isin(np.arange(nodes), lone), pieces, share)
@@ -226,21 +226,21 @@ def tied(
     across = parts[ends[:, 0]] != parts[ends[:, 1]]
     ties: BoolArray = ~across | ~(loops | wheels) | (np.diff(ends)[:, 0] == 1)
     numbers = max((len(edge.covariance) for edge in edges), default=0)
-    one = joined(parts[-1] + 1, parts[ends[kept & across & ties & (np.diff(ends)[:, 0] != 1)]])
-    while (waiting := np.flatnonzero(kept & loops & (np.diff(one[parts[ends]])[:, 0] != 0))).size:
-        pairs = np.sort(one[parts[ends[waiting]]], axis=1)
-        ways = np.take_along_axis(
-            ways_m[ends[waiting]], np.argsort(one[parts[ends[waiting]]], axis=1), axis=1
+    part_of = joined(parts[-1] + 1, parts[ends[kept & across & ties & (np.diff(ends)[:, 0] != 1)]])
+    while (waiting := np.flatnonzero(kept & loops & (np.diff(part_of[parts[ends]])[:, 0] != 0))).size:
+        pairs = np.sort(part_of[parts[ends[waiting]]], axis=1)
+        ends_m = np.take_along_axis(
+            ways_m[ends[waiting]], np.argsort(part_of[parts[ends[waiting]]], axis=1), axis=1
         )
-        both, which, counts = np.unique(pairs, axis=0, return_inverse=True, return_counts=True)
-        first, last = np.full((2, len(both), 2), [[[np.inf]], [[-np.inf]]])
-        np.minimum.at(first, which, ways)
-        np.maximum.at(last, which, ways)
+        pairs_found, which, counts = np.unique(pairs, axis=0, return_inverse=True, return_counts=True)
+        first, last = np.full((2, len(pairs_found), 2), [[[np.inf]], [[-np.inf]]])
+        np.minimum.at(first, which, ends_m)
+        np.maximum.at(last, which, ends_m)
         enough = (counts > numbers) | ((last - first).min(axis=1) >= least_m)
         if not enough.any():
             break
-        one = joined(len(one), both[enough])[one]
-    return ties | (loops & (np.diff(one[parts[ends]])[:, 0] == 0))
+        part_of = joined(len(part_of), pairs_found[enough])[part_of]
+    return ties | (loops & (np.diff(part_of[parts[ends]])[:, 0] == 0))
 
 
 def joined(nodes: int, ends: ArrayLike) -> NDArray[np.int64]:

@@ -97,44 +97,44 @@ def landmarks_of(
     """
     visits = [visit for sightings in seen for visit in _visits(sightings)]
     of = np.repeat(np.arange(len(seen)), [len(_visits(sightings)) for sightings in seen])
-    nodes, told, holds = _visited(poses, edges, visits)
+    nodes, ties, holds = _visited(poses, edges, visits)
     hubs = [nodes[len(poses) + int(np.flatnonzero(of == number)[0])] for number in range(len(seen))]
-    nodes, still = _still([*nodes, *hubs], told, len(poses), of, holds)
-    found = list[Landmark | None]()
+    nodes, still = _still([*nodes, *hubs], ties, len(poses), of, holds)
+    landmarks = list[Landmark | None]()
     for number, sightings in enumerate(seen):
-        mine = np.flatnonzero(of == number)
-        fit = np.concatenate([holds[visit] & still[visit] for visit in mine])
+        own = np.flatnonzero(of == number)
+        fit = np.concatenate([holds[visit] & still[visit] for visit in own])
         landmark = nodes[len(poses) + len(of) + number]
-        away = sum(len(holds[visit]) for visit in mine[~still[mine]])
-        found.append(_told(nodes, landmark, sightings, fit, away) if fit.any() else None)
-    return found
+        moved = sum(len(holds[visit]) for visit in own[~still[own]])
+        landmarks.append(_landmark_of(nodes, landmark, sightings, fit, moved) if fit.any() else None)
+    return landmarks
 
 
 def _visited(
     poses: Sequence[Pose], edges: Sequence[Edge], visits: Sequence[Sequence[Sighting]]
 ) -> tuple[list[Pose], list[Edge], list[BoolArray]]:
     """Return the graph with one node per visit, its inliers, and which sightings agree within their visit."""
-    nodes, told = [*poses], [*edges]
+    nodes, ties = [*poses], [*edges]
     for visit in visits:
         best = min(visit, key=_size)
         nodes.append(composed(poses[best.node], best.T_node_landmark))
-        told += [
+        ties += [
             Edge(one.node, len(nodes) - 1, one.T_node_landmark, one.covariance, EdgeKind.TAG, trusted=False)
             for one in visit
         ]
         # A visit without inliers still needs a pose.
-        far = NOWHERE_M**2 * np.eye(len(best.covariance))
-        told.append(Edge(best.node, len(nodes) - 1, best.T_node_landmark, far, EdgeKind.TAG, trusted=True))
+        vague = NOWHERE_M**2 * np.eye(len(best.covariance))
+        ties.append(Edge(best.node, len(nodes) - 1, best.T_node_landmark, vague, EdgeKind.TAG, trusted=True))
     graph = PoseGraph(poses[0])
     for node in nodes[1:]:
         graph.add_node(node)
-    for edge in told:
+    for edge in ties:
         graph.add_edge(edge)
     kept = graph.optimize().kept
-    fits = iter(kept[[n for n, edge in enumerate(told) if edge.kind is EdgeKind.TAG and not edge.trusted]])
+    fits = iter(kept[[n for n, edge in enumerate(ties) if edge.kind is EdgeKind.TAG and not edge.trusted]])
     holds = [np.array([next(fits) for _ in visit]) for visit in visits]
-    told = [edge for edge, keep in zip(told, kept, strict=True) if keep]
-    return [graph.pose(node) for node in range(len(nodes))], told, holds
+    ties = [edge for edge, keep in zip(ties, kept, strict=True) if keep]
+    return [graph.pose(node) for node in range(len(nodes))], ties, holds
 
 
 def _still(
@@ -160,8 +160,8 @@ def _still(
         asked = [n for n, link in enumerate(links) if among[link.source - first] > 1]
         if not asked:
             return nodes, still
-        found = LinearMap(nodes, [*edges, *links], np.ones(len(edges) + len(links), np.bool_))
-        without = found.left_out([len(edges) + n for n in asked])
+        linear = LinearMap(nodes, [*edges, *links], np.ones(len(edges) + len(links), np.bool_))
+        without = linear.left_out([len(edges) + n for n in asked])
         if without.max() ** 2 <= gate(dimension):
             return nodes, still
         worst = links[asked[int(without.argmax())]].source - first
@@ -172,32 +172,32 @@ def _still(
 
 def _visits(sightings: Sequence[Sighting]) -> list[list[Sighting]]:
     """Group sightings by consecutive nodes."""
-    found = [[sightings[0]]]
-    for one in sightings[1:]:
-        if one.node - found[-1][-1].node > 1:
-            found.append([])
-        found[-1].append(one)
-    return found
+    visits = [[sightings[0]]]
+    for sighting in sightings[1:]:
+        if sighting.node - visits[-1][-1].node > 1:
+            visits.append([])
+        visits[-1].append(sighting)
+    return visits
 
 
-def _told(
+def _landmark_of(
     nodes: Sequence[Pose], landmark: Pose, sightings: Sequence[Sighting], holds: BoolArray, away: int
 ) -> Landmark:
     """Return a landmark relative to the node that saw it best."""
-    held = [one for one, keep in zip(sightings, holds.tolist(), strict=True) if keep]
-    best = min(held, key=_size)
+    inliers = [sighting for sighting, keep in zip(sightings, holds.tolist(), strict=True) if keep]
+    best = min(inliers, key=_size)
     T_node_landmark = motion_between(nodes[best.node], landmark)
-    together = np.linalg.inv(np.sum([np.linalg.inv(one.covariance) for one in held], axis=0))
+    together = np.linalg.inv(np.sum([np.linalg.inv(sighting.covariance) for sighting in inliers], axis=0))
     edges = []
-    for one in held:
-        if one.node == best.node:
+    for sighting in inliers:
+        if sighting.node == best.node:
             continue
-        back = one.T_node_landmark.inverse()
-        adjoint = one.T_node_landmark.AdjointMap()
+        back = sighting.T_node_landmark.inverse()
+        adjoint = sighting.T_node_landmark.AdjointMap()
         # All share the error of its pose: as independent errors, each is so many times as large.
-        covariance = adjoint @ (one.covariance + len(held) * together) @ adjoint.T
+        covariance = adjoint @ (sighting.covariance + len(inliers) * together) @ adjoint.T
         pose = composed(T_node_landmark, back)
-        edges.append(Edge(best.node, one.node, pose, covariance, EdgeKind.TAG, trusted=False))
+        edges.append(Edge(best.node, sighting.node, pose, covariance, EdgeKind.TAG, trusted=False))
     return Landmark(best.node, T_node_landmark, together, holds, away, edges)
 
 
@@ -206,9 +206,9 @@ def in_plane(sightings: Sequence[Sighting]) -> tuple[list[Sighting], gtsam.Rot3]
     best = min(sightings, key=_size)
     assert isinstance(best.T_node_landmark, gtsam.Pose3)
     lean = best.T_node_landmark.rotation()
-    found = []
-    for one in sightings:
-        pose = one.T_node_landmark
+    planar_sightings = []
+    for sighting in sightings:
+        pose = sighting.T_node_landmark
         assert isinstance(pose, gtsam.Pose3)
         turn = np.asarray(pose.rotation().matrix())
         yaw = pose.rotation().compose(lean.inverse()).yaw()
@@ -217,8 +217,8 @@ def in_plane(sightings: Sequence[Sighting]) -> tuple[list[Sighting], gtsam.Rot3]
         slopes = np.zeros((3, 6))
         slopes[:2, 3:], slopes[2, :3] = flat @ turn, turn[2]
         planar = gtsam.Pose2(pose.x(), pose.y(), yaw)
-        found.append(Sighting(one.node, planar, slopes @ one.covariance @ slopes.T))
-    return found, lean
+        planar_sightings.append(Sighting(sighting.node, planar, slopes @ sighting.covariance @ slopes.T))
+    return planar_sightings, lean
 
 
 def _size(one: Sighting) -> float:

@@ -65,8 +65,8 @@ class LoopCandidate:
     def edge(self, number: int) -> Edge:
         """Return the edge of an accepted loop; ``number`` is its index among the candidates."""
         assert self.motion is not None
-        ends, told, spread = (self.place, self.keyframe), self.motion.T_reference_base, self.motion.covariance
-        return Edge(*ends, told, spread, EdgeKind.LOOP, trusted=False, loop=number)
+        ends, pose, spread = (self.place, self.keyframe), self.motion.T_reference_base, self.motion.covariance
+        return Edge(*ends, pose, spread, EdgeKind.LOOP, trusted=False, loop=number)
 
 
 def judged(

@@ -201,16 +201,16 @@ class PoseGraph:
         if not 0.0 < numbers_of(inlier_probability, (), "inlier_probability", GraphError) < 1.0:
             raise GraphError(f"inlier_probability is {inlier_probability}; give one between 0 and 1")
         begun, first = self._estimate, not len(self._kept)
-        found, ended = self._decided(inlier_probability), self._estimate
+        best, ended = self._decided(inlier_probability), self._estimate
         loops = np.array([edge.kind == EdgeKind.LOOP and not edge.trusted for edge in self.edges], np.bool_)
-        if first and (loops > found.kept).sum() > (1.0 - inlier_probability) * loops.sum():
+        if first and (loops > best.kept).sum() > (1.0 - inlier_probability) * loops.sum():
             self._estimate, self._kept = begun, ~loops
             other = self._decided(inlier_probability, anew=True)
-            found, self._estimate = (other, self._estimate) if other.cost < found.cost else (found, ended)
-        self._kept, self._error = found.kept.copy(), found.error
+            best, self._estimate = (other, self._estimate) if other.cost < best.cost else (best, ended)
+        self._kept, self._error = best.kept.copy(), best.error
         self._isam, self._moved = None, gtsam.Values()  # as large as the map, and rarely used again
         give_back()
-        return found
+        return best
 
     def _decided(self, inlier_probability: float, *, anew: bool = False) -> BatchResult:
         """Run GNC from the current poses; return which edges it keeps, and the resulting poses.
@@ -222,19 +222,19 @@ class PoseGraph:
         self._made = {id(e): self._made.get(id(e)) or (e, weighted(e, 1.0)) for e in self.edges}
         factors = [self._made[id(edge)][1] for edge in self.edges]
         loops = [k for k, edge in enumerate(self.edges) if edge.loop is not None and not edge.trusted]
-        found = self._solution(factors, self._gnc_weights(factors, most, anew) > 0.5, most)
+        best = self._solution(factors, self._gnc_weights(factors, most, anew) > 0.5, most)
         while True:
-            ended, kept, poses = self._estimate, found.kept.copy(), map(self.pose, range(self._count))
+            ended, kept, poses = self._estimate, best.kept.copy(), map(self.pose, range(self._count))
             asked = [k for k in loops if kept[k]]
             left_out = misfits(list(poses), factors, kept, asked)
             if left_out.max(initial=0.0) ** 2 <= most:
-                return found
+                return best
             kept[asked[left_out.argmax()]] = False
             other = self._solution(factors, kept, most)
-            if other.cost >= found.cost:
+            if other.cost >= best.cost:
                 self._estimate = ended
-                return found
-            found = other
+                return best
+            best = other
 
     def _solution(self, factors: list[gtsam.NonlinearFactor], kept: BoolArray, most: float) -> BatchResult:
         """Return the poses from the kept edges, and the cost if a gate is ``most``."""
@@ -344,8 +344,8 @@ class PoseGraph:
             graph.replace(k + 1, weighted(self.edges[k], 0.0))  # factor 0 is the prior
         self._estimate = solved(graph, self._estimate)
         ended, grown = errors(), float(graph.error(self._estimate)) - self._error
-        ways = [(count - out) / (out + 1) for count, out in self._refused(weights > 0.5) if out < count]
-        pays = limit + math.log(min(ways, default=1.0))
+        odds = [(count - out) / (out + 1) for count, out in self._refused(weights > 0.5) if out < count]
+        pays = limit + math.log(min(odds, default=1.0))
         if not anew and grown <= pays and ((ended <= limit) == own).all():
             return weights
         # Remark 5: where the surrogate cost begins to be convex.

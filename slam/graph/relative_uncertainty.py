@@ -139,24 +139,24 @@ class UncertaintyGraph:
         anchors = np.ascontiguousarray(poses[: self._count : self._stride])
         distance = np.full(len(anchors), np.inf)
         seen = np.zeros((len(anchors), 6))
-        wanted = np.zeros(len(anchors), np.bool_)
-        wanted[targets // self._stride] = True
+        target = np.zeros(len(anchors), np.bool_)
+        target[targets // self._stride] = True
         # An edge enters the queue at most once, from its source.
         queue = np.empty(self._edges + 1), np.empty(self._edges + 1, np.int64)
         first = start // self._stride
         edges = self._heads, self._next, self._ends, self._steps, self._parts
-        _follow(first, wanted, anchors, *edges, without, distance, seen, *queue)
+        _follow(first, target, anchors, *edges, without, distance, seen, *queue)
         # Index of the nine elements of a symmetric matrix in its upper triangle.
         anchor = targets // self._stride
-        found, far = seen[anchor][:, [0, 1, 2, 1, 3, 4, 2, 4, 5]].reshape(-1, 3, 3), distance[anchor]
+        rows, cost = seen[anchor][:, [0, 1, 2, 1, 3, 4, 2, 4, 5]].reshape(-1, 3, 3), distance[anchor]
         if self._stride > 1:
             own, others = self._inside[[start]], self._inside[targets]
             away = composed(inverse(poses[[start]]), poses[targets])
-            found = moved(found, inverse(own[:, _POSE])) + _covariance(own) + moved(_covariance(others), away)
-            far = far + own[:, _COST] + others[:, _COST]
-        found[targets == start] = 0.0
-        found[np.isinf(far)] = np.inf
-        return found
+            rows = moved(rows, inverse(own[:, _POSE])) + _covariance(own) + moved(_covariance(others), away)
+            cost = cost + own[:, _COST] + others[:, _COST]
+        rows[targets == start] = 0.0
+        rows[np.isinf(cost)] = np.inf
+        return rows
 
     def _append(self, ends: tuple[int, int], step: FloatArray, parts: tuple[int, int]) -> None:
         """Append one direction of an edge between two anchors."""
@@ -200,9 +200,9 @@ class UncertaintyGraph:
 
 def _then(a: FloatArray, b: FloatArray) -> FloatArray:
     """Return (N, 13) the composition of motions."""
-    both = np.empty_like(b)
-    _join(a, b, both)
-    return both
+    joined = np.empty_like(b)
+    _join(a, b, joined)
+    return joined
 
 
 def _back(a: FloatArray) -> FloatArray:
@@ -213,19 +213,19 @@ def _back(a: FloatArray) -> FloatArray:
 
 
 @kernel
-def _join(a, b, both):  # type: ignore[no-untyped-def]
+def _join(a, b, joined):  # type: ignore[no-untyped-def]
     """Write the composition of motions (N, 13)."""
     for n in range(a.shape[0]):
         cos, sin = math.cos(a[n, 2]), math.sin(a[n, 2])
-        both[n, 0] = a[n, 0] + cos * b[n, 0] - sin * b[n, 1]
-        both[n, 1] = a[n, 1] + sin * b[n, 0] + cos * b[n, 1]
-        both[n, 2] = a[n, 2] + b[n, 2]
-        both[n, 12] = a[n, 12] + b[n, 12]
+        joined[n, 0] = a[n, 0] + cos * b[n, 0] - sin * b[n, 1]
+        joined[n, 1] = a[n, 1] + sin * b[n, 0] + cos * b[n, 1]
+        joined[n, 2] = a[n, 2] + b[n, 2]
+        joined[n, 12] = a[n, 12] + b[n, 12]
         # The covariance of the first in the frame of the end of the second.
         cos, sin = math.cos(b[n, 2]), math.sin(b[n, 2])
-        _move(a, n, -cos * b[n, 0] - sin * b[n, 1], sin * b[n, 0] - cos * b[n, 1], cos, -sin, both)
+        _move(a, n, -cos * b[n, 0] - sin * b[n, 1], sin * b[n, 0] - cos * b[n, 1], cos, -sin, joined)
         for k in range(3, 12):
-            both[n, k] += b[n, k]
+            joined[n, k] += b[n, k]
 
 
 @kernel
@@ -241,17 +241,17 @@ def _turn_round(a, back):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _move(a, n, x, y, cos, sin, found):  # type: ignore[no-untyped-def]
+def _move(a, n, x, y, cos, sin, moved):  # type: ignore[no-untyped-def]
     """Write the covariance of a motion (13,) transformed by a pose: Ad C Ad^T, see `moved`."""
     for column in range(3, 6):
         xx, yy, tt = a[n, column], a[n, column + 3], a[n, column + 6]
-        found[n, column + 6] = tt
-        found[n, column] = cos * xx - sin * yy + y * tt
-        found[n, column + 3] = sin * xx + cos * yy - x * tt
+        moved[n, column + 6] = tt
+        moved[n, column] = cos * xx - sin * yy + y * tt
+        moved[n, column + 3] = sin * xx + cos * yy - x * tt
     for row in range(3, 12, 3):
-        xx, yy, tt = found[n, row], found[n, row + 1], found[n, row + 2]
-        found[n, row] = cos * xx - sin * yy + y * tt
-        found[n, row + 1] = sin * xx + cos * yy - x * tt
+        xx, yy, tt = moved[n, row], moved[n, row + 1], moved[n, row + 2]
+        moved[n, row] = cos * xx - sin * yy + y * tt
+        moved[n, row + 1] = sin * xx + cos * yy - x * tt
 
 
 def _covariance(a: FloatArray) -> FloatArray:
@@ -273,11 +273,11 @@ def inverse(a: FloatArray) -> FloatArray:
     return np.stack([-cos * a[:, 0] - sin * a[:, 1], sin * a[:, 0] - cos * a[:, 1], -a[:, 2]], axis=1)
 
 
-def seen_from(told: FloatArray, found: FloatArray) -> FloatArray:
+def seen_from(origins: FloatArray, poses: FloatArray) -> FloatArray:
     """Return (K, 3) the found poses in the frames of the given ones."""
-    off = composed(inverse(told), found)
-    off[:, 2] = np.remainder(off[:, 2] + np.pi, 2.0 * np.pi) - np.pi
-    return off
+    offsets = composed(inverse(origins), poses)
+    offsets[:, 2] = np.remainder(offsets[:, 2] + np.pi, 2.0 * np.pi) - np.pi
+    return offsets
 
 
 def moved(covariance: FloatArray, T_a_b: FloatArray) -> FloatArray:
@@ -293,7 +293,7 @@ def moved(covariance: FloatArray, T_a_b: FloatArray) -> FloatArray:
 
 @kernel
 def _follow(  # type: ignore[no-untyped-def]
-    start, wanted, poses, heads, following, ends, steps, parts, without, distance, seen, queued, queued_nodes
+    start, target, poses, heads, following, ends, steps, parts, without, distance, seen, queued, queued_nodes
 ):
     """Run Dijkstra until all wanted nodes are reached; the edges of a path are summed.
 
@@ -301,8 +301,8 @@ def _follow(  # type: ignore[no-untyped-def]
     heap of two arrays: that of a list compiles half a second longer.
     """
     missing = ZERO
-    for node in range(wanted.size):
-        missing += wanted[node]
+    for node in range(target.size):
+        missing += target[node]
     cos = math.cos(poses[start, 2])
     sin = math.sin(poses[start, 2])
     distance[start] = 0.0
@@ -335,7 +335,7 @@ def _follow(  # type: ignore[no-untyped-def]
         # It entered again at less cost, and is finished already.
         if reached > distance[node]:
             continue
-        missing -= wanted[node]
+        missing -= target[node]
         k = heads[node]
         while k >= 0:
             end = ends[k, 1]

@@ -31,29 +31,29 @@ class Stretches:
 
     def __init__(self, submaps: SubmapStore, config: LoopConfig, match: MatchConfig) -> None:
         self._config, self._match, self._submaps = config, match, submaps
-        way_m = submaps.ways_m()
+        path_m = submaps.ways_m()
         self.spacing_m = submaps.wide_m(0.5 * config.reach_m, 1.0)
         # If each pass sees a place once, scans look alike too often to try only the most similar.
         self._most = config.near * (3 if self.spacing_m > config.reach_m else 1)
-        middles_m = np.arange(0.0, way_m[-1] + config.reach_m, self.spacing_m)
-        self.keys = np.unique(np.searchsorted(way_m, np.minimum(middles_m, way_m[-1])))
-        self._way_m = way_m[self.keys]
+        middles_m = np.arange(0.0, path_m[-1] + config.reach_m, self.spacing_m)
+        self.keys = np.unique(np.searchsorted(path_m, np.minimum(middles_m, path_m[-1])))
+        self._path_m = path_m[self.keys]
         # Computed on demand: few are needed if loops connect the map.
-        self._runs: dict[int, OrientedPoints] = {}
+        self._points: dict[int, OrientedPoints] = {}
         self._walls = np.full(len(self.keys), -1, np.int8)
 
     def untied(self, loops: Sequence[LoopCandidate], *, bare: bool = False) -> list[int]:
         """Return the stretches that no loop connects to an earlier place: distinctive ones, or also bare."""
         ends = np.sort([self._submaps.travelled_m(loop.keyframe) for loop in loops if loop.accepted])
         ends = np.concatenate([[-np.inf], ends, [np.inf]])
-        after = np.searchsorted(ends, self._way_m)
-        apart_m = np.minimum(self._way_m - ends[after - 1], ends[after] - self._way_m)
+        after = np.searchsorted(ends, self._path_m)
+        apart_m = np.minimum(self._path_m - ends[after - 1], ends[after] - self._path_m)
         untied = apart_m > self._config.reach_m
         return np.flatnonzero(untied if bare else self._determined(untied)).tolist()
 
     def between(self, first_m: float, last_m: float) -> list[int]:
         """Return middle keyframes of the distinctive stretches within a part of the path."""
-        within = (self._way_m >= first_m) & (self._way_m <= last_m)
+        within = (self._path_m >= first_m) & (self._path_m <= last_m)
         return self.keys[self._determined(within)].tolist()
 
     def candidates(self, number: int, possible: BoolArray, apart_m: FloatArray) -> list[int]:
@@ -66,13 +66,13 @@ class Stretches:
         apart_m
             (K,) their distance by the estimate.
         """
-        earlier = self._way_m[number] - self._way_m > self._submaps.least_path_m
+        earlier = self._path_m[number] - self._path_m > self._submaps.least_path_m
         (others,) = np.nonzero(self._determined(possible & earlier))
         if not others.size:
             return []
         likest = others[np.argsort(-self._bank.likeness(number, others), kind="stable")]
-        near = others[apart_m[others] <= self.window_m]
-        nearest = near[np.argsort(apart_m[near], kind="stable")]
+        in_window = others[apart_m[others] <= self.window_m]
+        nearest = in_window[np.argsort(apart_m[in_window], kind="stable")]
         return [*dict.fromkeys([*self._of_neighbourhoods(likest), *self._of_neighbourhoods(nearest)])]
 
     def _of_neighbourhoods(self, ordered: NDArray[np.int64]) -> list[int]:
@@ -81,7 +81,7 @@ class Stretches:
         for other in ordered.tolist():
             if len(chosen) == self._most:
                 break
-            if all(abs(self._way_m[other] - self._way_m[one]) > self._config.reach_m for one in chosen):
+            if all(abs(self._path_m[other] - self._path_m[one]) > self._config.reach_m for one in chosen):
                 chosen.append(other)
         return chosen
 
@@ -105,9 +105,9 @@ class Stretches:
 
     def _run(self, number: int) -> OrientedPoints:
         """Return the points seen along a stretch."""
-        if number not in self._runs:
-            self._runs[number] = self._submaps.run(int(self.keys[number]))
-        return self._runs[number]
+        if number not in self._points:
+            self._points[number] = self._submaps.run(int(self.keys[number]))
+        return self._points[number]
 
     def _determined(self, asked: BoolArray) -> BoolArray:
         """Return (K,) which of the requested (K,) have walls in more than one direction.

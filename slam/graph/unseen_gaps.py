@@ -81,8 +81,8 @@ class UnseenGaps:
             sets.add(loop)
             agreeing = sets.largest()[0]
             self._likeliest = agreeing[-1] if len(agreeing) > 1 else None
-            ways_m = [[travelled_m[one.place], travelled_m[one.keyframe]] for one in agreeing]
-            if np.ptp(ways_m, axis=0).min() >= self._least_path_m:
+            travelled = [[travelled_m[one.place], travelled_m[one.keyframe]] for one in agreeing]
+            if np.ptp(travelled, axis=0).min() >= self._least_path_m:
                 taken += agreeing
                 self._likeliest = None
                 self._joined = [crossed[0] if one == crossed[1] else one for one in self._joined]

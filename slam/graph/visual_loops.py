@@ -86,9 +86,9 @@ class VisualLoopCloser:
         segment = self._segments[key]
         places = [p for p in range(key - config.least_gap + 1) if self._segments[p] == segment]
         near = self.near(places, poses, poses[key], self._depths_m)
-        alike = self._result_cache.cached("looks", float(key), lambda: self._by_appearance(key))
+        similar = self._result_cache.cached("looks", float(key), lambda: self._by_appearance(key))
         tried = [self._verify(place, key, poses[place].between(poses[key]), 1.0) for place in near]
-        tried += [self._verify(place, key, None, score) for place, score in alike if place not in near]
+        tried += [self._verify(place, key, None, score) for place, score in similar if place not in near]
         for candidate in tried:
             self._join(candidate)
             report("visual loop", candidate)

@@ -63,8 +63,8 @@ def calibrate_wheel_edges(
         free = unmeasured(config, max(abs(stamps_s[edge.target] - stamps_s[edge.source]), 1.0), planar=True)
         # Both together have the stated covariance; with distant scans, too few loops test a step.
         claimed = edge.covariance @ np.linalg.solve(free, edge.covariance + free)
-        both = [(edge.covariance, True)] if sparse else [(edge.covariance + free, True), (claimed, False)]
-        for covariance, trusted in both:
+        noises = [(edge.covariance, True)] if sparse else [(edge.covariance + free, True), (claimed, False)]
+        for covariance, trusted in noises:
             graph.add_edge(replace(edge, kind=EdgeKind.ASSUMED, covariance=covariance, trusted=trusted))
 
 
@@ -73,8 +73,8 @@ def _errors_of_stretches(graph: KeyframeGraph, longer: Sequence[Edge]) -> FloatA
     rows = graph.rows()
     ends = np.array([(edge.source, edge.target) for edge in longer])
     claimed = np.array([row_of(edge.T_source_target) for edge in longer])
-    off = seen_from(claimed, composed(inverse(rows[ends[:, 0]]), rows[ends[:, 1]]))
-    return off / np.sqrt([np.diag(edge.covariance) for edge in longer])
+    errors = seen_from(claimed, composed(inverse(rows[ends[:, 0]]), rows[ends[:, 1]]))
+    return errors / np.sqrt([np.diag(edge.covariance) for edge in longer])
 
 
 def _calibrated_by_steps(edges: list[Edge], poses: FloatArray, least_m: float) -> FloatArray:
@@ -87,47 +87,47 @@ def _calibrated_by_steps(edges: list[Edge], poses: FloatArray, least_m: float) -
     single = [edge for edge in edges if edge.target == edge.source + 1]
     wheels = together(edge for edge in single if edge.kind is EdgeKind.WHEEL)
     matches = together(edge for edge in single if edge.kind is EdgeKind.LIDAR)
-    both = [(wheels[ends], match) for ends, match in matches.items() if ends in wheels]
-    if sum(math.hypot(*match.pose[:2]) >= least_m for _, match in both) < FEWEST:
+    pairs = [(wheels[ends], match) for ends, match in matches.items() if ends in wheels]
+    if sum(math.hypot(*match.pose[:2]) >= least_m for _, match in pairs) < FEWEST:
         return np.zeros((0, 3))
     # Values estimated during mapping have changed with it.
     alone = seen_from(poses[:-1], poses[1:])
-    told = alone[[source for source, target in matches if (source, target) in wheels]]
-    found = np.array([match.pose for _, match in both])
+    odo = alone[[source for source, target in matches if (source, target) in wheels]]
+    exact = np.array([match.pose for _, match in pairs])
     variances, known = (
-        np.array([np.diag(motion.covariance) for motion in motions]) for motions in zip(*both, strict=True)
+        np.array([np.diag(motion.covariance) for motion in motions]) for motions in zip(*pairs, strict=True)
     )
-    ways_m = np.hypot(told[:, 0], told[:, 1])
-    longer_m = np.hypot(found[:, 0], found[:, 1]) - ways_m
-    (stretch,) = _fitted(ways_m[:, None], longer_m, known[:, :2].sum(axis=1))
+    step_m = np.hypot(odo[:, 0], odo[:, 1])
+    longer_m = np.hypot(exact[:, 0], exact[:, 1]) - step_m
+    (stretch,) = _fitted(step_m[:, None], longer_m, known[:, :2].sum(axis=1))
     # Regress on the matched motion, which is nearly exact: noise in the regressor would bias the result.
-    bend, swell = _fitted(np.column_stack([ways_m, found[:, 2]]), seen_from(found, told)[:, 2], known[:, 2])
+    by_m, by_rad = _fitted(np.column_stack([step_m, exact[:, 2]]), seen_from(exact, odo)[:, 2], known[:, 2])
 
     def calibrated(steps: FloatArray) -> FloatArray:
-        turned = (steps[:, 2] - bend * np.hypot(steps[:, 0], steps[:, 1])) / (1.0 + swell)
+        turned = (steps[:, 2] - by_m * np.hypot(steps[:, 0], steps[:, 1])) / (1.0 + by_rad)
         half = np.pad(0.5 * (turned - steps[:, 2])[:, None], ((0, 0), (2, 0)))
         return composed(composed(half, steps * [1.0 + stretch, 1.0 + stretch, 1.0]), half)
 
     steps = np.zeros_like(alone)
     sources = [source for source, _ in wheels]
     steps[sources] = alone[sources]
-    way = list(accumulate(calibrated(steps), compose, initial=np.zeros(3)))
+    path = list(accumulate(calibrated(steps), compose, initial=np.zeros(3)))
     for n, edge in enumerate(edges):
         if edge.kind is EdgeKind.WHEEL:
-            step = pose2_from_row(between(way[edge.source], way[edge.target]))
+            step = pose2_from_row(between(path[edge.source], path[edge.target]))
             edges[n] = replace(edge, T_source_target=step)
-    errors = np.where(known < variances, seen_from(calibrated(told), found) / np.sqrt(variances), np.nan)
-    return errors[np.hypot(found[:, 0], found[:, 1]) >= least_m]
+    errors = np.where(known < variances, seen_from(calibrated(odo), exact) / np.sqrt(variances), np.nan)
+    return errors[np.hypot(exact[:, 0], exact[:, 1]) >= least_m]
 
 
 def _fitted(design: FloatArray, measured: FloatArray, variances: FloatArray) -> FloatArray:
     """Fit small factors by least squares, with Cauchy weights at the scale of the most certain residuals."""
     values: FloatArray = np.zeros(design.shape[1])
-    sure = variances <= np.median(variances)
+    precise = variances <= np.median(variances)
     for _ in range(ROUNDS):
-        off = measured - design @ values
-        scale = median_to_sigma() * float(np.median(np.abs(off[sure])))
-        weighted = design / (scale**2 + off**2 + variances)[:, None]
+        residuals = measured - design @ values
+        scale = median_to_sigma() * float(np.median(np.abs(residuals[precise])))
+        weighted = design / (scale**2 + residuals**2 + variances)[:, None]
         # Undetermined factors have a prior of one in so many.
         information = weighted.T @ design + FEWEST**2 * np.eye(len(values))
         values = np.asarray(np.linalg.solve(information, weighted.T @ measured), np.float64)

@@ -84,11 +84,11 @@ def known_space(grid: OccupancyGrid) -> KnownSpace:
 def _within(cells: BoolArray, reach_cells: float) -> BoolArray:
     """Return which cells are near the centre of one of these; for a reach of a few cells only."""
     reach = int(reach_cells)
-    wide, near = np.pad(cells, reach), cells.copy()
+    wide, dilated = np.pad(cells, reach), cells.copy()
     for row, column in np.ndindex(2 * reach + 1, 2 * reach + 1):
         if math.hypot(row - reach, column - reach) <= reach_cells:
-            near |= wide[row : row + cells.shape[0], column : column + cells.shape[1]]
-    return near
+            dilated |= wide[row : row + cells.shape[0], column : column + cells.shape[1]]
+    return dilated
 
 
 def in_clear_space(space: KnownSpace, pose: FloatArray, points: AnyFloatArray) -> BoolArray:
@@ -126,8 +126,8 @@ def check_beams(
     rest = np.vstack([laser, points.points[~explained]])
     in_picture = transform_points(rest, between(space.frame, pose)) / space.cell_m
     lifted = np.column_stack([in_picture, np.full(len(rest), 0.5)])
-    met = follow(space.cells, lifted[0], lifted[1:], END_M / space.cell_m)
-    against = np.bincount(met, minlength=WALL + 1)
+    first_hits = follow(space.cells, lifted[0], lifted[1:], END_M / space.cell_m)
+    against = np.bincount(first_hits, minlength=WALL + 1)
     return BeamCounts(int(explained.sum()), int(against[WALL]), int(against[FREE]))
 
 
@@ -143,5 +143,5 @@ def _explain(cells, after, surfels, origin_x, origin_y, cell_m, pose, points, no
         ny = sin * normals[i, 0] + cos * normals[i, 1]
         k = nearest_surfel(cells, after, surfels, origin_x, origin_y, cell_m, x, y, nx, ny)
         if k >= 0:
-            away = surfels[k, 2] * (x - surfels[k, 0]) + surfels[k, 3] * (y - surfels[k, 1])
-            explained[i] = abs(away) < _WALL_REACH_M
+            distance = surfels[k, 2] * (x - surfels[k, 0]) + surfels[k, 3] * (y - surfels[k, 1])
+            explained[i] = abs(distance) < _WALL_REACH_M

@@ -26,24 +26,24 @@ def follow(
     end_cells
         Length of the last part of a beam, which is in its wall, and grazes adjacent cells.
     """
-    found = np.zeros(len(ends), np.uint8)
-    _follow(cells.ravel(), cells.shape, origin, ends, end_cells, found)
-    return found
+    first_hits = np.zeros(len(ends), np.uint8)
+    _follow(cells.ravel(), cells.shape, origin, ends, end_cells, first_hits)
+    return first_hits
 
 
 @kernel
-def _follow(cells, shape, origin, ends, end_cells, found):  # type: ignore[no-untyped-def]
+def _follow(cells, shape, origin, ends, end_cells, first_hits):  # type: ignore[no-untyped-def]
     """See `follow`."""
     for i in range(ends.shape[0]):
         if _at(cells, shape, origin, ends, i, 1.0) == FREE:
-            found[i] = FREE
+            first_hits[i] = FREE
             continue
         length = _length(origin, ends, i)
         inside = 0
         for n in range(int((length - end_cells) / _STEP_CELLS)):
             inside = inside + 1 if _at(cells, shape, origin, ends, i, n * _STEP_CELLS / length) == WALL else 0
             if inside == _THROUGH:
-                found[i] = WALL
+                first_hits[i] = WALL
                 break
 
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from slam.config import Config
 from slam.estimates import MotionEstimate
-from slam.localization.poses import Measured, apart, diagonal
+from slam.localization.poses import Measured, diagonal, separation
 from slam.localization.sensor import Keyframe, Observation
 from slam.localization.visual_locator import VisualLocator
 from slam.measurements import Pose, composed
@@ -34,7 +34,7 @@ class CameraSensor:
     def __init__(self, locator: VisualLocator, config: Config) -> None:
         self._locator = locator
         self._odometry = RgbdTracker(FrameMatcher(config), config)
-        self._anew = 0.5 * config.rgbd_odometry.keyframe_parallax
+        self._new_parallax = 0.5 * config.rgbd_odometry.keyframe_parallax
         guessed = config.prediction.velocity_floor_m, config.prediction.velocity_floor_rad
         self._guess = Measured(locator.origin, diagonal(locator.origin, *guessed))
         self._matched_nats = config.localization.lost_nats / self.least_keyframes
@@ -57,12 +57,12 @@ class CameraSensor:
             self._pose = composed(self._pose, moved.pose)
         return Observation(frame.stamp_s, frame, self._pose, moved or self._guess, moved is None)
 
-    def sees_anew(self, view: PreparedFrame, before: Pose | None, pose: Pose) -> bool:
+    def sees_new(self, view: PreparedFrame, before: Pose | None, pose: Pose) -> bool:
         """See `Sensor`."""
         if before is None:
             return True
-        apart_m, turned_rad = apart(before, pose)
-        return float(np.hypot(apart_m / view.median_depth_m, turned_rad)) > self._anew
+        apart_m, turned_rad = separation(before, pose)
+        return float(np.hypot(apart_m / view.median_depth_m, turned_rad)) > self._new_parallax
 
     def novel(self, view: PreparedFrame, pose: Pose, before: Sequence[Keyframe[float]] | None) -> float:
         """See `Sensor`."""

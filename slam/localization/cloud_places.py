@@ -83,12 +83,12 @@ class CloudPlaces:
 
     def _by_plan(self, points: FloatArray) -> list[gtsam.Pose3]:
         """Return places by the plan, the best first, each at the height of the nearest keyframe."""
-        seen = self._flat(points)
-        if self._field is None or not len(seen):
+        flat = self._flat(points)
+        if self._field is None or not len(flat):
             return []
         most = self._config.cloud_localization.places
-        found = at_once(search_map(self._field, seen, self._config.localization, most))
-        return [self._lifted(place.pose) for place in found]
+        places = at_once(search_map(self._field, flat, self._config.localization, most))
+        return [self._lifted(place.pose) for place in places]
 
     def _lifted(self, pose: FloatArray) -> gtsam.Pose3:
         """Return a pose (3,) of the plan at the height of the nearest keyframe."""

@@ -94,7 +94,7 @@ class CloudSensor:
         view = CloudView.of(points, cloud.T_base_lidar, self.voxel_m)
         return Observation(cloud.stamp_s, view, step.pose, step.moved, step.moved is None)
 
-    def sees_anew(self, view: CloudView, before: Pose | None, pose: Pose) -> bool:
+    def sees_new(self, view: CloudView, before: Pose | None, pose: Pose) -> bool:
         """See `Sensor`."""
         return len(view.points) > 0 and moved_on(before, pose, self._general)
 
@@ -114,13 +114,13 @@ class CloudSensor:
     def weigh(self, pose: Pose, novel: CloudView, motion: MotionEstimate | None = None) -> float:
         """See `Sensor`. The beams of a vertical column count as one, since walls are upright."""
         points, verdicts = self.judged(pose, novel)
-        said = np.any(verdicts, axis=0)
-        if not said.any():
+        informed = np.any(verdicts, axis=0)
+        if not informed.any():
             return 0.0
         nats = float(np.array([_EXPLAINED_NATS, _IN_FREE_NATS, _CROSSING_NATS]) @ np.sum(verdicts, axis=1))
-        cells = np.floor(points[said, :2] / self._general.novel_cell_m).astype(np.int64)
+        cells = np.floor(points[informed, :2] / self._general.novel_cell_m).astype(np.int64)
         columns = len(np.unique(cell_keys(cells)))
-        return novel.novel_share * nats / float(said.sum()) * columns / self._general.correlated_cells
+        return novel.novel_share * nats / float(informed.sum()) * columns / self._general.correlated_cells
 
     def judged(self, pose: Pose, view: CloudView) -> tuple[FloatArray, BeamVerdicts]:
         """Return some points of a cloud, (N, 3), base frame, and how their beams judge ``T_map_base``."""
@@ -147,11 +147,11 @@ class CloudSensor:
             ends = [guess, *([] if aligned is None else [aligned.found.pose])]  # large voxels may mislead
             arrived.append(max(((self.weigh(at, view), at, tile.local) for at in ends), key=lambda a: a[0]))
         arrived.sort(key=lambda place: -place[0])
-        found = []
+        proposed = []
         for _, pose, local in arrived[: self._settings.places]:
             exact = local.align(view.points, pose, REACH * self.voxel_m)  # may be some voxels off
-            found.append(pose if exact is None else exact.found.pose)
-        return found
+            proposed.append(pose if exact is None else exact.found.pose)
+        return proposed
 
     def _aligned(self, view: CloudView, guess: Pose) -> tuple[Aligned | None, float]:
         """Return an alignment, and the share of the cloud that agrees, relative to the map's own clouds."""

@@ -112,11 +112,11 @@ def judge_beams(
     reach_m
         A point within this distance of a plane is on it.
     """
-    found = planes.judge(lidar, points, reach_m)
-    open_, against = ~found.on, np.zeros(len(points), np.uint8)
+    on_planes = planes.judge(lidar, points, reach_m)
+    open_, against = ~on_planes.on, np.zeros(len(points), np.uint8)
     origin, ends = ((at - space.corner) / space.cell_m for at in (lidar, points[open_]))
     against[open_] = follow(space.cells, origin, ends, _END_CELLS)
-    return BeamVerdicts(found.upright, against == FREE, against == WALL)
+    return BeamVerdicts(on_planes.upright, against == FREE, against == WALL)
 
 
 def _cells(points: FloatArray, corner: FloatArray, cell_m: float) -> tuple[NDArray[np.int64], ...]:

@@ -33,12 +33,12 @@ def drawn_walls(grid: OccupancyGrid) -> OrientedPoints:
     slope_y, slope_x = (np.gradient(filled, axis=axis) for axis in (0, 1))
     cells, normals = list[Float32Array](), list[Float32Array]()
     for row, column in ((0, 1), (0, -1), (1, 0), (-1, 0)):
-        found = np.argwhere(free & np.roll(walls, (-row, -column), (0, 1)))
-        away = -np.column_stack([slope_x[tuple(found.T)], slope_y[tuple(found.T)]])
-        length = np.hypot(*away.T)
+        free_cells = np.argwhere(free & np.roll(walls, (-row, -column), (0, 1)))
+        gradient = -np.column_stack([slope_x[tuple(free_cells.T)], slope_y[tuple(free_cells.T)]])
+        length = np.hypot(*gradient.T)
         sided = length > TINY
-        normals.append(away[sided] / length[sided, None])
-        cells.append(np.asarray(found[sided] + (row, column), np.float32)[:, ::-1])
+        normals.append(gradient[sided] / length[sided, None])
+        cells.append(np.asarray(free_cells[sided] + (row, column), np.float32)[:, ::-1])
     middles = (np.concatenate(cells) - np.float32(0.5)) * np.float32(grid.resolution_m)
     corner = row_from_pose2(grid.T_map_grid)
     turned = transform_points(np.concatenate(normals), np.array([0.0, 0.0, corner[2]]))
@@ -55,10 +55,10 @@ def drawn_views(
     in_cells = transform_points(drawn.points, between(space.frame, np.zeros(3))) / space.cell_m
     for cell in clear[np.arange(count) * len(clear) // count] if len(clear) else ():
         place = np.array([*transform_points(cell[None] * space.cell_m, space.frame)[0], 0.0])
-        away = drawn.points - place[:2]
-        faces = (np.hypot(*away.T) < reach_m) & (np.einsum("ij,ij->i", away, drawn.normals) < 0.0)
+        offsets = drawn.points - place[:2]
+        faces = (np.hypot(*offsets.T) < reach_m) & (np.einsum("ij,ij->i", offsets, drawn.normals) < 0.0)
         ends = np.column_stack([in_cells, np.full(len(drawn), 0.5)])[faces]
-        met = follow(space.cells, np.array([*cell, 0.5]), ends, END_M / space.cell_m)
-        seen = np.flatnonzero(faces)[met != WALL]
-        points = ScanPoints(away[seen].astype(np.float32), drawn.normals[seen])
+        first_hits = follow(space.cells, np.array([*cell, 0.5]), ends, END_M / space.cell_m)
+        on_wall = np.flatnonzero(faces)[first_hits != WALL]
+        points = ScanPoints(offsets[on_wall].astype(np.float32), drawn.normals[on_wall])
         yield pose2_from_row(place), ScanView(0.0, points, OrientedPoints.from_scan(points), np.zeros(2))

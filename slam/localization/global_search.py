@@ -68,8 +68,8 @@ def at_once(steps: Steps[T]) -> T:
         try:
             next(steps)
         except StopIteration as ended:
-            found: T = ended.value
-            return found
+            result: T = ended.value
+            return result
 
 
 def search_map(
@@ -103,9 +103,9 @@ def search_map(
     yaws: FloatArray = np.arange(turns, dtype=np.float64) * (2.0 * math.pi / turns)
     if window is not None:
         # In order, since they are searched in blocks.
-        away = (yaws - window.yaw + np.pi) % (2.0 * np.pi) - np.pi
-        order = np.argsort(away)
-        yaws = yaws[order[np.abs(away[order]) <= window.half_yaw]]
+        turned = (yaws - window.yaw + np.pi) % (2.0 * np.pi) - np.pi
+        order = np.argsort(turned)
+        yaws = yaws[order[np.abs(turned[order]) <= window.half_yaw]]
     columns, rows = _rotated_pixels(np.asarray(points, np.float64), yaws, field.cell_m)
     with ThreadPoolExecutor(threads) as pool:
         search = _Search(field, columns, rows, pool, threads, window)
@@ -128,13 +128,13 @@ def search_map(
 def _apart(poses: FloatArray, most: int) -> list[int]:
     """Return the first of every group of close poses, (n, 3) in order of preference."""
     chosen: list[int] = []
-    left = np.ones(len(poses), np.bool_)
-    while len(chosen) < most and left.any():
-        n = int(left.argmax())
+    candidates = np.ones(len(poses), np.bool_)
+    while len(chosen) < most and candidates.any():
+        n = int(candidates.argmax())
         chosen.append(n)
-        far = np.hypot(poses[:, 0] - poses[n, 0], poses[:, 1] - poses[n, 1]) > SAME_M
+        is_far = np.hypot(poses[:, 0] - poses[n, 0], poses[:, 1] - poses[n, 1]) > SAME_M
         turn = np.abs((poses[:, 2] - poses[n, 2] + np.pi) % (2.0 * np.pi) - np.pi)
-        left &= far | (turn > SAME_RAD)
+        candidates &= is_far | (turn > SAME_RAD)
     return chosen
 
 
@@ -210,9 +210,9 @@ class _Search:
         level = len(self._seen)
         turns = len(self._seen[0].columns)
         first = np.arange(0, turns, 1 << level)
-        seen = np.stack(self._seen[0][:2])
-        least: Pixels = np.minimum.reduceat(seen, first, axis=1)
-        wide = (1 << level) + int((np.maximum.reduceat(seen, first, axis=1) - least).max())
+        cells = np.stack(self._seen[0][:2])
+        least: Pixels = np.minimum.reduceat(cells, first, axis=1)
+        wide = (1 << level) + int((np.maximum.reduceat(cells, first, axis=1) - least).max())
         pooled = (wide - 1).bit_length()
         if pooled >= len(self._field.levels):
             return False
@@ -240,12 +240,12 @@ class _Search:
 
     def _bounded(self, level: int, nodes: Nodes, bar: int) -> Steps[tuple[Nodes, Nodes]]:
         """Return the blocks that can reach the bar, and upper bounds of their scores; best first."""
-        bounds, seen = np.empty(len(nodes), np.int64), self._seen[level]
+        bounds, scan = np.empty(len(nodes), np.int64), self._seen[level]
 
         def part(first: int) -> None:
             share = slice(first, begin + self._room, self._threads)
-            pictures = self._field.levels[seen.pooled], self._field.standing[level]
-            _bound(*pictures, self._field.unknown, level, *seen, nodes[share], bar, bounds[share])
+            pictures = self._field.levels[scan.pooled], self._field.standing[level]
+            _bound(*pictures, self._field.unknown, level, *scan, nodes[share], bar, bounds[share])
 
         begin = 0
         while begin < len(nodes):

@@ -11,7 +11,7 @@ import numpy as np
 
 from slam.config.localization import LocalizationConfig
 from slam.estimates import MotionEstimate
-from slam.localization.poses import Measured, apart, as_place, mixed, same_place, squared_mahalanobis
+from slam.localization.poses import Measured, as_place, mixture, same_place, separation, squared_mahalanobis
 from slam.localization.sensor import Keyframe, N, Sensor, V
 from slam.measurements import FloatArray, Pose, composed, motion_between
 
@@ -51,11 +51,11 @@ class Hypothesis:
 
     def total(self, kidnap_nats: float) -> float:
         """Return the evidence of the path, or only of its end if the robot was kidnapped in between."""
-        whole = best = 0.0
+        total = best = 0.0
         for nats in reversed(self.evidence):
-            whole += nats
-            best = max(best, whole)
-        return self.prior + max(whole, best - kidnap_nats)
+            total += nats
+            best = max(best, total)
+        return self.prior + max(total, best - kidnap_nats)
 
 
 def correction(
@@ -77,15 +77,15 @@ class KeyframeLog(Generic[V, N]):
 
     def due(self, view: V, pose: Pose) -> bool:
         """Return whether a reading at ``T_odom_base`` should be weighted."""
-        return self._sensor.sees_anew(view, self.keyframes[-1].pose if self.keyframes else None, pose)
+        return self._sensor.sees_new(view, self.keyframes[-1].pose if self.keyframes else None, pose)
 
     def add(self, view: V, pose: Pose) -> int:
         """Add a reading at ``T_odom_base`` as a keyframe; return how many of the oldest were dropped."""
         travelled_m = 0.0
         if self.keyframes:
             newest = self.keyframes[-1]
-            travelled_m = newest.travelled_m + apart(newest.pose, pose)[0]
-        kept = [one for one in self.keyframes if travelled_m - one.travelled_m <= self._window_m]
+            travelled_m = newest.travelled_m + separation(newest.pose, pose)[0]
+        kept = [earlier for earlier in self.keyframes if travelled_m - earlier.travelled_m <= self._window_m]
         dropped = len(self.keyframes) - len(kept)
         self.keyframes = [*kept, Keyframe(pose, travelled_m, self._sensor.novel(view, pose, kept))]
         return dropped
@@ -101,7 +101,7 @@ class HypothesisSet(Generic[V, N]):
         self.members: list[Hypothesis] = []
         self._search: tuple[Iterator[Pose | None], Pose] | None = None
         self._search_at_m = 0.0
-        self._within: Measured | None = None
+        self._reachable: Measured | None = None
         self._led_nats = 0.0
 
     def clear(self) -> None:
@@ -128,7 +128,7 @@ class HypothesisSet(Generic[V, N]):
         bound
             Whether the robot must be there, within the covariance; otherwise any place is as likely.
         """
-        self._within = dead_reckoned if bound else None
+        self._reachable = dead_reckoned if bound else None
         last = self._log.keyframes[-1].pose if self._log.keyframes else None
         dropped = self._log.add(view, pose)
         newest, self._view = self._log.keyframes[-1], view
@@ -143,7 +143,7 @@ class HypothesisSet(Generic[V, N]):
             self._take_in(dead_reckoned.pose, self._config.nowhere_nats)
         if self._search is None and newest.travelled_m >= self._search_at_m:
             self._search_at_m = newest.travelled_m + self._sensor.search_every_m
-            self._search = iter(self._sensor.propose(view, self._log.keyframes, self._within)), pose
+            self._search = iter(self._sensor.propose(view, self._log.keyframes, self._reachable)), pose
         self.seek()
         self._prune()
 
@@ -157,10 +157,10 @@ class HypothesisSet(Generic[V, N]):
         if self._search is None:
             return
         search, searched_at = self._search
-        for found in search:
-            if found is None:
+        for proposal in search:
+            if proposal is None:
                 break
-            self._take_in(composed(found, motion_between(searched_at, self._log.keyframes[-1].pose)), 0.0)
+            self._take_in(composed(proposal, motion_between(searched_at, self._log.keyframes[-1].pose)), 0.0)
         else:
             self._search = None
             self._prune()
@@ -205,27 +205,27 @@ class HypothesisSet(Generic[V, N]):
         probabilities = self.probabilities()
         crowded = len(self.members) == self._config.hypotheses
         if (
-            self._within is None
+            self._reachable is None
             or self._search is not None
             or crowded
             or probabilities.sum() < self._config.confident_probability
         ):
             return None
         poses = [member.measured for member in self.members]
-        return mixed(self._within.pose, poses, probabilities / probabilities.sum())
+        return mixture(self._reachable.pose, poses, probabilities / probabilities.sum())
 
     def _total(self, member: Hypothesis) -> float:
         """Return the evidence for a hypothesis, with its distance to dead reckoning, limited by surprise."""
         nats = member.total(self._config.nowhere_nats)
-        if self._within is None:
+        if self._reachable is None:
             return nats
         return nats + self._config.nowhere_nats - 0.5 * self._squares(member.pose)
 
     def _squares(self, pose: Pose) -> float:
         """Return the squared Mahalanobis distance of a place from dead reckoning; 0 without it."""
-        if self._within is None:
+        if self._reachable is None:
             return 0.0
-        return squared_mahalanobis(self._within, as_place(pose))
+        return squared_mahalanobis(self._reachable, as_place(pose))
 
     def _settle(self, member: Hypothesis, predicted: Pose) -> None:
         """Align a hypothesis to the map near its predicted pose, and weight it by the new part."""

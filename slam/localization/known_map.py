@@ -31,7 +31,7 @@ def has_walls(known: MapContents) -> bool:
 
 
 class Walls:
-    """The walls of a map in the forms in which they are asked for, each made once.
+    """The walls of a map in several forms, each computed once when it is first needed.
 
     They are those that its keyframes have seen; of a map that is nothing but a grid, those that it draws.
 
@@ -75,10 +75,10 @@ class Walls:
         """A tile, of the keyframes near its middle: what is seen from there, as it was seen."""
         middle = (np.array([column, row]) + 0.5) * self._tile_m
         if self._drawn is not None:
-            near = np.abs(self._drawn.points - middle).max(axis=1, initial=0.0) <= 1.5 * self._tile_m
-            return LocalMap.build([self._drawn.only(near)], self._config.match)
-        near = np.hypot(*(self._poses[:, :2] - middle).T) <= _TILE_REACH_M
-        parts = [view.oriented.moved(self._poses[k]) for k, view in self._views.items() if near[k]]
+            in_tile = np.abs(self._drawn.points - middle).max(axis=1, initial=0.0) <= 1.5 * self._tile_m
+            return LocalMap.build([self._drawn.only(in_tile)], self._config.match)
+        in_tile = np.hypot(*(self._poses[:, :2] - middle).T) <= _TILE_REACH_M
+        parts = [view.oriented.moved(self._poses[k]) for k, view in self._views.items() if in_tile[k]]
         return LocalMap.build(parts or [OrientedPoints.none()], self._config.match)
 
     @cached_property
@@ -100,7 +100,7 @@ class Walls:
         return None if view is None else view.only(self._standing(view, self._poses[key])[1])
 
     def sampled(self, count: int) -> Iterator[tuple[Pose, ScanView]]:
-        """So many keyframes from all of its way, ``T_map_base`` and what each saw; all where it has fewer.
+        """Keyframes evenly from the whole path, ``T_map_base`` and the view of each; all if there are fewer.
 
         Of a map that is a grid alone, what would be seen from so many of its free places.
         """

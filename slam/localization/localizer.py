@@ -168,7 +168,7 @@ class Localizer:
             sensor = planar = PlanarSensor(walls, config)
             alike = partial(look_alikes, walls, planar, settings)
             if not known_map.node_poses and known_map.grid is not None:
-                # Where in its cells a drawn wall is, the drawing does not tell.
+                # The position of a drawn wall within its cells is unknown.
                 half_m = 0.5 * known_map.grid.resolution_m
                 sigma_m = max(settings.map_sigma_m, half_m)
                 settings = settings.model_copy(update={"map_sigma_m": sigma_m})

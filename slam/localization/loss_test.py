@@ -49,16 +49,16 @@ class LossTest:
         self._sound_s = math.nan
         self._stamp_s = math.nan
 
-    def add(self, stamp_s: float, evidence: float, anew: float = 1.0) -> None:
+    def add(self, stamp_s: float, evidence: float, new_share: float = 1.0) -> None:
         """Add the evidence of a reading for the pose, nats.
 
         Parameters
         ----------
-        anew
+        new_share
             Share of it that is new compared with the last reading: two readings from one place count once.
         """
         self._stamp_s, self._newest = stamp_s, evidence
-        told = min(max(anew * evidence, -_GREATEST_NATS), _GREATEST_NATS)
-        self._log_odds = min(self._bound, self._log_odds + told)
+        added = min(max(new_share * evidence, -_GREATEST_NATS), _GREATEST_NATS)
+        self._log_odds = min(self._bound, self._log_odds + added)
         if self._log_odds == self._bound or math.isnan(self._sound_s):
             self._sound_s = stamp_s

@@ -17,7 +17,7 @@ from slam.localization.loss_test import LossTest
 from slam.localization.output import LocalizerOutput, PoseHypothesis, RecoveredPose, State
 from slam.localization.pose_smoother import PoseSmoother
 from slam.localization.poses import SAME_M, Measured, after, diagonal, position_sigma_m, squared_mahalanobis
-from slam.localization.sensor import N, Observation, Sensor, V, anew, moved_on
+from slam.localization.sensor import N, Observation, Sensor, V, moved_on, new_share
 from slam.matching.match_covariance import OPEN_M
 from slam.measurements import Pose, composed, motion_between
 
@@ -45,7 +45,7 @@ class StateMachine(Generic[V, N]):
         start: Measured | None = None,
         alike: Callable[[], float] = float,
     ) -> None:
-        self._alike, self.copied = cache(alike), 0.0
+        self._look_alikes, self.copied = cache(alike), 0.0
         self._sensor, self._config, self._start = sensor, config, start
         self._hypotheses = HypothesisSet(sensor, config)
         self._loss = LossTest(config)
@@ -55,7 +55,7 @@ class StateMachine(Generic[V, N]):
         self._known: Measured | None = None
         self._unknown: list[tuple[float, Pose]] = []
         self._odometry_pose: Pose | None = None
-        self._helped_at: Pose | None = None
+        self._supported_at: Pose | None = None
 
     @property
     def tracked(self) -> Measured | None:
@@ -71,7 +71,7 @@ class StateMachine(Generic[V, N]):
         self._odometry_pose = observed.pose
         if observed.restarted:
             self._forget()
-            self._helped_at = None
+            self._supported_at = None
             self._contradicted = True
         predicted = None
         if self._known is not None:
@@ -92,16 +92,16 @@ class StateMachine(Generic[V, N]):
 
     def wants_help(self) -> bool:
         """Return whether the robot has moved since another sensor helped: only then is it new evidence."""
-        if self._odometry_pose is None or not moved_on(self._helped_at, self._odometry_pose, self._config):
+        if self._odometry_pose is None or not moved_on(self._supported_at, self._odometry_pose, self._config):
             return False
-        self._helped_at = self._odometry_pose
+        self._supported_at = self._odometry_pose
         return True
 
-    def confirm(self, seen: Measured) -> None:
+    def confirm(self, measured: Measured) -> None:
         """Use the tracked pose as another sensor measures it, if plausible: its map may differ."""
-        seen = self._in_map(seen)
-        if self.tracked is not None and self._smoother is not None and self._may_be(self.tracked, seen):
-            self._smoother.add_seen(seen)
+        measured = self._in_map(measured)
+        if self.tracked is not None and self._smoother is not None and self._may_be(self.tracked, measured):
+            self._smoother.add_seen(measured)
             self._known = self._smoother.newest
 
     def propose(self, pose: Pose) -> None:
@@ -119,7 +119,7 @@ class StateMachine(Generic[V, N]):
         pose = self._known.pose
         novel = self._sensor.novel(observed.view, motion_between(pose, pose), None)
         evidence = self._sensor.weigh(pose, novel, believed)
-        moved = 1.0 if observed.restarted else anew(observed.moved.pose, self._config)
+        moved = 1.0 if observed.restarted else new_share(observed.moved.pose, self._config)
         self._loss.add(observed.stamp_s, evidence, moved)
         if self._loss.lost:
             self._state, self._contradicted = State.LOST, True
@@ -132,9 +132,9 @@ class StateMachine(Generic[V, N]):
             return None
         return motion if self._may_be(predicted, _measured(motion)) else None
 
-    def _may_be(self, expected: Measured, found: Measured) -> bool:
+    def _may_be(self, expected: Measured, measured: Measured) -> bool:
         """Return whether a pose passes the gate."""
-        return squared_mahalanobis(expected, found) <= self._config.gate_sigmas**2
+        return squared_mahalanobis(expected, measured) <= self._config.gate_sigmas**2
 
     def _search(
         self, observed: Observation[V], predicted: Measured | None
@@ -164,21 +164,21 @@ class StateMachine(Generic[V, N]):
                 self._forget()
         winner = self._hypotheses.winner()
         if winner is not None and winner.motion is not None and winner.determined:
-            self.copied = self.copied if bound else self._alike()
+            self.copied = self.copied if bound else self._look_alikes()
             return winner.motion.inlier_share, self._found(_measured(winner.motion), observed.pose)
         together = self._hypotheses.together()
         if together is not None and position_sigma_m(together) <= SAME_M:
             return math.nan, self._found(together, observed.pose)
         return math.nan, ()
 
-    def _found(self, found: Measured, odometry_pose: Pose) -> Sequence[RecoveredPose]:
+    def _found(self, start: Measured, odometry_pose: Pose) -> Sequence[RecoveredPose]:
         """Start to track a pose that was found; the path up to here becomes known."""
         self._state, self._contradicted = State.TRACKING, False
-        self._smoother = PoseSmoother(found)
+        self._smoother = PoseSmoother(start)
         self._known = self._smoother.newest
         self._loss.reset(self._config.lost_nats)
         recovered = [
-            RecoveredPose(stamp_s, composed(found.pose, motion_between(odometry_pose, pose)))
+            RecoveredPose(stamp_s, composed(start.pose, motion_between(odometry_pose, pose)))
             for stamp_s, pose in self._unknown[:-1]
         ]
         self._forget()

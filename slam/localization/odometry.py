@@ -143,12 +143,12 @@ class ScanOdometry:
         self._unmatched += 1
         if self._wheels is None or last.wheels is None or tracked.wheels is None:
             return True
-        told = self._wheels.motion(last.wheels, tracked.wheels, elapsed_s) is not None
+        measured = self._wheels.motion(last.wheels, tracked.wheels, elapsed_s) is not None
         silent_s = max(self._silent_s, abs(self._stamp_s - self._wheels_s))
         # A path that the wheels did not measure is a guess, with its covariance.
         guessed = tracked.wheels.guessed_m > last.wheels.guessed_m
         gap = min(elapsed_s, silent_s) > _LONG_GAP_S and not guessed
-        return not told or gap or self._unmatched >= _LOST_READINGS
+        return not measured or gap or self._unmatched >= _LOST_READINGS
 
     def _fused(self, row: FloatArray, tracked: TrackedScan, expected: Measured, elapsed_s: float) -> Measured:
         """Fuse a match and the prediction to a step (3,) by covariance: wheels measure along a corridor.

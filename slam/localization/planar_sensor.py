@@ -83,7 +83,7 @@ class PlanarSensor:
         step = self._odometry.add(self._without_dynamic_points(view, known))
         return Observation(view.stamp_s, view, step.pose, step.moved, step.moved is None)
 
-    def sees_anew(self, view: ScanView, before: Pose | None, pose: Pose) -> bool:
+    def sees_new(self, view: ScanView, before: Pose | None, pose: Pose) -> bool:
         """See `Sensor`."""
         return moved_on(before, pose, self._settings)
 
@@ -93,13 +93,13 @@ class PlanarSensor:
         """See `Sensor`."""
         points = transform_points(view.oriented.points, row_from_pose2(pose))
         first, cells = first_in_cells(points, self._settings.novel_cell_m)
-        seen: frozenset[int] = frozenset().union(*(one.novel.keys for one in before or ()))
+        old_keys: frozenset[int] = frozenset().union(*(earlier.novel.keys for earlier in before or ()))
         # A cell beside a known one may be the same surface with a small error.
-        beside = (cells[:, None, :] + _AROUND).reshape(-1, 2)
-        known = np.array([key in seen for key in cell_keys(beside).tolist()], np.bool_)
+        around = (cells[:, None, :] + _AROUND).reshape(-1, 2)
+        known = np.array([key in old_keys for key in cell_keys(around).tolist()], np.bool_)
         new = ~known.reshape(-1, len(_AROUND)).any(axis=1)
         return NovelSurfaces(
-            view.oriented.only(first[new]), view.laser, frozenset(cell_keys(cells).tolist()) - seen
+            view.oriented.only(first[new]), view.laser, frozenset(cell_keys(cells).tolist()) - old_keys
         )
 
     def align(self, view: ScanView, guess: Pose) -> MotionEstimate | None:
@@ -135,16 +135,16 @@ class PlanarSensor:
         if self._searches % 2:
             points += [
                 transform_points(
-                    one.novel.points.points, row_from_pose2(motion_between(newest.pose, one.pose))
+                    keyframe.novel.points.points, row_from_pose2(motion_between(newest.pose, keyframe.pose))
                 )
-                for one in keyframes[:-1]
-                if newest.travelled_m - one.travelled_m < settings.window_m / 3.0
+                for keyframe in keyframes[:-1]
+                if newest.travelled_m - keyframe.travelled_m < settings.window_m / 3.0
             ]
-        seen = np.concatenate(points)
-        seen = seen[first_in_cells(seen, settings.novel_cell_m)[0]]
+        merged = np.concatenate(points)
+        merged = merged[first_in_cells(merged, settings.novel_cell_m)[0]]
         window = None if within is None else Window.of(within, settings.gate_sigmas)
-        found = yield from search_map(self._field, seen, settings, settings.hypotheses, window)
-        yield from (pose2_from_row(place.pose) for place in found)
+        places = yield from search_map(self._field, merged, settings, settings.hypotheses, window)
+        yield from (pose2_from_row(place.pose) for place in places)
 
     def _without_dynamic_points(self, view: ScanView, known: Pose | None) -> ScanView:
         """Return a scan without points in known free space (people), if the pose is tracked.

@@ -49,13 +49,13 @@ class SidedPlanes:
 
     def __init__(self, planes: PlaneVoxels, lidars: FloatArray, clouds: Sequence[FloatArray]) -> None:
         self._planes = planes
-        seen = np.zeros((2, len(planes)), np.int64)
+        counts = np.zeros((2, len(planes)), np.int64)
         for lidar, cloud in zip(lidars, clouds, strict=True):
             pairs = planes.pairs(cloud)
             ahead = np.einsum("ij,ij->i", lidar - cloud[pairs.found], pairs.normals) > 0.0
             for side in (0, 1):
-                seen[side] += np.bincount(pairs.planes[ahead == side], minlength=len(planes))
-        self._seen = seen >= LEAST_SEEN
+                counts[side] += np.bincount(pairs.planes[ahead == side], minlength=len(planes))
+        self._is_seen = counts >= LEAST_SEEN
 
     def judge(self, lidar: FloatArray, points: FloatArray, reach_m: float) -> OnPlanes:
         """See `OnPlanes`; for points (N, 3) seen from a lidar (3,), map frame.
@@ -69,9 +69,9 @@ class SidedPlanes:
         placed = points[pairs.found]
         off_m = np.abs(np.einsum("ij,ij->i", placed - pairs.centers, pairs.normals))
         ahead = (np.einsum("ij,ij->i", lidar - placed, pairs.normals) > 0.0).astype(np.int64)
-        facing = self._seen[ahead, pairs.planes]
-        found = OnPlanes(*np.zeros((3, len(points)), np.bool_))
-        found.on[pairs.found] = (off_m <= reach_m) & facing
-        found.upright[pairs.found] = (off_m <= reach_m) & facing & (np.abs(pairs.normals[:, 2]) < _LEVEL)
-        found.strange[pairs.found] = ~facing
-        return found
+        facing = self._is_seen[ahead, pairs.planes]
+        judged = OnPlanes(*np.zeros((3, len(points)), np.bool_))
+        judged.on[pairs.found] = (off_m <= reach_m) & facing
+        judged.upright[pairs.found] = (off_m <= reach_m) & facing & (np.abs(pairs.normals[:, 2]) < _LEVEL)
+        judged.strange[pairs.found] = ~facing
+        return judged

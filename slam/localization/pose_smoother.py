@@ -42,15 +42,15 @@ class PoseSmoother:
         """Return the probability that the newest position is right, by its standard deviation (Rayleigh)."""
         return 1.0 - math.exp(-0.5 * (SAME_M / self.sigma_m) ** 2)
 
-    def add(self, step: Measured, seen: Sequence[Measured]) -> None:
+    def add(self, step: Measured, measured: Sequence[Measured]) -> None:
         """Add a step, and the measured pose in the map after it."""
         before, self._newest = self._newest, self._newest + 1
-        factors = [_between(before, self._newest, step), *(self._seen(measured) for measured in seen)]
+        factors = [_between(before, self._newest, step), *(self._seen(pose) for pose in measured)]
         self.newest = self._update(factors, composed(self.newest.pose, step.pose))
 
-    def add_seen(self, seen: Measured) -> None:
+    def add_seen(self, measured: Measured) -> None:
         """Add a measurement of the newest pose."""
-        self.newest = self._update([self._seen(seen)], None)
+        self.newest = self._update([self._seen(measured)], None)
 
     def _seen(self, measured: Measured) -> gtsam.NonlinearFactor:
         """Return a factor on the newest pose."""

@@ -29,7 +29,7 @@ def after(known: Measured, step: Measured) -> Measured:
     return Measured(composed(known.pose, step.pose), covariance)
 
 
-def apart(one: Pose, other: Pose) -> tuple[float, float]:
+def separation(one: Pose, other: Pose) -> tuple[float, float]:
     """Return metres and radians between two poses."""
     step = motion_between(one, other)
     if isinstance(step, gtsam.Pose2):
@@ -45,20 +45,20 @@ def position_sigma_m(known: Measured) -> float:
     return math.sqrt(float(np.linalg.eigvalsh(position)[-1]))
 
 
-def mixed(near: Pose, poses: Sequence[Measured], weights: FloatArray) -> Measured:
+def mixture(origin: Pose, poses: Sequence[Measured], weights: FloatArray) -> Measured:
     """Return mean and covariance of near poses of which one is true, with probabilities (n,)."""
-    apart_ = np.array([logarithm(motion_between(near, one.pose)) for one in poses])
+    apart_ = np.array([logarithm(motion_between(origin, item.pose)) for item in poses])
     mean = weights @ apart_
     scatter = (weights[:, None] * (apart_ - mean)).T @ (apart_ - mean)
-    covariance = scatter + np.tensordot(weights, [one.covariance for one in poses], 1)
-    planar = isinstance(near, gtsam.Pose2)
+    covariance = scatter + np.tensordot(weights, [item.covariance for item in poses], 1)
+    planar = isinstance(origin, gtsam.Pose2)
     step = gtsam.Pose2.Expmap(mean) if planar else gtsam.Pose3.Expmap(mean)
-    return Measured(composed(near, step), covariance)
+    return Measured(composed(origin, step), covariance)
 
 
 def same_place(one: Pose, other: Pose) -> bool:
     """Return whether two poses are the same place."""
-    apart_m, turned_rad = apart(one, other)
+    apart_m, turned_rad = separation(one, other)
     return apart_m < SAME_M and turned_rad < SAME_RAD
 
 
@@ -67,10 +67,10 @@ def as_place(pose: Pose) -> Measured:
     return Measured(pose, diagonal(pose, SAME_M / 3.0, SAME_RAD / 3.0))
 
 
-def squared_mahalanobis(expected: Measured, found: Measured) -> float:
+def squared_mahalanobis(expected: Measured, measured: Measured) -> float:
     """Return the squared Mahalanobis distance of a measured and an expected pose, by both covariances."""
-    offset = logarithm(motion_between(expected.pose, found.pose))
-    return float(offset @ np.linalg.solve(expected.covariance + found.covariance, offset))
+    offset = logarithm(motion_between(expected.pose, measured.pose))
+    return float(offset @ np.linalg.solve(expected.covariance + measured.covariance, offset))
 
 
 def diagonal(like: Pose, sigma_m: float, sigma_rad: float) -> FloatArray:

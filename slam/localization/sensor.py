@@ -8,7 +8,7 @@ from typing import Any, Generic, Protocol, TypeVar
 
 from slam.config.localization import LocalizationConfig
 from slam.estimates import MotionEstimate
-from slam.localization.poses import Measured, apart
+from slam.localization.poses import Measured, separation
 from slam.measurements import Pose, composed, motion_between
 
 V = TypeVar("V")
@@ -61,12 +61,12 @@ class Keyframe(Generic[N]):
 
 def moved_on(before: Pose | None, pose: Pose, config: LocalizationConfig) -> bool:
     """Return whether ``T_odom_base`` is far enough from an earlier one to see something new."""
-    return before is None or anew(motion_between(before, pose), config) >= 1.0
+    return before is None or new_share(motion_between(before, pose), config) >= 1.0
 
 
-def anew(step: Pose, config: LocalizationConfig) -> float:
+def new_share(step: Pose, config: LocalizationConfig) -> float:
     """Return the share of a reading that is new after a motion: all after that between two keyframes."""
-    apart_m, turned_rad = apart(composed(step, step.inverse()), step)
+    apart_m, turned_rad = separation(composed(step, step.inverse()), step)
     return min(max(apart_m / config.keyframe_m, turned_rad / config.keyframe_rad), 1.0)
 
 
@@ -97,7 +97,7 @@ class Sensor(Protocol[V, N]):
         """
         ...
 
-    def sees_anew(self, view: V, before: Pose | None, pose: Pose) -> bool:
+    def sees_new(self, view: V, before: Pose | None, pose: Pose) -> bool:
         """Return whether a reading at ``T_odom_base`` should be a keyframe after one at an earlier pose."""
         ...
 

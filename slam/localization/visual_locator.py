@@ -46,7 +46,7 @@ class VisualLocator:
         self._T_base_camera: gtsam.Pose3 | None = None
         first = known.frames.head(0)
         self._sensor, learned = first.sensor, known.cameras.get(first.sensor, LearnedCamera())
-        # Where the log does not tell the mounting, the map does.
+        # If the log does not contain the mounting, that of the map is used.
         none = T_BODY_CAMERA if known.planar else gtsam.Pose3()
         self._mapped_mounting = learned.T_base_camera or first.T_base_camera or none
         self._prepare = FramePreparer(
@@ -74,12 +74,12 @@ class VisualLocator:
 
     def anywhere(self, frame: PreparedFrame) -> list[MotionEstimate]:
         """Return all places that the frame may show, without a guess: ``T_map_base`` of each, verified."""
-        found = []
-        alike = self._index.query(frame.features.descriptors, len(self._index), self._loops.by_appearance)
-        for place in alike:
+        motions = []
+        similar = self._index.query(frame.features.descriptors, len(self._index), self._loops.by_appearance)
+        for place in similar:
             match = self._matcher.match_anywhere(frame, [self._keyframe(place.key)])
-            found.append(self._believed(match))
-        return [motion for motion in found if motion is not None]
+            motions.append(self._believed(match))
+        return [motion for motion in motions if motion is not None]
 
     def near(self, frame: PreparedFrame, guess: Pose) -> MotionEstimate | None:
         """Find ``T_map_base`` from a guess; return None if no keyframe sees the same, or it does not fit."""
@@ -120,13 +120,13 @@ class VisualLocator:
 
     def _alike(self, depth_m: float, guess: gtsam.Pose3) -> list[int]:
         """Return keyframes whose cameras see most of what a camera at the guess sees, best first."""
-        far = np.linalg.norm(self._positions - guess.translation(), axis=1) / depth_m
+        distance = np.linalg.norm(self._positions - guess.translation(), axis=1) / depth_m
         facing = self._axes @ guess.rotation().matrix()[:, 2]
         limit = self._images.near_dissimilarity
-        possible = np.flatnonzero((far < limit) & (facing > 0.5)).tolist()
+        possible = np.flatnonzero((distance < limit) & (facing > 0.5)).tolist()
         scores = {key: dissimilarity(self._poses[key], guess, depth_m) for key in possible}
-        near = sorted((key for key in possible if scores[key] < limit), key=lambda key: scores[key])
-        return near[: self._views]
+        best = sorted((key for key in possible if scores[key] < limit), key=lambda key: scores[key])
+        return best[: self._views]
 
     def _keyframe(self, key: int) -> VisualKeyframe:
         """Return a keyframe with its images, at its pose in the map."""

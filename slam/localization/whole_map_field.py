@@ -37,7 +37,7 @@ class WholeMapField(NamedTuple):
         (rows, columns) each; pixel (r + w - 1, c + w - 1) of level k is the maximum of level 0 over rows
         r..r+w-1 and columns c..c+w-1, w = 2^k; beyond the map is ``unknown``. 255 is likelihood 1.
     standing
-        For each level where a robot may stand; pixel (r, c) of level k tells of the rows r w..r w + w - 1 and
+        For each level where a robot may stand; pixel (r, c) of level k covers rows r w..r w + w - 1 and
         columns c w..c w + w - 1.
     unknown
         Value beyond the map.

@@ -85,26 +85,26 @@ def anchor(
     The new result and the pose of the map; the previous result and None if the positions do not determine it.
     """
     edges, kept = graph.graph.edges, outcome.kept
-    held = [edge for edge, keep in zip(edges, kept, strict=True) if keep]
-    found = anchored(graph.poses(), held, anchors, kind)
-    if found is None:
+    inliers = [edge for edge, keep in zip(edges, kept, strict=True) if keep]
+    solution = anchored(graph.poses(), inliers, anchors, kind)
+    if solution is None:
         return outcome, None
-    if found.misfits > _WRONG_SHARE:
+    if solution.misfits > _WRONG_SHARE:
         # A false loop outweighs any position. If far more fit without loops, loops start rejected.
-        chain = [edge for edge in held if edge.loop is None]
+        chain = [edge for edge in inliers if edge.loop is None]
         other = anchored(graph.poses(), chain, anchors, kind)
-        if other is not None and other.misfits < 0.5 * found.misfits:
-            found, kept = other, kept & np.array([edge.loop is None for edge in edges])
-    for edge in found.edges:
+        if other is not None and other.misfits < 0.5 * solution.misfits:
+            solution, kept = other, kept & np.array([edge.loop is None for edge in edges])
+    for edge in solution.edges:
         graph.graph.add_edge(edge)
-    graph.graph.begin_with([*kept, *[True] * len(found.edges)])
-    return graph.optimize(inlier_probability), found
+    graph.graph.begin_with([*kept, *[True] * len(solution.edges)])
+    return graph.optimize(inlier_probability), solution
 
 
-def _pose_at(ways: Trajectory, stamp_s: float) -> gtsam.Pose3 | None:
+def _pose_at(path: Trajectory, stamp_s: float) -> gtsam.Pose3 | None:
     """Interpolate between two poses of a trajectory sorted by time; None if unknown."""
-    after = int(np.searchsorted(ways.stamps_s, stamp_s))
-    pair = ways[max(after - 1, 0) : after + 1]
+    after = int(np.searchsorted(path.stamps_s, stamp_s))
+    pair = path[max(after - 1, 0) : after + 1]
     ends = pair.poses()
     if np.abs(pair.stamps_s - stamp_s).min() > GAP_S:
         return None

@@ -136,8 +136,8 @@ class CameraKeyframes:
         for n, edge in enumerate(graph.graph.edges):
             measured = self._measured.get((edge.source, edge.target))
             if edge.loop is not None and measured is not None:
-                told = replace(graph.loops[edge.loop], motion=self._of_nodes(measured).motion)
-                graph.loops[edge.loop], graph.graph.edges[n] = told, told.edge(edge.loop)
+                moved = replace(graph.loops[edge.loop], motion=self._of_nodes(measured).motion)
+                graph.loops[edge.loop], graph.graph.edges[n] = moved, moved.edge(edge.loop)
 
     def _place_anew(self) -> None:
         """Recompute the poses of frames; a frame with an unknown pose keeps its old one."""

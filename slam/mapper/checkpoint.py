@@ -42,7 +42,7 @@ class Checkpoint:
     def __init__(self, file: MapFile | None = None) -> None:
         # Called after each computed result, as a sign of life.
         self.on_answer: Callable[[], None] = lambda: None
-        # Source of results that another process may have computed already, as `telling` sends them.
+        # Source of results that another process may have computed already, as `sending` sends them.
         self.ahead: Callable[[], bytes | None] | None = None
         self._file = file
         self._count = 0
@@ -95,14 +95,14 @@ class Checkpoint:
             self._file.commit_if_due()
         self.on_answer()
 
-    def telling(self, tell: Callable[[bytes], None]) -> Checkpoint:
+    def sending(self, send: Callable[[bytes], None]) -> Checkpoint:
         """Create one that sends its results to another run of the same log, and stores nothing."""
-        return _Telling(self._file, tell)
+        return _Sending(self._file, send)
 
     def findings(self, compute: Callable[[], list[Finding]]) -> list[Finding]:
         """Return the findings about the sensors: the first query of a run."""
-        found: list[str] = self.cached(_FINDINGS, 0.0, lambda: _texts(compute()))
-        return [Finding.from_plain(json.loads(row)) for row in found]
+        texts: list[str] = self.cached(_FINDINGS, 0.0, lambda: _texts(compute()))
+        return [Finding.from_plain(json.loads(row)) for row in texts]
 
     def registrations(
         self, compute: Callable[[], dict[str, ColorRegistration]]
@@ -130,7 +130,7 @@ class Checkpoint:
             self._file.clear(table)
         self._remember(pack((_FINDINGS, 0.0, _texts(findings))))
         self._remember(pack((_REGISTRATIONS, 0.0, list(registrations.items()))))
-        rows = [(name, found.T_base_camera, found.note) for name, found in mountings.items()]
+        rows = [(name, mounting.T_base_camera, mounting.note) for name, mounting in mountings.items()]
         self._remember(pack((_MOUNTINGS, 0.0, rows)))
         self._file.commit()
 
@@ -186,25 +186,25 @@ class Checkpoint:
             content = cast(bytes, file.row(CHECKPOINT, number)[1])
             at = 0
             while at < len(content):
-                with file.blaming(CHECKPOINT, number):
+                with file.naming_row(CHECKPOINT, number):
                     (length,) = _LENGTH.unpack_from(content, at)
                     question, key, answer = unpack(content[at + 4 : at + 4 + length])
                 at += 4 + length
                 yield question, key, answer
 
 
-class _Telling(Checkpoint):
-    """See `Checkpoint.telling`."""
+class _Sending(Checkpoint):
+    """See `Checkpoint.sending`."""
 
-    def __init__(self, file: MapFile | None, tell: Callable[[bytes], None]) -> None:
+    def __init__(self, file: MapFile | None, send: Callable[[bytes], None]) -> None:
         super().__init__()
-        self._file, self._tell = file, tell
+        self._file, self._send = file, send
 
     def cached(self, question: str, key: float, compute: Callable[[], T]) -> T:
         """Compute the result, and send it."""
         answer = compute()
         if question in _FORETOLD:
-            self._tell(pack((question, float(key), answer)))
+            self._send(pack((question, float(key), answer)))
         return answer
 
 

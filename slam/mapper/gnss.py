@@ -37,7 +37,7 @@ class GnssAnchors:
         self.georeference: Georeference | None = None
         self.unused = ""
         self._fixes: list[GnssFix] = []
-        self._told = ""
+        self._note = ""
 
     def __len__(self) -> int:
         return len(self._fixes)
@@ -54,7 +54,7 @@ class GnssAnchors:
 
     def notes(self) -> list[str]:
         """Return notes for the user."""
-        return [self._told] if self._told else []
+        return [self._note] if self._note else []
 
     def anchor(
         self, graph: KeyframeGraph, track: Track, outcome: BatchResult, inlier_probability: float
@@ -71,12 +71,12 @@ class GnssAnchors:
         if len(anchors) < FEWEST:
             self.unused = f"only {len(anchors)} keyframes have a fix"
             return outcome
-        outcome, found = anchor(graph, anchors, outcome, inlier_probability, EdgeKind.GNSS)
-        if found is None:
+        outcome, solution = anchor(graph, anchors, outcome, inlier_probability, EdgeKind.GNSS)
+        if solution is None:
             self.unused = "the trajectory is not longer than the uncertainty of its fixes"
             return outcome
-        self.georeference = Georeference(plane, found.T_enu_map)
-        self._tell(found, graph, anchors, outcome)
+        self.georeference = Georeference(plane, solution.T_enu_map)
+        self._add_notes(solution, graph, anchors, outcome)
         return outcome
 
     def _anchors(self, track: Track, plane: TangentPlane) -> list[Anchor]:
@@ -108,8 +108,8 @@ class GnssAnchors:
             replace(one, together=float(count)) for one, count in zip(anchors, together.tolist(), strict=True)
         ]
 
-    def _tell(
-        self, found: Anchored, graph: KeyframeGraph, anchors: Sequence[Anchor], outcome: BatchResult
+    def _add_notes(
+        self, fit: Anchored, graph: KeyframeGraph, anchors: Sequence[Anchor], outcome: BatchResult
     ) -> None:
         """Write a line about how well the fixes fit."""
         assert self.georeference is not None
@@ -121,15 +121,15 @@ class GnssAnchors:
         poses = graph.poses()
         off_m = [
             np.linalg.norm(
-                (found.T_enu_map.compose(spatial(poses[one.node])).transformFrom(one.arm_m) - one.place_m)[:2]
+                (fit.T_enu_map.compose(spatial(poses[one.node])).transformFrom(one.arm_m) - one.place_m)[:2]
             )
             for one in anchors
             if one.node in used
         ]
-        larger = f", errors {found.scale:.1f} times their stated sigma" if found.scale > 1.0 else ""
+        larger = f", errors {fit.scale:.1f} times their stated sigma" if fit.scale > 1.0 else ""
         rms = f"; those used are {np.sqrt(np.mean(np.square(off_m))):.2f} m off (RMS)" if off_m else ""
         all_ = sum(one.node > 0 for one in anchors)
-        self._told = (
+        self._note = (
             f"GNSS: {len(used)} of {all_} keyframes with a fix georeference the map{larger}{rms}; its x "
             f"axis points {self.georeference.heading_deg:.1f} degrees east of north"
         )

@@ -29,16 +29,16 @@ _LOOK_S = 2.5
 def after_readings(log: Iterable[Measurement]) -> Iterator[Measurement]:
     """Yield a log in its order, with readings before the clouds of their time, however late they arrive."""
     waiting, newest_s = deque[tuple[float, Measurement]](), -math.inf
-    for one in log:
-        if isinstance(one, ImuReading):
-            newest_s = max(newest_s, one.stamp_s)
-            yield one
+    for item in log:
+        if isinstance(item, ImuReading):
+            newest_s = max(newest_s, item.stamp_s)
+            yield item
         else:
-            times_s = one.times_s if isinstance(one, PointCloud) else None
-            waiting.append((one.stamp_s if times_s is None else one.stamp_s + float(times_s.max()), one))
-        while waiting and (waiting[0][0] <= newest_s or one.stamp_s - waiting[0][0] > LONGEST_STEP_S):
+            times_s = item.times_s if isinstance(item, PointCloud) else None
+            waiting.append((item.stamp_s if times_s is None else item.stamp_s + float(times_s.max()), item))
+        while waiting and (waiting[0][0] <= newest_s or item.stamp_s - waiting[0][0] > LONGEST_STEP_S):
             yield waiting.popleft()[1]
-    yield from (one for _, one in waiting)
+    yield from (item for _, item in waiting)
 
 
 def start_of(log: Iterable[Measurement], config: Config) -> ImuStart | None:
@@ -65,21 +65,21 @@ def first_twist(log: Iterable[Measurement], config: Config) -> FloatArray | None
     Otherwise the first cloud is deskewed as if the robot stood still, and all later poses differ from the
     first by the error of its match.
     """
-    clouds = list(islice((one for one in log if isinstance(one, PointCloud)), 3))
-    clouds = [at_middle_of_turn(one, config.cloud_odometry) for one in clouds]
-    stamps_s, twist = np.array([one.stamp_s for one in clouds]), None
-    if len(clouds) < 3 or not all(deskewed(one, config.cloud_odometry) for one in clouds):
+    clouds = list(islice((item for item in log if isinstance(item, PointCloud)), 3))
+    clouds = [at_middle_of_turn(item, config.cloud_odometry) for item in clouds]
+    stamps_s, twist = np.array([item.stamp_s for item in clouds]), None
+    if len(clouds) < 3 or not all(deskewed(item, config.cloud_odometry) for item in clouds):
         return None
     if not all(0.0 < step_s < LONGEST_STEP_S for step_s in np.diff(stamps_s)):
         return None
     for _ in clouds:
         tracker = CloudTracker(config, None, twist=twist)
-        tracked = [tracker.follow(one) for one in clouds]
-        matches = [one.motion for one in tracked[1:]]
-        if not all(one and one.converged and not one.degenerate for one in matches):
+        tracked = [tracker.follow(item) for item in clouds]
+        matches = [item.motion for item in tracked[1:]]
+        if not all(item and item.converged and not item.degenerate for item in matches):
             return None
-        ways = np.array([gtsam.Pose3.Logmap(a.pose.between(b.pose)) for a, b in pairwise(tracked)])
-        first, second = ways / np.diff(stamps_s)[:, None]
+        motions = np.array([gtsam.Pose3.Logmap(a.pose.between(b.pose)) for a, b in pairwise(tracked)])
+        first, second = motions / np.diff(stamps_s)[:, None]
         # Half a step before the middle of the first step, by constant acceleration.
         twist = first + (first - second) * (stamps_s[1] - stamps_s[0]) / (stamps_s[2] - stamps_s[0])
     return twist

@@ -63,20 +63,20 @@ class _DepthSpool:
     """Depth images of keyframes, stored on disk."""
 
     def __init__(self) -> None:
-        self._packed, self._told = Spool(), list[tuple[float, CameraIntrinsics]]()
+        self._packed, self._heads = Spool(), list[tuple[float, CameraIntrinsics]]()
 
     def __len__(self) -> int:
-        return len(self._told)
+        return len(self._heads)
 
     def add(self, frame: RgbdFrame) -> None:
         """Store the next image."""
         steps_per_m = depth_steps_per_m(frame)
         self._packed.append(packed_depth(frame.depth_m, steps_per_m))
-        self._told.append((steps_per_m, frame.intrinsics))
+        self._heads.append((steps_per_m, frame.intrinsics))
 
     def depth(self, index: int, T_level_camera: FloatArray) -> fusion.DepthImage:
         """Return an image in the form that fusion takes."""
-        steps_per_m, camera = self._told[index]
+        steps_per_m, camera = self._heads[index]
         depth_m = unpacked_depth(self._packed[index], steps_per_m, camera)
         return fusion.DepthImage(depth_m, camera, T_level_camera)
 
@@ -94,16 +94,16 @@ class KeyframeFusion:
 
     def add(self, key: int, scan: LaserScan, pictures: Sequence[Picture]) -> None:
         """Store the scan of a keyframe with the newest image of every camera."""
-        near = [p for p in pictures if abs(p.frame.stamp_s - scan.stamp_s) <= self._config.tolerance_s]
-        if not near or len(near) < self._cameras:
+        in_time = [p for p in pictures if abs(p.frame.stamp_s - scan.stamp_s) <= self._config.tolerance_s]
+        if not in_time or len(in_time) < self._cameras:
             return  # a pair is compared by all cameras or not at all
-        if len(near) > self._cameras:
+        if len(in_time) > self._cameras:
             # Another camera has started: pairs of fewer cameras belong to another rig.
-            self._cameras, self._rig = len(near), fusion.Rig()
+            self._cameras, self._rig = len(in_time), fusion.Rig()
             self._pairs.clear()
             self._views.clear()
-        frames = [picture.frame.frame for picture in near]
-        turns = tuple(picture.T_base_camera.rotation().matrix() for picture in near)
+        frames = [picture.frame.frame for picture in in_time]
+        turns = tuple(picture.T_base_camera.rotation().matrix() for picture in in_time)
         try:
             pair = fusion.register(_curve(scan), _depths(frames, turns))
         except ValueError:
@@ -128,14 +128,14 @@ class KeyframeFusion:
         views = list(self._views.items())
         half = len(views) // 2
 
-        def found(first: int, end: int) -> list[tuple[NDArray[np.int64] | None, Float32Array | None, str]]:
+        def repairs(first: int, end: int) -> list[tuple[NDArray[np.int64] | None, Float32Array | None, str]]:
             return [self._repaired(scans[key], *view, estimate) for key, view in views[first:end]]
 
-        rest = Begun(lambda: found(half, len(views)))
+        rest = Begun(lambda: repairs(half, len(views)))
         repaired = list(scans)
         pairs: list[FusionPair] = []
-        for (key, _), pair, one in zip(views, self._pairs, found(0, half) + rest(), strict=True):
-            counts, ranges_m, fault = one
+        for (key, _), pair, result in zip(views, self._pairs, repairs(0, half) + rest(), strict=True):
+            counts, ranges_m, fault = result
             scan = scans[key]
             if scan is None:
                 continue

@@ -69,11 +69,11 @@ class PlanarRobot(FrontEnd):
         self._newest: Moment | None = None
         self._step: Step | None = None
         self._keyframe_scans: list[LaserScan | None] = []
-        self._kept = ArraySpool()
+        self._spool = ArraySpool()
         self._travelled_m = 0.0
         self._fused: FusionSummary | None = None
         # Poses (K, 3) of keyframes that may be final, and the process that draws the grids from them.
-        self._drawn: tuple[FloatArray, Begun | None] = np.zeros((0, 3)), None
+        self._grid_task: tuple[FloatArray, Begun | None] = np.zeros((0, 3)), None
 
     def observe(self, measurement: Any) -> Tracked | None:
         """Process the next measurement; return the tracked pose, if it gives one."""
@@ -93,19 +93,19 @@ class PlanarRobot(FrontEnd):
 
     def step(self, key: int) -> tuple[Pose, Sequence[Edge]]:
         """Return the motion from the last keyframe to the newest pose, and its edges."""
-        found = self._step = self._steps.step(key)
-        self._travelled_m += float(np.hypot(found.step[0], found.step[1]))
-        return pose2_from_row(found.step), found.edges
+        step_done = self._step = self._steps.step(key)
+        self._travelled_m += float(np.hypot(step_done.step[0], step_done.step[1]))
+        return pose2_from_row(step_done.step), step_done.edges
 
     def recognise(self, key: int, graph: KeyframeGraph) -> list[LoopCandidate]:
         """Store a keyframe, and try to close loops with places it may have returned to."""
-        moment, found = self._newest, self._step
-        assert moment is not None and found is not None
-        surface = OrientedPoints(*map(self._kept.keep, (found.surface.points, found.surface.normals)))
+        moment, step = self._newest, self._step
+        assert moment is not None and step is not None
+        surface = OrientedPoints(*map(self._spool.keep, (step.surface.points, step.surface.normals)))
         # The points seen are the first part of the surface: stored once.
-        seen = surface.only(slice(found.seen))
+        visible = surface.only(slice(step.seen))
         unmeasured = moment.motion is None
-        self._closer.submaps.add(seen, moment.pose, self._travelled_m, surface, begun=unmeasured)
+        self._closer.submaps.add(visible, moment.pose, self._travelled_m, surface, begun=unmeasured)
         self._keyframe_scans.append(moment.scan)
         self._moving.keep(moment.scan)
         if self._fusion is not None and moment.scan is not None:
@@ -131,31 +131,31 @@ class PlanarRobot(FrontEnd):
         rows, grid = graph.rows(), self._config.grid
         # The grids of a large map would take as much memory as everything else at that time.
         small = 64 * np.ptp(rows[:, :2], axis=0).prod() < grid.greatest_cells * grid.resolution_m**2
-        if small and not len(self._drawn[0]) and not self._cameras.cameras:
+        if small and not len(self._grid_task[0]) and not self._cameras.cameras:
             poses, scans = np.array([row_of(pose) for pose in graph.poses()]), self._keyframe_scans
-            self._drawn = poses, Begun(lambda: lidar_grids(self._still, poses, self._config, scans))
+            self._grid_task = poses, Begun(lambda: lidar_grids(self._still, poses, self._config, scans))
         stamps_s = self.readings.scan_stamps_s()[self.readings.keyframe_scans()]
-        found = self._places.search(rows, stamps_s, graph.graph.edges, kept, graph.loops)
-        if found:
-            self._drawn = self._drawn[0], None
+        loops = self._places.search(rows, stamps_s, graph.graph.edges, kept, graph.loops)
+        if loops:
+            self._grid_task = self._grid_task[0], None
         else:
-            del self._places, self._closer, self._kept  # it was the last search: their data are large
+            del self._places, self._closer, self._spool  # it was the last search: their data are large
             end_stage()
-        return found
+        return loops
 
     def complete(self, result: MapResult) -> None:
         """Add the repaired scans, and the grids drawn from scans and images."""
         started = time.perf_counter()
         result.notes += [*registration_notes(self._registrations), *self._cameras.notes()]
-        self._odometry.tell(result)
+        self._odometry.add_notes(result)
         scans, result.fused = self._still, self._fused
         result.notes += [] if result.fused is None else [result.fused.note]
         result.stage_seconds["fusion"] = time.perf_counter() - started
         result.add_cameras(self._cameras.records(self._registrations), self._pictures.frames)
         result.map = replace(result.map, measured_scans=self._keyframe_scans, keyframe_scans=scans)
-        poses, grids = self._drawn
+        poses, grids = self._grid_task
         result.draw(self._config, grids if np.array_equal(poses, result.map.keyframe_poses) else None)
-        del self._drawn
+        del self._grid_task
         result.warnings += self._cameras.warnings()
         result.unused |= dict.fromkeys(
             self._cameras.unplaced(), "its mounting on the robot is unknown; it only repaired scans"

@@ -196,12 +196,12 @@ class CloudLidar(FrontEnd):
         result.warnings += [*self._doubts(), *self._cameras.warnings()]
         result.notes += self._cameras.notes()
         if self._imu is not None:
-            result.add_told(*self._imu.told())
+            result.add_imu_notes(*self._imu.outcome())
         result.unused |= self._cameras.unused()
 
     def _track(self, cloud: PointCloud) -> Tracked:
         """Find the pose of a cloud."""
-        told_s = cloud.stamp_s
+        reported_s = cloud.stamp_s
         cloud = at_middle_of_turn(cloud, self._config.cloud_odometry)
         tracked = self._tracker.track(cloud)
         self._newest, self._stamp_s = tracked, cloud.stamp_s
@@ -214,8 +214,8 @@ class CloudLidar(FrontEnd):
         guessed = tracked.motion is None and not keyframe and self._imu is not None
         if guessed and self._imu is not None and (spread := self._imu.spread()) is not None:
             self.readings.bridged[self.readings.scan_count] = spread
-        self.readings.add_scan(cloud.stamp_s, tracked.pose, told_s=told_s)
-        return Tracked(told_s, tracked.motion, keyframe)
+        self.readings.add_scan(cloud.stamp_s, tracked.pose, reported_s=reported_s)
+        return Tracked(reported_s, tracked.motion, keyframe)
 
     def _passed(self, tracked: TrackedCloud) -> bool:
         """Add every second cloud only to the local map, if its pose is certain and it has no images."""

@@ -18,7 +18,7 @@ from slam.config import Config
 from slam.datasets.dataset import Dataset
 from slam.datasets.sensor_choice import SensorChoice
 from slam.doctor.diagnosis import Registrations
-from slam.forked import Forked, Tell, is_core_free
+from slam.forked import Forked, Send, is_core_free
 from slam.graph.edge import Edge, EdgeKind
 from slam.mapper.checkpoint import Checkpoint
 from slam.mapper.planar_odometry import Moment, PlanarOdometry, Step
@@ -66,12 +66,12 @@ class Ahead:
         if isinstance(motion, int):
             motion = answers[motion][2]
         if step is not None:
-            moved, edges, points, normals, seen = step
+            moved, edges, points, normals, visible = step
             # From `_plain` values.
-            told = [
+            restored = [
                 Edge(a, b, T_a_b, spread, EdgeKind(kind), sure) for a, b, T_a_b, spread, kind, sure in edges
             ]
-            self._step = Step(moved, told, OrientedPoints(points, normals), seen)
+            self._step = Step(moved, restored, OrientedPoints(points, normals), visible)
         return Moment(stamp_s, measurement, pose, motion, step is not None)
 
     def step(self, key: int) -> Step:
@@ -145,22 +145,22 @@ class Lookahead:
         if choice.cloud or self._checkpoint.replaying:
             return
         if not choice.cameras:
-            self._copy = Forked(lambda tell: self._track_scans(config, choice, tell))
+            self._copy = Forked(lambda send: self._track_scans(config, choice, send))
             self.ahead = Ahead(self._copy.receive, self._checkpoint)
             return
 
-        def work(tell: Tell) -> None:
+        def work(send: Send) -> None:
             """Run in the copy."""
-            checkpoint = self._checkpoint.telling(tell)
-            found = known
-            if found is None:
-                found = checkpoint.registrations(lambda: registrations(choice.cameras))
-            self._track_frames(config, choice, found, checkpoint)
+            checkpoint = self._checkpoint.sending(send)
+            registered = known
+            if registered is None:
+                registered = checkpoint.registrations(lambda: registrations(choice.cameras))
+            self._track_frames(config, choice, registered, checkpoint)
 
         self._copy = Forked(work)
         self._checkpoint.ahead = self._copy.receive
 
-    def _track_scans(self, config: Config, choice: SensorChoice, tell: Tell) -> None:
+    def _track_scans(self, config: Config, choice: SensorChoice, send: Send) -> None:
         """Track and send the path of a robot without cameras."""
         answers = _Answers()
         odometry, key = PlanarOdometry(config, answers, self._odometries), 0
@@ -171,17 +171,17 @@ class Lookahead:
                 continue
             step = None
             if moment.new_keyframe:
-                found = odometry.step(key)
+                stepped = odometry.step(key)
                 odometry.readings.mark_keyframe()
-                edges = [_plain(edge) for edge in found.edges]
-                step = found.step, edges, found.surface.points, found.surface.normals, found.seen
+                edges = [_plain(edge) for edge in stepped.edges]
+                step = stepped.step, edges, stepped.surface.points, stepped.surface.normals, stepped.seen
                 key += 1
             # A match is sent once, as the number of its result.
             which = (n for n, (_, _, answer) in enumerate(answers.found) if answer is moment.motion)
             motion = None if moment.motion is None else next(which, moment.motion)
-            tell(pack((moment.stamp_s, moment.pose, motion, answers.found, step)))
+            send(pack((moment.stamp_s, moment.pose, motion, answers.found, step)))
             answers.found = []
-        tell(pickle.dumps(odometry.learned(), pickle.HIGHEST_PROTOCOL))
+        send(pickle.dumps(odometry.learned(), pickle.HIGHEST_PROTOCOL))
 
     def _track_frames(
         self, config: Config, choice: SensorChoice, known: Mapping[str, ColorRegistration], cache: ResultCache

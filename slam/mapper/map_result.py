@@ -70,7 +70,7 @@ class MapResult:
         learned = {name: record.learned for name, record in cameras.items()}
         self.map = replace(self.map, cameras=learned, frames=frames if len(frames) else None)
 
-    def add_told(self, notes: list[str], unused: dict[str, str]) -> None:
+    def add_imu_notes(self, notes: list[str], unused: dict[str, str]) -> None:
         """Add the notes of an IMU, and, by its name, why it was not used."""
         self.notes += notes
         self.warnings += [f"{name} is not used: {why}" for name, why in unused.items()]
@@ -82,7 +82,7 @@ class MapResult:
         self.warnings += warnings
 
 
-def drawn(found: MapContents, config: Config, grids: Begun | None = None) -> tuple[MapContents, list[str]]:
+def drawn(saved: MapContents, config: Config, grids: Begun | None = None) -> tuple[MapContents, list[str]]:
     """Return a map with ``grids``, or the `lidar_grids` of its scans, and the depth layer of its frames.
 
     Returns
@@ -91,8 +91,8 @@ def drawn(found: MapContents, config: Config, grids: Begun | None = None) -> tup
     """
     settled, warnings = config, list[str]()
     try:
-        scans, measured = found.keyframe_scans, found.measured_scans
-        of_lidar = lidar_grids(scans, found.keyframe_poses, config, measured) if grids is None else grids()
+        scans, measured = saved.keyframe_scans, saved.measured_scans
+        of_lidar = lidar_grids(scans, saved.keyframe_poses, config, measured) if grids is None else grids()
     except ScanweaveError as error:  # a map that would not fit in memory
         warnings.append(f"No grid was built: {error}")
         of_lidar = {}
@@ -104,16 +104,16 @@ def drawn(found: MapContents, config: Config, grids: Begun | None = None) -> tup
         )
         cells = config.grid.model_copy(update={"resolution_m": lidar.resolution_m})
         settled = config.model_copy(update={"grid": cells})
-    if found.frames is not None and (found.planar or lidar is not None):
+    if saved.frames is not None and (saved.planar or lidar is not None):
         try:
-            depth = depth_grid(found.frames.taken(), found.frame_poses(), settled, found.ground_m)
+            depth = depth_grid(saved.frames.taken(), saved.frame_poses(), settled, saved.ground_m)
             of_lidar |= {} if depth is None else {DEPTH: depth}
-            if depth is not None and lidar is not None and found.planar:
+            if depth is not None and lidar is not None and saved.planar:
                 # A camera marks the space behind glass as free.
-                of_lidar[OCCUPANCY] = with_glass(lidar, found.keyframe_scans, found.keyframe_poses, settled)
+                of_lidar[OCCUPANCY] = with_glass(lidar, saved.keyframe_scans, saved.keyframe_poses, settled)
         except ScanweaveError as error:
             warnings.append(f"No depth layer was drawn; the map is from the lidar only: {error}")
-    return replace(found, grids=of_lidar), warnings
+    return replace(saved, grids=of_lidar), warnings
 
 
 def depth_grid(

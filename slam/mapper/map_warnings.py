@@ -49,7 +49,7 @@ def unseen(
     """
     # A point at this distance from the robot may be so uncertain.
     most_m, lever_m = config.match.search_half_width_m, config.loops.reach_m
-    found = []
+    periods = []
     for gap in np.flatnonzero(np.diff(trajectory.stamps_s[placed]) > GAP_S):
         first, last = int(placed[gap]), int(placed[gap + 1])
         grown = np.diagonal(grown_covariances(trajectory, covariances, first, last), axis1=1, axis2=2)
@@ -57,12 +57,12 @@ def unseen(
         off_m2 = variances @ [1.0, lever_m**2]
         at = int(off_m2.argmax())
         if off_m2[at] > most_m**2:
-            found.append((float(off_m2[at]), first, last, *np.sqrt(variances[at]).tolist()))
-    if not found:
+            periods.append((float(off_m2[at]), first, last, *np.sqrt(variances[at]).tolist()))
+    if not periods:
         return []
-    _, first, last, position_m, turn_rad = max(found)
+    _, first, last, position_m, turn_rad = max(periods)
     from_s, to_s = trajectory.stamps_s[[first, last]] - trajectory.stamps_s[0]
-    others = f" (the worst of {len(found)} such periods)" if len(found) > 1 else ""
+    others = f" (the worst of {len(periods)} such periods)" if len(periods) > 1 else ""
     return [
         f"No scan or image was matched from {from_s:.1f} to {to_s:.1f} s{others}: relative to before, "
         f"poses are uncertain by up to {position_m:.2f} m and {np.degrees(turn_rad):.1f} degrees (one sigma)"

@@ -118,7 +118,7 @@ class Mapper:
         outcome = self._optimised(graph)
         track, edges = self._track(graph), graph.graph.edges
         clock.append(time.perf_counter())
-        told = Begun(lambda: pose_covariances(track.nodes, track.bases, edges, outcome.kept, self._config))
+        spread = Begun(lambda: pose_covariances(track.nodes, track.bases, edges, outcome.kept, self._config))
         if self._places is not None:
             self._places.check(graph, track, outcome, self._config)
         factors = zip(edges, outcome.kept.tolist(), strict=True)
@@ -141,13 +141,13 @@ class Mapper:
         clock.append(time.perf_counter())
         pieces = graph.pieces(outcome.kept, self._config.loops.reach_m)
         end_stage()
-        of_keyframes = told()
+        of_keyframes = spread()
         give_back()
         covariances = self._covariances(result.map, *of_keyframes)
         result.map = replace(result.map, covariances=covariances)
         result.stage_seconds["map"] = clock[2] - clock[1] - result.stage_seconds.get("fusion", 0.0)
         result.stage_seconds["full trajectory"] = time.perf_counter() - clock[2]
-        self._tell(result)
+        self._add_notes(result)
         result.warnings += apart(pieces, track.stamps_s - result.scans.stamps_s[0])
         result.warnings += unseen(result.map.trajectory, readings.placed(), covariances, self._config)
         return result
@@ -189,7 +189,7 @@ class Mapper:
             covariances += late_covariances(trajectory, int(at[0]), [(len(trajectory), sigma_s)], dimension)
         return covariances
 
-    def _tell(self, result: MapResult) -> None:
+    def _add_notes(self, result: MapResult) -> None:
         """Add notes of the sensors beside the front end for the user."""
         result.notes += [note for sensor in self._sensors.values() for note in sensor.notes()]
         result.notes += self._gnss.notes()

@@ -185,9 +185,9 @@ class _Run:
             except UnfitImuError as unfit:
                 (name, why), effect = unfit.args, "the map is made without it"
                 left_out = ({"imus": {name: {"use": False}}},)
-                found = Finding(name, "no agreement", why, effect, left_out, sure=True)
-                self._findings = [*self._findings, found]
-                self._config = settled(self._config, [found])
+                finding = Finding(name, "no agreement", why, effect, left_out, sure=True)
+                self._findings = [*self._findings, finding]
+                self._config = settled(self._config, [finding])
                 self._choice = self._chosen()
                 self._begin_again()
 

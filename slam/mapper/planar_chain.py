@@ -98,8 +98,8 @@ class PlanarChain:
         for n, edge in enumerate(graph.graph.edges):
             ends = [edge.source, edge.target]
             if edge.kind is EdgeKind.WHEEL and moved[ends].any():
-                told, meant = (between(*wheels[ends]) for wheels in (before, after))
-                row = compose(row_from_pose2(edge.T_source_target), between(told, meant))
+                used, final = (between(*wheels[ends]) for wheels in (before, after))
+                row = compose(row_from_pose2(edge.T_source_target), between(used, final))
                 graph.graph.edges[n] = replace(edge, T_source_target=pose2_from_row(row))
         reported = [n for n, edge in enumerate(graph.graph.edges) if edge.kind is EdgeKind.RGBD]
         numbers = dict(zip(self._camera_edges, reported, strict=True))
@@ -146,9 +146,9 @@ class PlanarChain:
         edges += self._long_wheels(key, stamp_s, tracked)
         if (turn := self._tracker.gyro_turn(last, tracked.gyro, chained=True)) is not None:
             # It measures no translation.
-            told = unmeasured(self._config.graph, FEWEST, planar=True)
-            told[2, 2] = turn[1]
-            motion = Motion(np.array([step[0], step[1], turn[0]]), told)
+            unknown = unmeasured(self._config.graph, FEWEST, planar=True)
+            unknown[2, 2] = turn[1]
+            motion = Motion(np.array([step[0], step[1], turn[0]]), unknown)
             edges.append(_edge(key - 1, key, motion, EdgeKind.IMU, trusted=True))
         if bridge is not None:
             # Loops may reject it.
@@ -235,9 +235,9 @@ def edges_of(
         edges.append(_edge(key - 1, key, loose, EdgeKind.ASSUMED, trusted=True))
     if wheels is not None and match_open:
         # Translation and rotation may be rejected separately: a heading may jump.
-        far = wheels.widened(np.diag([0.0, 0.0, math.pi**2]))
+        translation = wheels.widened(np.diag([0.0, 0.0, math.pi**2]))
         turn = wheels.widened(np.diag([config.lost_sigma_m**2, config.lost_sigma_m**2, 0.0]))
-        edges += [_edge(key - 1, key, part, EdgeKind.WHEEL, trusted=False) for part in (far, turn)]
+        edges += [_edge(key - 1, key, part, EdgeKind.WHEEL, trusted=False) for part in (translation, turn)]
     elif wheels is not None:
         edges.append(_edge(key - 1, key, wheels, EdgeKind.WHEEL, trusted=match is None))
     edges += [_camera_edge(key - 1, key, camera) for camera in cameras]

@@ -85,7 +85,7 @@ class Steps(Protocol):
     """Tracks the path of a robot: `PlanarOdometry`, or a process ahead, see `slam.mapper.lookahead`."""
 
     def observe(self, measurement: Any) -> Moment | None:
-        """Take the next measurement; where the robot is then, if it tells that."""
+        """Process the next measurement; return the pose of the robot, if it is a scan."""
         ...
 
     def step(self, key: int) -> Step:
@@ -134,7 +134,7 @@ class PlanarOdometry:
         self._unexplained_s: list[float] = []
 
     def observe(self, measurement: Any) -> Moment | None:
-        """Take the next measurement; where the robot is then, if it tells that."""
+        """Process the next measurement; return the pose of the robot, if it is a scan."""
         if isinstance(measurement, LaserScan):
             points = points_by(self._config.scan, measurement)
             self._scan_stamp_s = measurement.stamp_s
@@ -190,7 +190,7 @@ class PlanarOdometry:
         self._wheels, self._wheels_name, self._unexplained_s = wheels
         vars(self.readings).update(vars(readings))
 
-    def tell(self, result: MapResult) -> None:
+    def add_notes(self, result: MapResult) -> None:
         """Add notes about the wheels and the gyroscope for the user."""
         if self._wheels is not None and self._wheels.clock.known:
             result.notes.append(self._wheels.clock.note("wheels", "lidar"))

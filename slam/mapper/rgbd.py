@@ -139,7 +139,7 @@ class FreeCamera(FrontEnd):
         result.add_cameras({self._camera: CameraRecord(result.scans, learned=learned)}, self._store.images)
         result.notes += registration_notes(self._registrations)
         if self._imu is not None:
-            result.add_told(*self._imu.told())
+            result.add_imu_notes(*self._imu.outcome())
 
     def _place(self, stamp_s: float, tracked: TrackedFrame) -> None:
         """Find the pose of the camera: as matched, unless its rotation contradicts the IMU."""
@@ -149,14 +149,14 @@ class FreeCamera(FrontEnd):
         if self._imu is None:
             return
         covariance = None if motion is None or tracked.restarted else motion.covariance
-        told, spread = self._imu.predicted(stamp_s), self._imu.spread()
-        if told is not None and spread is not None:
-            off = gtsam.Rot3.Logmap(told.rotation().between(self._placed.rotation()))
-            chance = spread[:3, :3] + (0.0 if covariance is None else covariance[:3, :3])
-            sound = covariance is not None and off @ np.linalg.solve(chance, off) <= gate(3)
+        by_imu, spread = self._imu.predicted(stamp_s), self._imu.spread()
+        if by_imu is not None and spread is not None:
+            turn = gtsam.Rot3.Logmap(by_imu.rotation().between(self._placed.rotation()))
+            turn_covariance = spread[:3, :3] + (0.0 if covariance is None else covariance[:3, :3])
+            agrees = covariance is not None and turn @ np.linalg.solve(turn_covariance, turn) <= gate(3)
             # A match may be grossly wrong, with a large covariance.
-            if not (sound and alike(step, before.between(told))):
-                self._placed, covariance, self._bridged = told, None, True
+            if not (agrees and alike(step, before.between(by_imu))):
+                self._placed, covariance, self._bridged = by_imu, None, True
         self._imu.took(stamp_s, self._placed, covariance)
 
     def _feel(self, reading: ImuReading) -> None:

@@ -165,8 +165,8 @@ class RobotCameras:
         A lost camera is left out; if the first is lost, all are.
         """
         known = [camera.newest for camera in self.cameras.values() if camera.newest and camera.T_base_camera]
-        found = [(frame, self.placed_at(frame.frame.sensor, frame.stamp_s, stamp_s)) for frame in known]
-        return [Picture(frame, pose) for frame, pose in found if pose] if found and found[0][1] else []
+        placed = [(frame, self.placed_at(frame.frame.sensor, frame.stamp_s, stamp_s)) for frame in known]
+        return [Picture(frame, pose) for frame, pose in placed if pose] if placed and placed[0][1] else []
 
     def placed_at(self, name: str, taken_s: float, stamp_s: float, sigmas: float = 0.0) -> gtsam.Pose3 | None:
         """Return the pose of a frame relative to the base at a stamp of the robot's clock; None if unknown.
@@ -182,16 +182,16 @@ class RobotCameras:
 
     def pictures(self, stamp_s: float) -> list[Picture]:
         """Return the newest frame of every camera; an untracked one has the pose of its mounting."""
-        found = []
+        pictures = []
         for name, camera in sorted(self.cameras.items()):
             if (newest := camera.newest) is not None:
                 placed = self.placed_at(name, newest.stamp_s, stamp_s)
-                found.append(Picture(newest, placed or camera.T_base_camera or T_BODY_CAMERA))
-        return found
+                pictures.append(Picture(newest, placed or camera.T_base_camera or T_BODY_CAMERA))
+        return pictures
 
     def steps(self, before: CameraPoses, after: CameraPoses) -> list[CameraStep]:
         """Return the motion between two times by every camera that measured it and stays in the plane."""
-        found = []
+        steps = []
         for name, camera in self.cameras.items():
             step = camera_step(before.get(name), after.get(name))
             if step is None:
@@ -203,8 +203,8 @@ class RobotCameras:
                 if planar.leaves_the_floor:
                     camera.refused_steps += 1
                     continue
-            found.append(CameraStep(name, *step, planar))
-        return found
+            steps.append(CameraStep(name, *step, planar))
+        return steps
 
     def is_learned(self, name: str) -> bool:
         """Return whether the mounting of a camera is estimated, not given."""
@@ -220,18 +220,18 @@ class RobotCameras:
 
     def learned_mountings(self) -> dict[str, LearnedMounting]:
         """Return the mountings estimated from all motions."""
-        found = {}
+        mountings = {}
         for name, camera in self.cameras.items():
             if camera.learner is None:
                 continue
             camera.learner.estimate()
             if camera.learner.T_base_camera is not None:
-                found[name] = LearnedMounting(camera.learner.T_base_camera, camera.learner.note(name))
-        return found
+                mountings[name] = LearnedMounting(camera.learner.T_base_camera, camera.learner.note(name))
+        return mountings
 
     def learned_steps(self) -> list[tuple[int, int, PlanarMotion]]:
         """Return all motions between keyframes of cameras with an estimated mounting, by the latest."""
-        found = []
+        steps = []
         for camera in self.cameras.values():
             if camera.learner is None:
                 continue
@@ -242,8 +242,8 @@ class RobotCameras:
             for step in camera.learner.steps:
                 planar = planar_motion(step.motion, step.covariance, camera.T_base_camera)
                 if not planar.leaves_the_floor:
-                    found.append((step.source, step.target, planar))
-        return found
+                    steps.append((step.source, step.target, planar))
+        return steps
 
     def records(self, registrations: Mapping[str, ColorRegistration]) -> dict[str, CameraRecord]:
         """Return how the frames of every camera were used, for the report."""
@@ -288,5 +288,5 @@ class RobotCameras:
                 (refused, camera.refused_steps, camera.steps),
             ):
                 lines += [f"{failed:,} of {count:,} of {name}"] if failed > 0.01 * count else []
-        told = [f"Frames that matched nothing: {', '.join(lost)}"] if lost else []
-        return told + ([f"Rejected motions off the floor: {', '.join(refused)}"] if refused else [])
+        lines_lost = [f"Frames that matched nothing: {', '.join(lost)}"] if lost else []
+        return lines_lost + ([f"Rejected motions off the floor: {', '.join(refused)}"] if refused else [])

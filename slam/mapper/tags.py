@@ -80,10 +80,10 @@ class TagFinder:
             for view in find_tags(frame.color, lens, self.places)
         ]
 
-    def taken_s(self, one: SeenTag) -> tuple[float, float]:
+    def taken_s(self, tag: SeenTag) -> tuple[float, float]:
         """Return the stamp of an image by the robot's clock, and its uncertainty."""
-        clock = self.clocks.get(one.sensor)
-        return (one.stamp_s, 0.0) if clock is None else (one.stamp_s - clock.offset_s, clock.sigma_s)
+        clock = self.clocks.get(tag.sensor)
+        return (tag.stamp_s, 0.0) if clock is None else (tag.stamp_s - clock.offset_s, clock.sigma_s)
 
 
 class PlaceAnchors:
@@ -125,10 +125,10 @@ class PlaceAnchors:
                     f"No tag of family {self._places.family} was found in {finder.images} images of keyframes"
                 )
             return outcome
-        sigma_px = _sigma_px([one.view for one in finder.seen])
+        sigma_px = _sigma_px([item.view for item in finder.seen])
         self._seen, twice = _by_number(finder, track, sigma_px)
         # A check proves nothing if it has moved the map.
-        checks = {one.tag for one in self._places.surveyed if one.check}
+        checks = {item.tag for item in self._places.surveyed if item.check}
         edges = self._find([number for number in self._seen if number not in checks], graph, outcome)
         for edge in edges:
             graph.add_edge(edge)
@@ -147,13 +147,13 @@ class PlaceAnchors:
     ) -> BatchResult:
         """Align the map with surveyed places and the start; return the old result if they do not suffice."""
         used = [
-            (one, seen)
-            for one in self._places.surveyed
-            if not one.check and (seen := self._seen_at(one, track)) is not None
+            (place, sighting)
+            for place in self._places.surveyed
+            if not place.check and (sighting := self._seen_at(place, track)) is not None
         ]
         anchors = [
-            Anchor(node, *_place(one.at_m, one.sigma_m**2 + variance), arm_m)
-            for one, (node, arm_m, variance) in used
+            Anchor(node, *_place(place.at_m, place.sigma_m**2 + variance), arm_m)
+            for place, (node, arm_m, variance) in used
         ]
         anchors += self._start(track)
         if not anchors:
@@ -170,32 +170,32 @@ class PlaceAnchors:
 
     def check(self, graph: KeyframeGraph, track: Track, outcome: BatchResult, config: Config) -> None:
         """Compare the finished map with surveyed places."""
-        checks = [one for one in self._places.surveyed if one.check]
-        self._find([one.tag for one in checks if one.tag in self._seen], graph, outcome)
+        checks = [place for place in self._places.surveyed if place.check]
+        self._find([place.tag for place in checks if place.tag in self._seen], graph, outcome)
         if self._laid is None:
             return
         poses = graph.poses()
-        told = told_edges(poses, graph.graph.edges, outcome.kept, config)
-        spreads = seen_from_earth(poses, told, self._laid)
+        edges = told_edges(poses, graph.graph.edges, outcome.kept, config)
+        spreads = seen_from_earth(poses, edges, self._laid)
         unseen = list[str]()
-        for one in self._places.surveyed:
-            name = f"tag {one.tag}" if one.stamp_s is None else f"the place at {one.stamp_s:.1f} s"
-            if (seen := self._seen_at(one, track)) is None:
+        for place in self._places.surveyed:
+            name = f"tag {place.tag}" if place.stamp_s is None else f"the place at {place.stamp_s:.1f} s"
+            if (sighting := self._seen_at(place, track)) is None:
                 unseen.append(name)
                 continue
-            node, arm_m, variance = seen
-            pose, axes = poses[node], 2 if isinstance(poses[node], gtsam.Pose2) else len(one.at_m)
+            node, arm_m, variance = sighting
+            pose, axes = poses[node], 2 if isinstance(poses[node], gtsam.Pose2) else len(place.at_m)
             at_m = self._laid.T_enu_map.transformFrom(spatial(pose).transformFrom(arm_m))
-            off_m = (np.asarray(at_m) - [*one.at_m, 0.0][:3])[:axes]
+            off_m = (np.asarray(at_m) - [*place.at_m, 0.0][:3])[:axes]
             turn = np.asarray(self._laid.T_enu_map.rotation().compose(spatial(pose).rotation()).matrix())
             slopes = turn @ np.hstack([np.cross(np.eye(3), arm_m).T, np.eye(3)])
             if isinstance(pose, gtsam.Pose2):
                 slopes = slopes[:, IN_PLANE]
             spread = (slopes @ spreads[node] @ slopes.T)[:axes, :axes] + variance * np.eye(axes)
-            sigma_m = math.sqrt(np.trace(spread) / axes + one.sigma_m**2)
-            role = "check" if one.check else "used"
+            sigma_m = math.sqrt(np.trace(spread) / axes + place.sigma_m**2)
+            role = "check" if place.check else "used"
             line = f"survey: {name} ({role}) is {np.linalg.norm(off_m):.3f} m off, sigma {sigma_m:.3f} m"
-            wrong = off_m @ np.linalg.solve(spread + one.sigma_m**2 * np.eye(axes), off_m) > gate(axes)
+            wrong = off_m @ np.linalg.solve(spread + place.sigma_m**2 * np.eye(axes), off_m) > gate(axes)
             (self.warnings if wrong else self.notes).append(line)
         if unseen:
             self.warnings.append(f"survey: not seen by the map: {', '.join(unseen)}")
@@ -208,31 +208,31 @@ class PlaceAnchors:
         spatials = [self._seen[number] for number in numbers]
         planar = isinstance(poses[0], gtsam.Pose2)
         flat = [in_plane(ones) if planar else (ones, gtsam.Rot3()) for ones in spatials]
-        held = [edge for edge, keep in zip(edges, outcome.kept, strict=True) if keep]
-        landmarks = landmarks_of(poses, held, [ones for ones, _ in flat])
-        told, tags = list[Edge](), list(self.found.tags)
+        inliers = [edge for edge, keep in zip(edges, outcome.kept, strict=True) if keep]
+        landmarks = landmarks_of(poses, inliers, [ones for ones, _ in flat])
+        found_edges, tags = list[Edge](), list(self.found.tags)
         for number, ones, (_, lean), landmark in zip(numbers, spatials, flat, landmarks, strict=True):
             if landmark is None:
                 self.warnings.append(f"Tag {number}: no view fits another; it is not used")
                 continue
             tags.append(self._tag(number, ones, lean, landmark))
-            told += landmark.edges
+            found_edges += landmark.edges
             if landmark.elsewhere:
                 self.warnings.append(
                     f"Tag {number} is elsewhere in {landmark.elsewhere} of {len(ones)} views, which were "
                     "left out: it was moved, there are two of this number, or something else was taken for it"
                 )
         self.found = replace(self.found, tags=tuple(sorted(tags, key=lambda tag: tag.number)))
-        return told
+        return found_edges
 
-    def _tag(self, number: int, spatials: Sequence[Sighting], lean: gtsam.Rot3, found: Landmark) -> MapTag:
+    def _tag(self, number: int, spatials: Sequence[Sighting], lean: gtsam.Rot3, mark: Landmark) -> MapTag:
         """Return the saved record of a tag."""
-        pose, covariance = found.T_node_landmark, found.covariance
+        pose, covariance = mark.T_node_landmark, mark.covariance
         if isinstance(pose, gtsam.Pose2):
-            held = [one for one, keep in zip(spatials, found.holds.tolist(), strict=True) if keep]
-            heights = np.array([one.T_node_landmark.translation()[2] for one in held])
-            turns = np.array([one.T_node_landmark.rotation().matrix()[2] for one in held])
-            weights = 1.0 / np.einsum("ki,kij,kj->k", turns, [one.covariance[3:, 3:] for one in held], turns)
+            views = [one for one, keep in zip(spatials, mark.holds.tolist(), strict=True) if keep]
+            heights = np.array([one.T_node_landmark.translation()[2] for one in views])
+            turns = np.array([one.T_node_landmark.rotation().matrix()[2] for one in views])
+            weights = 1.0 / np.einsum("ki,kij,kj->k", turns, [one.covariance[3:, 3:] for one in views], turns)
             up = np.array([0.0, 0.0, float(np.average(heights, weights=weights))])
             pose = gtsam.Pose3(gtsam.Rot3.Yaw(pose.theta()).compose(lean), [pose.x(), pose.y(), up[2]])
             variance = max(float(np.linalg.eigvalsh(covariance[:2, :2])[-1]), 1.0 / float(weights.sum()))
@@ -240,17 +240,17 @@ class PlaceAnchors:
             variance = float(np.linalg.eigvalsh(covariance[3:, 3:])[-1])
         side_m = self._places.sizes_m.get(number, self._places.size_m)
         assert side_m is not None
-        fit = int(np.count_nonzero(found.holds))
-        return MapTag(number, side_m, found.node, pose, math.sqrt(variance), len(spatials), fit)
+        fit = int(np.count_nonzero(mark.holds))
+        return MapTag(number, side_m, mark.node, pose, math.sqrt(variance), len(spatials), fit)
 
-    def _seen_at(self, one: SurveyedPlace, track: Track) -> tuple[int, FloatArray, float] | None:
+    def _seen_at(self, place: SurveyedPlace, track: Track) -> tuple[int, FloatArray, float] | None:
         """Return node, (3,) position in its frame and its variance for a surveyed place; None if unseen."""
-        if one.stamp_s is not None:
-            node = int(track.nearest(np.array([one.stamp_s]))[0])
-            T_node_base = track.seen_from(node, one.stamp_s)
+        if place.stamp_s is not None:
+            node = int(track.nearest(np.array([place.stamp_s]))[0])
+            T_node_base = track.seen_from(node, place.stamp_s)
             return None if T_node_base is None else (node, np.asarray(T_node_base.translation()), 0.0)
         for tag in self.found.tags:
-            if tag.number == one.tag:
+            if tag.number == place.tag:
                 return tag.node, np.asarray(tag.T_node_tag.translation()), tag.sigma_m**2
         return None
 
@@ -281,21 +281,21 @@ def _by_number(
     finder: TagFinder, track: Track, sigma_px: float
 ) -> tuple[dict[int, list[Sighting]], list[int]]:
     """Return sightings of each tag by node, without the numbers seen twice in one image; and those."""
-    found, images = defaultdict[int, list[Sighting]](list), Counter[tuple[int, int]]()
-    taken_s = np.array([finder.taken_s(one) for one in finder.seen])
-    for one, node, (stamp_s, sigma_s) in zip(finder.seen, track.nearest(taken_s[:, 0]), taken_s, strict=True):
+    sightings, images = defaultdict[int, list[Sighting]](list), Counter[tuple[int, int]]()
+    taken_s = np.array([finder.taken_s(tag) for tag in finder.seen])
+    for tag, node, (stamp_s, sigma_s) in zip(finder.seen, track.nearest(taken_s[:, 0]), taken_s, strict=True):
         then, later = (track.seen_from(int(node), float(at_s)) for at_s in (stamp_s, stamp_s + sigma_s))
         if then is None or later is None:
             continue
-        T_base_tag = one.T_base_camera.compose(one.view.T_camera_tag)
+        T_base_tag = tag.T_base_camera.compose(tag.view.T_camera_tag)
         # The motion of the robot during the clock error.
-        off = T_base_tag.inverse().AdjointMap() @ gtsam.Pose3.Logmap(then.between(later))
-        covariance = one.view.covariance(sigma_px) + np.outer(off, off)
-        found[one.view.number].append(Sighting(int(node), then.compose(T_base_tag), covariance))
-        images[one.view.number, one.image] += 1
+        offset = T_base_tag.inverse().AdjointMap() @ gtsam.Pose3.Logmap(then.between(later))
+        covariance = tag.view.covariance(sigma_px) + np.outer(offset, offset)
+        sightings[tag.view.number].append(Sighting(int(node), then.compose(T_base_tag), covariance))
+        images[tag.view.number, tag.image] += 1
     twice = sorted({number for (number, _), count in images.items() if count > 1})
-    once = [number for number in sorted(found) if number not in twice]
-    return {number: sorted(found[number], key=lambda one: one.node) for number in once}, twice
+    once = [number for number in sorted(sightings) if number not in twice]
+    return {number: sorted(sightings[number], key=lambda tag: tag.node) for number in once}, twice
 
 
 def _sigma_px(views: Sequence[TagView]) -> float:

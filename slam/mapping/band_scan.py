@@ -56,8 +56,8 @@ def band_scan(
     origin = T_base_lidar.translation()
     x, y = points[:, 0] - origin[0], points[:, 1] - origin[1]
     distance = np.sqrt(x * x + y * y)
-    (near,) = np.nonzero(distance < config.plan_range_m)
-    x, y, distance, over_m = x[near], y[near], distance[near], (points[:, 2] - ground_m)[near]
+    (in_range,) = np.nonzero(distance < config.plan_range_m)
+    x, y, distance, over_m = x[in_range], y[in_range], distance[in_range], (points[:, 2] - ground_m)[in_range]
     # Heights within so many sigmas are noise, or thousands of floor points would be obstacles.
     margin_m = math.sqrt(gate()) * config.ground_share * (2.0 + distance)
     stops = band.holds(over_m, margin_m)
@@ -77,8 +77,8 @@ def band_scan(
         within = after < len(bearing)
         after = np.minimum(after, len(bearing) - 1)
         firm = within & (bearing[after] == bearing) & (distance[after] - distance <= 2.0 * _CELL_M)
-        found, first = np.unique(bearing[firm], return_index=True)
-        ranges[found] = distance[firm][first]
+        bins, first = np.unique(bearing[firm], return_index=True)
+        ranges[bins] = distance[firm][first]
     mounting = gtsam.Pose2(float(origin[0]), float(origin[1]), 0.0)
     start = -math.pi + 0.5 * step_rad
     return LaserScan(stamp_s, ranges, start, step_rad, config.plan_range_m, mounting, "band of the 3D lidar")
@@ -152,7 +152,7 @@ def ground_height(
     if not len(below):
         return None
     bins = np.floor(below / _CELL_M).astype(np.int64)
-    found, counts = np.unique(bins, return_counts=True)
-    lowest = int(found[np.flatnonzero(counts >= LEVEL_SHARE * counts.max())[0]])
-    near = np.abs(below - (lowest + 0.5) * _CELL_M) <= 1.5 * _CELL_M
-    return float(np.median(below[near]))
+    bin_numbers, counts = np.unique(bins, return_counts=True)
+    lowest = int(bin_numbers[np.flatnonzero(counts >= LEVEL_SHARE * counts.max())[0]])
+    in_peak = np.abs(below - (lowest + 0.5) * _CELL_M) <= 1.5 * _CELL_M
+    return float(np.median(below[in_peak]))

@@ -53,9 +53,9 @@ class CloudTiles:
         self._path = np.array([pose.translation() for pose in poses]).reshape(-1, 3)
         self._seen, pieces = list[_Span](), [np.zeros((0, 5), np.int64)]
         refuse_lost(poses)
-        seen = enumerate(zip(clouds, poses, strict=True))
+        numbered = enumerate(zip(clouds, poses, strict=True))
         self._columns = 4
-        for placed, tiles in prefetched(seen, lambda one: _by_tile(one[0], *one[1], voxel_m), 1):
+        for placed, tiles in prefetched(numbered, lambda args: _by_tile(args[0], *args[1], voxel_m), 1):
             self._seen.append(self._keep(placed))
             begin, _, columns = self._seen[-1]
             self._columns = max(self._columns, columns)
@@ -69,7 +69,7 @@ class CloudTiles:
             rows = self._thinned(tile.tolist())
             heights.append(rows[::FEWEST, 2].astype(np.float32))
             self._tiles.append(self._keep(rows))
-        self._usual = _usual(np.concatenate(heights))
+        self._height_range = _usual(np.concatenate(heights))
 
     def points(self) -> Iterator[FloatArray]:
         """Yield (N, 3) points of one tile after the other, map frame."""
@@ -86,9 +86,9 @@ class CloudTiles:
             rows = rows if chosen is None else rows[chosen(rows[:, :3])]
             points = rows[:, :3]
             normals = surface_normals(points, _NORMAL_VOXELS * self._voxel_m)
-            away = np.einsum("ij,ij->i", normals, self._path[rows[:, 3].astype(np.int64)] - points) < 0.0
-            normals[away] *= -1.0
-            colors = ramp(points[:, 2], self._usual)
+            is_back = np.einsum("ij,ij->i", normals, self._path[rows[:, 3].astype(np.int64)] - points) < 0.0
+            normals[is_back] *= -1.0
+            colors = ramp(points[:, 2], self._height_range)
             intensities = rows[:, 4].astype(np.float32) if self._columns > 4 else None
             return ColoredCloud(points.astype(np.float32), colors, normals.astype(np.float32), intensities)
 

@@ -38,8 +38,8 @@ def packed_cloud(rows: FloatArray) -> bytes:
     ways = np.diff(np.rint(rows[:, :3] / step_m), axis=0, prepend=0.0).astype(np.int64)
     # The sign is the lowest bit: the upper bytes of small differences are zero for either sign.
     planes = (ways << 1 ^ ways >> 63).astype("<u4").view(np.uint8).reshape(-1, 3, 4).T
-    told = rows[:, 3:].astype("<f4").view(np.uint8).reshape(-1, 4).T.tobytes()
-    return _HEAD.pack(step_m, len(rows)) + zstd.compress(planes.tobytes() + told, 1)
+    intensities = rows[:, 3:].astype("<f4").view(np.uint8).reshape(-1, 4).T.tobytes()
+    return _HEAD.pack(step_m, len(rows)) + zstd.compress(planes.tobytes() + intensities, 1)
 
 
 def unpacked_cloud(content: bytes, *, intensities: bool = True) -> FloatArray:

@@ -59,12 +59,12 @@ def passed_by(
 ) -> PassedBy:
     """Find passed voxels; only objects above the ground are tested.
 
-    A keyframe hits a voxel that holds a point of it, or where the beam through its middle ends; it passes one
-    where all beams through it, and those above and below, end behind by more than a pixel is wide: along a
-    wall and past a pole they end before and behind. A voxel has gone where, in the mean with those that it
-    touches, it was passed before its first hit and after its last one more often than it was hit, and than
-    its share of hits between them allows (Laplace's rule of succession) once in `FEWEST` times. With it go
-    those that hang together with it and were so passed more than half as often as they were hit.
+    A keyframe hits a voxel that contains one of its points, or in which the beam through its middle ends. It
+    passes a voxel if all beams through it, and those above and below, end behind it by more than the width of
+    a pixel: along a wall and past a pole some end before it. A voxel is removed if, on average with its
+    neighbours, it was passed before its first hit and after its last one more often than it was hit, and more
+    often than its share of hits between them allows once in `FEWEST` times (Laplace's rule of succession).
+    Connected voxels that were passed more than half as often as they were hit are removed, too.
 
     Parameters
     ----------
@@ -75,7 +75,7 @@ def passed_by(
     poses
         ``T_map_base`` of each.
     reach_m
-        Voxels farther from a lidar are not asked, nor where a pixel is two of them wide.
+        Voxels farther from a lidar, or where a pixel is two voxels wide, are not tested.
     """
     voxel_m = 0.5 * ground.cell_m
     reach_m = min(reach_m, 2 * voxel_m / _PIXEL_RAD)
@@ -89,27 +89,27 @@ def passed_by(
     along = middles[:, 0].copy()
     picture, half_m = np.empty((half_turn + 1, 2 * half_turn), np.float32), 0.5 * math.sqrt(3) * voxel_m
     lidars = [pose.compose(T_base_lidar) for pose in poses]
-    looks = prefetched(
-        zip(clouds, lidars, strict=True), lambda one: (*one, _pixels(moved(one[0], one[1].inverse()))), 1
+    views = prefetched(
+        zip(clouds, lidars, strict=True), lambda view: (*view, _pixels(moved(view[0], view[1].inverse()))), 1
     )
-    for number, (placed, T_map_lidar, seen) in enumerate(looks):
+    for number, (placed, T_map_lidar, pixels) in enumerate(views):
         picture[:] = np.inf
-        look(placed, voxel_m, table, known, number, newest, *seen, picture)
+        look(placed, voxel_m, table, known, number, newest, *pixels, picture)
         # Their keys are sorted along x first.
         ends = T_map_lidar.translation() + np.array([[-reach_m], [reach_m]])
         first, last = np.searchsorted(along, ends[:, 0])
         around = moved(middles[first:last], T_map_lidar.inverse())
-        near = np.flatnonzero(np.einsum("ij,ij->i", around, around) < reach_m**2)
-        seen = _pixels(around[near])
-        count_looks(near + first, half_m, _PIXEL_RAD, number, newest, *seen, picture, counts)
+        in_reach = np.flatnonzero(np.einsum("ij,ij->i", around, around) < reach_m**2)
+        pixels = _pixels(around[in_reach])
+        count_looks(in_reach + first, half_m, _PIXEL_RAD, number, newest, *pixels, picture, counts)
     hits, between, since, before = counts.T
     passes = since + before
     chances = np.log1p(-(hits + 1.0) / (hits + between + 2.0)) * passes
     means = np.empty((len(known), 2))
     means_around(known, table, np.column_stack([chances, passes - hits]), means)
-    gone = (means[:, 0] < -math.log(FEWEST)) & (means[:, 1] > 0.0)
-    spread(known, table, 2 * passes > hits, gone)
-    return PassedBy(known[gone], voxel_m)
+    is_gone = (means[:, 0] < -math.log(FEWEST)) & (means[:, 1] > 0.0)
+    spread(known, table, 2 * passes > hits, is_gone)
+    return PassedBy(known[is_gone], voxel_m)
 
 
 def _pixels(points_lidar: FloatArray) -> tuple[NDArray[np.int32], NDArray[np.int32], Float32Array]:

@@ -33,8 +33,8 @@ class DenseMapSettings:
     depth_min_m, depth_max_m
         Readings outside are not used.
     minimum_views
-        A surface enters the result where at least so many frames saw it, or all of fewer; more removes
-        fragments, and thins out what was seen in passing.
+        Least number of frames (or all, if there are fewer) that must see a surface; more removes fragments,
+        and surfaces that were seen only briefly.
     memory_limit_mb
         Memory the voxels may take, in 10^6 bytes.
     """
@@ -59,7 +59,7 @@ class ColoredCloud:
     normals_map
         (N, 3) unit vectors towards where the surface was seen from.
     intensities
-        (N,) of a lidar's points, in its own steps, NaN where one does not tell it; None if none does.
+        (N,) of a lidar's points, in the lidar's steps, NaN if unknown; None if none is known.
     """
 
     points_map: Float32Array
@@ -81,7 +81,7 @@ class ColoredMesh:
     normals_map
         (N, 3) unit vectors of the vertices, towards where the surface was seen from.
     faces
-        (M, 3) indices of vertices, counter-clockwise where seen from the side of the normals.
+        (M, 3) indices of vertices, counter-clockwise seen from the side of the normals.
     """
 
     vertices_map: Float32Array
@@ -101,26 +101,26 @@ def fuse_keyframes(
     """Fuse frames into one surface; ``poses`` are T_map_camera in the order of the frames.
 
     Frames are taken one at a time: memory grows with the surface, not with their number. A frame with
-    hardly any depth within the range is passed over. Where nothing was seen often enough, the arrays are
+    hardly any depth within the range is skipped. If no surface was seen often enough, the arrays are
     empty.
 
     Raises
     ------
     ScanweaveError
-        If a pose is not finite, or the memory limit is met.
+        If a pose is not finite, or the memory limit is reached.
     """
     blocks = VoxelBlocks(settings.voxel_size_m)
     # A frame is integrated in another thread while the next one is decoded.
-    told = prefetched(
+    integrated = prefetched(
         posed_frames(frames, poses), lambda posed: _integrate(blocks, settings, *posed), most_waiting=1
     )
-    return ColoredMesh(*surface_of_blocks(blocks, min(settings.minimum_views, sum(told))))
+    return ColoredMesh(*surface_of_blocks(blocks, min(settings.minimum_views, sum(integrated))))
 
 
 def _integrate(
     blocks: VoxelBlocks, settings: DenseMapSettings, frame: RgbdFrame, T_map_camera: gtsam.Pose3
 ) -> bool:
-    """Add what one frame saw; False where it has no depth within the range."""
+    """Add one frame; False if it has no depth within the range."""
     k, seen_m = frame.intrinsics, frame.depth_m
     usable = (seen_m >= settings.depth_min_m) & (seen_m <= settings.depth_max_m)
     depth_m, camera = np.where(usable, seen_m, np.float32(0.0)), (k.fx, k.fy, k.cx, k.cy)

@@ -41,15 +41,15 @@ class DepthModel:
     p_hit, p_miss
         Probability that a cell is occupied if a keyframe saw points in it, or saw it free at all heights.
     margin_sigmas
-        By so many standard deviations a point must be above the band's lower end, and a ray frees nothing
-        so near to its end.
+        Number of standard deviations that a point must be above the lower end of the band, and within
+        which a ray frees nothing before its end.
     radius_m, least_neighbours, voxel_m
         Of Yang2021's radius filter, after thinning to voxels.
     least_points
         N of Yang2021 Eq. (20): so many voxels make a cell occupied.
     pixel_stride
-        Every how many rows and columns a pixel is looked at for obstacles, voxels need no more; for what is
-        free every pixel along the way down is, and half as many across.
+        Step in rows and columns between pixels used for obstacles, sufficient for voxels; free space uses
+        every pixel downwards, and half of this step across.
     """
 
     band: HeightBand
@@ -80,9 +80,9 @@ def depth_board(
     A negative depth is a reading removed by an edit: its ray frees cells, and the cell at its end is not
     marked.
 
-    Each cell has the floor and `DepthModel.bins` heights above it. What is seen through is freed there, and
-    what is met is marked there: many images together tell of all heights of a cell, and of those where
-    somebody stood, which a later ray passes.
+    Each cell has the floor and `DepthModel.bins` heights above it. Heights that a ray
+    passes are freed, heights with a point are marked: many images together cover all heights of a cell, and
+    also free those where somebody stood.
 
     Parameters
     ----------
@@ -143,7 +143,7 @@ def _hit_voxels(
     # Height error due to noise along the ray.
     lift = np.abs(T_grid_camera[2, :3] @ (points / points[:, 2:]).T) if len(points) else np.zeros(0)
     margin_m = model.margin_sigmas * lift * model.noise.sigma_m(points[:, 2])
-    left = obstacle_points(
+    inside = obstacle_points(
         to_frame(points, T_grid_camera),
         model.band,
         margin_m=margin_m,
@@ -151,15 +151,15 @@ def _hit_voxels(
         least_neighbours=model.least_neighbours,
         voxel_m=model.voxel_m,
     )
-    cells = np.floor(left[:, :2] / cell_m).astype(np.int64)
+    cells = np.floor(inside[:, :2] / cell_m).astype(np.int64)
     if not len(cells):
         return cells, np.zeros(0, dtype=np.int64)
     first, last = cells.min(axis=0), cells.max(axis=0)
     place = (cells - first) @ np.array([1, last[0] - first[0] + 1])
-    held = (np.bincount(place) >= model.least_points)[place]
+    is_dense = (np.bincount(place) >= model.least_points)[place]
     low_m, high_m = model.band.low_m, model.band.high_m
-    heights = ((left[:, 2] - low_m) / (high_m - low_m) * model.bins).astype(np.int64)
-    return cells[held], 1 + np.clip(heights[held], 0, model.bins - 1)
+    heights = ((inside[:, 2] - low_m) / (high_m - low_m) * model.bins).astype(np.int64)
+    return cells[is_dense], 1 + np.clip(heights[is_dense], 0, model.bins - 1)
 
 
 def _cells_taken(
@@ -172,8 +172,8 @@ def _cells_taken(
 
 def _among(cells: NDArray[np.int64], others: NDArray[np.int64]) -> NDArray[np.bool_]:
     """Return (N,) which of (N, 2) cells are among (M, 2) others."""
-    both = np.concatenate([cells, others])
-    number = np.unique(both, axis=0, return_inverse=True)[1].reshape(-1)
+    merged = np.concatenate([cells, others])
+    number = np.unique(merged, axis=0, return_inverse=True)[1].reshape(-1)
     return np.isin(number[: len(cells)], number[len(cells) :])
 
 

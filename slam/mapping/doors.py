@@ -14,7 +14,7 @@ from slam.measurements import BoolArray, FloatArray
 
 
 def find_doors(
-    rooms: Sequence[Room], grid: OccupancyGrid, points: WallPoints, way_map: FloatArray
+    rooms: Sequence[Room], grid: OccupancyGrid, points: WallPoints, path_map: FloatArray
 ) -> list[Door]:
     """Find openings between neighbouring rooms that are at least as wide as a wall may be thick.
 
@@ -24,23 +24,23 @@ def find_doors(
         Free cells.
     points
         Points on straight objects: an opening that contains some, and was not driven through, is glass.
-    way_map
+    path_map
         (N, 2) positions of the robot.
     """
     free = grid.states() == FREE
-    found: list[Door] = []
+    doors: list[Door] = []
     for index, room in enumerate(rooms):
         for other in rooms[index + 1 :]:
-            for one in room.walls:
+            for shape in room.walls:
                 for wall in other.walls:
-                    line = _between((one.begin_m, one.end_m), (wall.begin_m, wall.end_m))
+                    line = _between((shape.begin_m, shape.end_m), (wall.begin_m, wall.end_m))
                     if line is None:
                         continue
                     for begin, end in _open(*line, free, grid):
-                        driven = crossed(begin, end, way_map)
+                        driven = crossed(begin, end, path_map)
                         if driven or not _met(begin, end, points):
-                            found.append(Door(begin, end, (room.number, other.number), driven))
-    return found
+                            doors.append(Door(begin, end, (room.number, other.number), driven))
+    return doors
 
 
 def _between(
@@ -66,7 +66,7 @@ def _between(
     if not (np.abs(behind) < THICKEST_WALL_M).all():
         return None
     begin, end = (
-        one[0] + at * along + 0.5 * off * normal for at, off in zip((low, high), behind, strict=True)
+        one[0] + at * along + 0.5 * offset * normal for at, offset in zip((low, high), behind, strict=True)
     )
     return begin, end, 0.5 * abs(float(behind.mean())) * normal
 
@@ -83,9 +83,9 @@ def _open(
     steps = np.linspace(-deep, deep, 3 + int(4 * deep / cell_m))
     middles = begin_m + shares[:, None] * (end_m - begin_m)
     across = middles[:, None, :] + steps[:, None] * normal
-    seen = looked_up(free, grid.cells_of(across.reshape(-1, 2))).reshape(len(shares), -1).all(axis=1)
+    is_free = looked_up(free, grid.cells_of(across.reshape(-1, 2))).reshape(len(shares), -1).all(axis=1)
     # A single cell that is not free is noise if its neighbours are free.
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], seen, [False]]).astype(np.int8)))
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], is_free, [False]]).astype(np.int8)))
     runs: list[list[int]] = []
     for low, high in zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True):
         if runs and low - runs[-1][1] <= 4:
@@ -106,18 +106,18 @@ def _met(begin_m: FloatArray, end_m: FloatArray, points: WallPoints) -> bool:
     length = float(np.hypot(*(end_m - begin_m)))
     along = (end_m - begin_m) / length
     normal = np.array([-along[1], along[0]])
-    off = points.points_map - begin_m
-    inside = np.abs(off @ along / length - 0.5) < 1 / 3
-    near = (np.abs(off @ normal) < THICKEST_WALL_M / 4) & (
+    offsets = points.points_map - begin_m
+    inside = np.abs(offsets @ along / length - 0.5) < 1 / 3
+    on_line = (np.abs(offsets @ normal) < THICKEST_WALL_M / 4) & (
         np.abs(points.normals_map @ normal) > np.cos(SAME_DIRECTION_RAD)
     )
-    return bool((inside & near).any())
+    return bool((inside & on_line).any())
 
 
-def crossed(begin_m: FloatArray, end_m: FloatArray, way_map: FloatArray) -> bool:
+def crossed(begin_m: FloatArray, end_m: FloatArray, path_map: FloatArray) -> bool:
     """Return whether a path crosses a line."""
-    step = np.diff(way_map, axis=0)
-    line, to = end_m - begin_m, begin_m - way_map[:-1]
+    step = np.diff(path_map, axis=0)
+    line, to = end_m - begin_m, begin_m - path_map[:-1]
     cross = step[:, 0] * line[1] - step[:, 1] * line[0]
     with np.errstate(divide="ignore", invalid="ignore"):
         on_way = (to[:, 0] * line[1] - to[:, 1] * line[0]) / cross

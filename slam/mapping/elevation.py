@@ -94,8 +94,8 @@ def elevation(
     None if no ground is connected to the robot's path.
     """
     batches, waiting = list[Keys](), list[Keys]()
-    seen = zip(clouds, poses, strict=True)
-    for lows in prefetched(seen, lambda one: _lows(moved(*one), one[1].translation(), reach_m), 1):
+    placed = zip(clouds, poses, strict=True)
+    for lows in prefetched(placed, lambda args: _lows(moved(*args), args[1].translation(), reach_m), 1):
         waiting.append(lows)
         if len(waiting) == BATCH:
             batches.append(_quantiles(np.concatenate(waiting), 0.5))
@@ -110,7 +110,7 @@ def elevation(
     low[row - first[0], col - first[1]] = ((keys & below) - _MIDDLE) * STEP_M
     feet = np.array([pose.transformFrom(np.array([0.0, 0.0, ground_m])) for pose in poses])
     feet = feet[np.isfinite(feet).all(axis=1)]
-    ground = _hanging_together(low, feet, first * _CELL_M)
+    ground = _connected_ground(low, feet, first * _CELL_M)
     if not ground.any():
         return None
     nearest = scipy.ndimage.distance_transform_edt(~ground, return_distances=False, return_indices=True)
@@ -139,9 +139,9 @@ def _above(points, height_m, cell_m, origin_xy, above_m):  # type: ignore[no-unt
 def _lows(points_map: FloatArray, position: FloatArray, reach_m: float) -> Keys:
     """Return (C,) the cells of one cloud, with their heights."""
     x, y, z = np.ascontiguousarray(points_map.T)
-    (near,) = np.nonzero((x - position[0]) ** 2 + (y - position[1]) ** 2 < reach_m**2)
-    row, col = (np.floor(axis[near] / _CELL_M).astype(np.int64) + _MIDDLE for axis in (y, x))
-    height = np.clip(np.rint(z[near] / STEP_M).astype(np.int64) + _MIDDLE, 0, 2 * _MIDDLE - 1)
+    (in_reach,) = np.nonzero((x - position[0]) ** 2 + (y - position[1]) ** 2 < reach_m**2)
+    row, col = (np.floor(axis[in_reach] / _CELL_M).astype(np.int64) + _MIDDLE for axis in (y, x))
+    height = np.clip(np.rint(z[in_reach] / STEP_M).astype(np.int64) + _MIDDLE, 0, 2 * _MIDDLE - 1)
     return _quantiles(row << 2 * _BITS | col << _BITS | height, LEVEL_SHARE)
 
 
@@ -154,7 +154,7 @@ def _quantiles(keys: Keys, share: float) -> Keys:
     return keys[starts + (share * counts).astype(np.int64)]
 
 
-def _hanging_together(low: FloatArray, feet: FloatArray, origin_yx: FloatArray) -> BoolArray:
+def _connected_ground(low: FloatArray, feet: FloatArray, origin_yx: FloatArray) -> BoolArray:
     """Return (rows, cols) cells that are reachable from the robot's positions without too high a step."""
     from scipy.spatial import cKDTree
 
@@ -174,8 +174,8 @@ def _hanging_together(low: FloatArray, feet: FloatArray, origin_yx: FloatArray) 
     )
     _, parts = scipy.sparse.csgraph.connected_components(graph, directed=False)
     at = np.argwhere(known)
-    away, foot = cKDTree((feet[:, 1::-1] - origin_yx) / _CELL_M - 0.5).query(at)
-    stands = (away <= _BESIDE_CELLS) & (np.abs(low[known] - feet[foot, 2]) <= step_m)
+    distance, foot = cKDTree((feet[:, 1::-1] - origin_yx) / _CELL_M - 0.5).query(at)
+    stands = (distance <= _BESIDE_CELLS) & (np.abs(low[known] - feet[foot, 2]) <= step_m)
     ground = np.zeros(low.shape, dtype=np.bool_)
     ground[known] = np.isin(parts, parts[stands])
     return ground

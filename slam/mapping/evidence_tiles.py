@@ -50,15 +50,15 @@ class EvidenceTiles:
     memory_mb
         Tiles beyond this (10^6 bytes) wait in a temporary folder, which goes with this object.
     heights
-        How many heights of a cell are told apart; a board that does not counts for all of them.
+        Number of height bins of a cell; a board without heights counts for all of them.
     """
 
     def __init__(self, memory_mb: float = 128.0, heights: int = 1) -> None:
-        self._held: OrderedDict[tuple[int, int], Tile] = OrderedDict()
+        self._loaded: OrderedDict[tuple[int, int], Tile] = OrderedDict()
         # A tile uses about the same memory for any number of height bins.
         self._side = max(1, math.isqrt(SIDE * SIDE // heights))
         self._shape = (self._side, self._side, heights)
-        self._most = max(4, int(memory_mb * 1e6 / TILE_BYTES))
+        self._most_tiles = max(4, int(memory_mb * 1e6 / TILE_BYTES))
         self._spilled: set[tuple[int, int]] = set()
         self._folder: TemporaryFolder | None = None
         self.used: Box | None = None
@@ -103,18 +103,18 @@ class EvidenceTiles:
 
     def _holds(self, key: tuple[int, int]) -> bool:
         """Return whether the tile exists, in memory or on disk."""
-        return key in self._held or key in self._spilled
+        return key in self._loaded or key in self._spilled
 
     def _tile(self, key: tuple[int, int]) -> Tile:
         """Return a tile from memory, from disk, or new; mark it as most recently used."""
-        tile = self._held.get(key)
+        tile = self._loaded.get(key)
         if tile is None:
             tile = self._load(key) if key in self._spilled else np.zeros(self._shape, dtype=np.int32)
-            self._held[key] = tile
-            if len(self._held) > self._most:
-                self._spill(*self._held.popitem(last=False))
+            self._loaded[key] = tile
+            if len(self._loaded) > self._most_tiles:
+                self._spill(*self._loaded.popitem(last=False))
         else:
-            self._held.move_to_end(key)
+            self._loaded.move_to_end(key)
         return tile
 
     def _spill(self, key: tuple[int, int], tile: Tile) -> None:

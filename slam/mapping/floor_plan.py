@@ -44,15 +44,15 @@ class Wall:
 
     def pieces(self) -> list[tuple[FloatArray, FloatArray, bool]]:
         """Return begin and end of each stretch, and whether it was seen."""
-        found, last = [], 0.0
+        pieces, last = [], 0.0
         for low, high in self.seen_m:
             if low > last:
-                found.append((self.at(last), self.at(low), False))
-            found.append((self.at(low), self.at(high), True))
+                pieces.append((self.at(last), self.at(low), False))
+            pieces.append((self.at(low), self.at(high), True))
             last = high
         if last < self.length_m:
-            found.append((self.at(last), self.end_m, False))
-        return found
+            pieces.append((self.at(last), self.end_m, False))
+        return pieces
 
 
 @dataclass(frozen=True, slots=True)

@@ -108,25 +108,25 @@ def glass_gaps(
 def _loss(
     gap: Segment, beams: _Beams, every: NDArray[np.int64], lost: NDArray[np.int64], cell_m: float
 ) -> float:
-    """The share of beams that a gap loses and the things behind it do not; 0 where that is not sure.
+    """The share of beams lost in a gap but not by the objects behind it; 0 if it is not certain.
 
-    By the ratio of likelihoods of glass, which has a share of losses of its own, and of no glass. A scan has
-    one vote a cell, for neighbouring beams share their fate. It must be sure without the thing that tells
-    most, which may be dark. Of the gap's parts, half as long as the least pane, none may tell it alone, and
-    those that speak against it must not be sure.
+    By the likelihood ratio of glass, which has its own share of losses, to no glass. A scan has
+    one vote per cell, because neighbouring beams are correlated. The result must be certain without the
+    object with the most evidence, which may be dark. No part of the gap, half as long as the shortest pane,
+    may decide alone, and the evidence of parts against glass must not be certain.
 
     Parameters
     ----------
     every, lost
-        (T,) of all beams to each thing, how many there are and how many are lost.
+        (T,) number of all beams to each object, and how many of them are lost.
     """
     share, _ = _crossings(gap, beams.chosen(beams.lost))
     if not ((share > 0.0) & (share < 1.0)).any():
         return 0.0
-    share, beside = _crossings(gap, beams)
-    things = beams.thing[beside]
+    share, hit_beams = _crossings(gap, beams)
+    things = beams.thing[hit_beams]
     elsewhere = every - np.bincount(things, minlength=len(every))
-    lost_there = lost - np.bincount(things[beams.lost[beside]], minlength=len(every))
+    lost_there = lost - np.bincount(things[beams.lost[hit_beams]], minlength=len(every))
     usual = (FEWEST * lost.sum() / every.sum() + lost_there) / (FEWEST + elsewhere)
     through = (share > 0.0) & (share < 1.0)
     share, beams = share[through], beams.chosen(through)
@@ -137,20 +137,20 @@ def _loss(
     loss = float(np.average(beams.lost, weights=weight))
     without = usual[beams.thing]
     with_glass = np.maximum(without, loss)
-    told = weight * np.log(np.where(beams.lost, with_glass / without, (1.0 - with_glass) / (1.0 - without)))
-    parts = np.bincount((share * math.ceil(2.0 * gap.length_m / SHORTEST_M)).astype(np.int64), told)
-    against, sure = float(parts[parts < 0.0].sum()), -math.log(1.0 - CONFIDENCE)
-    least = max(sure + float(np.bincount(beams.thing, told).max()), float(parts.max()))
-    return loss if told.sum() > least and against > -sure else 0.0
+    nats = weight * np.log(np.where(beams.lost, with_glass / without, (1.0 - with_glass) / (1.0 - without)))
+    parts = np.bincount((share * math.ceil(2.0 * gap.length_m / SHORTEST_M)).astype(np.int64), nats)
+    against, limit = float(parts[parts < 0.0].sum()), -math.log(1.0 - CONFIDENCE)
+    least = max(limit + float(np.bincount(beams.thing, nats).max()), float(parts.max()))
+    return loss if nats.sum() > least and against > -limit else 0.0
 
 
 def _crossings(gap: Segment, beams: _Beams) -> tuple[FloatArray, BoolArray]:
-    """Find where beams that end half a wall's thickness behind a gap cross it, and which pass its wall.
+    """Find where beams that end half a wall's thickness behind a gap cross it, and which pass the wall.
 
     Returns
     -------
-    (N,) share of the gap, ``nan`` where one does not cross; (N,) whether it passes what is as near to the
-    gap as a wall is thick: its other side, and what else stands in it.
+    (N,) share of the gap, ``nan`` without a crossing; (N,) whether it passes everything within the thickness
+    of a wall behind the gap: the other side of the wall, and objects in it.
     """
     along_x, along_y = ((gap.end_m - gap.begin_m) / gap.length_m).tolist()
     x, y = beams.from_m[:, 0] - gap.begin_m[0], beams.from_m[:, 1] - gap.begin_m[1]
@@ -179,14 +179,14 @@ def _beams(grid: OccupancyGrid, scans: Sequence[LaserScan | None], poses: FloatA
         along = np.column_stack([np.cos(angles), np.sin(angles)])
         parts.append((from_m, along, scan.ranges_m, np.full(angles.size, scan_number)))
     from_m, along, ranges_m, number = (np.concatenate(column) for column in zip(*parts, strict=True))
-    met, lost = np.isfinite(ranges_m) & (ranges_m > 0.0), np.isposinf(ranges_m)
+    hit, lost = np.isfinite(ranges_m) & (ranges_m > 0.0), np.isposinf(ranges_m)
     # Beyond the range of nearly all returns, none is expected.
-    reach_m = float(np.quantile(ranges_m[met], CONFIDENCE)) if met.any() else 0.0
-    end_m = np.where(met, ranges_m, 0.0).astype(np.float64)
+    reach_m = float(np.quantile(ranges_m[hit], CONFIDENCE)) if hit.any() else 0.0
+    end_m = np.where(hit, ranges_m, 0.0).astype(np.float64)
     end_m[lost] = _first_met(grid, from_m[lost], along[lost], reach_m)
     cells = grid.cells_of(from_m + end_m[:, None] * along)
-    near = scipy.ndimage.binary_dilation(grid.steps > 0, iterations=2)
-    known = (end_m > 0.0) & (looked_up(near, cells) > 0)
+    near_wall = scipy.ndimage.binary_dilation(grid.steps > 0, iterations=2)
+    known = (end_m > 0.0) & (looked_up(near_wall, cells) > 0)
     squares = cells // round(SHORTEST_M / grid.resolution_m) @ np.array([grid.shape[1], 1])
     _, thing = np.unique(squares, return_inverse=True)
     return _Beams(from_m, along, end_m, thing, number, lost).chosen(known)
@@ -195,9 +195,9 @@ def _beams(grid: OccupancyGrid, scans: Sequence[LaserScan | None], poses: FloatA
 def _first_met(grid: OccupancyGrid, from_m: FloatArray, along: FloatArray, reach_m: float) -> FloatArray:
     """Return (N,) the range of the first obstacle on each beam; 0 if there is none."""
     obstacle, step_m = grid.steps > 0, 0.5 * grid.resolution_m
-    found, left = np.zeros(len(from_m)), np.arange(len(from_m))
+    distance_m, open_beams = np.zeros(len(from_m)), np.arange(len(from_m))
     for at_m in np.arange(step_m, reach_m, step_m):
-        met = looked_up(obstacle, grid.cells_of(from_m[left] + at_m * along[left])) > 0
-        found[left[met]] = at_m
-        left = left[~met]
-    return found
+        hit = looked_up(obstacle, grid.cells_of(from_m[open_beams] + at_m * along[open_beams])) > 0
+        distance_m[open_beams[hit]] = at_m
+        open_beams = open_beams[~hit]
+    return distance_m

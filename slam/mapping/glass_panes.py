@@ -36,9 +36,9 @@ def head_on(scan: LaserScan, noise: RangeNoise, cell_m: float) -> LaserScan:
     limits = np.tan(_LOBE_RAD), 2.0 * noise.floor_m, 2.0 * noise.share, cell_m
     # Removed readings count as flat as they were.
     ranges_m = np.abs(np.asarray(scan.ranges_m, dtype=np.float32))
-    met = np.zeros(ranges_m.size, np.bool_)
-    _flat(ranges_m, half, abs(float(scan.step_rad)), limits, met)
-    return replace(scan, ranges_m=np.where(met, scan.ranges_m, np.float32(np.nan)))
+    is_kept = np.zeros(ranges_m.size, np.bool_)
+    _flat(ranges_m, half, abs(float(scan.step_rad)), limits, is_kept)
+    return replace(scan, ranges_m=np.where(is_kept, scan.ranges_m, np.float32(np.nan)))
 
 
 @kernel
@@ -47,7 +47,7 @@ def _flat(
     half: int,
     step_rad: float,
     limits: tuple[float, float, float, float],
-    found: BoolArray,
+    is_flat: BoolArray,
 ) -> None:
     """Mark (N,) beams whose window fits a line across them, by its slope and residuals."""
     turns = step_rad**2 * half * (half + 1) * (2 * half + 1) / 3
@@ -61,11 +61,11 @@ def _flat(
             moment += reading * beam * step_rad
         count = 2 * half + 1
         mean, slope = total / count, moment / turns
-        left = (squares - total * mean - slope * moment) / count
+        residual = (squares - total * mean - slope * moment) / count
         spread = limits[1] + limits[2] * mean
-        if abs(slope) < limits[0] * mean and left < spread**2 and spread <= limits[3]:
+        if abs(slope) < limits[0] * mean and residual < spread**2 and spread <= limits[3]:
             for beam in range(-half, half + 1):
-                found[middle + beam] = True
+                is_flat[middle + beam] = True
 
 
 def straight_runs(cells: BoolArray, resolution_m: float) -> BoolArray:
@@ -76,7 +76,7 @@ def straight_runs(cells: BoolArray, resolution_m: float) -> BoolArray:
     def seen(grid: BoolArray, down: int, right: int) -> BoolArray:
         return grid[length + down : length + down + rows, length + right : length + right + cols]
 
-    runs, wide, whole = np.zeros_like(cells), np.zeros_like(room), np.zeros_like(room)
+    runs, wide, complete = np.zeros_like(cells), np.zeros_like(room), np.zeros_like(room)
     for angle in np.pi / length * np.arange(length):
         at = np.linspace(-0.5, 0.5, 4 * length) * (length - 1)
         offsets = np.rint(np.column_stack([np.sin(angle) * at, np.cos(angle) * at])).astype(int)
@@ -84,8 +84,8 @@ def straight_runs(cells: BoolArray, resolution_m: float) -> BoolArray:
         # Cells of a slanted row may be beside the line.
         down, right = (1, 0) if abs(np.cos(angle)) > abs(np.sin(angle)) else (0, 1)
         seen(wide, 0, 0)[:] = cells | seen(room, down, right) | seen(room, -down, -right)
-        seen(whole, 0, 0)[:] = np.all([seen(wide, *cell) for cell in row], axis=0)
-        runs |= np.any([seen(whole, -down, -right) for down, right in row], axis=0)
+        seen(complete, 0, 0)[:] = np.all([seen(wide, *cell) for cell in row], axis=0)
+        runs |= np.any([seen(complete, -down, -right) for down, right in row], axis=0)
     return runs & cells
 
 
@@ -96,7 +96,7 @@ def in_straight_runs(cells: NDArray[np.intp], shape: tuple[int, int], resolution
     """
     margin = max(3, round(SHORTEST_M / resolution_m)) + 2
     rows, cols = np.divmod(cells, shape[1])
-    found = np.zeros(len(cells), np.bool_)
+    in_run = np.zeros(len(cells), np.bool_)
     for first in range(0, shape[0], SIDE):
         inside = slice(*np.searchsorted(rows, [first, first + SIDE]))
         around = slice(*np.searchsorted(rows, [first - margin, first + SIDE + margin]))
@@ -104,5 +104,5 @@ def in_straight_runs(cells: NDArray[np.intp], shape: tuple[int, int], resolution
             row, col = rows[around].min(), cols[around].min()
             band = np.zeros((np.ptp(rows[around]) + 1, np.ptp(cols[around]) + 1), np.bool_)
             band[rows[around] - row, cols[around] - col] = True
-            found[inside] = straight_runs(band, resolution_m)[rows[inside] - row, cols[inside] - col]
-    return found
+            in_run[inside] = straight_runs(band, resolution_m)[rows[inside] - row, cols[inside] - col]
+    return in_run

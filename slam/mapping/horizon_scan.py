@@ -39,11 +39,11 @@ def horizon_scan(
     level = np.hypot(rays[:, 0], rays[:, 1])
     elevation = np.arctan2(rays @ T_base_lidar.rotation().matrix()[:, 2], level)
     bins = np.rint(elevation / _BIN_RAD).astype(np.int64)
-    near = np.abs(elevation) <= _STEEPEST_RAD
-    if not near.any():
+    is_level = np.abs(elevation) <= _STEEPEST_RAD
+    if not is_level.any():
         return None
-    found, counts = np.unique(bins[near], return_counts=True)
-    rings = found[counts >= LEVEL_SHARE * counts.max()]
+    bin_numbers, counts = np.unique(bins[is_level], return_counts=True)
+    rings = bin_numbers[counts >= LEVEL_SHARE * counts.max()]
     ring = int(rings[np.argmin(np.abs(rings))])
     on_ring = np.abs(elevation - ring * _BIN_RAD) <= _BIN_RAD
     step_rad = 2.0 * math.pi / config.bearings

@@ -81,11 +81,11 @@ def unpacked_depth(depth: bytes, steps_per_m: float, camera: CameraIntrinsics) -
     return steps.astype(np.float32) / np.float32(steps_per_m)
 
 
-def _check_size(found: tuple[int, int] | None, camera: CameraIntrinsics) -> None:
+def _check_size(actual: tuple[int, int] | None, camera: CameraIntrinsics) -> None:
     """Reject an image that does not have the camera's size."""
     size = (camera.width, camera.height)
-    if found != size:
-        raise ValueError(f"an image of {found} pixels, the camera has {size}")
+    if actual != size:
+        raise ValueError(f"an image of {actual} pixels, the camera has {size}")
 
 
 def _png_size(content: bytes) -> tuple[int, int] | None:

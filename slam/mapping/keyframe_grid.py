@@ -68,8 +68,8 @@ def lidar_grids(
     builder = LayerBuilder(settings)
 
     def placed() -> Iterator[tuple[LaserScan, gtsam.Pose2]]:
-        both = zip(scans, poses, strict=True)
-        return ((scan, pose2_from_row(pose)) for scan, pose in both if scan is not None)
+        pairs = zip(scans, poses, strict=True)
+        return ((scan, pose2_from_row(pose)) for scan, pose in pairs if scan is not None)
 
     for scan, T_map_base in placed():
         builder.add(scan, T_map_base)
@@ -81,11 +81,11 @@ def lidar_grids(
     if grid.resolution_m > settings.resolution_m:
         return {OCCUPANCY: grid}
     static, stood = without_passers_by(grid, placed(), settings.lidar)
-    gone = _moved(scans, poses, measured, grid, settings)
+    past = _moved(scans, poses, measured, grid, settings)
     if stood is not None:
         there = np.nonzero(stood.steps)
-        gone[there] = np.maximum(gone[there], stood.steps[there])
-    return {OCCUPANCY: static} | ({PASSED_BY: replace(grid, steps=gone)} if gone.any() else {})
+        past[there] = np.maximum(past[there], stood.steps[there])
+    return {OCCUPANCY: static} | ({PASSED_BY: replace(grid, steps=past)} if past.any() else {})
 
 
 def _moved(
@@ -109,8 +109,8 @@ def _moved(
             row, col = board.row - corner[0], board.col - corner[1]
             rows, cols = board.steps.shape
             part = steps[row : row + rows, col : col + cols]
-            met = board.steps > 0
-            part[met] = np.minimum(part[met] + board.steps[met], most)
+            hit = board.steps > 0
+            part[hit] = np.minimum(part[hit] + board.steps[hit], most)
     return steps
 
 

@@ -72,7 +72,7 @@ class LayerBuilder:
     def __init__(self, settings: LayerSettings) -> None:
         self._settings = settings
         self._tiles: dict[str, EvidenceTiles] = {}
-        self._seen: set[tuple[str, float, bytes]] = set()
+        self._scans_added: set[tuple[str, float, bytes]] = set()
 
     def add(self, reading: Reading, T_map_base: Pose) -> bool:
         """Add the scan or depth image of a keyframe; return False if it was added before.
@@ -94,7 +94,7 @@ class LayerBuilder:
             raise ScanweaveError(f"cannot map the reading at {reading.stamp_s:.6f} s: its pose is lost")
         under = planar(T_map_base)
         key = (reading.sensor, reading.stamp_s, row_from_pose2(under).tobytes())
-        if key in self._seen:
+        if key in self._scans_added:
             return False
         settings = self._settings
         footprint = footprint_board(under, settings.robot_radius_m, settings.resolution_m)
@@ -105,7 +105,7 @@ class LayerBuilder:
             tiles.add(board)
             if footprint is not None:
                 tiles.add(footprint)
-        self._seen.add(key)
+        self._scans_added.add(key)
         return True
 
     def grid(self, name: str) -> OccupancyGrid | None:
@@ -138,12 +138,12 @@ class LayerBuilder:
         for first in range(0, rows, SIDE):
             part = steps[first : first + SIDE]
             panes = self._tiles["head on"].clipped((row + first, col, len(part), cols), low, high)
-            held = np.flatnonzero((panes > math.log(2.0) * bayes.STEPS_A_UNIT) & (part < 0))
-            numbers.append(held + first * cols)
-            values.append(panes.ravel()[held])
-        held = np.concatenate(numbers)
-        straight = in_straight_runs(held, (rows, cols), self._settings.resolution_m)
-        steps.ravel()[held[straight]] = np.concatenate(values)[straight]
+            cells = np.flatnonzero((panes > math.log(2.0) * bayes.STEPS_A_UNIT) & (part < 0))
+            numbers.append(cells + first * cols)
+            values.append(panes.ravel()[cells])
+        cells = np.concatenate(numbers)
+        straight = in_straight_runs(cells, (rows, cols), self._settings.resolution_m)
+        steps.ravel()[cells[straight]] = np.concatenate(values)[straight]
 
     def _boards(self, reading: Reading, T_map_base: Pose) -> Iterator[tuple[str, Board]]:
         """Yield the evidence of a reading by layer; for a scan also that of its head-on beams."""

@@ -71,13 +71,13 @@ class LayeredMap:
         if self.lidar is None and self.depth is None:
             raise ScanweaveError("no reading was given to build a map from; does the log hold any?")
         for grid in self._grids():
-            apart = _corner(grid, self.resolution_m) - self._phase
-            apart = np.abs(apart - np.round(apart))
+            offset = _corner(grid, self.resolution_m) - self._phase
+            offset = np.abs(offset - np.round(offset))
             turned = abs(grid.T_map_grid.theta() - self.yaw_rad)
-            if grid.resolution_m != self.resolution_m or max(apart.max(), turned) > TINY:
+            if grid.resolution_m != self.resolution_m or max(offset.max(), turned) > TINY:
                 raise ScanweaveError(
                     f"the grids of lidar and depth have misaligned cells: cells of {grid.resolution_m:g} "
-                    f"and {self.resolution_m:g} m, {apart.max():.3f} of a cell apart; make the map anew"
+                    f"and {self.resolution_m:g} m, {offset.max():.3f} of a cell apart; make the map anew"
                 )
 
     @property
@@ -174,8 +174,8 @@ class LayeredMap:
     def _phase(self) -> FloatArray:
         """Return (2,) the offset of the lattice from the map's origin, in cells."""
         corner = _corner(self._grids()[0], self.resolution_m)
-        apart = corner - np.round(corner)
-        return np.where(np.abs(apart) > TINY, apart, 0.0)
+        phase = corner - np.round(corner)
+        return np.where(np.abs(phase) > TINY, phase, 0.0)
 
     def _box(self, grid: OccupancyGrid) -> Box:
         """Return first row, first col, rows, cols of a grid on the lattice."""

@@ -79,11 +79,11 @@ def count_looks(which, half_m, pixel_rad, number, newest, pixels_row, pixels_col
         span = math.ceil(half_m / (away_m * pixel_rad))
         wide = min(math.ceil(span / max(math.sin(row * pixel_rad), pixel_rad)), cols // 2)
         # Between distant rings, it is unknown what beams between them would have hit.
-        beside = max(span, 2)
+        margin = max(span, 2)
         behind = True
         above = below = False
-        for level in range(max(row - beside, 0), min(row + beside + 1, rows)):
-            near = abs(level - row) <= span
+        for level in range(max(row - margin, 0), min(row + margin + 1, rows)):
+            in_span = abs(level - row) <= span
             side = col - wide if col >= wide else col - wide + cols
             for _ in range(2 * wide + 1):
                 range_m = picture[level, side]
@@ -92,12 +92,12 @@ def count_looks(which, half_m, pixel_rad, number, newest, pixels_row, pixels_col
                     side = ZERO
                 if math.isinf(range_m):
                     continue
-                if near and range_m <= behind_m:
+                if in_span and range_m <= behind_m:
                     behind = False
                     break
                 above = above or level < row
                 below = below or level > row
-                if not near:  # one beam shows that the direction was observed
+                if not in_span:  # one beam shows that the direction was observed
                     break
             if not behind:
                 break
@@ -112,8 +112,8 @@ def means_around(keys, table, values, means):  # type: ignore[no-untyped-def]
         for column in range(values.shape[1]):
             means[i, column] = 0.0
         count = ZERO
-        for near in range(27):
-            k = entry_of(keys[i] + _away(near), table, keys)
+        for neighbour in range(27):
+            k = entry_of(keys[i] + _key_offset(neighbour), table, keys)
             if k >= 0:
                 for column in range(values.shape[1]):
                     means[i, column] += values[k, column]
@@ -132,8 +132,8 @@ def spread(keys, table, may, chosen):  # type: ignore[no-untyped-def]
             queue[end] = k
             end += 1
     while done < end:
-        for near in range(27):
-            k = entry_of(keys[queue[done]] + _away(near), table, keys)
+        for neighbour in range(27):
+            k = entry_of(keys[queue[done]] + _key_offset(neighbour), table, keys)
             if k >= 0 and may[k] and not chosen[k]:
                 chosen[k] = True
                 queue[end] = k
@@ -142,6 +142,6 @@ def spread(keys, table, may, chosen):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _away(near):  # type: ignore[no-untyped-def]
+def _key_offset(cell):  # type: ignore[no-untyped-def]
     """Return the key offset to one of the 27 voxels in and around a voxel."""
-    return ((near // 9 - 1) << 2 * AXIS_BITS) + ((near // 3 % 3 - 1) << AXIS_BITS) + near % 3 - 1
+    return ((cell // 9 - 1) << 2 * AXIS_BITS) + ((cell // 3 % 3 - 1) << AXIS_BITS) + cell % 3 - 1

@@ -31,10 +31,10 @@ class _Sweep(NamedTuple):
     scan, laser, reach_m
         The scan, (3,) pose of its laser in the odometry frame, and its range.
     beams, points, begun
-        (M,) the beams that met them, (M, 2) where, odometry frame, and (T + 1,) where each thing begins.
+        (M,) the beams that hit them, (M, 2) their ends, odometry frame, and (T + 1,) first beam of each.
     moves
-        (2, T) by what was before, and by what comes after: 2 where it moves, 1 where nothing but this scan
-        tells it, else 0.
+        (2, T) by the scans before and by those after: 2 if it moves, 1 if only this scan shows that it
+        moves, else 0.
     """
 
     scan: LaserScan
@@ -50,8 +50,8 @@ class _Sweep(NamedTuple):
         """Create it from a scan with the base at a pose (3,)."""
         laser, size = compose(pose, row_from_pose2(scan.T_base_laser)), scan.ranges_m.size
         beams, points, begun = np.empty(size, np.int32), np.empty((size, 2)), np.zeros(size + 1, np.int32)
-        seen = scan.ranges_m, scan.start_angle_rad, scan.step_rad, reach_m
-        things = _small_things(laser, *seen, GAP_M, LONGEST_M, beams, points, begun)
+        beams_of = scan.ranges_m, scan.start_angle_rad, scan.step_rad, reach_m
+        things = _small_things(laser, *beams_of, GAP_M, LONGEST_M, beams, points, begun)
         count, moves = begun[things], np.zeros((2, things), np.int8)
         small = beams[:count].copy(), points[:count].copy(), begun[: things + 1].copy()
         return cls(scan, laser, reach_m, *small, moves)
@@ -59,8 +59,8 @@ class _Sweep(NamedTuple):
     def free_in(self, other: _Sweep, free: BoolArray) -> bool:
         """Clear ``free`` (M,) where another scan did not see free space; return whether any is left."""
         scan = other.scan
-        seen = scan.ranges_m, scan.start_angle_rad, scan.step_rad, other.reach_m
-        return bool(_seen_free(self.points, other.laser, *seen, GAP_M / 2, free))
+        beams = scan.ranges_m, scan.start_angle_rad, scan.step_rad, other.reach_m
+        return bool(_seen_free(self.points, other.laser, *beams, GAP_M / 2, free))
 
     def follow(self, other: _Sweep, side: int, free: BoolArray | None = None) -> bool:
         """Mark moving objects, by those of an adjacent scan and ``free`` (M,); return whether any is new."""
@@ -72,24 +72,24 @@ class _Sweep(NamedTuple):
 class MovingThings:
     """Tracks moving objects in the scans of a run.
 
-    A thing hangs together and is small. It moves where a third of it was seen free at both of two moments
-    before, or after, and so was what is there in the scan before; or where that has something that moves: who
-    stands still is followed. What moves off was there before: it is followed back over the keyframes. A beam
-    without a return says nothing, for what is dark gives none either.
+    An object is a small connected set of points. It moves if a third of it was seen free at both of two
+    moments before, or after, and so was the object there in the previous scan; or if that object moves: a
+    person who stands still is followed. An object that moves away is followed back over the keyframes. A beam
+    without a return is no evidence, because dark surfaces return none either.
 
     Parameters
     ----------
     range_max_m
-        Readings beyond are none.
+        Longer readings are ignored.
     """
 
     def __init__(self, range_max_m: float) -> None:
         self._range_max_m = range_max_m
         # Those of two moments; so many of them are judged.
         self._sweeps, self._stamps_s = list[_Sweep](), list[float]()
-        self._judged = 0
+        self._next_judged = 0
         self._keyframes: list[_Sweep | None] = []
-        self._kept = ArraySpool()
+        self._spool = ArraySpool()
 
     def add(self, scan: LaserScan, pose: FloatArray) -> None:
         """Add the next scan, with the base at a pose (3,) in the odometry frame."""
@@ -97,17 +97,17 @@ class MovingThings:
             self.lose()
         self._sweeps.append(_Sweep.of(scan, pose, min(self._range_max_m, scan.range_max_m)))
         self._stamps_s.append(scan.stamp_s)
-        while scan.stamp_s - self._stamps_s[self._judged] >= 2 * GAP_S:
+        while scan.stamp_s - self._stamps_s[self._next_judged] >= 2 * GAP_S:
             self._judge()
-        old = max(bisect_right(self._stamps_s, self._stamps_s[self._judged] - 2 * GAP_S) - 1, 0)
+        old = max(bisect_right(self._stamps_s, self._stamps_s[self._next_judged] - 2 * GAP_S) - 1, 0)
         del self._sweeps[:old], self._stamps_s[:old]
-        self._judged -= old
+        self._next_judged -= old
 
     def lose(self) -> None:
         """Restart: the pose of the next scan relative to the previous ones is unknown."""
-        while self._judged < len(self._sweeps):
+        while self._next_judged < len(self._sweeps):
             self._judge()
-        self._sweeps, self._stamps_s, self._judged = [], [], 0
+        self._sweeps, self._stamps_s, self._next_judged = [], [], 0
 
     def keep(self, scan: LaserScan | None) -> None:
         """Mark the newest scan as a keyframe; for another scan, nothing is known."""
@@ -115,7 +115,7 @@ class MovingThings:
         if newest is None or newest.scan is not scan:
             self._keyframes.append(None)
             return
-        keep = self._kept.keep
+        keep = self._spool.keep
         self._sweeps[-1] = newest._replace(
             beams=keep(newest.beams),
             points=keep(newest.points),
@@ -127,22 +127,22 @@ class MovingThings:
     def taken_from(self, scans: Sequence[LaserScan | None]) -> list[LaserScan | None]:
         """Return the keyframe scans, repaired or not; the beams of moving objects become negative."""
         self.lose()
-        left = list(scans)
+        remaining = list(scans)
         for key, (scan, sweep) in enumerate(zip(scans, self._keyframes, strict=True)):
             moves = sweep is not None and (sweep.moves == 2).any(axis=0)
             if scan is not None and sweep is not None and np.any(moves):
                 beams = sweep.beams[np.repeat(moves, np.diff(sweep.begun))]
                 ranges_m = scan.ranges_m.copy()
                 ranges_m[beams] = -np.abs(ranges_m[beams])
-                left[key] = replace(scan, ranges_m=ranges_m)
-        return left
+                remaining[key] = replace(scan, ranges_m=ranges_m)
+        return remaining
 
     def _judge(self) -> None:
         """Find the moving objects in the next scan that is not judged yet."""
-        sweeps, number = self._sweeps, self._judged
+        sweeps, number = self._sweeps, self._next_judged
         sweep, now_s = sweeps[number], self._stamps_s[number]
-        self._judged += 1
-        beside = sweeps[max(number - 1, 0)]
+        self._next_judged += 1
+        adjacent = sweeps[max(number - 1, 0)]
         # A walking person leaves the old place completely in the longer time, partly in the shorter one.
         away_s = GAP_S, 2 * GAP_S
         before = [bisect_right(self._stamps_s, now_s - ago_s) - 1 for ago_s in away_s]
@@ -152,8 +152,8 @@ class MovingThings:
             free = (np.ones if some else np.zeros)(len(sweep.beams), np.bool_)
             for other in others:
                 some = some and sweep.free_in(sweeps[other], free)
-            if some or np.count_nonzero(beside.moves[side]):
-                sweep.follow(beside, side, free)
+            if some or np.count_nonzero(adjacent.moves[side]):
+                sweep.follow(adjacent, side, free)
         follower = sweep
         for keyframe in reversed(self._keyframes):
             if keyframe is None:
@@ -218,8 +218,8 @@ def _seen_free(  # type: ignore[no-untyped-def]
             bearing_rad = math.atan2(cos * dy - sin * dx, cos * dx + sin * dy)
             beam = math.floor((bearing_rad - start_rad) / step_rad % turn + 0.5)
             aside = math.ceil(margin_m / abs(far_m * step_rad))
-            for near in range(beam - aside, beam + aside + 1):
-                free[i] = free[i] and 0 <= near < ranges_m.size and far_m < ranges_m[near] <= reach_m
+            for other in range(beam - aside, beam + aside + 1):
+                free[i] = free[i] and 0 <= other < ranges_m.size and far_m < ranges_m[other] <= reach_m
             some = some or free[i]
     return some
 
@@ -233,19 +233,19 @@ def _follow(  # type: ignore[no-untyped-def]
     for thing in range(moves.size):
         first, last = begun[thing], begun[thing + 1]
         size = last - first
-        seen = ZERO
+        free_count = ZERO
         x = 0.0
         y = 0.0
         for i in range(first, last):
-            seen += free[i]
+            free_count += free[i]
             x += points[i, 0] / size
             y += points[i, 1] / size
-        told = ZERO
-        if 3 * seen >= size and seen > 2:
-            told += 1
-        beside = ZERO
+        motion = ZERO
+        if 3 * free_count >= size and free_count > 2:
+            motion += 1
+        adjacent = ZERO
         for other in range(others_move.size):
-            if others_move[other] > beside:
+            if others_move[other] > adjacent:
                 begin, end = others_begun[other], others_begun[other + 1]
                 dx = x
                 dy = y
@@ -253,9 +253,9 @@ def _follow(  # type: ignore[no-untyped-def]
                     dx -= others[j, 0] / (end - begin)
                     dy -= others[j, 1] / (end - begin)
                 if math.sqrt(dx * dx + dy * dy) < apart_m:
-                    beside = np.int64(others_move[other])
-        if told + beside > 1:
-            told = 2
-        new = new or told > moves[thing]
-        moves[thing] = max(moves[thing], told)
+                    adjacent = np.int64(others_move[other])
+        if motion + adjacent > 1:
+            motion = 2
+        new = new or motion > moves[thing]
+        moves[thing] = max(moves[thing], motion)
     return new

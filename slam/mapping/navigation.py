@@ -175,8 +175,8 @@ def _searched(allowed: BoolArray, price: FloatArray, start: Cell, goal: Cell) ->
                 if known < cost[there]:
                     cost[there], before[there] = known, here
                     down, across = abs(goal[0] - r), abs(goal[1] - c)
-                    left = max(down, across) + (math.sqrt(2.0) - 1.0) * min(down, across)
-                    heapq.heappush(queue, (known + left, r, c))
+                    bound = max(down, across) + (math.sqrt(2.0) - 1.0) * min(down, across)
+                    heapq.heappush(queue, (known + bound, r, c))
     return before
 
 

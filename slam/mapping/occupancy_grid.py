@@ -172,6 +172,6 @@ def _to_frame(points: FloatArray, T_a_b: gtsam.Pose2) -> FloatArray:
 def looked_up(picture: NDArray[_Cell], cells: NDArray[np.int64], outside: Any = 0) -> NDArray[_Cell]:
     """Look up (N,) values of an image at (N, 2) rows and columns, which may lie outside of it."""
     inside = ((cells >= 0) & (cells < picture.shape)).all(axis=1)
-    found = np.full(len(cells), outside, picture.dtype)
-    found[inside] = picture[cells[inside, 0], cells[inside, 1]]
-    return found
+    values = np.full(len(cells), outside, picture.dtype)
+    values[inside] = picture[cells[inside, 0], cells[inside, 1]]
+    return values

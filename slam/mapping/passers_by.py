@@ -1,4 +1,4 @@
-"""Remove temporary objects from the lidar grid: things that beams passed through before or after.
+"""Remove temporary objects from the lidar grid: those that beams passed through before or after.
 
 Bayes' rule counts all hits of a cell at any time, so a person who stands still for some scans outweighs the
 few beams that pass. But a fixed object is hit from the first to the last time that the lidar looks at it.
@@ -27,20 +27,20 @@ from slam.measurements import FloatArray, LaserScan
 def without_passers_by(
     grid: OccupancyGrid, scans: Iterable[tuple[LaserScan, gtsam.Pose2]], model: LidarModel
 ) -> tuple[OccupancyGrid, OccupancyGrid | None]:
-    """Take out of a grid each thing all of whose cells were passed before the first hit or after the last.
+    """Remove from a grid the objects whose cells were all passed before the first hit or after the last.
 
-    A thing is what hangs together of the occupied cells, corners included. In the mean its cells must have
-    been passed more often than their own share of hits from the first to the last one allows (Laplace's rule
-    of succession): a thin leg is often passed while it stands, an edge of a wall hangs together with what is
-    not passed. And so often that these beams alone make them twice as likely free as not. Beams count where
-    they are no farther apart than a cell is wide. What stands in a straight row may be a pane of glass, which
-    only some beams meet, and stays. Cells are free where this is so of the beams since the last hit alone;
-    else the thing may still be there, and they are unknown.
+    An object is a connected component of the occupied cells, corners included. On average, its cells must
+    have been passed more often than their share of hits from the first to the last one allows (Laplace's rule
+    of succession): a thin leg is often passed while it stands, an edge of a wall is connected to cells that
+    are not passed. And so often that these beams alone make them twice as likely free as not. Beams count if
+    they are at most a cell apart. A straight row may be a pane of glass, which only some beams hit, and
+    stays. Cells become free if the beams since the last hit alone suffice; otherwise the object may still be
+    there, and they become unknown.
 
     Parameters
     ----------
     grid
-        Drawn of the scans, in cells as fine as they were drawn.
+        Drawn from the scans, at their original resolution.
     scans
         With ``T_map_base`` of each, in the order of time.
     model
@@ -56,22 +56,22 @@ def without_passers_by(
     if not cells.size:
         return grid, None
     before, since, missed = _passes(grid, cells, scans, model)
-    of_cell = things_of(cells, grid.shape[1])
+    of_cell = components_of(cells, grid.shape[1])
     rows_cols = np.column_stack(np.unravel_index(cells, grid.shape))
-    moved = _not_there(of_cell, before + since, missed, enough)
-    gone = [thing for thing in moved if not _may_be_a_pane(rows_cols[of_cell == thing] * cell_m, cell_m)]
-    own = np.isin(of_cell, gone)
+    moved = _moved_objects(of_cell, before + since, missed, enough)
+    removed = [thing for thing in moved if not _may_be_a_pane(rows_cols[of_cell == thing] * cell_m, cell_m)]
+    own = np.isin(of_cell, removed)
     taken = cells[own]
     if not taken.size:
         return grid, None
-    left = np.isin(of_cell[own], _not_there(of_cell, since, missed, enough))
+    is_free = np.isin(of_cell[own], _moved_objects(of_cell, since, missed, enough))
     static, stood = grid.steps.copy(), np.zeros(grid.shape, grid.steps.dtype)
     stood.flat[taken] = static.flat[taken]
-    static.flat[taken] = np.where(left, enough * miss, 0)
+    static.flat[taken] = np.where(is_free, enough * miss, 0)
     return replace(grid, steps=static), replace(grid, steps=stood)
 
 
-def things_of(cells: NDArray[np.intp], cols: int) -> NDArray[np.intp]:
+def components_of(cells: NDArray[np.intp], cols: int) -> NDArray[np.intp]:
     """Return (C,) the connected component of each cell, given by ascending indices.
 
     A label image would take twice the memory of the grid.
@@ -80,22 +80,22 @@ def things_of(cells: NDArray[np.intp], cols: int) -> NDArray[np.intp]:
     from scipy.sparse.csgraph import connected_components
 
     ends = list[NDArray[np.intp]]()
-    for right, away in ((1, 1), (-1, cols - 1), (0, cols), (1, cols + 1)):
-        at = np.searchsorted(cells, cells + away)
+    for right, offset in ((1, 1), (-1, cols - 1), (0, cols), (1, cols + 1)):
+        at = np.searchsorted(cells, cells + offset)
         inside = (cells % cols + right >= 0) & (cells % cols + right < cols) & (at < len(cells))
-        (found,) = np.nonzero(inside & (cells[at.clip(max=len(cells) - 1)] == cells + away))
-        ends.append(np.stack([found, at[found]]))
+        (touching,) = np.nonzero(inside & (cells[at.clip(max=len(cells) - 1)] == cells + offset))
+        ends.append(np.stack([touching, at[touching]]))
     first, second = np.concatenate(ends, axis=1)
     joined = coo_array((np.ones(len(first), np.bool_), (first, second)), shape=(len(cells), len(cells)))
     return np.asarray(connected_components(joined, directed=False)[1], np.intp)
 
 
-def _not_there(
+def _moved_objects(
     of_cell: NDArray[np.intp], passes: NDArray[np.int32], missed: FloatArray, enough: int
 ) -> NDArray[np.intp]:
     """Return the numbers of the objects that beams passed too often for a fixed object.
 
-    ``of_cell`` (C,) is the number of each cell's thing, the others are as of `_passes`.
+    ``of_cell`` (C,) is the number of each cell's object, the others are as of `_passes`.
     """
     size, fewest = np.bincount(of_cell), np.full(of_cell.max(initial=-1) + 1, np.iinfo(np.int32).max)
     np.minimum.at(fewest, of_cell, passes)
@@ -113,7 +113,7 @@ def _passes(
 
     Returns
     -------
-    (C,) scans that passed it before the first hit, and since the last one, and the logarithm of the chance
+    (C,) scans that passed it before the first hit, and since the last, and the log of the probability
     that one scan passes what is there.
     """
     cell_m, cols = grid.resolution_m, grid.shape[1]
@@ -147,11 +147,11 @@ def _pass(steps, begun, cols, dense, cells, hits, between, since, before):  # ty
                 last = middle
         while k < cells.size and cells[k] < first + dense[3]:
             j = cells[k] - first
-            met = False
+            hit = False
             for near_i in range(max(i - 1, dense[0]), min(i + 2, dense[1])):
                 for near_j in range(max(j - 1, dense[2]), min(j + 2, dense[3])):
-                    met = met or steps[near_i, near_j] > 0
-            if met:
+                    hit = hit or steps[near_i, near_j] > 0
+            if hit:
                 hits[k] += 1
                 between[k] += since[k]
                 since[k] = 0
@@ -178,6 +178,6 @@ def _where_dense(board: Board, scan: LaserScan, T_map_base: gtsam.Pose2, cell_m:
 
 def _may_be_a_pane(points_m: FloatArray, cell_m: float) -> bool:
     """Return whether (N, 2) cell centres are within a cell of a line as long as the smallest pane."""
-    away = points_m - points_m.mean(axis=0)
-    along, across = (away @ np.linalg.svd(away)[2].T).T
+    centred = points_m - points_m.mean(axis=0)
+    along, across = (centred @ np.linalg.svd(centred)[2].T).T
     return bool(np.ptp(along) >= SHORTEST_M and np.abs(across).max() <= cell_m)

@@ -19,18 +19,18 @@ def inside(points: FloatArray, polygon: FloatArray) -> BoolArray:
     >>> inside(np.array([[1.0, 1.0], [3.0, 3.0]]), triangle).tolist()
     [True, False]
     """
-    found = np.zeros(len(points), np.bool_)
+    is_inside = np.zeros(len(points), np.bool_)
     low, high = polygon.min(axis=0), polygon.max(axis=0)
-    (near,) = np.nonzero(((points >= low) & (points <= high)).all(axis=1))
-    x, y = points[near].T
-    odd = np.zeros(len(near), np.bool_)
+    (in_box,) = np.nonzero(((points >= low) & (points <= high)).all(axis=1))
+    x, y = points[in_box].T
+    odd = np.zeros(len(in_box), np.bool_)
     # Whether a ray from each point along x crosses the outline an odd number of times.
     for (from_x, from_y), (to_x, to_y) in zip(np.roll(polygon, 1, axis=0), polygon, strict=True):
         with np.errstate(divide="ignore", invalid="ignore"):
             share = (y - from_y) / (to_y - from_y)
             odd ^= ((from_y > y) != (to_y > y)) & (x < from_x + share * (to_x - from_x))
-    found[near] = odd
-    return found
+    is_inside[in_box] = odd
+    return is_inside
 
 
 def cells_inside(

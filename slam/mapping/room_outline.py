@@ -102,7 +102,7 @@ def area_m2(corners_m: FloatArray) -> float:
 def seen_from(rooms: RoomMap, points: WallPoints) -> NDArray[np.int32]:
     """Return (2, N) the rooms from which points were seen: two cells in front of each, and three."""
     cell = rooms.resolution_m
-    return np.array([rooms.at(points.points_map + far * cell * points.normals_map) for far in (2, 3)])
+    return np.array([rooms.at(points.points_map + cells * cell * points.normals_map) for cells in (2, 3)])
 
 
 def room_outline(
@@ -145,8 +145,8 @@ def _axes(segments: list[Segment]) -> FloatArray:
     lengths = np.array([segment.length_m for segment in segments])
     # Four times the angle is the same for all four directions.
     turned = np.exp(4j * np.array([math.atan2(*segment.along[::-1]) for segment in segments]))
-    alike = np.abs(np.angle(turned[:, None] / turned)) < 0.5 * SAME_DIRECTION_RAD
-    best = alike[np.argmax(alike @ lengths)]
+    parallel = np.abs(np.angle(turned[:, None] / turned)) < 0.5 * SAME_DIRECTION_RAD
+    best = parallel[np.argmax(parallel @ lengths)]
     x, y = _direction(complex((turned * lengths)[best].sum()))
     return np.array([(x, y), (-x, -y), (-y, x), (y, -x)])
 
@@ -182,7 +182,7 @@ def _faces(segments: list[Segment], axes: FloatArray, cell_m: float) -> list[Fac
 
 def _ends(faces: list[Face], axes: FloatArray, middles_m: FloatArray, cell_m: float) -> list[Face]:
     """Return faces where the visible area ends without a wall."""
-    found = []
+    sides = []
     for inward in axes:
         at = float(np.percentile(middles_m @ inward, 1)) - 0.5 * cell_m
         walls = [
@@ -192,8 +192,8 @@ def _ends(faces: list[Face], axes: FloatArray, middles_m: FloatArray, cell_m: fl
             and abs(face.point_m @ inward - at) < 4 * cell_m
         ]
         if not walls:
-            found.append(Face(at * inward, inward, False, 0.0))
-    return found
+            sides.append(Face(at * inward, inward, False, 0.0))
+    return sides
 
 
 def _inside(labels: NDArray[np.int32], label: int, before: BoolArray, cell_m: float) -> BoolArray:
@@ -237,10 +237,10 @@ def _traced(mask: BoolArray, faces: list[Face], middles_m: FloatArray, cell_m: f
     contours, _ = cv2.findContours(mask.astype(np.uint8), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
     border = max(contours, key=len)[:, 0, ::-1]
     points = middles_m[tuple(border.T)]
-    off = np.array([face.off(points) for face in faces])
+    d_m = np.array([face.off(points) for face in faces])
     # The centre of a cell inside the border is half a cell, at most half its diagonal, from the line.
-    off = np.where((off > -0.5 * cell_m) & (off < 3 * cell_m / 2), np.abs(off - 0.5 * cell_m), np.inf)
-    nearest = np.where(np.isfinite(off.min(axis=0)), np.argmin(off, axis=0), -1)
+    d_m = np.where((d_m > -0.5 * cell_m) & (d_m < 3 * cell_m / 2), np.abs(d_m - 0.5 * cell_m), np.inf)
+    nearest = np.where(np.isfinite(d_m.min(axis=0)), np.argmin(d_m, axis=0), -1)
     # A corner cell is at two lines: it belongs to that of its neighbours.
     owners = _runs(nearest, 3)
     # Between two consecutive parallel lines, the step is too short to be detected.

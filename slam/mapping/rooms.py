@@ -54,14 +54,14 @@ class RoomMap:
         return looked_up(self.labels, frame.cells_of(points_map))
 
 
-def segment_rooms(grid: OccupancyGrid, segments: Sequence[Segment], way_map: FloatArray) -> RoomMap:
+def segment_rooms(grid: OccupancyGrid, segments: Sequence[Segment], path_map: FloatArray) -> RoomMap:
     """Divide the free cells of a grid into rooms.
 
     Parameters
     ----------
     segments
         Segments of walls and other straight objects.
-    way_map
+    path_map
         (N, 2) where the robot has been.
 
     Returns
@@ -70,18 +70,18 @@ def segment_rooms(grid: OccupancyGrid, segments: Sequence[Segment], way_map: Flo
     """
     free = grid.states() == FREE
     gaps, walls = wall_gaps(segments, grid)
-    labels, real = _regions(free, [*gaps, *walls], grid, way_map)
+    labels, real = _regions(free, [*gaps, *walls], grid, path_map)
     labels = _merged(labels, gaps, real, grid)
     return RoomMap(labels, grid.resolution_m, grid.T_map_grid)
 
 
 def _regions(
-    free: BoolArray, lines: Sequence[Segment], grid: OccupancyGrid, way_map: FloatArray
+    free: BoolArray, lines: Sequence[Segment], grid: OccupancyGrid, path_map: FloatArray
 ) -> tuple[Labels, BoolArray]:
     """Return the parts of free space between lines, and (parts + 1,) which are indoors; label 0 is, too."""
     labels = _wide_parts(free & ~_drawn(lines, grid), int(0.25 * THICKEST_WALL_M / grid.resolution_m))
     real = _closed(labels, grid.states())
-    real[looked_up(labels, grid.cells_of(way_map))] = True
+    real[looked_up(labels, grid.cells_of(path_map))] = True
     real[0] = True
     return labels, real
 
@@ -119,10 +119,10 @@ def _closed(labels: Labels, states: NDArray[np.int8]) -> BoolArray:
     unknown, known = (np.zeros(labels.max() + 1) for _ in range(2))
     for axis in (0, 1):
         for shift in (1, -1):
-            beside = np.roll(states, shift, axis)
-            edge = (labels > 0) & (beside != FREE)
-            unknown += np.bincount(labels[edge & (beside != OCCUPIED)], minlength=len(unknown))
-            known += np.bincount(labels[edge & (beside == OCCUPIED)], minlength=len(known))
+            neighbours = np.roll(states, shift, axis)
+            edge = (labels > 0) & (neighbours != FREE)
+            unknown += np.bincount(labels[edge & (neighbours != OCCUPIED)], minlength=len(unknown))
+            known += np.bincount(labels[edge & (neighbours == OCCUPIED)], minlength=len(known))
     return np.asarray(known > unknown)
 
 
@@ -164,9 +164,9 @@ def _merged(labels: Labels, gaps: Sequence[Segment], real: BoolArray, grid: Occu
 def _touching(labels: Labels) -> NDArray[np.int32]:
     """Return (n, 2) adjacent parts."""
     pairs = [
-        np.column_stack([ahead[beside], behind[beside]])
+        np.column_stack([ahead[border], behind[border]])
         for ahead, behind in ((labels[1:], labels[:-1]), (labels[:, 1:], labels[:, :-1]))
-        for beside in [(ahead > 0) & (behind > 0) & (ahead != behind)]
+        for border in [(ahead > 0) & (behind > 0) & (ahead != behind)]
     ]
     return np.unique(np.concatenate(pairs), axis=0)
 
@@ -213,10 +213,10 @@ class _InLine:
         """Return (n,) where the owners of the two parts are beside it."""
         sides = np.array([[owner[one]], [owner[other]]])
         seen, of_them = self.beside > 0, owner[self.beside] == sides
-        both = of_them.all(axis=0)
+        joined = of_them.all(axis=0)
         # Furniture may hide one side of a wall that is no thicker than one beside the gap.
-        hidden = (of_them & ~seen[::-1]).any(axis=0) & both[self.near].any()
-        return np.asarray(both | hidden)
+        hidden = (of_them & ~seen[::-1]).any(axis=0) & joined[self.near].any()
+        return np.asarray(joined | hidden)
 
 
 def _join(owner: NDArray[np.int64], areas: FloatArray, openings: Sequence[_Opening], smallest: float) -> None:
@@ -249,14 +249,14 @@ def _join(owner: NDArray[np.int64], areas: FloatArray, openings: Sequence[_Openi
 
 def _places(points_m: FloatArray, gap: Segment, grid: OccupancyGrid) -> NDArray[np.int64]:
     """Return (n,) points along a gap's line in cells, independent of the side of the wall."""
-    way = gap.end_m - gap.begin_m
-    along = way * np.sign(way[np.argmax(np.abs(way))]) / max(gap.length_m, grid.resolution_m)
+    step_m = gap.end_m - gap.begin_m
+    along = step_m * np.sign(step_m[np.argmax(np.abs(step_m))]) / max(gap.length_m, grid.resolution_m)
     return np.asarray(np.floor(points_m @ along / grid.resolution_m), dtype=np.int64)
 
 
 def _in_line(labels: Labels, free: BoolArray, gap: Segment, grid: OccupancyGrid) -> _InLine:
     """Return the objects in line with a gap, up to a door's width past each end."""
-    step_m, cells, found, near = grid.resolution_m, [], [], []
+    step_m, cells, labels_of, is_near = grid.resolution_m, [], [], []
     asides = np.arange(2.0 * step_m, THICKEST_WALL_M, step_m)
     for end_m, begin_m in ((gap.end_m, gap.begin_m), (gap.begin_m, gap.end_m)):
         along = (end_m - begin_m) / max(gap.length_m, step_m)
@@ -264,14 +264,14 @@ def _in_line(labels: Labels, free: BoolArray, gap: Segment, grid: OccupancyGrid)
         sides = []
         for side in (1.0, -1.0) if begin_m is gap.begin_m else (-1.0, 1.0):
             points = np.array([beyond.points(step_m, side * far) for far in asides])
-            seen = looked_up(labels, grid.cells_of(points.reshape(-1, 2))).reshape(len(asides), -1)
+            labels_met = looked_up(labels, grid.cells_of(points.reshape(-1, 2))).reshape(len(asides), -1)
             # The nearest label to the wall is beside it.
-            sides.append(seen[np.argmax(seen > 0, axis=0), np.arange(len(seen.T))])
+            sides.append(labels_met[np.argmax(labels_met > 0, axis=0), np.arange(len(labels_met.T))])
         stands = ~_open(free, beyond, grid)
-        found.append(np.array(sides)[:, stands])
+        labels_of.append(np.array(sides)[:, stands])
         cells.append(_places(beyond.points(step_m)[stands], gap, grid))
-        near.append((np.arange(len(stands)) * step_m < THICKEST_WALL_M)[stands])
-    return _InLine(np.concatenate(cells), np.concatenate(found, axis=1), np.concatenate(near))
+        is_near.append((np.arange(len(stands)) * step_m < THICKEST_WALL_M)[stands])
+    return _InLine(np.concatenate(cells), np.concatenate(labels_of, axis=1), np.concatenate(is_near))
 
 
 def _open(free: BoolArray, line: Segment, grid: OccupancyGrid) -> BoolArray:
@@ -283,10 +283,10 @@ def _open(free: BoolArray, line: Segment, grid: OccupancyGrid) -> BoolArray:
 
 def _sides(labels: Labels, gap: Segment, open_: BoolArray, grid: OccupancyGrid) -> list[int]:
     """Return the most frequent labels on the left and right of its open cells; 0 if there is none."""
-    found = []
+    sides = []
     for side in (1.0, -1.0):
         points = [gap.points(grid.resolution_m, side * far * grid.resolution_m)[open_] for far in (2.0, 3.0)]
         counts = np.bincount(looked_up(labels, grid.cells_of(np.concatenate(points))), minlength=1)
         counts[0] = 0
-        found.append(int(np.argmax(counts)))
-    return found
+        sides.append(int(np.argmax(counts)))
+    return sides

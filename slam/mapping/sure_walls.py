@@ -51,10 +51,10 @@ class Side:
         if self.fit is None:
             return False
         begin, end = self.fit.places(self.begin_m, self.end_m)
-        seen = self.fit.seen_m(begin, end, cell_m)
-        if len(seen) != 1:
-            return len(seen) > 1
-        reached = seen[0] == (0.0, abs(end - begin))
+        spans = self.fit.seen_m(begin, end, cell_m)
+        if len(spans) != 1:
+            return len(spans) > 1
+        reached = spans[0] == (0.0, abs(end - begin))
         return bool((reached | ~np.array(self.ends_seen)).all())
 
 
@@ -65,11 +65,11 @@ def sides_of(outlines: dict[int, Outline], fits: Sequence[Sequence[WallFit | Non
         normals = np.array([face.normal for face in outline.faces])
         inward = np.linalg.det(np.stack([np.roll(normals, 1, axis=0), normals], axis=1)) < 0.0
         squares = np.abs(np.prod([normals @ normals.T, normals @ [[0, 1], [-1, 0]] @ normals.T], axis=0))
-        odd = inward | np.roll(inward, -1) | (np.median(squares, axis=1) > TINY)
-        met = [face.seen for face in outline.faces]
+        is_odd = inward | np.roll(inward, -1) | (np.median(squares, axis=1) > TINY)
+        is_wall = [face.seen for face in outline.faces]
         for edge, fit in enumerate(ones):
-            beside = met[edge - 1], met[(edge + 1) % len(met)]
-            sides.append(Side(label, *outline.edge(edge), fit, beside, bool(odd[edge])))
+            neighbours = is_wall[edge - 1], is_wall[(edge + 1) % len(is_wall)]
+            sides.append(Side(label, *outline.edge(edge), fit, neighbours, bool(is_odd[edge])))
     return sides
 
 
@@ -88,33 +88,33 @@ def sure_walls(sides: Sequence[Side], segments: Sequence[Segment], rooms: RoomMa
     """
     cell_m, level = rooms.resolution_m, np.cos(SAME_DIRECTION_RAD)
     labels = np.array([side.label for side in sides])
-    seen = np.array([side.fit is not None for side in sides], dtype=np.bool_)
+    is_seen = np.array([side.fit is not None for side in sides], dtype=np.bool_)
     ends = np.array([(side.begin_m, side.end_m) for side in sides]).reshape(-1, 2, 2)
     into = np.array([side.fit.offset_m if side.fit else 0.0 for side in sides])
-    away, over, alike = _behind(ends, ends)
-    both = (labels[:, None] != labels) & seen & seen[:, None]
-    back = both & (alike < -level) & (over > THICKEST_WALL_M) & (np.abs(away) < THICKEST_WALL_M)
-    backed = (back & _usual(away + into + into[:, None], back, cell_m)).any(axis=1)
-    near = np.abs(away + into[:, None] - into) < 0.5 * cell_m
-    in_line = both & (alike > level) & (over > -THICKEST_WALL_M) & near
+    gap_m, over, cosines = _behind(ends, ends)
+    pairs = (labels[:, None] != labels) & is_seen & is_seen[:, None]
+    back = pairs & (cosines < -level) & (over > THICKEST_WALL_M) & (np.abs(gap_m) < THICKEST_WALL_M)
+    backed = (back & _usual(gap_m + into + into[:, None], back, cell_m)).any(axis=1)
+    is_near = np.abs(gap_m + into[:, None] - into) < 0.5 * cell_m
+    in_line = pairs & (cosines > level) & (over > -THICKEST_WALL_M) & is_near
     whole = np.array([side.seen_whole(cell_m) for side in sides], dtype=np.bool_)
-    odd = np.array([side.odd for side in sides], dtype=np.bool_)
-    doubtful = odd | _hidden(ends, labels, segments, rooms)
-    return np.asarray(seen & (backed | (whole | in_line.any(axis=1)) & ~doubtful))
+    is_odd = np.array([side.odd for side in sides], dtype=np.bool_)
+    doubtful = is_odd | _hidden(ends, labels, segments, rooms)
+    return np.asarray(is_seen & (backed | (whole | in_line.any(axis=1)) & ~doubtful))
 
 
 def _behind(ends_m: FloatArray, others_m: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Return (n, m) distances of m sides behind n others, their overlap, and cosines of the directions."""
-    way = ends_m[:, 1] - ends_m[:, 0]
-    length = np.maximum(np.hypot(*way.T), TINY)
-    along = way / length[:, None]
+    edges_m = ends_m[:, 1] - ends_m[:, 0]
+    length = np.maximum(np.hypot(*edges_m.T), TINY)
+    along = edges_m / length[:, None]
     across = np.column_stack([-along[:, 1], along[:, 0]])
     to = others_m[None] - ends_m[:, None, :1]
     reach = np.sort(np.einsum("nmek,nk->nme", to, along), axis=2)
     over = np.minimum(reach[..., 1], length[:, None]) - np.maximum(reach[..., 0], 0.0)
     turned = others_m[:, 1] - others_m[:, 0]
-    alike = along @ (turned / np.maximum(np.hypot(*turned.T), TINY)[:, None]).T
-    return -np.einsum("nmek,nk->nm", to, across) / 2.0, over, alike
+    cosines = along @ (turned / np.maximum(np.hypot(*turned.T), TINY)[:, None]).T
+    return -np.einsum("nmek,nk->nm", to, across) / 2.0, over, cosines
 
 
 def _usual(thickness_m: FloatArray, back: BoolArray, cell_m: float) -> BoolArray:
@@ -122,9 +122,9 @@ def _usual(thickness_m: FloatArray, back: BoolArray, cell_m: float) -> BoolArray
     one, other = np.nonzero(np.triu(back | back.T))
     thick = thickness_m[one, other]
     like = (np.abs(thick - thick[:, None]) < 0.5 * cell_m).sum(axis=1) > min(len(thick) - 1, 1)
-    found = np.zeros_like(back)
-    found[one, other] = found[other, one] = like
-    return found
+    usual = np.zeros_like(back)
+    usual[one, other] = usual[other, one] = like
+    return usual
 
 
 def _hidden(ends_m: FloatArray, labels: FloatArray, segments: Sequence[Segment], rooms: RoomMap) -> BoolArray:
@@ -133,8 +133,8 @@ def _hidden(ends_m: FloatArray, labels: FloatArray, segments: Sequence[Segment],
         return np.zeros(len(ends_m), np.bool_)
     pieces = np.array([(piece.begin_m, piece.end_m) for piece in segments])
     normals, cell_m = np.array([piece.normal for piece in segments]), rooms.resolution_m
-    before = [rooms.at(pieces.mean(axis=1) + far * cell_m * normals) for far in (2, 3)]
+    before = [rooms.at(pieces.mean(axis=1) + cells * cell_m * normals) for cells in (2, 3)]
     free = [(label == 0) | (label == labels[:, None]) for label in before]
-    away, over, alike = _behind(ends_m, pieces)
-    behind = (away > 2.0 * cell_m) & (away < LARGEST_FURNITURE_M2**0.5) & (over > 2.0 * cell_m)
-    return np.asarray((behind & (alike > np.cos(SAME_DIRECTION_RAD)) & free[0] & free[1]).any(axis=1))
+    gap_m, over, cosines = _behind(ends_m, pieces)
+    behind = (gap_m > 2.0 * cell_m) & (gap_m < LARGEST_FURNITURE_M2**0.5) & (over > 2.0 * cell_m)
+    return np.asarray((behind & (cosines > np.cos(SAME_DIRECTION_RAD)) & free[0] & free[1]).any(axis=1))

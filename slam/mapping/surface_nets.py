@@ -175,12 +175,12 @@ def _at(cells: NDArray[Any], starts: NDArray[Any], below: NDArray[Any], cell: in
     block = below[cell // VOXELS, 4 * (x < 0) + 2 * (y < 0) + (z < 0)]
     if block < 0:
         return -1
-    wanted = block * VOXELS + (((x & 7) << 6) | ((y & 7) << 3) | (z & 7))
+    key = block * VOXELS + (((x & 7) << 6) | ((y & 7) << 3) | (z & 7))
     low, high = starts[block], starts[block + 1]
     while low < high:
         middle = (low + high) // 2
-        if cells[middle] < wanted:
+        if cells[middle] < key:
             low = middle + 1
         else:
             high = middle
-    return low if low < starts[block + 1] and cells[low] == wanted else -1
+    return low if low < starts[block + 1] and cells[low] == key else -1

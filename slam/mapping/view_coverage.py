@@ -151,10 +151,10 @@ def free_heights(mask: HeightMask, board: NDArray[np.int16], steps: int) -> None
     """Put ``steps`` of evidence into the heights of (rows, cols, heights) that were seen through in full."""
     for row in range(board.shape[0]):
         for col in range(board.shape[1]):
-            seen = mask[row, col]
-            if seen & np.uint64(1):
+            bits = mask[row, col]
+            if bits & np.uint64(1):
                 board[row, col, 0] = steps
-            halves, height = seen >> np.uint64(1), 1
+            halves, height = bits >> np.uint64(1), 1
             while halves:
                 if halves & np.uint64(3) == np.uint64(3):
                     board[row, col, height] = steps

@@ -41,7 +41,7 @@ class VoxelBlocks:
     distance
         (B, 512) mean signed distance to the surface, in `BAND_STEPS` a band, positive before it.
     weight
-        (B, 512) frames that told of a voxel.
+        (B, 512) frames that measured a voxel.
     color
         (B, 512, 3) mean RGB, in `COLOR_STEPS`.
     """
@@ -86,8 +86,8 @@ class VoxelBlocks:
         if not len(self):
             return np.full(keys.shape, -1)
         place = np.searchsorted(self.keys, keys, sorter=self._order).clip(max=len(self) - 1)
-        found = self._order[place]
-        return np.where(self.keys[found] == keys, found, -1)
+        blocks = self._order[place]
+        return np.where(self.keys[blocks] == keys, blocks, -1)
 
     def add(self, keys: Keys) -> None:
         """Take blocks that are new, all voxels unknown."""
@@ -113,7 +113,7 @@ class VoxelBlocks:
         camera: tuple[float, float, float, float],
         T_camera_map: FloatArray,
     ) -> None:
-        """Tell blocks by number what a frame saw; see `touched`."""
+        """Add a frame to blocks by number; see `touched`."""
         places = coordinates(self.keys[numbers])
         fields = self.distance, self.weight, self.color
         _integrate(numbers, places, depth_m, color, *camera, T_camera_map, self.voxel_m, *fields)
@@ -157,7 +157,7 @@ def _touch(  # type: ignore[no-untyped-def]
 def _integrate(  # type: ignore[no-untyped-def]
     numbers, places, depth, color, fx, fy, cx, cy, T, voxel_m, distance, weight, mean_color
 ):
-    """Add a frame's reading to the means of every voxel that it tells of."""
+    """Add a frame's reading to the mean of every voxel that it measures."""
     height, width = depth.shape
     per_band = 1.0 / (SIDE // 2 * voxel_m)
     for n in range(numbers.shape[0]):
@@ -177,11 +177,11 @@ def _integrate(  # type: ignore[no-untyped-def]
             share = (depth[v, u] - z) * per_band
             if share < -1.0:
                 continue
-            seen = float(weight[block, i])
-            newest = 1.0 / (seen + 1.0)
+            views = float(weight[block, i])
+            newest = 1.0 / (views + 1.0)
             steps = BAND_STEPS * min(share, 1.0)
-            distance[block, i] = math.floor((seen * distance[block, i] + steps) * newest + 0.5)
+            distance[block, i] = math.floor((views * distance[block, i] + steps) * newest + 0.5)
             for channel in range(3):
-                mean = seen * mean_color[block, i, channel] + COLOR_STEPS * color[v, u, channel]
+                mean = views * mean_color[block, i, channel] + COLOR_STEPS * color[v, u, channel]
                 mean_color[block, i, channel] = math.floor(mean * newest + 0.5)
-            weight[block, i] = min(seen + 1.0, MOST_WEIGHT)
+            weight[block, i] = min(views + 1.0, MOST_WEIGHT)

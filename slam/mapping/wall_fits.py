@@ -37,7 +37,7 @@ class WallFit:
     Attributes
     ----------
     face
-        What it is told by.
+        The face whose points it fits.
     middle_m
         Along the face, from its point: the mean of the points.
     offset_m, slope
@@ -45,7 +45,7 @@ class WallFit:
     jacobian
         (2, 3 n) of offset and slope by GTSAM's tangents of the n poses.
     noise
-        (2,) variances of both by what the poses do not tell: the points of different scans scatter by it.
+        (2,) variances of both apart from the poses: the scatter between points of different scans.
     along_m
         (k,) where its points lie.
     drift
@@ -77,13 +77,13 @@ class WallFit:
         if not len(at):
             return np.zeros((0, 2))
         breaks = np.flatnonzero(np.diff(at) > 4 * cell_m)
-        seen = np.column_stack([at[np.append(0, breaks + 1)], at[np.append(breaks, len(at) - 1)]])
-        seen = seen[seen[:, 1] - seen[:, 0] > cell_m]
+        spans = np.column_stack([at[np.append(0, breaks + 1)], at[np.append(breaks, len(at) - 1)]])
+        spans = spans[spans[:, 1] - spans[:, 0] > cell_m]
         # A corner hides what is nearest to it.
-        if len(seen):
-            seen[0, 0] = 0.0 if seen[0, 0] < 4 * cell_m else seen[0, 0]
-            seen[-1, 1] = length_m if seen[-1, 1] > length_m - 4 * cell_m else seen[-1, 1]
-        return seen
+        if len(spans):
+            spans[0, 0] = 0.0 if spans[0, 0] < 4 * cell_m else spans[0, 0]
+            spans[-1, 1] = length_m if spans[-1, 1] > length_m - 4 * cell_m else spans[-1, 1]
+        return spans
 
     def line(self) -> Face:
         """The face moved and turned onto it."""
@@ -109,57 +109,57 @@ def fit_wall(
     cell_m
         Points twice so far off are none of the wall.
     """
-    at, off = face.along(points.points_map), face.off(points.points_map)
-    on = (points.normals_map @ face.normal > np.cos(SAME_DIRECTION_RAD)) & (np.abs(off) < 2.0 * cell_m)
+    at, offsets = face.along(points.points_map), face.off(points.points_map)
+    on = (points.normals_map @ face.normal > np.cos(SAME_DIRECTION_RAD)) & (np.abs(offsets) < 2.0 * cell_m)
     on &= (at > ends_m[0]) & (at < ends_m[1])
     if np.count_nonzero(on) < FEWEST:
         return None
-    at, off, owners = at[on], off[on], points.keyframes[on]
-    keep = _mode(at, off, cell_m)
+    at, offsets, owners = at[on], offsets[on], points.keyframes[on]
+    keep = _mode(at, offsets, cell_m)
     for _ in range(ROUNDS):
         if np.count_nonzero(keep) < FEWEST:
             return None
         middle = float(at[keep].mean())
         design = np.column_stack([np.ones(len(at)), at - middle])
-        left = off - design @ (np.linalg.pinv(design[keep]) @ off[keep])
-        scale = median_to_sigma() * float(np.median(np.abs(left[keep])))
-        last, keep = keep, np.abs(left) <= np.sqrt(gate()) * min(scale, cell_m / 5)
+        rest = offsets - design @ (np.linalg.pinv(design[keep]) @ offsets[keep])
+        scale = median_to_sigma() * float(np.median(np.abs(rest[keep])))
+        last, keep = keep, np.abs(rest) <= np.sqrt(gate()) * min(scale, cell_m / 5)
         if (keep == last).all():
             break
-    at, off, left, owners = at[keep], off[keep], left[keep], owners[keep]
+    at, offsets, rest, owners = at[keep], offsets[keep], rest[keep], owners[keep]
     middle = float(at.mean())
     design = np.column_stack([np.ones(len(at)), at - middle])
     gain = np.linalg.pinv(design)
-    offset, slope = gain @ off
+    offset, slope = gain @ offsets
     by = points.points_map[on][keep], owners, face.normal, poses
     jacobian = _by_poses(gain, *by)
     # What offset and slope cannot explain of the earlier half of the scans against the later.
     halves = np.where(owners > np.median(owners), 1.0, -1.0)
     halves -= design @ (gain @ halves)
     halves /= max(halves @ halves, TINY)
-    drift = Contrast(float(halves @ off), _by_poses(halves[None], *by)[0])
-    return WallFit(face, middle, float(offset), float(slope), jacobian, _noise(gain, left, owners), at, drift)
+    drift = Contrast(float(halves @ offsets), _by_poses(halves[None], *by)[0])
+    return WallFit(face, middle, float(offset), float(slope), jacobian, _noise(gain, rest, owners), at, drift)
 
 
-def _mode(at: FloatArray, off: FloatArray, cell_m: float) -> BoolArray:
+def _mode(along: FloatArray, offsets: FloatArray, cell_m: float) -> BoolArray:
     """(N,) points near the line that the longest part of a wall lies on, whatever stands before the rest.
 
     It runs as the face does: one that may turn leads from a wall to the glass in it. Two cells along it
     have one vote, however many points they have: their median.
     """
-    bins = np.floor((at - at.min()) / (2.0 * cell_m)).astype(int)
-    order = np.lexsort((off, bins))
+    bins = np.floor((along - along.min()) / (2.0 * cell_m)).astype(int)
+    order = np.lexsort((offsets, bins))
     starts = np.flatnonzero(np.diff(bins[order], prepend=-1))
     counts = np.diff(np.append(starts, len(order)))
     rows = order[starts + counts // 2]
-    votes = off[rows]
+    votes = offsets[rows]
     fits = (np.abs(votes - votes[:, None]) < cell_m / 5).sum(axis=1)
     best = int(np.argmax(fits))
     # Panes of glass and closed doors lie behind the wall's face.
     inner = (votes - votes[best] > 3 * cell_m / 5) & (fits >= 4)
     if inner.any():
         best = int(np.argmax(np.where(inner, fits, 0)))
-    return np.asarray(np.abs(off - votes[best]) < 2 * cell_m / 5)
+    return np.asarray(np.abs(offsets - votes[best]) < 2 * cell_m / 5)
 
 
 def _by_poses(
@@ -178,19 +178,19 @@ def _by_poses(
     return jacobian
 
 
-def _noise(gain: FloatArray, left: FloatArray, owners: NDArray[np.int64]) -> FloatArray:
+def _noise(gain: FloatArray, residuals: FloatArray, owners: NDArray[np.int64]) -> FloatArray:
     """(2,) variances where the errors of one scan go together (Liang & Zeger 1986, one cluster a scan)."""
     scans = np.unique(owners, return_inverse=True)[1]
-    sums = np.array([np.bincount(scans, weights * left) for weights in gain])
+    sums = np.array([np.bincount(scans, weights * residuals) for weights in gain])
     count = sums.shape[1]
-    one_by_one = (left**2).mean() * (gain**2).sum(axis=1)
+    one_by_one = (residuals**2).mean() * (gain**2).sum(axis=1)
     return np.asarray((sums**2).sum(axis=1) * count / max(count - 2, 1) + one_by_one)
 
 
 def straightened(fits: Sequence[WallFit], covariance: FloatArray) -> tuple[list[WallFit], FloatArray]:
     """Turn the walls of a room towards its axes, as far as their points leave that open.
 
-    How far walls are from them, the better half of the walls tells by itself.
+    The spread of the walls about the axes is measured on the better half of them.
 
     Parameters
     ----------
@@ -204,16 +204,16 @@ def straightened(fits: Sequence[WallFit], covariance: FloatArray) -> tuple[list[
     if len(fits) < 3:
         return list(fits), covariance
     slopes, variances = np.array([fit.slope for fit in fits]), np.diag(covariance)[1::2]
-    sure = variances <= np.median(variances)
+    precise = variances <= np.median(variances)
     common = float(np.average(slopes, weights=1.0 / variances))
-    spread = (median_to_sigma() * float(np.median(np.abs(slopes[sure] - common)))) ** 2
+    spread = (median_to_sigma() * float(np.median(np.abs(slopes[precise] - common)))) ** 2
     keep = np.ones(2 * len(fits))
-    near = (slopes - common) ** 2 < gate() * (variances + spread)
-    keep[1::2][near] = (spread / (spread + variances))[near]
+    aligned = (slopes - common) ** 2 < gate() * (variances + spread)
+    keep[1::2][aligned] = (spread / (spread + variances))[aligned]
     turned = [
         replace(fit, slope=common + share * (fit.slope - common))
         for fit, share in zip(fits, keep[1::2], strict=True)
     ]
-    left = np.zeros(2 * len(fits))
-    left[1::2] = (1.0 - keep[1::2]) ** 2 * spread
-    return turned, np.asarray(keep[:, None] * covariance * keep + np.diag(left))
+    uncertain = np.zeros(2 * len(fits))
+    uncertain[1::2] = (1.0 - keep[1::2]) ** 2 * spread
+    return turned, np.asarray(keep[:, None] * covariance * keep + np.diag(uncertain))

@@ -19,9 +19,9 @@ WIDEST_DOOR_M = 2.2
 
 def wall_gaps(segments: Sequence[Segment], grid: OccupancyGrid) -> tuple[list[Segment], list[Segment]]:
     """All gaps, and the segments that are walls: what the grid knows, and what goes on in line."""
-    met = grid.states() == OCCUPIED
-    near = scipy.ndimage.binary_dilation(met)
-    sturdy = np.array([_share(near, s, grid) > 0.5 for s in segments], dtype=np.bool_)
+    occupied = grid.states() == OCCUPIED
+    dilated = scipy.ndimage.binary_dilation(occupied)
+    sturdy = np.array([_share(dilated, s, grid) > 0.5 for s in segments], dtype=np.bool_)
     following = _following(segments, sturdy)
     lengths = _in_line(following, [s.length_m for s in segments])
     leaves = _leaves(segments, following)
@@ -29,27 +29,27 @@ def wall_gaps(segments: Sequence[Segment], grid: OccupancyGrid) -> tuple[list[Se
         (Segment(segments[index].end_m, segments[next_].begin_m), index, next_)
         for index, next_ in following.items()
     ]
-    gaps += _before_walls(segments, following, np.array(lengths) > WIDEST_DOOR_M, met, grid)
-    found, walls = [], sturdy.copy()
+    gaps += _before_walls(segments, following, np.array(lengths) > WIDEST_DOOR_M, occupied, grid)
+    closed, walls = [], sturdy.copy()
     for gap, one, other in gaps:
-        if leaves[one] or leaves[other] or _across(gap, met, grid):
+        if leaves[one] or leaves[other] or _across(gap, occupied, grid):
             continue
-        found.append(gap)
+        closed.append(gap)
         if one != other:
             walls[[one, other]] = True
-    return found, [segment for segment, wall in zip(segments, walls, strict=True) if wall]
+    return closed, [segment for segment, wall in zip(segments, walls, strict=True) if wall]
 
 
 def _leaves(segments: Sequence[Segment], following: dict[int, int]) -> list[bool]:
     """Which segments are leaves of open doors. Panes of glass are as thin, but go on as walls."""
-    beside = {
+    paired = {
         end
         for index, next_ in following.items()
         if np.hypot(*(segments[index].end_m - segments[next_].begin_m)) < THICKEST_WALL_M
         for end in (index, next_)
     }
     return [
-        index not in beside
+        index not in paired
         and THICKEST_WALL_M < segment.length_m < 0.5 * WIDEST_DOOR_M
         and _thin(segment, segments)
         for index, segment in enumerate(segments)
@@ -60,7 +60,7 @@ def _before_walls(
     segments: Sequence[Segment],
     following: dict[int, int],
     long: BoolArray,
-    met: BoolArray,
+    wall: BoolArray,
     grid: OccupancyGrid,
 ) -> list[tuple[Segment, int, int]]:
     """Gaps between the end of a wall and another that stands across."""
@@ -70,7 +70,7 @@ def _before_walls(
             (following.keys(), segment.end_m, segment.along),
             (following.values(), segment.begin_m, -segment.along),
         ):
-            hit_m = _ahead(end_m, along, met, grid) if long[index] and index not in on else None
+            hit_m = _ahead(end_m, along, wall, grid) if long[index] and index not in on else None
             if hit_m is not None:
                 # The side that was seen stays on the left.
                 ahead = along @ segment.along > 0.0
@@ -84,17 +84,17 @@ def _share(such: BoolArray, segment: Segment, grid: OccupancyGrid) -> float:
     return float(looked_up(such, grid.cells_of(points)).mean())
 
 
-def _across(gap: Segment, met: BoolArray, grid: OccupancyGrid) -> bool:
+def _across(gap: Segment, wall: BoolArray, grid: OccupancyGrid) -> bool:
     """Whether it leads from one side of a corridor to the other: walls stand across before both its ends."""
     step_m = 0.5 * grid.resolution_m
     before = gap.points(step_m, aside_m=6 * step_m, beyond_m=0.5 * THICKEST_WALL_M)
-    return all(half.any() for half in np.array_split(looked_up(met, grid.cells_of(before)), 2))
+    return all(half.any() for half in np.array_split(looked_up(wall, grid.cells_of(before)), 2))
 
 
-def _ahead(end_m: FloatArray, along: FloatArray, met: BoolArray, grid: OccupancyGrid) -> FloatArray | None:
+def _ahead(end_m: FloatArray, along: FloatArray, wall: BoolArray, grid: OccupancyGrid) -> FloatArray | None:
     """The first obstacle in line with the end of a wall, no farther than a door is wide and not at once."""
     points = Segment(end_m, end_m + WIDEST_DOOR_M * along).points(0.5 * grid.resolution_m)
-    there = looked_up(met, grid.cells_of(points)) > 0
+    there = looked_up(wall, grid.cells_of(points)) > 0
     # The wall itself may go on for a while, as a pane seen from a slant does.
     clear = int(np.argmin(there))
     hits = clear + np.flatnonzero(there[clear:])
@@ -103,25 +103,25 @@ def _ahead(end_m: FloatArray, along: FloatArray, met: BoolArray, grid: Occupancy
 
 def _following(segments: Sequence[Segment], sturdy: BoolArray) -> dict[int, int]:
     """For each segment the next in line with it, if there is one."""
-    found: dict[int, int] = {}
+    next_of: dict[int, int] = {}
     if not segments:
-        return found
+        return next_of
     begins, ends, alongs = (
         np.array([getattr(s, name) for s in segments]) for name in ("begin_m", "end_m", "along")
     )
     for index, segment in enumerate(segments):
         to = begins - segment.end_m
         ahead, aside = to @ segment.along, np.abs(to @ segment.normal)
-        bend = np.tan(SAME_DIRECTION_RAD / 4) * np.maximum(ahead, 0.0)
-        same = (alongs @ segment.along > np.cos(SAME_DIRECTION_RAD)) & (aside < THICKEST_WALL_M / 4 + bend)
+        slack = np.tan(SAME_DIRECTION_RAD / 4) * np.maximum(ahead, 0.0)
+        same = (alongs @ segment.along > np.cos(SAME_DIRECTION_RAD)) & (aside < THICKEST_WALL_M / 4 + slack)
         same[index] = False
         # What overlaps goes on beside it: no gap.
         same &= ((ends - segment.end_m) @ segment.along > 0.0) & (ahead > -0.5 * THICKEST_WALL_M)
         if same.any():
             next_ = int(np.argmin(np.where(same, ahead, np.inf)))
             if ahead[next_] < WIDEST_DOOR_M and (sturdy[index] or sturdy[next_]):
-                found[index] = next_
-    return found
+                next_of[index] = next_
+    return next_of
 
 
 def _thin(segment: Segment, segments: Sequence[Segment]) -> bool:
@@ -148,4 +148,4 @@ def _in_line(following: dict[int, int], lengths_m: Sequence[float]) -> list[floa
     owner = np.arange(len(lengths_m))
     for index, next_ in following.items():
         owner[owner == owner[index]] = owner[next_]
-    return [float(np.sum(np.array(lengths_m)[owner == one])) for one in owner]
+    return [float(np.sum(np.array(lengths_m)[owner == line])) for line in owner]

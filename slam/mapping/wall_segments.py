@@ -81,11 +81,11 @@ def wall_points(
     for keyframe, (scan, (x, y, yaw)) in enumerate(zip(scans, poses_map, strict=True)):
         if scan is None:
             continue
-        found = extract_points(scan, *range_m, neighbours).oriented()
+        oriented = extract_points(scan, *range_m, neighbours).oriented()
         turn = np.array([[np.cos(yaw), np.sin(yaw)], [-np.sin(yaw), np.cos(yaw)]])
-        points.append(found[0] @ turn + (x, y))
-        normals.append(found[1] @ turn)
-        keyframes.append(np.full(len(found[0]), keyframe))
+        points.append(oriented[0] @ turn + (x, y))
+        normals.append(oriented[1] @ turn)
+        keyframes.append(np.full(len(oriented[0]), keyframe))
     stacked = np.concatenate(points)
     return WallPoints(stacked, np.concatenate(normals), np.concatenate(keyframes), np.ones(len(stacked)))
 
@@ -97,7 +97,7 @@ class Segment:
     Attributes
     ----------
     begin_m, end_m
-        (2,) map frame; the side that was seen lies on the left on the way from one to the other.
+        (2,) map frame; from begin to end, the side that was seen is on the left.
     """
 
     begin_m: FloatArray
@@ -128,7 +128,7 @@ class Segment:
 
 
 def wall_segments(points: WallPoints, cell_m: float, shortest_m: float) -> list[Segment]:
-    """The longest straight pieces first: peaks of a Hough transform of oriented points, each fitted anew.
+    """The longest straight pieces first: peaks of a Hough transform of oriented points, each refitted.
 
     Parameters
     ----------
@@ -138,27 +138,27 @@ def wall_segments(points: WallPoints, cell_m: float, shortest_m: float) -> list[
         What is shorter is left out.
     """
     points = points.thinned(0.5 * cell_m)
-    found: list[Segment] = []
-    left = np.ones(len(points), np.bool_)
+    segments: list[Segment] = []
+    unused = np.ones(len(points), np.bool_)
     angles = np.arctan2(points.normals_map[:, 1], points.normals_map[:, 0])
     spread = int(np.degrees(SAME_DIRECTION_RAD)) // 4
-    while left.any():
+    while unused.any():
         # One degree a bin, with its neighbours: the wall direction that most points have.
-        bins = np.floor(np.degrees(angles[left])).astype(int) % 360
+        bins = np.floor(np.degrees(angles[unused])).astype(int) % 360
         votes: NDArray[np.int64] = np.bincount(bins, minlength=360)
         votes = np.sum([np.roll(votes, shift) for shift in range(-spread, spread + 1)], axis=0)
         angle = np.radians(np.argmax(votes) + 0.5)
-        alike = left & (np.abs(np.angle(np.exp(1j * (angles - angle)))) < SAME_DIRECTION_RAD)
-        before, facing = len(found), np.flatnonzero(alike)
+        parallel = unused & (np.abs(np.angle(np.exp(1j * (angles - angle)))) < SAME_DIRECTION_RAD)
+        before, facing = len(segments), np.flatnonzero(parallel)
         for piece in _strips(points.points_map[facing], angle, cell_m):
             members = facing[piece]
-            segment, on = _fitted(points, members[left[members]], cell_m, shortest_m)
+            segment, on = _fitted(points, members[unused[members]], cell_m, shortest_m)
             if segment is not None and segment.length_m >= shortest_m:
-                found.append(segment)
-                left[on] = False
-        if len(found) == before:
-            left[alike] = False
-    return sorted(found, key=lambda segment: -segment.length_m)
+                segments.append(segment)
+                unused[on] = False
+        if len(segments) == before:
+            unused[parallel] = False
+    return sorted(segments, key=lambda segment: -segment.length_m)
 
 
 def _strips(points: FloatArray, angle: float, cell_m: float) -> Iterator[NDArray[np.int64]]:
@@ -191,13 +191,13 @@ def _fitted(
         if len(members) < 4 or np.hypot(*np.ptp(chosen, axis=0)) < shortest_m or weights.sum() < FEWEST:
             return None, members
         middle = np.average(chosen, axis=0, weights=weights)
-        off = chosen - middle
-        values, vectors = np.linalg.eigh((off * weights[:, None]).T @ off)
+        centred = chosen - middle
+        values, vectors = np.linalg.eigh((centred * weights[:, None]).T @ centred)
         along, across = vectors[:, 1], vectors[:, 0]
-        near = np.abs(off @ across) < 0.5 * cell_m
-        if near.all():
+        on_line = np.abs(centred @ across) < 0.5 * cell_m
+        if on_line.all():
             break
-        members = members[near]
+        members = members[on_line]
     normal = np.average(points.normals_map[members], axis=0, weights=points.weights[members])
     if along[0] * normal[1] - along[1] * normal[0] < 0.0:
         along = -along

@@ -92,36 +92,36 @@ def align_cloud(
     -------
     None if fewer than six points lie on planes.
     """
-    pose, found, converged = guess, None, False
+    pose, linear, converged = guess, None, False
     for _ in range(iterations):
-        found = _linearise(points, planes, pose, kernel_m)
-        if found is None:
+        linear = _linearise(points, planes, pose, kernel_m)
+        if linear is None:
             return None
-        step = _step(found.hessian, found.gradient)
+        step = _step(linear.hessian, linear.gradient)
         pose = pose.compose(gtsam.Pose3.Expmap(step))
         # The remaining gain is less than a hundredth of a point: only noise.
-        if -(found.gradient @ step) < LEAST_EIGENVALUE * found.kernel_m**2 or np.abs(step).max() < SETTLED:
+        if -(linear.gradient @ step) < LEAST_EIGENVALUE * linear.kernel_m**2 or np.abs(step).max() < SETTLED:
             converged = True
             break
-    found = _linearise(points, planes, pose, kernel_m)
-    if found is None:
+    linear = _linearise(points, planes, pose, kernel_m)
+    if linear is None:
         return None
-    agree = np.abs(found.residuals) <= found.kernel_m
-    inliers = found.residuals[agree]
+    agree = np.abs(linear.residuals) <= linear.kernel_m
+    inliers = linear.residuals[agree]
     return CloudAlignment(
         pose,
-        found.hessian,
-        found.spread(),
-        float(found.weights.sum()),
+        linear.hessian,
+        linear.spread(),
+        float(linear.weights.sum()),
         arms_of(points),
-        len(found.residuals),
-        len(found.residuals) / len(points),
+        len(linear.residuals),
+        len(linear.residuals) / len(points),
         float(agree.mean()),
-        float(found.weights.mean()),
+        float(linear.weights.mean()),
         float(np.sqrt(np.mean(inliers**2))) if len(inliers) else np.inf,
         converged,
-        share_on_planes(found.residuals, kernel_m, len(points)),
-        planes.roughness(found.planes),
+        share_on_planes(linear.residuals, kernel_m, len(points)),
+        planes.roughness(linear.planes),
     )
 
 
@@ -140,14 +140,14 @@ def drawn_near(
         pose = pose.compose(gtsam.Pose3.Expmap(step))
         if np.linalg.norm(step[3:]) < _ARRIVED * reach_m:
             break
-    found = align_cloud(points, planes, pose, iterations, reach_m)
-    return pose if found is None else found.pose
+    aligned = align_cloud(points, planes, pose, iterations, reach_m)
+    return pose if aligned is None else aligned.pose
 
 
 def share_on_planes(residuals: FloatArray, kernel_m: float, point_count: int) -> float:
     """Return the share of points near their planes; 0 if fewer than six have one. See `CloudAlignment`."""
-    near = np.count_nonzero(np.abs(residuals) <= _ON_PLANE * kernel_m)
-    return near / point_count if len(residuals) >= 6 else 0.0
+    count = np.count_nonzero(np.abs(residuals) <= _ON_PLANE * kernel_m)
+    return count / point_count if len(residuals) >= 6 else 0.0
 
 
 def arms_of(points: FloatArray) -> FloatArray:
@@ -162,9 +162,9 @@ def arms_of(points: FloatArray) -> FloatArray:
 
 def levers(arms_m: FloatArray) -> FloatArray:
     """Return (6, 6) that converts a twist, GTSAM's tangent, to the motion of points, metres."""
-    found = np.eye(6)
-    found[:3, :3] = arms_m
-    return found
+    scaling = np.eye(6)
+    scaling[:3, :3] = arms_m
+    return scaling
 
 
 def motion_of(alignment: CloudAlignment, config: Config, guess: gtsam.Pose3) -> MotionEstimate:
@@ -180,8 +180,8 @@ def motion_of(alignment: CloudAlignment, config: Config, guess: gtsam.Pose3) -> 
     lever = levers(alignment.arms_m)
     turns = np.linalg.inv(lever)
     values, vectors = np.linalg.eigh(turns @ alignment.hessian @ turns)
-    ways = np.sum(np.square(vectors[3:]), axis=0)
-    weak = vectors[:, values < 0.5 * config.match.degenerate_share * max(alignment.weight, 1.0) * ways]
+    squares = np.sum(np.square(vectors[3:]), axis=0)
+    weak = vectors[:, values < 0.5 * config.match.degenerate_share * max(alignment.weight, 1.0) * squares]
     least_m = config.match.minimal_residual_m
     scale = max(alignment.residual_m, least_m) if np.isfinite(alignment.residual_m) else 1.0
     # Points without a fit reduce the trust in all others, and noise along rays tilts all rough planes.
@@ -195,8 +195,8 @@ def motion_of(alignment: CloudAlignment, config: Config, guess: gtsam.Pose3) -> 
     covariance += config.match.floor_m**2 * (turns @ turns)  # a rotation by the motion of the points
     pose, weakest = alignment.pose, np.zeros(6)
     if weak.shape[1]:
-        away = lever @ gtsam.Pose3.Logmap(pose.between(guess))
-        pose = pose.compose(gtsam.Pose3.Expmap(turns @ weak @ (weak.T @ away)))
+        shift = lever @ gtsam.Pose3.Logmap(pose.between(guess))
+        pose = pose.compose(gtsam.Pose3.Expmap(turns @ weak @ (weak.T @ shift)))
         open_ = turns @ weak
         covariance += config.match.degenerate_sigma_m**2 * (open_ @ open_.T)
         weakest = open_[:, 0] / np.linalg.norm(open_[:, 0])
@@ -242,11 +242,11 @@ def _step(hessian: FloatArray, gradient: FloatArray) -> FloatArray:
 def _linearise(points: FloatArray, planes: PlaneVoxels, pose: gtsam.Pose3, kernel_m: float) -> _Linear | None:
     """Return Hessian and gradient for a motion of the base in its own frame."""
     T_map_base = pose.matrix()
-    found = planes.residuals(points, T_map_base)
-    residuals = found.distances_m
+    pairs = planes.residuals(points, T_map_base)
+    residuals = pairs.distances_m
     if len(residuals) < 6:
         return None
     spread = median_to_sigma() * float(np.median(np.abs(residuals)))
     kernel_m = float(np.clip(math.sqrt(gate()) * spread, _LEAST_KERNEL_M, kernel_m))
-    weights, gradients, sums = planes.normal_equations(points, T_map_base, found, kernel_m)
-    return _Linear(sums[:6], sums[6], residuals, weights, kernel_m, gradients, found.voxels)
+    weights, gradients, sums = planes.normal_equations(points, T_map_base, pairs, kernel_m)
+    return _Linear(sums[:6], sums[6], residuals, weights, kernel_m, gradients, pairs.voxels)

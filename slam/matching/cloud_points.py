@@ -55,7 +55,7 @@ def at_middle_of_turn(cloud: PointCloud, config: CloudOdometryConfig) -> PointCl
 
 
 def turn_known(times_s: FloatArray) -> bool:
-    """Return whether the times of points span a revolution: not all the same, nor of another clock."""
+    """Return whether the times of points span a revolution: not all equal, and not of another clock."""
     if not len(times_s) or not np.isfinite(times_s).all():
         return False
     span_s = float(np.ptp(times_s))

@@ -33,8 +33,8 @@ def align_coarse_to_fine(
     terms, sums = np.zeros((len(points), 5)), np.empty((len(points) + 1, 3))
     levels = (*coarse[0], coarse[1]), (*fine[0], fine[1])
     room = terms, sums, pose, hessian, spread
-    found = _align(points, normals, guess, *levels, iterations, settled, prior, lags, *room)
-    return alignment_of(pose, hessian, found, len(points), spread)
+    totals = _align(points, normals, guess, *levels, iterations, settled, prior, lags, *room)
+    return alignment_of(pose, hessian, totals, len(points), spread)
 
 
 @kernel
@@ -45,7 +45,7 @@ def _align(  # type: ignore[no-untyped-def]
     pose[0], pose[1], pose[2] = guess[0], guess[1], guess[2]
     exactly = SETTLED, SETTLED
     align_into(points, normals, guess, *coarse, iterations, settled, prior, terms, pose, hessian)
-    found = align_into(points, normals, guess, *fine, iterations, exactly, prior, terms, pose, hessian)
+    totals = align_into(points, normals, guess, *fine, iterations, exactly, prior, terms, pose, hessian)
     align_into(points, normals, guess, *fine, 0, exactly, prior, terms, pose, hessian)
     spread_of(terms, lags, sums, spread)
-    return found
+    return totals

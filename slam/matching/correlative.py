@@ -86,14 +86,14 @@ def blurred(points: AnyFloatArray, cell_m: float, sigma_m: float) -> tuple[NDArr
     level = np.zeros((rows + 2 * radius, columns + 2 * radius), np.uint8)
     pixels = ((points - (origin_x, origin_y)) / cell_m).astype(np.int64) + radius
     level[pixels[:, 1], pixels[:, 0]] = 1
-    met = np.flatnonzero(level)
+    hits = np.flatnonzero(level)
     dy, dx = np.indices((2 * radius + 1, 2 * radius + 1)) - radius
     squared = dx * dx + dy * dy
     # From the border of the blobs to their centres: the last value drawn is the highest.
     for distance in np.unique(squared)[::-1].tolist():
         height = int(255.0 * math.exp(-0.5 * (distance * cell_m * cell_m) / (sigma_m * sigma_m)))
         ring = (dy * level.shape[1] + dx)[squared == distance]
-        level.ravel()[met[:, None] + ring] = height
+        level.ravel()[hits[:, None] + ring] = height
     return np.ascontiguousarray(level[radius : radius + rows, radius : radius + columns]), origin_x, origin_y
 
 
@@ -188,14 +188,14 @@ def _descend(levels, columns, rows, width_steps, least, top, side, bounds, order
     best = least
     best_dx = best_dy = ZERO
     best_turn = NONE
-    for found in order:
-        if bounds[found] <= best:
+    for node in order:
+        if bounds[node] <= best:
             break
-        turn = found // (side * side)
-        stack[0, 0] = 4 * bounds[found]
+        turn = node // (side * side)
+        stack[0, 0] = 4 * bounds[node]
         stack[0, 1] = top
-        stack[0, 2] = found % side * block - width_steps
-        stack[0, 3] = found // side % side * block - width_steps
+        stack[0, 2] = node % side * block - width_steps
+        stack[0, 3] = node // side % side * block - width_steps
         depth = ONE
         while depth > 0:
             depth -= 1

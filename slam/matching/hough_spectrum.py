@@ -53,7 +53,7 @@ class SpectrumBank:
 
     def __init__(self, spectra: Iterable[FloatArray]) -> None:
         # A circular correlation over the yaws, all frequencies together; no spectrum is stored twice.
-        self._turned = np.array([np.fft.rfft(one, axis=1).astype(np.complex64) for one in spectra])
+        self._turned = np.array([np.fft.rfft(spectrum, axis=1).astype(np.complex64) for spectrum in spectra])
 
     def likeness(self, number: int, others: NDArray[np.int64]) -> FloatArray:
         """Return the highest correlation, 0..1 over all yaws, of a spectrum with each of some others."""

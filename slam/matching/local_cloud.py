@@ -86,50 +86,50 @@ class LocalCloud:
         """
         if len(scan) < FEWEST or not len(self.planes):
             return None
-        found = self._by_planes(scan, guess) if reach_m is None else None
-        near = found is not None and self._is_near(found, guess) and found.agreement >= least_agreement
-        if not near:
+        match = self._by_planes(scan, guess) if reach_m is None else None
+        is_near = match is not None and self._is_near(match, guess) and match.agreement >= least_agreement
+        if not is_near:
             part, tries = _part(scan, _ARRIVING_POINTS), 2 * self._config.match.iterations
             reach_m = REACH * self._voxel_m if reach_m is None else reach_m
             start = drawn_near(part, self.planes, guess, tries, reach_m)
-            found = self._by_planes(scan, start if np.isfinite(start.matrix()).all() else guess)
-        return self._aligned(found, guess, near=near)
+            match = self._by_planes(scan, start if np.isfinite(start.matrix()).all() else guess)
+        return self._aligned(match, guess, is_near=is_near)
 
     def refine(self, scan: FloatArray, guess: gtsam.Pose3) -> Aligned | None:
         """Align from a guess that is correct within a voxel, by the planes alone."""
-        found = self._by_planes(scan, guess) if len(scan) >= FEWEST and len(self.planes) else None
-        return self._aligned(found, guess, near=found is not None and self._is_near(found, guess))
+        match = self._by_planes(scan, guess) if len(scan) >= FEWEST and len(self.planes) else None
+        return self._aligned(match, guess, is_near=match is not None and self._is_near(match, guess))
 
-    def _aligned(self, found: CloudAlignment | None, guess: gtsam.Pose3, *, near: bool) -> Aligned | None:
+    def _aligned(self, match: CloudAlignment | None, guess: gtsam.Pose3, *, is_near: bool) -> Aligned | None:
         """Return an alignment if enough points fit better than by chance."""
-        if found is None or found.pair_count < self._config.cloud_odometry.least_pairs:
+        if match is None or match.pair_count < self._config.cloud_odometry.least_pairs:
             return None
-        if not found.residual_m < _CHANCE * self._voxel_m:
+        if not match.residual_m < _CHANCE * self._voxel_m:
             return None
-        return Aligned(found, motion_of(found, self._config, guess), near)
+        return Aligned(match, motion_of(match, self._config, guess), is_near)
 
-    def settled(self, scan: FloatArray, one: Aligned) -> Aligned:
+    def settled(self, scan: FloatArray, aligned: Aligned) -> Aligned:
         """Return a match of a scan (N, 3) with an undetermined direction where it converges along it, if so.
 
         On a street with few walls, it converges from a voxel to either side; in a tunnel it stays at its
         start. Its covariance stays the same.
         """
-        if not one.motion.degenerate:
-            return one
-        pose, lever, way = one.found.pose, levers(one.found.arms_m), one.motion.weak_direction
-        aside = self._voxel_m * way / np.linalg.norm(lever @ way)
+        if not aligned.motion.degenerate:
+            return aligned
+        pose, lever, dof = aligned.found.pose, levers(aligned.found.arms_m), aligned.motion.weak_direction
+        aside = self._voxel_m * dof / np.linalg.norm(lever @ dof)
         for step in (aside, -aside):
             other = self._by_planes(scan, pose.compose(gtsam.Pose3.Expmap(step)))
-            off = np.inf if other is None else lever @ gtsam.Pose3.Logmap(pose.between(other.pose))
-            if np.linalg.norm(off) > 0.5 * self._voxel_m:
-                return one
-        return replace(one, motion=replace(one.motion, T_reference_base=pose))
+            shift = np.inf if other is None else lever @ gtsam.Pose3.Logmap(pose.between(other.pose))
+            if np.linalg.norm(shift) > 0.5 * self._voxel_m:
+                return aligned
+        return replace(aligned, motion=replace(aligned.motion, T_reference_base=pose))
 
     def best_of(self, scan: FloatArray, starts: Sequence[gtsam.Pose3]) -> gtsam.Pose3:
         """Return the aligned start ``T_map_base`` with most points of a part of the scan on planes."""
         part = _part(scan, _ARRIVING_POINTS)
-        found = [self._by_planes(part, start) for start in starts]
-        best = max(found, key=lambda one: 0.0 if one is None else one.agreement)
+        alignments = [self._by_planes(part, start) for start in starts]
+        best = max(alignments, key=lambda aligned: 0.0 if aligned is None else aligned.agreement)
         return starts[0] if best is None else best.pose
 
     def agreement(self, scan: FloatArray, pose: gtsam.Pose3) -> float:
@@ -141,10 +141,10 @@ class LocalCloud:
         """Return the point-to-plane alignment."""
         return align_cloud(scan, self.planes, start, self._config.match.iterations, self._voxel_m)
 
-    def _is_near(self, found: CloudAlignment, guess: gtsam.Pose3) -> bool:
+    def _is_near(self, match: CloudAlignment, guess: gtsam.Pose3) -> bool:
         """Return whether an alignment converged near its expected pose."""
-        moved_m = np.abs(levers(found.arms_m) @ gtsam.Pose3.Logmap(guess.between(found.pose)))
-        confident = found.converged and found.inlier_share >= self._config.match.confident_inlier_share
+        moved_m = np.abs(levers(match.arms_m) @ gtsam.Pose3.Logmap(guess.between(match.pose)))
+        confident = match.converged and match.inlier_share >= self._config.match.confident_inlier_share
         return bool(confident and moved_m.max() <= self._voxel_m)
 
 

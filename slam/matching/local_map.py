@@ -140,8 +140,8 @@ class LocalMap:
             fits, passed = self._fits(scan, at)
             weights.append([np.where((fits == 0.0) & ~passed, unknown, fits) for unknown in (usual, 0.0)])
         gains = np.array(weights[0]) - np.array(weights[1])
-        known, whole = (object_evidence(scan.points, gain) for gain in gains)
-        return np.stack([known, whole - known]) / points_a_witness(judged)
+        known, total = (object_evidence(scan.points, gain) for gain in gains)
+        return np.stack([known, total - known]) / points_a_witness(judged)
 
     def contradicted(self, scan: OrientedPoints, pose: FloatArray, covariance: FloatArray | int = 0) -> float:
         """Return the share of a scan's points (base frame) that contradict the map at a pose (3,)."""

@@ -129,8 +129,8 @@ def _diagonalize(matrix, axes):  # type: ignore[no-untyped-def]
         for j in range(3):
             axes[i, j] = 1.0 if i == j else 0.0
     for _ in range(ROUNDS):
-        beside = abs(matrix[0, 1]) + abs(matrix[0, 2]) + abs(matrix[1, 2])
-        if beside <= TINY * TINY * (abs(matrix[0, 0]) + abs(matrix[1, 1]) + abs(matrix[2, 2])):
+        off_diagonal = abs(matrix[0, 1]) + abs(matrix[0, 2]) + abs(matrix[1, 2])
+        if off_diagonal <= TINY * TINY * (abs(matrix[0, 0]) + abs(matrix[1, 1]) + abs(matrix[2, 2])):
             break
         for p in range(2):
             for q in range(p + 1, 3):

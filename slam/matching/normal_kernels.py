@@ -50,8 +50,8 @@ def smooth_normals(keys, sums, size_m, begun, around, normals):  # type: ignore[
                 a = around[k, 1]
                 b = around[k, 2]
                 c = around[k, 3]
-                off = turn * (a * nx + b * ny + c * nz) / (_OFF * size_m)
-                w = around[k, 0] / ((1.0 + off * off) * (1.0 + off * off))
+                ratio = turn * (a * nx + b * ny + c * nz) / (_OFF * size_m)
+                w = around[k, 0] / ((1.0 + ratio * ratio) * (1.0 + ratio * ratio))
                 n += w
                 x += w * a
                 y += w * b

@@ -88,8 +88,8 @@ def across(xx, xy, xz, yy, yz, zz):  # type: ignore[no-untyped-def]
     a = xx - mean
     b = yy - mean
     c = zz - mean
-    off = xy * xy + xz * xz + yz * yz
-    p = math.sqrt((a * a + b * b + c * c + 2.0 * off) / 6)
+    off_diagonal = xy * xy + xz * xz + yz * yz
+    p = math.sqrt((a * a + b * b + c * c + 2.0 * off_diagonal) / 6)
     least = mean
     middle = mean
     if p > 0.0:
@@ -243,10 +243,10 @@ def pull(points, pose, size_m, table, keys, sums, reach_m, pulls):  # type: igno
         z -= math.floor(z / size_m) * size_m
         least = reach_m * reach_m
         dx = dy = dz = 0.0
-        for near in range(27):
-            column = near // 9 - 1
-            row = near // 3 % 3 - 1
-            layer = near % 3 - 1
+        for neighbour in range(27):
+            column = neighbour // 9 - 1
+            row = neighbour // 3 % 3 - 1
+            layer = neighbour % 3 - 1
             key = own + (column << 2 * AXIS_BITS) + (row << AXIS_BITS) + layer
             k = entry_of(key, table, keys)
             if k < 0 or sums[k, 0] < 0.5:

@@ -89,17 +89,17 @@ class PlaneVoxels:
         return int(np.count_nonzero(self._flat[: self._count]))
 
     def add(
-        self, points: FloatArray, gone: FloatArray | None = None, lidar: FloatArray | None = None
+        self, points: FloatArray, removed: FloatArray | None = None, lidar: FloatArray | None = None
     ) -> None:
         """Add a cloud (N, 3), seen from (3,), remove another, and fit the touched voxels again."""
         points = np.ascontiguousarray(points, dtype=np.float64)
-        gone = np.empty((0, 3)) if gone is None else np.ascontiguousarray(gone, dtype=np.float64)
-        touched = np.empty((len(points) + len(gone)) * len(self._sizes_m), np.int64)
+        removed = np.empty((0, 3)) if removed is None else np.ascontiguousarray(removed, dtype=np.float64)
+        touched = np.empty((len(points) + len(removed)) * len(self._sizes_m), np.int64)
         most = self._count + len(points) * len(self._sizes_m)
         if most > len(self._keys):
             self._store(max(most, 2 * len(self._keys)), np.arange(self._count))
         changed = 0
-        for cloud, sign in ((points, 1.0), (gone, -1.0)):
+        for cloud, sign in ((points, 1.0), (removed, -1.0)):
             voxels = self._table, self._keys, self._sums, self._marks, touched[changed:]
             self._count, more = count_points(cloud, sign, self._sizes_m, self._count, *voxels)
             changed += more
@@ -116,9 +116,9 @@ class PlaneVoxels:
             self._flat,
             self._planes,
         )
-        left = self._sums[: self._count, 0] > 0.5
-        if len(gone) and 2 * np.count_nonzero(left) < self._count:
-            kept = np.flatnonzero(left)
+        remains = self._sums[: self._count, 0] > 0.5
+        if len(removed) and 2 * np.count_nonzero(remains) < self._count:
+            kept = np.flatnonzero(remains)
             self._store(len(kept), kept)
 
     def settle(self) -> None:
@@ -169,10 +169,10 @@ class PlaneVoxels:
     def pairs(self, points: FloatArray) -> PlanePairs:
         """Return the plane of the largest voxel with one around each point (N, 3), map frame."""
         residuals, flat = self.residuals(points, np.eye(4)), self._flat[: self._count] == 2
-        voxels, found = residuals.voxels[flat[residuals.voxels]], np.zeros(len(points), dtype=np.bool_)
-        found[residuals.which[flat[residuals.voxels]]] = True
+        voxels, is_paired = residuals.voxels[flat[residuals.voxels]], np.zeros(len(points), dtype=np.bool_)
+        is_paired[residuals.which[flat[residuals.voxels]]] = True
         planes, numbers = self._planes[voxels], np.cumsum(flat)[voxels] - 1
-        return PlanePairs(found, planes[:, :3], planes[:, 3:], numbers)
+        return PlanePairs(is_paired, planes[:, :3], planes[:, 3:], numbers)
 
     def _store(self, room: int, kept: NDArray[np.int64]) -> None:
         """Allocate arrays for so many voxels, and copy the existing ones."""

@@ -83,19 +83,19 @@ def align(
     """
     pose, hessian = start.astype(np.float64), np.empty((3, 3))
     how = kernel_m, iterations, (SETTLED, SETTLED), prior, np.empty((0, 5))
-    found = align_into(points, normals, guess, *surfel_map, *how, pose, hessian)
-    return alignment_of(pose, hessian, found, len(points))
+    sums = align_into(points, normals, guess, *surfel_map, *how, pose, hessian)
+    return alignment_of(pose, hessian, sums, len(points))
 
 
 def alignment_of(
     pose: FloatArray,
     hessian: FloatArray,
-    found: tuple[float, float, float, bool],
+    sums: tuple[float, float, float, bool],
     count: int,
     spread: FloatArray | None = None,
 ) -> Alignment:
     """Return the result of `align_into` for so many points."""
-    weight, squares, inliers, converged = found
+    weight, squares, inliers, converged = sums
     residual_m = math.sqrt(squares / weight) if weight > 0.0 else math.inf
     count = max(count, 1)
     return Alignment(pose, hessian, weight, residual_m, weight / count, inliers / count, converged, spread)

@@ -34,14 +34,14 @@ def scan_context(points: FloatArray, voxel_m: float) -> Float32Array:
     context = np.zeros((RINGS, SECTORS), dtype=np.float32)
     x, y, z = np.ascontiguousarray(points.T, np.float32)
     ring = (np.sqrt(x * x + y * y) / reach_m * RINGS).astype(np.int64)
-    (near,) = np.nonzero(ring < RINGS)
-    if near.size:
-        turn = np.arctan2(y[near], x[near]) / (2.0 * math.pi)
+    (in_rings,) = np.nonzero(ring < RINGS)
+    if in_rings.size:
+        turn = np.arctan2(y[in_rings], x[in_rings]) / (2.0 * math.pi)
         turn[turn < 0.0] += 1.0
         sector = np.minimum((turn * SECTORS).astype(np.int64), SECTORS - 1)
-        heights_m = z[near]
+        heights_m = z[in_rings]
         heights_m -= np.percentile(heights_m, _LOWEST_PERCENT)
-        np.maximum.at(context.ravel(), ring[near] * SECTORS + sector, heights_m)
+        np.maximum.at(context.ravel(), ring[in_rings] * SECTORS + sector, heights_m)
     return context
 
 
@@ -74,10 +74,10 @@ class ContextBank:
     def dissimilarity(self, context: Float32Array) -> FloatArray:
         """Return (K, SECTORS) distances 0..1 of a context to each, rotated by so many sectors."""
         products = (self._columns * np.conj(_spectrum(_unit_columns(context)))).sum(axis=1)
-        seen = _seen(context)
-        counts = np.fft.irfft(self._seen * np.conj(np.fft.rfft(seen)), SECTORS).round()
+        filled = _seen(context)
+        counts = np.fft.irfft(self._seen * np.conj(np.fft.rfft(filled)), SECTORS).round()
         likeness = np.fft.irfft(products, SECTORS) / np.maximum(counts, 1.0)
-        enough = counts > 0.5 * max(float(seen.sum()), 1.0)
+        enough = counts > 0.5 * max(float(filled.sum()), 1.0)
         return np.asarray(np.where(enough, 1.0 - likeness, 1.0))
 
 

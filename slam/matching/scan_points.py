@@ -122,9 +122,9 @@ def _with_normals(
 ) -> tuple[Float32Array, Float32Array]:
     """The usable ones of (N, 2) points, and their normals, base frame; see `_line_normals`."""
     onward = np.zeros(points.shape, np.bool_)
-    found, normals = np.empty((2, *points.shape), np.float32)
-    count = _line_normals(points, usable, step_rad, neighbours, onward, *placed, found, normals)
-    return found[:count], normals[:count]
+    oriented, normals = np.empty((2, *points.shape), np.float32)
+    count = _line_normals(points, usable, step_rad, neighbours, onward, *placed, oriented, normals)
+    return oriented[:count], normals[:count]
 
 
 @lru_cache(maxsize=8)
@@ -170,7 +170,7 @@ def _walls_between(points, usable, cos, sin, at_x, at_y, walls, normals):  # typ
             ax = points[j + side, 0] - points[j, 0]
             ay = points[j + side, 1] - points[j, 1]
             along = side * (ax * dx + ay * dy)
-            # A reading close by says little of the direction: two things in a row are no wall.
+            # A close reading hardly determines the direction: two objects in a row are no wall.
             thickest = _LINE_THICKNESS * (1.0 + along / length)
             straight = straight and 3.0 * along > length and abs(ay * dx - ax * dy) <= thickest
         if not straight:
@@ -191,11 +191,11 @@ def _walls_between(points, usable, cos, sin, at_x, at_y, walls, normals):  # typ
 
 @kernel
 def _line_normals(  # type: ignore[no-untyped-def]
-    points, usable, step_rad, neighbours, onward, cos, sin, at_x, at_y, found, normals
+    points, usable, step_rad, neighbours, onward, cos, sin, at_x, at_y, oriented, normals
 ):
     """Principal-axis line fit over the connected neighbours of each beam; how many are usable.
 
-    They go to ``found``, their normals to ``normals`` (N, 2), base frame; zero where it is no line.
+    They go to ``oriented``, their normals to ``normals`` (N, 2), base frame; zero where it is no line.
 
     A fine beam spacing with a noisy range makes short patches whose direction is noise: where the fit says
     so, it is done again over four times as many neighbours.
@@ -247,15 +247,15 @@ def _line_normals(  # type: ignore[no-untyped-def]
             cxx = sxx / members - mean_x * mean_x
             cxy = sxy / members - mean_x * mean_y
             cyy = syy / members - mean_y * mean_y
-            apart = cxx - cyy
-            spread = math.sqrt(apart * apart + 4.0 * cxy * cxy)
+            difference = cxx - cyy
+            spread = math.sqrt(difference * difference + 4.0 * cxy * cxy)
             long_axis = 0.5 * (cxx + cyy + spread)
             short_axis = max(0.5 * (cxx + cyy - spread), 0.0)
             thickest = _LINE_THICKNESS**2 + _LINE_THICKNESS * long_axis
             sigma_rad = math.inf
             if members > 2.5 and long_axis >= 1e-6 and short_axis <= thickest:
                 sigma_rad = math.sqrt(short_axis / (long_axis * members))
-                angle_rad = 0.5 * math.atan2(2.0 * cxy, apart)
+                angle_rad = 0.5 * math.atan2(2.0 * cxy, difference)
             if sigma_rad <= _GREATEST_NORMAL_SIGMA_RAD:
                 break
             reach *= 4
@@ -265,8 +265,8 @@ def _line_normals(  # type: ignore[no-untyped-def]
             ny = math.cos(angle_rad)
             if nx * x + ny * y > 0.0:
                 nx, ny = -nx, -ny
-        found[count, 0] = cos * x - sin * y + at_x
-        found[count, 1] = sin * x + cos * y + at_y
+        oriented[count, 0] = cos * x - sin * y + at_x
+        oriented[count, 1] = sin * x + cos * y + at_y
         normals[count, 0] = cos * nx - sin * ny
         normals[count, 1] = sin * nx + cos * ny
         count += 1

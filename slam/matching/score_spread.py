@@ -59,15 +59,15 @@ def spread_of(terms, lags, sums, spread):  # type: ignore[no-untyped-def]
     both: so it is the mean of the products of the windows' sums. ``sums`` (M + 1, 3) is room.
     """
     count = terms.shape[0]
-    weight = bend = 0.0
+    weight = curvature = 0.0
     sums[0, 0] = sums[0, 1] = sums[0, 2] = 0.0
     for i in range(count):
         sums[i + 1, 0] = sums[i, 0] + terms[i, 0]
         sums[i + 1, 1] = sums[i, 1] + terms[i, 1]
         sums[i + 1, 2] = sums[i, 2] + terms[i, 2]
         weight += terms[i, 3]
-        bend += terms[i, 4]
-    flattened = weight / max(bend, _LEAST_BEND * weight) if weight > 0.0 else 1.0
+        curvature += terms[i, 4]
+    flattened = weight / max(curvature, _LEAST_BEND * weight) if weight > 0.0 else 1.0
     s00 = s01 = s02 = s11 = s12 = s22 = 0.0
     for window in range(count + lags):
         last = min(window + 1, count)

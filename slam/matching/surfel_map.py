@@ -51,7 +51,7 @@ def build_surfel_maps(
     Coarser cells gather the finest one's surfels: where an edge is a whole multiple of the finest, the finest
     cells lie within those, and each point counts in the cell that it is in.
     """
-    corners, found, oriented = np.zeros(4), list[SurfelMap](), np.empty((len(points), 5))
+    corners, maps, oriented = np.zeros(4), list[SurfelMap](), np.empty((len(points), 5))
     _bound(points, normals, oriented, corners)
     low_x, low_y, high_x, high_y = corners.tolist()
     for cell_m in cells_m:
@@ -62,10 +62,10 @@ def build_surfel_maps(
         sums = np.empty((len(oriented), 6))
         count = _build(oriented, origin_x, origin_y, cell_m, cells, after, sums)
         oriented = sums[:count].copy()
-        found.append(SurfelMap(cells, after[:count].copy(), oriented, origin_x, origin_y, cell_m))
-    for one in found:
-        _point(one.surfels)
-    return found
+        maps.append(SurfelMap(cells, after[:count].copy(), oriented, origin_x, origin_y, cell_m))
+    for part in maps:
+        _point(part.surfels)
+    return maps
 
 
 @kernel

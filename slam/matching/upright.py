@@ -30,7 +30,7 @@ class Gravity:
 
 
 def upright_of(down: FloatArray) -> gtsam.Rot3:
-    """The shortest turn that lets a unit vector (3,) point down.
+    """The smallest rotation that makes a unit vector (3,) point down.
 
     Examples
     --------

@@ -40,7 +40,7 @@ class RangeImage(NamedTuple):
     def less_far(self, points: AnyFloatArray, margins_m: FloatArray, sign: int) -> BoolArray:
         """(M,) whether points (M, 2), base frame, are nearer than the image; farther where the sign is minus.
 
-        By a margin (M,), and so are those beside them by as much, or by a bearing.
+        By a margin (M,), and so are their neighbours, by the same margin, or by a bearing.
         """
         own = np.array([[0.0, 0.0, 1.0, 0.0]]), np.array([0, len(self.nearest_m)]), self.nearest_m
         return RangeImages(*own).less_far(points, margins_m, sign)
@@ -81,8 +81,8 @@ class RangeImages(NamedTuple):
         dx, dy = x - at_x, y - at_y
         ahead, left = cos * dx + sin * dy, cos * dy - sin * dx
         # A kernel takes twenty times as long for arc tangents as numpy.
-        seen = ahead, left, np.arctan2(left, ahead)
-        _less_far(*seen, self.first, self.nearest_m, margins_m, sign, less)
+        coordinates = ahead, left, np.arctan2(left, ahead)
+        _less_far(*coordinates, self.first, self.nearest_m, margins_m, sign, less)
         return less
 
 
@@ -101,10 +101,10 @@ def standing_before(
     """
     farthest_m = np.zeros(_bearing_count(scan))
     x, y = transform_points(points, between(pose, np.zeros(3))).T.copy()
-    seen, ranges_m = (x, y, np.arctan2(y, x)), np.empty(len(points))
+    coordinates, ranges_m = (x, y, np.arctan2(y, x)), np.empty(len(points))
     newest, before = np.empty(len(farthest_m), np.int64), np.empty(len(points), np.int64)
     room = farthest_m, ranges_m, newest, before
-    _stands_before(points, *seen, *images, reach_m, scan, margins_m, *room)
+    _stands_before(points, *coordinates, *images, reach_m, scan, margins_m, *room)
     return RangeImage(pose, farthest_m)
 
 
@@ -149,10 +149,10 @@ def _stands_before(  # type: ignore[no-untyped-def]
     newest,
     before,
 ):
-    """Write the distance of the nearest of points (M, 2) that stands in the way, seen at xs, ys and angles.
+    """Write the distance of the nearest of points (M, 2) that occludes, seen at xs, ys and angles.
 
-    ``nearest_m`` (B,) are zeros: first how far it has to be free by bearing. Points of a bearing hang
-    together: the ``newest`` (B,), and the one ``before`` each (M,).
+    ``nearest_m`` (B,) are zeros: first how far it has to be free by bearing. Points of a bearing are a
+    linked list: the ``newest`` (B,), and the one ``before`` each (M,).
     """
     count = nearest_m.size
     for i in range(scan.shape[0]):
@@ -173,10 +173,10 @@ def _stands_before(  # type: ignore[no-untyped-def]
             before[i] = newest[bearing]
             newest[bearing] = i
     for bearing in range(count):
-        seen = True
-        while seen:
+        stands = True
+        while stands:
             # Behind what was seen through the next one may stand.
-            seen = False
+            stands = False
             nearest_m[bearing] = math.nan
             nearest = NONE
             i = newest[bearing]
@@ -188,15 +188,15 @@ def _stands_before(  # type: ignore[no-untyped-def]
             if nearest >= 0:
                 x, y = points[nearest, 0], points[nearest, 1]
                 for image in range(views.shape[0]):
-                    if seen:
+                    if stands:
                         break
                     dx = x - views[image, 0]
                     dy = y - views[image, 1]
                     ahead = views[image, 2] * dx + views[image, 3] * dy
                     left = views[image, 2] * dy - views[image, 3] * dx
                     angle_rad = math.atan2(left, ahead)
-                    seen = _beyond(ahead, left, angle_rad, first, images_m, image, reach_m, 1)
-                if seen:
+                    stands = _beyond(ahead, left, angle_rad, first, images_m, image, reach_m, 1)
+                if stands:
                     ranges_m[nearest] = math.inf
 
 

@@ -130,20 +130,20 @@ class ClockLearner:
         if not final and recorded_s < self._due_s:
             return
         self._due_s = max(_FIRST_S, _GROWTH * recorded_s)
-        found = [
+        estimates = [
             offset for stretch in self._stretches(len(robot)) if (offset := self._offset(robot, *stretch))
         ]
         self.clock = SensorClock()
-        if not found:
+        if not estimates:
             return
-        offsets, sigmas = np.array(found).T
+        offsets, sigmas = np.array(estimates).T
         weights = 1.0 / sigmas**2
         offset_s = float(weights @ offsets / weights.sum())
         # If stretches differ by more than their sigmas, all of them are less certain.
-        scatter = float(weights @ (offsets - offset_s) ** 2) / max(1, len(found) - 1)
+        scatter = float(weights @ (offsets - offset_s) ** 2) / max(1, len(estimates) - 1)
         sigma_s = math.sqrt(max(1.0, scatter) / weights.sum())
         if sigma_s < _GREATEST_SIGMA_S:
-            self.clock = SensorClock(offset_s, math.hypot(sigma_s, _JITTER_S), len(found))
+            self.clock = SensorClock(offset_s, math.hypot(sigma_s, _JITTER_S), len(estimates))
 
     def _stretches(self, turns: int) -> list[tuple[float, float]]:
         """Choose stretches evenly over a run of so many rotations, each with enough to compare."""
@@ -165,18 +165,18 @@ class ClockLearner:
         smooth = np.interp(middles, middles[right], (own_turned / lasted_s)[right])
         own_turned = np.where(right, own_turned, smooth * lasted_s)
         right = _plausible(spans, turned, own_spans, own_turned)
-        found = clock_offset(spans[right], turned[right], own_spans, own_turned, _MOST_S)
-        if found is None or found.correlation < _LEAST_CORRELATION:
+        offset = clock_offset(spans[right], turned[right], own_spans, own_turned, _MOST_S)
+        if offset is None or offset.correlation < _LEAST_CORRELATION:
             return None
-        return found.offset_s, found.sigma_s
+        return offset.offset_s, offset.sigma_s
 
 
 def _plausible(
     spans_s: FloatArray, turned: FloatArray, other_s: FloatArray, other_turned: FloatArray
 ) -> NDArray[np.bool_]:
     """Return (N,) whether another sensor has measured a similar rotation within the largest offset."""
-    near = np.linspace(-_MOST_S, _MOST_S, 11)
-    expected = turns_between(other_s, other_turned, spans_s + near[:, None, None])
+    trial_s = np.linspace(-_MOST_S, _MOST_S, 11)
+    expected = turns_between(other_s, other_turned, spans_s + trial_s[:, None, None])
     there = np.clip(np.searchsorted(other_s[:, 1], spans_s.mean(axis=1)), 0, len(other_s) - 1)
     coarsest_s = np.maximum(spans_s[:, 1] - spans_s[:, 0], (other_s[:, 1] - other_s[:, 0])[there])
     slack = _SLACK_RAD_S * np.minimum(coarsest_s, GAP_S)

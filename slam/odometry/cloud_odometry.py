@@ -65,8 +65,8 @@ class CloudOdometry:
         scan = thin_evenly(half, self._voxel_m)
         before = self._map.agreement(scan, pose)
         self._newest.append(moved(half, pose))
-        gone = self._newest.popleft() if len(self._newest) > self._config.match.local_map_keyframes else None
-        self._map.planes.add(self._newest[-1], gone, pose.transformFrom(lidar_base))
+        old = self._newest.popleft() if len(self._newest) > self._config.match.local_map_keyframes else None
+        self._map.planes.add(self._newest[-1], old, pose.transformFrom(lidar_base))
         own = self._map.agreement(scan, pose)
         if before > 0.0 and own > 0.0:
             self._known.append(before / own)
@@ -98,21 +98,21 @@ class CloudOdometry:
         Not converged, and uncertain by a voxel, where fewer points than usual lie on planes.
         """
         scan = thin_evenly(points, self._voxel_m)
-        found: list[Aligned | None] = []
+        fits: list[Aligned | None] = []
         for guess in guesses:
             aligned = self._map.align(scan, guess, None, self._usual)
             if aligned is not None and aligned.near:
-                found = [aligned]
+                fits = [aligned]
                 break
-            found.append(aligned)
-        best = self._best(found)
+            fits.append(aligned)
+        best = self._best(fits)
         if before is not None and (best is None or best.found.agreement < self._usual):
-            found.append(self._map.align(scan, before, REACH * self._voxel_m))
-            found.append(self._map.align(scan, self._map.best_of(scan, self._around(before, turned_rad))))
-            best = self._best(found)
+            fits.append(self._map.align(scan, before, REACH * self._voxel_m))
+            fits.append(self._map.align(scan, self._map.best_of(scan, self._around(before, turned_rad))))
+            best = self._best(fits)
         if best is None:
             return None
-        rivals = [one.found for one in found if one and one.found.agreement >= _NEARLY * best.found.agreement]
+        rivals = [one.found for one in fits if one and one.found.agreement >= _NEARLY * best.found.agreement]
         poses = [*(one.pose for one in rivals), self._by_last(scan, best)]
         settled = self._map.settled(scan, best)
         self.settles = settled is not best
@@ -139,20 +139,20 @@ class CloudOdometry:
     def _around(self, pose: gtsam.Pose3, turned_rad: float) -> list[gtsam.Pose3]:
         """Return poses ahead, behind and beside a pose, with rotations about the axes of a cube."""
         paths_m = self._voxel_m * np.arange(1.0, REACH + 1.0)
-        ways = [
+        shifts = [
             [0, 0, 0, x, y, 0] for path in paths_m for x, y in ((path, 0), (-path, 0), (0, path), (0, -path))
         ]
         turn_rad = 2.0 * self._config.keyframes.angle_rad  # the range of a match, in both directions
         turns_rad = np.arange(turn_rad, min(turned_rad, 0.5 * np.pi), turn_rad)
         axes = [np.array(axis) / np.linalg.norm(axis) for axis in product((-1, 0, 1), repeat=3) if any(axis)]
         turns = [[*(turn * axis), 0, 0, 0] for turn in turns_rad for axis in axes]
-        return [pose, *(pose.compose(gtsam.Pose3.Expmap(np.array(step))) for step in ways + turns)]
+        return [pose, *(pose.compose(gtsam.Pose3.Expmap(np.array(step))) for step in shifts + turns)]
 
-    def _best(self, found: Sequence[Aligned | None]) -> Aligned | None:
+    def _best(self, fits: Sequence[Aligned | None]) -> Aligned | None:
         """Return the match with most points on planes; None if none fits."""
         least = self._config.match.least_inlier_share
-        fitting = [one for one in found if one is not None and one.motion.inlier_share >= least]
-        best = max(fitting, key=lambda one: one.found.agreement, default=None)
+        fitting = [item for item in fits if item is not None and item.motion.inlier_share >= least]
+        best = max(fitting, key=lambda item: item.found.agreement, default=None)
         return None if best is None or best.found.agreement < _HARDLY * self._expected else best
 
     def _by_last(self, scan: FloatArray, best: Aligned) -> gtsam.Pose3:
@@ -163,8 +163,8 @@ class CloudOdometry:
         if best.near:
             return best.found.pose
         last = LocalCloud.of(self._newest[-1], self._voxel_m, self._config)
-        found = last.refine(scan, best.found.pose)
-        return best.found.pose if found is None else found.found.pose
+        aligned = last.refine(scan, best.found.pose)
+        return best.found.pose if aligned is None else aligned.found.pose
 
     def _motion(
         self, best: Aligned, rivals: list[gtsam.Pose3], guesses: Sequence[gtsam.Pose3], turned_rad: float
@@ -175,8 +175,8 @@ class CloudOdometry:
         """
         doubt, unusual = np.zeros((6, 6)), best.found.agreement < self._usual
         for rival in rivals + list(guesses[:1] if unusual else []):
-            apart = gtsam.Pose3.Logmap(best.found.pose.between(rival))
-            doubt += np.outer(apart, apart)
+            offset = gtsam.Pose3.Logmap(best.found.pose.between(rival))
+            doubt += np.outer(offset, offset)
         if unusual:
             turns = np.linalg.inv(levers(best.found.arms_m))
             doubt += self._voxel_m**2 * turns @ turns

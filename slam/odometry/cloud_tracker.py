@@ -99,8 +99,8 @@ class CloudTracker:
     def track(self, cloud: PointCloud) -> TrackedCloud:
         """Find the pose of the next cloud at its stamp; without a match it is a guess."""
         step_s = 0.0 if self._stamp_s is None else cloud.stamp_s - self._stamp_s
-        told = None if self._imu is None else self._imu.predicted(cloud.stamp_s)
-        guesses, before = self._guesses(cloud, step_s, told), self._pose
+        by_imu = None if self._imu is None else self._imu.predicted(cloud.stamp_s)
+        guesses, before = self._guesses(cloud, step_s, by_imu), self._pose
         expected = guesses[0] if guesses else before
         self._stamp_s = cloud.stamp_s
         if self._imu is not None and deskewed(cloud, self._turns):
@@ -108,18 +108,18 @@ class CloudTracker:
         self._cloud = cloud
         moves = guesses or self._matcher is None
         twist = self._velocity.at(expected, cloud.stamp_s) if moves else np.zeros(6)
-        seen = DeskewedCloud.of(cloud, twist, self._turns)
-        if len(seen.points) < self._turns.least_pairs:
+        turn = DeskewedCloud.of(cloud, twist, self._turns)
+        if len(turn.points) < self._turns.least_pairs:
             self._lost += 1
-            return self._guessed(seen.points, expected, new_keyframe=False)
+            return self._guessed(turn.points, expected, new_keyframe=False)
         if self._matcher is None:
-            return self._begun(cloud, seen)
+            return self._begun(cloud, turn)
         unseen_m = 0.0 if guesses or step_s < LONGEST_STEP_S else self._velocity.speed_m_s * step_s
         if unseen_m > REACH * self.voxel_m:
             # A fit around the previous place would be another place that looks like it.
             self._lost = self._config.match.lost_after
             ahead = gtsam.Pose3(gtsam.Rot3(), step_s * self._velocity.twist[3:])
-            guessed = self._guessed(seen.points, before.compose(ahead), new_keyframe=True)
+            guessed = self._guessed(turn.points, before.compose(ahead), new_keyframe=True)
             return replace(guessed, unseen_m=unseen_m)
         matcher, odometry = self._matcher, self._odometry
         assert odometry is not None
@@ -127,19 +127,19 @@ class CloudTracker:
             "cloud",
             float(expected.x()),
             lambda: (
-                matcher.match(cloud, seen, guesses, before, step_s, told=told is not None),
+                matcher.match(cloud, turn, guesses, before, step_s, turn_known=by_imu is not None),
                 odometry.settles,
             ),
         )
         # The guess of an IMU does not depend on such a match.
-        if told is None and motion is not None and motion.degenerate:
+        if by_imu is None and motion is not None and motion.degenerate:
             odometry.note_open(settles=settles)
-        if motion is None or not self._believed(motion, told):
+        if motion is None or not self._believed(motion, by_imu):
             self._lost += 1
             return self._guessed(
-                seen.points, expected, new_keyframe=self._lost >= self._config.match.lost_after
+                turn.points, expected, new_keyframe=self._lost >= self._config.match.lost_after
             )
-        return self._matched(cloud, seen, motion)
+        return self._matched(cloud, turn, motion)
 
     def follow(self, cloud: PointCloud) -> TrackedCloud:
         """`track`, and add the cloud to the local map if the robot has moved far enough."""
@@ -180,9 +180,9 @@ class CloudTracker:
         self._odometry.add_keyframe(tracked.points, tracked.pose, self._cloud.T_base_lidar.translation())
         self._keyframe = tracked.pose
 
-    def _guesses(self, cloud: PointCloud, step_s: float, told: gtsam.Pose3 | None) -> Sequence[gtsam.Pose3]:
+    def _guesses(self, cloud: PointCloud, step_s: float, by_imu: gtsam.Pose3 | None) -> Sequence[gtsam.Pose3]:
         """Predict the pose of the robot: by its IMU, by its wheels; without an IMU by its velocity."""
-        guesses = [] if told is None else [told]
+        guesses = [] if by_imu is None else [by_imu]
         if self._wheels is not None:
             self.by_wheels.guesses.clear()
             # The middle of a revolution is no time of the log.
@@ -194,7 +194,7 @@ class CloudTracker:
                 guesses.append(self._pose.compose(spatial(gtsam.Pose2(*moved))))
         # It is unknown how long a robot without measurements moves on.
         if (
-            told is None
+            by_imu is None
             and self._velocity.known
             and abs(step_s) < LONGEST_STEP_S
             and self._lost < self._config.match.lost_after
@@ -202,58 +202,58 @@ class CloudTracker:
             guesses.append(self._pose.compose(gtsam.Pose3.Expmap(self._velocity.twist * step_s)))
         return guesses
 
-    def _begun(self, cloud: PointCloud, seen: DeskewedCloud) -> TrackedCloud:
+    def _begun(self, cloud: PointCloud, turn: DeskewedCloud) -> TrackedCloud:
         """Start with the first cloud, the reference for all later ones."""
-        self.voxel_m = voxel_of(seen.points, self._turns)
+        self.voxel_m = voxel_of(turn.points, self._turns)
         self._odometry = CloudOdometry(self._config, self.voxel_m)
         self._matcher = TurnMatcher(self._turns, self._odometry, self._velocity, self.voxel_m)
         self._velocity.begin(cloud.stamp_s)
-        self._tell(np.diag([self._config.match.floor_rad**2] * 3 + [self._config.match.floor_m**2] * 3))
-        return TrackedCloud(seen.points, self._pose, None, new_keyframe=True)
+        self._feed(np.diag([self._config.match.floor_rad**2] * 3 + [self._config.match.floor_m**2] * 3))
+        return TrackedCloud(turn.points, self._pose, None, new_keyframe=True)
 
-    def _matched(self, cloud: PointCloud, seen: DeskewedCloud, motion: MotionEstimate) -> TrackedCloud:
+    def _matched(self, cloud: PointCloud, turn: DeskewedCloud, motion: MotionEstimate) -> TrackedCloud:
         """Return pose and velocity from a match."""
         if self._lost == 0 and motion.converged and not motion.degenerate:
             self._judge_wheels(self._pose.between(pose_of(motion)))
         self._lost = 0
         self._pose = pose_of(motion)
-        points, measured = seen.points, motion.covariance
+        points, measured = turn.points, motion.covariance
         if motion.converged:
             if deskewed(cloud, self._turns):
                 points = base_points(cloud, self._velocity.at(self._pose, cloud.stamp_s), self._turns)
-            self._velocity.learn(self._pose, cloud.stamp_s, seen.arms_m, motion)
+            self._velocity.learn(self._pose, cloud.stamp_s, turn.arms_m, motion)
             if self._wheels is not None:
                 self._wheels.see(self._velocity.speed_m_s)
-        self._tell(measured + _UNSEEN_M**2 * np.outer(motion.weak_direction, motion.weak_direction))
-        sure = motion.converged and not motion.degenerate
-        told = None if sure or self._imu is None else self._imu.off(self._pose)
-        if told is None:
+        self._feed(measured + _UNSEEN_M**2 * np.outer(motion.weak_direction, motion.weak_direction))
+        certain = motion.converged and not motion.degenerate
+        by_imu = None if certain or self._imu is None else self._imu.off(self._pose)
+        if by_imu is None:
             motion = self._open.widened(cloud.stamp_s, motion, self._velocity.twist)
         else:
-            motion = replace(motion, covariance=told)
+            motion = replace(motion, covariance=by_imu)
         return TrackedCloud(points, self._pose, motion, self._moved_on(self._pose))
 
     def _judge_wheels(self, step: gtsam.Pose3) -> None:
         """Learn the uncertainty of the wheels from a matched step."""
         if self._wheels is not None and self.by_wheels.guesses:
-            seen = np.array([step.x(), step.y(), step.rotation().yaw()])
-            self._wheels.learn_scale(self.by_wheels.guesses[0].pose, seen)
-            self.by_wheels.judge(seen)
+            matched = np.array([step.x(), step.y(), step.rotation().yaw()])
+            self._wheels.learn_scale(self.by_wheels.guesses[0].pose, matched)
+            self.by_wheels.judge(matched)
 
-    def _believed(self, motion: MotionEstimate, told: gtsam.Pose3 | None) -> bool:
+    def _believed(self, motion: MotionEstimate, by_imu: gtsam.Pose3 | None) -> bool:
         """Return whether a match agrees with the IMU's prediction; a usual fit may be off by a voxel more.
 
         After unmeasured seconds, a street matches wherever it looks the same.
         """
-        if told is None or self._imu is None:
+        if by_imu is None or self._imu is None:
             return True
-        apart, covariance = gtsam.Pose3.Logmap(told.between(pose_of(motion))), motion.covariance
+        offset, covariance = gtsam.Pose3.Logmap(by_imu.between(pose_of(motion))), motion.covariance
         if motion.converged:
             slack = [self._config.keyframes.angle_rad] * 3 + [self.voxel_m] * 3
             covariance = covariance + np.diag(np.square(slack))
 
         def agrees(covariance: FloatArray) -> bool:
-            return bool(apart @ np.linalg.solve(covariance, apart) <= gate(6))
+            return bool(offset @ np.linalg.solve(covariance, offset) <= gate(6))
 
         # A match that agrees without the spread, which is slow to compute, also agrees with it.
         if agrees(covariance):
@@ -263,10 +263,10 @@ class CloudTracker:
     def _guessed(self, points: FloatArray, pose: gtsam.Pose3, *, new_keyframe: bool) -> TrackedCloud:
         """Handle a cloud that did not match."""
         self._pose = pose
-        self._tell(None)
+        self._feed(None)
         return TrackedCloud(points, pose, None, new_keyframe)
 
-    def _tell(self, covariance: FloatArray | None) -> None:
+    def _feed(self, covariance: FloatArray | None) -> None:
         """Give the IMU the pose of the robot, with covariance (6, 6); None for a guess."""
         if self._imu is None or self._stamp_s is None:
             return
@@ -279,7 +279,7 @@ class CloudTracker:
         state = self._imu.state
         if self._wheels is None or state is None:
             return None
-        stamps_s = [told_s for told_s, _ in self._rolls]
+        stamps_s = [rolled_s for rolled_s, _ in self._rolls]
         if not stamps_s or stamps_s[0] > state.stamp_s or stamps_s[-1] < stamp_s - GAP_S:
             return None
         rows = np.array([pose for _, pose in self._rolls])
@@ -299,5 +299,5 @@ class CloudTracker:
         step = self._keyframe.between(pose)
         turn_rad = float(np.linalg.norm(gtsam.Rot3.Logmap(step.rotation())))
         path_m = float(np.linalg.norm(step.translation()))
-        far = path_m > self._turns.keyframe_voxels * self.voxel_m
-        return far or turn_rad > self._config.keyframes.angle_rad
+        moved = path_m > self._turns.keyframe_voxels * self.voxel_m
+        return moved or turn_rad > self._config.keyframes.angle_rad

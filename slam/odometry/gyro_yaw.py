@@ -84,7 +84,7 @@ class YawGyro:
     def moment(self, stamp_s: float) -> GyroMoment | None:
         """Return its rotation at a stamp of the lidar's clock; None if unknown."""
         at_s = stamp_s + self._ahead_s
-        before = next((one for one in reversed(self._recent) if one.stamp_s <= at_s), None)
+        before = next((moment for moment in reversed(self._recent) if moment.stamp_s <= at_s), None)
         if before is None or self._readings.is_gap(at_s - before.stamp_s):
             return None
         turned_rad = before.turned_rad + (at_s - before.stamp_s) * before.rate_rad_s
@@ -107,32 +107,32 @@ class YawGyro:
             return None
         if begun.stamp_s >= ended.stamp_s:
             return None
-        told = _told(begun, ended)
-        variance = self._noise(begun, ended) + float(told @ self._spread @ told)
+        span = _span_of(begun, ended)
+        variance = self._noise(begun, ended) + float(span @ self._spread @ span)
         if chained:
             shared_s = min(self._spread[0, 0] / GYRO_WALK**2, self._compared_s)
-            variance += float(self._spread[0, 0] * told[0]) * max(shared_s - told[0], 0.0)
-        return float(told[1] - self._known @ told), self._doubt * variance
+            variance += float(self._spread[0, 0] * span[0]) * max(shared_s - span[0], 0.0)
+        return float(span[1] - self._known @ span), self._doubt * variance
 
     def learn(self, moment: GyroMoment | None, heading_rad: float, variance: float) -> None:
         """Compare with the heading of a matched scan, from time to time."""
         begun, self._begun = self._begun, None if moment is None else (moment, heading_rad, variance)
         if begun is None or moment is None or begun[0].piece != moment.piece:
             return
-        told = _told(begun[0], moment)
-        if told[0] < FEWEST * GAP_S:
+        span = _span_of(begun[0], moment)
+        if span[0] < FEWEST * GAP_S:
             self._begun = begun
             return
-        self._compared_s += float(told[0])
-        self._spread = self._spread + np.diag([GYRO_WALK**2 * told[0], 0.0])
-        off = wrap(float(told[1] - self._known @ told) - (heading_rad - begun[1]))
-        expected = float(told @ self._spread @ told) + self._noise(begun[0], moment) + begun[2] + variance
-        squares = off**2 / expected
+        self._compared_s += float(span[0])
+        self._spread = self._spread + np.diag([GYRO_WALK**2 * span[0], 0.0])
+        error_rad = wrap(float(span[1] - self._known @ span) - (heading_rad - begun[1]))
+        expected = float(span @ self._spread @ span) + self._noise(begun[0], moment) + begun[2] + variance
+        squares = error_rad**2 / expected
         # A match may be wrong: outliers have less weight. If they repeat, it is not the match.
         self._doubt = max(1.0, 0.5 * (self._doubt + min(squares, self._doubt * gate())))
-        gain = self._spread @ told / (expected * max(1.0, squares / gate()))
-        self._known = self._known + gain * off
-        self._spread = self._spread - np.outer(gain, told @ self._spread)
+        gain = self._spread @ span / (expected * max(1.0, squares / gate()))
+        self._known = self._known + gain * error_rad
+        self._spread = self._spread - np.outer(gain, span @ self._spread)
 
     def learn_clock(self, lidar: Turns, *, final: bool = False) -> None:
         """Estimate the clock offset again if due."""
@@ -140,7 +140,7 @@ class YawGyro:
         if self._clocks.clock.significant_s != self._ahead_s:
             self._ahead_s = self._clocks.clock.significant_s
             # Values read with another clock offset are not compared with later ones.
-            self._recent = deque(replace(one, piece=one.piece + 1) for one in self._recent)
+            self._recent = deque(replace(moment, piece=moment.piece + 1) for moment in self._recent)
 
     def notes(self) -> list[str]:
         """What a person should know of it."""
@@ -168,6 +168,6 @@ class YawGyro:
         return self._readings.gyro_density**2 * passed_s + (self._clocks.clock.sigma_s * faster) ** 2
 
 
-def _told(begun: GyroMoment, ended: GyroMoment) -> FloatArray:
+def _span_of(begun: GyroMoment, ended: GyroMoment) -> FloatArray:
     """Return (2,) time and rotation between two moments."""
     return np.array([ended.stamp_s - begun.stamp_s, ended.turned_rad - begun.turned_rad])

@@ -31,7 +31,7 @@ class ImuReadings:
         self.T_base_imu = gtsam.Pose3()
         self._gyro_density: float | None = None
         # Usual time between two readings, and number of readings until it is computed again.
-        self._usual_s, self._left = 0.0, 0
+        self._usual_s, self._until_median = 0.0, 0
 
     def add(self, reading: ImuReading) -> bool:
         """Take the next reading; one that is not later than the one before is left out.
@@ -49,12 +49,12 @@ class ImuReadings:
         elif self._rows:
             self._steps_s.append(step_s)
             # There are hundreds per second: a median for each would be too slow.
-            self._left -= 1
-            if self._left <= 0:
-                self._usual_s, self._left = median(self._steps_s), min(len(self._steps_s), FEWEST)
+            self._until_median -= 1
+            if self._until_median <= 0:
+                self._usual_s, self._until_median = median(self._steps_s), min(len(self._steps_s), FEWEST)
         self.T_base_imu = reading.T_base_imu or gtsam.Pose3()
-        told = np.concatenate([reading.gyro_rad_s, reading.specific_force_m_s2])
-        self._rows.append((reading.stamp_s, told))
+        row = np.concatenate([reading.gyro_rad_s, reading.specific_force_m_s2])
+        self._rows.append((reading.stamp_s, row))
         while self._rows[-1][0] - self._rows[0][0] > _KEPT_S:
             self._rows.popleft()
         return set_back
@@ -86,8 +86,8 @@ class ImuReadings:
 
     def mean(self, begin_s: float, end_s: float) -> FloatArray:
         """Return (6,) the mean angular rate and force, IMU frame; in a gap, those at its ends."""
-        told = self._between(begin_s, end_s)[1]
-        return np.asarray((told if len(told) else self._with_ends(begin_s, end_s)[1]).mean(axis=0))
+        rows = self._between(begin_s, end_s)[1]
+        return np.asarray((rows if len(rows) else self._with_ends(begin_s, end_s)[1]).mean(axis=0))
 
     def parameters(self) -> gtsam.PreintegrationCombinedParams:
         """Return the parameters of GTSAM's preintegration, with noise from neighbouring readings."""
@@ -108,24 +108,24 @@ class ImuReadings:
         bias: gtsam.imuBias.ConstantBias,
     ) -> gtsam.PreintegratedCombinedMeasurements:
         """Integrate the readings between two stamps; outside, the nearest reading is used."""
-        whole = gtsam.PreintegratedCombinedMeasurements(parameters, bias)
-        stamps_s, told = self._with_ends(begin_s, end_s)
+        integral = gtsam.PreintegratedCombinedMeasurements(parameters, bias)
+        stamps_s, rows = self._with_ends(begin_s, end_s)
         # A scale error is no bias: it changes sign with the rotation.
-        noise, rates = parameters.getGyroscopeCovariance(), told[:, :3].mean(axis=0) - bias.gyroscope()
+        noise, rates = parameters.getGyroscopeCovariance(), rows[:, :3].mean(axis=0) - bias.gyroscope()
         parameters.setGyroscopeCovariance(
             noise + (end_s - begin_s) * np.diag(GYRO_UNKNOWN[1, 1] * rates) ** 2
         )
-        for step_s, row in zip(np.diff(stamps_s), 0.5 * (told[1:] + told[:-1]), strict=True):
+        for step_s, row in zip(np.diff(stamps_s), 0.5 * (rows[1:] + rows[:-1]), strict=True):
             if step_s > 0.0:
-                whole.integrateMeasurement(row[3:], row[:3], float(step_s))
+                integral.integrateMeasurement(row[3:], row[:3], float(step_s))
         parameters.setGyroscopeCovariance(noise)
-        return whole
+        return integral
 
     def turns(self, times_s: FloatArray, at_s: float, gyro_bias: FloatArray) -> FloatArray:
         """Return (n, 3, 3) rotations of the IMU at increasing stamps (n,), in its frame at another stamp."""
         spans = np.array([min(times_s[0], at_s), max(times_s[-1], at_s)])
-        stamps_s, told = self._with_ends(*spans)
-        rates = told[:, :3] - gyro_bias
+        stamps_s, rows = self._with_ends(*spans)
+        rates = rows[:, :3] - gyro_bias
         turn, turns = gtsam.Rot3(), [gtsam.Rot3()]
         for step_s, rate in zip(np.diff(stamps_s), 0.5 * (rates[1:] + rates[:-1]), strict=True):
             turn = turn.compose(gtsam.Rot3.Expmap(rate * step_s))
@@ -141,22 +141,22 @@ class ImuReadings:
     def _between(self, begin_s: float, end_s: float) -> tuple[FloatArray, FloatArray]:
         """Return stamps (n,) and readings (n, 6) within a span, including its ends."""
         rows = []
-        for stamp_s, told in reversed(self._rows):
+        for stamp_s, values in reversed(self._rows):
             if stamp_s < begin_s:
                 break
             if stamp_s <= end_s:
-                rows.append((stamp_s, told))
+                rows.append((stamp_s, values))
         rows.reverse()
         return np.array([row[0] for row in rows]), np.array([row[1] for row in rows]).reshape(-1, 6)
 
     def _with_ends(self, begin_s: float, end_s: float) -> tuple[FloatArray, FloatArray]:
         """Return `_between` with linearly interpolated readings at both ends."""
-        stamps_s, told = self._between(begin_s - self._around_s, end_s + self._around_s)
+        stamps_s, rows = self._between(begin_s - self._around_s, end_s + self._around_s)
         if not len(stamps_s):
-            stamps_s, told = np.array([self._rows[-1][0]]), self._rows[-1][1][None]
+            stamps_s, rows = np.array([self._rows[-1][0]]), self._rows[-1][1][None]
         within = stamps_s[(stamps_s > begin_s) & (stamps_s < end_s)]
-        wanted = np.array([begin_s, *within, end_s])
-        return wanted, np.column_stack([np.interp(wanted, stamps_s, column) for column in told.T])
+        times_s = np.array([begin_s, *within, end_s])
+        return times_s, np.column_stack([np.interp(times_s, stamps_s, column) for column in rows.T])
 
     @property
     def _around_s(self) -> float:
@@ -165,9 +165,9 @@ class ImuReadings:
 
     def _densities(self) -> tuple[float, float]:
         """Return the noise densities of angular rates and forces."""
-        told = np.array([row[1] for row in self._rows])
+        rows = np.array([row[1] for row in self._rows])
         # Second differences remove the motion; for white noise their variance is six times its own.
-        apart = np.abs(np.diff(told, n=2, axis=0))
+        differences = np.abs(np.diff(rows, n=2, axis=0))
         root_s = float(np.sqrt(self._usual_s / 6.0))
-        noise = median_to_sigma() * np.median(apart, axis=0) * root_s
+        noise = median_to_sigma() * np.median(differences, axis=0) * root_s
         return max(noise[:3].max(), _GYRO_DENSITY), max(noise[3:].max(), _FORCE_DENSITY)

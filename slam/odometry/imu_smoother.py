@@ -52,13 +52,13 @@ class ImuState:
     bias: gtsam.imuBias.ConstantBias
     down: FloatArray
 
-    def carried(self, whole: gtsam.PreintegratedCombinedMeasurements) -> tuple[gtsam.Pose3, FloatArray]:
+    def carried(self, integral: gtsam.PreintegratedCombinedMeasurements) -> tuple[gtsam.Pose3, FloatArray]:
         """Return pose and velocity (3,) after the integrated readings."""
         upright = upright_of(self.down)
         start = gtsam.NavState(
             gtsam.Pose3(upright, np.zeros(3)).compose(self.pose), upright.rotate(self.velocity_m_s)
         )
-        end = whole.predict(start, self.bias)
+        end = integral.predict(start, self.bias)
         pose = gtsam.Pose3(upright, np.zeros(3)).inverse().compose(end.pose())
         return pose, np.asarray(upright.unrotate(end.velocity()))
 
@@ -125,7 +125,7 @@ class ImuSmoother:
     def advance(
         self,
         stamp_s: float,
-        whole: gtsam.PreintegratedCombinedMeasurements,
+        integral: gtsam.PreintegratedCombinedMeasurements,
         pose: gtsam.Pose3 | None,
         covariance: FloatArray | None,
         step: tuple[gtsam.Pose3, FloatArray] | None = None,
@@ -134,7 +134,7 @@ class ImuSmoother:
 
         Parameters
         ----------
-        whole
+        integral
             Readings since the newest state.
         pose, covariance
             Measured ``T_odom_imu``, (6, 6) in its tangent; None without a measurement.
@@ -146,13 +146,13 @@ class ImuSmoother:
         RuntimeError
             It cannot be solved.
         """
-        guess, velocity = self._state.carried(whole)
+        guess, velocity = self._state.carried(integral)
         graph, values, before = gtsam.NonlinearFactorGraph(), gtsam.Values(), self._count
         self._count += 1
         key = self._count
         graph.add(
             gtsam.CombinedImuFactorWithGravityDirection(
-                X(before), V(before), X(key), V(key), B(before), B(key), G(self._downs), whole,
+                X(before), V(before), X(key), V(key), B(before), B(key), G(self._downs), integral,
                 GRAVITY_M_S2,
             )
         )  # fmt: skip
@@ -210,26 +210,26 @@ class ImuSmoother:
 
     def _found(self, number: int, stamp_s: float) -> ImuState:
         """Return a smoothed state within the lag."""
-        found = self._smoother.calculateEstimate()
-        velocity = np.asarray(found.atVector(V(number)))
-        down = np.asarray(found.atUnit3(G(self._downs)).unitVector())
-        return ImuState(stamp_s, found.atPose3(X(number)), velocity, found.atConstantBias(B(number)), down)
+        state = self._smoother.calculateEstimate()
+        velocity = np.asarray(state.atVector(V(number)))
+        down = np.asarray(state.atUnit3(G(self._downs)).unitVector())
+        return ImuState(stamp_s, state.atPose3(X(number)), velocity, state.atConstantBias(B(number)), down)
 
     def _marginal(self, key: int) -> FloatArray:
         """Return the covariance of one variable."""
         # Marginalised directions keep the tangent axes of that time; GTSAM's axes of a downward direction
         # rotate by a right angle as it drifts.
-        graph, found = self._smoother.getFactors(), self._smoother.getLinearizationPoint()
+        graph, estimate = self._smoother.getFactors(), self._smoother.getLinearizationPoint()
         try:
             # All queries between two updates use one factorisation.
             if self._marginals is None:
-                self._marginals = gtsam.Marginals(graph, found)
+                self._marginals = gtsam.Marginals(graph, estimate)
             return np.asarray(self._marginals.marginalCovariance(key))
         except RuntimeError:
             # For a long bridge, the normal equations have too few digits; QR of the equations does not.
-            rows = graph.linearize(found).jacobian()[0]
+            rows = graph.linearize(estimate).jacobian()[0]
             sizes = {"x": 6, "v": 3, "b": 6, "g": 2}
-            keys = sorted(found.keys())
+            keys = sorted(estimate.keys())
             widths = [sizes[chr(gtsam.symbolChr(one))] for one in keys]
             begin = sum(widths[: keys.index(key)])
             unit = np.eye(rows.shape[1])[:, begin : begin + widths[keys.index(key)]]

@@ -65,14 +65,14 @@ class ImuTracker:
             self._parameters, self._smoother = start.parameters, ImuSmoother(start.state, start.spread)
         self._poses: list[tuple[float, gtsam.Pose3, FloatArray]] = []
         self._agree: deque[bool] = deque(maxlen=2 * FEWEST)
-        self._whole: tuple[ImuState, float, gtsam.PreintegratedCombinedMeasurements] | None = None
+        self._interval: tuple[ImuState, float, gtsam.PreintegratedCombinedMeasurements] | None = None
 
     def add(self, reading: ImuReading) -> None:
         """Add the next reading."""
         self._sensor = reading.sensor
         if self._readings.add(reading):
             self._lose()
-        self._whole = None
+        self._interval = None
 
     @property
     def state(self) -> ImuState | None:
@@ -134,11 +134,11 @@ class ImuTracker:
         # Composed with the mounting, so that each point is transformed once.
         moved = (turns @ lever - lever) @ mounting
         poses = np.concatenate([mounting.T @ turns @ mounting, moved[:, :, None]], axis=2)
-        ways = np.stack([velocity, 0.5 * acceleration]) @ mounting
+        slopes = np.stack([velocity, 0.5 * acceleration]) @ mounting
         points = np.empty((len(cloud.points_lidar), 3), np.float32)
         per_slice_s = (last_s - first_s) / SLICES
         times_s = np.asarray(cloud.times_s, dtype=np.float64)
-        _turned(cloud.points_lidar, times_s, first_s, per_slice_s, poses, ways, points)
+        _turned(cloud.points_lidar, times_s, first_s, per_slice_s, poses, slopes, points)
         return replace(cloud, points_lidar=points, times_s=None)
 
     def took(
@@ -189,11 +189,11 @@ class ImuTracker:
         if not self._readings.covers(state.stamp_s, stamp_s):
             self._lose()
             return
-        whole = self._integrated(state, stamp_s)
+        integral = self._integrated(state, stamp_s)
         if covariance is not None:
-            self._judge(state.pose.between(pose), whole, state)
+            self._judge(state.pose.between(pose), integral, state)
         try:
-            smoother.advance(stamp_s, whole, pose if covariance is not None else None, covariance, step)
+            smoother.advance(stamp_s, integral, pose if covariance is not None else None, covariance, step)
         except RuntimeError:  # indeterminate: an extreme contradiction to the lidar
             self._lose()
             return
@@ -224,8 +224,8 @@ class ImuTracker:
         state, spread = self.state, self.spread()
         if state is None or spread is None:
             return None
-        apart = gtsam.Pose3.Logmap(pose.between(state.pose.compose(self._readings.T_base_imu.inverse())))
-        return spread + np.outer(apart, apart)
+        offset = gtsam.Pose3.Logmap(pose.between(state.pose.compose(self._readings.T_base_imu.inverse())))
+        return spread + np.outer(offset, offset)
 
     def gravity(self) -> Gravity | None:
         """Return gravity in the base frame at the newest state."""
@@ -236,7 +236,7 @@ class ImuTracker:
         down = np.asarray(self._readings.T_base_imu.rotation().rotate(down_imu))
         return Gravity(state.stamp_s, down, self._smoother.down_sigma_rad())
 
-    def told(self) -> tuple[list[str], dict[str, str]]:
+    def outcome(self) -> tuple[list[str], dict[str, str]]:
         """Return notes for the user at the end of the log, and, by its name, why it was not used."""
         if not self._sensor:
             return [], {}
@@ -266,9 +266,9 @@ class ImuTracker:
         poses, self._poses = self._poses, []
         self._parameters = self._readings.parameters()
         self._smoother = ImuSmoother(self._first(poses), _GUESS)
-        for told in poses[1:]:
+        for measured in poses[1:]:
             if self._smoother is not None:
-                self._advance(self._smoother, *told)
+                self._advance(self._smoother, *measured)
 
     def _first(self, poses: list[tuple[float, gtsam.Pose3, FloatArray]]) -> ImuState:
         """Estimate the state at the first pose: velocity by differences, gravity from forces."""
@@ -292,10 +292,10 @@ class ImuTracker:
         )
 
     def _judge(
-        self, seen: gtsam.Pose3, whole: gtsam.PreintegratedCombinedMeasurements, state: ImuState
+        self, matched: gtsam.Pose3, integral: gtsam.PreintegratedCombinedMeasurements, state: ImuState
     ) -> None:
         """Check whether lidar and gyroscope measure the same rotations; if mostly not, ignore the IMU."""
-        self._agree.append(alike(seen, state.pose.between(state.carried(whole)[0])))
+        self._agree.append(alike(matched, state.pose.between(state.carried(integral)[0])))
         if len(self._agree) == 2 * FEWEST and sum(self._agree) < FEWEST:
             why = "its rotation does not agree with the lidar's: a wrong mounting, clock or unit"
             raise UnfitImuError(self._sensor, why)
@@ -307,23 +307,23 @@ class ImuTracker:
 
     def _integrated(self, state: ImuState, stamp_s: float) -> gtsam.PreintegratedCombinedMeasurements:
         """Integrate readings from a state to a stamp; cached, since a cloud needs them more than once."""
-        if self._whole is None or self._whole[0] is not state or self._whole[1] != stamp_s:
+        if self._interval is None or self._interval[0] is not state or self._interval[1] != stamp_s:
             assert self._parameters is not None
-            whole = self._readings.integrated(state.stamp_s, stamp_s, self._parameters, state.bias)
-            self._whole = state, stamp_s, whole
-        return self._whole[2]
+            integral = self._readings.integrated(state.stamp_s, stamp_s, self._parameters, state.bias)
+            self._interval = state, stamp_s, integral
+        return self._interval[2]
 
 
-def alike(seen: gtsam.Pose3, told: gtsam.Pose3) -> bool:
+def alike(matched: gtsam.Pose3, predicted: gtsam.Pose3) -> bool:
     """Return whether two motions have the same rotation, within the error of a match."""
-    turn_rad = float(np.linalg.norm(gtsam.Rot3.Logmap(seen.rotation())))
-    apart_rad = float(np.linalg.norm(gtsam.Rot3.Logmap(told.rotation().between(seen.rotation()))))
+    turn_rad = float(np.linalg.norm(gtsam.Rot3.Logmap(matched.rotation())))
+    apart_rad = float(np.linalg.norm(gtsam.Rot3.Logmap(predicted.rotation().between(matched.rotation()))))
     return apart_rad <= _APART_RAD + _APART_SHARE * turn_rad
 
 
 @kernel
-def _turned(points, times_s, first_s, per_slice_s, poses, ways, found):  # type: ignore[no-untyped-def]
-    """Transform points (N, 3) into ``found`` by the poses (S + 1, 3, 4) around their slices.
+def _turned(points, times_s, first_s, per_slice_s, poses, slopes, straight):  # type: ignore[no-untyped-def]
+    """Transform points (N, 3) into ``straight`` by the poses (S + 1, 3, 4) around their slices.
 
     Within a slice, the rotation is small enough for linear interpolation.
     """
@@ -340,4 +340,4 @@ def _turned(points, times_s, first_s, per_slice_s, poses, ways, found):  # type:
             ended = (
                 poses[n + 1, k, 0] * x + poses[n + 1, k, 1] * y + poses[n + 1, k, 2] * z + poses[n + 1, k, 3]
             )
-            found[i, k] = begun + part * (ended - begun) + t * (ways[0, k] + t * ways[1, k])
+            straight[i, k] = begun + part * (ended - begun) + t * (slopes[0, k] + t * slopes[1, k])

@@ -122,7 +122,7 @@ class MotionTracker:
             tracked = TrackedScan(pose, motion, wheels, dispute, gyro)
             # Errors along a corridor are corrected at once at its end: this is no motion of the robot.
             if not (self._last.open and tracked.determined):
-                self._learn_velocity(between(self._last.pose, pose), step_s, told=pose is not self._blind)
+                self._learn_velocity(between(self._last.pose, pose), step_s, measured=pose is not self._blind)
         self._last = tracked
         self._stamp_s = stamp_s
         self._recent.append((stamp_s, tracked))
@@ -177,13 +177,13 @@ class MotionTracker:
         looking = guess.looking(begun.pose[2] + turn[0], turn[1] + float(begun.dispute[2, 2]))
         return looking.widened(np.diag([0.0, 0.0, _SENSOR_FLOOR[2, 2]]))
 
-    def _learn_velocity(self, step: FloatArray, step_s: float, *, told: bool) -> None:
+    def _learn_velocity(self, step: FloatArray, step_s: float, *, measured: bool) -> None:
         """Learn from a step (3,), except one that repeats the velocity, and the next, which corrects it."""
-        if told and not self._blind_s and abs(step_s) > SHORTEST_STEP_S:
+        if measured and not self._blind_s and abs(step_s) > SHORTEST_STEP_S:
             self._velocity_step, self._velocity_step_s = step, step_s
             if step_s <= GAP_S:
                 self._squares += step[0] ** 2 + step[1] ** 2, step[2] ** 2, step_s**2
-        self._blind_s = 0.0 if told else self._blind_s + abs(step_s)
+        self._blind_s = 0.0 if measured else self._blind_s + abs(step_s)
         if self._blind_s >= GAP_S:
             self._velocity_step = np.zeros(3)
 
@@ -219,7 +219,7 @@ class MotionTracker:
             *self._rivals(points, motion, [*self._by_camera.guesses, *self._by_wheels.guesses], guesses),
             *self._rivals(points, motion, self._by_window, self._by_window),
         ]
-        log_odds, held, prediction = max(rivals, key=lambda rival: rival[0], default=(0.0, None, guesses[0]))
+        log_odds, local, prediction = max(rivals, key=lambda rival: rival[0], default=(0.0, None, guesses[0]))
         if log_odds < -self._config.disputed_within:
             self._recent.clear()  # the wheels have slipped: their path until now is not usable
             rivals, motion = [], self._led_by_others(points, motion, guesses)
@@ -228,20 +228,20 @@ class MotionTracker:
             return motion, np.zeros((3, 3))
         decided = log_odds > self._config.disputed_within
         by_camera = any(prediction is camera for camera in self._by_camera.guesses)
-        if held is None and (decided or by_camera):
+        if local is None and (decided or by_camera):
             guesses.insert(0, prediction)  # it is the pose
             return None, np.zeros((3, 3))
         matched = row_from_pose2(motion.T_reference_base)
-        if held is None:
+        if local is None:
             # It fits at the only pose where it was matched, and still may be elsewhere.
             offset = between(matched, prediction.pose)
             return motion, np.outer(offset, offset)
-        if any(prediction is one for one in self._by_window):
+        if any(prediction is guess for guess in self._by_window):
             self._follow_the_wheels()
         if decided:
-            return held, np.zeros((3, 3))
-        offset = between(matched, row_from_pose2(held.T_reference_base))
-        return held, np.outer(offset, offset)
+            return local, np.zeros((3, 3))
+        offset = between(matched, row_from_pose2(local.T_reference_base))
+        return local, np.outer(offset, offset)
 
     def _other_way_round(
         self, points: ScanPoints, motion: MotionEstimate, guesses: list[Motion]
@@ -257,10 +257,10 @@ class MotionTracker:
         turned = compose(matched, np.array([0.0, 0.0, math.pi]))
         if not all(guess.holds(turned) for guess in guesses):
             return None
-        held = self._odometry.match_near(points, turned)
-        if held is None or held.inlier_share < self._noise.least_inlier_share:
+        local = self._odometry.match_near(points, turned)
+        if local is None or local.inlier_share < self._noise.least_inlier_share:
             return None
-        return between(matched, row_from_pose2(held.T_reference_base))
+        return between(matched, row_from_pose2(local.T_reference_base))
 
     def _another_corridor(self, motion: MotionEstimate, step_s: float) -> FloatArray | None:
         """Return the offset from a corridor match to the wheels' pose after a gap; None if plausible.
@@ -290,8 +290,8 @@ class MotionTracker:
             return None
         turn = None if self._last is None else self.gyro_turn(self._last, gyro)
         if self._last is not None and turn is not None:
-            off = wrap(float(row_from_pose2(motion.T_reference_base)[2] - self._last.pose[2]) - turn[0])
-            if off**2 <= gate() * (turn[1] + float(motion.covariance[2, 2])):
+            error_rad = wrap(float(row_from_pose2(motion.T_reference_base)[2] - self._last.pose[2]) - turn[0])
+            if error_rad**2 <= gate() * (turn[1] + float(motion.covariance[2, 2])):
                 turn2 = 0.0
         return np.diag([way2, way2, min(turn2, math.pi**2)]) / 3.0
 
@@ -309,15 +309,15 @@ class MotionTracker:
         for prediction in contesting:
             if prediction.holds(matched):
                 continue
-            rival, held = prediction, None
+            rival, local = prediction, None
             if not any(prediction is camera for camera in self._by_camera.guesses):
-                held = self._odometry.match_near(points, prediction.pose)
-                if held is not None and held.inlier_share < self._noise.least_inlier_share:
-                    held = None
-                if held is not None:
-                    rival = Motion(row_from_pose2(held.T_reference_base), np.zeros((3, 3)))
-            said = log_likelihood(asked, rival.pose) - log_likelihood(asked, matched)
-            rivals.append((said - self._evidence(points, motion, rival), held, prediction))
+                local = self._odometry.match_near(points, prediction.pose)
+                if local is not None and local.inlier_share < self._noise.least_inlier_share:
+                    local = None
+                if local is not None:
+                    rival = Motion(row_from_pose2(local.T_reference_base), np.zeros((3, 3)))
+            log_odds = log_likelihood(asked, rival.pose) - log_likelihood(asked, matched)
+            rivals.append((log_odds - self._evidence(points, motion, rival), local, prediction))
         return rivals
 
     def _led_by_others(

@@ -41,9 +41,9 @@ class Predictor:
 
     def rescaled(self, pose: FloatArray, covariance: FloatArray) -> Motion:
         """Return a pose (3,) with a claimed covariance (3, 3), rescaled by what was learned so far."""
-        way, turn = self.doubt * self._share, self.doubt
-        both = math.sqrt(way * turn)
-        return Motion(pose, covariance * np.array([[way, way, both], [way, way, both], [both, both, turn]]))
+        xy, turn = self.doubt * self._share, self.doubt
+        mix = math.sqrt(xy * turn)
+        return Motion(pose, covariance * np.array([[xy, xy, mix], [xy, xy, mix], [mix, mix, turn]]))
 
     def judge(self, pose: FloatArray) -> None:
         """Learn from the pose of the scan (3,): mean normalised squared error of the first guess."""

@@ -138,12 +138,12 @@ class RgbdTracker:
         ]
         views = self._config.rgbd_odometry.views
         order = np.argsort(scores, kind="stable")[:views]
-        alike = [self._local[n] for n in order if n == order[0] or scores[n] < 1.0]
-        self._in_use = [one for one in self._in_use if not any(one is other for other in alike)] + alike
+        close = [self._local[n] for n in order if n == order[0] or scores[n] < 1.0]
+        self._in_use = [one for one in self._in_use if not any(one is other for other in close)] + close
         for unused in self._in_use[: -2 * views]:
             unused.frame.forget_surface()
         del self._in_use[: -2 * views]
-        return alike
+        return close
 
     def _moved_on(self, pose: gtsam.Pose3, match: VisualMatch) -> bool:
         """Return whether parallax, rotation or lost overlap require a keyframe."""

@@ -29,9 +29,9 @@ class SurfelOdometry:
     """Coarse and fine point-to-line alignment; a correlative search if the guesses fail."""
 
     def __init__(self, config: Config) -> None:
-        self._match, self._sight_m = config.match, config.scan.range_max_m
+        self._match, self._range_m = config.match, config.scan.range_max_m
         self._loops = config.loops
-        self._ways_m: deque[float] = deque(maxlen=config.match.local_map_keyframes)
+        self._path_m: deque[float] = deque(maxlen=config.match.local_map_keyframes)
         self._last = np.zeros(3)
         self._keyframes: deque[OrientedPoints] = deque(maxlen=config.match.local_map_keyframes)
         self._images: deque[Callable[[], RangeImage]] = deque(maxlen=config.match.local_map_keyframes)
@@ -40,12 +40,12 @@ class SurfelOdometry:
     def add_keyframe(self, points: ScanPoints, pose: FloatArray) -> None:
         """Add a scan at a pose (3,) of the odometry frame to the local map."""
         step, self._last = between(self._last, pose), pose
-        way_m = math.hypot(step[0], step[1]) + (self._ways_m[-1] if self._ways_m else 0.0)
+        way_m = math.hypot(step[0], step[1]) + (self._path_m[-1] if self._path_m else 0.0)
         # Keyframes farther back on the path are another visit: they are for loop closure.
-        while self._ways_m and way_m - self._ways_m[0] > self._sight_m:
-            for remembered in (self._ways_m, self._keyframes, self._images):
+        while self._path_m and way_m - self._path_m[0] > self._range_m:
+            for remembered in (self._path_m, self._keyframes, self._images):
                 remembered.popleft()
-        self._ways_m.append(way_m)
+        self._path_m.append(way_m)
         self._keyframes.append(OrientedPoints.surface(points).moved(pose))
         self._images.append(cache(partial(RangeImage.of, points.points_base, pose, points.points_base)))
         self._local_map = None
@@ -67,8 +67,8 @@ class SurfelOdometry:
         weak = weak_direction(best, self._match.degenerate_share)
         if weak is not None and not guesses[0].holds(best.pose):
             # A guess other than the most certain one has converged along a corridor, where all looks alike.
-            away = compose(best.pose, weak * (weak @ between(best.pose, guesses[0].pose)))
-            best = local_map.align(scan, away)
+            start = compose(best.pose, weak * (weak @ between(best.pose, guesses[0].pose)))
+            best = local_map.align(scan, start)
         share = best.inlier_share
         if share < self._match.least_inlier_share and not self._fits_what_is_known(local_map, scan, best):
             return None
@@ -95,9 +95,9 @@ class SurfelOdometry:
         least_share = max(self._match.confident_inlier_share, self._match.least_inlier_share)
         fits = best.inlier_share >= least_share * known
         # The farther apart keyframes are, the less of a scan can be known.
-        spacing_m = (self._ways_m[-1] - self._ways_m[0]) / max(len(self._ways_m) - 1, 1)
-        seen = self._loops.reach_m / max(spacing_m, self._loops.reach_m)
-        return fits and known >= seen * self._loops.least_overlap
+        spacing_m = (self._path_m[-1] - self._path_m[0]) / max(len(self._path_m) - 1, 1)
+        share = self._loops.reach_m / max(spacing_m, self._loops.reach_m)
+        return fits and known >= share * self._loops.least_overlap
 
     def _known(self) -> LocalMap | None:
         """Return the local map, built at first use; None before the first keyframe."""
@@ -110,7 +110,7 @@ class SurfelOdometry:
         if len(local_map.points) == 0:
             return None
         match = self._match
-        found = search_window(
+        result = search_window(
             build_field(local_map.points.points, 0.5 * match.cell_m, match.cell_m),
             scan.thinned(match.search_points),
             guess,
@@ -118,7 +118,7 @@ class SurfelOdometry:
             match.search_half_yaw_rad,
             match.search_least_score,
         )
-        return local_map.align(scan, found.pose) if found.found else None
+        return local_map.align(scan, result.pose) if result.found else None
 
 
 def _more_confident(a: Alignment, b: Alignment | None) -> Alignment:

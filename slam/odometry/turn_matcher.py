@@ -60,68 +60,68 @@ class TurnMatcher:
     def match(
         self,
         cloud: PointCloud,
-        seen: DeskewedCloud,
+        turn: DeskewedCloud,
         guesses: Sequence[gtsam.Pose3],
         before: gtsam.Pose3,
         step_s: float,
         *,
-        told: bool,
+        turn_known: bool,
     ) -> MotionEstimate | None:
         """Return the pose of a cloud in the odometry frame; None if nothing fits.
 
         Parameters
         ----------
-        seen
+        turn
             The cloud deskewed with the first guess.
         guesses, before
             See `CloudOdometry.match`.
         step_s
             Time since ``before``.
-        told
+        turn_known
             Whether a gyroscope measured the rotation: then no sudden rotation is searched for.
         """
         turned_rad = max(_TURN_RATE_OFFSETS_RAD_S) * step_s
-        motion = self._odometry.match(seen.points, guesses, before, turned_rad)
-        if not told and (motion is None or not motion.converged):
-            seen, motion = self._after_a_sudden_turn(cloud, seen, motion)
+        motion = self._odometry.match(turn.points, guesses, before, turned_rad)
+        if not turn_known and (motion is None or not motion.converged):
+            turn, motion = self._after_a_sudden_turn(cloud, turn, motion)
         for _ in range(_DESKEWED_TIMES):
-            if motion is None or not self._is_skewed(cloud, seen, motion):
+            if motion is None or not self._is_skewed(cloud, turn, motion):
                 break
-            again = DeskewedCloud.of(cloud, self._velocity.at(pose_of(motion), cloud.stamp_s), self._config)
-            better = self._odometry.match(again.points, [pose_of(motion)])
-            if self._share(again, better) <= self._share(seen, motion):
+            redone = DeskewedCloud.of(cloud, self._velocity.at(pose_of(motion), cloud.stamp_s), self._config)
+            better = self._odometry.match(redone.points, [pose_of(motion)])
+            if self._share(redone, better) <= self._share(turn, motion):
                 break
-            seen, motion = again, better
+            turn, motion = redone, better
         return motion
 
     def _after_a_sudden_turn(
-        self, cloud: PointCloud, seen: DeskewedCloud, motion: MotionEstimate | None
+        self, cloud: PointCloud, turn: DeskewedCloud, motion: MotionEstimate | None
     ) -> tuple[DeskewedCloud, MotionEstimate | None]:
         """Return the best match of a robot that may have started or stopped rotating suddenly."""
         tried = []
         for offset_rad_s in _TURN_RATE_OFFSETS_RAD_S:
-            twist = seen.twist + np.array([0.0, 0.0, offset_rad_s, 0.0, 0.0, 0.0])
+            twist = turn.twist + np.array([0.0, 0.0, offset_rad_s, 0.0, 0.0, 0.0])
             start = self._velocity.carry_on(twist, cloud.stamp_s)
             if start is None:
-                return seen, motion
+                return turn, motion
             turned = DeskewedCloud.of(cloud, twist, self._config)
             pose = self._odometry.nearby(turned.points, start)
             tried.append((self._odometry.agreement(turned.points, pose), turned, pose))
-        _, turned, pose = max(tried, key=lambda one: one[0])
-        found = self._odometry.match(turned.points, [pose])
-        better = self._share(turned, found) > self._share(seen, motion)
-        return (turned, found) if better else (seen, motion)
+        _, turned, pose = max(tried, key=lambda trial: trial[0])
+        match = self._odometry.match(turned.points, [pose])
+        better = self._share(turned, match) > self._share(turn, motion)
+        return (turned, match) if better else (turn, motion)
 
-    def _share(self, seen: DeskewedCloud, motion: MotionEstimate | None) -> float:
+    def _share(self, turn: DeskewedCloud, motion: MotionEstimate | None) -> float:
         """Return the share of a cloud on planes at the pose of a match."""
-        return 0.0 if motion is None else self._odometry.agreement(seen.points, pose_of(motion))
+        return 0.0 if motion is None else self._odometry.agreement(turn.points, pose_of(motion))
 
-    def _is_skewed(self, cloud: PointCloud, seen: DeskewedCloud, motion: MotionEstimate) -> bool:
+    def _is_skewed(self, cloud: PointCloud, turn: DeskewedCloud, motion: MotionEstimate) -> bool:
         """Return whether the match has another twist than the one used for deskewing."""
         if cloud.times_s is None or not deskewed(cloud, self._config):
             return False
-        off = self._velocity.at(pose_of(motion), cloud.stamp_s) - seen.twist
-        turned_m, moved_m = np.linalg.norm((levers(seen.arms_m) @ off).reshape(2, 3), axis=1)
+        offset = self._velocity.at(pose_of(motion), cloud.stamp_s) - turn.twist
+        turned_m, moved_m = np.linalg.norm((levers(turn.arms_m) @ offset).reshape(2, 3), axis=1)
         return bool(0.5 * np.ptp(cloud.times_s) * (turned_m + moved_m) > _SKEWED_VOXELS * self._voxel_m)
 
 

@@ -24,12 +24,12 @@ class UnobservedPath:
         self._greatest_m_s = greatest_speed_m_s
         self._known_s: float | None = None
         self._speed_m_s = 0.0
-        self._variance_m2 = self._told_m2 = 0.0
+        self._variance_m2 = self._added_m2 = 0.0
         self._direction = np.zeros(6)
 
     def add_keyframe(self) -> None:
         """Restart at a keyframe: the uncertainty so far is in the edges."""
-        self._told_m2 = self._variance_m2
+        self._added_m2 = self._variance_m2
 
     def widened(self, stamp_s: float, motion: MotionEstimate, twist: FloatArray) -> MotionEstimate:
         """Return a match with the uncertainty of the path since the last keyframe in undetermined directions.
@@ -45,7 +45,7 @@ class UnobservedPath:
         """
         if motion.converged and not motion.degenerate:
             self._known_s, self._variance_m2 = stamp_s, 0.0
-            self._told_m2, self._direction = 0.0, np.zeros(6)
+            self._added_m2, self._direction = 0.0, np.zeros(6)
             self._speed_m_s = float(np.linalg.norm(twist[3:]))
             return motion
         if motion.degenerate and (ahead := float(np.linalg.norm(motion.weak_direction[3:]))) > 0.5:
@@ -58,5 +58,5 @@ class UnobservedPath:
             speed = max(self._speed_m_s, self._greatest_m_s)
             variance = (speed * (stamp_s - self._known_s)) ** 2 / 3.0
         self._variance_m2 = max(variance, self._variance_m2)
-        more = math.sqrt(max(self._variance_m2 - self._told_m2, 0.0)) * self._direction
+        more = math.sqrt(max(self._variance_m2 - self._added_m2, 0.0)) * self._direction
         return replace(motion, covariance=motion.covariance + np.outer(more, more))

@@ -32,7 +32,7 @@ class WheelGaps:
     """
 
     def __init__(self) -> None:
-        self._told: FloatArray | None = None
+        self._reported: FloatArray | None = None
         self._pose = self._counted = np.zeros(3)
         # Stamps of the last reading, of the last moving one, and up to which the path is in the pose.
         self._stamp_s = self._counted_s = self._placed_s = math.nan
@@ -43,7 +43,7 @@ class WheelGaps:
         # Stopping time of a robot, and the longest time between two readings since the last moving one.
         self._stop_s = self._silent_s = 0.0
         # Whether readings have repeated for so long that the robot stands still.
-        self._stands = False
+        self._has_stopped = False
         self.guessed_m = 0.0
 
     def add(self, reading: WheelOdometry, step: FloatArray, step_s: float, *, usual: bool) -> FloatArray:
@@ -57,11 +57,11 @@ class WheelGaps:
             Whether such a motion is usual for the robot.
         """
         guess, guess_m = self.guess_at(reading.stamp_s)
-        self._stands = guess_m > 0.0 and not guess.any()
+        self._has_stopped = guess_m > 0.0 and not guess.any()
         stamp_s, self._stamp_s = reading.stamp_s, reading.stamp_s
-        told, self._told = self._told, row_from_pose2(reading.T_odom_base)
-        if told is None:
-            self._pose = self._counted = self._told
+        previous, self._reported = self._reported, row_from_pose2(reading.T_odom_base)
+        if previous is None:
+            self._pose = self._counted = self._reported
             self._counted_s = self._placed_s = stamp_s
             return self._pose
         if step_s > 0.0:
@@ -96,9 +96,9 @@ class WheelGaps:
 
     def step(self, reading: WheelOdometry) -> tuple[FloatArray, float]:
         """Return the motion (3,) since the last reading and its time; zero and NaN before any."""
-        if self._told is None:
+        if self._reported is None:
             return np.zeros(3), math.nan
-        return between(self._told, row_from_pose2(reading.T_odom_base)), reading.stamp_s - self._stamp_s
+        return between(self._reported, row_from_pose2(reading.T_odom_base)), reading.stamp_s - self._stamp_s
 
     def guess_at(self, stamp_s: float) -> tuple[FloatArray, float]:
         """Return (3,) the uncounted motion since the last reading, and its possible error.
@@ -109,7 +109,7 @@ class WheelGaps:
         if not self._stop_s > self._lasted_s < 0.5 * uncounted_s or since_s <= 0.0:
             return np.zeros(3), 0.0
         repeated = uncounted_s > 0.5 * FEWEST * GAP_S and stamp_s - self._stamp_s < GAP_S
-        guess = np.zeros(3) if repeated or self._stands else self._twist * since_s
+        guess = np.zeros(3) if repeated or self._has_stopped else self._twist * since_s
         return guess, math.hypot(self._twist[0], self._twist[1]) * since_s
 
     def _count(self, stamp_s: float) -> None:

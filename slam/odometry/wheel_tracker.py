@@ -52,10 +52,10 @@ class WheelTracker:
         self._config, self._gyro = config, gyro
         self._gaps = WheelGaps()
         # Sums over steps; their initial values keep the scale at one for the first metres.
-        self._told_m2 = self._true_m2 = 1.0
+        self._counted_m2 = self._true_m2 = 1.0
         self._scale = np.ones(3)
         # Rotation per metre that the wheels miss, its sums over steps, and the mean square residual.
-        self._aside_rad_m = self._aside_m_rad = self._aside_m2 = 0.0
+        self._yaw_rad_per_m = self._driven_m_rad = self._driven_m2 = 0.0
         self._missed_rad2, self._turns_learned = config.floor_rad**2, 1
         self._clocks = ClockLearner()
         # Recent stamps and poses (3,), stamps increasing; the newest first.
@@ -67,7 +67,7 @@ class WheelTracker:
         self._speed = UsualSpeed(config.greatest_speed_m_s, config.floor_m)
         self._turning = UsualSpeed(config.greatest_turn_rad_s, config.floor_rad)
         self._unusual_m = 0.0
-        self._asked_s = math.nan
+        self._moment_s = math.nan
         self._ahead_s = 0.0
         self._T_odom_read = np.zeros(3)
         # The newest pose by the wheels alone, and the gyroscope's rotation at that time.
@@ -94,9 +94,9 @@ class WheelTracker:
         self._clocks.learn(lidar, final=final)
         if self.clock is known or self.clock.significant_s == self._ahead_s:
             return
-        before = self.pose_at(self._asked_s)
+        before = self.pose_at(self._moment_s)
         self._ahead_s = self.clock.significant_s
-        after = self.pose_at(self._asked_s)
+        after = self.pose_at(self._moment_s)
         if before is not None and after is not None:
             self._T_odom_read = compose(compose(before, between(after, np.zeros(3))), self._T_odom_read)
 
@@ -127,9 +127,9 @@ class WheelTracker:
             return alone
         step = between(begun[0], alone)
         turn = self._gyro.turn(begun[1], gyro) if self._gyro is not None and np.count_nonzero(step) else None
-        if turn is None and not self._aside_rad_m and self._recent[0][1] is begun[0]:
+        if turn is None and not self._yaw_rad_per_m and self._recent[0][1] is begun[0]:
             return alone  # bit-identical: nothing was ever joined
-        step[2] += self._aside_rad_m * step[0]
+        step[2] += self._yaw_rad_per_m * step[0]
         if turn is not None:
             step = Motion(step, self.covariance(step)).looking(*turn).pose
         return compose(self._recent[0][1], step)
@@ -177,25 +177,25 @@ class WheelTracker:
         rotation per metre of two wheels of different size.
         """
         (x, y, _), (true_x, true_y, _), scale = step.tolist(), matched.tolist(), float(self._scale[0])
-        told, true = math.hypot(x, y), math.hypot(true_x, true_y)
-        if abs(true - told) > self._config.distance_share * told or x * true_x + y * true_y <= 0.0:
+        counted, true = math.hypot(x, y), math.hypot(true_x, true_y)
+        if abs(true - counted) > self._config.distance_share * counted or x * true_x + y * true_y <= 0.0:
             return
-        told /= scale
-        self._told_m2 += told * told
-        self._true_m2 += told * true
-        self._scale[:2] = self._true_m2 / self._told_m2
+        counted /= scale
+        self._counted_m2 += counted * counted
+        self._true_m2 += counted * true
+        self._scale[:2] = self._true_m2 / self._counted_m2
         missed_rad = wrap(matched[2] - step[2])
         if (self._alone and self._alone[1]) or missed_rad**2 > gate() * self._missed_rad2:
             return
         self._turns_learned += 1
         self._missed_rad2 += (missed_rad**2 - self._missed_rad2) / self._turns_learned
-        self._aside_m2 += step[0] ** 2
-        self._aside_m_rad += step[0] * (missed_rad + self._aside_rad_m * step[0])
-        known_m2 = self._aside_m2 + self._missed_rad2 / self._config.turn_per_m_rad**2
+        self._driven_m2 += step[0] ** 2
+        self._driven_m_rad += step[0] * (missed_rad + self._yaw_rad_per_m * step[0])
+        known_m2 = self._driven_m2 + self._missed_rad2 / self._config.turn_per_m_rad**2
         # Corrected only if it is significant, and larger than the allowed error per metre.
-        aside_rad_m = self._aside_m_rad / known_m2
+        aside_rad_m = self._driven_m_rad / known_m2
         least2 = max(self._config.turn_per_m_rad**2, gate() * self._missed_rad2 / known_m2)
-        self._aside_rad_m = aside_rad_m if aside_rad_m**2 > least2 else 0.0
+        self._yaw_rad_per_m = aside_rad_m if aside_rad_m**2 > least2 else 0.0
 
     def pose_at(self, stamp_s: float, *, in_order: bool = True) -> FloatArray | None:
         """Return the pose (3,) in the odom frame at a stamp of the lidar's clock; None before any reading.
@@ -204,7 +204,7 @@ class WheelTracker:
         is, since readings are in log order; unless the clocks are known to differ, or the stamp is not that
         of the log (not ``in_order``), such as that of a frame by the learned clock of its camera.
         """
-        self._asked_s = stamp_s
+        self._moment_s = stamp_s
         if not self._recent:
             return None
         pose = self._read_at(stamp_s + self._ahead_s, by_stamp=bool(self._ahead_s) or not in_order)

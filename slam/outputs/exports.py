@@ -85,11 +85,11 @@ class Exports:
     @cached_property
     def ground(self) -> Elevation | None:
         """The ground under a 3D lidar's clouds; None for other maps, or if it was not seen."""
-        found = self.contents
-        if self.known_ground is not None or found.clouds is None or found.ground_m is None:
+        saved = self.contents
+        if self.known_ground is not None or saved.clouds is None or saved.ground_m is None:
             return self.known_ground
-        poses = [spatial(pose) for pose in found.node_poses]
-        return elevation(found.clouds, poses, found.ground_m, self.config.cloud_map.plan_range_m)
+        poses = [spatial(pose) for pose in saved.node_poses]
+        return elevation(saved.clouds, poses, saved.ground_m, self.config.cloud_map.plan_range_m)
 
     def write(self, format_: str, out: Path) -> list[Path]:
         """Write one format, see `slam.Map.export`; return the files written.
@@ -122,21 +122,21 @@ class Exports:
 
     def _lacking(self, format_: str) -> str:
         """Return what the map lacks for a format; empty if nothing is missing."""
-        found = self.contents
+        saved = self.contents
         if format_ == "nav2" and self.layers is None:
             return "grid"
-        if format_ in ("ply", "bt", "e57") and found.frames is None and found.clouds is None:
+        if format_ in ("ply", "bt", "e57") and saved.frames is None and saved.clouds is None:
             return "image or cloud"
-        if format_ in ("glb", "colmap", "nerfstudio") and found.frames is None:
+        if format_ in ("glb", "colmap", "nerfstudio") and saved.frames is None:
             return "image"
-        if format_ in CLOUD_FORMATS and found.clouds is None:
+        if format_ in CLOUD_FORMATS and saved.clouds is None:
             return "cloud"
-        unplaced = format_ == "gpx" and found.georeference is None
+        unplaced = format_ == "gpx" and saved.georeference is None
         return "place on the earth, as its log had no GNSS" if unplaced else ""
 
     def _write_file(self, format_: str, out: Path) -> list[Path]:
         """Write one of the single-file formats, with related files next to it."""
-        found = self.contents
+        saved = self.contents
         match format_:
             case "nav2":
                 assert self.layers is not None
@@ -144,18 +144,18 @@ class Exports:
             case "ply":
                 return self._write_ply(out)
             case "kitti":
-                return write_kitti(out, found.trajectory)
+                return write_kitti(out, saved.trajectory)
             case "tum":
-                return write_trajectory(out, found.trajectory, found.covariances)
+                return write_trajectory(out, saved.trajectory, saved.covariances)
             case "glb":
                 write_mesh_glb(out, self._surface)
             case "e57":
                 write_e57(out, self._scans())
             case "gpx":
-                assert found.georeference is not None
-                write_gpx(out, found.trajectory, found.georeference)
+                assert saved.georeference is not None
+                write_gpx(out, saved.trajectory, saved.georeference)
             case "g2o":
-                write_g2o(out, found.node_poses, (factor.edge for factor in found.factors if factor.kept))
+                write_g2o(out, saved.node_poses, (factor.edge for factor in saved.factors if factor.kept))
             case "bt":
                 self._write_octree(out)
         return [out]
@@ -175,20 +175,20 @@ class Exports:
         poses, edits = self.contents.keyframe_poses, self.contents.edits
         keep_out = [zone.points(poses) for zone in regions_of(edits, "keep_out")]
         slow = [(zone.points(poses), zone.value) for zone in regions_of(edits, "slow")]
-        beside = folder / "layers"
-        passed_by = write_passed_by(beside, self.contents.grids.get(PASSED_BY))
-        written += write_layers(beside, self.layers) + passed_by
-        written += write_ground_layers(beside, self.ground, folder / MAP_YAML)
+        layers = folder / "layers"
+        passed_by = write_passed_by(layers, self.contents.grids.get(PASSED_BY))
+        written += write_layers(layers, self.layers) + passed_by
+        written += write_ground_layers(layers, self.ground, folder / MAP_YAML)
         return written + write_zones(folder, self.layers, keep_out, slow)
 
     def write_sessions(self, folder: Path, poses: Sequence[int]) -> list[Path]:
         """Write one trajectory per session if there are several: their clocks may overlap."""
-        written, first, found = list[Path](), 0, self.contents
+        written, first, saved = list[Path](), 0, self.contents
         for number, count in enumerate(poses if len(poses) > 1 else (), start=1):
             part = slice(first, first + count)
-            covariances = None if found.covariances is None else found.covariances[part]
+            covariances = None if saved.covariances is None else saved.covariances[part]
             path = folder / f"trajectory-{number}.tum"
-            written += write_trajectory(path, found.trajectory[part], covariances)
+            written += write_trajectory(path, saved.trajectory[part], covariances)
             first = part.stop
         return written
 
@@ -203,8 +203,8 @@ class Exports:
     def same_surfaces(self, other: Exports) -> bool:
         """Return whether another map of the same log has the same images and clouds at the same poses."""
         maps = (self.contents, other.contents)
-        poses = [np.array([spatial(pose).matrix() for pose in found.node_poses]) for found in maps]
-        erased = [[erased_bits(found.edits, kind) for kind in (FRAME, CLOUD)] for found in maps]
+        poses = [np.array([spatial(pose).matrix() for pose in saved.node_poses]) for saved in maps]
+        erased = [[erased_bits(saved.edits, kind) for kind in (FRAME, CLOUD)] for saved in maps]
         return self.config == other.config and np.array_equal(poses[0], poses[1]) and erased[0] == erased[1]
 
     def _write_plan(self, format_: str, out: Path) -> list[Path]:
@@ -221,11 +221,13 @@ class Exports:
 
     def _write_images(self, format_: str, folder: Path) -> list[Path]:
         """Write images with poses, intrinsics and an initial cloud into a folder."""
-        found = self.contents
-        assert found.frames is not None
+        saved = self.contents
+        assert saved.frames is not None
         with filling(folder):
-            moved_colors = {name for name, one in found.registrations.items() if one.accepted}
-            images = write_posed_images(folder, found.frames, found.frame_poses(), moved_colors)
+            moved_colors = {
+                name for name, registration in saved.registrations.items() if registration.accepted
+            }
+            images = write_posed_images(folder, saved.frames, saved.frame_poses(), moved_colors)
             surface = self._surface
             if format_ == "colmap":
                 written = write_colmap(folder, images, surface.cloud)
@@ -240,31 +242,31 @@ class Exports:
     @cached_property
     def _surface(self) -> ColoredMesh:
         """Return the surface of the images; empty if they show none."""
-        found, dense = self.contents, self.config.dense_map
+        saved, dense = self.contents, self.config.dense_map
         settings = DenseMapSettings(dense.voxel_m, self.config.layers.depth_max_m, dense.nearest_m)
-        return fuse_keyframes(found.frames or (), found.frame_poses(), settings)
+        return fuse_keyframes(saved.frames or (), saved.frame_poses(), settings)
 
     def _scans(self) -> Iterator[tuple[str, gtsam.Pose3, AnyFloatArray, Colors | None, Float32Array | None]]:
         """Return the clouds of the 3D lidar with their poses; for images, their surface as one cloud."""
-        found = self.contents
-        if found.clouds is None:
+        saved = self.contents
+        if saved.clouds is None:
             yield "surface", gtsam.Pose3(), self._surface.cloud.points_map, self._surface.cloud.colors, None
-        for key, points in enumerate(found.clouds or ()):
-            assert found.clouds is not None
-            T_base_lidar = found.clouds.T_base_lidar(key)
-            pose = spatial(found.node_poses[key]).compose(T_base_lidar)
+        for key, points in enumerate(saved.clouds or ()):
+            assert saved.clouds is not None
+            T_base_lidar = saved.clouds.T_base_lidar(key)
+            pose = spatial(saved.node_poses[key]).compose(T_base_lidar)
             placed = moved(points, T_base_lidar.inverse())
-            yield f"keyframe {key}", pose, placed, None, found.clouds.intensities(key)
+            yield f"keyframe {key}", pose, placed, None, saved.clouds.intensities(key)
 
     def _mounts(self) -> dict[str, gtsam.Pose3]:
         """Return the mounting of each sensor, as far as the map has it."""
-        found = self.contents
-        mounts = {name: one.T_base_camera for name, one in found.cameras.items()}
+        saved = self.contents
+        mounts = {name: camera.T_base_camera for name, camera in saved.cameras.items()}
         known = {name: pose for name, pose in mounts.items() if pose is not None}
-        for scan in found.keyframe_scans:
-            if scan is not None and found.clouds is None:
+        for scan in saved.keyframe_scans:
+            if scan is not None and saved.clouds is None:
                 known.setdefault(scan.sensor, gtsam.Pose3(scan.T_base_laser))
-        return known if found.clouds is None else {**known, "lidar": found.T_base_lidar}
+        return known if saved.clouds is None else {**known, "lidar": saved.T_base_lidar}
 
     def _write_sensors(self, folder: Path) -> list[Path]:
         """Write the pose of each sensor at every reading, one TUM file per sensor in a folder."""
@@ -276,50 +278,50 @@ class Exports:
             placed = Poses.of([pose.compose(mount) for pose in poses])
             write_tum(written[-1], placed.trajectory(trajectory.stamps_s))
         if not written:
-            raise ScanweaveError("the map tells of no sensor where it sits; export tum is where the base was")
+            raise ScanweaveError("the map has no pose of any sensor on the robot; use 'export tum'")
         return written
 
     def _write_bag(self, folder: Path) -> Path:
         """Write the results for Foxglove; in an existing folder, into a folder of its own."""
-        found, plan = self.contents, None if self.layers is None else self.layers.decision()
-        begun_s = float(found.trajectory.stamps_s.min())
+        saved, plan = self.contents, None if self.layers is None else self.layers.decision()
+        begun_s = float(saved.trajectory.stamps_s.min())
         clouds = (
             (
-                begun_s if found.clouds is None else found.clouds.stamp_s(n),
+                begun_s if saved.clouds is None else saved.clouds.stamp_s(n),
                 moved(points.astype(np.float64), pose),
                 colors,
                 intensities,
             )
             for n, (_, pose, points, colors, intensities) in enumerate(self._scans())
         )
-        seen = found.frames is not None or found.clouds is not None
+        has_points = saved.frames is not None or saved.clouds is not None
         folder = folder / "results" if folder.exists() else folder.with_suffix("")
-        return write_results_bag(folder, plan, found.trajectory, self._mounts(), clouds if seen else ())
+        return write_results_bag(folder, plan, saved.trajectory, self._mounts(), clouds if has_points else ())
 
     def _write_ply(self, out: Path) -> list[Path]:
         """Write the coloured surface of the images, and the cloud of the 3D lidar."""
-        written, path, found = list[Path](), out, self.contents
-        if found.frames is not None:
+        written, path, saved = list[Path](), out, self.contents
+        if saved.frames is not None:
             written = _save_surface(out, self._surface)
             path = out.with_name("lidar.ply" if out.name == "mesh.ply" else f"{out.stem}-lidar.ply")
-        if found.clouds is not None:
-            with lidar_cloud(found, self.config, self.ground) as cloud:
+        if saved.clouds is not None:
+            with lidar_cloud(saved, self.config, self.ground) as cloud:
                 written += write_lidar_cloud(path, cloud)
         return written
 
     def _write_octree(self, out: Path) -> None:
         """Write the octree of a 3D lidar's keyframes, otherwise of the images."""
-        found, resolution_m = self.contents, self.config.grid.resolution_m
-        if found.clouds is None:
-            assert found.frames is not None
+        saved, resolution_m = self.contents, self.config.grid.resolution_m
+        if saved.clouds is None:
+            assert saved.frames is not None
             seen_m = self.config.layers.depth_max_m
-            write_octomap(out, found.frames, found.frame_poses(), resolution_m, seen_m)
+            write_octomap(out, saved.frames, saved.frame_poses(), resolution_m, seen_m)
             return
-        T_base_lidar = found.T_base_lidar
+        T_base_lidar = saved.T_base_lidar
         T_lidar_base = T_base_lidar.inverse()
         views = (
             (moved(points, T_lidar_base), spatial(T_map_base).compose(T_base_lidar))
-            for points, T_map_base in zip(found.clouds, found.node_poses, strict=True)
+            for points, T_map_base in zip(saved.clouds, saved.node_poses, strict=True)
         )
         write_octree(out, views, resolution_m, self.config.cloud_map.plan_range_m)
 

@@ -65,7 +65,7 @@ class Map:
     (0.05, 0.05, 3)
     >>> house.notes
     ['used: FLASER (2D lidar, 61), odometry (wheels, 121)']
-    >>> house.check()  # it is sound, else an error tells what is wrong
+    >>> house.check()  # no error: the map is sound
     >>> house.config.grid.resolution_m, house.edits, house.in_memory, house.covariances.shape[1:]
     (0.05, [], True, (3, 3))
     >>> len(house.loops), len(house.factors) >= len(house.keyframe_poses) - 1
@@ -89,11 +89,11 @@ class Map:
     _folder: TemporaryFolder | None = field(default=None, repr=False)
 
     def __repr__(self) -> str:
-        found, way = self.contents, self.trajectory
+        contents, trajectory = self.contents, self.trajectory
         return (
-            f"Map({str(self.path)!r}, sessions={len(self.sessions)}, keyframes={len(found.node_poses)}, "
-            f"poses={len(way)} over {extent(way.positions_m)} m, loops={len(found.loops)}, "
-            f"frames={len(found.frames or ())}, clouds={len(found.clouds or ())})"
+            f"Map({str(self.path)!r}, sessions={len(self.sessions)}, keyframes={len(contents.node_poses)}, "
+            f"poses={len(trajectory)} over {extent(trajectory.positions_m)} m, loops={len(contents.loops)}, "
+            f"frames={len(contents.frames or ())}, clouds={len(contents.clouds or ())})"
         )
 
     def __enter__(self) -> Map:
@@ -103,8 +103,8 @@ class Map:
         self.close()
 
     def _repr_html_(self) -> str:
-        way = self.trajectory.positions_m[:, :2]
-        return with_pictures(self, drawn(blue=way) if self.grid is None else self.grid.picture(way))
+        path_m = self.trajectory.positions_m[:, :2]
+        return with_pictures(self, drawn(blue=path_m) if self.grid is None else self.grid.picture(path_m))
 
     @property
     def in_memory(self) -> bool:
@@ -268,8 +268,8 @@ class Map:
         settings
             Overrides as for `slam.load_config`; settings that need the log raise an error.
         """
-        given = [settings] if isinstance(settings, str) else settings
-        pairs = (str(setting).partition("=") for setting in given)
+        texts = [settings] if isinstance(settings, str) else settings
+        pairs = (str(setting).partition("=") for setting in texts)
         return self.edited({"settings": {name: value for name, _, value in pairs}}, out=out)
 
     def undone(self, *, out: Path | str | None = None) -> Map:
@@ -321,8 +321,8 @@ def made_anew(saved: Map, write: Callable[[Path], list[str]], out: Path | str | 
     def write_all(work: Path) -> None:
         for warning in write(work / MAP_NAME):
             log.warning("%s", warning)
-        with load_map(work) as found:
-            found.write_files(work, like=saved if ours else None)
+        with load_map(work) as written_map:
+            written_map.write_files(work, like=saved if ours else None)
 
     remake(folder, write_all)
     return load_map(folder)
@@ -357,7 +357,7 @@ def load_map(path: Path | str, kept_in: TemporaryFolder | None = None) -> Map:
         identity = MapIdentity.from_meta(meta, file.path)
         contents = read_contents(file)
         sessions = sessions_of(meta, len(contents.node_poses), len(contents.trajectory))
-        with file.blaming(KEYFRAMES, len(contents.node_poses) - 1):
+        with file.naming_row(KEYFRAMES, len(contents.node_poses) - 1):
             sound_readings(contents.readings, sessions)
         refuse_misfits(file, contents)
     except BaseException:

@@ -38,10 +38,10 @@ def floor_plan(contents: MapContents, config: Config) -> FloorPlan:
         contents.measured_scans, poses, (scan.range_min_m, scan.range_max_m), scan.neighbours
     )
     cell_m = grid.resolution_m
-    way = contents.trajectory.positions_m[:, :2]
+    path_m = contents.trajectory.positions_m[:, :2]
     segments = wall_segments(points, cell_m, 3 * cell_m)
-    rooms = segment_rooms(grid, segments, way)
-    entered, owners = set(rooms.at(way).tolist()), seen_from(rooms, points)
+    rooms = segment_rooms(grid, segments, path_m)
+    entered, owners = set(rooms.at(path_m).tolist()), seen_from(rooms, points)
     labels = range(1, int(rooms.labels.max(initial=0)) + 1)
     own = {label: points.chosen((owners == label).any(axis=0)) for label in labels}
     outlines = room_outlines(rooms, own, entered)
@@ -53,40 +53,40 @@ def floor_plan(contents: MapContents, config: Config) -> FloorPlan:
                 for edge, face in enumerate(outline.faces)
             ]
         )
-    sure = iter(sure_walls(sides_of(outlines, fits), segments, rooms))
-    fits = [[fit if next(sure) else None for fit in ones] for ones in fits]
+    is_sure = iter(sure_walls(sides_of(outlines, fits), segments, rooms))
+    fits = [[fit if next(is_sure) else None for fit in ones] for ones in fits]
     covariance = _covariance([fit for ones in fits for fit in ones if fit], contents, config)
-    found, first = list[Room](), 0
+    built, first = list[Room](), 0
     for (label, outline), ones in zip(outlines.items(), fits, strict=True):
         last = first + 2 * sum(fit is not None for fit in ones)
         own_covariance = covariance[first:last, first:last]
-        found.append(_room(len(found) + 1, outline, ones, own_covariance, label in entered, cell_m))
+        built.append(_room(len(built) + 1, outline, ones, own_covariance, label in entered, cell_m))
         first = last
-    return FloorPlan(found, find_doors(found, grid, points, way))
+    return FloorPlan(built, find_doors(built, grid, points, path_m))
 
 
 def _covariance(fits: Sequence[WallFit], contents: MapContents, config: Config) -> FloatArray:
     """(2 m, 2 m) of offset and slope of all walls: by the poses together, and by the points of each.
 
-    The graph tells how errors of poses hang together; how large they are the walls tell themselves.
+    The graph gives the correlation of the errors of poses; the walls give their size.
     """
     if not fits:
         return np.zeros((0, 0))
     edges = [factor.edge for factor in contents.factors]
-    told = told_edges(contents.node_poses, edges, [factor.kept for factor in contents.factors], config)
+    edges_used = told_edges(contents.node_poses, edges, [factor.kept for factor in contents.factors], config)
     poses = [pose for pose in contents.node_poses if isinstance(pose, gtsam.Pose2)]
     drifts = np.array([fit.drift.jacobian for fit in fits])
-    whole = joint_covariance(poses, told, np.concatenate([*(fit.jacobian for fit in fits), drifts]))
+    joint = joint_covariance(poses, edges_used, np.concatenate([*(fit.jacobian for fit in fits), drifts]))
     count = 2 * len(fits)
-    by_poses = whole[:count, :count] * unit_variance(fits, np.diag(whole)[count:])
+    by_poses = joint[:count, :count] * unit_variance(fits, np.diag(joint)[count:])
     return by_poses + np.diag(np.concatenate([fit.noise for fit in fits]))
 
 
 def unit_variance(fits: Sequence[WallFit], variances: FloatArray) -> float:
     """How far earlier and later scans of walls differ, squared, in variances; the claim is one wall."""
-    told = variances > TINY
-    values = np.array([fit.drift.value for fit in fits])[told]
-    return float(1.0 + np.sum(values**2 / variances[told])) / (1 + len(values))
+    informed = variances > TINY
+    values = np.array([fit.drift.value for fit in fits])[informed]
+    return float(1.0 + np.sum(values**2 / variances[informed])) / (1 + len(values))
 
 
 def _room(
@@ -121,8 +121,8 @@ def _room(
         area[own] = -float(np.hypot(*(end - begin))) * reach
         sigma = float(np.sqrt(reach @ covariance[own, own] @ reach))
         walls.append(Wall(begin, end, sigma, fit.seen_m(first, last, cell_m)))
-    whole = all(fit is not None for fit in new)
-    area_sigma = float(np.sqrt(area @ covariance @ area)) if whole else None
+    complete = all(fit is not None for fit in new)
+    area_sigma = float(np.sqrt(area @ covariance @ area)) if complete else None
     lengths = _lengths(shape, new, at, covariance)
     return Room(number, walls, area_m2(corners), area_sigma, lengths, entered)
 
@@ -134,7 +134,7 @@ def _lengths(
     corners, faces = outline.corners_m, outline.faces
     sizes = np.hypot(*(np.roll(corners, -1, axis=0) - corners).T)
     middles = 0.5 * (np.roll(corners, -1, axis=0) + corners)
-    found: list[Length] = []
+    lengths: list[Length] = []
     for normal in (
         faces[int(np.argmax(sizes))].normal,
         faces[int(np.argmax(sizes))].normal @ [[0, 1], [-1, 0]],
@@ -149,8 +149,8 @@ def _lengths(
             continue
         length = _between(one, other, outline, normal, fits, at, covariance)
         if length is not None:
-            found.append(length)
-    return found
+            lengths.append(length)
+    return lengths
 
 
 def _between(

@@ -75,12 +75,12 @@ def load_grid_map(path: Path | str) -> GridMap:
     >>> len(slam.localize_log(house, tuesday).trajectory) > 50
     True
     """
-    found = path_of(path, "the map")
-    drawn = read_nav2_map(found)
+    file = path_of(path, "the map")
+    drawn = read_nav2_map(file)
     grid = _grid_of(drawn)
     if not (grid.states() == OCCUPIED).any():
         raise MapFileError(f"{path} shows no wall, so nothing can be localised in it")
-    return GridMap(found, grid)
+    return GridMap(file, grid)
 
 
 def opened(known: Map | GridMap | Path | str) -> Map | GridMap:

@@ -21,21 +21,21 @@ from slam.storage.map_contents import MapContents
 
 
 @contextmanager
-def lidar_cloud(found: MapContents, config: Config, ground: Elevation | None) -> Iterator[LidarCloud]:
+def lidar_cloud(contents: MapContents, config: Config, ground: Elevation | None) -> Iterator[LidarCloud]:
     """The cloud of a map that has clouds, as long as it is used.
 
     Parameters
     ----------
     ground
-        Of the map; where it is not known, nothing tells what stands on it, and all stays.
+        Of the map; if it is unknown, no moved object can be found, and all points stay.
 
     Raises
     ------
     ScanweaveError
         If a pose is not finite.
     """
-    poses = [spatial(pose) for pose in found.node_poses]
-    clouds = found.clouds
+    poses = [spatial(pose) for pose in contents.node_poses]
+    clouds = contents.clouds
     assert clouds is not None
     with tempfile.TemporaryFile(prefix="scanweave-cloud-") as file:
         rows = (clouds.rows(key) for key in range(len(clouds)))
@@ -45,7 +45,7 @@ def lidar_cloud(found: MapContents, config: Config, ground: Elevation | None) ->
             yield LidarCloud(_Parts(tiles.cloud), lambda points: np.zeros(len(points), np.bool_), None)
             return
         reach_m = config.cloud_odometry.range_max_m
-        passed = passed_by(tiles.points(), tiles.seen(), poses, found.T_base_lidar, ground, reach_m)
+        passed = passed_by(tiles.points(), tiles.seen(), poses, contents.T_base_lidar, ground, reach_m)
         give_back()
 
         def is_ground(points: Float32Array) -> BoolArray:
@@ -54,13 +54,13 @@ def lidar_cloud(found: MapContents, config: Config, ground: Elevation | None) ->
             return np.asarray((above_m < 0.5 * passed.voxel_m) & ground.seen_at(points))
 
         stays = _Parts(lambda: tiles.cloud(lambda points: ~passed.holds(points)))
-        gone = _Parts(lambda: tiles.cloud(passed.holds)) if len(passed.keys) else None
-        yield LidarCloud(stays, is_ground, gone)
+        removed = _Parts(lambda: tiles.cloud(passed.holds)) if len(passed.keys) else None
+        yield LidarCloud(stays, is_ground, removed)
 
 
 @dataclass(frozen=True, slots=True)
 class _Parts:
-    """Parts of a cloud, made anew each time that they are asked for."""
+    """Parts of a cloud, computed again at each iteration."""
 
     make: Callable[[], Iterator[ColoredCloud]]
 

@@ -117,31 +117,31 @@ def compare(before: Visit, after: Visit, spread: Spread, config: Config) -> Comp
     steps, resolution_m, corner_m = _on_one_lattice(grids)
     model = layer_settings(certain).lidar
     # Maximum over each cell and its neighbours, because errors below a cell shift evidence to the next one.
-    beside = np.stack([ndimage.maximum_filter(one, 3) for one in steps])
+    dilated = np.stack([ndimage.maximum_filter(item, 3) for item in steps])
     changes = []
     for appeared, own, other in ((False, 0, 1), (True, 1, 0)):
-        labels, count = _things(steps[own], beside[other], resolution_m)
+        labels, count = _things(steps[own], dilated[other], resolution_m)
         if not count:
             continue
-        seen = [_sightings(visit, labels, count, model, resolution_m, corner_m) for visit in visits]
+        sightings = [_sightings(visit, labels, count, model, resolution_m, corner_m) for visit in visits]
         for n, where in enumerate(ndimage.find_objects(labels)):
             cells = np.argwhere(labels[where] == n + 1) + [part.start for part in where]
             if len(cells) == 1:
                 continue  # single cells are noise
             middles_m = (cells[:, ::-1] + 0.5) * resolution_m + corner_m
-            met, through = seen[own][0][:, n].sum(), seen[own][1][:, n].sum()
-            standing = _standing(int(met), int(through))
+            hits, through = sightings[own][0][:, n].sum(), sightings[own][1][:, n].sum()
+            standing = _standing(int(hits), int(through))
             if (
                 np.ptp(middles_m, axis=0).max() <= _APART_M
-                and _met_s(visits[own], seen[own][0][:, n]) < _WAITING_S
+                and _hit_span_s(visits[own], sightings[own][0][:, n]) < _WAITING_S
             ):
                 standing = 0.0
-            witnesses = [np.flatnonzero(one[0][:, n] | one[1][:, n]) for one in seen]
+            witnesses = [np.flatnonzero(item[0][:, n] | item[1][:, n]) for item in sightings]
             covariance = spread(witnesses[0], witnesses[1], middles_m.mean(axis=0))
             there = float(special.expit(steps[own][tuple(cells.T)].mean() / STEPS_A_UNIT))
-            gone = _gone(beside[other], cells, covariance, resolution_m)
-            changes.append(Change(appeared, middles_m, standing * there * gone, standing))
-    changes.sort(key=lambda one: -one.probability)
+            is_gone = _missing_probability(dilated[other], cells, covariance, resolution_m)
+            changes.append(Change(appeared, middles_m, standing * there * is_gone, standing))
+    changes.sort(key=lambda item: -item.probability)
     return Comparison(changes, steps, resolution_m, corner_m)
 
 
@@ -174,12 +174,12 @@ def spread_between(contents: MapContents, before: NDArray[np.int64], after: NDAr
             return np.full((2, 2), np.inf)
         seen_from = after[second]
         start = int(seen_from[np.hypot(*(poses[seen_from, :2] - point_m).T).argmin()])
-        found = graph.relative_covariances(start, before[first], poses)
+        covariances = graph.relative_covariances(start, before[first], poses)
         x, y, yaw = poses[start]
         c, s = math.cos(yaw), math.sin(yaw)
         # In GTSAM's tangent space of the start, a rotation moves the point about the start.
         lever = np.array([[c, -s, -(point_m[1] - y)], [s, c, point_m[0] - x]])
-        at_point = lever @ found @ lever.T
+        at_point = lever @ covariances @ lever.T
         return np.asarray(at_point[np.argmin(np.trace(at_point, axis1=1, axis2=2))])
 
     return spread
@@ -216,8 +216,8 @@ def _things(
     """Number the objects, (rows, cols), in cells that one visit hit and the other saw as free."""
     occupied = (THRESHOLDS.states(own) == OCCUPIED) & (THRESHOLDS.states(other) == FREE)
     reach = round(0.5 * _APART_M / resolution_m)
-    near = ndimage.distance_transform_edt(~occupied) <= reach if occupied.any() else occupied
-    labels, count = ndimage.label(near, np.ones((3, 3)))
+    in_reach = ndimage.distance_transform_edt(~occupied) <= reach if occupied.any() else occupied
+    labels, count = ndimage.label(in_reach, np.ones((3, 3)))
     return np.where(occupied, labels, 0), count
 
 
@@ -230,9 +230,9 @@ def _sightings(
     corner_m: tuple[float, float],
 ) -> tuple[BoolArray, BoolArray]:
     """Return (K, count) whether a keyframe hit each object, and whether it passed at least half of it."""
-    beside = ndimage.maximum_filter(labels, 3)
+    dilated = ndimage.maximum_filter(labels, 3)
     sizes = np.bincount(labels.ravel(), minlength=count + 1)[1:]
-    met, through = np.zeros((2, len(visit.scans), count), np.bool_)
+    hit, through = np.zeros((2, len(visit.scans), count), np.bool_)
     row_0, col_0 = round(corner_m[1] / resolution_m), round(corner_m[0] / resolution_m)
     for k, (scan, pose) in enumerate(zip(visit.scans, visit.poses, strict=True)):
         if scan is None:
@@ -245,30 +245,30 @@ def _sightings(
         ]
         rows, cols = labels[part].shape
         steps = board.steps[first_row - row :, first_col - col :][:rows, :cols]
-        hits = np.bincount(beside[part][steps > 0], minlength=count + 1)[1:]
+        hits = np.bincount(dilated[part][steps > 0], minlength=count + 1)[1:]
         passes = np.bincount(labels[part][steps < 0], minlength=count + 1)[1:]
-        met[k] = hits > 0
-        through[k] = ~met[k] & (2 * passes >= sizes)
-    return met, through
+        hit[k] = hits > 0
+        through[k] = ~hit[k] & (2 * passes >= sizes)
+    return hit, through
 
 
-def _standing(met: int, through: int) -> float:
+def _standing(hits: int, through: int) -> float:
     """Return the probability that an object was there all the time, from how many scans hit and passed it.
 
     A fixed object is missed by one scan in as many as make a statistic. A person or glass may be hit by any
     share of the scans.
     """
-    stood = special.betaln(FEWEST - 1 + met, 1 + through) - special.betaln(FEWEST - 1, 1)
-    return float(special.expit(stood - special.betaln(1 + met, 1 + through)))
+    stood = special.betaln(FEWEST - 1 + hits, 1 + through) - special.betaln(FEWEST - 1, 1)
+    return float(special.expit(stood - special.betaln(1 + hits, 1 + through)))
 
 
-def _met_s(visit: Visit, met: BoolArray) -> float:
+def _hit_span_s(visit: Visit, hits: BoolArray) -> float:
     """Return the time from the first to the last of the scans that (K,) selects."""
-    stamps_s = [scan.stamp_s for scan, one in zip(visit.scans, met, strict=True) if one and scan is not None]
+    stamps_s = [scan.stamp_s for scan, hit in zip(visit.scans, hits, strict=True) if hit and scan is not None]
     return max(stamps_s, default=0.0) - min(stamps_s, default=0.0)
 
 
-def _gone(
+def _missing_probability(
     other: NDArray[np.int16], cells: NDArray[np.int64], covariance: FloatArray, resolution_m: float
 ) -> float:
     """Return the probability that a visit did not hit an object of the other in (N, 2) cells.

@@ -100,8 +100,8 @@ def _find_loops(known: Map, session: Map, placing: Placing, way: Side, config: C
         if way.path_m[key] < next_m:
             continue
         T_map_session, distance_m = placing.nearest(pose, way.bases)
-        found = matcher.tried(key, T_map_session, SIGHT_SIGMA_M + BEND_RAD * distance_m, SIGHT_SIGMA_RAD)
-        tried += found
+        loops = matcher.tried(key, T_map_session, SIGHT_SIGMA_M + BEND_RAD * distance_m, SIGHT_SIGMA_RAD)
+        tried += loops
         next_m = way.path_m[key] + matcher.every_m
     return tried
 

@@ -21,9 +21,9 @@ from slam.storage.plan_geojson import feature
 _COLORS = {"went": RED, "appeared": BLUE, "moved": ORANGE}
 
 
-def difference_text(things: Sequence[ChangedThing], passing: int, found: Comparison) -> str:
+def difference_text(things: Sequence[ChangedThing], passing: int, compared: Comparison) -> str:
     """Return one line per object, and how much area could be compared."""
-    both, first, second = found.seen_m2()
+    both, first, second = compared.seen_m2()
     lines = [_line(thing) for thing in things] or ["nothing changed in the area that both visits saw"]
     if passing:
         lines.append(
@@ -37,10 +37,10 @@ def difference_text(things: Sequence[ChangedThing], passing: int, found: Compari
 
 
 def difference_plain(
-    things: Sequence[ChangedThing], passing: int, found: Comparison, names: Sequence[str]
+    things: Sequence[ChangedThing], passing: int, compared: Comparison, names: Sequence[str]
 ) -> dict[str, Any]:
     """Return the same as plain values; positions in metres, in the frame of the first map."""
-    both, first, second = found.seen_m2()
+    both, first, second = compared.seen_m2()
     return {
         "before": names[0],
         "after": names[1],
@@ -51,7 +51,7 @@ def difference_plain(
 
 
 def write_difference(
-    folder: Path, things: Sequence[ChangedThing], passing: int, found: Comparison, names: Sequence[str]
+    folder: Path, things: Sequence[ChangedThing], passing: int, compared: Comparison, names: Sequence[str]
 ) -> list[Path]:
     """Write ``diff.json``, ``diff.geojson`` (metres of the map, no degrees) and ``diff.png``.
 
@@ -68,19 +68,19 @@ def write_difference(
         if corners is not None
     ]
     contents = {
-        "diff.json": json.dumps(difference_plain(things, passing, found, names), indent=1).encode(),
+        "diff.json": json.dumps(difference_plain(things, passing, compared, names), indent=1).encode(),
         "diff.geojson": json.dumps({"type": "FeatureCollection", "features": features}, indent=1).encode(),
-        "diff.png": difference_picture(things, found),
+        "diff.png": difference_picture(things, compared),
     }
     for name, content in contents.items():
         write_bytes(folder / name, content)
     return [folder / name for name in contents]
 
 
-def difference_picture(things: Sequence[ChangedThing], found: Comparison) -> bytes:
+def difference_picture(things: Sequence[ChangedThing], compared: Comparison) -> bytes:
     """Draw a PNG: what both visits saw; red: disappeared, blue: appeared, orange: moved, with its path."""
-    shade = np.full((*found.steps.shape[1:], 3), 205, dtype=np.uint8)
-    states = [THRESHOLDS.states(steps) for steps in found.steps]
+    shade = np.full((*compared.steps.shape[1:], 3), 205, dtype=np.uint8)
+    states = [THRESHOLDS.states(steps) for steps in compared.steps]
     shade[(states[0] == FREE) | (states[1] == FREE)] = 254
     shade[(states[0] == OCCUPIED) | (states[1] == OCCUPIED)] = 120
     shade[(states[0] == OCCUPIED) & (states[1] == OCCUPIED)] = 0
@@ -88,8 +88,8 @@ def difference_picture(things: Sequence[ChangedThing], found: Comparison) -> byt
     side_px = 10 * DPI / max(rows, cols)
     figure = figure_of(max(200, round(cols * side_px)), max(200, round(rows * side_px)))
     axes = figure.add_axes((0.0, 0.0, 1.0, 1.0))
-    x, y = found.corner_m
-    side_m = found.resolution_m
+    x, y = compared.corner_m
+    side_m = compared.resolution_m
     extent = (x, x + cols * side_m, y, y + rows * side_m)
     axes.imshow(shade, origin="lower", interpolation="nearest", extent=extent)
     for thing in things:
@@ -98,8 +98,8 @@ def difference_picture(things: Sequence[ChangedThing], found: Comparison) -> byt
             if corners is not None:
                 axes.plot(*np.array([*corners, corners[0]]).T, style, color=color)
         if thing.what == "moved":
-            way = {"arrowstyle": "->", "color": color}
-            axes.annotate("", thing.places_m[1].tolist(), thing.places_m[0].tolist(), arrowprops=way)
+            arrow = {"arrowstyle": "->", "color": color}
+            axes.annotate("", thing.places_m[1].tolist(), thing.places_m[0].tolist(), arrowprops=arrow)
     axes.set_axis_off()
     return png_of(figure)
 
@@ -110,10 +110,10 @@ def _line(thing: ChangedThing) -> str:
     size = f"an object of {length_m:.1f} x {width_m:.1f} m"
     places = [f"({x:.1f}, {y:.1f})" for x, y in thing.places_m]
     if thing.what == "moved":
-        told = f"moved {thing.moved_m:.1f} m: {size} from {places[0]} to {places[1]}"
+        text = f"moved {thing.moved_m:.1f} m: {size} from {places[0]} to {places[1]}"
     else:
-        told = f"{thing.what}: {size} {'at' if thing.what == 'appeared' else 'from'} {places[0]}"
-    return f"{told}, probability {thing.probability:.2f}"
+        text = f"{thing.what}: {size} {'at' if thing.what == 'appeared' else 'from'} {places[0]}"
+    return f"{text}, probability {thing.probability:.2f}"
 
 
 def _plain(thing: ChangedThing) -> dict[str, Any]:

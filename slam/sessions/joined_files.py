@@ -16,7 +16,7 @@ from slam.edits.applying import later_evidence
 from slam.edits.edited_file import write_entries
 from slam.edits.keyframes import bases_of
 from slam.edits.remaking import remade
-from slam.localization.poses import apart
+from slam.localization.poses import separation
 from slam.mapper.map_result import depth_grid
 from slam.mapping.layered_map import DEPTH
 from slam.mapping.occupancy_grid import OccupancyGrid
@@ -60,11 +60,11 @@ def _unedited(known: Map, session: Map, connection: Connection) -> tuple[Map, Ma
     parts = known.parts()
     identity = replace(known.identity, config=parts.before)
     before = replace(known, contents=parts.base, identity=identity)
-    poses, base = (bases_of(one.contents, one.contents.node_poses) for one in (known, before))
+    poses, base = (bases_of(source.contents, source.contents.node_poses) for source in (known, before))
     anchors = []
     for anchor in connection.placing.anchors:
-        near = min(range(len(poses)), key=lambda key: apart(poses[key], anchor.pose)[0])
-        T_base_map = composed(base[near], poses[near].inverse())
+        nearest = min(range(len(poses)), key=lambda key: separation(poses[key], anchor.pose)[0])
+        T_base_map = composed(base[nearest], poses[nearest].inverse())
         T_base_session = composed(T_base_map, anchor.T_map_session)
         anchors.append(replace(anchor, pose=composed(T_base_map, anchor.pose), T_map_session=T_base_session))
     placing = replace(connection.placing, anchors=anchors)
@@ -76,8 +76,8 @@ def _edit(folder: Path, known: Map, path: Path) -> None:
     entries = known.contents.edits
     with load_map(folder) as joined:
         first, parts = len(known.contents.node_poses), joined.parts()
-        found, _ = remade(parts.base, entries, parts.before, parts.sessions)
-        entries = later_evidence(found, entries, first, known.config)
+        contents, _ = remade(parts.base, entries, parts.before, parts.sessions)
+        entries = later_evidence(contents, entries, first, known.config)
         write_entries(parts, entries, path)
 
 
@@ -96,16 +96,16 @@ def _write(path: Path, known: Map, session: Map, joined: JoinedMap) -> None:
                 part.clouds.copy_to(file)
         return replace(contents, georeference=known.contents.georeference, places=known.contents.places)
 
-    told = [*known.notes, *session.notes], [*known.warnings, *session.warnings]
+    remarks = [*known.notes, *session.notes], [*known.warnings, *session.warnings]
     identity = MapIdentity(config, "", "", session.identity.versions)
-    write_sessions(path, identity, [*known.sessions, *session.sessions], told, copied)
+    write_sessions(path, identity, [*known.sessions, *session.sessions], remarks, copied)
 
 
 def write_sessions(
     path: Path,
     identity: MapIdentity,
     sessions: Sequence[MapSession],
-    told: tuple[Sequence[str], Sequence[str]],
+    remarks: tuple[Sequence[str], Sequence[str]],
     copied: Callable[[MapFile], MapContents],
 ) -> None:
     """Write ``map.db`` of several sessions.
@@ -114,16 +114,16 @@ def write_sessions(
     ----------
     identity
         Settings and versions; the logs are those of the sessions.
-    told
+    remarks
         Notes and warnings.
     copied
         Function that copies frames and clouds into the file, and returns the rest.
     """
     if len(sessions) > 1:
         digest = hashlib.blake2b(digest_size=16)
-        for one in sessions:
-            digest.update(one.log_fingerprint.encode() + b"\0")
-        name, fingerprint = " + ".join(one.log_name for one in sessions), digest.hexdigest()
+        for session in sessions:
+            digest.update(session.log_fingerprint.encode() + b"\0")
+        name, fingerprint = " + ".join(session.log_name for session in sessions), digest.hexdigest()
     else:
         name, fingerprint = sessions[0].log_name, sessions[0].log_fingerprint
     with closing(MapFile.create(path)) as file:
@@ -131,8 +131,8 @@ def write_sessions(
         for key, value in identity.to_meta().items():
             file.add_meta(key, value)
         if len(sessions) > 1:
-            file.add_meta(SESSIONS, json.dumps([asdict(one) for one in sessions]))
-        for key, lines in zip((NOTES, WARNINGS), told, strict=True):
+            file.add_meta(SESSIONS, json.dumps([asdict(session) for session in sessions]))
+        for key, lines in zip((NOTES, WARNINGS), remarks, strict=True):
             file.add_meta(key, json.dumps(lines))
         found = copied(file)
         write_contents(file, found)
@@ -148,8 +148,8 @@ def _depth(known: Map, session: Map, joined: JoinedMap, config: Config) -> Occup
     if not (known.planar or joint.grids):
         return None
     parts = ((known.contents.frames, nodes[:first]), (session.contents.frames, nodes[first:]))
-    seen = [(frames, frames.poses(poses, bases)) for frames, poses in parts if frames is not None]
-    if not seen:
+    posed = [(frames, frames.poses(poses, bases)) for frames, poses in parts if frames is not None]
+    if not posed:
         return None
-    frames, poses = (chain.from_iterable(part) for part in zip(*seen, strict=True))
+    frames, poses = (chain.from_iterable(part) for part in zip(*posed, strict=True))
     return depth_grid(frames, list(poses), config, joint.ground_m)

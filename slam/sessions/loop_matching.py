@@ -43,12 +43,12 @@ class ScanMatcher:
     """Scans on a floor; see `LoopMatcher`."""
 
     def __init__(self, known: Map, session: Map, config: Config) -> None:
-        both = ((known, 0), (session, len(known.sessions)))
+        parts = ((known, 0), (session, len(known.sessions)))
         self._closer = closer_of(
-            [scan for part, _ in both for scan in part.keyframe_scans],
-            np.concatenate([part.keyframe_poses for part, _ in both]),
-            np.concatenate([part.contents.path_m for part, _ in both]),
-            np.concatenate([first + session_numbers(part.sessions) for part, first in both]),
+            [scan for part, _ in parts for scan in part.keyframe_scans],
+            np.concatenate([part.keyframe_poses for part, _ in parts]),
+            np.concatenate([part.contents.path_m for part, _ in parts]),
+            np.concatenate([first + session_numbers(part.sessions) for part, first in parts]),
             config,
         )
         self._known, self._session, self._loops = known, session, config.loops
@@ -111,12 +111,12 @@ class CloudMatcher:
         known, nodes = self._known, len(self._known.node_poses)
         expected = spatial(composed(T_map_session, self._session.node_poses[key]))
         distances = np.linalg.norm(self._positions - expected.translation(), axis=1)
-        near = [k for k in np.argsort(distances, kind="stable").tolist() if distances[k] <= self._reach_m]
+        keys = [k for k in np.argsort(distances, kind="stable").tolist() if distances[k] <= self._reach_m]
         return [
             self._closer.verify(
                 place, nodes + key, spatial(known.node_poses[place]).between(expected), sigma_m
             )
-            for place in _of_passes(near, known.path_m, self._sessions, self._reach_m, self._loops.near)
+            for place in _of_passes(keys, known.path_m, self._sessions, self._reach_m, self._loops.near)
         ]
 
 
@@ -170,8 +170,8 @@ class _Frames:
 
     def __init__(self, known: MapContents, session: MapContents, config: Config) -> None:
         self._known, self._session = (
-            KeyframeStore(config.rgbd, config.match.local_map_keyframes, one.frames)
-            for one in (known, session)
+            KeyframeStore(config.rgbd, config.match.local_map_keyframes, part.frames)
+            for part in (known, session)
         )
 
     def keyframe(self, key: int) -> PreparedFrame:

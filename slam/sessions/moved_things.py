@@ -65,26 +65,26 @@ def changed_things(changes: Sequence[Change], cell_m: float) -> list[ChangedThin
     cell_m
         Side of a cell.
     """
-    went = [one for one in changes if not one.appeared]
-    came = [one for one in changes if one.appeared]
-    alike = np.array([[_likeness(old.cells_m, new.cells_m, cell_m) for new in came] for old in went])
+    went = [change for change in changes if not change.appeared]
+    came = [change for change in changes if change.appeared]
+    likeness = np.array([[_likeness(old.cells_m, new.cells_m, cell_m) for new in came] for old in went])
     things, paired = [], set()
     # Among similar objects, assume the smallest total motion.
     ways_m = [[math.dist(old.cells_m.mean(axis=0), new.cells_m.mean(axis=0)) for new in came] for old in went]
-    cost = np.where(alike > _ALIKE, ways_m, 1.0 + np.sum(ways_m)) if alike.size else np.zeros((0, 0))
+    cost = np.where(likeness > _ALIKE, ways_m, 1.0 + np.sum(ways_m)) if likeness.size else np.zeros((0, 0))
     for n, m in zip(*optimize.linear_sum_assignment(cost), strict=True):
         old, new = went[n], came[m]
-        if alike[n, m] > _ALIKE:
+        if likeness[n, m] > _ALIKE:
             paired |= {id(old), id(new)}
             larger = max(old.cells_m, new.cells_m, key=len)
-            both = old.probability * new.probability
+            probability = old.probability * new.probability
             corners = _around(old.cells_m, cell_m), _around(new.cells_m, cell_m)
-            things.append(ChangedThing("moved", *corners, _size(larger, cell_m), both))
-    for one in changes:
-        if id(one) not in paired:
-            around, size_m = _around(one.cells_m, cell_m), _size(one.cells_m, cell_m)
-            what, before, after = ("appeared", None, around) if one.appeared else ("went", around, None)
-            things.append(ChangedThing(what, before, after, size_m, one.probability))
+            things.append(ChangedThing("moved", *corners, _size(larger, cell_m), probability))
+    for change in changes:
+        if id(change) not in paired:
+            around, size_m = _around(change.cells_m, cell_m), _size(change.cells_m, cell_m)
+            what, before, after = ("appeared", None, around) if change.appeared else ("went", around, None)
+            things.append(ChangedThing(what, before, after, size_m, change.probability))
     return sorted(things, key=lambda thing: -thing.probability)
 
 

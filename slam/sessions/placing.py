@@ -16,7 +16,7 @@ from typing import Any
 from fusion.estimation import gate
 from slam.config import Config
 from slam.localization.hypotheses import HypothesisSet
-from slam.localization.poses import apart
+from slam.localization.poses import separation
 from slam.localization.sensor import Sensor
 from slam.measurements import Pose, composed
 from slam.sessions.sides import Side
@@ -68,7 +68,7 @@ class Placing:
         poses
             K of the session's keyframes, session frame.
         """
-        distances = [apart(poses[one.keyframe], pose)[0] for one in self.anchors]
+        distances = [separation(poses[anchor.keyframe], pose)[0] for anchor in self.anchors]
         least_m = min(distances)
         return self.anchors[distances.index(least_m)].T_map_session, least_m
 
@@ -86,8 +86,8 @@ def place(known: Side, session: Side, config: Config) -> Placing:
         paths.append((path.anchors[len(path.anchors) // 2] if path.anchors else proposal, path))
     if not paths:
         return Placing()
-    one, best = max(paths, key=lambda found: found[1].nats)
-    rivals = [path.nats for other, path in paths if not _agree(one, other, poses)]
+    winner, best = max(paths, key=lambda item: item[1].nats)
+    rivals = [path.nats for sighting, path in paths if not _agree(winner, sighting, poses)]
     settings = config.localization
     confident_nats = math.log(settings.confident_probability / (1.0 - settings.confident_probability))
     return Placing(
@@ -101,14 +101,14 @@ def place(known: Side, session: Side, config: Config) -> Placing:
 
 def _proposals(sensor: Sensor[Any, Any], known: Side, session: Side, config: Config) -> list[Sighting]:
     """Return candidate poses of stretches of each in the other, as keyframes of the session in the map."""
-    poses, found = session.bases, []
+    poses, sightings = session.bases, []
     for key, pose, nats in _stretches(sensor, session, config):
-        found.append(Sighting.of(key, pose, poses[key], nats))
+        sightings.append(Sighting.of(key, pose, poses[key], nats))
     for key, pose, nats in _stretches(session.sensor(), known, config):
         T_map_session = composed(known.bases[key], pose.inverse())
         nearest = session.nearest(pose)
-        found.append(Sighting(nearest, composed(T_map_session, poses[nearest]), T_map_session, nats))
-    return found
+        sightings.append(Sighting(nearest, composed(T_map_session, poses[nearest]), T_map_session, nats))
+    return sightings
 
 
 def _stretches(sensor: Sensor[Any, Any], path: Side, config: Config) -> Iterator[tuple[int, Pose, float]]:
@@ -147,21 +147,21 @@ def _stretches(sensor: Sensor[Any, Any], path: Side, config: Config) -> Iterator
 def _distinct(proposals: Sequence[Sighting], poses: Sequence[Pose]) -> list[Sighting]:
     """Return the most likely of all candidates that agree with each other, by their common evidence."""
     groups: list[list[Sighting]] = []
-    for one in sorted(proposals, key=lambda one: -one.nats):
+    for sighting in sorted(proposals, key=lambda sighting: -sighting.nats):
         for group in groups:
-            if _agree(group[0], one, poses):
-                group.append(one)
+            if _agree(group[0], sighting, poses):
+                group.append(sighting)
                 break
         else:
-            groups.append([one])
-    groups.sort(key=lambda group: -sum(max(one.nats, 0.0) for one in group))
+            groups.append([sighting])
+    groups.sort(key=lambda group: -sum(max(sighting.nats, 0.0) for sighting in group))
     return [group[0] for group in groups]
 
 
 def _agree(one: Sighting, other: Sighting, poses: Sequence[Pose]) -> bool:
     """Return whether one sighting predicts the keyframe of another where that was found."""
-    miss_m, miss_rad = apart(composed(one.T_map_session, poses[other.keyframe]), other.pose)
-    apart_m, _ = apart(poses[one.keyframe], poses[other.keyframe])
+    miss_m, miss_rad = separation(composed(one.T_map_session, poses[other.keyframe]), other.pose)
+    apart_m, _ = separation(poses[one.keyframe], poses[other.keyframe])
     sigmas = math.sqrt(gate())
-    near = miss_m <= sigmas * SIGHT_SIGMA_M + BEND_RAD * apart_m
-    return near and miss_rad <= sigmas * SIGHT_SIGMA_RAD
+    position_fits = miss_m <= sigmas * SIGHT_SIGMA_M + BEND_RAD * apart_m
+    return position_fits and miss_rad <= sigmas * SIGHT_SIGMA_RAD

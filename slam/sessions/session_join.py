@@ -14,7 +14,7 @@ from slam.estimates import one_after_another
 from slam.graph.keyframe_graph import row_of
 from slam.graph.loop_candidate import LoopCandidate, judged
 from slam.graph.pose_covariances import pose_covariances
-from slam.localization.poses import apart
+from slam.localization.poses import separation
 from slam.mapping.keyframe_grid import lidar_grids
 from slam.measurements import Pose, composed
 from slam.outputs.finished_map import Map
@@ -84,15 +84,15 @@ def join(
     measured = [*known.measured_scans, *session.measured_scans]
     before = [base for one in (known, session) for base in bases_of(one, one.node_poses)]
     bases = [*bases_of(known, after[:nodes]), *bases_of(session, after[nodes:])]
-    told = pose_covariances(after, bases, [factor.edge for factor in factors], kept, config)
-    both = (known_map, session_map)
+    node_covariances = pose_covariances(after, bases, [factor.edge for factor in factors], kept, config)
+    maps = (known_map, session_map)
     trajectory, covariances = resettled(
-        one_after_another([one.trajectory for one in both]),
-        np.concatenate([one.contents.stamps_s for one in both]),
+        one_after_another([one.trajectory for one in maps]),
+        np.concatenate([one.contents.stamps_s for one in maps]),
         Poses.of(before),
         Poses.of(bases),
-        [part for one in both for part in parts_of(one.contents, one.sessions)],
-        told,
+        [part for one in maps for part in parts_of(one.contents, one.sessions)],
+        node_covariances,
     )
     return JoinedMap(
         MapContents(
@@ -112,7 +112,7 @@ def join(
         ),
         loops_between=len(joined),
         loops_kept=sum(factor.kept for factor in joined),
-        moved_m=max(apart(one, other)[0] for one, other in zip(before[:nodes], bases, strict=False)),
+        moved_m=max(separation(one, other)[0] for one, other in zip(before[:nodes], bases, strict=False)),
     )
 
 

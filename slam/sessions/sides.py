@@ -83,8 +83,8 @@ class Side:
 
     def nearest(self, pose: Pose) -> int:
         """Return the keyframe nearest to a pose in the map."""
-        away = np.array([base.translation() for base in self.bases]) - pose.translation()
-        return int(np.linalg.norm(away, axis=1).argmin())
+        offsets = np.array([base.translation() for base in self.bases]) - pose.translation()
+        return int(np.linalg.norm(offsets, axis=1).argmin())
 
 
 def sides_of(known: MapContents, session: MapContents, config: Config) -> tuple[Side, Side]:
@@ -92,5 +92,5 @@ def sides_of(known: MapContents, session: MapContents, config: Config) -> tuple[
     if known.clouds is not None:
         return Side.of_clouds(known, config), Side.of_clouds(session, config)
     if known.planar:
-        return tuple(Side.of_walls(Walls(one, config), config) for one in (known, session))  # type: ignore[return-value]
+        return tuple(Side.of_walls(Walls(side, config), config) for side in (known, session))  # type: ignore[return-value]
     return Side.of_frames(known, session, config), Side.of_frames(session, known, config)

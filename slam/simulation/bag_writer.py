@@ -156,11 +156,11 @@ class BagWriter:
 
 def mounts(drive: Drive) -> dict[str, gtsam.Pose3]:
     """Return the mounting of each sensor on the robot, by the frame's name."""
-    found = {camera_frame(camera.name): camera.T_base_camera for camera in drive.rig.cameras}
+    poses = {camera_frame(camera.name): camera.T_base_camera for camera in drive.rig.cameras}
     if drive.rig.lidar is not None:
-        found[LASER_FRAME] = drive.rig.lidar.T_base_laser
+        poses[LASER_FRAME] = drive.rig.lidar.T_base_laser
     if drive.rig.lidar_3d is not None:
-        found[LASER_3D_FRAME] = drive.rig.lidar_3d.T_base_laser
+        poses[LASER_3D_FRAME] = drive.rig.lidar_3d.T_base_laser
     if drive.rig.imu is not None:
-        found[IMU_FRAME] = drive.rig.imu.T_body_imu
-    return found
+        poses[IMU_FRAME] = drive.rig.imu.T_body_imu
+    return poses

@@ -12,7 +12,7 @@ from scipy import spatial
 
 from slam.estimates import Trajectory
 from slam.measurements import FloatArray, WheelOdometry, pose2_from_row
-from slam.simulation.campus_drive import IntArray, drive_way, plan_way, scan_steps, travelled_m
+from slam.simulation.campus_drive import IntArray, drive_route, plan_route, scan_steps, travelled_m
 from slam.simulation.campus_lidar import CampusLidar
 from slam.simulation.campus_plan import Campus, generate_campus
 from slam.simulation.campus_wheels import RATE_HZ, CampusFaults, CampusWheels, GrossError, campus_wheels
@@ -97,7 +97,7 @@ def record_campus(
     campus = generate_campus(home)
     rng = generator(seed, "campus", home)
     length_m = float(np.clip(rng.uniform(1.5, 2.0) * campus.corridor_m, _SHORTEST_M, _LONGEST_M))
-    poses = drive_way(campus, plan_way(campus, rng, length_m), rng)
+    poses = drive_route(campus, plan_route(campus, rng, length_m), rng)
     lidar = CampusLidar(campus, poses, faults.encounters_per_m, generator(seed, "campus lidar", home))
     wheels = campus_wheels(faults, poses[::_STEPS_A_READING], generator(seed, "campus wheels", home))
     clock = generator(seed, "campus clock", home)
@@ -105,7 +105,7 @@ def record_campus(
     steps = scan_steps(poses, faults.gaps, clock)
     end_s = min(duration_s or np.inf, (len(poses) - 1) * STEP_S)
     steps = steps[steps * STEP_S + lag_s <= end_s]
-    readings = np.flatnonzero(wheels.told & (np.arange(len(wheels.told)) <= end_s * RATE_HZ))
+    readings = np.flatnonzero(wheels.is_logged & (np.arange(len(wheels.is_logged)) <= end_s * RATE_HZ))
     stamps_s = np.round(FIRST_STAMP_S + lag_s + steps * STEP_S, 6)
     apart_s = np.diff(stamps_s)
     drive = CampusDrive(
@@ -169,8 +169,8 @@ def relation_lines(stamps_s: FloatArray, poses_xyt: FloatArray, rng: np.random.G
     driven_m, places = travelled_m(poses_xyt), spatial.cKDTree(poses_xyt[:, :2])
     poses = [pose2_from_row(row) for row in poses_xyt]
     for index, pose in enumerate(poses):
-        near = np.sort(places.query_ball_point(poses_xyt[index, :2], _NEAR_M))
-        before = near[driven_m[near] < driven_m[index] - _WAY_BETWEEN_M]
+        neighbours = np.sort(places.query_ball_point(poses_xyt[index, :2], _NEAR_M))
+        before = neighbours[driven_m[neighbours] < driven_m[index] - _WAY_BETWEEN_M]
         others = [rng.choice(before)] if len(before) else []
         for other in [*range(max(index - 1, 0), index), *others]:
             moved = poses[other].between(pose)

@@ -27,7 +27,7 @@ _SCANS_BY_WAY, _SCAN_RAD, _SCAN_S = 3700, 0.35, 4.0
 _GAP_S = (5.0, 28.0)
 
 
-def plan_way(campus: Campus, rng: np.random.Generator, length_m: float) -> list[int]:
+def plan_route(campus: Campus, rng: np.random.Generator, length_m: float) -> list[int]:
     """Plan the junctions of a drive: first the whole ring, then rarely seen corridors, up to a length."""
     pairs = [corridor.junctions for corridor in campus.corridors]
     ends, count = np.array(pairs), len(campus.junctions_m)
@@ -36,28 +36,28 @@ def plan_way(campus: Campus, rng: np.random.Generator, length_m: float) -> list[
     far_m, before = sparse.csgraph.dijkstra(graph, directed=False, return_predecessors=True)
     number = {frozenset(pair): index for index, pair in enumerate(pairs)}
     visits = np.zeros(len(pairs))
-    way, goals, driven_m = [campus.ring[0]], [*campus.ring[1:], campus.ring[0]], 0.0
+    route, goals, driven_m = [campus.ring[0]], [*campus.ring[1:], campus.ring[0]], 0.0
     while goals or driven_m < length_m:
-        here = way[-1]
+        here = route[-1]
         if not goals:
             # Prefer rarely seen and near corridors, and turning on the spot only if all others are a detour.
             reach_m = far_m[here, ends].min(axis=1)
-            back = [len(way) > 1 and {here, way[-2]} == set(pair) for pair in pairs]
+            back = [len(route) > 1 and {here, route[-2]} == set(pair) for pair in pairs]
             cost = 60.0 * visits + reach_m + 40.0 * np.array(back) + rng.uniform(0.0, 30.0, len(pairs))
             goals = sorted(pairs[int(np.argmin(cost))], key=far_m[here].__getitem__)
         goal = goals.pop(0)
         nodes = chain(before[here], here, goal)
         assert nodes is not None
-        way += nodes[1:].tolist()
+        route += nodes[1:].tolist()
         driven_m += float(far_m[here, goal])
         for pair in itertools.pairwise(nodes.tolist()):
             visits[number[frozenset(pair)]] += 1
-    return way
+    return route
 
 
-def drive_way(campus: Campus, way: list[int], rng: np.random.Generator) -> FloatArray:
+def drive_route(campus: Campus, route: list[int], rng: np.random.Generator) -> FloatArray:
     """Return true poses on a path, (N, 3) rows of x, y, yaw (not wrapped), `STEP_S` apart, with stops."""
-    path, share = _path(campus, way, rng)
+    path, share = _path(campus, route, rng)
     stops = np.cumsum(5.0 + rng.exponential(_STOP_EVERY_M - 5.0, len(path))) / _SPACING_M
     cuts = [0, *stops[stops < len(path) - 20].astype(int).tolist(), len(path) - 1]
     ahead = path[5] - path[0]
@@ -73,11 +73,11 @@ def drive_way(campus: Campus, way: list[int], rng: np.random.Generator) -> Float
     return np.concatenate(poses)
 
 
-def _path(campus: Campus, way: list[int], rng: np.random.Generator) -> tuple[FloatArray, FloatArray]:
+def _path(campus: Campus, route: list[int], rng: np.random.Generator) -> tuple[FloatArray, FloatArray]:
     """Return points (N, 2) along a path with varying lateral offset; and the shares of the top speed."""
     widths = {frozenset(corridor.junctions): corridor.width_m for corridor in campus.corridors}
     points, shares = [], []
-    for a, b in itertools.pairwise(way):
+    for a, b in itertools.pairwise(route):
         start, step = campus.junctions_m[a], campus.junctions_m[b] - campus.junctions_m[a]
         along = step / np.linalg.norm(step)
         aside_m = rng.uniform(-1.0, 1.0) * min(_ASIDE_M, 0.5 * widths[frozenset((a, b))] - _WALL_M)

@@ -63,8 +63,8 @@ class CampusLidar:
         through = self._rng.random(_BEAMS) < _GLASS_SHARE
         ranges_m = np.where(through, solid_m, np.minimum(solid_m, glass_m))
         ranges_m = np.round(ranges_m + _RANGE_SIGMA_M * self._rng.standard_normal(_BEAMS), _RANGE_DECIMALS)
-        told = np.where(ranges_m < RANGE_MAX_M, ranges_m, np.inf).astype(np.float32)
-        return LaserScan(stamp_s, told, _START_RAD, _STEP_RAD, RANGE_MAX_M, _T_BASE_LASER)
+        reported_m = np.where(ranges_m < RANGE_MAX_M, ranges_m, np.inf).astype(np.float32)
+        return LaserScan(stamp_s, reported_m, _START_RAD, _STEP_RAD, RANGE_MAX_M, _T_BASE_LASER)
 
     def _people(self, step: int) -> FloatArray:
         """Return the outlines of all persons present, (8 n, 4), at a least distance from the robot."""

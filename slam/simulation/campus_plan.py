@@ -113,15 +113,15 @@ class _Net:
     def connect(self, here: list[int], there: list[int], style: int) -> list[int]:
         """Connect two wings, maybe with a corner, by a short path with few crossings; return junctions."""
         others = np.array([corridor.box(0.0, corridor.length_m, -1.0, 1.0) for corridor in self.corridors])
-        ways: list[tuple[float, int, int, list[FloatArray]]] = []
+        options: list[tuple[float, int, int, list[FloatArray]]] = []
         for a, b in itertools.product(here, there):
             start, end = self.junctions[a], self.junctions[b]
             gap = np.abs(end - start)
             corners = [[np.array([end[0], start[1]])], [np.array([start[0], end[1]])]]
             for corner in [[]] if gap.min() < _STRAIGHT_SLANT * gap.max() else corners:
                 cost = _cost_m([start, *corner, end], others) * self.rng.uniform(1.0, 1.25)
-                ways.append((cost, a, b, corner))
-        _, a, b, corner = min(ways, key=lambda way: way[0])
+                options.append((cost, a, b, corner))
+        _, a, b, corner = min(options, key=lambda option: option[0])
         nodes = [a, *range(len(self.junctions), len(self.junctions) + len(corner)), b]
         self.junctions += corner
         width_m = 5.0 if self.rng.random() < 0.25 else float(self.rng.uniform(1.8, 3.0))
@@ -137,15 +137,15 @@ class _Net:
             self.corridors.append(Corridor((a, b), ends_m, width_m, (*style, piece), door_pitch_m, hand))
 
 
-def _cost_m(way: list[FloatArray], corridors: FloatArray) -> float:
+def _cost_m(corners: list[FloatArray], corridors: FloatArray) -> float:
     """Length of a path, plus a detour for each corridor (N, 4, 2) that it would cross between its ends."""
     cost = 0.0
-    for place, (p, q) in enumerate(itertools.pairwise(way)):
+    for place, (p, q) in enumerate(itertools.pairwise(corners)):
         piece = Corridor((0, 0), np.array([p, q]), 0.0, (), 0.0)
         low = _APART_M if place == 0 else 0.0
-        high = piece.length_m - (_APART_M if place == len(way) - 2 else 0.0)
+        high = piece.length_m - (_APART_M if place == len(corners) - 2 else 0.0)
         cost += piece.length_m
         if high > low:
-            met = overlapping(piece.box(low, high, -_APART_M, _APART_M), corridors)
-            cost += _CROSSING_M * np.count_nonzero(met)
+            crossed = overlapping(piece.box(low, high, -_APART_M, _APART_M), corridors)
+            cost += _CROSSING_M * np.count_nonzero(crossed)
     return cost

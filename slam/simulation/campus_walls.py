@@ -173,9 +173,9 @@ def outline(free: list[FloatArray], holes: list[FloatArray]) -> FloatArray:
 def overlapping(area: FloatArray, others: FloatArray) -> BoolArray:
     """Return which convex areas (N, 4, 2) an area (4, 2) overlaps, also if one contains the other."""
     enter, leave = _inside(_edges(area[None]), others)
-    met = (enter < leave).any(axis=0)
+    is_crossed = (enter < leave).any(axis=0)
     enter, leave = _inside(_edges(others), area[None])
-    return np.asarray(met | (enter < leave).reshape(-1, 4).any(axis=1))
+    return np.asarray(is_crossed | (enter < leave).reshape(-1, 4).any(axis=1))
 
 
 def _inside(edges: FloatArray, areas: FloatArray) -> tuple[FloatArray, FloatArray]:

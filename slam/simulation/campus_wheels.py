@@ -91,7 +91,7 @@ class CampusWheels:
         (N, 3) at each reading, odom frame.
     onward_xyt
         (N, 3) counted motion to the next reading, relative to this one, without jumps.
-    told
+    is_logged
         (N,) whether the reading is in the log.
     errors
         In time order.
@@ -99,7 +99,7 @@ class CampusWheels:
 
     poses_xyt: FloatArray
     onward_xyt: FloatArray
-    told: BoolArray
+    is_logged: BoolArray
     errors: tuple[GrossError, ...]
 
     def at(self, time_s: float) -> gtsam.Pose2:
@@ -109,16 +109,16 @@ class CampusWheels:
         return pose2_from_row(self.poses_xyt[index]) * pose2_from_row(share * self.onward_xyt[index])
 
 
-def campus_wheels(faults: CampusFaults, poses_xyt: FloatArray, rng: np.random.Generator) -> CampusWheels:
+def campus_wheels(faults: CampusFaults, true_xyt: FloatArray, rng: np.random.Generator) -> CampusWheels:
     """Simulate the wheel odometry of true poses (N, 3)."""
     scale = 1.0 + rng.choice([-1.0, 1.0]) * faults.largest_scale * rng.uniform(1.0 / 3.0, 1.0)
-    rows = wheel_readings(faults.wheels, poses_xyt * [scale, scale, 1.0], rng).poses_xyt
+    rows = wheel_readings(faults.wheels, true_xyt * [scale, scale, 1.0], rng).poses_xyt
     # Complex numbers for the plane: e^(i yaw) rotates.
-    place, yaw = rows[:, 0] + 1j * rows[:, 1], np.unwrap(rows[:, 2])
-    moved, turned = np.diff(place) * np.exp(-1j * yaw[:-1]), np.diff(yaw)
+    position, yaw = rows[:, 0] + 1j * rows[:, 1], np.unwrap(rows[:, 2])
+    moved, turned = np.diff(position) * np.exp(-1j * yaw[:-1]), np.diff(yaw)
     jumped, swung = np.zeros_like(moved), np.zeros_like(turned)
-    told = np.ones(len(rows), dtype=np.bool_)
-    driven_m, errors = travelled_m(poses_xyt), []
+    is_logged = np.ones(len(rows), dtype=np.bool_)
+    driven_m, errors = travelled_m(true_xyt), []
     for at_m in np.sort(rng.uniform(0.0, driven_m[-1], faults.gross_errors)):
         index = last = int(np.searchsorted(driven_m[1:-1], at_m))
         kind, sign = str(rng.choice(_KINDS, p=_SHARES)), rng.choice([-1.0, 1.0])
@@ -132,12 +132,12 @@ def campus_wheels(faults: CampusFaults, poses_xyt: FloatArray, rng: np.random.Ge
             last = min(index + round(rng.uniform(2.0, 8.0) * RATE_HZ), len(moved) - 1)
             size = (last - index) / RATE_HZ
             moved[index:last] = turned[index:last] = 0.0
-            told[index + 1 : last] = False
+            is_logged[index + 1 : last] = False
         errors.append(GrossError(kind, index + 1, last + 1 if last == index else last, size))
     yaw = np.concatenate([[0.0], np.cumsum(turned + swung)])
-    place = np.cumsum(np.exp(1j * yaw[:-1]) * (moved + np.exp(1j * turned) * jumped))
-    told_xyt = np.column_stack(
-        [np.append(0.0, place.real), np.append(0.0, place.imag), np.angle(np.exp(1j * yaw))]
+    position = np.cumsum(np.exp(1j * yaw[:-1]) * (moved + np.exp(1j * turned) * jumped))
+    poses_xyt = np.column_stack(
+        [np.append(0.0, position.real), np.append(0.0, position.imag), np.angle(np.exp(1j * yaw))]
     )
     onward = np.column_stack([moved.real, moved.imag, turned])
-    return CampusWheels(told_xyt, np.append(onward, np.zeros((1, 3)), axis=0), told, tuple(errors))
+    return CampusWheels(poses_xyt, np.append(onward, np.zeros((1, 3)), axis=0), is_logged, tuple(errors))

@@ -132,17 +132,17 @@ class Drive:
             raise ConfigError(f"rig {self.rig.name} has no lidar")
         model = lidar.model
         time_s, base, noise, person = self._instant(readings, index)
-        seen = scan_lidar(scene, gtsam.Pose3(base).compose(lidar.T_base_laser), model, noise, person)
+        measured = scan_lidar(scene, gtsam.Pose3(base).compose(lidar.T_base_laser), model, noise, person)
         scan = LaserScan(
             stamp_s=float(readings.stamps_s[index]),
-            ranges_m=seen.ranges_m,
+            ranges_m=measured.ranges_m,
             start_angle_rad=model.start_angle_rad,
             step_rad=model.step_rad,
             range_max_m=model.range_max_m,
             T_base_laser=planar(lidar.T_base_laser),
             sensor=readings.sensor,
         )
-        return ScanEvent(FIRST_STAMP_S + time_s, base, scan, seen.true_ranges_m, seen.fault)
+        return ScanEvent(FIRST_STAMP_S + time_s, base, scan, measured.true_ranges_m, measured.fault)
 
     def _instant(
         self, readings: Schedule, index: int
@@ -158,33 +158,33 @@ class Drive:
         if lidar is None:
             raise ConfigError(f"rig {self.rig.name} has no 3D lidar")
         time_s, base, noise, person = self._instant(readings, index)
-        seen = scan_lidar_3d(scene, gtsam.Pose3(base).compose(lidar.T_base_laser), lidar.model, noise, person)
+        hits = scan_lidar_3d(scene, gtsam.Pose3(base).compose(lidar.T_base_laser), lidar.model, noise, person)
         return CloudEvent(
             true_stamp_s=FIRST_STAMP_S + time_s,
             T_map_base=base,
             stamp_s=float(readings.stamps_s[index]),
             sensor=readings.sensor,
-            points_laser=seen.points_laser,
-            ring=seen.ring,
-            true_ranges_m=seen.true_ranges_m,
-            fault=seen.fault,
+            points_laser=hits.points_laser,
+            ring=hits.ring,
+            true_ranges_m=hits.true_ranges_m,
+            fault=hits.fault,
         )
 
     def _image(self, scene: Scene, camera: MountedCamera, readings: Schedule, index: int) -> ImageEvent:
         """Return one pair of images, taken at an instant."""
         time_s, base, noise, person = self._instant(readings, index)
-        seen = render_rgbd(
+        image = render_rgbd(
             scene, gtsam.Pose3(base).compose(camera.T_base_camera), camera.model, noise, person
         )
         frame = RgbdFrame(
             stamp_s=float(readings.stamps_s[index]),
-            color=seen.color,
-            depth_m=seen.depth_m,
+            color=image.color,
+            depth_m=image.depth_m,
             intrinsics=camera.model.intrinsics,
             T_base_camera=camera.T_base_camera,
             sensor=readings.sensor,
         )
-        return ImageEvent(FIRST_STAMP_S + time_s, base, frame, seen.true_depth_m, seen.fault)
+        return ImageEvent(FIRST_STAMP_S + time_s, base, frame, image.true_depth_m, image.fault)
 
 
 def prepare_drive(
@@ -267,16 +267,16 @@ def _schedules(rig: Rig, faults: DriveFaults, duration_s: float, seed: int) -> d
             dead_s=dead_s if faults.dying_sensor == name else None,
         )
 
-    found: dict[str, Schedule] = {}
+    schedules: dict[str, Schedule] = {}
     for name, lidar in ((LIDAR, rig.lidar), (LIDAR_3D, rig.lidar_3d)):
         if lidar is not None:
             rate_hz, offset_s = lidar.model.rate_hz, faults.lidar_clock_offset_s
-            found[name] = runs(name, rate_hz, offset_s, faults.dropped_scan_share)
+            schedules[name] = runs(name, rate_hz, offset_s, faults.dropped_scan_share)
     for camera in rig.cameras:
         own_s = faults.camera_clock_spread_s * float(generator(seed, camera.name, 2).standard_normal())
         offset_s = faults.camera_clock_offset_s + own_s
-        found[camera.name] = runs(camera.name, camera.model.rate_hz, offset_s, faults.dropped_frame_share)
-    return found
+        schedules[camera.name] = runs(camera.name, camera.model.rate_hz, offset_s, faults.dropped_frame_share)
+    return schedules
 
 
 def _ticks(times_s: FloatArray, place: int) -> Iterator[tuple[float, int, int]]:

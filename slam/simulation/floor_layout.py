@@ -147,8 +147,8 @@ def _slabs(cells: Sequence[Rectangle], thickness: float, rng: np.random.Generato
         style = Style.TILES if rng.random() < 0.35 else Style.PLANKS
         color = _tint((168, 150, 128), rng, 34)
         things.append(Thing("floor", (_slab((x0, y0, x1, y1), -_SLAB_M, style, color),)))
-    whole = (-half, -half, east + half, north + half)
-    return [*things, Thing("ceiling", (_slab(whole, HEIGHT_M, Style.PANELS, (226, 226, 222)),))]
+    outline = (-half, -half, east + half, north + half)
+    return [*things, Thing("ceiling", (_slab(outline, HEIGHT_M, Style.PANELS, (226, 226, 222)),))]
 
 
 def _slab(cell: Rectangle, z_low: float, style: Style, color: Color) -> Part:

@@ -207,8 +207,8 @@ def _passable(site: _Site, blocked: BoolArray) -> bool:
     bare, _ = _region(site, np.zeros_like(blocked))
     inside = int(np.count_nonzero(region))
     # Small areas behind furniture may be cut off; a robot need not go there.
-    whole = inside >= _WHOLE_SHARE * int(np.count_nonzero(drivable))
-    return whole and inside >= _LEAST_DRIVABLE_SHARE * int(np.count_nonzero(bare))
+    connected = inside >= _WHOLE_SHARE * int(np.count_nonzero(drivable))
+    return connected and inside >= _LEAST_DRIVABLE_SHARE * int(np.count_nonzero(bare))
 
 
 def _region(site: _Site, blocked: BoolArray) -> tuple[BoolArray, BoolArray]:

@@ -67,13 +67,13 @@ def record_gnss(
     drift[1:] *= np.sqrt(1.0 - stays**2)
     for n in range(1, len(drift)):
         drift[n] += stays * drift[n - 1]
-    off = scale * (faults.drift_m * drift + faults.noise_m * rng.normal(size=drift.shape))
+    errors_m = scale * (faults.drift_m * drift + faults.noise_m * rng.normal(size=drift.shape))
     blocks = (times_s // 5.0).astype(np.int64)
     for block in np.flatnonzero(rng.random(blocks[-1] + 1) < faults.mirrored_share):
         bearing = rng.uniform(-np.pi, np.pi)
-        off[blocks == block, :2] += faults.mirrored_m * np.array([np.cos(bearing), np.sin(bearing)])
+        errors_m[blocks == block, :2] += faults.mirrored_m * np.array([np.cos(bearing), np.sin(bearing)])
     variance = (faults.noise_m**2 + faults.drift_m**2) * np.diag(scale**2)
     return [
         GnssFix(begin_s + time_s, *TOWN.geodetic(place), variance, antenna_m)
-        for time_s, place in zip(times_s.tolist(), positions + rotations @ antenna_m + off, strict=True)
+        for time_s, place in zip(times_s.tolist(), positions + rotations @ antenna_m + errors_m, strict=True)
     ]

@@ -144,15 +144,15 @@ def record_imu(
     )
     gyro, force = _felt(poses_at, imu.T_body_imu, times.true_s, 0.5 * period_s)
     gyro *= 1.0 + faults.gyro_excess
-    for told, density, walk, bias, most in (
+    for signal, density, walk, bias, most in (
         (gyro, model.gyro_density, model.gyro_walk, faults.gyro_bias_rad_s, model.most_gyro_rad_s),
         (force, model.force_density, model.force_walk, faults.force_bias_m_s2, model.most_force_m_s2),
     ):
         towards = rng.standard_normal(3)
-        told += bias * towards / np.linalg.norm(towards)
-        told += walk * period_s**0.5 * np.cumsum(rng.standard_normal(told.shape), axis=0)
-        told += density / period_s**0.5 * rng.standard_normal(told.shape)
-        np.clip(told, -most, most, out=told)
+        signal += bias * towards / np.linalg.norm(towards)
+        signal += walk * period_s**0.5 * np.cumsum(rng.standard_normal(signal.shape), axis=0)
+        signal += density / period_s**0.5 * rng.standard_normal(signal.shape)
+        np.clip(signal, -most, most, out=signal)
     return ImuRecord(times.true_s, times.stamps_s, gyro, force)
 
 

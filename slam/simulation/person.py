@@ -1,4 +1,4 @@
-"""A person who walks through the home and keeps out of the robot's way."""
+"""A person who walks through the home and avoids the robot."""
 
 from __future__ import annotations
 

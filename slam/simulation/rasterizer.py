@@ -32,8 +32,8 @@ def rasterize(
     -------
     (H * W,) depth, ``inf`` without a surface, and (H * W,) index of the triangle, -1 without one.
     """
-    one, shape = intrinsics, (intrinsics.height, intrinsics.width)
-    to_pixels = np.array([[one.fx, 0.0, one.cx], [0.0, one.fy, one.cy], [0.0, 0.0, 1.0]])
+    lens, shape = intrinsics, (intrinsics.height, intrinsics.width)
+    to_pixels = np.array([[lens.fx, 0.0, lens.cx], [0.0, lens.fy, lens.cy], [0.0, 0.0, 1.0]])
     depth_m, triangle = np.zeros(shape, np.float32), np.full(shape, -1, np.int32)
     _draw((vertices_camera @ to_pixels.T)[triangles], depth_m, triangle)
     return depth_m.ravel(), triangle.ravel()
@@ -81,9 +81,9 @@ def _draw(corners: FloatArray, depth_m: Float32Array, triangle: Int32Array) -> N
                 continue
             at, step = np.float32(nearness[face, 1] * row + nearness[face, 2]), np.float32(nearness[face, 0])
             for col in range(math.ceil(low), math.floor(high) + 1):
-                near = at + step * np.float32(col)
-                if near > depth_m[row, col]:
-                    depth_m[row, col], triangle[row, col] = near, face
+                at_col = at + step * np.float32(col)
+                if at_col > depth_m[row, col]:
+                    depth_m[row, col], triangle[row, col] = at_col, face
     for row in range(height):
         for col in range(width):
             face = triangle[row, col]

@@ -52,5 +52,5 @@ class RayCaster:
         by the right hand about its corners. Without a hit: ``inf``, -1 and zero.
         """
         origins, directions = rays[:, :3], rays[:, 3:]
-        found = self._scene.run(origins, directions, dists=np.inf, query="DISTANCE", output=True)
-        return found["tfar"], found["primID"], found["Ng"]
+        hits = self._scene.run(origins, directions, dists=np.inf, query="DISTANCE", output=True)
+        return hits["tfar"], hits["primID"], hits["Ng"]

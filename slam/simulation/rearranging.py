@@ -37,14 +37,14 @@ def rearrange(
     The furniture of each room afterwards, and the changes: fewer than requested if nothing else fits.
     """
     after = [list(pieces) for pieces in furnished]
-    left = [(room, piece) for room, pieces in enumerate(furnished) for piece in pieces if piece.kind != "rug"]
+    rest = [(room, piece) for room, pieces in enumerate(furnished) for piece in pieces if piece.kind != "rug"]
     changes: list[Rearrangement] = []
     for _ in range(_TRIES * count):
-        if len(changes) == count or not left:
+        if len(changes) == count or not rest:
             break
-        room, before = left[int(rng.integers(len(left)))]
-        plan, way = plans[room], str(rng.choice(_WAYS))
-        if way == "appeared":
+        room, before = rest[int(rng.integers(len(rest)))]
+        plan, change = plans[room], str(rng.choice(_WAYS))
+        if change == "appeared":
             kinds, at_wall = OF_ROOMS[plan.purpose][wall := int(rng.integers(2))], wall == 0
             new = place_once_more(plan, after[room], kinds[int(rng.integers(len(kinds)))](rng), rng, at_wall)
             if new is not None and new.kind != "rug":
@@ -53,12 +53,12 @@ def rearrange(
             continue
         others = [piece for piece in after[room] if piece is not before]
         new = None
-        if way == "moved":
+        if change == "moved":
             free = {piece.__name__ for piece in OF_ROOMS[plan.purpose][1]}
             new = place_once_more(plan, others, _by_itself(before), rng, before.kind not in free)
             if new is None or math.dist(_middle(before), _middle(new)) < _LEAST_M:
                 continue
-        left.remove((room, before))
+        rest.remove((room, before))
         after[room] = [*others, new] if new is not None else others
         changes.append(Rearrangement(before, new))
     return after, changes

@@ -56,8 +56,8 @@ class FloorMap:
     def clearance_at_m(self, points_m: FloatArray) -> FloatArray:
         """Return (N,) clearances at points (N, 2), interpolated between cells, zero outside the grid."""
         at = (np.asarray(points_m)[:, :2] - self.origin_xy) / self.resolution_m - 0.5
-        found = ndimage.map_coordinates(self.clearance_m, [at[:, 1], at[:, 0]], order=1, cval=0.0)
-        return np.asarray(found, dtype=np.float64)
+        clearance = ndimage.map_coordinates(self.clearance_m, [at[:, 1], at[:, 0]], order=1, cval=0.0)
+        return np.asarray(clearance, dtype=np.float64)
 
     def node_near(self, point_m: FloatArray) -> int:
         """Return the free cell nearest to a point; -1 if none is free."""
@@ -122,13 +122,13 @@ def step_graph(nodes: IntArray, price: FloatArray) -> sparse.csr_array:
 
 def chain(before: NDArray[np.integer], start: int, end: int) -> IntArray | None:
     """Return the nodes from start to end by `csgraph`'s predecessors (nodes,); None if there is no path."""
-    found = [end]
-    while found[-1] != start:
-        previous = int(before[found[-1]])
+    nodes = [end]
+    while nodes[-1] != start:
+        previous = int(before[nodes[-1]])
         if previous < 0:
             return None
-        found.append(previous)
-    return np.array(found[::-1], dtype=np.int64)
+        nodes.append(previous)
+    return np.array(nodes[::-1], dtype=np.int64)
 
 
 def cheapest_paths(floor: FloorMap, stops: Sequence[int]) -> tuple[FloatArray, list[list[IntArray | None]]]:
@@ -179,5 +179,5 @@ def resample(points_m: FloatArray, spacing_m: float) -> FloatArray:
     lengths = np.linalg.norm(np.diff(points_m, axis=0), axis=1)
     keep = np.concatenate([[True], lengths > 1e-9])
     points, at = points_m[keep], np.concatenate([[0.0], np.cumsum(lengths[lengths > 1e-9])])
-    wanted = np.linspace(0.0, at[-1], max(2, round(at[-1] / spacing_m) + 1))
-    return np.column_stack([np.interp(wanted, at, points[:, 0]), np.interp(wanted, at, points[:, 1])])
+    distances = np.linspace(0.0, at[-1], max(2, round(at[-1] / spacing_m) + 1))
+    return np.column_stack([np.interp(distances, at, points[:, 0]), np.interp(distances, at, points[:, 1])])

@@ -120,8 +120,8 @@ def scan_lidar(
         return np.asarray(sensor.sigma_m + share * distance_m, dtype=np.float32)
 
     ranges, fault = _measure(faulty, sensor, sigma_m, rng)
-    near = np.isnan(ranges) & (surfaces.distance_m < sensor.range_min_m) & (fault == Fault.HOLE_RANGE)
-    ranges[np.isnan(ranges) & ~near] = np.inf
+    too_close = np.isnan(ranges) & (surfaces.distance_m < sensor.range_min_m) & (fault == Fault.HOLE_RANGE)
+    ranges[np.isnan(ranges) & ~too_close] = np.inf
     return SimulatedScan(ranges[0], surfaces.distance_m[0], fault[0])
 
 
@@ -328,7 +328,7 @@ def _expose(image: Float32Array, sigma: float, seed: int) -> ColorImage:
         h = np.uint32((h ^ (h >> np.uint32(15))) * np.uint32(0x846CA68B))
         h = np.uint32(h ^ (h >> np.uint32(16)))
         # The sum of two uniform numbers: a triangle of standard deviation 1 / sqrt(6).
-        both = float(np.int32(h & np.uint32(0xFFFF)) + np.int32(h >> np.uint32(16)))
-        noise = (both / 65536.0 - 1.0) * 2.449489742783178 * sigma
+        total = float(np.int32(h & np.uint32(0xFFFF)) + np.int32(h >> np.uint32(16)))
+        noise = (total / 65536.0 - 1.0) * 2.449489742783178 * sigma
         color[at] = np.uint8(np.int32(min(255.0, max(0.0, values[at] + noise + 0.5))))
     return color.reshape(image.shape)

@@ -208,7 +208,7 @@ def _outside(tunnel_m: tuple[float, float], fixes: list[GnssFix], lidar: StreetL
     _, positions = lidar.poses_at(np.array([fix.stamp_s - FIRST_STAMP_S for fix in fixes]))
     entry_m, exit_m = tunnel_m
     in_sight = (positions[:, 0] < entry_m) | (positions[:, 0] > exit_m)
-    return [fix for fix, seen in zip(fixes, in_sight.tolist(), strict=True) if seen]
+    return [fix for fix, visible in zip(fixes, in_sight.tolist(), strict=True) if visible]
 
 
 def _write_bin(path: Path, turn: StreetTurn, *, undistorted: bool) -> None:

@@ -112,7 +112,7 @@ def _junctions(town: Town, rng: np.random.Generator) -> FloatArray:
         ]
         onward.remove((before_x, before_y))
         straight = (2 * x - before_x, 2 * y - before_y)
-        turns = [one for one in onward if one != straight]
+        turns = [exit_ for exit_ in onward if exit_ != straight]
         walk.append(
             straight if straight in onward and rng.random() < 0.35 else turns[rng.integers(len(turns))]
         )

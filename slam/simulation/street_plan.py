@@ -39,8 +39,8 @@ class Ground:
         """Height of the road, with the shape of x."""
         kx, ky, phase, height = self.waves.T
         angle = np.multiply.outer(x, kx) + np.multiply.outer(y, ky) + phase
-        found: FloatArray = (height * np.sin(angle)).sum(axis=-1)
-        return found
+        total: FloatArray = (height * np.sin(angle)).sum(axis=-1)
+        return total
 
     def slope(self, x: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Slope along x and along y."""

@@ -130,8 +130,8 @@ class Traffic:
                 rows.append([*positions[1], *velocity, *rotations[1].ravel(), *box])
                 owners.append(number)
         table = np.array(rows).reshape(-1, 21)
-        kinds = np.array([int(self._movers[one].kind.label) | (one + 1) << 16 for one in owners], np.uint32)
-        bright = np.array([self._movers[one].brightness for one in owners], np.float32)
+        kinds = np.array([int(self._movers[i].kind.label) | (i + 1) << 16 for i in owners], np.uint32)
+        bright = np.array([self._movers[i].brightness for i in owners], np.float32)
         return MovingBoxes(table, kinds, bright)
 
 
@@ -171,10 +171,10 @@ class MovingBoxes:
         -------
         (N,) index of the box, -1 for none; (N,) cosine between ray and face.
         """
-        found = np.full(len(rays), -1, np.int32)
+        boxes = np.full(len(rays), -1, np.int32)
         cosine = np.zeros(len(rays), np.float32)
-        _meet_boxes(rays, late_s, self.table, range_m, found, cosine)
-        return found, cosine
+        _meet_boxes(rays, late_s, self.table, range_m, boxes, cosine)
+        return boxes, cosine
 
 
 def _streets(town: Town) -> list[tuple[FloatArray, FloatArray]]:
@@ -211,7 +211,7 @@ def _meet_boxes(
     late_s: FloatArray,
     table: FloatArray,
     range_m: Float32Array,
-    found: NDArray[np.int32],
+    boxes: NDArray[np.int32],
     cosine: Float32Array,
 ) -> None:
     """Intersect rays with the slabs of each box in its own frame."""
@@ -228,11 +228,11 @@ def _meet_boxes(
                     step += turned * rays[ray, 3 + inner]
                 if abs(step) < 1e-12:
                     step = 1e-12
-                one, other = (row[15 + axis] - start) / step, (row[18 + axis] - start) / step
-                if one > other:
-                    one, other = other, one
-                if one > near:
-                    near, face = one, abs(step)
-                far = min(far, other)
+                enter, leave = (row[15 + axis] - start) / step, (row[18 + axis] - start) / step
+                if enter > leave:
+                    enter, leave = leave, enter
+                if enter > near:
+                    near, face = enter, abs(step)
+                far = min(far, leave)
             if near < far and face > 0.0:
-                range_m[ray], found[ray], cosine[ray] = near, box, face
+                range_m[ray], boxes[ray], cosine[ray] = near, box, face

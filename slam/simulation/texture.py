@@ -87,10 +87,10 @@ def _visible(size_m: float, footprint_m: float) -> float:
 @kernel(error_model="numpy")
 def _blocks(u: float, v: float, size_m: float, footprint_m: float, seed: int) -> float:
     """Squares of random brightness, -0.5..0.5: corners for a feature detector."""
-    seen = _visible(size_m, footprint_m)
-    if seen == 0.0:
+    contrast = _visible(size_m, footprint_m)
+    if contrast == 0.0:
         return 0.0
-    return seen * (_hash(math.floor(u / size_m), math.floor(v / size_m), seed) - 0.5)
+    return contrast * (_hash(math.floor(u / size_m), math.floor(v / size_m), seed) - 0.5)
 
 
 @kernel(error_model="numpy")
@@ -130,10 +130,10 @@ def _poster(u: float, v: float, pixel: float, seed: int) -> tuple[bool, float, f
     size = 0.05 + 0.06 * _hash(column, row, seed + 15)
     i, j = math.floor(x / size), math.floor(y / size)
     key = seed + 977 * column + 31 * row
-    seen = _visible(size, pixel)
-    red = 128.0 + seen * 210.0 * (_hash(i, j, key) - 0.5)
-    green = 128.0 + seen * 210.0 * (_hash(i, j, key + 1) - 0.5)
-    return True, red, green, 128.0 + seen * 210.0 * (_hash(i, j, key + 2) - 0.5)
+    contrast = _visible(size, pixel)
+    red = 128.0 + contrast * 210.0 * (_hash(i, j, key) - 0.5)
+    green = 128.0 + contrast * 210.0 * (_hash(i, j, key + 1) - 0.5)
+    return True, red, green, 128.0 + contrast * 210.0 * (_hash(i, j, key + 2) - 0.5)
 
 
 @kernel(error_model="numpy")
@@ -159,11 +159,11 @@ def _books(u: float, v: float, pixel: float, seed: int, color: _Rgb) -> _Rgb:
     book = math.floor(u / 0.042)
     if inside > 0.62 + 0.34 * _hash(book, shelf, seed):
         return 0.25 * color[0], 0.25 * color[1], 0.25 * color[2]
-    seen = _visible(0.042, pixel)
+    contrast = _visible(0.042, pixel)
     band = 0.7 if 0.4 < inside < 0.5 and _hash(book, shelf, seed + 4) < 0.5 else 1.0
-    red = band * (120.0 + seen * 200.0 * (_hash(book, shelf, seed + 1) - 0.5))
-    green = band * (110.0 + seen * 180.0 * (_hash(book, shelf, seed + 2) - 0.5))
-    return red, green, band * (105.0 + seen * 180.0 * (_hash(book, shelf, seed + 3) - 0.5))
+    red = band * (120.0 + contrast * 200.0 * (_hash(book, shelf, seed + 1) - 0.5))
+    green = band * (110.0 + contrast * 180.0 * (_hash(book, shelf, seed + 2) - 0.5))
+    return red, green, band * (105.0 + contrast * 180.0 * (_hash(book, shelf, seed + 3) - 0.5))
 
 
 @kernel(error_model="numpy")

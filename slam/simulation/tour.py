@@ -106,7 +106,7 @@ def plan_tour(
         Size of the robot; it drives under higher objects, and over thresholds.
     duration_s
         Visit as many rooms as possible in this time, including the return, and repeat until the time is up;
-        if it is too short for a single room, the drive ends on the way. None: all rooms, and a part of the
+        if it is too short for a single room, the drive ends before it. None: all rooms, and a part of the
         next lap.
 
     Raises
@@ -186,11 +186,11 @@ def _laps(home: Home, floor: FloorMap, rng: np.random.Generator) -> list[FloatAr
     parts = sparse.csgraph.connected_components(floor.graph, directed=False)[1]
     stops, groups = [start], []
     for room in _depth_first(home, rng):
-        found = _stops(room, floor, centres, parts == parts[start], rng)
-        if not found:
+        lap = _stops(room, floor, centres, parts == parts[start], rng)
+        if not lap:
             log.warning("no way into room %s for a robot with %.2f m about it", room.name, floor.required_m)
-        groups.append(list(range(len(stops), len(stops) + len(found))))
-        stops += found
+        groups.append(list(range(len(stops), len(stops) + len(lap))))
+        stops += lap
     costs, paths = cheapest_paths(floor, stops)
     laps: list[FloatArray] = []
     for last in range(len(groups), 0, -1):
@@ -254,13 +254,13 @@ def _stops(
     roomy = nodes[clearance >= 0.75 * clearance.max()]
     first = int(rng.choice(roomy))
     # The farthest cell from a random one, and the farthest from that: nearly the largest distance.
-    far = int(roomy[np.argmax(np.linalg.norm(centres_m[roomy] - centres_m[first], axis=1))])
-    away = np.linalg.norm(centres_m[roomy] - centres_m[far], axis=1)
-    if away.max() < _SECOND_STOP_M:
+    farthest = int(roomy[np.argmax(np.linalg.norm(centres_m[roomy] - centres_m[first], axis=1))])
+    distances = np.linalg.norm(centres_m[roomy] - centres_m[farthest], axis=1)
+    if distances.max() < _SECOND_STOP_M:
         return [first]
-    other = int(roomy[np.argmax(away)])
-    middle = 0.5 * (centres_m[far] + centres_m[other])
-    return [far, other, int(roomy[np.argmin(np.linalg.norm(centres_m[roomy] - middle, axis=1))])]
+    other = int(roomy[np.argmax(distances)])
+    middle = 0.5 * (centres_m[farthest] + centres_m[other])
+    return [farthest, other, int(roomy[np.argmin(np.linalg.norm(centres_m[roomy] - middle, axis=1))])]
 
 
 def _inside(room: Room, x: float, y: float) -> bool:
@@ -283,6 +283,6 @@ def _visited(home: Home, poses: FloatArray) -> tuple[str, ...]:
 def _back_s(poses: FloatArray, lap_m: float) -> float:
     """Time when most of a lap is driven and the start is close again."""
     driven = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(poses[:, :2], axis=0), axis=1))])
-    near = np.linalg.norm(poses[:, :2] - poses[0, :2], axis=1) < _BACK_M
-    back = np.flatnonzero(near & (driven > 0.8 * lap_m))
+    is_near = np.linalg.norm(poses[:, :2] - poses[0, :2], axis=1) < _BACK_M
+    back = np.flatnonzero(is_near & (driven > 0.8 * lap_m))
     return float(back[0] * STEP_S) if back.size else math.inf

@@ -198,14 +198,14 @@ def _write_faults(folder: Path, drive: Drive) -> None:
 
 def _extrinsics(drive: Drive) -> dict[str, Any]:
     """True poses of all sensors on the robot."""
-    found: dict[str, Any] = {}
+    poses: dict[str, Any] = {}
     if drive.rig.lidar is not None:
-        found[LIDAR] = {"T_base_laser": transform_fields(drive.rig.lidar.T_base_laser)}
+        poses[LIDAR] = {"T_base_laser": transform_fields(drive.rig.lidar.T_base_laser)}
     if drive.rig.lidar_3d is not None:
-        found[LIDAR_3D] = {"T_base_laser": transform_fields(drive.rig.lidar_3d.T_base_laser)}
+        poses[LIDAR_3D] = {"T_base_laser": transform_fields(drive.rig.lidar_3d.T_base_laser)}
     for camera in drive.rig.cameras:
-        found[camera.name] = {"T_base_camera": transform_fields(camera.T_base_camera)}
-    return found
+        poses[camera.name] = {"T_base_camera": transform_fields(camera.T_base_camera)}
+    return poses
 
 
 def _write_json(path: Path, content: dict[str, Any]) -> None:

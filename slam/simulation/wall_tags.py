@@ -25,12 +25,12 @@ _FAMILY, _CANDIDATES_A_WALL = "36h11", 12
 _INK, _PAPER, _RAYS, _THICK_M = 25.0, 225.0, 4, 0.01
 
 
-def hang_tags(home: Home, count: int, seed: int, way_xyt: FloatArray, side_m: float = 0.16) -> Home:
+def place_tags(home: Home, count: int, seed: int, path_xyt: FloatArray, side_m: float = 0.16) -> Home:
     """A home with tags on its walls, far from each other, each visible from the robot's path.
 
     Parameters
     ----------
-    way_xyt
+    path_xyt
         (n, 3) x, y, yaw along the robot's path.
 
     Raises
@@ -40,7 +40,7 @@ def hang_tags(home: Home, count: int, seed: int, way_xyt: FloatArray, side_m: fl
     """
     rng, scene = generator(seed, "tags"), Scene(home)
     places = [place for room in home.rooms for place in _places(room.rectangle, rng)]
-    places = [place for place in places if _is_seen(place, way_xyt)]
+    places = [place for place in places if _is_seen(place, path_xyt)]
     free = [place for place in places if _is_free(scene, place, 0.5 * side_m * 1.5)]
     if len(free) < count:
         raise ConfigError(
@@ -103,9 +103,9 @@ def paint_tags(
         middle = _rays(columns, rows, intrinsics)
         wall_m = (normal @ place) / (middle @ normal)
         index = rows * width + columns
-        met = np.abs(range_m[index] - wall_m) < _THICK_M * (1.0 + wall_m)
-        index, columns, rows = index[met], columns[met], rows[met]
-        inside, seen = np.zeros(len(index)), np.zeros(len(index))
+        on_wall = np.abs(range_m[index] - wall_m) < _THICK_M * (1.0 + wall_m)
+        index, columns, rows = index[on_wall], columns[on_wall], rows[on_wall]
+        inside, brightness = np.zeros(len(index)), np.zeros(len(index))
         offsets = (np.arange(_RAYS) + 0.5) / _RAYS - 0.5
         for right in offsets:
             for down in offsets:
@@ -113,10 +113,10 @@ def paint_tags(
                 points = (rays * ((normal @ place) / (rays @ normal))[:, None] - place) @ turn
                 value, hit = _ink_at(points[:, :2], tag.cells, across)
                 inside += hit
-                seen += value * hit
+                brightness += value * hit
         share = (inside / _RAYS**2)[:, None]
         light = 0.66 + 0.3 * share  # brightness of paper, independent of the wall
-        drawn = np.where(inside > 0, seen / np.maximum(inside, 1), 0.0)[:, None]
+        drawn = np.where(inside > 0, brightness / np.maximum(inside, 1), 0.0)[:, None]
         image[index] = (1.0 - share) * image[index] + share * light * drawn
 
 
@@ -138,23 +138,23 @@ def _ink_at(points_m: FloatArray, cells: BoolArray, across_m: float) -> tuple[Fl
 def _places(rectangle: tuple[float, float, float, float], rng: np.random.Generator) -> list[gtsam.Pose3]:
     """Possible tag poses in a room: x to the right as seen by a viewer, y up, z out of the wall."""
     x0, y0, x1, y1 = rectangle
-    found = list[gtsam.Pose3]()
+    places = list[gtsam.Pose3]()
     for _ in range(_CANDIDATES_A_WALL):
         x, y, z = rng.uniform(x0, x1), rng.uniform(y0, y1), rng.uniform(*_Z_M)
         walls = (((x0, y), (1.0, 0.0)), ((x1, y), (-1.0, 0.0)), ((x, y0), (0.0, 1.0)), ((x, y1), (0.0, -1.0)))
         for at, out in walls:
             axes = np.array([[-out[1], out[0], 0.0], [0.0, 0.0, 1.0], [*out, 0.0]]).T
-            found.append(gtsam.Pose3(gtsam.Rot3(axes), np.array([*at, z])))
-    return found
+            places.append(gtsam.Pose3(gtsam.Rot3(axes), np.array([*at, z])))
+    return places
 
 
-def _is_seen(place: gtsam.Pose3, way_xyt: FloatArray) -> bool:
+def _is_seen(place: gtsam.Pose3, path_xyt: FloatArray) -> bool:
     """Whether the robot comes close, looks at it, and sees it without too much slant."""
-    away = np.asarray(place.translation())[:2] - way_xyt[:, :2]
-    far_m, out = np.linalg.norm(away, axis=1), np.asarray(place.rotation().matrix())[:2, 2]
-    ahead = np.sum(away * np.column_stack([np.cos(way_xyt[:, 2]), np.sin(way_xyt[:, 2])]), axis=1)
-    near = (far_m > _NEAR_M[0]) & (far_m < _NEAR_M[1])
-    return bool(np.any(near & (ahead > _AHEAD * far_m) & (-away @ out > _FACING * far_m)))
+    offset = np.asarray(place.translation())[:2] - path_xyt[:, :2]
+    far_m, out = np.linalg.norm(offset, axis=1), np.asarray(place.rotation().matrix())[:2, 2]
+    ahead = np.sum(offset * np.column_stack([np.cos(path_xyt[:, 2]), np.sin(path_xyt[:, 2])]), axis=1)
+    in_range = (far_m > _NEAR_M[0]) & (far_m < _NEAR_M[1])
+    return bool(np.any(in_range & (ahead > _AHEAD * far_m) & (-offset @ out > _FACING * far_m)))
 
 
 def _is_free(scene: Scene, place: gtsam.Pose3, half_m: float) -> bool:

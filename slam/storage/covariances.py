@@ -31,9 +31,9 @@ def write_trajectory(path: Path, trajectory: Trajectory, covariances: FloatArray
     write_tum(path, trajectory)
     if covariances is None:
         return [path]
-    beside = covariance_path(path)
-    _write_covariances(beside, trajectory.stamps_s, covariances)
-    return [path, beside]
+    covariance_file = covariance_path(path)
+    _write_covariances(covariance_file, trajectory.stamps_s, covariances)
+    return [path, covariance_file]
 
 
 def _write_covariances(path: Path, stamps_s: FloatArray, covariances: FloatArray) -> None:

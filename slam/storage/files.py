@@ -56,7 +56,7 @@ def make_folder(path: Path) -> None:
     Raises
     ------
     MapFileError
-        If that cannot be done, or a file of that name is in the way.
+        If that fails, or a file with that name exists.
     """
     try:
         Path(path).mkdir(parents=True, exist_ok=True)
@@ -88,7 +88,7 @@ def write_bytes(path: Path, content: bytes) -> None:
 def write_lines(path: Path, lines: Iterable[str]) -> None:
     """Write lines of text at once, each ended by a newline; a name in ``.gz`` is compressed.
 
-    The compressed form holds neither name nor time, so that the same lines give the same bytes.
+    The compressed form contains neither name nor time, so that equal lines give equal bytes.
 
     Raises
     ------

@@ -58,5 +58,5 @@ def sixteen_bits(intensities: Float32Array) -> Float32Array:
     The range is assumed to be 0 to 1, eight bits or sixteen: the narrowest that contains all values.
     """
     greatest = float(np.nanmax(intensities, initial=0.0))
-    whole = next((one for one in (1.0, _MOST / _COLOUR_STEP, _MOST) if greatest <= one), greatest)
-    return (intensities.clip(0.0) * (_MOST / whole)).astype(np.float32)
+    full = next((top for top in (1.0, _MOST / _COLOUR_STEP, _MOST) if greatest <= top), greatest)
+    return (intensities.clip(0.0) * (_MOST / full)).astype(np.float32)

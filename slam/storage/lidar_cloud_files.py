@@ -54,12 +54,12 @@ def write_lidar_cloud(path: Path, cloud: LidarCloud) -> list[Path]:
         If the map shows nothing, or a file cannot be written.
     """
     write_cloud_ply(path, cloud.stays)
-    beside = path.with_name(f"{path.stem}_passed_by.ply")
+    passed_by = path.with_name(f"{path.stem}_passed_by.ply")
     if cloud.gone is None:
-        beside.unlink(missing_ok=True)  # of an earlier map
+        passed_by.unlink(missing_ok=True)  # of an earlier map
         return [path]
-    write_cloud_ply(beside, cloud.gone)
-    return [path, beside]
+    write_cloud_ply(passed_by, cloud.gone)
+    return [path, passed_by]
 
 
 def export_cloud(format_: str, out: Path, cloud: LidarCloud) -> list[Path]:
@@ -70,32 +70,32 @@ def export_cloud(format_: str, out: Path, cloud: LidarCloud) -> list[Path]:
     Raises
     ------
     LibraryError
-        If LAS is asked for without laspy.
+        If LAS is requested without laspy.
     MapFileError
         If the map shows nothing, or a file cannot be written.
     """
     name = format_.removesuffix(TILES)
     write = _WRITERS[name]
-    whole = _joined(cloud.stays)
-    if not len(whole.points_map):
+    points = _joined(cloud.stays)
+    if not len(points.points_map):
         raise MapFileError(f"there are no points to write to {out}; the map shows none")
-    if name == "las" and whole.intensities is not None:
-        whole = replace(whole, intensities=sixteen_bits(whole.intensities))
-    is_ground = cloud.is_ground(whole.points_map)
+    if name == "las" and points.intensities is not None:
+        points = replace(points, intensities=sixteen_bits(points.intensities))
+    is_ground = cloud.is_ground(points.points_map)
     if name == format_:
         if out.is_dir() or not out.suffix:
             make_folder(out)
             out /= f"cloud.{name}"
-        write(out, whole, is_ground)
+        write(out, points, is_ground)
         return [out]
-    corners = np.floor(whole.points_map[:, :2] / _TILE_M).astype(np.int64)
+    corners = np.floor(points.points_map[:, :2] / _TILE_M).astype(np.int64)
     written = []
     with filling(out):
         for corner in np.unique(corners, axis=0):
             inside = (corners == corner).all(axis=1)
             x, y = (corner * round(_TILE_M)).tolist()
             written.append(out / f"{x}_{y}.{name}")
-            write(written[-1], _part(whole, inside), is_ground[inside])
+            write(written[-1], _part(points, inside), is_ground[inside])
     return written
 
 
@@ -104,12 +104,12 @@ def _joined(parts: Iterable[ColoredCloud]) -> ColoredCloud:
     nothing = ColoredCloud(
         np.zeros((0, 3), np.float32), np.zeros((0, 3), np.uint8), np.zeros((0, 3), np.float32)
     )
-    held = [nothing, *parts]
-    intensities = [part.intensities for part in held if part.intensities is not None]
+    clouds = [nothing, *parts]
+    intensities = [part.intensities for part in clouds if part.intensities is not None]
     return ColoredCloud(
-        np.concatenate([part.points_map for part in held]),
-        np.concatenate([part.colors for part in held]),
-        np.concatenate([part.normals_map for part in held]),
+        np.concatenate([part.points_map for part in clouds]),
+        np.concatenate([part.colors for part in clouds]),
+        np.concatenate([part.normals_map for part in clouds]),
         np.concatenate(intensities) if intensities else None,
     )
 

@@ -38,7 +38,7 @@ class MapClouds:
         self._count = 0 if begun else file.count(CLOUDS)
         # Points, stamp and lidar of a keyframe are read one after the other.
         self._newest: tuple[int, tuple[Value, ...]] = (-1, ())
-        self._sound = set[int]()  # rows with a verified checksum: they are read several times
+        self._verified = set[int]()  # rows with a verified checksum: they are read several times
 
     def __len__(self) -> int:
         return self._count
@@ -88,7 +88,7 @@ class MapClouds:
     def rows(self, key: int, *, everything: bool = False, intensities: bool = True) -> FloatArray:
         """Return `points`, with `intensities` as a fourth column if present and requested."""
         content = self._row(key)[2]
-        with self._file.blaming(CLOUDS, key):
+        with self._file.naming_row(CLOUDS, key):
             rows = unpacked_cloud(cast(bytes, content), intensities=intensities)
             require(np.abs(rows[:, :3]).max(initial=0.0) < FARTHEST_M, "a point is beyond the Earth")
             if not everything and key in self._erased:
@@ -101,12 +101,12 @@ class MapClouds:
 
     def stamp_s(self, key: int) -> float:
         """Return the stamp of a keyframe's cloud; errors as in `points`."""
-        with self._file.blaming(CLOUDS, key):
+        with self._file.naming_row(CLOUDS, key):
             return sound_stamp(self._row(key)[0])
 
     def T_base_lidar(self, key: int) -> gtsam.Pose3:
         """Return the pose of the lidar on the robot; errors as in `points`."""
-        with self._file.blaming(CLOUDS, key):
+        with self._file.naming_row(CLOUDS, key):
             stamp_s, lidar, _ = self._row(key)
             sound_stamp(stamp_s)
             return of(gtsam.Pose3, unpack(cast(bytes, lidar)))
@@ -131,6 +131,6 @@ class MapClouds:
         if not 0 <= key < len(self):
             raise IndexError(f"cloud {key} of {len(self)}")
         if key != self._newest[0]:
-            self._newest = key, self._file.row(CLOUDS, key, again=key in self._sound)
-            self._sound.add(key)
+            self._newest = key, self._file.row(CLOUDS, key, again=key in self._verified)
+            self._verified.add(key)
         return self._newest[1]

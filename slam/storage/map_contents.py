@@ -171,8 +171,8 @@ class MapContents:
     @property
     def registrations(self) -> dict[str, ColorRegistration]:
         """Pose of colour cameras relative to their depth cameras, by name, if the run estimated them."""
-        learned = {name: one.registration for name, one in self.cameras.items()}
-        return {name: found for name, found in learned.items() if found is not None}
+        learned = {name: camera.registration for name, camera in self.cameras.items()}
+        return {name: registration for name, registration in learned.items() if registration is not None}
 
 
 def clock_sigma_s(contents: MapContents, nodes: slice = slice(None)) -> float:
@@ -192,10 +192,10 @@ def clock_sigma_s(contents: MapContents, nodes: slice = slice(None)) -> float:
 
 def parts_of(contents: MapContents, sessions: Sequence[MapSession]) -> list[tuple[int, int, float]]:
     """Return keyframes, poses and `clock_sigma_s` of the first sessions of a map."""
-    ends = itertools.accumulate(one.keyframes for one in sessions)
+    ends = itertools.accumulate(session.keyframes for session in sessions)
     return [
-        (one.keyframes, one.poses, clock_sigma_s(contents, slice(end - one.keyframes, end)))
-        for one, end in zip(sessions, ends, strict=True)
+        (session.keyframes, session.poses, clock_sigma_s(contents, slice(end - session.keyframes, end)))
+        for session, end in zip(sessions, ends, strict=True)
     ]
 
 
@@ -227,9 +227,9 @@ def write_contents(file: MapFile, contents: MapContents) -> None:
     for loop in contents.loops:
         verdict = (loop.place, loop.keyframe, int(loop.accepted))
         file.append(LOOPS, *verdict, float(loop.score), loop.reason, pack(loop))
-    whole = contents.trajectory
-    for first in range(0, len(whole), _STRETCH):
-        stretch = whole[first : first + _STRETCH]
+    trajectory = contents.trajectory
+    for first in range(0, len(trajectory), _STRETCH):
+        stretch = trajectory[first : first + _STRETCH]
         file.append(TRAJECTORY, len(stretch), pack_small(stretch))
         if contents.covariances is not None:
             triangles = upper_triangles(contents.covariances[first : first + _STRETCH])
@@ -274,7 +274,7 @@ def read_contents(file: MapFile) -> MapContents:
     trajectory, grids = read_trajectory(file, small), read_grids(file, small)
     factors = list(file.parsed(FACTORS, lambda row: _factor(row, poses, len(loops))))
     wrong = unsound_covariance([factor.edge.covariance for factor in factors], 3 if planar else 6)
-    with file.blaming(FACTORS, wrong or 0):
+    with file.naming_row(FACTORS, wrong or 0):
         require(wrong is None, "its covariance is not finite, symmetric and positive definite")
     return MapContents(
         node_poses=poses,
@@ -303,16 +303,16 @@ def refuse_misfits(file: MapFile, contents: MapContents) -> None:
     frames, clouds, nodes = contents.frames, contents.clouds, contents.node_poses
     in_space = sum(isinstance(pose, gtsam.Pose3) for pose in nodes)
     if clouds is not None and not len(clouds) == len(nodes) == in_space:
-        held = f"{len(clouds)} clouds for {len(nodes)} nodes, {in_space} of them in space"
-        raise MapFileError(f"{file.path} holds {held}; make the map anew")
+        counts = f"{len(clouds)} clouds for {len(nodes)} nodes, {in_space} of them in space"
+        raise MapFileError(f"{file.path} holds {counts}; make the map anew")
     for index in range(len(frames) if frames else 0):
         assert frames
-        with file.blaming(FRAMES, index):
+        with file.naming_row(FRAMES, index):
             head = frames.head(index)
             if not 0 <= head.node < len(nodes):
                 raise MapFileError("it belongs to no node")
             if clouds is not None and head.T_base_camera is None:
-                raise MapFileError("it does not tell where the camera was on the robot")
+                raise MapFileError("it has no pose of the camera on the robot")
 
 
 def _each(pairs: Sequence[Any], of_pair: Callable[[_Scans], LaserScan | None]) -> Sequence[LaserScan | None]:
@@ -325,17 +325,17 @@ def _each(pairs: Sequence[Any], of_pair: Callable[[_Scans], LaserScan | None]) -
 def _keyframe(row: tuple[Any, ...], small: Unpack) -> tuple[float, int, Pose, _Scans]:
     """Parse stamp, reading, pose, scan as measured and, if repaired, as repaired."""
     stamp_s, reading, pose, *scans = row
-    found = unpack(pose)
-    found = found if isinstance(found, gtsam.Pose2) else of(gtsam.Pose3, found)
+    node_pose = unpack(pose)
+    node_pose = node_pose if isinstance(node_pose, gtsam.Pose2) else of(gtsam.Pose3, node_pose)
     measured, repaired = (None if scan is None else of(LaserScan, small(scan)) for scan in scans)
-    return sound_stamp(stamp_s), reading, found, (measured, repaired)
+    return sound_stamp(stamp_s), reading, node_pose, (measured, repaired)
 
 
 def _loop(row: tuple[Any, ...], nodes: int) -> LoopCandidate:
     """Parse a row of the loop candidates."""
     loop = of(LoopCandidate, unpack(row[5]))
     require(loop.place < nodes and loop.keyframe < nodes, "its ends are no nodes")
-    require(row[:3] == (loop.place, loop.keyframe, int(loop.accepted)), "it is told in two ways")
+    require(row[:3] == (loop.place, loop.keyframe, int(loop.accepted)), "its columns contradict it")
     require(loop.motion is not None or not loop.accepted, "it was accepted without a match")
     return loop
 
@@ -381,5 +381,5 @@ def _triangles(row: tuple[Any, ...], dimension: int, small: Unpack) -> FloatArra
 def _camera(row: tuple[Any, ...]) -> tuple[str, LearnedCamera]:
     """Parse a row of estimated camera data, with the camera's name."""
     name, learned = row
-    found = of(LearnedCamera, unpack(learned))
-    return sound_name(name), found
+    camera = of(LearnedCamera, unpack(learned))
+    return sound_name(name), camera

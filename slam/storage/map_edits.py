@@ -125,14 +125,14 @@ class AppliedEdits:
 
 def erased_bits(entries: Sequence[AppliedEdits], kind: str) -> dict[int, bytes]:
     """Return the removed evidence of a kind by all edits: packed bits by index."""
-    found: dict[int, bytes] = {}
+    erased: dict[int, bytes] = {}
     for entry in entries:
         for (of_kind, number), bits in entry.erased.items():
             if of_kind == kind:
-                before = found.get(number, bytes(len(bits)))
+                before = erased.get(number, bytes(len(bits)))
                 require(len(before) == len(bits), "edits take away of evidence of another size")
-                found[number] = bytes(a | b for a, b in zip(before, bits, strict=True))
-    return found
+                erased[number] = bytes(a | b for a, b in zip(before, bits, strict=True))
+    return erased
 
 
 def mask_of(bits: bytes, size: int) -> BoolArray:
@@ -159,18 +159,18 @@ def read_edits(file: MapFile) -> list[AppliedEdits]:
     for number, (source, _, content) in enumerate(file.rows(EDITS)):
         if source != EDITS.name:
             continue
-        with file.blaming(EDITS, number):
+        with file.naming_row(EDITS, number):
             entries.append(_entry(small(cast(bytes, content)), nodes))
     return entries
 
 
 def regions_of(entries: Sequence[AppliedEdits], kind: str) -> list[Region]:
     """Return the regions of a kind; of zones and places with the same name, the last one counts."""
-    found: dict[object, Region] = {}
+    regions: dict[object, Region] = {}
     for entry in entries:
         for number, region in enumerate(region for region in entry.regions if region.kind == kind):
-            found[region.name or (id(entry), number)] = region
-    return list(found.values())
+            regions[region.name or (id(entry), number)] = region
+    return list(regions.values())
 
 
 def _entry(values: object, nodes: int) -> AppliedEdits:
@@ -181,8 +181,8 @@ def _entry(values: object, nodes: int) -> AppliedEdits:
     for place, keyframe in (*of(list, forbidden), *of(list, forced)):
         require(0 <= place < keyframe < nodes, "a loop of it ends at no keyframe")
     for loop in of(list, added):
-        found = of(LoopCandidate, loop)
-        fits = 0 <= found.place < found.keyframe < nodes and found.motion is not None
+        candidate = of(LoopCandidate, loop)
+        fits = 0 <= candidate.place < candidate.keyframe < nodes and candidate.motion is not None
         require(fits, "a loop of it ends at no keyframe")
     for kind, number, bits in of(list, erased):
         require(kind in (MEASURED, REPAIRED, FRAME, CLOUD) and number >= 0, "it erases of nothing")
@@ -240,7 +240,7 @@ class UneditedFile(MapFile):
                 continue
             key = (cast(str, source), cast(int, row))
             self._before[key] = number
-            with file.blaming(EDITS, number):
+            with file.naming_row(EDITS, number):
                 require(source in {table.name for table in _KEPT}, "it is of no table that edits change")
                 if cast(int, row) < 0:  # the number of rows
                     self._counts[cast(str, source)] = -1 - cast(int, row)
@@ -251,7 +251,7 @@ class UneditedFile(MapFile):
         if place is None:
             return self._edited.row(table, number, again=again)
         values = of(list, unpack(cast(bytes, self._edited.row(EDITS, place)[2])))
-        with self.blaming(table, number):
+        with self.naming_row(table, number):
             require(
                 len(values) == len(table.columns) and not table.misfit(tuple(values)), "it has other values"
             )

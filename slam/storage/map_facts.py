@@ -48,9 +48,9 @@ def write_facts(
 
 def ground_of_file(file: MapFile) -> float | None:
     """Return the floor height in the base frame, if the map has it; MapFileError if it is no number."""
-    with file.blaming(META, 0):
-        told = file.meta().get(_GROUND)
-        return None if told is None else float(of(float, from_json(told)))
+    with file.naming_row(META, 0):
+        text = file.meta().get(_GROUND)
+        return None if text is None else float(of(float, from_json(text)))
 
 
 def clock_sigma_of_file(file: MapFile) -> float:
@@ -69,12 +69,12 @@ def georeference_of_file(file: MapFile, first: Pose) -> Georeference | None:
     MapFileError
         If the stored value is invalid.
     """
-    with file.blaming(META, 0):
+    with file.naming_row(META, 0):
         if (text := file.meta().get(_EARTH)) is None:
             return None
-        told = of(dict, from_json(text))
-        T_enu_first = pose_of_rows(told.get("T_enu_first"), "its place on the earth")
-        place = np.array([told.get(name) for name in _PLANE], dtype=np.float64)
+        fields = of(dict, from_json(text))
+        T_enu_first = pose_of_rows(fields.get("T_enu_first"), "its place on the earth")
+        place = np.array([fields.get(name) for name in _PLANE], dtype=np.float64)
         require(np.isfinite(place).all() and abs(place[0]) <= 90.0, "its place on the earth is none")
         return Georeference(TangentPlane(*place.tolist()), T_enu_first.compose(spatial(first).inverse()))
 

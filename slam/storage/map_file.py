@@ -194,42 +194,42 @@ class MapFile:
         MapFileError
             If it is missing or damaged.
         """
-        with self.blaming(table, number):
-            found = self.connection.execute(f"SELECT * FROM {table.name} WHERE number = ?", (number,))
-            return self._checked(table, number, found.fetchone(), again=again)
+        with self.naming_row(table, number):
+            cursor = self.connection.execute(f"SELECT * FROM {table.name} WHERE number = ?", (number,))
+            return self._checked(table, number, cursor.fetchone(), again=again)
 
     def rows(self, table: Table) -> Iterator[tuple[Value, ...]]:
         """Yield the values of all rows in order, one in memory at a time; `MapFileError` as in `row`."""
         if table.name not in self._counts:
             return  # the map is older than the table
         number = -1
-        with self.blaming(table, 0):
-            found = iter(self.connection.execute(f"SELECT * FROM {table.name} ORDER BY number"))
+        with self.naming_row(table, 0):
+            rows = iter(self.connection.execute(f"SELECT * FROM {table.name} ORDER BY number"))
         for number in range(self._counts[table.name]):
-            with self.blaming(table, number):
-                values = self._checked(table, number, next(found, None))
+            with self.naming_row(table, number):
+                values = self._checked(table, number, next(rows, None))
             yield values
-        with self.blaming(table, number + 1):
-            if next(found, None) is not None:
+        with self.naming_row(table, number + 1):
+            if next(rows, None) is not None:
                 raise MapFileError(f"row {number + 1} should not be there")
 
     def parsed(self, table: Table, parse: Callable[[tuple[Any, ...]], T]) -> Iterator[T]:
         """Yield every parsed row of a table; an invalid row is reported by its number."""
         for number, row in enumerate(self.rows(table)):
-            with self.blaming(table, number):
-                found = parse(row)
-            yield found
+            with self.naming_row(table, number):
+                value = parse(row)
+            yield value
 
     def tally(self, table: Table, *columns: str) -> Counter[tuple[Value, ...]]:
         """Count rows by the values of some columns; other columns are not read."""
         if table.name not in self._counts:
             return Counter()
         names = ", ".join(columns)
-        with self.blaming(table, 0):
-            found = self.connection.execute(
+        with self.naming_row(table, 0):
+            rows = self.connection.execute(
                 f"SELECT {names}, count(*) FROM {table.name} GROUP BY {names} ORDER BY {names}"
             )
-            return Counter({values: count for *values, count in found for values in [tuple(values)]})
+            return Counter({values: count for *values, count in rows for values in [tuple(values)]})
 
     def clear(self, table: Table) -> None:
         """Remove all rows of a table."""
@@ -310,11 +310,11 @@ class MapFile:
     def _count_rows(self) -> None:
         """Count the rows of every table."""
         for table in self.tables:
-            with self.blaming(table, 0):
-                found = self.connection.execute(f"SELECT count(*), max(number) FROM {table.name}").fetchone()
-                if found[0] != (-1 if found[1] is None else found[1]) + 1:
-                    raise MapFileError(f"its {found[0]} rows are not numbered without a gap")
-            self._counts[table.name] = found[0]
+            with self.naming_row(table, 0):
+                counts = self.connection.execute(f"SELECT count(*), max(number) FROM {table.name}").fetchone()
+                if counts[0] != (-1 if counts[1] is None else counts[1]) + 1:
+                    raise MapFileError(f"its {counts[0]} rows are not numbered without a gap")
+            self._counts[table.name] = counts[0]
 
     def _check_seal(self) -> None:
         """Raise an error for a map that is not finished, or has lost rows."""
@@ -322,12 +322,12 @@ class MapFile:
         seal = self.meta().get(SEAL)
         if seal is None:
             raise UnfinishedMapError(_unfinished(self.path))
-        with self.blaming(META, self.count(META) - 1):
+        with self.naming_row(META, self.count(META) - 1):
             known = list(zip(self.tables, self._digests(), from_json(seal), strict=True))
-        for table, found, sealed in known:
-            if found != sealed:
+        for table, actual, sealed in known:
+            if actual != sealed:
                 raise MapFileError(
-                    f"{self.path} is damaged: table {table.name} has {found[0]} rows of digest {found[1]}, "
+                    f"{self.path} is damaged: table {table.name} has {actual[0]} rows of digest {actual[1]}, "
                     f"sealed were {sealed[0]} of {sealed[1]}; make the map anew"
                 )
 
@@ -337,7 +337,7 @@ class MapFile:
         for table in self.tables:
             digest, count = hashlib.blake2b(digest_size=16), 0
             seal = " WHERE key != 'seal'" if table is META else ""
-            with self.blaming(table, 0):
+            with self.naming_row(table, 0):
                 for number, checksum in self.connection.execute(
                     f"SELECT number, checksum FROM {table.name}{seal} ORDER BY number"
                 ):
@@ -347,19 +347,19 @@ class MapFile:
         return digests
 
     def _checked(
-        self, table: Table, number: int, found: tuple[Value, ...] | None, *, again: bool = False
+        self, table: Table, number: int, row: tuple[Value, ...] | None, *, again: bool = False
     ) -> tuple[Value, ...]:
         """Return the values of a row if its checksum is correct."""
-        if found is None or found[0] != number:
+        if row is None or row[0] != number:
             raise MapFileError("it is missing")
-        if not again and found[1] != table.checksum(number, found[2:]):
+        if not again and row[1] != table.checksum(number, row[2:]):
             raise MapFileError("its checksum is wrong")
-        if misfit := table.misfit(found[2:]):
+        if misfit := table.misfit(row[2:]):
             raise MapFileError(misfit)
-        return found[2:]
+        return row[2:]
 
     @contextmanager
-    def blaming(self, table: Table, number: int) -> Iterator[None]:
+    def naming_row(self, table: Table, number: int) -> Iterator[None]:
         """Raise a `MapFileError` that names a row if the block fails."""
         try:
             yield

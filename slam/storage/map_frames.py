@@ -96,14 +96,14 @@ class MapFrames:
     def head(self, index: int) -> FrameHead:
         """Return the data of a frame without its images; errors as in `frame`."""
         node, stamp_s, sensor, steps_per_m, camera = self._row(index)[:5]
-        with self._file.blaming(FRAMES, index):
-            found = of(tuple, unpack(cast(bytes, camera)))
-            require(len(found) == 2 and 0.0 < cast(float, steps_per_m) < math.inf, "its camera is none")
-            intrinsics = of(CameraIntrinsics, found[0])
+        with self._file.naming_row(FRAMES, index):
+            fields = of(tuple, unpack(cast(bytes, camera)))
+            require(len(fields) == 2 and 0.0 < cast(float, steps_per_m) < math.inf, "its camera is none")
+            intrinsics = of(CameraIntrinsics, fields[0])
             require(
                 intrinsics.width * intrinsics.height <= MOST_PIXELS, "its camera has more pixels than any"
             )
-            T_base_camera = None if found[1] is None else of(gtsam.Pose3, found[1])
+            T_base_camera = None if fields[1] is None else of(gtsam.Pose3, fields[1])
             sound_stamp(stamp_s)
             sound_name(sensor)
         return FrameHead(
@@ -117,7 +117,7 @@ class MapFrames:
 
     def features(self, index: int) -> Features:
         """Return the ORB features of a frame, in the depth camera's image; errors as in `frame`."""
-        with self._file.blaming(FRAMES, index):
+        with self._file.naming_row(FRAMES, index):
             features = of(Features, unpack(cast(bytes, self._row(index)[5])))
             counts = {len(features.pixels), len(features.descriptors), len(features.sigma_px)}
             require(counts == {len(features)}, "its features are not as many as their places")
@@ -145,13 +145,13 @@ class MapFrames:
         """
         head = self.head(index)
         images = self._file.row(IMAGES, index)
-        with self._file.blaming(IMAGES, index):
+        with self._file.naming_row(IMAGES, index):
             color, depth_m = unpacked_images(
                 cast(bytes, images[0]), cast(bytes, images[1]), head.steps_per_m, head.intrinsics
             )
             if index in self._erased:
-                gone = mask_of(self._erased[index], depth_m.size).reshape(depth_m.shape)
-                depth_m = np.where(gone, -depth_m if taken else np.float32(0.0), depth_m)
+                erased = mask_of(self._erased[index], depth_m.size).reshape(depth_m.shape)
+                depth_m = np.where(erased, -depth_m if taken else np.float32(0.0), depth_m)
         return RgbdFrame(head.stamp_s, color, depth_m, head.intrinsics, head.T_base_camera, head.sensor)
 
     def jpeg(self, index: int) -> bytes:

@@ -83,7 +83,7 @@ class MapIdentity:
                 raise ValueError("versions are names and texts")
             return cls(config, meta["log_name"], meta["log_fingerprint"], versions)
         except KeyError as error:
-            raise MapFileError(f"{path} does not tell its {error.args[0]}; make the map anew") from error
+            raise MapFileError(f"{path} does not contain its {error.args[0]}; make the map anew") from error
         except ValidationError as error:
             raise MapFileError(
                 f"{path} was made with settings that this version does not take "
@@ -98,7 +98,7 @@ class MapIdentity:
         """Describe what differs from an interrupted run in a few words; None if nothing differs."""
         if now.log_fingerprint != self.log_fingerprint:
             return f"it was begun with another log, {self.log_name}"
-        before, after = (dict(leaves(one.config.model_dump(mode="json"))) for one in (self, now))
+        before, after = (dict(leaves(identity.config.model_dump(mode="json"))) for identity in (self, now))
         for name in {**before, **after}:
             if before.get(name) != after.get(name):
                 return f"it was begun with {name}={before.get(name)}, not {after.get(name)}"
@@ -171,7 +171,7 @@ def fingerprint_of(log: Path) -> str:
 
 def _files(root: Path) -> list[Path]:
     """Return the files of a log's folder, without those of its maps."""
-    maps = {found.parent for found in root.rglob(MAP_NAME)} - {root}
+    maps = {entry.parent for entry in root.rglob(MAP_NAME)} - {root}
     return [
         file
         for file in sorted(root.rglob("*"))
@@ -183,13 +183,13 @@ def _files(root: Path) -> list[Path]:
 
 def _versions() -> dict[str, str]:
     """Return the versions of the libraries."""
-    found = {"scanweave": __version__}
+    versions = {"scanweave": __version__}
     for name in _LIBRARIES:
         try:
-            found[name] = version(name)
+            versions[name] = version(name)
         except PackageNotFoundError:
-            found[name] = "unknown"
-    return found
+            versions[name] = "unknown"
+    return versions
 
 
 @cache
@@ -211,7 +211,7 @@ def lines_of(meta: Mapping[str, str], key: str, path: Path) -> list[str]:
     try:
         lines = from_json(meta.get(key, "[]"))
     except ValueError as error:
-        raise MapFileError(f"{path} tells no {key} ({error}); make the map anew") from error
+        raise MapFileError(f"{path} has no {key} ({error}); make the map anew") from error
     if not isinstance(lines, list) or not all(isinstance(line, str) for line in lines):
-        raise MapFileError(f"{path} tells no {key}; make the map anew")
+        raise MapFileError(f"{path} has no {key}; make the map anew")
     return lines

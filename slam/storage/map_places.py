@@ -96,18 +96,18 @@ def places_of_file(file: MapFile, poses: Sequence[Pose]) -> MapPlaces | None:
     MapFileError
         If the stored values are invalid.
     """
-    with file.blaming(META, 0):
+    with file.naming_row(META, 0):
         meta = file.meta()
         if _TAGS not in meta:
             return None
-        told = of(dict, from_json(meta[_TAGS]))
-        tags = tuple(_tag(of(dict, one), len(poses)) for one in of(list, told.get("tags")))
+        fields = of(dict, from_json(meta[_TAGS]))
+        tags = tuple(_tag(of(dict, tag), len(poses)) for tag in of(list, fields.get("tags")))
         T_survey_map = None
         if _SURVEY in meta:
             T_survey_map = pose_of_rows(from_json(meta[_SURVEY]), "its survey").compose(
                 spatial(poses[0]).inverse()
             )
-        return MapPlaces(of(str, told.get("family")), tags, T_survey_map)
+        return MapPlaces(of(str, fields.get("family")), tags, T_survey_map)
 
 
 def write_places_yaml(path: Path, places: MapPlaces, node_poses: Sequence[Pose]) -> None:
@@ -136,13 +136,13 @@ def write_places_yaml(path: Path, places: MapPlaces, node_poses: Sequence[Pose])
     write_lines(path, lines)
 
 
-def _tag(told: dict[str, Any], nodes: int) -> MapTag:
+def _tag(fields: dict[str, Any], nodes: int) -> MapTag:
     """Parse a tag from its fact."""
-    number, node, views, fit = (of(int, told.get(name)) for name in ("number", "node", "views", "fit"))
-    side_m, sigma_m = (float(of(float, told.get(name))) for name in ("side_m", "sigma_m"))
+    number, node, views, fit = (of(int, fields.get(name)) for name in ("number", "node", "views", "fit"))
+    side_m, sigma_m = (float(of(float, fields.get(name))) for name in ("side_m", "sigma_m"))
     require(0 <= node < nodes and number >= 0, "a tag hangs before no node")
     require(0.0 < side_m < np.inf and 0.0 < sigma_m < np.inf, "a tag has no size")
-    pose = pose_of_rows(told.get("T_node_tag"), "a tag's place")
+    pose = pose_of_rows(fields.get("T_node_tag"), "a tag's place")
     return MapTag(number, side_m, node, pose, sigma_m, views, fit)
 
 

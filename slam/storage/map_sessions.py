@@ -51,17 +51,17 @@ def sessions_of(meta: Mapping[str, str], keyframes: int, poses: int) -> list[Map
     try:
         sessions = [MapSession(**row) for row in from_json(meta[SESSIONS])]
         fits = all(
-            isinstance(one.log_name, str)
-            and isinstance(one.log_fingerprint, str)
-            and all(type(count) is int and count > 0 for count in (one.keyframes, one.poses))
-            for one in sessions
+            isinstance(part.log_name, str)
+            and isinstance(part.log_fingerprint, str)
+            and all(type(count) is int and count > 0 for count in (part.keyframes, part.poses))
+            for part in sessions
         )
-        whole = (sum(one.keyframes for one in sessions), sum(one.poses for one in sessions))
+        totals = (sum(part.keyframes for part in sessions), sum(part.poses for part in sessions))
     except (ValueError, TypeError) as error:
         raise MapFileError(f"the map's sessions cannot be read ({error}); make the map anew") from error
-    if not fits or whole != (keyframes, poses):
+    if not fits or totals != (keyframes, poses):
         raise MapFileError(
-            f"the map's sessions tell of {whole[0]} keyframes and {whole[1]} poses, it holds {keyframes} and "
+            f"the map's sessions have {totals[0]} keyframes and {totals[1]} poses, it holds {keyframes} and "
             f"{poses}; make the map anew"
         )
     return sessions

@@ -90,12 +90,12 @@ def sound_name(name: Any) -> str:
 def unsound_covariance(covariances: Sequence[Any], dimension: int) -> int | None:
     """Return the index of the first that is no (d, d) covariance: finite, symmetric, positive definite."""
     shape, float64 = (dimension, dimension), np.dtype(np.float64)
-    for number, one in enumerate(covariances):
-        if not isinstance(one, np.ndarray) or one.shape != shape or one.dtype != float64:
+    for number, matrix in enumerate(covariances):
+        if not isinstance(matrix, np.ndarray) or matrix.shape != shape or matrix.dtype != float64:
             return number
     if not covariances or _are_covariances(np.stack(covariances)):  # all at once is ten times as fast
         return None
-    return next(number for number, one in enumerate(covariances) if not _are_covariances(one))
+    return next(number for number, matrix in enumerate(covariances) if not _are_covariances(matrix))
 
 
 def sound_trajectory(stretch: Trajectory, poses: int) -> Trajectory:
@@ -157,7 +157,7 @@ def _array(dtype: str, *shape: int | None) -> Rule:
     def fits(value: Any) -> bool:
         if not isinstance(value, np.ndarray) or value.dtype != dtype or value.ndim != len(shape):
             return False
-        same = all(wanted in (None, size) for wanted, size in zip(shape, value.shape, strict=True))
+        same = all(expected in (None, size) for expected, size in zip(shape, value.shape, strict=True))
         return same and bool(np.isfinite(value).all())
 
     return fits
@@ -173,8 +173,8 @@ def _are_covariances(values: FloatArray) -> bool:
     """Return whether (..., d, d) matrices are finite, symmetric and positive definite."""
     if not np.isfinite(values).all():
         return False
-    off = np.abs(values - values.swapaxes(-1, -2)).max((-1, -2))
-    if (off > ROUNDING * np.abs(values).max((-1, -2))).any():
+    asymmetry = np.abs(values - values.swapaxes(-1, -2)).max((-1, -2))
+    if (asymmetry > ROUNDING * np.abs(values).max((-1, -2))).any():
         return False
     try:
         np.linalg.cholesky(values)

@@ -35,7 +35,7 @@ class Table:
     @classmethod
     def of(cls, name: str, columns: str, *optional: str) -> Table:
         """A table by its columns as SQL names them: ``key TEXT, value TEXT``."""
-        return cls(name, tuple(tuple(one.split()) for one in columns.split(", ")), frozenset(optional))
+        return cls(name, tuple(tuple(column.split()) for column in columns.split(", ")), frozenset(optional))
 
     @property
     def sql(self) -> str:
@@ -73,7 +73,7 @@ KEYFRAMES: Final = Table.of(
 FRAMES: Final = Table.of(
     "frames", "node INTEGER, stamp_s REAL, sensor TEXT, steps_per_m REAL, camera BLOB, features BLOB"
 )
-# Their images, apart: whoever asks where the frames were taken does not read them.
+# Their images are separate: the poses of the frames can be read without them.
 IMAGES: Final = Table.of("images", "color BLOB, depth BLOB")
 FACTORS: Final = Table.of(
     "factors",

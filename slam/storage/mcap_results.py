@@ -63,8 +63,8 @@ def write_results_bag(
     make_folder(folder.parent)
     try:
         kept_in = TemporaryFolder(folder.parent)
-        whole = kept_in.path / folder.name
-        with Writer(whole, version=ros.BAG_VERSION, storage_plugin=StoragePlugin.MCAP) as bag:
+        bag_path = kept_in.path / folder.name
+        with Writer(bag_path, version=ros.BAG_VERSION, storage_plugin=StoragePlugin.MCAP) as bag:
             connections = {
                 topic: bag.add_connection(
                     topic,
@@ -93,7 +93,7 @@ def write_results_bag(
             for stamp_s, placed, colors, intensities in points:
                 rows = _rows(placed, colors, intensities)
                 send("/points", stamp_s, ros.cloud_message(rows, stamp_s, _MAP))
-        whole.rename(folder)
+        bag_path.rename(folder)
         kept_in.remove()
     except (WriterError, OSError) as error:
         why = getattr(error, "strerror", error)

@@ -101,7 +101,7 @@ class _Graph:
     def __init__(self) -> None:
         self.nodes: list[dict[str, Any]] = []
         self.edges: list[dict[str, Any]] = []
-        self._known: dict[tuple[float, float], int] = {}
+        self._nodes: dict[tuple[float, float], int] = {}
 
     def add(self, points_map: FloatArray, begin: str, end: str, space: FreeSpace) -> None:
         """Add a path by its corners."""
@@ -118,13 +118,13 @@ class _Graph:
     def _node(self, point: list[float], name: str) -> int:
         """Return the number of a node, created if needed."""
         key = (round(point[0], 3), round(point[1], 3))
-        if key not in self._known:
-            self._known[key] = len(self._known)
-            properties: dict[str, Any] = {"id": self._known[key], "frame": "map"}
+        if key not in self._nodes:
+            self._nodes[key] = len(self._nodes)
+            properties: dict[str, Any] = {"id": self._nodes[key], "frame": "map"}
             if name:
                 properties["metadata"] = {"name": name}
             self.nodes.append(feature("Point", list(key), **properties))
-        return self._known[key]
+        return self._nodes[key]
 
 
 def _corners(points_map: FloatArray, space: FreeSpace) -> FloatArray:

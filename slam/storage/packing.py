@@ -110,12 +110,12 @@ class Unpacker:
     """
 
     def __init__(self, size: int) -> None:
-        self._left = _LARGEST_BYTES + _GROWTH * size
+        self._bytes_left = _LARGEST_BYTES + _GROWTH * size
 
     def __call__(self, content: bytes, read: Callable[[bytes], Any] | None = None) -> Any:
         """As `unpack_small`, or with another function than `unpack`."""
-        self._left -= _I8.unpack_from(content)[0] if len(content) >= _I8.size else 0
-        if self._left < 0:
+        self._bytes_left -= _I8.unpack_from(content)[0] if len(content) >= _I8.size else 0
+        if self._bytes_left < 0:
             raise MapFileError("it unpacks to more than any map")
         return (read or unpack)(_inflated(content))
 
@@ -146,11 +146,11 @@ def _inflated(content: bytes) -> bytes:
     (size,) = _I8.unpack_from(content)
     if not 0 <= size <= _LARGEST_BYTES:
         raise MapFileError(f"compressed values of {size} bytes")
-    unpacker, plain, left = zlib.decompressobj(), bytearray(), content[_I8.size :]
+    unpacker, plain, packed = zlib.decompressobj(), bytearray(), content[_I8.size :]
     try:
-        while len(plain) <= size and (part := unpacker.decompress(left, _LARGEST_BYTES >> 8)):
+        while len(plain) <= size and (part := unpacker.decompress(packed, _LARGEST_BYTES >> 8)):
             plain += part
-            left = unpacker.unconsumed_tail
+            packed = unpacker.unconsumed_tail
     except zlib.error as error:
         raise MapFileError(f"compressed values are damaged: {error}") from error
     if len(plain) != size or not unpacker.eof:
@@ -238,8 +238,8 @@ def _unpack(content: bytes, at: int, depth: int) -> tuple[Any, int]:
     if tag == b"3":
         rows = np.array(_POSE3.unpack_from(content, at)).reshape(3, 4)
         turn = rows[:, :3]
-        off = np.abs(turn @ turn.T - np.eye(3)).max() if np.abs(rows).max() < FARTHEST_M else np.inf
-        if not (off < ROUNDING and np.linalg.det(turn) > 0.0):
+        error = np.abs(turn @ turn.T - np.eye(3)).max() if np.abs(rows).max() < FARTHEST_M else np.inf
+        if not (error < ROUNDING and np.linalg.det(turn) > 0.0):
             raise ValueError("not a pose")
         return gtsam.Pose3(gtsam.Rot3(rows[:, :3]), rows[:, 3]), at + 96
     if tag not in _PLAIN:
@@ -266,6 +266,6 @@ def _unpack_array(content: bytes, at: int) -> tuple[np.ndarray[Any, Any], int]:
     size = dtype.itemsize * math.prod(shape)
     if size > len(content) - at:
         raise ValueError(f"an array of {size} bytes in {len(content) - at}")
-    found = np.frombuffer(content, dtype, math.prod(shape), at).reshape(shape, order="F" if fortran else "C")
-    own = isinstance(content, bytearray) and found.flags.aligned
-    return found if own else found.copy(order="A"), at + size
+    array = np.frombuffer(content, dtype, math.prod(shape), at).reshape(shape, order="F" if fortran else "C")
+    own = isinstance(content, bytearray) and array.flags.aligned
+    return array if own else array.copy(order="A"), at + size

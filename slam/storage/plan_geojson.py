@@ -54,9 +54,9 @@ def plan_geojson(plan: FloorPlan) -> dict[str, Any]:
         for wall in room.walls:
             for begin, end, seen in wall.pieces():
                 line = [_rounded(begin), _rounded(end)]
-                told = {"kind": "wall", "room": room.number, "seen": seen, "sigma_m": _some(wall.sigma_m)}
+                tags = {"kind": "wall", "room": room.number, "seen": seen, "sigma_m": _some(wall.sigma_m)}
                 if line[0] != line[1]:  # shorter than a tenth of a millimetre: no line
-                    features.append(feature("LineString", line, **told))
+                    features.append(feature("LineString", line, **tags))
     for door in plan.doors:
         line = [_rounded(door.begin_m), _rounded(door.end_m)]
         width = round(door.width_m, 2)

@@ -89,8 +89,8 @@ def read_cloud_ply(path: Path) -> ColoredCloud:
         raise MapFileError(f"{path}: points without {error}; wanted are normals and colours") from error
     except ValueError as error:
         raise MapFileError(f"{path}: {error}; save the map again") from error
-    told = None if intensities is None else intensities.astype(np.float32)
-    return ColoredCloud(points.astype(np.float32), colors, normals.astype(np.float32), told)
+    values = None if intensities is None else intensities.astype(np.float32)
+    return ColoredCloud(points.astype(np.float32), colors, normals.astype(np.float32), values)
 
 
 def _vertices(
@@ -116,7 +116,7 @@ def _write(path: Path, elements: dict[str, tuple[list[str], NDArray[Any]]]) -> N
 
 
 def _header(elements: dict[str, tuple[list[str], int]]) -> bytes:
-    """What tells a reader which properties the elements have, and how many there are."""
+    """The header: the properties of the elements, and how many there are."""
     lines = ["ply", "format binary_little_endian 1.0", "comment Scanweave: metres, map frame"]
     for name, (properties, count) in elements.items():
         lines += [f"element {name} {count}", *properties]

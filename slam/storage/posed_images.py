@@ -14,7 +14,7 @@ from slam.storage.files import make_folder, write_bytes
 from slam.storage.map_frames import MapFrames
 
 IMAGES, DEPTHS, MASKS = "images", "depth", "masks"
-DEPTH_STEPS_PER_M = 1000.0  # 16-bit millimetres, as nerfstudio takes them where nothing else is told
+DEPTH_STEPS_PER_M = 1000.0  # 16-bit millimetres, the default of nerfstudio
 
 
 @dataclass(frozen=True, slots=True)
@@ -28,7 +28,7 @@ class PosedImage:
     T_map_camera
         Of the optical frame: z forward, x right, y down.
     masked
-        Whether ``masks/`` tells which of its pixels are known.
+        Whether ``masks/`` shows which of its pixels are known.
     """
 
     name: str

@@ -93,8 +93,8 @@ def stamp_text(stamp_s: float) -> str:
     text = repr(float(stamp_s))  # a tenth of what numpy takes
     if "e" in text:
         text = np.format_float_positional(stamp_s, unique=True)
-    whole, _, decimals = text.partition(".")
-    return f"{whole}.{decimals.ljust(_STAMP_DECIMALS, '0')}"
+    seconds, _, decimals = text.partition(".")
+    return f"{seconds}.{decimals.ljust(_STAMP_DECIMALS, '0')}"
 
 
 def _to_unit_length(quaternions: FloatArray) -> FloatArray:

@@ -13,11 +13,11 @@ from slam.errors import MapFileError
 from slam.storage.files import make_folder, replacing
 from slam.storage.map_file import MAP_NAME
 
-# Where a map is made anew until it is whole.
+# Where a map is built until it is complete.
 _WORK = "editing"
 # The page of a map as it is, and that of the run which made its first session.
 REPORT, FIRST_REPORT = "report.html", "report-1.html"
-# Maps of nav2 that not every map has: what is left of them would tell of another map.
+# Files of nav2 that not every map has: old ones would be of another map.
 _NOT_ALWAYS = ("layers/*.yaml", "layers/*.pgm", "*_mask.yaml", "*_mask.pgm")
 
 
@@ -55,7 +55,7 @@ def copy_into(folder: Path, path: Path, *, overwrite: bool) -> Path:
 
 @contextmanager
 def only_one_in(folder: Path) -> Iterator[None]:
-    """Keep others from changing the map of a folder during the block; a killed process lets go of it.
+    """Keep others from changing the map of a folder during the block; a killed process releases it.
 
     Raises
     ------

@@ -48,16 +48,16 @@ def carried_covariances(
         )
     between = _along_map(steps, rotations[anchors[1:]])
     numbers = np.arange(len(trajectory))
-    # Each gap reaches from its own keyframe on; the first and the last also tell of what is outside.
+    # Each gap starts at its own keyframe; the first and the last also cover the poses outside.
     gap = np.clip(np.searchsorted(anchors, numbers, side="right") - 1, 0, len(steps) - 1)
     path = np.concatenate([[0.0], np.cumsum(path_lengths(Poses(trajectory.positions_m, rotations)))])
     length = (path[anchors[1:]] - path[anchors[:-1]])[gap]
     share = ((path - path[anchors[gap]]) / length)[:, None, None]
     start = _moved(ends[gap], _from(trajectory, anchors[gap]))
     stop = _moved(ends[gap + 1], _from(trajectory, anchors[gap + 1]))
-    left = _moved(_left_over(between, ends)[gap], _from(trajectory, anchors[gap + 1]))
+    bridge = _moved(_excess(between, ends)[gap], _from(trajectory, anchors[gap + 1]))
     onward = _moved(between[gap], _from(trajectory, anchors[gap + 1]))
-    inside = (1.0 - share) * start + share * stop + share * (1.0 - share) * left
+    inside = (1.0 - share) * start + share * stop + share * (1.0 - share) * bridge
     return np.where(
         share < 0.0, start - share * onward, np.where(share > 1.0, stop + (share - 1.0) * onward, inside)
     )
@@ -86,38 +86,38 @@ def unseen_covariances(
     (N, 3, 3) of x, y, yaw, or (N, 6, 6) of x, y, z and a rotation vector: along the axes of the map.
     """
     poses, power = Poses.of_trajectory(trajectory), 2 if wheels is None else 1
-    missed, way = poses[scans[:-1]].between(poses[scans[1:]]), trajectory.stamps_s
+    missed, travelled = poses[scans[:-1]].between(poses[scans[1:]]), trajectory.stamps_s
     if wheels is not None:
         missed = wheels[scans[:-1]].between(wheels[scans[1:]]).between(missed)
-        way = np.concatenate([[0.0], np.cumsum(path_lengths(wheels))])
+        travelled = np.concatenate([[0.0], np.cumsum(path_lengths(wheels))])
     # Of position and rotation.
     squares = np.square(missed.offsets()).reshape(-1, 2, 3).sum(axis=2)
-    apart_s, lengths = np.diff(trajectory.stamps_s[scans]), np.diff(way[scans]) ** power
-    usual = (apart_s > 0.0) & (apart_s <= GAP_S)
-    rates = squares[usual].sum(axis=0) / max(float(lengths[usual].sum()), TINY)
+    gaps_s, lengths = np.diff(trajectory.stamps_s[scans]), np.diff(travelled[scans]) ** power
+    usual_gaps = (gaps_s > 0.0) & (gaps_s <= GAP_S)
+    rates = squares[usual_gaps].sum(axis=0) / max(float(lengths[usual_gaps].sum()), TINY)
     over = lengths[:, None] * rates + (squares if wheels is not None else 0.0)
     last = np.searchsorted(scans, np.arange(len(trajectory)), side="right") - 1
-    seen = scans[np.maximum(last, 0)]
-    since = way - way[seen]
-    told = np.zeros((len(trajectory), 2))
+    last_scan = scans[np.maximum(last, 0)]
+    since = travelled - travelled[last_scan]
+    variances = np.zeros((len(trajectory), 2))
     outside = (last < 0) | (last == len(scans) - 1)
-    told[outside] = np.abs(since[outside, None]) ** power * rates
+    variances[outside] = np.abs(since[outside, None]) ** power * rates
     inside = np.flatnonzero(~outside)
-    inside = inside[apart_s[last[inside]] > GAP_S]
+    inside = inside[gaps_s[last[inside]] > GAP_S]
     gap = last[inside]
     # Stamps may run backward.
-    share = np.clip(since[inside] / (way[scans[gap + 1]] - way[scans[gap]]), 0.0, 1.0)[:, None]
-    told[inside] = share * (1.0 - share) * over[gap]
-    covariances = told[:, [0, 0, 1] if size == 3 else [0, 0, 0, 1, 1, 1], None] * np.eye(size)
-    return covariances if wheels is None else _moved(covariances, _from(trajectory, seen))
+    share = np.clip(since[inside] / (travelled[scans[gap + 1]] - travelled[scans[gap]]), 0.0, 1.0)[:, None]
+    variances[inside] = share * (1.0 - share) * over[gap]
+    covariances = variances[:, [0, 0, 1] if size == 3 else [0, 0, 0, 1, 1, 1], None] * np.eye(size)
+    return covariances if wheels is None else _moved(covariances, _from(trajectory, last_scan))
 
 
 def bridged_covariances(trajectory: Trajectory, bridged: Mapping[int, FloatArray]) -> FloatArray:
     """Return the (N, 6, 6) additional covariance of poses from an IMU alone, see `Readings.bridged`."""
-    found, rows = np.zeros((len(trajectory), 6, 6)), list(bridged)
+    covariances, rows = np.zeros((len(trajectory), 6, 6)), list(bridged)
     turns = scipy.spatial.transform.Rotation.from_quat(trajectory.quaternions_xyzw[rows])
-    found[rows] = _along_map(np.array(list(bridged.values())), turns)
-    return found
+    covariances[rows] = _along_map(np.array(list(bridged.values())), turns)
+    return covariances
 
 
 def grown_covariances(trajectory: Trajectory, covariances: FloatArray, first: int, last: int) -> FloatArray:
@@ -134,7 +134,7 @@ def grown_covariances(trajectory: Trajectory, covariances: FloatArray, first: in
 
 
 def late_covariances(
-    trajectory: Trajectory, held: int, sessions: Sequence[tuple[int, float]], size: int
+    trajectory: Trajectory, fixed: int, sessions: Sequence[tuple[int, float]], size: int
 ) -> FloatArray:
     """Compute the effect of a common stamp error per session on poses, one of which is fixed.
 
@@ -142,7 +142,7 @@ def late_covariances(
     ----------
     trajectory
         N poses in the map, one session after the other.
-    held
+    fixed
         Number of the fixed pose, in the first session: if it moves, all others get an error.
     sessions
         For each its number of poses, and the standard deviation of its error in seconds; errors of two
@@ -158,12 +158,12 @@ def late_covariances(
     speeds = np.concatenate(
         [_speeds(trajectory[end - n : end]) for end, (n, _) in zip(ends, sessions, strict=True)]
     )
-    off = np.repeat([sigma_s for _, sigma_s in sessions], np.diff(ends, prepend=0))[:, None] * speeds
-    held_off = np.tile(sessions[0][1] * speeds[held], (len(speeds), 1))
-    held_off[:, :3] += np.cross(held_off[:, 3:], _from(trajectory, np.full(len(trajectory), held)))
-    off[: ends[0]] -= held_off[: ends[0]]
-    held_off[: ends[0]] = 0.0
-    both = np.array([off, held_off])[:, :, [0, 1, 5] if size == 3 else slice(None)]
+    errors = np.repeat([sigma_s for _, sigma_s in sessions], np.diff(ends, prepend=0))[:, None] * speeds
+    held_errors = np.tile(sessions[0][1] * speeds[fixed], (len(speeds), 1))
+    held_errors[:, :3] += np.cross(held_errors[:, 3:], _from(trajectory, np.full(len(trajectory), fixed)))
+    errors[: ends[0]] -= held_errors[: ends[0]]
+    held_errors[: ends[0]] = 0.0
+    both = np.array([errors, held_errors])[:, :, [0, 1, 5] if size == 3 else slice(None)]
     return np.einsum("kni,knj->nij", both, both)
 
 
@@ -180,7 +180,7 @@ def _speeds(trajectory: Trajectory) -> FloatArray:
     return np.column_stack([*shifts, turns]) / np.diff(ends, axis=0).T
 
 
-def _left_over(steps: FloatArray, ends: FloatArray) -> FloatArray:
+def _excess(steps: FloatArray, ends: FloatArray) -> FloatArray:
     """Return the (K - 1, d, d) covariance of steps that exceeds that of their two ends."""
     values, axes = np.linalg.eigh(steps - 2.0 * (ends[:-1] + ends[1:]))
     return np.einsum("kij,kj,klj->kil", axes, np.maximum(values, 0.0), axes)

@@ -31,7 +31,7 @@ class Readings:
     def __init__(self) -> None:
         self.bridged: dict[int, FloatArray] = {}
         self._stamps_s = array("d")
-        self._told_s = array("d")
+        self._reported_s = array("d")
         self._wheel_poses = array("d")
         self._scan_readings = array("q")
         self._scan_poses = array("d")
@@ -44,10 +44,10 @@ class Readings:
         """Number of scans, clouds or frames so far that have a pose."""
         return len(self._scan_readings)
 
-    def add_wheel(self, stamp_s: float, pose: FloatArray | None, told_s: float | None = None) -> None:
+    def add_wheel(self, stamp_s: float, pose: FloatArray | None, reported_s: float | None = None) -> None:
         """Add a reading with the wheels' pose (3,), odom frame; None if there is none."""
         self._stamps_s.append(stamp_s)
-        self._told_s.append(stamp_s if told_s is None else told_s)
+        self._reported_s.append(stamp_s if reported_s is None else reported_s)
         self._wheel_poses.extend((np.nan,) * 3 if pose is None else pose)
 
     def add_scan(
@@ -58,7 +58,7 @@ class Readings:
         *,
         covariance: FloatArray | None = None,
         trusted: bool = True,
-        told_s: float | None = None,
+        reported_s: float | None = None,
     ) -> None:
         """Add a scan with its pose in the odometry frame; an untrusted one is no anchor for others.
 
@@ -66,24 +66,24 @@ class Readings:
         ----------
         covariance
             (d, d) of the pose against the scans around it, GTSAM's order; None if nothing measured it.
-        told_s
+        reported_s
             Stamp in the log, if it differs from that of the pose.
         """
         variances = [math.nan] * 6
         if covariance is not None:
             own = covariance.diagonal().tolist()
-            # Of position and rotation along x, y, z, from GTSAM's order; zero for what a plane does not have.
+            # Of position and rotation along x, y, z, from GTSAM's order; zero for axes that a plane lacks.
             variances = [*own[:2], 0.0, 0.0, 0.0, own[2]] if len(own) == 3 else own[3:] + own[:3]
         self._scan_variances.extend(variances)
         self._scan_readings.append(len(self._stamps_s))
         self._scan_trusted.append(trusted)
         self._scan_poses.extend(spatial(pose).matrix()[:3].ravel().tolist())
-        self.add_wheel(stamp_s, wheel_pose, told_s)
+        self.add_wheel(stamp_s, wheel_pose, reported_s)
 
     def restamp(self, scans: NDArray[np.int64], stamps_s: FloatArray) -> None:
         """Correct the times (M,) of scans (M,)."""
         for reading, stamp_s in zip(np.array(self._scan_readings)[scans], stamps_s, strict=True):
-            self._stamps_s[reading] = self._told_s[reading] = stamp_s
+            self._stamps_s[reading] = self._reported_s[reading] = stamp_s
 
     def read_wheels_at(self, ahead_s: float, scans: NDArray[np.int64] | None = None) -> None:
         """Read the wheels' pose of each reading again: their stamps are ahead by this offset.
@@ -96,13 +96,13 @@ class Readings:
             (M,) the only scans to update.
         """
         stamps_s, poses = np.array(self._stamps_s), np.array(self._wheel_poses).reshape(-1, 3)
-        asked = np.arange(len(poses)) if scans is None else np.array(self._scan_readings)[scans]
+        updated = np.arange(len(poses)) if scans is None else np.array(self._scan_readings)[scans]
         of_wheels = ~np.isnan(poses[:, 0])
         of_wheels[self._scan_readings] = False
-        told = np.flatnonzero(of_wheels)
-        breaks = told[1:][np.diff(stamps_s[told]) < 0.0]
-        for part in np.split(np.arange(len(poses)), breaks) if told.size else []:
-            known, part = part[of_wheels[part]], np.intersect1d(part, asked)
+        wheel_readings = np.flatnonzero(of_wheels)
+        breaks = wheel_readings[1:][np.diff(stamps_s[wheel_readings]) < 0.0]
+        for part in np.split(np.arange(len(poses)), breaks) if wheel_readings.size else []:
+            known, part = part[of_wheels[part]], np.intersect1d(part, updated)
             rows = np.column_stack([poses[known, :2], np.unwrap(poses[known, 2])])
             for column, values in enumerate(rows.T):
                 poses[part, column] = np.interp(stamps_s[part] + ahead_s, stamps_s[known], values)
@@ -118,7 +118,7 @@ class Readings:
 
     def scan_stamps_s(self) -> FloatArray:
         """(S,) stamps of the scans in the log."""
-        return np.array(self._told_s)[np.array(self._scan_readings, dtype=np.int64)]
+        return np.array(self._reported_s)[np.array(self._scan_readings, dtype=np.int64)]
 
     def keyframe_wheels(self) -> FloatArray:
         """(K, 3) pose of the wheels at each keyframe, odom frame; NaN if there is none."""
@@ -155,8 +155,8 @@ class Readings:
         poses = self._scans_of(Poses.of(keyframe_poses), motion)[trusted]
         if motion is None:
             motion = _motion_without_wheels(stamps_s, scans, poses)
-        found = spread_correction(motion, scans, poses).trajectory(stamps_s)
-        return at_stamps(found, np.array(self._told_s))
+        spread = spread_correction(motion, scans, poses).trajectory(stamps_s)
+        return at_stamps(spread, np.array(self._reported_s))
 
     def _trusted(self) -> BoolArray:
         """Return (S,) which scans are anchors for the others: keyframes, and trusted scans."""
@@ -186,12 +186,12 @@ def at_stamps(trajectory: Trajectory, stamps_s: FloatArray) -> Trajectory:
     if len(own_s) < 2 or np.array_equal(own_s, stamps_s):
         return Trajectory(stamps_s, trajectory.positions_m, trajectory.quaternions_xyzw)
     poses, steps_s = trajectory.poses(), np.diff(own_s)
-    steps_s[steps_s <= 0.0] = np.inf  # one that comes twice, or late, tells no motion
-    twists = np.array([gtsam.Pose3.Logmap(one.between(next_)) for one, next_ in pairwise(poses)])
+    steps_s[steps_s <= 0.0] = np.inf  # a repeated or late stamp gives no motion
+    twists = np.array([gtsam.Pose3.Logmap(last.between(next_)) for last, next_ in pairwise(poses)])
     rates = np.pad(twists / steps_s[:, None], ((1, 1), (0, 0)))
     spans_s = np.pad(steps_s, 1, constant_values=np.inf)[:, None]
     before, after, before_s, after_s = rates[:-1], rates[1:], spans_s[:-1], spans_s[1:]
-    # The shorter a step, the more it tells of the speed at its ends.
+    # The shorter a step, the larger its weight for the speed at its ends.
     speeds = (before / before_s + after / after_s) / (TINY + 1.0 / before_s + 1.0 / after_s)
     near_s = np.minimum(before_s, after_s)
     late_s = np.clip((stamps_s - own_s)[:, None], -near_s, near_s)

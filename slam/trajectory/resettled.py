@@ -23,7 +23,7 @@ def resettled(
     before: Poses,
     after: Poses,
     sessions: Sequence[tuple[int, int, float]],
-    told: tuple[FloatArray, FloatArray],
+    node_covariances: tuple[FloatArray, FloatArray],
 ) -> tuple[Trajectory, FloatArray]:
     """Update a trajectory of one or more sessions and its covariances after its keyframes moved.
 
@@ -37,35 +37,35 @@ def resettled(
         K base poses at the keyframes, when the trajectory was made and now.
     sessions
         Number of keyframes and poses of each, and the sigma of its common stamp error, as
-        `slam.storage.map_contents.parts_of` tells.
-    told
+        `slam.storage.map_contents.parts_of` returns.
+    node_covariances
         Covariances (K, d, d) of ``after``, and (K - 1, d, d) of the steps, as `carried_covariances` takes
         them.
     """
-    covariances, steps = told
-    positions, quaternions, uncertain, held, first, node = [], [], [], [], 0, 0
+    covariances, steps = node_covariances
+    positions, quaternions, cov_parts, start, first, node = [], [], [], [], 0, 0
     # One session at a time: their clocks may overlap.
     for keyframes, poses, _ in sessions:
         part, nodes = slice(first, first + poses), slice(node, node + keyframes)
         first, node = part.stop, nodes.stop
-        own = trajectory[part]
-        readings, kept = _readings_of(keyframe_stamps_s[nodes], own.stamps_s)
-        motion = Poses.of_trajectory(own)
+        session = trajectory[part]
+        readings, kept = _readings_of(keyframe_stamps_s[nodes], session.stamps_s)
+        motion = Poses.of_trajectory(session)
         anchors = after[nodes][kept].compose(before[nodes][kept].between(motion[readings]))
-        carried = spread_correction(motion, readings, anchors).trajectory(own.stamps_s)
+        carried = spread_correction(motion, readings, anchors).trajectory(session.stamps_s)
         # Where a keyframe is passed over, the steps to it and from it are one.
-        ways = steps[nodes.start : nodes.stop - 1]
-        ways = np.add.reduceat(ways[: kept[-1]], kept[:-1]) if len(kept) > 1 else ways[:0]
-        uncertain.append(carried_covariances(carried, readings, covariances[nodes][kept], ways))
-        held.append(readings[0])
+        moves = steps[nodes.start : nodes.stop - 1]
+        moves = np.add.reduceat(moves[: kept[-1]], kept[:-1]) if len(kept) > 1 else moves[:0]
+        cov_parts.append(carried_covariances(carried, readings, covariances[nodes][kept], moves))
+        start.append(readings[0])
         positions.append(carried.positions_m)
         quaternions.append(carried.quaternions_xyzw)
-    found = Trajectory(trajectory.stamps_s, np.concatenate(positions), np.concatenate(quaternions))
-    whole = np.concatenate(uncertain)
+    moved = Trajectory(trajectory.stamps_s, np.concatenate(positions), np.concatenate(quaternions))
+    total = np.concatenate(cov_parts)
     if any(sigma_s for *_, sigma_s in sessions):
         late = [(poses, sigma_s) for _, poses, sigma_s in sessions]
-        whole += late_covariances(found, int(held[0]), late, whole.shape[1])
-    return found, whole
+        total += late_covariances(moved, int(start[0]), late, total.shape[1])
+    return moved, total
 
 
 def _readings_of(keyframes_s: FloatArray, stamps_s: FloatArray) -> tuple[Indices, Indices]:

@@ -83,14 +83,14 @@ def steadied(matched: Poses, bridged: Poses, variances: FloatArray, anchors: NDA
     within = (numbers >= anchors[0]) & (numbers <= anchors[-1])
     free = np.ones(len(matched))
     free[anchors] = 0.0
-    off = bridged.between(matched).offsets()
+    offsets = bridged.between(matched).offsets()
     counted = (free * within)[:, None]
-    squares = _around(counted * off * off)
+    squares = _around(counted * offsets * offsets)
     noise = variances * _around(counted)
     steady = within & (free > 0.0) & ~np.isnan(variances[:, 0])
-    share = np.zeros_like(off)
+    share = np.zeros_like(offsets)
     np.divide(noise, squares, out=share, where=squares > noise)
-    kept = np.where(squares > noise, off * (1.0 - share), 0.0)
+    kept = np.where(squares > noise, offsets * (1.0 - share), 0.0)
     kept[~steady] = 0.0
     still = Poses.planar(np.zeros((len(matched), 3)))
     return bridged.compose(still.moved(kept)).where(steady, matched)
@@ -98,10 +98,10 @@ def steadied(matched: Poses, bridged: Poses, variances: FloatArray, anchors: NDA
 
 def _around(rows: FloatArray) -> FloatArray:
     """Return (S, K) sums over each row and enough rows around it for a statistic."""
-    beside = FEWEST // 2
-    padded = np.pad(rows, ((beside, beside), (0, 0)))
+    half = FEWEST // 2
+    padded = np.pad(rows, ((half, half), (0, 0)))
     total = np.zeros_like(rows)
-    for first in range(2 * beside + 1):
+    for first in range(2 * half + 1):
         total += padded[first : first + len(rows)]
     return total
 

@@ -28,24 +28,24 @@ _GRIDS = 10  # moments at which the growing grid is shown
 
 def record_map(viewer: Viewer, result: MapResult, config: Config) -> None:
     """Show a finished map."""
-    found, layers = result.map, result.map.layers(config)
-    poses = found.node_poses
+    contents, layers = result.map, result.map.layers(config)
+    poses = contents.node_poses
     positions_m = Poses.of(poses).positions_m
-    viewer.polyline("trajectory", found.trajectory.positions_m)
+    viewer.polyline("trajectory", contents.trajectory.positions_m)
     for name, holds in (("graph", True), ("refused edges", False)):
         ends = [
             (positions_m[factor.edge.source], positions_m[factor.edge.target])
-            for factor in found.factors
+            for factor in contents.factors
             if factor.kept is holds
         ]
         viewer.edges(name, np.array(ends).reshape(-1, 2, 3), holds=holds)
     for note in [*result.notes, *result.warnings]:
         viewer.note(note)
     _record_keyframes(viewer, result, poses, positions_m)
-    for frame in found.frames or ():
+    for frame in contents.frames or ():
         viewer.at(frame.stamp_s)
         viewer.image(frame.sensor, frame.color, frame.depth_m)
-    _record_grids(viewer, found, config)
+    _record_grids(viewer, contents, config)
     if layers is not None:
         for name in layers.names:
             viewer.grid(f"{name} layer", layers.states(name), layers.resolution_m, layers.T_map_grid)
@@ -71,9 +71,9 @@ def _record_keyframes(
 ) -> None:
     """Robot, scan and loops at every keyframe."""
     scans, shares = result.map.keyframe_scans, result.scans.inlier_shares[result.map.readings]
-    met: dict[int, list[tuple[int, bool]]] = {}
+    loops_of: dict[int, list[tuple[int, bool]]] = {}
     for loop in result.map.loops:
-        met.setdefault(loop.keyframe, []).append((loop.place, loop.accepted))
+        loops_of.setdefault(loop.keyframe, []).append((loop.place, loop.accepted))
     shown = False
     for key, (stamp_s, pose) in enumerate(zip(result.map.stamps_s, poses, strict=True)):
         viewer.at(float(stamp_s))
@@ -83,7 +83,7 @@ def _record_keyframes(
             viewer.scan(_scan_points(scan, pose))
         if np.isfinite(shares[key]):
             viewer.figure("inlier share", float(shares[key]))
-        loops = met.get(key, [])
+        loops = loops_of.get(key, [])
         if loops or shown:  # what the keyframe before has shown goes
             for name, holds in (("loops", True), ("refused loops", False)):
                 ends = [(positions_m[place], positions_m[key]) for place, kept in loops if kept is holds]
@@ -91,19 +91,19 @@ def _record_keyframes(
         shown = bool(loops)
 
 
-def _record_grids(viewer: Viewer, found: MapContents, config: Config) -> None:
+def _record_grids(viewer: Viewer, contents: MapContents, config: Config) -> None:
     """The grid as it grows, and as it is saved."""
-    if found.grid is None:
+    if contents.grid is None:
         return
-    stamps_s, count = found.stamps_s, len(found.keyframe_scans)
+    stamps_s, count = contents.stamps_s, len(contents.keyframe_scans)
     for end in np.unique(np.linspace(1, count, _GRIDS + 1).astype(int))[:-1]:
         try:
-            grid = grid_of_keyframes(found.keyframe_scans[:end], found.keyframe_poses[:end], config)
+            grid = grid_of_keyframes(contents.keyframe_scans[:end], contents.keyframe_poses[:end], config)
         except ScanweaveError:
             continue  # the whole one fitted, this one has no beam
         if grid is not None:
             _show(viewer, float(stamps_s[end - 1]), grid)
-    _show(viewer, float(stamps_s[-1]), found.grid)
+    _show(viewer, float(stamps_s[-1]), contents.grid)
 
 
 def _show(viewer: Viewer, stamp_s: float, grid: OccupancyGrid) -> None:

@@ -93,7 +93,7 @@ class Viewer:
         self._log("notes", self._rr.TextLog(text))
 
     def _log(self, path: str, what: Any) -> None:
-        """Write one thing, of this moment or of all time."""
+        """Write an entity, for this moment or for all time."""
         self._stream.log(path.split("/"), what, static=self._static)  # parts are escaped, whatever they hold
 
 

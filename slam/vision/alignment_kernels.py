@@ -74,9 +74,9 @@ def _surface_part(  # type: ignore[no-untyped-def]
         _place(px, py, pz, T, camera, m[8], m[9], m[10], m[11], m[12], at)
         _look_up(planes, at, px.size, m[13], m[14], m[15], m[16])
         _turn(m[14], m[15], m[16], ox, oy, oz, T, m[3], m[4], m[5], m[7])
-        met = m[13], m[14], m[15], m[16]
+        planes_hit = m[13], m[14], m[15], m[16]
         part = seen[first:end], residuals[first:end]
-        _judge(m[8], m[9], m[10], m[11], m[12], met, camera, limits, m[6], m[7], *part)
+        _judge(m[8], m[9], m[10], m[11], m[12], planes_hit, camera, limits, m[6], m[7], *part)
         _moment(px, py, pz, m[3], m[4], m[5], m[0], m[1], m[2])
         if informed:
             _moment(px, py, pz, ox, oy, oz, m[8], m[9], m[10])
@@ -120,7 +120,7 @@ def _look_up(planes, at, count, inverse, nx, ny, nz):  # type: ignore[no-untyped
 
 
 @kernel(nogil=True)
-def _turn(nx, ny, nz, ox, oy, oz, T, mx, my, mz, alike):  # type: ignore[no-untyped-def]
+def _turn(nx, ny, nz, ox, oy, oz, T, mx, my, mz, facing):  # type: ignore[no-untyped-def]
     """Rotate the view's normals to the frame; write whether they agree with its own, 1 or 0."""
     nothing, one = np.float32(0.0), np.float32(1.0)
     r00, r01, r02 = T[0, 0], T[0, 1], T[0, 2]
@@ -132,7 +132,7 @@ def _turn(nx, ny, nz, ox, oy, oz, T, mx, my, mz, alike):  # type: ignore[no-unty
         c = r02 * nx[i] + r12 * ny[i] + r22 * nz[i]
         cosine = a * ox[i] + b * oy[i] + c * oz[i]
         mx[i], my[i], mz[i] = a, b, c
-        alike[i] = one if cosine >= _LEAST_NORMAL_COSINE else nothing
+        facing[i] = one if cosine >= _LEAST_NORMAL_COSINE else nothing
 
 
 @kernel(nogil=True, error_model="numpy")
@@ -149,16 +149,16 @@ def _judge(  # type: ignore[no-untyped-def]
         seen[i] = one if known else seen[i]
         depth = one / (inverse[i] if known else one)
         aside = nx[i] * (x[i] - du[i] * inverse_fx * depth) + ny[i] * (y[i] - dv[i] * inverse_fy * depth)
-        off = aside + nz[i] * (z[i] - depth)
+        residual = aside + nz[i] * (z[i] - depth)
         square = z[i] * z[i]
-        near = known & (weight[i] > nothing) & (abs(z[i] - depth) <= gate_m * max(one, square))
+        in_gate = known & (weight[i] > nothing) & (abs(z[i] - depth) <= gate_m * max(one, square))
         inverse_sigma = one / (floor_m + share * square)
-        sigmas = abs(off) * inverse_sigma
+        sigmas = abs(residual) * inverse_sigma
         tail = sigmas * inverse_kernel
         root = inverse_sigma / (one + tail * tail)
-        distance[i] = off
-        residuals[i] = min(residuals[i], sigmas if near else never)
-        weight[i] = root * root if near else nothing
+        distance[i] = residual
+        residuals[i] = min(residuals[i], sigmas if in_gate else never)
+        weight[i] = root * root if in_gate else nothing
 
 
 @kernel(nogil=True)

@@ -103,11 +103,11 @@ def register_features(
     cameras = registration.cameras()
     points_color = points_of_pixels(np.ascontiguousarray(pixels_color, dtype=np.float64), depth_m, cameras)
     z = points_color[:, 2]
-    met = z > 0.0
-    safe = np.where(met, z, 1.0)
+    is_known = z > 0.0
+    safe = np.where(is_known, z, 1.0)
     focal, centre, shift = cameras[4:6], cameras[6:8], cameras[8:10]
     pixels = (points_color[:, :2] + shift) / safe[:, None] * focal + centre
-    pixels[~met] = np.nan
+    pixels[~is_known] = np.nan
     return pixels.astype(np.float32), z.astype(np.float32)
 
 
@@ -189,7 +189,7 @@ def points_of_images(
 
 
 @kernel(error_model="numpy")
-def _first_meetings(depth_m, starts, along, down, reach, steps, met):  # type: ignore[no-untyped-def]
+def _first_meetings(depth_m, starts, along, down, reach, steps, hit_m):  # type: ignore[no-untyped-def]
     """Return depths (N,) of the first intersection of rays with the depth image; 0 if there is none."""
     height, width = depth_m.shape
     right, below = (along / reach, down / reach) if reach > 0.0 else (0.0, 0.0)
@@ -206,7 +206,7 @@ def _first_meetings(depth_m, starts, along, down, reach, steps, met):  # type: i
                 continue
             # The step was a whole pixel: repeat at the depth found, unless that leaves the surface.
             finer = _surface_reading(depth_m, column + along / z, row + down / z)
-            met[i] = finer if finer > 0.0 and abs(reach / finer - reach / z) <= 1.0 else z
+            hit_m[i] = finer if finer > 0.0 and abs(reach / finer - reach / z) <= 1.0 else z
             break
 
 

@@ -113,13 +113,13 @@ def _cross_validate(problem: Problem, own: BoolArray) -> _Half:
     starts = [replace(registered, focal_px=share * depth.fx) for share in _FOCAL_SHARES]
     fits = sorted((fit_motions(train, guess, 2 * SETTLING) for guess in starts), key=lambda fit: fit.loss)
     # Readings jump at edges, so a search may end in a local minimum: two searches rarely do.
-    beside = min((search(train, fit, tuple(AXES)) for fit in fits[:2]), key=lambda fit: fit.loss).guess
+    moved = min((search(train, fit, tuple(AXES)) for fit in fits[:2]), key=lambda fit: fit.loss).guess
     same = fit_motions(train, replace(registered, whole=True), 2 * SETTLING)
     rescaled = search(train, same, ("focal", "x", "y")).guess
-    errors = [settle(test, guess, test.poses, 2 * SETTLING)[1] for guess in (registered, rescaled, beside)]
+    errors = [settle(test, guess, test.poses, 2 * SETTLING)[1] for guess in (registered, rescaled, moved)]
     common = np.isfinite(errors[0]) & np.isfinite(errors[2])
     return _Half(
-        beside,
+        moved,
         _gains(test, errors[0], errors[2]),
         _gains(test, errors[1], errors[2]),
         errors[0][common] < MATCH_PX**2,
@@ -127,22 +127,22 @@ def _cross_validate(problem: Problem, own: BoolArray) -> _Half:
     )
 
 
-def _refusal(halves: Sequence[_Half], gain: float, apart: float, depth: CameraIntrinsics) -> str:
+def _refusal(halves: Sequence[_Half], gain: float, disagreement: float, depth: CameraIntrinsics) -> str:
     """Return why the registration must not be used; empty if the evidence is clear."""
     clear = _standard_errors(np.concatenate([half.gains for half in halves]))
     over_rescaled = _standard_errors(np.concatenate([half.gains_over_rescaled for half in halves]))
-    asked = math.sqrt(gate())
+    gate_sigmas = math.sqrt(gate())
     moves = [_distance_px(half.guess, Guess(depth.fx, depth.cx, depth.cy), depth) for half in halves]
     if gain < _LEAST_GAIN:
         return f"another camera explains {100 * gain:z.1f} % more of the held-out matches, 1 % is asked"
-    if clear < asked:
-        return f"the gain of another camera is {clear:.1f} standard errors, {asked:.1f} are asked"
-    if over_rescaled < asked:
+    if clear < gate_sigmas:
+        return f"the gain of another camera is {clear:.1f} standard errors, {gate_sigmas:.1f} are asked"
+    if over_rescaled < gate_sigmas:
         return f"other intrinsics explain it as well ({over_rescaled:.1f} standard errors): check them"
     if min(moves) < MATCH_PX:
         return f"another camera moves pixels by {min(moves):.1f}, {MATCH_PX} are asked"
-    if apart > _MOST_APART * min(moves):
-        return f"halves of the log disagree by {apart:.1f} pixels on a move of {min(moves):.1f}"
+    if disagreement > _MOST_APART * min(moves):
+        return f"halves of the log disagree by {disagreement:.1f} pixels on a move of {min(moves):.1f}"
     return ""
 
 

@@ -152,7 +152,7 @@ def search(problem: Problem, fit: Fit, axes: tuple[str, ...]) -> Fit:
                 share = float(np.clip(0.5 * (low - high) / (low + high), -_LONGEST_STEP, _LONGEST_STEP))
                 tried.append(at(axis, share * step))
                 steps[axis] = step * min(1.0, max(0.5, abs(share)))
-            fit = min(tried, key=lambda one: one.loss)
+            fit = min(tried, key=lambda trial: trial.loss)
         if before - fit.loss < _SETTLED:
             break
     return fit
@@ -223,13 +223,13 @@ def _first_motion(points: FloatArray, pixels: FloatArray, camera: CameraIntrinsi
     if np.count_nonzero(known) < FEWEST:
         return None
     matrix = np.array([[camera.fx, 0.0, camera.cx], [0.0, camera.fy, camera.cy], [0.0, 0.0, 1.0]])
-    found, turn, shift, inliers = cv2.solvePnPRansac(
+    solved, turn, shift, inliers = cv2.solvePnPRansac(
         points[known],
         pixels[known],
         matrix,
         None,
         reprojectionError=2.0 * MATCH_PX,  # with a registration that may be wrong
     )
-    if not found or inliers is None or len(inliers) < FEWEST:
+    if not solved or inliers is None or len(inliers) < FEWEST:
         return None
     return np.hstack([cv2.Rodrigues(turn)[0], shift])

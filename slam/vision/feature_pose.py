@@ -60,7 +60,7 @@ def pose_from_features(
     camera = np.array([[k.fx, 0.0, k.cx], [0.0, k.fy, k.cy], [0.0, 0.0, 1.0]])
     points = np.ascontiguousarray(points_reference, np.float64)
     observed = np.ascontiguousarray(pixels, np.float64)
-    found, rotation, translation, inliers = cv2.solvePnPRansac(
+    solved, rotation, translation, inliers = cv2.solvePnPRansac(
         points,
         observed,
         camera,
@@ -70,7 +70,7 @@ def pose_from_features(
         confidence=CONFIDENCE,
         flags=cv2.SOLVEPNP_AP3P,
     )
-    if not found or inliers is None:
+    if not solved or inliers is None:
         return None
     mask = np.zeros(len(points), bool)
     mask[inliers[:, 0]] = True
@@ -106,14 +106,14 @@ def turn_from_features(
     first = _rays(before, intrinsics)[pairs.first]
     second = _rays(after, intrinsics)[pairs.second]
     tolerance = config.kernel_sigmas / intrinsics.fx
-    off, weights = np.zeros(len(pairs)), np.ones(len(pairs))
+    residuals, weights = np.zeros(len(pairs)), np.ones(len(pairs))
     turn = scipy.spatial.transform.Rotation.identity()
     for _ in range(ROUNDS):
         turn = scipy.spatial.transform.Rotation.align_vectors(first, second, weights)[0]
-        off = np.linalg.norm(turn.apply(second) - first, axis=1)
+        residuals = np.linalg.norm(turn.apply(second) - first, axis=1)
         # The tolerance is the median error, down to the accuracy of a keypoint.
-        weights = 1.0 / (1.0 + (off / max(float(np.median(off)), tolerance)) ** 2) ** 2
-    if np.count_nonzero(off <= tolerance) < config.least_inliers:
+        weights = 1.0 / (1.0 + (residuals / max(float(np.median(residuals)), tolerance)) ** 2) ** 2
+    if np.count_nonzero(residuals <= tolerance) < config.least_inliers:
         return gtsam.Rot3()
     return gtsam.Rot3(turn.as_matrix())
 

@@ -120,25 +120,25 @@ def _keypoints(gray: NDArray[np.uint8], count: int) -> tuple[Float32Array, Descr
     import cv2
 
     detector = _orb(count)
-    found, descriptors = detector.detectAndCompute(gray, None)
-    if descriptors is None or not found:
+    points, descriptors = detector.detectAndCompute(gray, None)
+    if descriptors is None or not points:
         return np.zeros((0, 2), np.float32), np.zeros((0, 32), np.uint8), np.zeros(0, np.float32)
-    levels = np.array([point.octave for point in found])
+    levels = np.array([point.octave for point in points])
     # ORB's pyramid: a keypoint of level n is as accurate as a pixel of that level.
     sigma_px = (detector.getScaleFactor() ** levels).astype(np.float32)
-    return np.asarray(cv2.KeyPoint.convert(found), np.float32), np.asarray(descriptors, np.uint8), sigma_px
+    return np.asarray(cv2.KeyPoint.convert(points), np.float32), np.asarray(descriptors, np.uint8), sigma_px
 
 
 def depth_at(depth_m: Float32Array, pixels: Float32Array) -> Float32Array:
     """Return depth (N,) at pixels (N, 2): mean of 3 x 3, of its nearer part at an edge; 0 without any."""
-    found = np.zeros(len(pixels), np.float32)
+    depths_m = np.zeros(len(pixels), np.float32)
     if len(pixels):
-        _depth_at(depth_m, pixels, np.empty(9, np.float32), found)
-    return found
+        _depth_at(depth_m, pixels, np.empty(9, np.float32), depths_m)
+    return depths_m
 
 
 @kernel(nogil=True)
-def _depth_at(depth_m, pixels, around, found):  # type: ignore[no-untyped-def]
+def _depth_at(depth_m, pixels, around, depths_m):  # type: ignore[no-untyped-def]
     """Read the depth of each pixel, with a buffer for its 3 x 3 window."""
     height, width = depth_m.shape
     for i in range(pixels.shape[0]):
@@ -158,7 +158,7 @@ def _depth_at(depth_m, pixels, around, found):  # type: ignore[no-untyped-def]
         if count >= 3:
             upper = (around[0] + around[1]) + (around[2] + around[3])
             lower = (around[4] + around[5]) + (around[6] + around[7])
-            found[i] = (upper + lower + around[8]) / count
+            depths_m[i] = (upper + lower + around[8]) / count
 
 
 def match_features(first: Descriptors, second: Descriptors, ratio: float, greatest_distance: int) -> Matches:

@@ -63,28 +63,28 @@ class FrameMatcher:
         self, best: JointAlignment, others: list[JointAlignment], landmarks: Landmarks, frame: PreparedFrame
     ) -> JointAlignment:
         """Return the valid match with most feature inliers."""
-        held = [one for one in others if self._judge(one) is not None]
-        return max([best, *held], key=lambda one: self._support(one.pose, landmarks, frame))
+        accepted = [match for match in others if self._judge(match) is not None]
+        return max([best, *accepted], key=lambda match: self._support(match.pose, landmarks, frame))
 
     def match_anywhere(self, frame: PreparedFrame, local: list[VisualKeyframe]) -> VisualMatch | None:
         """Estimate the pose of the frame's camera without a guess; None if too few features agree."""
-        found = self._by_features(frame, local, self._landmarks(frame, local))
-        return self._judge(found[0]) if found else None
+        matches = self._by_features(frame, local, self._landmarks(frame, local))
+        return self._judge(matches[0]) if matches else None
 
     def _by_features(
         self, frame: PreparedFrame, local: list[VisualKeyframe], landmarks: Landmarks
     ) -> list[JointAlignment]:
         """Align from the pose of PnP-RANSAC within the accuracy of features; None if too few agree."""
-        found = pose_from_features(
+        solved = pose_from_features(
             landmarks.points,
             landmarks.pixels,
             frame.frame.intrinsics,
             self._config.kernel_sigmas,  # the accuracy of a keypoint is a pixel
             self._config.least_inliers,
         )
-        if found is None:
+        if solved is None:
             return []
-        return [self._align(frame, local, landmarks, found.T_reference_camera, 0)]
+        return [self._align(frame, local, landmarks, solved.T_reference_camera, 0)]
 
     def _support(self, pose: gtsam.Pose3, landmarks: Landmarks, frame: PreparedFrame) -> float:
         """Return how many features agree with a pose, with Geman-McClure weights."""
@@ -107,8 +107,8 @@ class FrameMatcher:
             pairs = pairs.where(known.depth_m[pairs.first] > 0.0)
             points.append(odom[pairs.first])
             pixels.append(frame.features.pixels[pairs.second].astype(np.float64))
-            both = np.hypot(known.sigma_px[pairs.first], frame.features.sigma_px[pairs.second])
-            sigmas.append(both / np.sqrt(2.0))
+            sigma_px = np.hypot(known.sigma_px[pairs.first], frame.features.sigma_px[pairs.second])
+            sigmas.append(sigma_px / np.sqrt(2.0))
         return Landmarks(np.concatenate(points), np.concatenate(pixels), np.concatenate(sigmas))
 
     def _pairs(
@@ -116,14 +116,14 @@ class FrameMatcher:
     ) -> Matches:
         """Return matched features of a keyframe and the frame."""
         config = self._config
-        seen = frame.features
+        now = frame.features
         if guess is None:
-            return match_features(known.descriptors, seen.descriptors, config.match_ratio, config.match_bits)
+            return match_features(known.descriptors, now.descriptors, config.match_ratio, config.match_bits)
         k = frame.frame.intrinsics
         expected = project(points_odom, guess.inverse(), k)
         expected[known.depth_m <= 0.0] = np.nan
         radius_px = config.guided_radius * k.width
-        return match_near(known, expected, seen, radius_px, config.match_ratio, config.match_bits)
+        return match_near(known, expected, now, radius_px, config.match_ratio, config.match_bits)
 
     def _align(
         self,
@@ -143,8 +143,8 @@ class FrameMatcher:
         # A feature is rarer and more informative than a surface point.
         points = self._config.correlated_points / self._config.correlated_features
         agree = points * alignment.feature_count + alignment.point_count
-        met = points * alignment.feature_pairs + alignment.point_pairs
-        return agree / met if met > 0.0 else 0.0
+        total = points * alignment.feature_pairs + alignment.point_pairs
+        return agree / total if total > 0.0 else 0.0
 
     def _judge(self, alignment: JointAlignment) -> VisualMatch | None:
         """Return a measured motion, or None if too little agrees."""

@@ -17,7 +17,7 @@ from slam.vision.place_recognition_vocabulary import ones
 def match_near(
     known: Features,
     expected_px: FloatArray,
-    seen: Features,
+    current: Features,
     radius_px: float,
     ratio: float,
     greatest_distance: int,
@@ -28,7 +28,7 @@ def match_near(
     ----------
     known, expected_px
         Features and their expected pixels, (N, 2); NaN for one that is not visible.
-    seen
+    current
         Features of the image.
     radius_px
         Largest distance from the expected position.
@@ -38,17 +38,17 @@ def match_near(
         Hamming distance, of 256 bits, above which two descriptors differ.
     """
     empty = np.zeros(0, np.int64)
-    if len(known) == 0 or len(seen) == 0:
+    if len(known) == 0 or len(current) == 0:
         return Matches(empty, empty)
-    spans, order = _within_reach(expected_px, seen.pixels, radius_px)
+    spans, order = _within_reach(expected_px, current.pixels, radius_px)
     words = [
-        np.ascontiguousarray(side).view(np.uint64) for side in (known.descriptors, seen.descriptors[order])
+        np.ascontiguousarray(side).view(np.uint64) for side in (known.descriptors, current.descriptors[order])
     ]
     target = np.full(len(known), -1, np.int64)
     _nearest(
         expected_px.astype(np.float32),
         words[0],
-        seen.pixels[order],
+        current.pixels[order],
         words[1],
         order,
         spans,
@@ -56,8 +56,8 @@ def match_near(
         ratio,
         greatest_distance,
         target,
-        np.full(len(seen), -1, np.int64),
-        np.full(len(seen), 8 * known.descriptors.shape[1] + 1),
+        np.full(len(current), -1, np.int64),
+        np.full(len(current), 8 * known.descriptors.shape[1] + 1),
     )
     first = np.flatnonzero(target >= 0)
     return Matches(first, target[first])
@@ -75,10 +75,10 @@ def _within_reach(
     # Invisible features, NaN, are put at the border.
     cells = [np.fmax(np.fmin(np.floor(side / reach), last + 1.0), -1.0) for side in (pixels, expected_px)]
     columns, rows = (int(side) + 6 for side in last)
-    seen, middle = ((side.astype(np.int64) + 3) @ (1, columns) for side in cells)
-    up_to = np.cumsum(np.bincount(seen, minlength=rows * columns))
+    cells_seen, middle = ((side.astype(np.int64) + 3) @ (1, columns) for side in cells)
+    up_to = np.cumsum(np.bincount(cells_seen, minlength=rows * columns))
     ends = np.add.outer(middle, np.add.outer([-columns, 0, columns], [-2, 1]).ravel())
-    return up_to[ends].reshape(-1, 3, 2), np.argsort(seen, kind="stable")
+    return up_to[ends].reshape(-1, 3, 2), np.argsort(cells_seen, kind="stable")
 
 
 @kernel(nogil=True)
@@ -86,7 +86,7 @@ def _nearest(
     expected: NDArray[Any],
     known: NDArray[Any],
     pixels: NDArray[Any],
-    seen: NDArray[Any],
+    current: NDArray[Any],
     numbers: NDArray[Any],
     spans: NDArray[Any],
     radius_squared: float,
@@ -115,7 +115,7 @@ def _nearest(
                     continue
                 distance = ZERO
                 for w in range(4):
-                    distance += ones(known[i, w] ^ seen[j, w])
+                    distance += ones(known[i, w] ^ current[j, w])
                 if distance < best:
                     second, best, chosen = best, distance, numbers[j]
                 elif distance < second:

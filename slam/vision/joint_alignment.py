@@ -102,9 +102,9 @@ def align(
     """
     # A few points give a rough pose; all are used for the last millimetres.
     coarse = _Work(points.every(_THINNED), landmarks)
-    near, _ = _descend(coarse, views, intrinsics, guess, config, rounds[0], 10 * SETTLED, 4.0)
+    start, _ = _descend(coarse, views, intrinsics, guess, config, rounds[0], 10 * SETTLED, 4.0)
     fine = _Work(points, landmarks)
-    pose, step = _descend(fine, views, intrinsics, near, config, rounds[1], SETTLED, 1.0)
+    pose, step = _descend(fine, views, intrinsics, start, config, rounds[1], SETTLED, 1.0)
     fine.linearize(views, intrinsics, pose, config, 1.0, informed=True)
     return fine.conclude(pose, config, converged=step < 10 * SETTLED)
 
@@ -212,7 +212,7 @@ class _Work:
 
     def conclude(self, pose: gtsam.Pose3, config: RgbdOdometryConfig, *, converged: bool) -> JointAlignment:
         """Judge the residuals of the last linearisation at this pose."""
-        seen = self.seen > 0.0
+        is_seen = self.seen > 0.0
         agreeing = self.point_residuals[self.point_residuals < config.kernel_sigmas]
         matched = self.feature_residuals[self.feature_residuals < config.kernel_sigmas]
         point_scale = _robust_scale(agreeing, 1)
@@ -224,8 +224,8 @@ class _Work:
         return JointAlignment(
             pose=pose,
             information=information,
-            overlap=float(seen.mean()) if seen.size else 0.0,
-            point_pairs=int(seen.sum()),
+            overlap=float(is_seen.mean()) if is_seen.size else 0.0,
+            point_pairs=int(is_seen.sum()),
             feature_pairs=int(self.feature_residuals.size),
             point_count=int(agreeing.size),
             feature_count=int(matched.size),

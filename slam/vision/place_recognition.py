@@ -73,7 +73,7 @@ class PlaceIndex:
     ) -> None:
         self._rng = np.random.default_rng(seed)
         self._next_training = training_keyframes
-        self._queried, self._kept, self._group = queried, kept, group
+        self._queried, self._features_kept, self._group = queried, kept, group
         self._vocabulary: BinaryVocabulary | None = None
         self._lists = WordLists(1)
 
@@ -83,7 +83,7 @@ class PlaceIndex:
     def add(self, descriptors: Descriptors) -> int:
         """Add a keyframe's (N, 32) descriptors, N may be 0; return its key: 0, 1, 2, ..."""
         key = self._lists.keys
-        own = _spread(descriptors, self._kept)
+        own = _spread(descriptors, self._features_kept)
         self._lists.append(self._words(own), own)
         if len(self) >= self._next_training:
             self._train()

@@ -59,8 +59,8 @@ class WordLists:
         """Return (K,) keyframe scores: mean nearness of (N, 4) descriptors to the nearest of their word."""
         file = (self._heads, self._fills, self._nexts, self._owners, self._rows)
         # The last contribution to a keyframe's score, and its descriptor.
-        scores, given, giver = np.zeros(self.keys), np.zeros(self.keys), np.full(self.keys, -1)
-        _add_scores(words, rows, *file, scores, given, giver)
+        scores, best, best_row = np.zeros(self.keys), np.zeros(self.keys), np.full(self.keys, -1)
+        _add_scores(words, rows, *file, scores, best, best_row)
         return scores / max(len(words), 1)
 
 
@@ -99,7 +99,7 @@ def _append(
 
 
 @kernel
-def _add_scores(words, rows, heads, fills, nexts, owners, entries, scores, given, giver):  # type: ignore[no-untyped-def]
+def _add_scores(words, rows, heads, fills, nexts, owners, entries, scores, best, best_row):  # type: ignore[no-untyped-def]
     """Search the list of each descriptor's word; only the nearest entry of a keyframe counts."""
     for i in range(words.size):
         a, b, c, d = rows[i, 0], rows[i, 1], rows[i, 2], rows[i, 3]
@@ -112,10 +112,10 @@ def _add_scores(words, rows, heads, fills, nexts, owners, entries, scores, given
                 if bits < _SAME_BITS:
                     owner = owners[block, place]
                     nearness = 1.0 - bits / _SAME_BITS
-                    known = given[owner] if giver[owner] == i else 0.0
+                    known = best[owner] if best_row[owner] == i else 0.0
                     if nearness > known:
                         scores[owner] += nearness - known
-                        given[owner] = nearness
-                        giver[owner] = i
+                        best[owner] = nearness
+                        best_row[owner] = i
             block = nexts[block]
             fill = np.int32(owners.shape[1])

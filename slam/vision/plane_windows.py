@@ -105,8 +105,8 @@ def _sum_windows(combed, v, radius, sums, line, gate):  # type: ignore[no-untype
         _clear(line)
         for du in range(-radius, radius + 1):
             phase, first = (radius + du) % step, (radius + du) // step
-            beside = combed[v + dv, phase, first : first + span]
-            _count(beside, centre, gate, np.float32(du), line[0], line[1], line[2], line[3], line[4])
+            neighbour = combed[v + dv, phase, first : first + span]
+            _count(neighbour, centre, gate, np.float32(du), line[0], line[1], line[2], line[3], line[4])
         along = np.float32(dv)
         _add(line[0], np.float32(1.0), sums[0])
         _add(line[1], np.float32(1.0), sums[1])
@@ -121,7 +121,7 @@ def _sum_windows(combed, v, radius, sums, line, gate):  # type: ignore[no-untype
 
 @kernel(nogil=True)
 def _count(
-    beside: NDArray[Any],
+    neighbour: NDArray[Any],
     centre: NDArray[Any],
     gate: NDArray[Any],
     du: Any,
@@ -133,13 +133,13 @@ def _count(
 ) -> None:
     """Add the pixels on the centre's surface, their offset ``du`` and differences, branch-free."""
     for i in range(n.size):
-        difference = beside[i] - centre[i]
-        on = (abs(difference) <= gate[i]) & (beside[i] > np.float32(0.0))
-        one = np.float32(1.0) if on else np.float32(0.0)
+        difference = neighbour[i] - centre[i]
+        on = (abs(difference) <= gate[i]) & (neighbour[i] > np.float32(0.0))
+        weight = np.float32(1.0) if on else np.float32(0.0)
         counted = difference if on else np.float32(0.0)
-        n[i] += one
-        u[i] += one * du
-        uu[i] += one * du * du
+        n[i] += weight
+        u[i] += weight * du
+        uu[i] += weight * du * du
         w[i] += counted
         wu[i] += counted * du
 

@@ -105,7 +105,7 @@ class FramePreparer:
         idle: Callable[[], bool] = lambda: False,
     ) -> None:
         self._config = config
-        self._registrations = {name: found for name, found in registrations.items() if found.accepted}
+        self._registrations = {name: known for name, known in registrations.items() if known.accepted}
         self._idle = idle
 
     def __call__(self, measurement: Measurement) -> Measurement | PreparedFrame:

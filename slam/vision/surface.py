@@ -100,12 +100,12 @@ def points_of(
     step = max(1, round(np.sqrt(np.count_nonzero(inverse) / count)))
     k = intrinsics
     planes = fit_planes(inverse, radius, step, k.fx, k.fy, k.cx, k.cy)
-    found = np.nonzero(planes[..., 0])
-    inverse, *normals = planes[found].T
+    valid = np.nonzero(planes[..., 0])
+    inverse, *normals = planes[valid].T
     z = np.float32(1.0) / inverse
-    rows, columns = (radius + step * places for places in found)
-    ways = (columns - k.cx) / k.fx * z, (rows - k.cy) / k.fy * z
-    return SurfacePoints(np.array([*ways, z, *normals], np.float32))
+    rows, columns = (radius + step * places for places in valid)
+    xy = (columns - k.cx) / k.fx * z, (rows - k.cy) / k.fy * z
+    return SurfacePoints(np.array([*xy, z, *normals], np.float32))
 
 
 def _inverse(depth_m: Float32Array, farthest_m: float) -> Float32Array:

@@ -102,14 +102,14 @@ def find_tags(color: ColorImage, intrinsics: CameraIntrinsics, places: KnownPlac
     gray = cv2.cvtColor(color, cv2.COLOR_RGB2GRAY)
     quads, numbers, _ = _detector(places.family).detectMarkers(gray)
     cells = _dictionary(places.family).markerSize + 2
-    found = []
+    views = []
     for quad, number in zip(quads, [] if numbers is None else numbers.ravel().tolist(), strict=True):
         side_m = places.sizes_m.get(number, places.size_m)
         corners = _refined(gray, quad.reshape(4, 2).astype(np.float64), cells)
         view = None if corners is None else _posed(number, corners, side_m, intrinsics)
         if view is not None:
-            found.append(view)
-    return found
+            views.append(view)
+    return views
 
 
 def _refined(gray: NDArray[np.uint8], corners: FloatArray, cells: int) -> FloatArray | None:
@@ -125,8 +125,8 @@ def _refined(gray: NDArray[np.uint8], corners: FloatArray, cells: int) -> FloatA
         sides_px = np.linalg.norm(ends - corners, axis=1)
         if sides_px.min() < cells:
             return None  # a cell is a pixel: there is no edge to see
-        ways = (ends - corners) / sides_px[:, None]
-        outward = np.column_stack([ways[:, 1], -ways[:, 0]])
+        directions = (ends - corners) / sides_px[:, None]
+        outward = np.column_stack([directions[:, 1], -directions[:, 0]])
         # Across each edge by the width of the black border at its narrower end, and as far into the white.
         reach_px = np.minimum(np.roll(sides_px, 1), np.roll(sides_px, -1)) / cells
         across = np.linspace(-1.0, 1.0, FEWEST) * reach_px[:, None]
@@ -134,18 +134,18 @@ def _refined(gray: NDArray[np.uint8], corners: FloatArray, cells: int) -> FloatA
         values = _bilinear(gray, points[:, :, None] + across[:, None, :, None] * outward[:, None, None])
         rise = np.maximum(np.diff(values, axis=2), 0.0) + TINY
         middles = 0.5 * (across[:, 1:] + across[:, :-1])
-        off = np.sum(rise * middles[:, None], axis=2) / rise.sum(axis=2)
-        slope, shift = np.polyfit(along - 0.5, off.T, 1)
+        offsets = np.sum(rise * middles[:, None], axis=2) / rise.sum(axis=2)
+        slope, shift = np.polyfit(along - 0.5, offsets.T, 1)
         # A line by its end points.
         first = corners + (shift - 0.5 * slope)[:, None] * outward
         last = ends + (shift + 0.5 * slope)[:, None] * outward
         lines = np.cross(np.insert(first, 2, 1.0, axis=1), np.insert(last, 2, 1.0, axis=1))
         meet = np.cross(np.roll(lines, 1, axis=0), lines)
-        found = meet[:, :2] / meet[:, 2:]
-        moved_px = np.abs(found - corners).max()
+        crossings = meet[:, :2] / meet[:, 2:]
+        moved_px = np.abs(crossings - corners).max()
         if not moved_px <= sides_px.min() / cells:
             return None
-        corners = found
+        corners = crossings
         if moved_px < 100 * SETTLED:
             break
     return corners
@@ -154,8 +154,8 @@ def _refined(gray: NDArray[np.uint8], corners: FloatArray, cells: int) -> FloatA
 def _bilinear(gray: NDArray[np.uint8], points: FloatArray) -> FloatArray:
     """Return the brightness (...) of an image at points (..., 2), column and row, bilinear."""
     most = np.array(gray.shape[::-1]) - 2
-    whole = np.clip(np.floor(points).astype(np.int64), 0, most)
-    (left, top), (right, down) = np.moveaxis(whole, -1, 0), np.moveaxis(points - whole, -1, 0)
+    cell = np.clip(np.floor(points).astype(np.int64), 0, most)
+    (left, top), (right, down) = np.moveaxis(cell, -1, 0), np.moveaxis(points - cell, -1, 0)
     upper = (1.0 - right) * gray[top, left] + right * gray[top, left + 1]
     lower = (1.0 - right) * gray[top + 1, left] + right * gray[top + 1, left + 1]
     return np.asarray((1.0 - down) * upper + down * lower)

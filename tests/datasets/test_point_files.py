@@ -254,10 +254,10 @@ def test_points_that_tell_no_time_have_that_of_their_neighbours() -> None:
     told = np.where(np.arange(1000) % 2, right, 0.0)
     found = times.of(["t"], lambda _: told, 5.0)
     assert found is not None and np.abs(found - 1e-9 * right).max() < 2e-4
-    assert times.told("/points")[1].startswith("warning: /points: many points have no time")
+    assert times.notes("/points")[1].startswith("warning: /points: many points have no time")
     sound = PointTimes()
     sound.of(["t"], lambda _: right, 5.0)
-    assert len(sound.told("/points")) == 1
+    assert len(sound.notes("/points")) == 1
 
 
 def test_a_plane_with_rounded_heights_is_a_cloud_and_swapped_bytes_are_none() -> None:

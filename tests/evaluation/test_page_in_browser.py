@@ -177,7 +177,7 @@ def test_the_drive_plays_and_keys_act(page: Path) -> None:
     with visit(page) as seen:
         ready(seen)
         seen.page.locator("#moment").fill("30")
-        assert seen.page.locator("#told").inner_text().startswith("30.0 s")
+        assert seen.page.locator("#readout").inner_text().startswith("30.0 s")
         assert seen.page.locator("#thumbnails img").count() == 1
         seen.page.select_option("#speed", "64")
         seen.click("#play")

@@ -8,7 +8,7 @@ import pytest
 
 import fusion
 from fusion.alignment import Alignment, planar
-from fusion.repair_pixels import _beside, island_size
+from fusion.repair_pixels import _around, island_size
 
 OFFSET = (0.1, 0.02)
 POSE = (0.0, 0.0, 0.2)
@@ -86,7 +86,7 @@ def test_the_readings_above_and_below_tell_how_far_they_are_off():
     pixels, ones = np.arange(5, dtype=np.int32)[:, None], np.ones((5, 1), np.float32)
 
     def beside(*depth):
-        return _beside(0, 2, 2.0, np.array(depth, np.float32), (pixels, ones, ones[:, 0]), 9.0, 0.025)
+        return _around(0, 2, 2.0, np.array(depth, np.float32), (pixels, ones, ones[:, 0]), 9.0, 0.025)
 
     off = np.log1p(1.0 / (0.04 + 0.025 * 2.0))
     assert beside(2.0, 0.0, 0.0, 0.0, 1.0) == pytest.approx((0.0, off))

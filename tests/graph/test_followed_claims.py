@@ -102,7 +102,7 @@ def test_a_true_claim_is_borne_out_along_both_ways(submaps: SubmapStore) -> None
     trial, again = followed(submaps), 2 * SCANS
     trial.follow(6, again + 6, np.array([1.5, 0.1, 0.0]))
     (found,) = trial._claims
-    assert trial._looks(found.told, found.keyframe, 0.5) > trial._least
+    assert trial._nats(found.nats, found.keyframe, 0.5) > trial._least
     assert {loop.keyframe - again for loop in found.fits} >= {4, 5, 6, 7, 8}
     for loop in found.fits:
         true = between(submaps.pose(loop.place), submaps.pose(loop.keyframe))
@@ -119,7 +119,7 @@ def test_a_claim_starts_half_a_metre_off(submaps: SubmapStore) -> None:
     trial = followed(submaps)
     trial.follow(6, 2 * SCANS + 6, np.array([2.0, 0.1, 0.05]))
     (found,) = trial._claims
-    assert trial._looks(found.told, found.keyframe, 0.5) > trial._least
+    assert trial._nats(found.nats, found.keyframe, 0.5) > trial._least
 
 
 @pytest.mark.parametrize(
@@ -171,7 +171,7 @@ def test_claims_that_agree_on_what_was_wrong_are_believed(submaps: SubmapStore) 
 def test_what_a_scan_says_counts_once(submaps: SubmapStore) -> None:
     first = claim(5, 105, 5.5, 20.0)
     assert agreed([first, claim(7, 107, 5.5, 20.0)], submaps)
-    assert agreed([first, claim(7, 107, 5.5, 20.0)._replace(told={105: 5.5, 107: 0.0})], submaps) == set()
+    assert agreed([first, claim(7, 107, 5.5, 20.0)._replace(nats={105: 5.5, 107: 0.0})], submaps) == set()
 
 
 def test_a_set_that_has_a_rival_is_not_believed(submaps: SubmapStore) -> None:
@@ -184,11 +184,11 @@ def test_a_set_that_has_a_rival_is_not_believed(submaps: SubmapStore) -> None:
 def test_what_lies_behind_a_step_that_nothing_saw_contradicts_little(submaps: SubmapStore) -> None:
     trial, poses = followed(submaps), np.array(submaps._poses)
     told = {key: -2.0 if key < 20 else 1.0 for key in range(17, 28)}
-    assert trial._looks(told, 23, 0.5) == pytest.approx(2.0)
+    assert trial._nats(told, 23, 0.5) == pytest.approx(2.0)
     submaps.lay(poses, [20])
-    assert trial._looks(told, 23, 0.5) > 7.0
+    assert trial._nats(told, 23, 0.5) > 7.0
     told = dict.fromkeys(told, 1.0)
-    assert trial._looks(told, 23, 0.5) == pytest.approx(11.0, abs=0.8), "and bears out as before"
+    assert trial._nats(told, 23, 0.5) == pytest.approx(11.0, abs=0.8), "and bears out as before"
     submaps.lay(poses, [])
 
 

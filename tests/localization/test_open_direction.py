@@ -34,7 +34,7 @@ class Corridor:
         moved = Measured(STEP.pose, STEP.covariance + np.diag([self.gap_sigma_m**2, 0.0, 0.0]))
         return Observation(measurement, 1, self.pose, moved, restarted=False)
 
-    def sees_anew(self, view: int, before: Pose | None, pose: Pose) -> bool:
+    def sees_new(self, view: int, before: Pose | None, pose: Pose) -> bool:
         return True
 
     def novel(self, view: int, pose: Pose, before: Sequence[Keyframe[None]] | None) -> None:

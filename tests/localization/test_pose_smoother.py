@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from slam.localization.pose_smoother import PoseSmoother
-from slam.localization.poses import Measured, after, apart, same_place, squared_mahalanobis
+from slam.localization.poses import Measured, after, same_place, separation, squared_mahalanobis
 from slam.measurements import composed, motion_between
 
 
@@ -65,5 +65,5 @@ def test_trust_is_the_share_of_a_round_gaussian_within_the_same_place() -> None:
 def test_steps_lead_back_and_tell_metres_and_radians(turned: gtsam.Pose2 | gtsam.Pose3) -> None:
     origin = motion_between(turned, turned)
     assert motion_between(origin, composed(turned, motion_between(turned, origin))).equals(origin, 1e-9)  # type: ignore[arg-type]
-    assert apart(origin, turned) == pytest.approx((math.sqrt(5.0), 3.0))
+    assert separation(origin, turned) == pytest.approx((math.sqrt(5.0), 3.0))
     assert same_place(turned, turned) and not same_place(origin, turned)

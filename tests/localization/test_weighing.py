@@ -109,7 +109,7 @@ class Places:
     def observe(self, measurement: object, known: Pose | None) -> None:
         return None
 
-    def sees_anew(self, view: int, before: Pose | None, pose: Pose) -> bool:
+    def sees_new(self, view: int, before: Pose | None, pose: Pose) -> bool:
         return True
 
     def novel(self, view: int, pose: Pose, before: object) -> None:

@@ -140,7 +140,7 @@ def test_tiles_with_heights_keep_to_the_memory_and_lose_nothing(heights):
         board = Board(steps, *map(int, rng.integers(-900, 900, 2)))
         small.add(board)
         large.add(board)
-    assert sum(tile.nbytes for tile in small._held.values()) <= 5 * TILE_BYTES
+    assert sum(tile.nbytes for tile in small._loaded.values()) <= 5 * TILE_BYTES
     assert small._spilled
     box = (-1000, -1000, 2100, 2100)
     np.testing.assert_array_equal(small.clipped(box, -4000, 4000), large.clipped(box, -4000, 4000))

@@ -14,7 +14,7 @@ from slam.config import Config
 from slam.mapping.keyframe_grid import lidar_grids
 from slam.mapping.layered_map import OCCUPANCY, PASSED_BY
 from slam.mapping.occupancy_grid import FREE, OCCUPIED, UNKNOWN, OccupancyGrid
-from slam.mapping.passers_by import things_of
+from slam.mapping.passers_by import components_of
 from slam.measurements import FloatArray, LaserScan
 
 PERSON = box(0.8, 0.8, 1.2, 1.2)
@@ -103,5 +103,5 @@ def test_things_are_those_of_a_labelled_picture() -> None:
     occupied = np.random.default_rng(1).random((80, 50)) < 0.3
     cells = np.flatnonzero(occupied)
     labels = ndimage.label(occupied, np.ones((3, 3)))[0].ravel()[cells]
-    pairs = set(zip(labels.tolist(), things_of(cells, 50).tolist(), strict=True))
+    pairs = set(zip(labels.tolist(), components_of(cells, 50).tolist(), strict=True))
     assert len(pairs) == len(set(labels.tolist())) == len({thing for _, thing in pairs}) > 20

@@ -91,7 +91,7 @@ def test_three_seconds_without_a_cloud_are_bridged_and_owned_up_to() -> None:
     assert np.linalg.norm(off[3:]) < 0.1 * way_m
     assert off @ np.linalg.solve(spread, off) / 6.0 < 5.0
     assert imu.bridged_s == pytest.approx(3.0, abs=0.2)
-    notes, unused = imu.told()
+    notes, unused = imu.outcome()
     assert any("without a match" in note for note in notes) and not unused
 
 

@@ -199,7 +199,7 @@ def test_what_a_larger_wheel_turns_is_learned_and_told_where_nothing_is_matched(
             assert step is not None
             noise = np.array([0.0, 0.0, 0.003 * rng.standard_normal()])
             tracker.learn_scale(step, between(asked[-2][1], true) + noise)
-    assert tracker._aside_rad_m == pytest.approx(0.1, abs=0.01)
+    assert tracker._yaw_rad_per_m == pytest.approx(0.1, abs=0.01)
     begun, ended = asked[600], asked[-1]
     step = tracker.motion(begun[0], ended[0], 300 * PERIOD_S)
     assert step is not None

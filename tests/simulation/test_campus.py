@@ -223,7 +223,7 @@ def test_between_gross_errors_the_wheels_count_rightly(count: int) -> None:
         if error.kind == "position":
             assert step[between].max() > error.size - 0.2
         elif error.kind == "standstill":
-            assert not wheels.told[error.first : error.last].any()
+            assert not wheels.is_logged[error.first : error.last].any()
             assert error.size == pytest.approx((error.last - error.first + 1) / 10.0)
     assert np.all(np.abs(step[~wrong] - 0.1) < 0.01)
     assert np.all(turn[~wrong] < 0.01)

@@ -81,7 +81,7 @@ def test_frames_beside_clouds_sit_on_bases(tmp_path: Path) -> None:
     np.testing.assert_array_equal(saved.contents.frame_poses()[1].matrix(), node.compose(MOUNT).matrix())
     saved.close()
     write(tmp_path / "lost.db", clouds(), [replace(frames[0], T_base_camera=None)])
-    with pytest.raises(MapFileError, match=r"table frames, row 0: .*where the camera was"):
+    with pytest.raises(MapFileError, match=r"table frames, row 0: .*pose of the camera"):
         load_map(tmp_path / "lost.db")
 
 

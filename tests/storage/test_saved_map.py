@@ -208,7 +208,7 @@ LIES = [
     (FACTORS, 2, {"covariance": pack(np.full((3, 3), NAN))}, "positive definite"),
     (FACTORS, 2, {"covariance": pack(np.diag([1.0, 1.0, -1.0]))}, "positive definite"),
     (FACTORS, 2, {"covariance": pack(np.eye(3) + np.eye(3, k=1))}, "symmetric"),
-    (LOOPS, 1, {"place": 2}, "told in two ways"),
+    (LOOPS, 1, {"place": 2}, "columns contradict it"),
     (LOOPS, 1, {"candidate": pack(replace(contents().loops[1], score=NAN))}, "score cannot be"),
     (TRAJECTORY, 0, {"stretch": stretch_with(positions_m=NAN)}, "positions_m: 3 of"),
     (TRAJECTORY, 0, {"stretch": stretch_with(stamps_s=np.inf)}, "stamps_s: 1 of"),
@@ -272,7 +272,7 @@ class TestRefused:
         forge(path, "meta", 0, value=Config().model_dump_json())
         with pytest.raises(MapFileError, match="versions cannot be read"):
             load_map(forge(path, "meta", 4, value="{"))
-        with pytest.raises(MapFileError, match="does not tell its config"):
+        with pytest.raises(MapFileError, match="does not contain its config"):
             load_map(forge(path, "meta", 0, key="konfig"))
 
     def test_a_spoilt_file_is_refused_or_harmless(self, map_db: Path, tmp_path: Path) -> None:

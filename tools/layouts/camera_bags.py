@@ -151,19 +151,19 @@ def _rs_frames() -> list[Sent]:
 )
 def _realsense_ros2(folder: Path) -> Sample:
     space = "/camera/camera"
-    said = list(
+    messages = list(
         two_lenses(
             f"{space}/color/image_raw",
             f"{space}/depth/image_rect_raw",
             ("camera_color_optical_frame", "camera_depth_optical_frame"),
         )
     )
-    told = {"rotation": np.eye(3), "translation": [0.015, 0.0, 0.0]}
-    said.append(
-        Sent(f"{space}/extrinsics/depth_to_color", "realsense2_camera_msgs/msg/Extrinsics", START_S, told)
+    pose = {"rotation": np.eye(3), "translation": [0.015, 0.0, 0.0]}
+    messages.append(
+        Sent(f"{space}/extrinsics/depth_to_color", "realsense2_camera_msgs/msg/Extrinsics", START_S, pose)
     )
     stamps = [stamp_s + 0.001 for stamp_s in STAMPS]
-    return Sample(ros.ros2(folder / "rs", said), (CameraTruth(DEPTH_LENS, stamps, poses_of(HELD)),))
+    return Sample(ros.ros2(folder / "rs", messages), (CameraTruth(DEPTH_LENS, stamps, poses_of(HELD)),))
 
 
 @layout(

@@ -98,7 +98,7 @@ def _two_odometries(folder: Path) -> Sample:
 
 @layout("scan and a 3D cloud", "2D robots", "pointcloud_to_laserscan: a scan made of a cloud")
 def _two_scanners(folder: Path) -> Sample:
-    """Two scanners at places that tf tells: both are read."""
+    """Two scanners with mountings in tf: both are read."""
     said: list[Sent] = []
     front = _robot("/scan_front", "laser_front", (0.3, 0.2, 0.78), HALF, np.radians(1.0), said)
     rear = _robot("/scan_rear", "laser_rear", (-0.3, -0.2, -2.36), HALF, np.radians(1.0), said, odom="")

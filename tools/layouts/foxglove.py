@@ -48,7 +48,7 @@ _SCHEMAS = {
 _BASIC = {"double": 1, "int32": 5, "fixed32": 7, "string": 9, "bytes": 12}  # descriptor.proto, Type
 _MESSAGE, _LIST = 11, 3
 
-Told = tuple[str, str, float, dict[str, Any]]
+Message = tuple[str, str, float, dict[str, Any]]
 
 
 def _definitions() -> Any:
@@ -70,7 +70,7 @@ def _definitions() -> Any:
     return files
 
 
-def recorded(path: Path, told: list[Told], *, as_json: bool = False) -> Path:
+def recorded(path: Path, messages: list[Message], *, as_json: bool = False) -> Path:
     """An MCAP file of topics, types, stamps and fields."""
     classes: Any = {}
     schema_data, encoding, wire = b"{}", "jsonschema", "json"
@@ -85,7 +85,7 @@ def recorded(path: Path, told: list[Told], *, as_json: bool = False) -> Path:
         bag = Writer(file)
         bag.start()
         channels: dict[str, int] = {}
-        for topic, kind, stamp_s, fields in sorted(told, key=lambda one: one[2]):
+        for topic, kind, stamp_s, fields in sorted(messages, key=lambda one: one[2]):
             if topic not in channels:
                 schema = bag.register_schema(f"foxglove.{kind}", encoding, schema_data)
                 channels[topic] = bag.register_channel(topic, wire, schema)
@@ -110,10 +110,10 @@ def _at(stamp_s: float, *, as_json: bool = False) -> dict[str, int]:
 
 
 def _moved(stamp_s: float, parent: str, child: str, pose: Any, *, as_json: bool = False) -> dict[str, Any]:
-    told = ros.posed(pose)
+    ros_pose = ros.posed(pose)
     frames = {"parent_frame_id": parent, "child_frame_id": child}
-    where = {"translation": told["position"], "rotation": told["orientation"]}
-    return {"timestamp": _at(stamp_s, as_json=as_json)} | frames | where
+    transform = {"translation": ros_pose["position"], "rotation": ros_pose["orientation"]}
+    return {"timestamp": _at(stamp_s, as_json=as_json)} | frames | transform
 
 
 @layout("Foxglove, a lidar as protobuf", "new formats", _SOURCE)
@@ -123,7 +123,7 @@ def _lidar(folder: Path) -> Sample:
     kinds = (("x", 7, "<f4"), ("y", 7, "<f4"), ("z", 7, "<f4"), ("ring", 3, "<u2"), ("t", 5, "<u4"))
     row = np.dtype([(name, kind) for name, _, kind in kinds])
     fields = [{"name": name, "offset": row.fields[name][1], "type": number} for name, number, _ in kinds]
-    told: list[Told] = []
+    messages: list[Message] = []
     for k, (stamp, base) in enumerate(zip(TURN_STAMPS, way(TURNS), strict=True)):
         table = np.zeros(len(points[k]), row)
         for column, axis in enumerate("xyz"):
@@ -131,26 +131,26 @@ def _lidar(folder: Path) -> Sample:
         table["t"] = np.rint(1e9 * TURN_S * parts[k])
         cloud = {"frame_id": "lidar", "pose": ros.posed(placed()), "point_stride": row.itemsize}
         cloud |= {"timestamp": _at(stamp), "fields": fields, "data": table.tobytes()}
-        told.append(("/points", "PointCloud", stamp, cloud))
+        messages.append(("/points", "PointCloud", stamp, cloud))
         both = [_moved(stamp, "odom", "base_link", base), _moved(stamp, "base_link", "lidar", MOUNT)]
-        told.append(("/tf", "FrameTransforms", stamp, {"transforms": both}))
-    path = recorded(folder / "drive.mcap", told)
+        messages.append(("/tf", "FrameTransforms", stamp, {"transforms": both}))
+    path = recorded(folder / "drive.mcap", messages)
     return Sample(path, cloud=cloud_truth(points, parts, poses, MOUNT), wheels=TURNS)
 
 
 @layout("Foxglove, a flat lidar as JSON", "new formats", _SOURCE)
 def _flat(folder: Path) -> Sample:
     """Ranges, transforms one by one, and the truth as poses."""
-    mount, told = (0.1, 0.0, 0.2), []
+    mount, messages = (0.1, 0.0, 0.2), []
     ranges = seen(mount, FULL)
     for stamp, base, one in zip(STAMPS, way(COUNT), ranges, strict=True):
         at = {"timestamp": _at(stamp, as_json=True)}
         scan = at | {"frame_id": "laser", "pose": ros.posed(placed()), "ranges": one.tolist()}
         scan |= {"start_angle": 0.0, "end_angle": float(FULL[-1]), "intensities": []}
-        told.append(("/scan", "LaserScan", stamp, scan))
+        messages.append(("/scan", "LaserScan", stamp, scan))
         sits = placed(mount[0], mount[1], 0.3, mount[2])
         for parent, child, pose in (("odom", "base_link", base), ("base_link", "laser", sits)):
-            told.append(
+            messages.append(
                 (
                     "/tf",
                     "FrameTransform",
@@ -159,16 +159,16 @@ def _flat(folder: Path) -> Sample:
                 )
             )
         pose = at | {"frame_id": "map", "pose": ros.posed(base)}
-        told.append(("/ground_truth/pose", "PoseInFrame", stamp, pose))
+        messages.append(("/ground_truth/pose", "PoseInFrame", stamp, pose))
     scans = (ScanTruth(STAMPS, FULL, ranges, mount),)
-    path = recorded(folder / "drive.mcap", told, as_json=True)
+    path = recorded(folder / "drive.mcap", messages, as_json=True)
     return Sample(path, scans=scans, wheels=COUNT, moved=way(COUNT))
 
 
 @layout("Foxglove, a depth camera as protobuf", "new formats", _SOURCE)
 def _camera(folder: Path) -> Sample:
     """Colour as JPEG, depth in metres, both with a lens."""
-    told: list[Told] = []
+    messages: list[Message] = []
     k = [LENS.fx, 0, LENS.cx, 0, LENS.fy, LENS.cy, 0, 0, 1]
     p = [LENS.fx, 0, LENS.cx, 0, 0, LENS.fy, LENS.cy, 0, 0, 0, 1, 0]
     size = {"width": LENS.width, "height": LENS.height}
@@ -177,12 +177,12 @@ def _camera(folder: Path) -> Sample:
     for stamp, base, view in zip(stamps, way(len(stamps)), shots(LENS, poses), strict=True):
         at = {"timestamp": _at(stamp), "frame_id": "optical"}
         packed = {"format": "jpeg", "data": ros.coded(view.color, ".jpg", 1, 95)}
-        told.append(("/camera/color", "CompressedImage", stamp, at | packed))
+        messages.append(("/camera/color", "CompressedImage", stamp, at | packed))
         depth = {"encoding": "32FC1", "step": 4 * LENS.width, "data": view.depth_m.astype("<f4").tobytes()}
-        told.append(("/camera/depth", "RawImage", stamp, at | size | depth))
+        messages.append(("/camera/depth", "RawImage", stamp, at | size | depth))
         lens = {"distortion_model": "plumb_bob", "D": [0.0] * 5, "K": k, "R": np.eye(3).ravel(), "P": p}
-        told.append(("/camera/camera_info", "CameraCalibration", stamp, at | size | lens))
+        messages.append(("/camera/camera_info", "CameraCalibration", stamp, at | size | lens))
         both = [_moved(stamp, "odom", "base_link", base), _moved(stamp, "base_link", "optical", CAMERA)]
-        told.append(("/tf", "FrameTransforms", stamp, {"transforms": both}))
-    path = recorded(folder / "camera.mcap", told)
+        messages.append(("/tf", "FrameTransforms", stamp, {"transforms": both}))
+    path = recorded(folder / "camera.mcap", messages)
     return Sample(path, (CameraTruth(LENS, stamps, poses, CAMERA),), wheels=len(stamps))

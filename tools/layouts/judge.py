@@ -58,7 +58,7 @@ def _stamps(got: list[Any], stamps_s: list[float]) -> list[str]:
 
 
 def _mount(found: Any, wanted: Any) -> list[str]:
-    """Whether a sensor sits where it does; a recording that does not tell may leave it at the origin."""
+    """Whether a sensor sits where it does; without a mounting in the recording it may be at the origin."""
     if wanted is None:
         return []
     if found is None:

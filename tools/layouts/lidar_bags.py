@@ -189,7 +189,7 @@ for _name in FIELDS:
 def packets(pose: Any, stamp_s: float) -> list[dict[str, Any]]:
     """A turn of a VLP-16 as its manual has it: 76 packets of 12 blocks of two firings of 16 lasers."""
     order = np.array([-15, 1, -13, 3, -11, 5, -9, 7, -7, 9, -5, 11, -3, 13, -1, 15], float)
-    told, block = [], 0
+    packets_sent, block = [], 0
     for number in range(75):
         data = b""
         for _ in range(12):
@@ -206,8 +206,8 @@ def packets(pose: Any, stamp_s: float) -> list[dict[str, Any]]:
             block += 1
         at = stamp_s + TURN_S * number / 75
         data += struct.pack("<IBB", round(1e6 * at) % 3600000000, 0x37, 0x22)
-        told.append({"stamp": ros.header(at, "")["stamp"], "data": np.frombuffer(data, np.uint8)})
-    return told
+        packets_sent.append({"stamp": ros.header(at, "")["stamp"], "data": np.frombuffer(data, np.uint8)})
+    return packets_sent
 
 
 @layout("VelodyneScan packets", "lidar bags", "VLP-16 user manual; velodyne_msgs/VelodyneScan")
@@ -243,15 +243,15 @@ def _velodyne_pcap(folder: Path) -> Sample:
     return Sample(path, cloud=CloudTruth(stamps, [], None, poses, apart_m=0.08))
 
 
-def captured(heard: list[tuple[float, bytes, int]], most: int = 1480) -> bytes:
+def captured(packets: list[tuple[float, bytes, int]], most: int = 1480) -> bytes:
     """A capture of datagrams to ports, those that are longer than a frame in fragments."""
     content = struct.pack("<IHHiIII", 0xA1B2C3D4, 2, 4, 0, 0, 65535, 1)
-    for number, (at, data, port) in enumerate(heard):
-        whole = struct.pack(">HHHH", port, port, 8 + len(data), 0) + data
-        for start in range(0, len(whole), most):
-            part = whole[start : start + most]
-            told = (start // 8) | (0x2000 if start + most < len(whole) else 0)
-            about = 0x45, 0, 20 + len(part), number & 0xFFFF, told, 64, 17, 0
+    for number, (at, data, port) in enumerate(packets):
+        datagram = struct.pack(">HHHH", port, port, 8 + len(data), 0) + data
+        for start in range(0, len(datagram), most):
+            part = datagram[start : start + most]
+            fragment = (start // 8) | (0x2000 if start + most < len(datagram) else 0)
+            about = 0x45, 0, 20 + len(part), number & 0xFFFF, fragment, 64, 17, 0
             head = struct.pack(">BBHHHBBH", *about) + bytes((192, 168, 1, 201, 255, 255, 255, 255))
             frame = bytes(12) + b"\x08\x00" + head + part
             seconds, rest = divmod(round(1e6 * at), 10**6)

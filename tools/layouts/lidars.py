@@ -78,12 +78,12 @@ def _packed(name: str, timed: bool) -> Any:
             moved = [pose @ np.linalg.inv(sits) for pose in poses]
         if name == "kitti_raw":  # as old as their bearing, at the middle of the turn ahead
             times = [TURN_S * (part - (part > 0.5)) for part in parts]
-            moved = [poses[k // 10] for k in range(10 * COUNT)]  # the truth is told as often as the IMU
-        told = times if timed or name == "kitti_raw" else None
+            moved = [poses[k // 10] for k in range(10 * COUNT)]  # the ground truth has the rate of the IMU
+        true_times = times if timed or name == "kitti_raw" else None
         cloud = CloudTruth(
             stamps,
             points,
-            told,
+            true_times,
             poses,
             sits,
             0.01 if name == "nclt" else 1e-3,

@@ -141,8 +141,8 @@ def _pose(pose: Any) -> dict[str, Any]:
 
 def posed(pose: Any) -> dict[str, Any]:
     """geometry_msgs/Pose."""
-    told = _pose(pose)
-    return {"position": told["place"], "orientation": told["turn"]}
+    parts = _pose(pose)
+    return {"position": parts["place"], "orientation": parts["turn"]}
 
 
 def tf(
@@ -157,8 +157,8 @@ def tf(
     """Frames in a parent's."""
     items = []
     for child, pose in children.items():
-        told = _pose(pose)
-        transform = {"translation": told["place"], "rotation": told["turn"]}
+        parts = _pose(pose)
+        transform = {"translation": parts["place"], "rotation": parts["turn"]}
         items.append({"header": header(stamp_s, parent), "child_frame_id": child, "transform": transform})
     name = topic or ("/tf_static" if static else "/tf")
     return Sent(name, "tf/msg/tfMessage" if old else "tf2_msgs/msg/TFMessage", stamp_s, {"transforms": items})
@@ -223,25 +223,25 @@ def cloud(
 ) -> Sent:
     """PointCloud2 of x, y, z and further fields; ``gap`` bytes after z, as PCL pads."""
     columns = {axis: points[:, k].astype("<f4") for k, axis in enumerate("xyz")} | (fields or {})
-    told, place, kinds, places = [], 0, [], []
+    point_fields, offset, kinds, offsets = [], 0, [], []
     for name, values in columns.items():
         kind = values.dtype
-        told.append({"name": name, "offset": place, "datatype": _NUMBERS[kind.str], "count": 1})
+        point_fields.append({"name": name, "offset": offset, "datatype": _NUMBERS[kind.str], "count": 1})
         kinds.append(kind)
-        places.append(place)
-        place += kind.itemsize + (gap if name == "z" else 0)
+        offsets.append(offset)
+        offset += kind.itemsize + (gap if name == "z" else 0)
     table = np.zeros(
         len(points),
-        np.dtype({"names": list(columns), "formats": kinds, "offsets": places, "itemsize": place}),
+        np.dtype({"names": list(columns), "formats": kinds, "offsets": offsets, "itemsize": offset}),
     )
     for name, values in columns.items():
         table[name] = values
     content = {
         "height": rows,
         "width": len(points) // rows,
-        "fields": told,
-        "point_step": place,
-        "row_step": place * len(points) // rows,
+        "fields": point_fields,
+        "point_step": offset,
+        "row_step": offset * len(points) // rows,
         "data": np.frombuffer(table.tobytes(), np.uint8),
         "is_dense": True,
     }

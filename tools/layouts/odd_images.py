@@ -181,13 +181,13 @@ def _azure_mkv(folder: Path) -> Sample:
             put(folder / "FOLDER" / "color" / f"{k:05d}.jpg", ros.coded(seen.color, ".jpg"))
             put(folder / "FOLDER" / "depth" / f"{k:05d}.png", mm(seen.depth_m))
         lens = [LENS.fx, 0, 0, 0, LENS.fy, 0, LENS.cx, LENS.cy, 1]
-        told = {
+        intrinsics = {
             "width": LENS.width,
             "height": LENS.height,
             "intrinsic_matrix": lens,
             "color_mode": "MJPG_720P",
         }
-        put(folder / "FOLDER" / "intrinsic.json", json.dumps(told))
+        put(folder / "FOLDER" / "intrinsic.json", json.dumps(intrinsics))
         put(folder / "FOLDER" / "config.json", json.dumps({"path_dataset": "FOLDER"}))
         return folder / "FOLDER"
 

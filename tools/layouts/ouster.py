@@ -40,9 +40,9 @@ def metadata(profile: str, *, sections: bool = True) -> str:
     """What the sensor answers, by sections as firmware 3 does or flat as older ones."""
 
     def in_mm(pose: Any) -> list[float]:
-        told = pose.copy()
-        told[:3, 3] *= 1000.0
-        return [float(value) for value in told.ravel()]
+        scaled = pose.copy()
+        scaled[:3, 3] *= 1000.0
+        return [float(value) for value in scaled.ravel()]
 
     form = {
         "pixels_per_column": ROWS,
@@ -77,7 +77,7 @@ def metadata(profile: str, *, sections: bool = True) -> str:
 
 
 def looked(pose: Any) -> tuple[Any, Any, Any]:
-    """A turn of the lidar at a pose: (W, R) metres that it tells, (W * R, 3) points in it, and when."""
+    """A turn of the lidar at a pose: (W, R) metres that it reports, (W * R, 3) points in it, and when."""
     encoder = 2.0 * np.pi * (1.0 - np.arange(COLUMNS) / COLUMNS)
     bearing = (encoder[:, None] - np.radians(ASIDE_DEG)).ravel()
     up = np.tile(np.radians(UP_DEG), COLUMNS)
@@ -87,8 +87,8 @@ def looked(pose: Any) -> tuple[Any, Any, Any]:
     )
     ranges = hits(pose[:3, 3] + begins @ pose[:3, :3].T, rays @ pose[:3, :3].T)
     part = np.repeat(np.arange(COLUMNS) / COLUMNS, ROWS)
-    told = (ranges + ARM_M).reshape(COLUMNS, ROWS)
-    return told, (begins + ranges[:, None] * rays).astype(np.float32), part
+    ranges_m = (ranges + ARM_M).reshape(COLUMNS, ROWS)
+    return ranges_m, (begins + ranges[:, None] * rays).astype(np.float32), part
 
 
 def packets(told_m: Any, clock_s: float, frame: int, profile: str) -> Iterator[tuple[float, bytes]]:

@@ -23,7 +23,7 @@ class CameraTruth:
     poses
         (4, 4) of the depth image's optical frame in the room.
     mount
-        Of that frame on the robot; None where the recording doesn't tell it.
+        Of that frame on the robot; None if the recording does not contain it.
     grey
         Whether colours are lost.
     """

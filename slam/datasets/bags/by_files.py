@@ -37,15 +37,15 @@ class FileFacts:
         """Add the mountings to a bag's frame tree; files that have priority replace the bag's own."""
         self.notes += self.known.notes
         names = self._frames_of_names(survey)
-        for told in self.known.transforms:
-            parent, child = names.get(told.parent, told.parent), names.get(told.child, told.child)
+        for tf in self.known.transforms:
+            parent, child = names.get(tf.parent, tf.parent), names.get(tf.child, tf.child)
             in_tree = survey.tree.between(parent, child)
-            sure = told.source in self.known.sure
-            if in_tree is None or sure:
-                survey.tree.set(parent, child, told.pose)
-                self.used.add(told.source)
+            file_wins = tf.source in self.known.sure
+            if in_tree is None or file_wins:
+                survey.tree.set(parent, child, tf.pose)
+                self.used.add(tf.source)
             if in_tree is not None:
-                self._compare(f"{child} on {parent}", told, in_tree, sure=sure)
+                self._compare(f"{child} on {parent}", tf, in_tree, file_wins=file_wins)
         for source in sorted(self.used):
             self.notes.append(f"mountings by {source}")
 
@@ -53,38 +53,38 @@ class FileFacts:
         """The lens of an image topic: from a file with priority, else from the bag, else from any file."""
         role = "depth" if survey.depths.get(topic) else "color"
         names = [topic, survey.frames.get(topic, "")]
-        found = self.known.lens(role, names, survey.sizes.get(topic))
-        if found is None or found.lens is None:
+        file_lens = self.known.lens(role, names, survey.sizes.get(topic))
+        if file_lens is None or file_lens.lens is None:
             return own
-        sure = found.source in self.known.sure
+        file_wins = file_lens.source in self.known.sure
         if own is not None:
-            file, bag = (found.lens, found.source), (own, "the bag")
-            told = contradiction(topic, file, bag) if sure else contradiction(topic, bag, file)
-            self.notes += [told] if told else []
-        if own is not None and not sure:
+            file, bag = (file_lens.lens, file_lens.source), (own, "the bag")
+            warning = contradiction(topic, file, bag) if file_wins else contradiction(topic, bag, file)
+            self.notes += [warning] if warning else []
+        if own is not None and not file_wins:
             return own
-        self.used.add(found.source)
-        self.notes.append(f"{topic}: lens by {found.source}")
-        return found.lens
+        self.used.add(file_lens.source)
+        self.notes.append(f"{topic}: lens by {file_lens.source}")
+        return file_lens.lens
 
     def mount(self, kind: str, topic: str, own: gtsam.Pose3 | None, *, only: bool) -> gtsam.Pose3 | None:
         """Pose of the only "camera" or "lidar": from a `calibration.yaml`, else from the bag."""
-        told = self.known.T_base_camera if kind == "camera" else self.known.T_base_lidar
-        if told is None or not only:
+        file_mount = self.known.T_base_camera if kind == "camera" else self.known.T_base_lidar
+        if file_mount is None or not only:
             return own
-        pose, source = told
+        pose, source = file_mount
         self.used.add(source)
         self.notes.append(f"{topic}: mounting by {source}")
         if own is not None:
-            self._compare(topic, FileTransform("", "", pose, source), own, sure=True)
+            self._compare(topic, FileTransform("", "", pose, source), own, file_wins=True)
         return pose
 
     def depth_steps_per_m(self, name: str, own: float | None) -> float | None:
         """Depth units per metre of a camera's depth images, None if unknown."""
-        told = self.known.depth_steps_per_m()
-        if told is None:
+        file_steps = self.known.depth_steps_per_m()
+        if file_steps is None:
             return own
-        steps, source = told
+        steps, source = file_steps
         if own is not None and source not in self.known.sure:
             return own
         self.used.add(source)
@@ -114,12 +114,12 @@ class FileFacts:
                 names[name] = next(iter(frames))
         return names
 
-    def _compare(self, what: str, told: FileTransform, other: gtsam.Pose3, *, sure: bool) -> None:
+    def _compare(self, what: str, mount: FileTransform, in_bag: gtsam.Pose3, *, file_wins: bool) -> None:
         """Report both values if a file and the bag contradict each other."""
-        if differs(told.pose, other):
+        if differs(mount.pose, in_bag):
             self.notes.append(
-                f"warning: {what}: {told.source} says {_text(told.pose)}, the bag says {_text(other)}; "
-                f"that of {told.source if sure else 'the bag'} is used"
+                f"warning: {what}: {mount.source} says {_text(mount.pose)}, the bag says {_text(in_bag)}; "
+                f"that of {mount.source if file_wins else 'the bag'} is used"
             )
 
 

@@ -94,25 +94,25 @@ class BagCamera:
 
         return np.asarray(cv2.remap(depth_m, *maps, cv2.INTER_NEAREST), dtype=np.float32)
 
-    def fitted(self, color: ColorImage, depth_m: Float32Array, wanted: CameraIntrinsics) -> ColorImage:
+    def fitted(self, color: ColorImage, depth_m: Float32Array, target: CameraIntrinsics) -> ColorImage:
         """The colour image as seen from the depth camera."""
         size = (color.shape[1], color.shape[0])
-        key = (*size, wanted.width, wanted.height)
+        key = (*size, target.width, target.height)
         if key not in self._color_views:
             self._color_views.clear()  # images may have any size: keep only the latest view
-            self._color_views[key] = self._view_of_color(size, wanted)
-        maps, beside = self._color_views[key]
+            self._color_views[key] = self._view_of_color(size, target)
+        maps, color_view = self._color_views[key]
         import cv2
 
         if maps is not None:
             color = np.asarray(cv2.remap(color, *maps, cv2.INTER_LINEAR))
-        if beside is not None:
-            return beside.of(color, depth_m)
+        if color_view is not None:
+            return color_view.of(color, depth_m)
         if color.shape[:2] == depth_m.shape:
             return color
-        return resized(color, (wanted.width, wanted.height))
+        return resized(color, (target.width, target.height))
 
-    def _view_of_color(self, size: tuple[int, int], wanted: CameraIntrinsics) -> _View:
+    def _view_of_color(self, size: tuple[int, int], target: CameraIntrinsics) -> _View:
         """Lookup maps of the pixels; none if the views differ only in size.
 
         One map if both cameras are at the same place, because then nothing depends on depth; otherwise the
@@ -121,13 +121,13 @@ class BagCamera:
         lens = _at(self.color_lens, size)
         if lens is None:
             # Without its own lens, a colour image of the same aspect ratio counts as already registered.
-            if not same_aspect(size, (wanted.width, wanted.height)):
-                text = f"{size[0]} x {size[1]} and {wanted.width} x {wanted.height}"
+            if not same_aspect(size, (target.width, target.height)):
+                text = f"{size[0]} x {size[1]} and {target.width} x {target.height}"
                 raise RecordFault(SIZES_DIFFER, f"{text}; give the intrinsics of each by --calibration")
             return None, None
         if float(np.linalg.norm(self.T_depth_color.translation())) > APART_M:
-            return lens.maps(), ColorView(wanted, lens.intrinsics, self.T_depth_color)
-        return lens.maps(wanted, np.asarray(self.T_depth_color.rotation().matrix())), None
+            return lens.maps(), ColorView(target, lens.intrinsics, self.T_depth_color)
+        return lens.maps(target, np.asarray(self.T_depth_color.rotation().matrix())), None
 
 
 def _at(lens: Lens | None, size: tuple[int, int]) -> Lens | None:

@@ -84,31 +84,31 @@ class TurnReader:
 
     def read(self, message: Any) -> list[Measurement]:
         """The revolution that this part completes, with the stamp of its first part; else nothing."""
-        piece = self.reader.read(message)
-        ahead_rad = direction_rad(piece.points_lidar)
-        if self._pieces and not 0.0 <= piece.stamp_s - self._pieces[0].stamp_s < LONGEST_TURN_S:
+        newest = self.reader.read(message)
+        ahead_rad = direction_rad(newest.points_lidar)
+        if self._pieces and not 0.0 <= newest.stamp_s - self._pieces[0].stamp_s < LONGEST_TURN_S:
             self._pieces = []
         if self._pieces:
             self._turned_rad += math.remainder(ahead_rad - self._ahead_rad, 2.0 * math.pi)
         else:
             self._turned_rad = 0.0
-        self._pieces.append(piece)
+        self._pieces.append(newest)
         self._ahead_rad = ahead_rad
         steps = len(self._pieces) - 1
         # Each part is as wide as a step; the tolerance is half a step.
         if not steps or abs(self._turned_rad) * (steps + 1.5) < 2.0 * math.pi * steps:
             return []
-        pieces, self._pieces = self._pieces, []
-        first_s = pieces[0].stamp_s
+        parts, self._pieces = self._pieces, []
+        at_s = parts[0].stamp_s
         times_s = [
-            one.stamp_s - first_s + (np.zeros(len(one.points_lidar)) if one.times_s is None else one.times_s)
-            for one in pieces
+            part.stamp_s - at_s + (np.zeros(len(part.points_lidar)) if part.times_s is None else part.times_s)
+            for part in parts
         ]
-        points = np.concatenate([one.points_lidar for one in pieces])
-        told = [one.intensities for one in pieces if one.intensities is not None]
-        intensities = np.concatenate(told) if len(told) == len(pieces) else None
+        points = np.concatenate([part.points_lidar for part in parts])
+        known_intensities = [part.intensities for part in parts if part.intensities is not None]
+        intensities = np.concatenate(known_intensities) if len(known_intensities) == len(parts) else None
         return [
-            replace(pieces[0], points_lidar=points, times_s=np.concatenate(times_s), intensities=intensities)
+            replace(parts[0], points_lidar=points, times_s=np.concatenate(times_s), intensities=intensities)
         ]
 
 
@@ -159,14 +159,14 @@ def cloud_view(message: Any) -> CloudView:
     cloud = CloudReader("", gtsam.Pose3()).read(message)
     points = cloud.points_lidar.astype(np.float64)  # a damaged value can exceed single precision
     ahead = points / np.linalg.norm(points, axis=1, keepdims=True)
-    seen = (ahead > math.cos(_HALF_VIEW_RAD)).mean(axis=0)
-    along = [axis for axis, share in zip("xyz", seen, strict=True) if share > CONFIDENCE]
+    share_ahead = (ahead > math.cos(_HALF_VIEW_RAD)).mean(axis=0)
+    along = [axis for axis, share in zip("xyz", share_ahead, strict=True) if share > CONFIDENCE]
     bearings = np.arctan2(cloud.points_lidar[:, 1], cloud.points_lidar[:, 0]) / (2.0 * math.pi)
     around = np.unique(np.floor(bearings * _DIRECTIONS)).size / _DIRECTIONS
     ahead_rad = direction_rad(cloud.points_lidar)
-    off_ahead = bearings - ahead_rad / (2.0 * math.pi)
+    offsets = bearings - ahead_rad / (2.0 * math.pi)
     # The standard deviation of a uniform distribution is its width divided by sqrt(12).
-    width_rad = 2.0 * math.pi * math.sqrt(12.0) * float((off_ahead - np.rint(off_ahead)).std())
+    width_rad = 2.0 * math.pi * math.sqrt(12.0) * float((offsets - np.rint(offsets)).std())
     timed = cloud.times_s is not None
     count = len(cloud.points_lidar)
     return CloudView(

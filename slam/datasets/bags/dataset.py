@@ -20,7 +20,7 @@ from slam.datasets.bags.pairing import ImagePair, PairStream, StampedImage
 from slam.datasets.bags.records import BagRecord
 from slam.datasets.bags.survey import Survey, restamp, survey_bag
 from slam.datasets.bags.time_merge import TimeMerge
-from slam.datasets.bags.topics import IMAGES, OUSTER, TRANSFORMS, mended
+from slam.datasets.bags.topics import IMAGES, OUSTER, TRANSFORMS, advice
 from slam.datasets.bags.truth import read_truth, truth_topic
 from slam.datasets.budget import Budget
 from slam.datasets.calibration_files import known_beside
@@ -119,9 +119,9 @@ class BagDataset:
                     report.accept(frames_of(done.measurement.sensor))
                 report.observe(done.measurement, done.number)
                 yield done.measurement
-        self._tell_topics(survey, layout)
-        told = [note for cloud in layout.clouds for note in cloud.times.told(cloud.topic)]
-        for note in [*told, *(note for imu in layout.imus for note in imu.told())]:
+        self._note_topics(survey, layout)
+        notes = [note for cloud in layout.clouds for note in cloud.times.notes(cloud.topic)]
+        for note in [*notes, *(note for imu in layout.imus for note in imu.notes())]:
             report.note(note, 1)
         if report.measurement_count == 0 and self.read_images:
             raise DatasetError(_nothing_usable(self.path, report, survey, layout))
@@ -136,7 +136,7 @@ class BagDataset:
         topic = truth_topic(kinds, self._topics)
         return read_truth(bag, topic, Account(self.name, ReadReport(), self._strict)) if topic else None
 
-    def _tell_topics(self, survey: Survey, layout: Layout) -> None:
+    def _note_topics(self, survey: Survey, layout: Layout) -> None:
         """Report the purpose of each topic without measurements, or why it is not read."""
         counts = {topic: (channel.kind, 0) for topic, channel in survey.channels.items()}
         counts |= {topic: (figures.kind, figures.count) for topic, figures in self.figures.topics.items()}
@@ -185,25 +185,25 @@ def _stream(
         for item in reader.read(record):
             if isinstance(item, StampedImage):
                 place, is_depth = layout.images[record.channel.topic]
-                _hand_on(time_merge, layout, place, pairs[place].add(item, is_depth=is_depth))
+                _add_frames(time_merge, layout, place, pairs[place].add(item, is_depth=is_depth))
             else:
                 time_merge.add_reading(record.number, item, now_s)
         for place, pair_stream in enumerate(pairs):
-            _hand_on(time_merge, layout, place, pair_stream.settle(now_s))
-        yield from _as_done(time_merge.due(now_s))
+            _add_frames(time_merge, layout, place, pair_stream.settle(now_s))
+        yield from _wrapped(time_merge.due(now_s))
     for record in last.values():
         for item in reader.rest(record):
             time_merge.add_reading(record.number, item, record.recorded_s)
-    for number, text in enumerate(decoder.ousters.told(), 1):
+    for number, text in enumerate(decoder.ousters.notes(), 1):
         account.report.note(text, number)
     for place, pair_stream in enumerate(pairs):
-        _hand_on(time_merge, layout, place, pair_stream.rest())
-    yield from _as_done(time_merge.rest())
+        _add_frames(time_merge, layout, place, pair_stream.rest())
+    yield from _wrapped(time_merge.rest())
     for pair_stream in pairs:
-        pair_stream.tell()
+        pair_stream.note_offsets()
 
 
-def _hand_on(
+def _add_frames(
     time_merge: TimeMerge[_FrameToDo], layout: Layout, place: int, pairs: Iterator[ImagePair]
 ) -> None:
     """Add the pairs of a camera as frames to decode."""
@@ -214,7 +214,7 @@ def _hand_on(
         )
 
 
-def _as_done(items: Iterator[tuple[int, Measurement] | _FrameToDo]) -> Iterator[_Done | _FrameToDo]:
+def _wrapped(items: Iterator[tuple[int, Measurement] | _FrameToDo]) -> Iterator[_Done | _FrameToDo]:
     """Wrap readings, which need no decoding."""
     for item in items:
         yield item if isinstance(item, _FrameToDo) else _Done(*item)
@@ -242,7 +242,7 @@ class _Reader:
     def read(self, record: BagRecord) -> list[Measurement | StampedImage]:
         """The contents of a message; nothing if it is not read or is damaged."""
         topic, kind = record.channel.topic, record.channel.kind
-        self._figures.saw(record)
+        self._figures.add(record)
         if not self._layout.reads(topic, kind):
             return []
         return self._made(record, lambda: self._decoder.decode(record))
@@ -253,7 +253,7 @@ class _Reader:
         if not self._layout.reads(topic, record.channel.kind):
             return []
         made = self._made(record, lambda: self._decoder.ousters.rest(topic))
-        return [one for one in made if not isinstance(one, StampedImage)]
+        return [item for item in made if not isinstance(item, StampedImage)]
 
     def _made(self, record: BagRecord, decode: Callable[[], Any]) -> list[Measurement | StampedImage]:
         """The contents of a message after decoding; nothing if it is damaged."""
@@ -290,7 +290,7 @@ def _nothing_usable(path: Path, report: ReadReport, survey: Survey, layout: Layo
     reasons = report.refusals
     shown = list(survey.channels.items())[:8]
     why = {topic: f"; {reason}" for topic, reason in layout.left_out.items()}
-    topics = ", ".join(f"{topic} ({one.kind}{why.get(topic, mended(one.kind))})" for topic, one in shown)
+    topics = ", ".join(f"{topic} ({info.kind}{why.get(topic, advice(info.kind))})" for topic, info in shown)
     if any(channel.kind in IMAGES for channel in survey.channels.values()) and not any(
         survey.depths.values()
     ):

@@ -195,10 +195,10 @@ class _Types:
     def _counting(self, read: Callable[..., Any]) -> Callable[..., Any]:
         """Wraps a function that reads one list element, to limit their number."""
 
-        def counting(*given: Any) -> Any:
+        def counting(*arguments: Any) -> Any:
             self.elements += 1
             if self.elements > _MOST_ELEMENTS:
                 raise ValueError(f"more than {_MOST_ELEMENTS} elements in its lists")
-            return read(*given)
+            return read(*arguments)
 
         return counting

@@ -50,37 +50,37 @@ def evidence_of(survey: Survey) -> Evidence:
 
 def never_read(survey: Survey) -> dict[str, str]:
     """Sensor topics that are read only if the user names them, with the reason."""
-    found: dict[str, str] = {}
+    reasons: dict[str, str] = {}
     kinds = {topic: survey.channels[topic].kind for topic in sorted(survey.seen)}
     for topic, kind in kinds.items():
         frame = survey.frames.get(topic, "")
         if survey.robots.of_another(topic):
-            found[topic] = f"it is of another robot than {survey.robots.read}"
+            reasons[topic] = f"it is of another robot than {survey.robots.read}"
         elif is_truth(topic, kind):
-            found[topic] = IS_TRUTH
+            reasons[topic] = IS_TRUTH
         elif kind == ODOMETRY and (estimate := _no_wheels(survey, topic)):
-            found[topic] = estimate
+            reasons[topic] = estimate
         elif kind in SCANS and (cloud := _made_of(survey, topic)):
-            found[topic] = f"it is made of {cloud}, which has the same frame and stamps, and more data"
+            reasons[topic] = f"it is made of {cloud}, which has the same frame and stamps, and more data"
         elif kind in SCANS and (unfit := _not_in_plane(survey, frame)):
-            found[topic] = unfit
+            reasons[topic] = unfit
         elif kind in IMAGES and _OF_LIDAR.search(topic) and (cloud := _beside(survey, topic)):
-            found[topic] = f"it is an image of the lidar data in {cloud}"
+            reasons[topic] = f"it is an image of the lidar data in {cloud}"
         elif kind in CLOUDS and _last(frame) in _WORLDS:
-            found[topic] = f"it stands in {frame}, already transformed by an estimated pose"
+            reasons[topic] = f"it stands in {frame}, already transformed by an estimated pose"
         elif kind == POINT_CLOUD and (view := survey.clouds.get(topic)) and view.points < LEAST_POINTS:
-            found[topic] = f"its {view.points} points are from a sonar or a bumper, not from a lidar"
+            reasons[topic] = f"its {view.points} points are from a sonar or a bumper, not from a lidar"
     made = _camera_clouds(survey)
-    rest = {topic for topic in kinds if topic not in found and topic not in made}
+    rest = {topic for topic in kinds if topic not in reasons and topic not in made}
     cameras = {topic for topic in rest & set(survey.depths) if survey.depths[topic]}
     if cameras or any(kinds[topic] in SCANS | CLOUDS for topic in rest):
         # If there is no other sensor, such a cloud is better than none.
-        found |= {
+        reasons |= {
             topic: f"it is the cloud of a depth camera, not of a lidar ({why})"
             for topic, why in made.items()
-            if topic not in found
+            if topic not in reasons
         }
-    return found
+    return reasons
 
 
 def _camera_clouds(survey: Survey) -> dict[str, str]:

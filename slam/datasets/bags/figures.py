@@ -31,7 +31,7 @@ class TopicFigures:
     gap_at_s: float = 0.0
     late_s: Thinned = field(default_factory=Thinned)
 
-    def saw(self, recorded_s: float) -> None:
+    def add(self, recorded_s: float) -> None:
         """Count a message."""
         if self.count == 0:
             self.first_s = self.last_s = recorded_s
@@ -67,14 +67,14 @@ class BagFigures:
     frames: dict[str, str] = field(default_factory=dict)
     topics: dict[str, TopicFigures] = field(default_factory=dict)
 
-    def saw(self, record: BagRecord) -> None:
+    def add(self, record: BagRecord) -> None:
         """Count a message."""
         topic = record.channel.topic
         if topic not in self.topics:
             if len(self.topics) >= MOST_TOPICS:
                 return
             self.topics[topic] = TopicFigures(record.channel.kind, self.frames.get(topic, ""))
-        self.topics[topic].saw(record.recorded_s)
+        self.topics[topic].add(record.recorded_s)
 
     def stamped(self, record: BagRecord, stamp_s: float) -> None:
         """Add the header stamp of a message that was read."""

@@ -38,13 +38,13 @@ class Bag:
 
     def announced(self) -> list[Channel] | None:
         """All channels in the files' indexes; None if a file has no index, for example a truncated one."""
-        found: dict[Channel, None] = {}
+        channels_announced: dict[Channel, None] = {}
         for path, container in zip(self.parts, self.containers, strict=True):
             channels = container.announced(path)
             if channels is None:
                 return None
-            found.update(dict.fromkeys(map(_read_as, channels)))
-        return list(found)
+            channels_announced.update(dict.fromkeys(map(_read_as, channels)))
+        return list(channels_announced)
 
     def budget(self) -> Budget:
         """The budget of one pass over the bag."""

@@ -27,10 +27,10 @@ _SAME = 1e-9  # metres, and quaternion components
 _LONGEST_JSON = LARGEST_BYTES // 8  # in memory, its values take many times the text
 
 
-def _stamp(told: Any) -> SimpleNamespace:
+def _stamp(stamp: Any) -> SimpleNamespace:
     """A time from protobuf or JSON."""
-    seconds, rest = ("seconds", "nanos") if hasattr(told, "seconds") else ("sec", "nsec")
-    return SimpleNamespace(sec=int(getattr(told, seconds)), nanosec=int(getattr(told, rest)))
+    seconds, fraction = ("seconds", "nanos") if hasattr(stamp, "seconds") else ("sec", "nsec")
+    return SimpleNamespace(sec=int(getattr(stamp, seconds)), nanosec=int(getattr(stamp, fraction)))
 
 
 def _header(message: Any, frame: str = "frame_id") -> SimpleNamespace:
@@ -58,17 +58,17 @@ def _cloud(message: Any) -> SimpleNamespace:
     count = data.size // step
     fields = [
         SimpleNamespace(
-            name=one.name, offset=int(getattr(one, "offset", 0)), datatype=_NUMBERS[int(one.type)], count=1
+            name=item.name, offset=int(getattr(item, "offset", 0)), datatype=_NUMBERS[int(item.type)], count=1
         )
-        for one in message.fields
+        for item in message.fields
     ]
-    told = {"height": 1, "width": count, "fields": fields, "is_bigendian": False, "data": data}
-    return SimpleNamespace(header=_header(message), point_step=step, row_step=count * step, **told)
+    content = {"height": 1, "width": count, "fields": fields, "is_bigendian": False, "data": data}
+    return SimpleNamespace(header=_header(message), point_step=step, row_step=count * step, **content)
 
 
 def _scan(message: Any) -> SimpleNamespace:
     """Convert to a LaserScan; the end angle is that of the last beam."""
-    ranges = np.array([np.nan if one is None else one for one in message.ranges], dtype=np.float32)
+    ranges = np.array([np.nan if r_m is None else r_m for r_m in message.ranges], dtype=np.float32)
     _check_frame(message)
     first, last = float(message.start_angle), float(message.end_angle)
     return SimpleNamespace(
@@ -88,8 +88,8 @@ def _scan(message: Any) -> SimpleNamespace:
 def _image(message: Any) -> SimpleNamespace:
     """Convert to an Image."""
     size = {name: int(getattr(message, name)) for name in ("width", "height", "step")}
-    told = {"encoding": str(message.encoding), "is_bigendian": 0, "data": _bytes(message.data)}
-    return SimpleNamespace(header=_header(message), **size, **told)
+    content = {"encoding": str(message.encoding), "is_bigendian": 0, "data": _bytes(message.data)}
+    return SimpleNamespace(header=_header(message), **size, **content)
 
 
 def _lens(message: Any) -> SimpleNamespace:
@@ -105,11 +105,11 @@ def _transforms(message: Any) -> SimpleNamespace:
     return SimpleNamespace(
         transforms=[
             SimpleNamespace(
-                header=_header(one, "parent_frame_id"),
-                child_frame_id=str(one.child_frame_id),
-                transform=SimpleNamespace(translation=one.translation, rotation=one.rotation),
+                header=_header(item, "parent_frame_id"),
+                child_frame_id=str(item.child_frame_id),
+                transform=SimpleNamespace(translation=item.translation, rotation=item.rotation),
             )
-            for one in getattr(message, "transforms", None) or [message]
+            for item in getattr(message, "transforms", None) or [message]
         ]
     )
 
@@ -158,14 +158,14 @@ def message_of(content: bytes, own_kind: str, wire: str, definition: str) -> Sim
         raise RecordFault(UNDECODED, f"{own_kind}: {error}") from error
 
 
-def _named(told: Any) -> Any:
+def _named(value: Any) -> Any:
     """JSON objects with their fields as attributes."""
-    if isinstance(told, dict):
-        return SimpleNamespace(**{str(name): _named(value) for name, value in told.items()})
+    if isinstance(value, dict):
+        return SimpleNamespace(**{str(name): _named(inner) for name, inner in value.items()})
     return (
-        [_named(one) for one in told]
-        if isinstance(told, list) and any(isinstance(one, dict) for one in told[:1])
-        else told
+        [_named(item) for item in value]
+        if isinstance(value, list) and any(isinstance(item, dict) for item in value[:1])
+        else value
     )
 
 

@@ -27,15 +27,15 @@ def gnss_reader(topic: str, T_base_antenna: gtsam.Pose3 | None) -> Callable[[Any
 
     def read(message: Any) -> GnssFix:
         """A fix; RecordFault if there is none, as in a tunnel."""
-        place = float(message.latitude), float(message.longitude), float(message.altitude)
-        on_earth = np.isfinite(place).all() and abs(place[0]) <= 90.0 and abs(place[1]) <= 360.0
-        if message.status.status < 0 or not on_earth or place[:2] == (0.0, 0.0):
-            raise RecordFault(NO_FIX, f"status {message.status.status}, {place}")
+        position = float(message.latitude), float(message.longitude), float(message.altitude)
+        on_earth = np.isfinite(position).all() and abs(position[0]) <= 90.0 and abs(position[1]) <= 360.0
+        if message.status.status < 0 or not on_earth or position[:2] == (0.0, 0.0):
+            raise RecordFault(NO_FIX, f"status {message.status.status}, {position}")
         covariance = np.array(message.position_covariance, dtype=np.float64).reshape(3, 3)
         # Type 0 means unknown (sensor_msgs).
-        told = message.position_covariance_type > 0 and np.isfinite(covariance).all()
-        known = bool(told) and np.linalg.eigvalsh(covariance)[0] > 0.0
+        is_stated = message.position_covariance_type > 0 and np.isfinite(covariance).all()
+        is_valid = bool(is_stated) and np.linalg.eigvalsh(covariance)[0] > 0.0
         stamp_s = stamp_of(message.header)
-        return GnssFix(stamp_s, *place, covariance if known else None, antenna_m, topic)
+        return GnssFix(stamp_s, *position, covariance if is_valid else None, antenna_m, topic)
 
     return read

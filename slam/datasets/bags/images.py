@@ -49,9 +49,9 @@ def is_depth(message: Any, topic: str) -> bool:
     """Whether an image contains depth: by its encoding or format, or else by its topic."""
     if not hasattr(message, "encoding"):
         words, head = str(message.format), bytes(message.data[:26])
-        told = "compressedDepth" in words or words.startswith(("16UC1", "32FC1"))
+        is_stated = "compressedDepth" in words or words.startswith(("16UC1", "32FC1"))
         grey = (head[:4], head[24:26]) == _PNG_16_BIT_GREY
-        return told or (grey and not is_infrared(topic))
+        return is_stated or (grey and not is_infrared(topic))
     encoding = str(message.encoding)
     if encoding == "mono16":
         return bool(_DEPTH_NAME.search(topic)) and not is_infrared(topic)

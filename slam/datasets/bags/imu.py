@@ -34,17 +34,17 @@ def quantities_in(message: Any) -> tuple[bool, bool]:
     return bool(rates), bool(forces)
 
 
-def paired_halves(topics: Iterable[str], told: Mapping[str, tuple[bool, bool]]) -> dict[str, str]:
+def paired_halves(topics: Iterable[str], quantities: Mapping[str, tuple[bool, bool]]) -> dict[str, str]:
     """For each topic with only angular rates, the topic of the accelerations; empty if there is none.
 
     A gyroscope may read zero at first; an accelerometer never does.
     """
-    known = {topic: told[topic] for topic in topics if topic in told}
-    left = [topic for topic, (rates, forces) in known.items() if forces and not rates]
+    known = {topic: quantities[topic] for topic in topics if topic in quantities}
+    unpaired = [topic for topic, (rates, forces) in known.items() if forces and not rates]
     pairs = {}
     for topic in (topic for topic, (_, forces) in known.items() if not forces):
-        pairs[topic] = max(left, key=lambda other: len(shared(other, topic)), default="")
-        left = [other for other in left if other != pairs[topic]]
+        pairs[topic] = max(unpaired, key=lambda other: len(shared(other, topic)), default="")
+        unpaired = [other for other in unpaired if other != pairs[topic]]
     return pairs
 
 
@@ -71,8 +71,8 @@ class ImuReader:
     T_base_imu: gtsam.Pose3 | None
     unit: ForceUnit = field(default_factory=ForceUnit)
 
-    def told(self) -> list[str]:
-        """Conclusions for the user."""
+    def notes(self) -> list[str]:
+        """Notes for the user."""
         return [f"{self.topic}: {self.unit.choice}"] if self.unit.choice else []
 
     def read(self, message: Any) -> ImuReading:
@@ -114,20 +114,20 @@ class JoinedImu:
     # Limits the queue, whatever the stamps are.
     _rates: deque[tuple[float, FloatArray]] = field(default_factory=lambda: deque(maxlen=WHEELS_KEPT))
     _forces: deque[tuple[float, FloatArray]] = field(default_factory=lambda: deque(maxlen=WHEELS_KEPT))
-    _alone: int = 0
+    _unpaired: int = 0
 
     def restart(self) -> None:
         """Clear the queue of an earlier pass."""
         self._rates.clear()
         self._forces.clear()
-        self._alone = 0
+        self._unpaired = 0
 
-    def told(self) -> list[str]:
-        """Conclusions for the user."""
-        alone = self._alone + len(self._rates)
-        rest = f"; {alone} angular rates without accelerations around them are ignored" if alone else ""
-        text = f"joined with {self.forces_topic}, accelerations between its stamps by interpolation{rest}"
-        return [f"{self.topic}: {one}" for one in (text, self.unit.choice) if one]
+    def notes(self) -> list[str]:
+        """Notes for the user."""
+        alone = self._unpaired + len(self._rates)
+        unpaired = f"; {alone} angular rates without accelerations around them are ignored" if alone else ""
+        text = f"joined with {self.forces_topic}, accelerations between its stamps by interpolation{unpaired}"
+        return [f"{self.topic}: {note}" for note in (text, self.unit.choice) if note]
 
     def read_rates(self, message: Any) -> list[Measurement]:
         """The readings that a gyroscope message completes; RecordFault if it is damaged."""
@@ -135,7 +135,7 @@ class JoinedImu:
         if not np.isfinite(gyro).all():
             raise RecordFault(NO_HALF, f"{gyro}")
         stamp_s = stamp_of(message.header)
-        self._alone += len(self._rates) == self._rates.maxlen
+        self._unpaired += len(self._rates) == self._rates.maxlen
         self._rates.append((stamp_s, gyro))
         return self._complete()
 
@@ -153,7 +153,7 @@ class JoinedImu:
 
     def _complete(self) -> list[Measurement]:
         """Readings at gyroscope stamps between two accelerations; gyroscope messages without are counted."""
-        found: list[Measurement] = []
+        readings: list[Measurement] = []
         while self._rates and (self._forces or abs(self._rates[-1][0] - self._rates[0][0]) > GAP_S):
             stamp_s, gyro = self._rates[0]
             if self._forces and self._forces[-1][0] < stamp_s <= self._forces[-1][0] + GAP_S:
@@ -161,10 +161,10 @@ class JoinedImu:
             self._rates.popleft()
             force = self._force_at(stamp_s)
             if force is None:
-                self._alone += 1
+                self._unpaired += 1
             else:
-                found.append(ImuReading(stamp_s, gyro, force, self.T_base_imu, self.topic))
-        return found
+                readings.append(ImuReading(stamp_s, gyro, force, self.T_base_imu, self.topic))
+        return readings
 
     def _force_at(self, stamp_s: float) -> FloatArray | None:
         """(3,) acceleration, interpolated between neighbours; None if there are none."""

@@ -68,7 +68,7 @@ def scan_from(message: Any, mount: LaserMount, topic: str, repeated: RepeatedRan
     wide = span <= _TURN_RAD + ANGLE_TOLERANCE_RAD and (span > 0.0 or ranges_m.size == 1)
     if not (abs(start_rad) <= 2.0 * _TURN_RAD and wide):
         raise RecordFault(BAD_ANGLES, f"{start_rad} and {step_rad} for {ranges_m.size} beams")
-    stated_m, least_m = _as_meant(message.range_max), _as_meant(message.range_min)
+    stated_m, least_m = _shortest_decimal(message.range_max), _shortest_decimal(message.range_min)
     limit_m = stated_m if 0.0 < stated_m < math.inf else DEFAULT_NO_RETURN_M
     ranges_m = np.where(ranges_m < least_m, np.nan, ranges_m) if 0.0 < least_m < limit_m else ranges_m
     classified, limit_m = classify_ranges(ranges_m, limit_m, repeated)
@@ -103,6 +103,6 @@ def _ranges(message: Any) -> FloatArray:
     return wide
 
 
-def _as_meant(single: Any) -> float:
+def _shortest_decimal(single: Any) -> float:
     """The shortest decimal equal to a single-precision number: 5.6, not 5.599999904632568."""
     return float(str(np.float32(single)))

@@ -27,10 +27,10 @@ from slam.datasets.bags.topics import (
     TRANSFORMS,
     CameraTopics,
     Choice,
+    advice,
     choose,
     is_rectified,
     is_registered,
-    mended,
 )
 from slam.datasets.bags.truth import IS_TRUTH, TRUTHS, is_truth
 from slam.datasets.bags.wheels import wheel_reader, wheels_from_tf
@@ -108,7 +108,7 @@ class Layout:
         if topic in self.left_out:
             return self.left_out[topic]
         if kind not in SENSORS:
-            return f"{kind or 'a type without a name'} is not read{mended(kind)}"
+            return f"{kind or 'a type without a name'} is not read{advice(kind)}"
         return f"its first message comes late; --topics {topic} reads it" if count else "it has no message"
 
 
@@ -117,7 +117,7 @@ def frames_of(camera: str) -> str:
     return f"{camera} frame"
 
 
-def layout_of(bag: Bag, survey: Survey, wanted: tuple[str, ...], known: KnownCalibration) -> Layout:
+def layout_of(bag: Bag, survey: Survey, requested: tuple[str, ...], known: KnownCalibration) -> Layout:
     """How to read a bag.
 
     Parameters
@@ -132,7 +132,7 @@ def layout_of(bag: Bag, survey: Survey, wanted: tuple[str, ...], known: KnownCal
     """
     files = FileFacts(known)
     files.place(survey)
-    choice = _choice(bag, survey, wanted)
+    choice = _choice(bag, survey, requested)
     layout = Layout(survey.base_frame(choice.odometry), files, ousters=survey.ousters)
     layout.lenses |= {f"{space}/metadata" for space in survey.ousters}
     layout.left_out = choice.left_out
@@ -140,7 +140,7 @@ def layout_of(bag: Bag, survey: Survey, wanted: tuple[str, ...], known: KnownCal
         if channel.kind in TRANSFORMS and survey.robots.of_another(topic):
             layout.left_out[topic] = f"it is of another robot than {survey.robots.read}"
     for topic, channel in survey.channels.items():
-        if channel.kind not in SENSORS and (is_truth(topic, channel.kind) or topic in wanted):
+        if channel.kind not in SENSORS and (is_truth(topic, channel.kind) or topic in requested):
             layout.left_out[topic] = IS_TRUTH
     for topic in choice.scans:
         layout.readers[topic] = _scan_reader(survey, layout, topic)
@@ -153,7 +153,7 @@ def layout_of(bag: Bag, survey: Survey, wanted: tuple[str, ...], known: KnownCal
     for place, camera in enumerate(choice.cameras):
         layout.cameras.append(_camera(survey, layout, camera, only=len(choice.cameras) == 1))
         layout.images[camera.color], layout.images[camera.depth] = (place, False), (place, True)
-    layout.lenses |= survey.facts.told if layout.cameras else set()
+    layout.lenses |= survey.facts.fact_topics if layout.cameras else set()
     for topic in choice.lonely:
         layout.left_out[topic] = f"no {'colour' if survey.depths.get(topic) else 'depth'} beside it"
         layout.notes.append(f"{topic} is not read: {layout.left_out[topic]}")
@@ -177,15 +177,15 @@ def _read_clocks(survey: Survey, layout: Layout) -> None:
             layout.notes.append(f"{WARNING}{topic}: its clock is {ahead}; corrected by its first arrival")
 
 
-def _choice(bag: Bag, survey: Survey, wanted: tuple[str, ...]) -> Choice:
+def _choice(bag: Bag, survey: Survey, requested: tuple[str, ...]) -> Choice:
     """Choose the topics; the error lists those among which it cannot choose."""
-    wanted = tuple(
-        topic for topic in wanted if topic.rstrip("/") != survey.robots.read or not topic.strip("/")
+    requested = tuple(
+        topic for topic in requested if topic.rstrip("/") != survey.robots.read or not topic.strip("/")
     )
-    if unknown := [topic for topic in wanted if topic not in survey.channels]:
+    if unknown := [topic for topic in requested if topic not in survey.channels]:
         raise DatasetError(f"{bag.path} has no topic {unknown[0]}; it holds {_listing(bag, survey)}")
     kinds = {topic: survey.channels[topic].kind for topic in sorted(survey.seen)}
-    for topic in wanted:
+    for topic in requested:
         kind = survey.channels[topic].kind
         if kind in TRUTHS - SENSORS:
             continue
@@ -196,18 +196,18 @@ def _choice(bag: Bag, survey: Survey, wanted: tuple[str, ...]) -> Choice:
         kinds[topic] = kind
     # If no image could be decoded, its name must decide.
     depths = {topic: survey.depths.get(topic, "depth" in topic.lower()) for topic in kinds}
-    return choose(kinds, depths, wanted, never_read(survey), evidence_of(survey))
+    return choose(kinds, depths, requested, never_read(survey), evidence_of(survey))
 
 
 def _listing(bag: Bag, survey: Survey) -> str:
     """Sensor topics with types and numbers of messages."""
     counts = count_messages(bag)
-    found = [
+    topics = [
         f"{topic} ({channel.kind.rpartition('/')[2]}, {counts[topic]} messages)"
         for topic, channel in sorted(survey.channels.items())
         if channel.kind in SENSORS
     ]
-    return ", ".join(found) or "no topic of a sensor"
+    return ", ".join(topics) or "no topic of a sensor"
 
 
 def _mount(
@@ -216,10 +216,10 @@ def _mount(
     """``T_base_sensor`` of a type's only sensor by `calibration.yaml`, else by tf; a note if unknown."""
     notes = len(layout.notes)
     own = _mount_by_tf(survey, layout, topic)
-    told = layout.files.mount(kind, topic, own, only=only) if kind else own
-    if own is None and told is not None:
+    mount = layout.files.mount(kind, topic, own, only=only) if kind else own
+    if own is None and mount is not None:
         del layout.notes[notes:]
-    return told
+    return mount
 
 
 def _mount_by_tf(survey: Survey, layout: Layout, topic: str) -> gtsam.Pose3 | None:
@@ -324,18 +324,18 @@ def _camera(survey: Survey, layout: Layout, topics: CameraTopics, *, only: bool)
 
 def _color_in_depth(survey: Survey, layout: Layout, topics: CameraTopics) -> gtsam.Pose3:
     """Pose of the colour camera in the depth camera: by the driver's own messages, else by tf."""
-    told = survey.facts.color_in_depth(topics.color, topics.depth)
+    by_driver = survey.facts.color_in_depth(topics.color, topics.depth)
     frames = survey.frames.get(topics.depth, ""), survey.frames.get(topics.color, "")
     if is_registered(topics.depth) or (frames[0] == frames[1] and not survey.facts.streams):
         return gtsam.Pose3()  # one camera, or depth registered to colour by the driver
-    known = [(told[0], told[1])] if told else []
+    known = [(by_driver[0], by_driver[1])] if by_driver else []
     if frames[0] != frames[1] and (between := survey.tree.between(*frames)) is not None:
         known.append((between, "tf"))
     if not known:
         layout.notes.append(f"{topics.name}: no pose of colour relative to depth; assumed identical")
         return gtsam.Pose3()
     pose, source = known[0]
-    values = [np.asarray(one.translation()) for one, _ in known]
+    values = [np.asarray(pose_known.translation()) for pose_known, _ in known]
     if float(np.abs(values[0] - values[-1]).max()) > APART_M:
         layout.notes.append(
             f"{WARNING}{topics.name}: colour relative to depth at {_xyz(values[0])} m by {source}, at "

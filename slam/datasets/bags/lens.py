@@ -51,17 +51,17 @@ class Lens:
         seen_by, turn
             The wanted camera at the same position, and the (3, 3) rotation of this camera in it.
         """
-        lens, wanted = self.intrinsics, seen_by or self.intrinsics
+        lens, target = self.intrinsics, seen_by or self.intrinsics
         rotation = np.eye(3) if turn is None else turn
         still = float(np.abs(rotation - np.eye(3)).max()) < _NEGLIGIBLE
-        if not self.distortion.size and still and _same_view(lens, wanted):
+        if not self.distortion.size and still and _same_view(lens, target):
             return None
         import cv2
 
         build = cv2.fisheye.initUndistortRectifyMap if self.fisheye else cv2.initUndistortRectifyMap
         distortion = self.distortion if self.distortion.size else np.zeros(4)
-        size = (wanted.width, wanted.height)
-        columns, rows = build(_matrix(lens), distortion, rotation, _matrix(wanted), size, cv2.CV_32FC1)
+        size = (target.width, target.height)
+        columns, rows = build(_matrix(lens), distortion, rotation, _matrix(target), size, cv2.CV_32FC1)
         return np.asarray(columns), np.asarray(rows)
 
 
@@ -73,9 +73,9 @@ def _matrix(lens: CameraIntrinsics) -> FloatArray:
 def _same_view(first: CameraIntrinsics, second: CameraIntrinsics) -> bool:
     """Whether two pinhole cameras have the same view to 0.1 pixel, at any image size."""
     scale = second.width / max(first.width, 1)
-    wanted = np.array([first.fx, first.fy, first.cx + 0.5, first.cy + 0.5]) * scale
+    expected = np.array([first.fx, first.fy, first.cx + 0.5, first.cy + 0.5]) * scale
     got = np.array([second.fx, second.fy, second.cx + 0.5, second.cy + 0.5])
-    return bool(np.abs(wanted - got).max() < _TENTH)
+    return bool(np.abs(expected - got).max() < _TENTH)
 
 
 def lens_of(message: Any, *, rectified: bool) -> Lens:

@@ -65,15 +65,15 @@ class McapContainer:
                 raise DatasetError(f"{path} does not begin as an MCAP file; record or copy it again")
             with account.refusing(path.name, None, CUT, CutError):
                 size = path.stat().st_size
-                for kind, content, whole in _raw_records(file, budget):
+                for kind, content, valid in _raw_records(file, budget):
                     on_share(file.tell() / size)
                     if kind in (_FOOTER, _DATA_END):
                         return
                     if kind == _CHUNK:
                         chunks += 1
                         where = f"{path.name}, chunk"
-                        yield from _from_chunk(tables, content, account, budget, where, chunks, whole=whole)
-                    elif whole:
+                        yield from _from_chunk(tables, content, account, budget, where, chunks, valid=valid)
+                    elif valid:
                         if not 0 < kind <= _DATA_END:
                             account.report.note(UNKNOWN, account.report.line_count)
                         yield from _learned(tables, kind, content, account, path.name)
@@ -145,13 +145,13 @@ def _raw_records(stream: BinaryIO, budget: Budget) -> Iterator[tuple[int, bytes,
 
 
 def _from_chunk(
-    tables: _Tables, content: bytes, account: Account, budget: Budget, where: str, number: int, *, whole: bool
+    tables: _Tables, content: bytes, account: Account, budget: Budget, where: str, number: int, *, valid: bool
 ) -> Iterator[tuple[Channel, int, bytes]]:
     """The messages of a chunk, as far as it is intact."""
     # A truncated file is reported once, at its end.
     cut = suppress(RecordFault, CutError)
-    with account.refusing(where, number, DAMAGED, CutError) if whole else cut:
-        records = io.BytesIO(_unpacked(content, budget, whole=whole))
+    with account.refusing(where, number, DAMAGED, CutError) if valid else cut:
+        records = io.BytesIO(_unpacked(content, budget, valid=valid))
         for kind, inner, inner_whole in _raw_records(records, budget):
             if inner_whole:
                 yield from _learned(tables, kind, inner, account, where)
@@ -167,18 +167,18 @@ def _learned(
             yield message
 
 
-def _unpacked(content: bytes, budget: Budget, *, whole: bool) -> bytes:
+def _unpacked(content: bytes, budget: Budget, *, valid: bool) -> bytes:
     """The records of a chunk, verified by their checksum if there is one."""
     stream = io.BytesIO(content)
     try:
         _, _, size, checksum = struct.unpack("<QQQI", exactly(stream, 28))
         compression = _text(stream)
         (packed_size,) = struct.unpack("<Q", exactly(stream, 8))
-        packed = exactly(stream, packed_size) if whole else stream.read()
+        packed = exactly(stream, packed_size) if valid else stream.read()
     except (CutError, UnicodeDecodeError) as error:
         raise RecordFault(DAMAGED, f"head of a chunk: {error}") from error
-    records = unpacked_chunk(packed, compression, size, budget, cut=not whole)
-    if whole and checksum and zlib.crc32(records) != checksum:
+    records = unpacked_chunk(packed, compression, size, budget, cut=not valid)
+    if valid and checksum and zlib.crc32(records) != checksum:
         raise RecordFault(DAMAGED, "checksum of a chunk")
     return records
 

@@ -54,7 +54,7 @@ class Ouster:
     left_out: int = 0
     behind_s: float | None = None
     _frame: int | None = None
-    _over: int | None = None
+    _finished: int | None = None
     _first_ns: int = 0
     _stamps_ns: NDArray[Any] = field(default_factory=lambda: np.zeros(0, np.int64))
     _steps: NDArray[Any] = field(default_factory=lambda: np.zeros(0, np.uint32))
@@ -73,19 +73,19 @@ class Ouster:
         model = self.model
         if len(packet) != model.packet.itemsize:
             raise RecordFault(DAMAGED, f"{len(packet)} bytes, not {model.packet.itemsize}")
-        (whole,) = np.frombuffer(packet, model.packet)
-        columns, names = whole["columns"], model.packet.names or ()
+        (data,) = np.frombuffer(packet, model.packet)
+        columns, names = data["columns"], model.packet.names or ()
         columns = columns[columns["status"] & 1 == 1]
         if not columns.size:
             return None
-        frame = int(whole["frame"] if "frame" in names else columns["frame"][0])
+        frame = int(data["frame"] if "frame" in names else columns["frame"][0])
         numbers, stamps_ns = columns["number"].astype(int), columns["stamp_ns"].astype(np.int64)
         first_ns = self._first_ns if frame == self._frame else int(stamps_ns.min())
         damaged = bool((stamps_ns < 0).any() or (np.abs(stamps_ns - first_ns) > LONGEST_TURN_S * 1e9).any())
-        damaged |= int(whole["kind"]) != 1 if "kind" in names else bool((columns["frame"] != frame).any())
+        damaged |= int(data["kind"]) != 1 if "kind" in names else bool((columns["frame"] != frame).any())
         if damaged or (numbers >= len(model.sent)).any():
             raise RecordFault(DAMAGED, f"frame {frame}, columns {numbers.min()} to {numbers.max()}")
-        if frame == self._over:
+        if frame == self._finished:
             raise RecordFault(LATE, f"frame {frame}")
         before = self.rest() if frame != self._frame else None
         if self.behind_s is None:
@@ -104,12 +104,12 @@ class Ouster:
         """The revolution so far; None if there is none, or if half of its columns or more are missing."""
         if self._frame is None:
             return None
-        self._over, self._frame = self._frame, None
-        told, whole = int((self._stamps_ns[self.model.sent] >= 0).sum()), int(self.model.sent.sum())
-        if 2 * told <= whole:
+        self._finished, self._frame = self._frame, None
+        received, expected = int((self._stamps_ns[self.model.sent] >= 0).sum()), int(self.model.sent.sum())
+        if 2 * received <= expected:
             self.left_out += 1
             return None
-        self.lacking += told < whole
+        self.lacking += received < expected
         return self._cloud()
 
     def _cloud(self) -> SimpleNamespace | None:
@@ -117,7 +117,7 @@ class Ouster:
         model = self.model
         at, row = np.nonzero(self._steps)
         if not at.size:
-            raise RecordFault(NO_RETURN, f"frame {self._over}")
+            raise RecordFault(NO_RETURN, f"frame {self._finished}")
         along_m = self._steps[at, row] * model.step_m - model.arm_m
         points = along_m[:, None] * model.ahead[at, row] + model.origins_m[at]
         first_ns = int(self._stamps_ns[self._stamps_ns >= 0].min())
@@ -130,12 +130,12 @@ class Ouster:
         """Return an IMU packet as an Imu at the time of its rates; RecordFault if it is damaged."""
         if len(packet) != IMU_BYTES:
             raise RecordFault(DAMAGED, f"{len(packet)} bytes, not {IMU_BYTES}")
-        _, _, at_ns, *told = struct.unpack("<3Q6f", packet)
+        _, _, at_ns, *readings = struct.unpack("<3Q6f", packet)
         if self.behind_s is None:
             self._set_clock(recorded_s, at_ns)
-        forces, rates = GRAVITY_M_S2 * np.array(told[:3]), np.radians(told[3:])
+        forces, rates = GRAVITY_M_S2 * np.array(readings[:3]), np.radians(readings[3:])
         halves = [
-            SimpleNamespace(**dict(zip("xyz", map(float, one), strict=True))) for one in (forces, rates)
+            SimpleNamespace(**dict(zip("xyz", map(float, vector), strict=True))) for vector in (forces, rates)
         ]
         return SimpleNamespace(
             header=header_at(self._stamp_s(at_ns), FRAMES[2]),
@@ -157,17 +157,17 @@ class Ouster:
             raise RecordFault(DAMAGED, f"at {told_ns} ns")
         return stamp_s
 
-    def told(self) -> list[str]:
-        """Conclusions for the user."""
-        found = []
+    def notes(self) -> list[str]:
+        """Notes for the user."""
+        notes = []
         if self.lacking:
-            found.append(f"{self.lacking} revolutions of an Ouster lack columns; read as they are")
+            notes.append(f"{self.lacking} revolutions of an Ouster lack columns; read as they are")
         if self.left_out:
-            found.append(f"{self.left_out} revolutions of an Ouster lack half their columns or more; ignored")
+            notes.append(f"{self.left_out} revolutions of an Ouster lack half their columns or more; ignored")
         if self.behind_s:
             text = f"an Ouster's clock is {self.behind_s:.1f} s behind the recorder's"
-            found.append(f"{WARNING}{text}; corrected by the arrival of its first packet")
-        return found
+            notes.append(f"{WARNING}{text}; corrected by the arrival of its first packet")
+        return notes
 
 
 class Ousters:
@@ -199,9 +199,9 @@ class Ousters:
         space = topic.rpartition("/")[0]
         if space not in self._sensors:
             if not self.models and not self._faults and self._path is not None:
-                beside = metadata_beside(self._path)
-                if beside is not None:
-                    self.learn(topic, beside)
+                metadata = metadata_beside(self._path)
+                if metadata is not None:
+                    self.learn(topic, metadata)
             only = next(iter(self.models.values())) if len(self.models) == 1 else None
             model = self.models.get(space, only)
             if model is None:
@@ -222,6 +222,6 @@ class Ousters:
         space = topic.rpartition("/")[0]
         return self._sensors[space].rest() if space in self._sensors else None
 
-    def told(self) -> list[str]:
-        """Conclusions for the user."""
-        return [text for sensor in self._sensors.values() for text in sensor.told()]
+    def notes(self) -> list[str]:
+        """Notes for the user."""
+        return [text for sensor in self._sensors.values() for text in sensor.notes()]

@@ -70,11 +70,11 @@ class OusterModel:
     def of(text: str) -> OusterModel:
         """Parse the metadata of a sensor (flat, with a format, or in sections); RecordFault if unreadable."""
         try:
-            told = json.loads(text)
-            whole = dict(told)
+            content = json.loads(text)
+            fields = dict(content)
             for name in _SECTIONS.split():
-                whole |= told.get(name) or {}
-            return _model(whole)
+                fields |= content.get(name) or {}
+            return _model(fields)
         except KeyError as error:
             raise RecordFault(f"{NOT_READ}: it lacks {error}", "") from error
         except (ValueError, TypeError, AttributeError, RuntimeError, RecursionError) as error:
@@ -86,35 +86,35 @@ class OusterModel:
         return {lidar: self.T_sensor_lidar} | ({imu: self.T_sensor_imu} if self.T_sensor_imu else {})
 
 
-def _model(told: dict[str, Any]) -> OusterModel:
+def _model(meta: dict[str, Any]) -> OusterModel:
     """A model from parsed metadata."""
-    profile = str(told.get("udp_profile_lidar") or "LEGACY")
+    profile = str(meta.get("udp_profile_lidar") or "LEGACY")
     if profile not in _PIXELS:
         raise RecordFault(f"{NOT_READ}: profile {profile[:40]}, of those read {', '.join(_PIXELS)}", profile)
-    up, aside = (
-        np.radians(np.asarray(told[f"beam_{name}_angles"], np.float64)) for name in ("altitude", "azimuth")
+    up_rad, side_rad = (
+        np.radians(np.asarray(meta[f"beam_{name}_angles"], np.float64)) for name in ("altitude", "azimuth")
     )
-    columns = int(told.get("columns_per_frame") or str(told["lidar_mode"]).partition("x")[0])
-    rows, each = int(told.get("pixels_per_column", len(up))), int(told.get("columns_per_packet", 16))
-    if up.shape != (rows,) or aside.shape != (rows,) or not 0 < columns <= _MOST_COLUMNS or each < 1:
-        raise ValueError(f"{columns} columns of {rows} pixels with {up.size} and {aside.size} angles")
+    columns = int(meta.get("columns_per_frame") or str(meta["lidar_mode"]).partition("x")[0])
+    rows, each = int(meta.get("pixels_per_column", len(up_rad))), int(meta.get("columns_per_packet", 16))
+    if up_rad.shape != (rows,) or side_rad.shape != (rows,) or not 0 < columns <= _MOST_COLUMNS or each < 1:
+        raise ValueError(f"{columns} columns of {rows} pixels with {up_rad.size} and {side_rad.size} angles")
     size, _, bits, step_m, _, _ = _PIXELS[profile]
     if rows * each * size > _LARGEST_PACKET:
         raise ValueError(f"{each} columns of {rows} pixels in a packet")
     packet = _packet(profile, rows, each)
-    across_m, above_m = _beams_m(told)
+    across_m, above_m = _beams_m(meta)
     encoder = 2.0 * np.pi * (1.0 - np.arange(columns) / columns)
-    bearing, flat = encoder[:, None] - aside, np.cos(up)
-    height = np.broadcast_to(np.sin(up), bearing.shape)
+    bearing, flat = encoder[:, None] - side_rad, np.cos(up_rad)
+    height = np.broadcast_to(np.sin(up_rad), bearing.shape)
     origins = [across_m * np.cos(encoder), across_m * np.sin(encoder), np.full(columns, above_m)]
     ahead = np.stack([flat * np.cos(bearing), flat * np.sin(bearing), height], axis=-1)
-    first, last = told.get("column_window") or (0, columns - 1)
+    first, last = meta.get("column_window") or (0, columns - 1)
     sent = (np.arange(columns) - int(first)) % columns <= (int(last) - int(first)) % columns
-    imu = told.get("imu_to_sensor_transform")
+    imu = meta.get("imu_to_sensor_transform")
     arm_m = float(np.hypot(across_m, above_m))
     if not np.isfinite([ahead.sum(), arm_m]).all():
         raise ValueError("angles that are no numbers")
-    mount = _pose(told["lidar_to_sensor_transform"])
+    mount = _pose(meta["lidar_to_sensor_transform"])
     return OusterModel(
         packet, step_m, bits, ahead, np.stack(origins, 1), arm_m, sent, mount, _pose(imu) if imu else None
     )
@@ -146,17 +146,17 @@ def packet_sizes() -> frozenset[int]:
     return frozenset(_packet(profile, rows, 16).itemsize for profile in _PIXELS for rows in (16, 32, 64, 128))
 
 
-def _beams_m(told: Mapping[str, Any]) -> tuple[float, float]:
+def _beams_m(fields: Mapping[str, Any]) -> tuple[float, float]:
     """Distance of the beam origins from the lidar's axis, and their height above its origin."""
-    if (whole := told.get("beam_to_lidar_transform")) is not None:
-        matrix = np.asarray(whole, np.float64).reshape(4, 4)
+    if (transform := fields.get("beam_to_lidar_transform")) is not None:
+        matrix = np.asarray(transform, np.float64).reshape(4, 4)
         return float(matrix[0, 3]) / 1000.0, float(matrix[2, 3]) / 1000.0
-    return float(told["lidar_origin_to_beam_origin_mm"]) / 1000.0, 0.0
+    return float(fields["lidar_origin_to_beam_origin_mm"]) / 1000.0, 0.0
 
 
-def _pose(told: Any) -> gtsam.Pose3:
+def _pose(numbers: Any) -> gtsam.Pose3:
     """A transform in the metadata: 16 numbers in row-major order, millimetres."""
-    matrix = np.asarray(told, np.float64).reshape(4, 4)
+    matrix = np.asarray(numbers, np.float64).reshape(4, 4)
     if not np.isfinite(matrix).all() or abs(np.linalg.det(matrix[:3, :3]) - 1.0) > 0.01:
         raise ValueError("an invalid transform")
     return gtsam.Pose3(gtsam.Rot3.ClosestTo(matrix[:3, :3]), matrix[:3, 3] / 1000.0)
@@ -166,15 +166,15 @@ def metadata_beside(path: Path) -> str | None:
     """The metadata next to or in a recording: with its name, else the only one, else None."""
     places = [path, path.parent] if path.is_dir() else [path.parent]
     for place in places:
-        found = {}
+        texts = {}
         for file in islice(sorted(place.glob("*.json")), _MOST_FILES):
             try:
                 text = file.read_text("utf-8") if file.stat().st_size < _MOST_BYTES else ""
             except (OSError, ValueError):
                 continue
             if "beam_altitude_angles" in text:
-                found[file.stem] = text
-        named = [text for stem, text in found.items() if stem in (path.name, path.stem)]
-        if named or len(found) == 1:
-            return (named or list(found.values()))[0]
+                texts[file.stem] = text
+        named = [text for stem, text in texts.items() if stem in (path.name, path.stem)]
+        if named or len(texts) == 1:
+            return (named or list(texts.values()))[0]
     return None

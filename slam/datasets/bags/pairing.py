@@ -78,12 +78,12 @@ class PairStream:
         while self._depths:
             self._refuse(NO_COLOR, self._depths.pop(0))
 
-    def tell(self) -> None:
+    def note_offsets(self) -> None:
         """Note the time differences between the images of pairs."""
         if self._first is not None:
             text = f"{self._sensor}: colour and depth paired within {self._tolerance_s:.3f} s"
-            apart = f"at most {self._farthest_s:.4f} s apart"
-            self._account.report.note(f"{text}, {apart}", self._first, self._farthest_s)
+            offset = f"at most {self._farthest_s:.4f} s apart"
+            self._account.report.note(f"{text}, {offset}", self._first, self._farthest_s)
 
     def _settle_first(self) -> Iterator[ImagePair]:
         """Pair the oldest colour image, or reject it."""

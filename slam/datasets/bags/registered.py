@@ -39,16 +39,16 @@ class CameraFacts:
         Pose of the reference stream in each stream of a recording by librealsense, by the stream's namespace.
     extrinsics
         ``T_to_from`` of each topic of Extrinsics.
-    told
+    fact_topics
         The topics that contain these facts.
     """
 
     units_m: dict[str, float] = field(default_factory=dict)
     streams: dict[str, gtsam.Pose3] = field(default_factory=dict)
     extrinsics: dict[str, gtsam.Pose3] = field(default_factory=dict)
-    told: set[str] = field(default_factory=set)
+    fact_topics: set[str] = field(default_factory=set)
 
-    def tells(self, topic: str, kind: str) -> bool:
+    def describes_camera(self, topic: str, kind: str) -> bool:
         """Whether a topic contains such facts."""
         return bool(EXTRINSICS.search(kind) or _UNIT.fullmatch(topic) or _STREAM.fullmatch(topic))
 
@@ -63,7 +63,7 @@ class CameraFacts:
             self.streams[stream[1]] = pose_of(message.translation, message.rotation)
         else:
             self.extrinsics[topic] = _pose_of_extrinsics(message, by_columns="realsense" in kind)
-        self.told.add(topic)
+        self.fact_topics.add(topic)
 
     def unit_m(self, topic: str) -> float | None:
         """Metres per depth step of an image topic; None if unknown."""
@@ -99,9 +99,9 @@ def _pose_of_extrinsics(message: Any, *, by_columns: bool) -> gtsam.Pose3:
     rotation = np.asarray(message.rotation, dtype=np.float64).reshape(3, 3)
     matrix[:3, :3] = rotation.T if by_columns else rotation
     translation = np.asarray(message.translation, dtype=np.float64)
-    apart = float(np.linalg.norm(translation))
-    matrix[:3, 3] = translation if apart < _FARTHEST_M else translation / 1000.0
-    if not math.isfinite(apart):
+    length = float(np.linalg.norm(translation))
+    matrix[:3, 3] = translation if length < _FARTHEST_M else translation / 1000.0
+    if not math.isfinite(length):
         raise ValueError(f"translation {translation}")
     return pose_from_matrix(matrix)
 
@@ -132,8 +132,8 @@ class ColorView:
         """(H, W, 3) at the depth image's size; black outside the colour camera's view."""
         import cv2
 
-        away: NDArray[np.float32] = np.where(depth_m > 0.0, depth_m, np.float32(_FAR_M))
-        x, y, z = (ray * away + shift for ray, shift in zip(self._rays, self._shift, strict=True))
+        known_m: NDArray[np.float32] = np.where(depth_m > 0.0, depth_m, np.float32(_FAR_M))
+        x, y, z = (ray * known_m + shift for ray, shift in zip(self._rays, self._shift, strict=True))
         with np.errstate(divide="ignore", invalid="ignore"):
             columns = np.where(z > 0.0, np.float32(self._lens.fx) * x / z + np.float32(self._lens.cx), -1.0)
             rows = np.where(z > 0.0, np.float32(self._lens.fy) * y / z + np.float32(self._lens.cy), -1.0)

@@ -24,14 +24,14 @@ class Robots:
     read: str = ""
 
     @classmethod
-    def of(cls, kinds: Mapping[str, str], wanted: Sequence[str]) -> Robots:
+    def of(cls, kinds: Mapping[str, str], requested: Sequence[str]) -> Robots:
         """Find robots: namespaces with wheels or transforms, and with a lidar or a camera.
 
         Parameters
         ----------
         kinds
             Message type of each topic.
-        wanted
+        requested
             Topics or namespaces named by the user: they select the robot, else it is the first by name.
         """
         found: dict[str, set[str]] = {}
@@ -41,7 +41,7 @@ class Robots:
         spaces = tuple(sorted(space for space, own in found.items() if space and own & sees and own & moves))
         if len(spaces) < 2:
             return cls()
-        named = [space for space in spaces if any(_space(f"{name}/") == space for name in wanted)]
+        named = [space for space in spaces if any(_space(f"{name}/") == space for name in requested)]
         return cls(spaces, (named or spaces)[0])
 
     def of_another(self, topic: str) -> bool:

@@ -43,12 +43,12 @@ class Rosbag1Container:
                 if index >= size:
                     return None
                 file.seek(index)
-                found: dict[int, Channel] = {}
+                channels: dict[int, Channel] = {}
                 for fields, content, _ in _raw_records(file, Budget(size)):
                     if fields.get("op") == bytes([_CONNECTION]):
                         number, channel = _connection(fields, content)
-                        found[number] = channel
-                return list(found.values()) or None
+                        channels[number] = channel
+                return list(channels.values()) or None
             except (CutError, RecordFault, struct.error, OSError):
                 return None
 
@@ -63,7 +63,7 @@ class Rosbag1Container:
                 raise DatasetError(f"{path} does not begin as a ROS 1 bag 2.0; convert or copy it again")
             with account.refusing(path.name, None, CUT, CutError):
                 size = path.stat().st_size
-                for fields, content, whole in _raw_records(file, budget):
+                for fields, content, valid in _raw_records(file, budget):
                     on_share(file.tell() / size)
                     kind = fields.get("op", b"")
                     if kind == bytes([_BAG_HEADER]):
@@ -71,10 +71,10 @@ class Rosbag1Container:
                     elif kind == bytes([_CHUNK]):
                         chunks += 1
                         inside = _from_chunk(
-                            channels, fields, content, account, budget, path.name, chunks, whole=whole
+                            channels, fields, content, account, budget, path.name, chunks, valid=valid
                         )
                         yield from inside
-                    elif whole:
+                    elif valid:
                         if not b"\2" <= kind <= b"\7":
                             account.report.note(UNKNOWN, account.report.line_count)
                         yield from _learned(channels, fields, content, account, path.name)
@@ -108,15 +108,15 @@ def _raw_records(stream: BinaryIO, budget: Budget) -> Iterator[tuple[_Fields, by
 
 def _fields(header: bytes) -> _Fields:
     """The named values of a header."""
-    found, at = {}, 0
+    values, at = {}, 0
     while at + 4 <= len(header):
         (size,) = struct.unpack_from("<I", header, at)
         name, equals, value = header[at + 4 : at + 4 + size].partition(b"=")
         if not equals or at + 4 + size > len(header):
             raise RecordFault(DAMAGED, "header of a record")
-        found[name.decode("ascii", "replace")] = value
+        values[name.decode("ascii", "replace")] = value
         at += 4 + size
-    return found
+    return values
 
 
 def _from_chunk(
@@ -128,15 +128,15 @@ def _from_chunk(
     where: str,
     number: int,
     *,
-    whole: bool,
+    valid: bool,
 ) -> Iterator[tuple[Channel, int, bytes]]:
     """The messages of a chunk, as far as it is intact."""
     # A truncated file is reported once, at its end.
     cut = suppress(RecordFault, CutError, struct.error)
-    with account.refusing(f"{where}, chunk", number, DAMAGED, CutError, struct.error) if whole else cut:
+    with account.refusing(f"{where}, chunk", number, DAMAGED, CutError, struct.error) if valid else cut:
         (size,) = struct.unpack("<I", fields.get("size", b""))
         compression = fields.get("compression", b"none").decode("ascii", "replace")
-        records = unpacked_chunk(content, compression, size, budget, cut=not whole)
+        records = unpacked_chunk(content, compression, size, budget, cut=not valid)
         for inner, message, inner_whole in _raw_records(io.BytesIO(records), budget):
             if inner_whole:
                 yield from _learned(channels, inner, message, account, where)

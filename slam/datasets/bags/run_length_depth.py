@@ -25,8 +25,8 @@ def unpacked(content: bytes, budget: Budget) -> NDArray[np.uint16]:
     width, height = (int(value) for value in np.frombuffer(content, "<u4", 2))
     if not 0 < width * height <= MOST_PIXELS:
         raise RecordFault(DAMAGED_RUNS, f"{width} x {height}")
-    whole = len(content) // 4 * 4
-    words = np.frombuffer(content[_SIZE_BYTES:whole], "<u4").astype(np.uint32)
+    end = len(content) // 4 * 4
+    words = np.frombuffer(content[_SIZE_BYTES:end], "<u4").astype(np.uint32)
     budget.take(2 * width * height, 0)
     pixels = np.zeros(width * height, dtype=np.uint16)
     if not _fill(words, pixels):

@@ -93,10 +93,10 @@ def _channels(database: sqlite3.Connection) -> dict[int, Channel]:
             definitions[str(kind)] = str(text), _LANGUAGES.get(str(language), str(language))
     except sqlite3.Error:  # older schema or truncated: use the definitions of the common releases
         pass
-    found = {}
+    channels = {}
     for number, topic, kind, wire in database.execute(
         "SELECT id, name, type, serialization_format FROM topics ORDER BY id"
     ):
         text, language = definitions.get(str(kind), ("", "msg"))
-        found[int(number)] = Channel(plain(topic), plain(ros2_name(str(kind))), str(wire), text, language)
-    return found
+        channels[int(number)] = Channel(plain(topic), plain(ros2_name(str(kind))), str(wire), text, language)
+    return channels

@@ -114,7 +114,7 @@ class Survey:
         for child in children:
             if child in self.tree:
                 # Visual odometry moves the camera, which is mounted on the robot.
-                above = [frame for frame in named if self.tree.sits_on(child, frame)]
+                above = [frame for frame in named if self.tree.is_attached(child, frame)]
                 return child if child in named or not above else above[0]
         if named:
             return named[0]
@@ -148,12 +148,12 @@ class Survey:
         return same[0] if frame and same else None
 
 
-def survey_bag(bag: Bag, wanted: Sequence[str] = ()) -> Survey:
+def survey_bag(bag: Bag, requested: Sequence[str] = ()) -> Survey:
     """Survey the start of a bag, or all of it if its index is missing.
 
     Parameters
     ----------
-    wanted
+    requested
         Topics or namespaces named by the user: they select one of several robots.
 
     Raises
@@ -165,7 +165,7 @@ def survey_bag(bag: Bag, wanted: Sequence[str] = ()) -> Survey:
     announced = bag.announced()
     for channel in announced or []:
         survey.channels.setdefault(channel.topic, channel)
-    survey.robots = Robots.of({topic: one.kind for topic, one in survey.channels.items()}, wanted)
+    survey.robots = Robots.of({topic: info.kind for topic, info in survey.channels.items()}, requested)
     budget = bag.budget()
     decoder = Decoder(budget, Ousters(bag.path))
     quiet = Account.quiet(bag.path)
@@ -187,7 +187,7 @@ def survey_bag(bag: Bag, wanted: Sequence[str] = ()) -> Survey:
         sensor, *_ = FRAMES
         for frame, pose in model.mountings().items():
             if frame not in survey.tree:
-                survey.tree.sits(sensor, frame, pose)
+                survey.tree.add_frame(sensor, frame, pose)
     return survey
 
 
@@ -204,11 +204,11 @@ def clock_shifts(survey: Survey) -> dict[str, float]:
 
     The common clock is the one that is nearest to the recorder's.
     """
-    told = {topic: late_s for topic, late_s in survey.late_s.items() if late_s is not None}
-    reference_s = min(told.values(), key=abs, default=0.0)
+    stamped = {topic: late_s for topic, late_s in survey.late_s.items() if late_s is not None}
+    reference_s = min(stamped.values(), key=abs, default=0.0)
     return {
         topic: reference_s - late_s
-        for topic, late_s in told.items()
+        for topic, late_s in stamped.items()
         if abs(late_s - reference_s) > _OTHER_CLOCK_S
     }
 
@@ -229,10 +229,10 @@ def _look(survey: Survey, record: BagRecord, decoder: Decoder) -> None:
     kind, topic = record.channel.kind, record.channel.topic
     if kind in SENSORS:
         survey.seen.add(topic)
-    wanted = kind in SENSORS | TRANSFORMS or kind == CAMERA_INFO or survey.facts.tells(topic, kind)
+    useful = kind in SENSORS | TRANSFORMS or kind == CAMERA_INFO or survey.facts.describes_camera(topic, kind)
     known: Container[str] = survey.in_pieces if kind in CLOUDS else survey.frames
-    seen = (topic in known and kind not in IMAGES | SCANS) or topic in survey.lenses
-    if not wanted or seen or survey.robots.of_another(topic):
+    is_done = (topic in known and kind not in IMAGES | SCANS) or topic in survey.lenses
+    if not useful or is_done or survey.robots.of_another(topic):
         return
     try:
         message = decoder.decode(record)
@@ -240,7 +240,7 @@ def _look(survey: Survey, record: BagRecord, decoder: Decoder) -> None:
             return
         if kind in TRANSFORMS:
             survey.tree.add(message)
-        elif survey.facts.tells(topic, kind):
+        elif survey.facts.describes_camera(topic, kind):
             survey.facts.add(topic, kind, message)
         elif kind == CAMERA_INFO:
             survey.lenses[topic] = message
@@ -261,15 +261,15 @@ def _look_at_reading(survey: Survey, record: BagRecord, message: Any) -> None:
     else:
         survey.late_s[topic] = min(least_s, record.recorded_s - stamp_of(message.header))
     if kind in CLOUDS:
-        looks = cloud_view(message)
+        view = cloud_view(message)
         if topic in survey.clouds:
-            survey.in_pieces[topic] = survey.clouds[topic].turns_to(looks)
-        survey.clouds.setdefault(topic, looks)
+            survey.in_pieces[topic] = survey.clouds[topic].turns_to(view)
+        survey.clouds.setdefault(topic, view)
     elif kind in SCANS:
         survey.scan_stamps_s.setdefault(topic, set()).add(stamp_of(message.header))
         span_rad = float(abs(message.angle_max - message.angle_min))
-        view = span_rad, float(message.range_max)
-        survey.scans[topic] = view if all(map(math.isfinite, view)) else (0.0, 0.0)
+        scan_view = span_rad, float(message.range_max)
+        survey.scans[topic] = scan_view if all(map(math.isfinite, scan_view)) else (0.0, 0.0)
     elif kind == IMU:
         survey.imus[topic] = quantities_in(message)
     elif kind == ODOMETRY:

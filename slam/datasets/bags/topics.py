@@ -115,7 +115,7 @@ _WHY = {
 def choose(
     kinds: Mapping[str, str],
     depths: Mapping[str, bool],
-    wanted: tuple[str, ...],
+    requested: tuple[str, ...],
     never: Mapping[str, str] | None = None,
     evidence: Evidence = NO_EVIDENCE,
 ) -> Choice:
@@ -127,42 +127,42 @@ def choose(
         Message type of each topic that holds messages.
     depths
         For each image topic, whether it contains depth.
-    wanted
+    requested
         Topics named by the user: no other topics of their type (scans, clouds, wheels, images) are read.
     never
         Topics that are read only if the user names them, with the reason.
     """
-    never = {topic: why for topic, why in (never or {}).items() if topic not in wanted}
+    never = {topic: why for topic, why in (never or {}).items() if topic not in requested}
     left_out = {topic: f"{why}; --topics {topic} reads it" for topic, why in never.items()}
 
     def of(*sort: str) -> list[str]:
         return [topic for topic, kind in kinds.items() if kind in sort and topic not in never]
 
-    scans = _named(of(*SCANS), wanted) or _lasers(of(*SCANS), evidence)
-    clouds = _named(of(*CLOUDS), wanted) or tuple(sorted(of(*CLOUDS), key=evidence.cloud)[:1])
-    odometry = _named(of(ODOMETRY), wanted) or tuple(sorted(of(ODOMETRY), key=evidence.odometry)[:1])
-    imus, receivers = (_named(of(kind), wanted) or tuple(of(kind)) for kind in (IMU, NAVSAT))
+    scans = _named(of(*SCANS), requested) or _lasers(of(*SCANS), evidence)
+    clouds = _named(of(*CLOUDS), requested) or tuple(sorted(of(*CLOUDS), key=evidence.cloud)[:1])
+    odometry = _named(of(ODOMETRY), requested) or tuple(sorted(of(ODOMETRY), key=evidence.odometry)[:1])
+    imus, receivers = (_named(of(kind), requested) or tuple(of(kind)) for kind in (IMU, NAVSAT))
     images = of(*IMAGES)
-    named = [topic for topic in images if topic in wanted]
-    cameras, lonely = _cameras(named or _raw_first(images), depths, evidence, given=bool(named))
-    read = {*scans, *clouds, *odometry, *imus, *receivers, *lonely}
-    read |= {topic for one in cameras for topic in (one.color, one.depth)}
+    named = [topic for topic in images if topic in requested]
+    cameras, unpaired = _cameras(named or _raw_first(images), depths, evidence, named=bool(named))
+    read = {*scans, *clouds, *odometry, *imus, *receivers, *unpaired}
+    read |= {topic for camera in cameras for topic in (camera.color, camera.depth)}
     for topic, kind in kinds.items():
         if topic in read or topic in left_out or kind not in SENSORS:
             continue
         if kind in IMAGES:
             left_out[topic] = f"another image topic of its camera is read; --topics {topic} reads it"
-        elif any(name in wanted for name in of(kind)):
+        elif any(name in requested for name in of(kind)):
             left_out[topic] = "--topics names others of its kind"
         else:
             instead = ", ".join(other for other in (*scans, *clouds, *odometry) if kinds[other] == kind)
             left_out[topic] = f"{instead} is read, {_WHY[kind]}; --topics {topic} reads this one"
-    return Choice(scans, clouds, odometry, cameras, lonely, left_out, imus, receivers)
+    return Choice(scans, clouds, odometry, cameras, unpaired, left_out, imus, receivers)
 
 
-def _named(topics: list[str], wanted: tuple[str, ...]) -> tuple[str, ...]:
+def _named(topics: list[str], requested: tuple[str, ...]) -> tuple[str, ...]:
     """The topics that the user named."""
-    return tuple(topic for topic in topics if topic in wanted)
+    return tuple(topic for topic in topics if topic in requested)
 
 
 def _lasers(topics: list[str], evidence: Evidence) -> tuple[str, ...]:
@@ -205,45 +205,45 @@ def _raw_first(images: list[str]) -> list[str]:
 
 
 def _cameras(
-    images: list[str], depths: Mapping[str, bool], evidence: Evidence, *, given: bool
+    images: list[str], depths: Mapping[str, bool], evidence: Evidence, *, named: bool
 ) -> tuple[tuple[CameraTopics, ...], tuple[str, ...]]:
     """Cameras, and the image topics that belong to no camera."""
     groups: dict[str, list[str]] = {}
     for topic in sorted(images):
         groups.setdefault(_namespace(topic), []).append(topic)
     cameras: list[CameraTopics] = []
-    lonely: list[str] = []
+    unpaired: list[str] = []
     for space, topics in groups.items():
-        found = _of_one_place(topics, depths, evidence, given=given)
-        if len(found) == 1:
-            found = [CameraTopics(space or "/camera", found[0].color, found[0].depth)]
-        cameras += found
-        lonely += [] if found else topics
+        pair = _of_one_place(topics, depths, evidence, named=named)
+        if len(pair) == 1:
+            pair = [CameraTopics(space or "/camera", pair[0].color, pair[0].depth)]
+        cameras += pair
+        unpaired += [] if pair else topics
     # If names share nothing, topics with the same frame, or the only ones of their type, still match.
-    if not cameras and (found := _of_one_place(lonely, depths, evidence, given=given)):
-        cameras = [CameraTopics("/camera", found[0].color, found[0].depth)]
-        lonely = []
-    return tuple(cameras), tuple(lonely)
+    if not cameras and (pair := _of_one_place(unpaired, depths, evidence, named=named)):
+        cameras = [CameraTopics("/camera", pair[0].color, pair[0].depth)]
+        unpaired = []
+    return tuple(cameras), tuple(unpaired)
 
 
 def _of_one_place(
-    topics: list[str], depths: Mapping[str, bool], evidence: Evidence, *, given: bool
+    topics: list[str], depths: Mapping[str, bool], evidence: Evidence, *, named: bool
 ) -> list[CameraTopics]:
     """The cameras of one namespace; none if it has no depth or no colour."""
-    depth = _best([topic for topic in topics if depths.get(topic)], _depth_rank, given=given)
+    depth = _best([topic for topic in topics if depths.get(topic)], _depth_rank, named=named)
     frames = {evidence.frame(topic) for topic in depth}
 
     def color_rank(topic: str) -> tuple[bool, ...]:
         infrared, *rest = _color_rank(topic)
         return infrared, evidence.frame(topic) not in frames, *rest
 
-    color = _best([topic for topic in topics if not depths.get(topic)], color_rank, given=given)
+    color = _best([topic for topic in topics if not depths.get(topic)], color_rank, named=named)
     if not depth or not color:
         return []
     if len(depth) == len(color) > 1:
         return _paired(color, depth)
-    if given and len(depth) != len(color):
-        depth, color = _best(depth, _depth_rank, given=False), _best(color, color_rank, given=False)
+    if named and len(depth) != len(color):
+        depth, color = _best(depth, _depth_rank, named=False), _best(color, color_rank, named=False)
     return [CameraTopics("", color[0], depth[0])]
 
 
@@ -258,9 +258,9 @@ def _namespace(topic: str) -> str:
     return "/" + "/".join(own) if own else ""
 
 
-def _best(topics: list[str], rank: Callable[[str], tuple[bool, ...]], *, given: bool) -> list[str]:
+def _best(topics: list[str], rank: Callable[[str], tuple[bool, ...]], *, named: bool) -> list[str]:
     """The topics of the best rank; all if the user chose them."""
-    if given or len(topics) < 2:
+    if named or len(topics) < 2:
         return topics
     ranks = {topic: rank(topic) for topic in topics}
     least = min(ranks.values())
@@ -286,10 +286,10 @@ def _color_rank(topic: str) -> tuple[bool, bool, bool, bool]:
 
 def _paired(colors: list[str], depths: list[str]) -> list[CameraTopics]:
     """Each depth topic with the colour topic that has the longest common prefix."""
-    cameras, left = [], list(colors)
+    cameras, unpaired = [], list(colors)
     for depth in depths:
-        color = max(left, key=lambda topic: len(shared(topic, depth)))
-        left.remove(color)
+        color = max(unpaired, key=lambda topic: len(shared(topic, depth)))
+        unpaired.remove(color)
         name = shared(color, depth).rstrip("/_") or depth
         cameras.append(CameraTopics(name, color, depth))
     return cameras
@@ -301,6 +301,6 @@ def shared(first: str, second: str) -> str:
     return "".join(letter for letter, _ in same)
 
 
-def mended(kind: str) -> str:
+def advice(kind: str) -> str:
     """The remedy for messages of an unsupported type, to append to the reason; or nothing."""
     return next((f"; {remedy}" for pattern, remedy in _REMEDIES if re.search(pattern, kind)), "")

@@ -26,7 +26,7 @@ class FrameTree:
 
     def __init__(self) -> None:
         self._parents: dict[str, tuple[str, gtsam.Pose3]] = {}
-        self._told: dict[tuple[str, str], gtsam.Pose3] = {}
+        self._poses: dict[tuple[str, str], gtsam.Pose3] = {}
         self.moving: set[str] = set()
         self.tilting: set[str] = set()
 
@@ -40,15 +40,15 @@ class FrameTree:
         elif (self._parents.get(parent) or ("",))[0] == child:
             self._parents[parent] = child, pose.inverse()
         else:
-            self._told[parent, child] = pose
+            self._poses[parent, child] = pose
 
-    def sits(self, parent: str, child: str, pose: gtsam.Pose3) -> None:
+    def add_frame(self, parent: str, child: str, pose: gtsam.Pose3) -> None:
         """Add a frame that the tree does not contain, as a tf message would."""
         self._parents[child] = parent, pose
 
     def _steps(self) -> Iterator[tuple[str, str, gtsam.Pose3]]:
         """Parent, child and pose of all known transforms; those from tf first."""
-        yield from ((parent, child, pose) for (parent, child), pose in self._told.items())
+        yield from ((parent, child, pose) for (parent, child), pose in self._poses.items())
         yield from ((parent, child, pose) for child, (parent, pose) in self._parents.items())
 
     def add(self, message: Any) -> None:
@@ -74,7 +74,7 @@ class FrameTree:
                 self._parents[child] = parent, pose
         elif known[0] == parent and child not in self.tilting and differs(known[1], pose):
             self.moving.add(child)
-            up, before_up = (one.rotation().matrix()[:, 2] for one in (pose, known[1]))
+            up, before_up = (T.rotation().matrix()[:, 2] for T in (pose, known[1]))
             if up @ before_up < math.cos(_STILL_RAD):
                 self.tilting.add(child)
 
@@ -84,15 +84,15 @@ class FrameTree:
         for parent, child, pose in self._steps():
             neighbours.setdefault(parent, []).append((child, pose))
             neighbours.setdefault(child, []).append((parent, pose.inverse()))
-        found = {base: gtsam.Pose3()}
+        poses = {base: gtsam.Pose3()}
         ahead = deque([base])
-        while ahead and sensor not in found:
+        while ahead and sensor not in poses:
             frame = ahead.popleft()
             for other, pose in neighbours.get(frame, []):
-                if other not in found:
-                    found[other] = found[frame].compose(pose)
+                if other not in poses:
+                    poses[other] = poses[frame].compose(pose)
                     ahead.append(other)
-        return found.get(sensor)
+        return poses.get(sensor)
 
     def moves_between(self, base: str, sensor: str) -> bool:
         """Whether a joint between the base and a sensor moves in the bag."""
@@ -102,7 +102,7 @@ class FrameTree:
         """Whether such a joint tilts its z axis in the bag."""
         return bool(self.tilting & (set(self._chain(base)) ^ set(self._chain(sensor))))
 
-    def sits_on(self, frame: str, other: str) -> bool:
+    def is_attached(self, frame: str, other: str) -> bool:
         """Whether a frame is attached to another, directly or through other frames."""
         return other in self._chain(frame)[1:]
 

@@ -31,9 +31,9 @@ def is_truth(topic: str, kind: str) -> bool:
     return kind in TRUTHS and bool(_NAME.search(topic))
 
 
-def truth_topic(kinds: Mapping[str, str], wanted: Sequence[str]) -> str | None:
+def truth_topic(kinds: Mapping[str, str], requested: Sequence[str]) -> str | None:
     """The ground truth topic: named by the user, else found by name; the first of several."""
-    named = [topic for topic in wanted if kinds.get(topic) in TRUTHS - {ODOMETRY}]
+    named = [topic for topic in requested if kinds.get(topic) in TRUTHS - {ODOMETRY}]
     return next(
         iter([*named, *sorted(topic for topic, kind in kinds.items() if is_truth(topic, kind))]), None
     )
@@ -43,7 +43,7 @@ def read_truth(bag: Bag, topic: str, account: Account) -> Trajectory | None:
     """The poses of a topic in the order of the bag; for a Path, those of its longest message."""
     budget = bag.budget()
     decoder = Decoder(budget)
-    found: list[tuple[float, gtsam.Pose3]] = []
+    poses: list[tuple[float, gtsam.Pose3]] = []
     for record in bag.records(account, budget):
         if record.channel.topic != topic:
             continue
@@ -51,10 +51,10 @@ def read_truth(bag: Bag, topic: str, account: Account) -> Trajectory | None:
         with account.refusing(topic, record.number, "invalid pose", *damages):
             message = decoder.decode(record)
             if record.channel.kind == PATH:
-                found = max(found, [_stamped(pose) for pose in message.poses], key=len)
+                poses = max(poses, [_stamped(pose) for pose in message.poses], key=len)
             else:
-                found.append(_stamped(message))
-    return trajectory_of(found)
+                poses.append(_stamped(message))
+    return trajectory_of(poses)
 
 
 def _stamped(message: Any) -> tuple[float, gtsam.Pose3]:

@@ -62,9 +62,9 @@ class VelodyneStream:
         except (RuntimeError, ValueError, IndexError) as error:
             raise RecordFault(NOT_DECODED, str(error)) from error
 
-    def _turn(self, found: Any) -> SimpleNamespace | None:
+    def _turn(self, turn: Any) -> SimpleNamespace | None:
         """A revolution with points as a message."""
-        return None if found is None or not len(found[1]) else _as_cloud(found[0].host, found[1], "velodyne")
+        return None if turn is None or not len(turn[1]) else _as_cloud(turn[0].host, turn[1], "velodyne")
 
 
 def _library() -> tuple[Any, Any]:

@@ -62,7 +62,7 @@ def test_turns_that_lack_packets_are_told_or_left_out(turns: list[list[bytes]]) 
     sent = [*turns[0][20:], *turns[1][:5], *turns[1][9:], *turns[2]]
     found = [cloud for at, data in enumerate(sent) if (cloud := one.add(100.0 + 0.003 * at, data))]
     assert [cloud.width for cloud in found] == [28 * 512, 32 * 512]
-    assert (one.left_out, one.lacking) == (1, 1) and len(one.told()) == 2
+    assert (one.left_out, one.lacking) == (1, 1) and len(one.notes()) == 2
     assert one.rest() is None
 
 

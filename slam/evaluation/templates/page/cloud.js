@@ -5,7 +5,7 @@
 
   function scene(canvas, {points, colors, by_intensity, low, step_m, up}) {
     const renderer = new THREE.WebGLRenderer({canvas, antialias: true, alpha: true});
-    renderer.outputColorSpace = "srgb-linear"; // the colours are shown as they are told
+    renderer.outputColorSpace = "srgb-linear"; // the colours are shown unchanged
     renderer.setClearColor(0, 0);
     const count = points.length / 3, places = new Float32Array(points.length);
     for (let at = 0; at < places.length; at++) places[at] = points[at] * step_m;

@@ -6,7 +6,7 @@
     [68, 1, 84], [71, 44, 122], [59, 81, 139], [44, 113, 142], [33, 144, 141], [39, 173, 129], [92, 200, 99],
     [170, 220, 50], [253, 231, 37],
   ];
-  // Okabe and Ito 2008, told apart by the colour-blind too.
+  // Okabe and Ito 2008, distinguishable by the colour-blind too.
   S.categories = ["#0072b2", "#d55e00", "#009e73", "#cc79a7", "#56b4e9", "#e69f00", "#f0e442", "#888888"];
 
   S.shade = share => {

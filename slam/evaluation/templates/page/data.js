@@ -6,7 +6,7 @@
     u1: Uint8Array, u2: Uint16Array, u4: Uint32Array,
   };
 
-  // Arrays are flat; `shape` tells rows and columns.
+  // Arrays are flat; `shape` gives rows and columns.
   function found(value, buffer, start) {
     if (Array.isArray(value)) return value.map(one => found(one, buffer, start));
     if (value === null || typeof value !== "object") return value;

@@ -2,8 +2,8 @@
 "use strict";
 (S => {
   const element = S.element, extensions = [];
-  // Other parts tell more of what is selected: extend(chosen => element or null).
-  S.details = {extend: tell => extensions.push(tell)};
+  // Other parts add details of the selection: extend(chosen => element or null).
+  S.details = {extend: details => extensions.push(details)};
 
   const facts = rows => element("dl", {class: "details"}, ...rows.filter(row => row && row[1] !== null).flatMap(
     ([what, value]) => [element("dt", {textContent: what}), element("dd", {}, value)]));
@@ -46,7 +46,7 @@
 
   const length = metres => metres >= 1 ? `${metres.toFixed(1)} m` : `${(100 * metres).toFixed(1)} cm`;
 
-  function told(chosen) {
+  function describe(chosen) {
     const {edges, loops, planar} = S.data, [from, to] = S.ends(chosen);
     const match = S.measured(chosen);
     const rows = [["from", link(from)], ["to", link(to)], ["keyframes", `${from} and ${to}`]];
@@ -116,10 +116,10 @@
       const [first] = S.ends(chosen);
       panel.replaceChildren(
         element("h3", {textContent: chosen.kind === "node" ? `Keyframe: ${S.keyframe(first)}` : names[chosen.kind]}),
-        ...extensions.map(tell => tell(chosen)).filter(Boolean),
+        ...extensions.map(details => details(chosen)).filter(Boolean),
         S.overlay(chosen) || "",
         pictures(chosen) || "",
-        chosen.kind === "node" ? ofNode(first) : told(chosen),
+        chosen.kind === "node" ? ofNode(first) : describe(chosen),
       );
     };
     S.select.on(chosen => {

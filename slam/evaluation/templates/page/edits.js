@@ -52,7 +52,7 @@
 
   // A keyframe as edits.yaml names it, and as people read it.
   S.named = node => ({session: S.data.nodes.session[node] + 1, reading: S.data.nodes.readings[node]});
-  const told = one => `${one.session}:${one.reading}`;
+  const label = one => `${one.session}:${one.reading}`;
 
   // edits.yaml: of JSON every text is YAML, too; an entry a line can be read by people.
   const lines = (list, indent) => list.map(entry => `${indent}- ${JSON.stringify(entry)}\n`).join("");
@@ -89,7 +89,7 @@
 
   // The loops that were switched in the what-if panel; they are switched back there.
   const switched = () => ["forbid", "force"].flatMap(name => ((S.edits.loops || {})[name] || []).map(
-    pair => entry(`${name} the loop ${told(pair[0])} – ${told(pair[1])}`)));
+    pair => entry(`${name} the loop ${label(pair[0])} – ${label(pair[1])}`)));
 
   function list() {
     const mine = items.map(item => entry(item.title, () => edits.remove(item)));

@@ -8,7 +8,7 @@
     const {matrix, count} = solver, {size} = solver.group, {position} = matrix.pattern;
     const found = {edge: asked, shift_m: [], node: [], left_out: []};
     const moved = new Float64Array(solver.gradient.length);
-    const told = leverages(solver, asked.map(edge => [edge]), on, poses, (pull, left_out, columns) => {
+    const complete = leverages(solver, asked.map(edge => [edge]), on, poses, (pull, left_out, columns) => {
       moved.fill(0);
       columns.forEach((column, r) => {
         for (let at = 0; at < moved.length; at++) moved[at] += pull[r] * column[at];
@@ -24,12 +24,12 @@
       found.node.push(farthest);
       found.left_out.push(left_out);
     });
-    return told ? found : null;
+    return complete ? found : null;
   };
 
-  // Tell of each unit of edges that are switched together what pulls at their nodes then, and their sigmas left out;
+  // For each unit of edges switched together, pass on what pulls at their nodes then, and their sigmas left out;
   // false where the edges that are on do not hold the map.
-  function leverages(solver, units, on, poses, tell) {
+  function leverages(solver, units, on, poses, use) {
     const {matrix, edges: {source, target, covariance}} = solver, {size} = solver.group, {position} = matrix.pattern;
     solver.assemble(poses, on);
     if (!matrix.factorize()) return false;
@@ -64,7 +64,7 @@
         }
       }
       const pull = S.sparse.solved(spread, right.slice(), rows) || right.slice().fill(NaN);
-      tell(pull, Math.sqrt(Math.max(right.reduce((sum, one, k) => sum + one * pull[k], 0), 0)), columns);
+      use(pull, Math.sqrt(Math.max(right.reduce((sum, one, k) => sum + one * pull[k], 0), 0)), columns);
     }
     return true;
   }
@@ -105,8 +105,8 @@
     for (;;) {
       const held = loops.filter(edge => on[edge]), shares = [];
       const units = [...held.map(edge => [edge]), ...stretches(solver.edges, held, reach).filter(unit => unit.length > 1)];
-      const tell = (_, sigmas) => shares.push(sigmas * sigmas / gates[units[shares.length].length - 1]);
-      if (!leverages(solver, units, on, poses, tell)) return;
+      const use = (_, sigmas) => shares.push(sigmas * sigmas / gates[units[shares.length].length - 1]);
+      if (!leverages(solver, units, on, poses, use)) return;
       const worst = shares.reduce((most, one, n) => one > (shares[most] ?? 1) ? n : most, -1);
       if (worst < 0) return;
       for (const edge of units[worst]) on[edge] = 0;

@@ -38,9 +38,9 @@
     const bar = element("div", {class: "gradient"}), {low, high, least, most} = coloring.range;
     bar.style.background = S.gradient();
     const digits = high - low >= 20 ? 0 : 2;
-    const told = (value, end) => `${value.toFixed(digits)} ${coloring.unit}${end === value ? "" : ` (${end.toFixed(digits)})`}`;
-    return element("div", {class: "scale"}, bar, element("span", {textContent: told(low, least)}),
-      element("span", {textContent: told(high, most)}));
+    const text = (value, end) => `${value.toFixed(digits)} ${coloring.unit}${end === value ? "" : ` (${end.toFixed(digits)})`}`;
+    return element("div", {class: "scale"}, bar, element("span", {textContent: text(low, least)}),
+      element("span", {textContent: text(high, most)}));
   }
 
   function colorings() {

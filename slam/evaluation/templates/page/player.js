@@ -3,7 +3,7 @@
 (S => {
   const element = S.element, SPEEDS = [1, 4, 16, 64], GAP_S = 2;
   let elapsed = null; // seconds of playing time of every pose: a clock that jumps back or far ahead does not
-  let at = -1, playing = null, box, slider, told, button, speed, address = null;
+  let at = -1, playing = null, box, slider, readout, button, speed, address = null;
 
   // The last of sorted values that is not above one.
   function before(values, value) {
@@ -24,7 +24,7 @@
     if (Number.isFinite(trajectory.speed[at])) parts.push(`${trajectory.speed[at].toFixed(2)} m/s`);
     if (Number.isFinite(trajectory.sigma_m[at])) parts.push(`± ${(100 * trajectory.sigma_m[at]).toFixed(1)} cm`);
     if (nodes) parts.push(S.keyframe(trajectory.node[at]));
-    told.textContent = parts.join(" · ");
+    readout.textContent = parts.join(" · ");
     if (images) showImages(images, trajectory.node[at]);
     S.plan.render();
     S.emit("moment", at);
@@ -46,7 +46,7 @@
     box.replaceChildren(...shown.map((number, at) => element("img", {src: address[at], alt: images.cameras[images.camera[number]]})));
   }
 
-  // An address of a small image; who asks revokes it.
+  // An address of a small image; the caller revokes it.
   S.image = number => {
     const {first, bytes} = S.data.images;
     return URL.createObjectURL(new Blob([bytes.slice(first[number], first[number + 1])], {type: "image/jpeg"}));
@@ -110,9 +110,9 @@
     speed = element("select", {id: "speed", ariaLabel: "speed"}, ...SPEEDS.map(
       times => element("option", {value: String(times), textContent: `${times}×`})));
     speed.value = whole > 300 ? "16" : "4";
-    told = element("output", {id: "told", textContent: S.duration(whole)});
+    readout = element("output", {id: "readout", textContent: S.duration(whole)});
     box = element("div", {id: "thumbnails"});
-    document.getElementById("player").append(button, slider, speed, told, box);
+    document.getElementById("player").append(button, slider, speed, readout, box);
     S.plan.add({name: "robot", shown: true, draw: drawRobot});
     S.key(" ", "play, or stop", play);
     S.key(",", "step back", () => show(at - 1));

@@ -22,7 +22,7 @@
   S.pose = {row, compose, inverse, between, wrapped};
 
   // The map by its steps alone: kept steps from one keyframe to the next, none of the loops. Of several steps
-  // the surest is taken; where there is none the map itself tells it. (K, 3) flat, in the frame of node 0.
+  // the surest is taken; otherwise that of the map itself is used. (K, 3) flat, in the frame of node 0.
   S.stepsAlone = () => {
     const {nodes, edges} = S.data, columns = edges.measured.shape[1];
     const surest = new Int32Array(nodes.stamps_s.length).fill(-1);

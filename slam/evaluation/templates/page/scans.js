@@ -9,7 +9,7 @@
     return new Uint32Array(new Uint8ClampedArray([red, green, blue, 255]).buffer)[0];
   };
 
-  // Draw points of some keyframes. colors: of each kind, as S.color tells them.
+  // Draw points of some keyframes. colors: of each kind, as returned by S.color.
   S.drawPoints = (context, frame, {first, points, kind}, colors, nodes, poses = S.plan.poses) => {
     const {width, height, transform: [a, b, c, d, e, f]} = frame;
     if (!spare || spare.width !== width || spare.height !== height) {

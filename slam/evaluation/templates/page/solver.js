@@ -4,7 +4,7 @@
 (S => {
   const ROUNDS = 20, SETTLED = 1e-5, LEAST_DAMPING = 1e-4, GREATEST_DAMPING = 1e8;
 
-  // The information matrices of covariances told as upper triangles, row by row.
+  // The information matrices of covariances given as upper triangles, row by row.
   function informations(triangles, size) {
     const wide = size * (size + 1) / 2, count = triangles.length / wide, area = size * size;
     const out = new Float64Array(count * area), full = new Float64Array(area), column = new Float64Array(size);

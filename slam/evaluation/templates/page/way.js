@@ -1,4 +1,4 @@
-// Drawing of the way, coloured by what is asked, and of the keyframes' uncertainty.
+// Drawing of the path, coloured by the chosen value, and of the keyframes' uncertainty.
 "use strict";
 (S => {
   const SHADES = 48, CHI2 = Math.sqrt(5.991); // 95 % of two degrees of freedom
@@ -95,7 +95,7 @@
     return [Math.sqrt(mean + apart), Math.sqrt(Math.max(mean - apart, 0)), Math.atan2(2 * xy, xx - yy) / 2];
   };
 
-  // Ellipses are drawn larger by a power of ten, so that the largest can be seen; the legend tells it.
+  // Ellipses are drawn larger by a power of ten, so that the largest can be seen; the legend states it.
   function times(ellipses, extent) {
     let most = 0;
     for (let at = 0; at < ellipses.length; at += 3) most = Math.max(most, axes(...ellipses.subarray(at, at + 3))[0]);

@@ -48,7 +48,7 @@
       if (whatIf.solver) return;
       const {nodes, order, planar} = S.data;
       whatIf.solver = new S.Solver({poses: nodes.poses, edges: whatIf.edges, order, planar});
-      // The optimisation stops a little before the very solution; shifts are told from there.
+      // The optimisation stops a little before the very solution; shifts are relative to its result.
       whatIf.base = whatIf.solver.solve(whatIf.edges.kept).poses;
     },
 
@@ -146,32 +146,32 @@
 
   // One line of a loop's influence.
   function influenceOf(edge) {
-    const told = whatIf.influence, at = told ? told.edge.indexOf(edge) : -1;
+    const effect = whatIf.influence, at = effect ? effect.edge.indexOf(edge) : -1;
     if (at < 0) return null;
-    if (!Number.isFinite(told.shift_m[at])) return element("p", {textContent: "Nothing else connects the map there."});
+    if (!Number.isFinite(effect.shift_m[at])) return element("p", {textContent: "Nothing else connects the map there."});
     const verb = whatIf.on[edge] ? "Without it the map moves" : "With it the map would move";
-    return element("p", {}, `${verb} ${length(told.shift_m[at])}, `, nodeLink("here", told.node[at]),
-      `; the rest of the map is ${told.left_out[at].toFixed(1)} sigmas away from it.`);
+    return element("p", {}, `${verb} ${length(effect.shift_m[at])}, `, nodeLink("here", effect.node[at]),
+      `; the rest of the map is ${effect.left_out[at].toFixed(1)} sigmas away from it.`);
   }
 
   // What is doubtful first, of the loops that are on.
   function doubtful() {
-    const told = whatIf.influence;
-    if (!told) return null;
+    const effect = whatIf.influence;
+    if (!effect) return null;
     const gate = Math.sqrt(S.data.influence.gates[0]);
-    const rows = [...told.edge.keys()].filter(at => whatIf.on[told.edge[at]] && told.left_out[at] > gate)
-      .sort((a, b) => told.left_out[b] - told.left_out[a]);
+    const rows = [...effect.edge.keys()].filter(at => whatIf.on[effect.edge[at]] && effect.left_out[at] > gate)
+      .sort((a, b) => effect.left_out[b] - effect.left_out[a]);
     const head = element("h3", {textContent: `Doubtful loops: ${rows.length}`});
     if (!rows.length) return element("div", {}, head, element("p", {class: "soft", textContent: `No loop is more than ${gate.toFixed(1)} sigmas away from the rest of the map.`}));
     return element("div", {}, head, element("ul", {class: "plain"}, ...rows.slice(0, LISTED).map(at => element("li", {},
-      toggleButton(told.edge[at], "off"), " ", edgeLink(told.edge[at]), ` ${told.left_out[at].toFixed(1)} σ, ${length(told.shift_m[at])}`))),
+      toggleButton(effect.edge[at], "off"), " ", edgeLink(effect.edge[at]), ` ${effect.left_out[at].toFixed(1)} σ, ${length(effect.shift_m[at])}`))),
       element("button", {type: "button", id: "snoop", textContent: "Switch off the worst one until none is left", onclick: whatIf.snoop}));
   }
 
   function columns() {
     const value = name => loop => {
-      const told = whatIf.influence, at = told ? told.edge.indexOf(whatIf.edges.loop.indexOf(loop)) : -1;
-      return at < 0 ? NaN : told[name][at];
+      const effect = whatIf.influence, at = effect ? effect.edge.indexOf(whatIf.edges.loop.indexOf(loop)) : -1;
+      return at < 0 ? NaN : effect[name][at];
     };
     const cached = name => {
       let cache = new Map();
