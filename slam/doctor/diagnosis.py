@@ -217,14 +217,14 @@ def _in_space(
     for lidar, clouds in list(samples.clouds.items())[: 0 if samples.lidars else 1]:
         steps = [step for stretch in clouds.steps for step in stretch]
         for name, imu in samples.imus.items():
-            told = imu_findings(name, imu, steps, clouds.T_base_lidar, clouds.untimed_s)
+            new = imu_findings(name, imu, steps, clouds.T_base_lidar, clouds.untimed_s)
             turn = clouds.turn
-            found += [same for one in told for same in ([one] if turn is None else turn.stamped(one, lidar))]
+            found += [same for one in new for same in ([one] if turn is None else turn.stamped(one, lidar))]
     known = None if wheels is None else mended_rows(wheels[0], rows, findings)
     if wheels is None or known is None:
         return found
     base = in_space.Base(wheels[0], BaseTrack(known), vouched)
-    seen = [
+    motions = [
         in_space.seen_by("cameras", name, camera, camera.T_base_camera, base)
         for name, camera in samples.cameras.items()
     ] + [
@@ -232,7 +232,7 @@ def _in_space(
         for name, clouds in samples.clouds.items()
     ]
     units = {one.sensor for one in found if one.kind == "depth scale"}
-    against = in_space.findings_against(base, seen, doubtful)
+    against = in_space.findings_against(base, motions, doubtful)
     # A measured depth scale is better than one of the usual units.
     measured = {one.sensor for one in against if one.kind == "depth scale" and one.sensor in units}
     found = [one for one in found if one.kind != "depth scale" or one.sensor not in measured]

@@ -137,31 +137,31 @@ def turn_fit(rows: FloatArray, steps: Sequence[SensorStep]) -> TurnFit | None:
     turns = _turns(rows, steps)
     if turns is None:
         return None
-    seen, told = turns
+    lidar_turns, imu_turns = turns
 
     def error(ahead_s: float) -> float:
         # Not the median, because most steps may be straight.
-        return float(np.linalg.norm(_apart(seen, told(ahead_s))[0], axis=1).sum())
+        return float(np.linalg.norm(_apart(lidar_turns, imu_turns(ahead_s))[0], axis=1).sum())
 
     coarse = np.arange(-GAP_S, GAP_S + 0.5 * STEP_S, STEP_S)
     best_s = float(min(coarse, key=error))
     for step_s in (0.1 * STEP_S, 0.01 * STEP_S):
         best_s = float(min(best_s + step_s * np.arange(-10, 11), key=error))
-    apart, rotation, spread = _apart(seen, told(best_s))
-    sigma = median_to_sigma(3) * math.sqrt(float(np.median(np.sum(apart**2, axis=1))))
-    slope = (told(best_s + STEP_S) - told(best_s - STEP_S)) / (2.0 * STEP_S)
+    residuals, rotation, spread = _apart(lidar_turns, imu_turns(best_s))
+    sigma = median_to_sigma(3) * math.sqrt(float(np.median(np.sum(residuals**2, axis=1))))
+    slope = (imu_turns(best_s + STEP_S) - imu_turns(best_s - STEP_S)) / (2.0 * STEP_S)
     slope = (slope - slope.mean(axis=0)) @ rotation.T
     moved = np.sum(slope**2, axis=1)
     if not moved.any():
         return None
     # Most steps may be straight without information: final estimate by least squares, with a covariance from
     # the residuals of the informative steps (White 1980).
-    pulls = np.einsum("ij,ij->i", slope, apart)
+    pulls = np.einsum("ij,ij->i", slope, residuals)
     left_s = float(pulls.sum() / moved.sum())
     ahead_sigma_s = float(np.linalg.norm(pulls - left_s * moved) / moved.sum())
     # Widened to Student's interval, because three or four steps may have all the weight.
-    alike = float(moved.sum() ** 2 / (moved @ moved))
-    student = float(special.stdtrit(max(alike - 1.0, 1.0), float(special.ndtr(half_interval(1.0)))))
+    steps_used = float(moved.sum() ** 2 / (moved @ moved))
+    student = float(special.stdtrit(max(steps_used - 1.0, 1.0), float(special.ndtr(half_interval(1.0)))))
     ahead_sigma_s *= student / half_interval(1.0)
     best_s += float(np.clip(left_s, -STEP_S, STEP_S))
     # A rotation about an axis is determined by rotations about the other two.
@@ -169,8 +169,8 @@ def turn_fit(rows: FloatArray, steps: Sequence[SensorStep]) -> TurnFit | None:
     main = np.linalg.eigvalsh(spread)
     open_ = main[1] < _SECOND_AXIS**2 * main[2]
     axis_rad = math.inf if open_ or information <= 0.0 else sigma / math.sqrt(float(information))
-    turned = max(float(np.abs(seen - seen.mean(axis=0)).sum()), SETTLED)
-    return TurnFit(best_s, ahead_sigma_s, rotation, axis_rad, float(np.abs(apart).sum()) / turned)
+    turned = max(float(np.abs(lidar_turns - lidar_turns.mean(axis=0)).sum()), SETTLED)
+    return TurnFit(best_s, ahead_sigma_s, rotation, axis_rad, float(np.abs(residuals).sum()) / turned)
 
 
 def _turns(
@@ -182,27 +182,27 @@ def _turns(
     within &= np.diff(np.searchsorted(rows[:, 0], spans))[:, 0] > 0  # excluding gaps
     if within.sum() < FEWEST:
         return None
-    seen = turns_of(steps)[within]
+    lidar_turns = turns_of(steps)[within]
     spans = spans[within]
     turned = np.zeros((len(rows), 3))
     turned[1:] = np.cumsum(0.5 * (rows[1:, 1:4] + rows[:-1, 1:4]) * np.diff(rows[:, 0])[:, None], axis=0)
 
-    def told(ahead_s: float) -> FloatArray:
+    def imu_turns(ahead_s: float) -> FloatArray:
         begun, ended = (
             np.column_stack([np.interp(spans[:, n] + ahead_s, rows[:, 0], axis) for axis in turned.T])
             for n in (0, 1)
         )
         return np.asarray(ended - begun)
 
-    return seen, told
+    return lidar_turns, imu_turns
 
 
-def _apart(seen: FloatArray, told: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+def _apart(lidar_turns: FloatArray, imu_turns: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Residuals of rotations (N, 3), the best rotation (3, 3) between them (Kabsch 1976), and their spread.
 
     Means are subtracted, because the gyroscope has a bias.
     """
-    first, second = seen - seen.mean(axis=0), told - told.mean(axis=0)
+    first, second = lidar_turns - lidar_turns.mean(axis=0), imu_turns - imu_turns.mean(axis=0)
     left, _, right = np.linalg.svd(first.T @ second)
     flip = np.diag([1.0, 1.0, np.linalg.det(left @ right)])
     rotation = left @ flip @ right
@@ -293,24 +293,24 @@ def _sits(name: str, samples: ImuSamples, fit: TurnFit, T_base_lidar: gtsam.Pose
     if not math.isfinite(fit.sigma_rad):
         return []
     rotation = T_base_lidar.rotation().compose(gtsam.Rot3(fit.R_lidar_imu))
-    told, half_rad = samples.T_base_imu, half_interval(fit.sigma_rad)
-    place = (T_base_lidar if told is None else told).translation()
+    stated, half_rad = samples.T_base_imu, half_interval(fit.sigma_rad)
+    place = (T_base_lidar if stated is None else stated).translation()
     mounting = mounting_entry(rotation, place.tolist())
     remedy: Remedy = {"imus": {name: {"T_base_imu": mounting}}}
     interval = f"+- {math.degrees(half_rad):.2f} degrees"
     turns = ", ".join(f"{axis} {mounting[f'{axis}_deg']:.1f}" for axis in ("roll", "pitch", "yaw"))
     angles = f"{turns} {interval}"
-    if told is None:
+    if stated is None:
         text, value = f"the log does not tell how it sits; it turns as if at {angles}, at the lidar", half_rad
     else:
-        value = float(np.linalg.norm(gtsam.Rot3.Logmap(told.rotation().between(rotation))))
+        value = float(np.linalg.norm(gtsam.Rot3.Logmap(stated.rotation().between(rotation))))
         # If the robot hardly turns, the residual is noise, and an interval of tens of degrees is useless.
         if value <= _ANGLE_RAD + half_rad or half_rad >= 2.0 * _ANGLE_RAD:
             return []
         text = f"it turns as if it sat {math.degrees(value):.1f} degrees otherwise: {angles}"
     effect = "its readings are assigned to the wrong axes"
     # Without a stated rotation, one with an error of some degrees is better than none.
-    sure = half_rad < (_ANGLE_RAD if told is not None else 2.0 * _ANGLE_RAD)
+    sure = half_rad < (_ANGLE_RAD if stated is not None else 2.0 * _ANGLE_RAD)
     return [Finding(name, "mounting", text, effect, (remedy,), sure=sure, value=math.degrees(value))]
 
 

@@ -128,27 +128,27 @@ def unit_finding(
 
 def lens_findings(name: str, samples: CameraSamples) -> list[Finding]:
     """Check whether the shape of the scene requires other intrinsics."""
-    told = samples.intrinsics
-    fit = None if told is None else lens_fit(samples.pairs, told)
-    if told is None or fit is None:
+    stated = samples.intrinsics
+    fit = None if stated is None else lens_fit(samples.pairs, stated)
+    if stated is None or fit is None:
         return []
-    off_px = fit.center_px - (told.cx, told.cy)
-    limits_px = _SHARE * 0.5 * np.array([told.width, told.height])
+    off_px = fit.center_px - (stated.cx, stated.cy)
+    limits_px = _SHARE * 0.5 * np.array([stated.width, stated.height])
     focal = not _within(fit.focal_gain - 1.0, float(fit.sigmas[0]), _SHARE)
     center = [not _within(*row) for row in zip(off_px, fit.sigmas[1:], limits_px, strict=True)]
     if not (focal or any(center)):
         return []
     gain = fit.focal_gain if focal else 1.0
-    cx, cy = np.where(center, fit.center_px, (told.cx, told.cy)).tolist()
-    lens = {"fx": told.fx * gain, "fy": told.fy * gain, "cx": cx, "cy": cy}
+    cx, cy = np.where(center, fit.center_px, (stated.cx, stated.cy)).tolist()
+    lens = {"fx": stated.fx * gain, "fy": stated.fy * gain, "cx": cx, "cy": cy}
     lens = {key: round(value, 2) for key, value in lens.items()}
     return [
         Finding(
             name,
             "lens",
-            f"the geometry of the scene implies f = {told.fx * fit.focal_gain:.0f} px and the centre at "
-            f"{fit.center_px[0]:.0f}, {fit.center_px[1]:.0f}, not {told.fx:.0f} at {told.cx:.0f}, "
-            f"{told.cy:.0f}",
+            f"the geometry of the scene implies f = {stated.fx * fit.focal_gain:.0f} px and the centre at "
+            f"{fit.center_px[0]:.0f}, {fit.center_px[1]:.0f}, not {stated.fx:.0f} at {stated.cx:.0f}, "
+            f"{stated.cy:.0f}",
             "rotations and walls are distorted",
             ({"cameras": {name: {"intrinsics": lens}}},),
             value=fit.focal_gain,
@@ -161,8 +161,8 @@ def seen_by(
     kind: str, name: str, samples: CameraSamples | CloudSamples, T_base_sensor: gtsam.Pose3 | None, base: Base
 ) -> Seen:
     """The robot's motion as seen by a sensor."""
-    told = None if T_base_sensor is None else np.asarray(T_base_sensor.rotation().matrix())
-    seen = Seen(kind, name, told, None if T_base_sensor is None else np.asarray(T_base_sensor.translation()))
+    R = None if T_base_sensor is None else np.asarray(T_base_sensor.rotation().matrix())
+    seen = Seen(kind, name, R, None if T_base_sensor is None else np.asarray(T_base_sensor.translation()))
     runs = runs_of(samples.steps)
     clock = clock_of(runs, base.track, _MOST_S)
     if clock is not None:
@@ -180,7 +180,7 @@ def seen_by(
     # With such a residual, the motion of the sensor is unreliable, whatever its covariance.
     seen.fit = fit if fit is not None and fit.spread < SPREAD else None
     if seen.fit is not None:
-        up = seen.fit.up if told is None else told.T[:, 2]
+        up = seen.fit.up if R is None else R.T[:, 2]
         points = np.concatenate(samples.points) if samples.points else np.zeros((0, 3))
         seen.floor_m = floor_below_m(points, up)
         over_m = floor_below_m(points, -up)
@@ -199,13 +199,13 @@ def findings_against(base: Base, sensors: Sequence[Seen], doubtful: frozenset[st
         Names of cameras with uncertain intrinsics: what depends on them is not examined.
     """
     found: list[Finding] = []
-    told = [seen for seen in sensors if seen.fit is not None]
+    fitted = [seen for seen in sensors if seen.fit is not None]
     for seen in sensors:
-        found += _clock(base, seen, [one for one in sensors if one is not seen])
-    for seen in told:
+        found += _clock(base, seen, [other for other in sensors if other is not seen])
+    for seen in fitted:
         if seen.name in doubtful:
             continue
-        others = [one for one in told if one is not seen and one.name not in doubtful]
+        others = [other for other in fitted if other is not seen and other.name not in doubtful]
         found += _scale(base, seen, others)
         found += _mounting(base, seen, others)
     first = dict[tuple[str, str], Finding]()  # report errors of the wheels once, not for each sensor
@@ -279,10 +279,10 @@ def _scale(base: Base, seen: Seen, others: Sequence[Seen]) -> list[Finding]:
 
 def _mounting(base: Base, seen: Seen, others: Sequence[Seen]) -> list[Finding]:
     """A stated pose that contradicts the motion of the sensor."""
-    fit, told = seen.fit, seen.R_base_sensor
-    if fit is None or told is None or seen.told_m is None:
+    fit, R_stated = seen.fit, seen.R_base_sensor
+    if fit is None or R_stated is None or seen.told_m is None:
         return []
-    ahead, up = told @ fit.ahead, told @ fit.up
+    ahead, up = R_stated @ fit.ahead, R_stated @ fit.up
     tilt_rad = math.acos(float(np.clip(up[2], -1.0, 1.0)))
     # Heading of the sensor's estimated forward direction with the stated pose: its yaw error.
     yaw_rad = -math.atan2(float(ahead[1]), float(ahead[0]))
@@ -378,14 +378,14 @@ def cloud_findings(name: str, samples: CloudSamples, imus: Iterable[ImuSamples] 
 
 def stood_up(name: str, samples: CloudSamples) -> list[Finding]:
     """Return a tilt of a 3D lidar that the log does not contain; its samples get the right mounting."""
-    told = samples.T_base_lidar
+    stated = samples.T_base_lidar
     steps = [step for stretch in samples.steps for step in stretch]
-    upright = upright_mounting(turns_of(steps), samples.points, told) if samples.points else None
+    upright = upright_mounting(turns_of(steps), samples.points, stated) if samples.points else None
     if upright is None:
         return []
     samples.T_base_lidar = upright
     off_deg = math.degrees(
-        float(np.linalg.norm(gtsam.Rot3.Logmap(told.rotation().between(upright.rotation()))))
+        float(np.linalg.norm(gtsam.Rot3.Logmap(stated.rotation().between(upright.rotation()))))
     )
     text = f"it is tilted by {off_deg:.1f} degrees more than the log says, by its rotations and the floor"
     entry = _entry("lidars_3d", np.asarray(upright.rotation().matrix()), upright.translation().tolist())

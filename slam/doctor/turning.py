@@ -197,8 +197,8 @@ def turn_by_beam_times(stretches: Sequence[Sequence[LaserScan]], config: Config)
         return None
     cut_rad = math.pi + 0.5 * (scan.start_angle_rad + float(scan.bearings_rad()[-1]))
     pairs = [pair for scans in _short(stretches) for pair in _pairs_of_scans(scans, config)]
-    told = [Turn(sign * turn_s, 0.0, cut_rad) for sign in (1.0, -1.0)]
-    return _bent(pairs, max(told, key=lambda turn: sum(_agreed(pairs, turn.timed, config))), config)
+    directions = [Turn(sign * turn_s, 0.0, cut_rad) for sign in (1.0, -1.0)]
+    return _bent(pairs, max(directions, key=lambda turn: sum(_agreed(pairs, turn.timed, config))), config)
 
 
 def _short(stretches: Sequence[Sequence[LaserScan]]) -> list[list[LaserScan]]:
@@ -222,11 +222,11 @@ def _bends(
     stretches: Iterable[Sequence[_Pair]], interval_s: float, config: Config
 ) -> tuple[list[_Pair], Turn] | None:
     """Pairs of as many stretches as needed, and the rotation from distorted clouds; None without one."""
-    pairs, told, bent, fit, number = list[_Pair](), list[_Sums](), Turn(0.0, 0.0, 0.0), None, 0
+    pairs, sums, bent, fit, number = list[_Pair](), list[_Sums](), Turn(0.0, 0.0, 0.0), None, 0
     for number, new in enumerate(stretches, 1):
         pairs += new
-        told += _all_sums(new, bent, config, _CUTS_RAD)
-        fit = _fit(told, _CUTS_RAD) if number > 1 else None
+        sums += _all_sums(new, bent, config, _CUTS_RAD)
+        fit = _fit(sums, _CUTS_RAD) if number > 1 else None
         if fit is None:
             continue
         within_s = math.sqrt(gate()) * fit.sigma_s
@@ -249,13 +249,13 @@ def _settled(pairs: Sequence[_Pair], fit: Turn, interval_s: float, config: Confi
     if abs(fit.turn_s) < max(interval_s / (_TURNS + 0.5), 2 * math.sqrt(gate()) * fit.sigma_s):
         return None
     shares = [math.copysign(interval_s / turns, fit.turn_s) for turns in range(1, _TURNS + 1)]
-    again = [_fit(_all_sums(pairs, replace(fit, turn_s=share), config, own), own) or fit for share in shares]
+    refits = [_fit(_all_sums(pairs, replace(fit, turn_s=share), config, own), own) or fit for share in shares]
     # If deskewing is right, the clouds give the same estimate again. A share nearly as good: ambiguous.
-    off = [abs(one.turn_s / share - 1.0) for one, share in zip(again, shares, strict=True)]
-    if 2.0 * min(off) > sorted(off)[1]:
+    errors = [abs(one.turn_s / share - 1.0) for one, share in zip(refits, shares, strict=True)]
+    if 2.0 * min(errors) > sorted(errors)[1]:
         return None
-    told, turn_s = again[int(np.argmin(off))], shares[int(np.argmin(off))]
-    best = replace(told, turn_s=turn_s)
+    chosen, turn_s = refits[int(np.argmin(errors))], shares[int(np.argmin(errors))]
+    best = replace(chosen, turn_s=turn_s)
     for slices in (4, 2, 1):
         step_rad = slices * math.tau / SLICES
         tried = [replace(best, cut_rad=best.cut_rad + side * step_rad) for side in (0, -1, 1)]
@@ -286,19 +286,19 @@ def _agreed(pairs: Sequence[_Pair], timed: _Timed, config: Config) -> list[float
     return found
 
 
-def _fit(told: Sequence[_Sums], cuts_rad: FloatArray) -> Turn | None:
+def _fit(sums_of_pairs: Sequence[_Sums], cuts_rad: FloatArray) -> Turn | None:
     """The rotation that explains most, from the sums of all pairs for each cut; sigma from their scatter."""
-    if not told:
+    if not sums_of_pairs:
         return None
-    weights, sums = (np.array(one) for one in zip(*told, strict=True))
+    weights, sums = (np.array(one) for one in zip(*sums_of_pairs, strict=True))
     # In a sharp turn, points leave their planes, so limit the weight of a pair to that of others.
     most = 1.0 / (1.0 + weights / np.maximum(np.median(weights, axis=0), TINY))
     weights, sums = weights * most, sums * most
-    whole = np.maximum(weights.sum(axis=0), TINY)
-    best = int(np.argmax(sums.sum(axis=0) ** 2 / whole))
-    turn_s = float(sums[:, best].sum() / whole[best])
-    apart = sums[:, best] - turn_s * weights[:, best]
-    return Turn(turn_s, float(np.linalg.norm(apart) / whole[best]), float(cuts_rad[best]))
+    totals = np.maximum(weights.sum(axis=0), TINY)
+    best = int(np.argmax(sums.sum(axis=0) ** 2 / totals))
+    turn_s = float(sums[:, best].sum() / totals[best])
+    residuals = sums[:, best] - turn_s * weights[:, best]
+    return Turn(turn_s, float(np.linalg.norm(residuals) / totals[best]), float(cuts_rad[best]))
 
 
 def _all_sums(pairs: Sequence[_Pair], now: Turn, config: Config, cuts_rad: FloatArray) -> list[_Sums]:

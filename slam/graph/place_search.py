@@ -120,7 +120,7 @@ class PlaceSearch:
         self._faulty, known = faulty, faulty.known
         # More loops make no way less certain.
         more, self._kept = bool((kept[: len(self._kept)] >= self._kept).all()), kept
-        self._judged = {one: told for one, told in self._judged.items() if more and math.isinf(told.cost)}
+        self._judged = {one: test for one, test in self._judged.items() if more and math.isinf(test.cost)}
         if self._corrected:
             # A loop or two across a gap rule out no other place, but tell where to try again.
             if near := self._closer.close_again(poses, graph_of(len(poses), faulty.held), loops):
@@ -131,15 +131,15 @@ class PlaceSearch:
         # Then anywhere: past a gap, a match may have been found in a corridor that looks the same.
         for off_m in (0.0, math.inf):
             possible = partial(self._possible, stretches, poses=poses, known=known, off_m=off_m)
-            asked = [
+            pairs = [
                 (place, number)
                 for number in stretches.untied(loops)
                 for place in stretches.candidates(number, *possible(number))
                 if (place, number) not in self._tried
             ]
-            self._tried.update(asked)
-            told = {one: self._verify(stretches, *one) for one in sorted(asked)}  # each place drawn once
-            for claim in filter(None, map(told.__getitem__, asked)):
+            self._tried.update(pairs)
+            test = {one: self._verify(stretches, *one) for one in sorted(pairs)}  # each place drawn once
+            for claim in filter(None, map(test.__getitem__, pairs)):
                 self._sets.add(claim)
             if believed := self._believed(poses, known):
                 return believed

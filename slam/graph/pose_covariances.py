@@ -63,9 +63,9 @@ def pose_covariances(
     (n, d, d) and (n - 1, d, d), of the motion from each base to the next: GTSAM's tangent of the base where
     it ends. Node 0 is fixed: the others are relative to it.
     """
-    told = told_edges(poses, edges, kept, config)
+    scaled = used_edges(poses, edges, kept, config)
     information = np.zeros((len(poses) - 1, *_unknown(poses, config).shape))
-    if of_steps := [edge for edge in told if edge.target == edge.source + 1]:
+    if of_steps := [edge for edge in scaled if edge.target == edge.source + 1]:
         each = np.linalg.inv([edge.covariance for edge in of_steps])
         np.add.at(information, [edge.source for edge in of_steps], each)
     # Between the last keyframe of a session and the first of the next nothing was measured.
@@ -73,19 +73,19 @@ def pose_covariances(
     offsets = map(motion_between, bases, poses)
     adjoints = np.array([offset.AdjointMap() for offset in offsets])
     turned = adjoints.transpose(0, 2, 1)
-    nodes, steps = marginals(poses, told), np.linalg.inv(information)
+    nodes, steps = marginals(poses, scaled), np.linalg.inv(information)
     return adjoints @ nodes @ turned, adjoints[1:] @ steps @ turned[1:]
 
 
-def told_edges(
+def used_edges(
     poses: Sequence[Pose], edges: Sequence[Edge], kept: Sequence[bool] | BoolArray, config: Config
 ) -> list[Edge]:
     """Return the edges that `pose_covariances` uses: the inliers with their joint uncertainty."""
     held = [edge for edge, keep in zip(edges, kept, strict=True) if keep and not _may_repeat_a_guess(edge)]
-    return _told(poses, with_alignment(held), _slips(edges, kept), config)
+    return _used(poses, with_alignment(held), _slips(edges, kept), config)
 
 
-def _told(
+def _used(
     poses: Sequence[Pose], held: Sequence[Edge], slips: dict[int, FloatArray], config: Config
 ) -> list[Edge]:
     """Return the inlier edges with their joint uncertainty."""
@@ -94,15 +94,15 @@ def _told(
     for edge in held:
         if edge.kind in _MATCHES:
             partners[max(edge.source, edge.target)].add(min(edge.source, edge.target))
-    told = []
+    scaled = []
     for edge in held:
         covariance = edge.covariance
         if edge.kind in _MATCHES:
             covariance = scale * len(partners[max(edge.source, edge.target)]) * covariance
         elif edge.kind is EdgeKind.WHEEL and not edge.trusted and edge.target == edge.source + 1:
             covariance = slips.get(edge.source, covariance)
-        told.append(replace(edge, covariance=covariance))
-    return told
+        scaled.append(replace(edge, covariance=covariance))
+    return scaled
 
 
 def _may_repeat_a_guess(edge: Edge) -> bool:

@@ -17,7 +17,7 @@ from slam.graph.anchors import NOWHERE_M, Anchor, Anchored, seen_from_earth
 from slam.graph.edge import Edge, EdgeKind
 from slam.graph.keyframe_graph import KeyframeGraph
 from slam.graph.landmarks import Landmark, Sighting, in_plane, landmarks_of
-from slam.graph.pose_covariances import told_edges
+from slam.graph.pose_covariances import used_edges
 from slam.graph.pose_graph import BatchResult
 from slam.mapper.anchoring import Track, anchor
 from slam.measurements import IN_PLANE, FloatArray, RgbdFrame, spatial
@@ -175,7 +175,7 @@ class PlaceAnchors:
         if self._laid is None:
             return
         poses = graph.poses()
-        edges = told_edges(poses, graph.graph.edges, outcome.kept, config)
+        edges = used_edges(poses, graph.graph.edges, outcome.kept, config)
         spreads = seen_from_earth(poses, edges, self._laid)
         unseen = list[str]()
         for place in self._places.surveyed:

@@ -10,7 +10,7 @@ import numpy as np
 from fusion.estimation import TINY
 from slam.config import Config
 from slam.errors import ScanweaveError
-from slam.graph.pose_covariances import joint_covariance, told_edges
+from slam.graph.pose_covariances import joint_covariance, used_edges
 from slam.mapping.doors import find_doors
 from slam.mapping.floor_plan import FloorPlan, Length, Room, Wall
 from slam.mapping.room_outline import Outline, area_m2, corners_of, room_outlines, seen_from
@@ -73,7 +73,7 @@ def _covariance(fits: Sequence[WallFit], contents: MapContents, config: Config) 
     if not fits:
         return np.zeros((0, 0))
     edges = [factor.edge for factor in contents.factors]
-    edges_used = told_edges(contents.node_poses, edges, [factor.kept for factor in contents.factors], config)
+    edges_used = used_edges(contents.node_poses, edges, [factor.kept for factor in contents.factors], config)
     poses = [pose for pose in contents.node_poses if isinstance(pose, gtsam.Pose2)]
     drifts = np.array([fit.drift.jacobian for fit in fits])
     joint = joint_covariance(poses, edges_used, np.concatenate([*(fit.jacobian for fit in fits), drifts]))

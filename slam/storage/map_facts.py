@@ -55,7 +55,7 @@ def ground_of_file(file: MapFile) -> float | None:
 
 def clock_sigma_of_file(file: MapFile) -> float:
     """Return the common stamp error (sigma) of the clouds, 0 if none is stored; MapFileError if invalid."""
-    with file.blaming(META, 0):
+    with file.naming_row(META, 0):
         sigma_s = of(float, from_json(file.meta().get(_CLOCK, "0.0")))
         require(0.0 <= sigma_s < np.inf, "its stamp error is not valid")
         return sigma_s
