@@ -84,8 +84,10 @@ def messages() -> list[Sent]:
         points, ring = rng.normal(size=(50, 3)).astype(np.float32), np.zeros(50, np.uint8)
         color = rng.integers(0, 256, (24, 32, 3), dtype=np.uint8)
         depth = rng.integers(500, 4000, (24, 32), dtype=np.uint16)
-        frame = RgbdFrame(at_s, color, depth.astype(np.float32), lens)
-        picture, distances = ros.color_image(frame, "optical"), ros.depth_image(depth, at_s, "optical")
+        picture, distances = (
+            ros.image(pixels, encoding, at_s, "optical")
+            for pixels, encoding in ((color, "rgb8"), (depth, "16UC1"))
+        )
         sent += [
             ("/odom", ros.ODOMETRY, at_s, ros.odometry(at_s, pose, (0.5, 0.1), "odom", "base_link")),
             ("/scan", ros.LASER_SCAN, at_s, ros.laser_scan(scan, "laser", 0.1, 0.1)),

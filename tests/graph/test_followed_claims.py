@@ -62,7 +62,7 @@ def submaps() -> SubmapStore:
             sweep = LaserScan(0.0, ranges.astype(np.float32), -np.pi, step, 80.0, pose2_from_row(np.zeros(3)))
             points = points_by(scan, sweep)
             way_m = 3.0 * AWAY_M * number + EVERY_M * n
-            store.add(OrientedPoints.from_scan(points), pose, way_m, 0, OrientedPoints.surface(points))
+            store.add(OrientedPoints.from_scan(points), pose, way_m, OrientedPoints.surface(points))
     # By the way between the passes scans would seem to be rarer than they are.
     store._travelled_m = np.array([EVERY_M * (n + 10 * (n // SCANS)) for n in range(len(store))])
     store.lay(np.array(store._poses), [])
