@@ -23,7 +23,7 @@ from rosbags.rosbag2 import Writer as Writer2
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 import tools.layouts.all as _all_layouts  # noqa: F401  their writers put themselves on the list
-from slam.measurements import CameraIntrinsics, LaserScan, RgbdFrame
+from slam.measurements import CameraIntrinsics, LaserScan
 from slam.simulation import ros_messages as ros
 from slam.storage import ros_messages as kinds
 from tools.layouts.samples import LAYOUTS
@@ -81,7 +81,7 @@ def messages() -> list[Sent]:
         at_s = _START_S + 0.1 * k
         pose = gtsam.Pose3(gtsam.Pose2(0.05 * k, 0.0, 0.01 * k))
         scan = LaserScan(at_s, rng.uniform(0.5, 7.0, 90).astype(np.float32), -1.5, 0.03, 8.0)
-        points, ring = rng.normal(size=(50, 3)).astype(np.float32), np.zeros(50, np.uint8)
+        points, ring = rng.normal(size=(50, 3)).astype(np.float32), np.zeros(50, np.uint16)
         color = rng.integers(0, 256, (24, 32, 3), dtype=np.uint8)
         depth = rng.integers(500, 4000, (24, 32), dtype=np.uint16)
         picture, distances = (
@@ -91,7 +91,7 @@ def messages() -> list[Sent]:
         sent += [
             ("/odom", ros.ODOMETRY, at_s, ros.odometry(at_s, pose, (0.5, 0.1), "odom", "base_link")),
             ("/scan", ros.LASER_SCAN, at_s, ros.laser_scan(scan, "laser", 0.1, 0.1)),
-            ("/points", kinds.POINT_CLOUD, at_s, ros.point_cloud(points, ring, at_s, "lidar")),
+            ("/points", kinds.POINT_CLOUD, at_s, ros.point_cloud(points, {"ring": ring}, at_s, "lidar")),
             ("/camera/depth/camera_info", ros.CAMERA_INFO, at_s, ros.camera_info(lens, at_s, "optical")),
             ("/camera/color/image_raw", ros.IMAGE, at_s, picture),
             ("/camera/depth/image_raw", ros.IMAGE, at_s, distances),
