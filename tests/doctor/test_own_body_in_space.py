@@ -40,6 +40,27 @@ def test_a_body_is_found_but_no_floor(body: bool) -> None:
     assert reach_m == (pytest.approx(BODY_M + 0.05, abs=0.02) if body else 0.0)
 
 
+@pytest.mark.parametrize("half_width_m", [0.6, 0.8, 1.2])
+def test_the_walls_of_a_narrow_corridor_are_no_body(half_width_m: float) -> None:
+    """They are as far away everywhere, too, but they go on beyond two metres."""
+    clouds = []
+    for number in range(30):
+        rng = np.random.default_rng(number)
+        bearing, up = np.meshgrid(
+            np.linspace(-math.pi, math.pi, 300), np.radians(np.arange(-15.0, 16.0, 2.0))
+        )
+        aside_m = half_width_m + 0.01 * rng.standard_normal() * np.sign(np.sin(bearing))
+        ahead_m = np.where(np.cos(bearing) > 0.0, 20.0 - 0.5 * number, 5.0 + 0.5 * number)
+        walls_m = aside_m / np.abs(np.sin(bearing))
+        doors = (0.5 * number + walls_m * np.cos(bearing)) % 5.0 < 0.9
+        walls_m = np.where(doors, walls_m + 2.0, walls_m)
+        ranges_m = np.minimum(walls_m, ahead_m / np.abs(np.cos(bearing)))
+        ranges_m = (ranges_m + rng.normal(0.0, 0.005, ranges_m.shape)) / np.cos(up)
+        ways = [np.cos(up) * np.cos(bearing), np.cos(up) * np.sin(bearing), np.sin(up)]
+        clouds.append((ranges_m[..., None] * np.stack(ways, axis=-1)).reshape(-1, 3).astype(np.float32))
+    assert body_reach_m(clouds, UP, Config()) == 0.0
+
+
 def test_few_places_or_one_tell_of_no_body() -> None:
     assert body_reach_m([], UP, Config()) == 0.0
     assert body_reach_m([np.zeros((0, 3), np.float32)], UP, Config()) == 0.0
