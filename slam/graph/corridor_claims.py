@@ -72,9 +72,9 @@ class CorridorClaims:
                 start, end, motion = entailed
                 if not known.motion(start, end, poses).agrees(motion):
                     doubtful |= {n, m}
-        believed = [one for n, one in enumerate(sets) if n not in doubtful]
+        believed = [_corroborated(one) for n, one in enumerate(sets) if n not in doubtful]
         few = contradicted_by_chance(self._config)
-        return [claim for one in believed if self._trial.contradicted(one) <= few for claim in one]
+        return [claim for one in believed if one and self._trial.contradicted(one) <= few for claim in one]
 
     def _verify(
         self, place: int, key: int, poses: FloatArray, covariance: FloatArray
@@ -88,3 +88,11 @@ class CorridorClaims:
         across = np.linalg.eigh(found.covariance[:2, :2])[1][:, 0]
         across_m = abs(float(across @ (found.pose - guess.pose)[:2]))
         return claim if across_m <= 0.5 * self._config.reach_m else None
+
+
+def _corroborated(claims: list[LoopCandidate]) -> list[LoopCandidate]:
+    """Return a set without a lone claim that leaves no direction open: doors along a corridor look alike."""
+    is_open = [claim.motion is not None and claim.motion.degenerate for claim in claims]
+    return [
+        claim for claim, is_one in zip(claims, is_open, strict=True) if is_one or is_open.count(False) > 1
+    ]

@@ -23,12 +23,14 @@ SURE, KNOWN, OPEN = (np.diag(sigmas) ** 2 for sigmas in ([0.01] * 3, [2.0, 1.5, 
 class Corridor:
     """Keyframes along it, as the closer, the stretches and the uncertainty know them."""
 
-    def __init__(self, across_m: dict[int, float], length: int = KEYS, share: float = 0.0) -> None:
+    def __init__(
+        self, across_m: dict[int, float], length: int = KEYS, share: float = 0.0, determined: int = 0
+    ) -> None:
         self.across_m, self.submaps = across_m, self
         self.keys = LATER + np.arange(length)
         poses = np.zeros((200, 3))
         poses[:, 0] = np.arange(200) % BESIDE
-        self.poses, self.share, self.wide = poses, share, False
+        self.poses, self.share, self.determined, self.wide = poses, share, determined, False
 
     def travelled_m(self, key: int) -> float:
         return float(key)
@@ -48,7 +50,9 @@ class Corridor:
     ) -> LoopCandidate:
         assert confirming
         pose = guess + np.array([0.7, self.across_m[place // BESIDE * BESIDE], 0.0])
-        motion = MotionEstimate(pose2_from_row(pose), OPEN, 0.9, 0.9, 0.01, True, True, np.zeros(3))
+        motion = MotionEstimate(
+            pose2_from_row(pose), OPEN, 0.9, 0.9, 0.01, True, key >= LATER + self.determined, np.zeros(3)
+        )
         return LoopCandidate(place, key, 3.0, 0.1, 1.0, motion, True, "")
 
     def motion(self, start: int, end: int, poses: FloatArray) -> Motion:
@@ -87,3 +91,8 @@ def test_no_corridor_is_closed_in_doubt(across_m: dict[int, float], changed: dic
 
 def test_two_passes_that_agree_are_both_closed() -> None:
     assert len(Corridor({0: 0.6, BESIDE: 0.6}).believed()) == 2 * KEYS
+
+
+@pytest.mark.parametrize(("determined", "expected"), [(1, KEYS - 1), (2, KEYS)])
+def test_one_match_alone_does_not_say_where_along_a_corridor(determined: int, expected: int) -> None:
+    assert len(Corridor({0: 0.6}, determined=determined).believed()) == expected
