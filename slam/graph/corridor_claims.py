@@ -33,20 +33,16 @@ class CorridorClaims:
     """
 
     def __init__(
-        self,
-        closer: LoopCloser,
-        stretches: Stretches,
-        trial: ClaimTrial,
-        sets: ClaimSets,
-        config: LoopConfig,
+        self, closer: LoopCloser, stretches: Stretches, trial: ClaimTrial, sets: ClaimSets, config: LoopConfig
     ) -> None:
         self._closer, self._stretches, self._trial = closer, stretches, trial
         self._sets, self._config = sets, config
+        self._returned: set[tuple[int, int]] = set()
 
     def believed(
         self, poses: FloatArray, known: UncertaintyGraph, loops: Sequence[LoopCandidate]
     ) -> list[LoopCandidate]:
-        """Return the claims of all sets that are long enough and that no other set contradicts.
+        """Return the claims of all sets that are long enough and that no other set contradicts, none twice.
 
         Parameters
         ----------
@@ -61,7 +57,9 @@ class CorridorClaims:
         for number in self._stretches.untied(loops, bare=True):
             key = int(self._stretches.keys[number])
             for place, covariance in self._closer.propose(key, poses, known, wide=True):
-                if claim := self._verify(place, key, poses, covariance):
+                # What GNC has rejected since is not returned again: the search ends.
+                is_new = (place, key) not in self._returned
+                if is_new and (claim := self._verify(place, key, poses, covariance)):
                     claims.add(claim)
         way_m, least_m = self._closer.submaps.travelled_m, 2.0 * self._config.reach_m
         sets = [one for one in claims.largest() if np.ptp([way_m(c.keyframe) for c in one]) >= least_m]
@@ -74,7 +72,9 @@ class CorridorClaims:
                     doubtful |= {n, m}
         believed = [_corroborated(one) for n, one in enumerate(sets) if n not in doubtful]
         few = contradicted_by_chance(self._config)
-        return [claim for one in believed if one and self._trial.contradicted(one) <= few for claim in one]
+        found = [claim for one in believed if one and self._trial.contradicted(one) <= few for claim in one]
+        self._returned |= {(claim.place, claim.keyframe) for claim in found}
+        return found
 
     def _verify(
         self, place: int, key: int, poses: FloatArray, covariance: FloatArray

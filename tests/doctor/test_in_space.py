@@ -295,8 +295,7 @@ def test_times_of_points_that_cannot_be_are_named(turn_s: float, scale: float) -
 def test_clouds_of_a_few_points_tell_no_times() -> None:
     samples = CloudSamples()
     for n in range(60):
-        count = 1600 if n % 3 == 0 else 20
-        rng = np.random.default_rng(n)
+        count, rng = 1600 if n % 3 == 0 else 20, np.random.default_rng(n)
         points, times_s = rng.normal(size=(count, 3)).astype(np.float32), 1e-3 * (np.arange(count) // 16)
         samples.add(PointCloud(float(n), points, times_s))
     assert cloud_findings("lidar", samples) == []

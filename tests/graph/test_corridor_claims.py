@@ -61,10 +61,12 @@ class Corridor:
     def contradicted(self, members: list[LoopCandidate]) -> float:
         return self.share
 
-    def believed(self) -> list[LoopCandidate]:
+    def claims(self) -> CorridorClaims:
         sets = ClaimSets(self.poses, np.arange(200.0), self, 20.0)  # type: ignore[arg-type]
-        claims = CorridorClaims(self, self, self, sets, CONFIG)  # type: ignore[arg-type]
-        return claims.believed(self.poses, self, [])  # type: ignore[arg-type]
+        return CorridorClaims(self, self, self, sets, CONFIG)  # type: ignore[arg-type]
+
+    def believed(self) -> list[LoopCandidate]:
+        return self.claims().believed(self.poses, self, [])  # type: ignore[arg-type]
 
 
 def test_a_corridor_that_is_driven_again_is_closed_across() -> None:
@@ -96,3 +98,12 @@ def test_two_passes_that_agree_are_both_closed() -> None:
 @pytest.mark.parametrize(("determined", "expected"), [(1, KEYS - 1), (2, KEYS)])
 def test_one_match_alone_does_not_say_where_along_a_corridor(determined: int, expected: int) -> None:
     assert len(Corridor({0: 0.6}, determined=determined).believed()) == expected
+
+
+def test_what_was_rejected_since_is_not_returned_again() -> None:
+    """Otherwise the search, which goes on as long as it finds something, would never end."""
+    corridor = Corridor({0: 0.6})
+    claims = corridor.claims()
+    rejected = [one.refused("GNC") for one in claims.believed(corridor.poses, corridor, [])]  # type: ignore[arg-type]
+    assert len(rejected) == KEYS
+    assert claims.believed(corridor.poses, corridor, rejected) == []  # type: ignore[arg-type]
