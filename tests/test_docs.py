@@ -1,4 +1,4 @@
-"""README.md and docs/ against the product: links, commands, settings, names and examples hold."""
+"""README.md, SECURITY.md and docs/ against the product: links, commands, settings, names and examples hold."""
 
 from __future__ import annotations
 
@@ -18,10 +18,12 @@ from slam.cli.commands import app
 from slam.comparison.experiment import load_experiment
 from slam.config import Config, load_config
 from slam.datasets.calibration import Calibration, read_calibration
+from slam.simulation.rigs import RIGS
 from slam.simulation.synthetic_log import write_synthetic_log
 
 REPO = Path(__file__).parents[1]
-PAGES = [REPO / "README.md", REPO / "CONTRIBUTING.md", *sorted((REPO / "docs").rglob("*.md"))]
+TOP_PAGES = [REPO / name for name in ("README.md", "CONTRIBUTING.md", "SECURITY.md")]
+PAGES = [*TOP_PAGES, *sorted((REPO / "docs").rglob("*.md"))]
 MOST_WORDS = 900  # of the README, as `wc -w` counts
 MOST_BYTES = 300_000  # of all pictures
 STRANGERS = {"ns-train"}  # other programs that are named
@@ -114,16 +116,29 @@ def test_commands_and_their_options_exist(page: Path) -> None:
         load_config(overrides=settings(arguments))
 
 
+def test_the_help_of_each_command_ends_with_an_example_that_exists() -> None:
+    for name, command in COMMANDS.items():
+        (arguments,) = command_lines(command.epilog.removeprefix("Example: "), "scanweave")
+        assert arguments[0] == name
+        parsed(arguments)
+        load_config(overrides=settings(arguments))
+
+
+def test_the_help_names_every_rig() -> None:
+    (rig,) = (part for part in COMMANDS["simulate"].params if part.name == "rig")
+    assert sorted(re.findall(r"[a-z]\w*\d\w*|turtlebot_\w+", rig.help)) == sorted(RIGS)
+
+
 @every_page
 def test_commands_named_in_the_text_exist(page: Path) -> None:
     options = {option for one in COMMANDS.values() for part in one.params for option in part.opts}
     for span in INLINE.findall(prose(page)):
         words = shlex.split(span) if span.startswith(("scanweave ", "--")) else []
         if words[:1] == ["scanweave"]:
-            assert words[1] in COMMANDS, f"{page.name}: {span}"
+            assert words[1] in {*COMMANDS, "--version"}, f"{page.name}: {span}"
         load_config(overrides=settings(words))
         if span.startswith("--set ") or words[:1] == ["scanweave"]:
-            assert {word for word in words if word.startswith("--")} <= options | {"--help"}, span
+            assert {word for word in words if word.startswith("--")} <= options | {"--help", "--version"}, span
 
 
 @every_page

@@ -37,8 +37,8 @@ class _PlainFormatter(logging.Formatter):
         return plain_lines(super().format(record))
 
 
-def command(name: str | None = None) -> Callable[[_Command], _Command]:
-    """Make a function a command, with the options that every command has wherever they stand in the line."""
+def command(example: str) -> Callable[[_Command], _Command]:
+    """Make a function a command, named by the first word of its example, with the options that all share."""
 
     def register(function: _Command) -> _Command:
         def run(*, verbose: bool, quiet: bool, **arguments: Any) -> None:
@@ -54,7 +54,7 @@ def command(name: str | None = None) -> Callable[[_Command], _Command]:
         run.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]
         run.__annotations__ = {part.name: part.annotation for part in parameters}
         run.__name__, run.__doc__ = function.__name__, function.__doc__
-        app.command(name)(run)
+        app.command(example.split()[0], epilog=f"Example: scanweave {example}")(run)
         return function
 
     return register
@@ -84,8 +84,9 @@ app = typer.Typer(
 LogArgument = Annotated[
     Path,
     typer.Argument(
-        help="the log: a CARMEN file (.log, .clf, plain or .gz), a ROS bag (.bag, .db3, .mcap), or a folder "
-        "(simulated, TUM, 7-Scenes, OpenLORIS-Scene, Robot@Home, KITTI, point clouds)"
+        metavar="LOG",
+        help="a CARMEN file (.log, .clf, plain or .gz), a ROS bag (.bag, .db3, .mcap), or a folder (TUM, "
+        "KITTI, point clouds and others: docs/formats.md)",
     ),
 ]
 KnownMapArgument = Annotated[

@@ -15,10 +15,10 @@ if TYPE_CHECKING:
     from slam.comparison.perform import Row
 
 
-@command()
+@command("compare ablation -o study/")
 def compare(
     experiment: Annotated[
-        str, typer.Argument(help="experiment file (.yaml), or a built-in one: ablation, lidar2d, papers")
+        str, typer.Argument(metavar="EXPERIMENT", help="a .yaml file, or ablation, lidar2d or papers")
     ],
     out: OutOption,
     data: Annotated[

@@ -14,7 +14,7 @@ from slam.cli.simulate import simulate_into
 _ROOMS, _DURATION_S = 3, 25.0
 
 
-@command()
+@command("demo")
 def demo(
     out: Annotated[
         Path, typer.Option("--out", "-o", parser=folder_of, help="folder for the log and the results")

@@ -21,7 +21,7 @@ OutOption = Annotated[
 ]
 
 
-@command()
+@command("edit house/ edits.yaml")
 def edit(
     map_: MapArgument,
     edits: Annotated[
@@ -57,7 +57,7 @@ def edit(
     _report(saved, edited_map, started)
 
 
-@command()
+@command("merge ground-floor/ upstairs/ -o house/")
 def merge(
     maps: Annotated[
         list[Path], typer.Argument(metavar="MAP...", help="maps; the first defines frame and settings")
@@ -80,7 +80,7 @@ def merge(
     say("wrote " + ", ".join(str(path) for path in result.written))
 
 
-@command()
+@command("remap house/ -s grid.resolution_m=0.02 -o fine/")
 def remap(map_: MapArgument, set_: SetOption = None, out: OutOption = None) -> None:
     """Rebuild a map with other settings (cell size, layers, accepted loops), without its log."""
     started = time.perf_counter()
@@ -90,7 +90,7 @@ def remap(map_: MapArgument, set_: SetOption = None, out: OutOption = None) -> N
     _report(saved, saved.remap(set_ or [], out=out or _own_folder(saved)), started)
 
 
-@command()
+@command("view house/")
 def view(
     map_: MapArgument,
     port: Annotated[int, typer.Option(min=0, max=65535, help="TCP port; 0 picks a free one")] = 0,

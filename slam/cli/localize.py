@@ -27,7 +27,7 @@ from slam.cli.app import (
 from slam.cli.progress import interruptible, progress_bar
 
 
-@command()
+@command("localize house/ tuesday.log -o where/")
 def localize(
     map_: KnownMapArgument,
     log: LogArgument,

@@ -35,7 +35,7 @@ if TYPE_CHECKING:
     from slam.config import Config
 
 
-@command("map")
+@command("map monday.log -o house/")
 def map_command(
     log: LogArgument,
     out: Annotated[

@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from slam.datasets.dataset import Dataset
 
 
-@command()
+@command("inspect drive.mcap")
 def inspect(
     log: LogArgument,
     as_json: JsonOption = False,
@@ -53,7 +53,7 @@ def inspect(
     tell(json.dumps(inspection, indent=2) if as_json else "\n".join(lines))
 
 
-@command()
+@command("doctor monday.log --write calibration.yaml")
 def doctor(
     log: LogArgument,
     write: Annotated[
@@ -101,9 +101,9 @@ def _opened(
     return open_dataset(log, strict=strict, topics=topics_of(topics), calibration=files), sensors
 
 
-@command()
+@command("evaluate house/trajectory.tum --groundtruth truth.tum")
 def evaluate(
-    trajectory: Annotated[Path, typer.Argument(help="trajectory in TUM format")],
+    trajectory: Annotated[Path, typer.Argument(metavar="TRAJECTORY", help="trajectory in TUM format")],
     relations: Annotated[
         Path | None, typer.Option(help="relations file (Kuemmerle 2009): t1 t2 x y z roll pitch yaw")
     ] = None,
@@ -111,7 +111,7 @@ def evaluate(
         Path | None, typer.Option(help="ground truth in a published format, or a folder that contains one")
     ] = None,
     tolerance: Annotated[
-        float | None, typer.Option(min=0.0, help="largest time from a pose to its true pose, seconds")
+        float | None, typer.Option(min=0.0, help="seconds from a pose to its true pose; default: 0.05")
     ] = None,
     delta: Annotated[float, typer.Option(min=0.0, help="distance over which RPE is taken, metres")] = 1.0,
     as_json: JsonOption = False,
@@ -128,7 +128,7 @@ def evaluate(
     tell(json.dumps(scores, indent=2) if as_json else score_text(scores))
 
 
-@command("config")
+@command("config --set grid.resolution_m=0.1")
 def config_command(config: ConfigOption = None, set_: SetOption = None) -> None:
     """Print the effective configuration with a description of every field."""
     from slam.config import dump_config, load_config
@@ -136,7 +136,7 @@ def config_command(config: ConfigOption = None, set_: SetOption = None) -> None:
     tell(dump_config(load_config(config, set_ or [])).rstrip("\n"))
 
 
-@command()
+@command("plan house/ --from 0,0 --to 3.5,-1 -o path.png")
 def plan(
     map_: KnownMapArgument,
     start: Annotated[str, typer.Option("--from", help="x,y in metres, map frame")],

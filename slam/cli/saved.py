@@ -45,7 +45,7 @@ class Format(StrEnum):
     NAV2_ZONES = "nav2-zones"
 
 
-@command()
+@command("info house/")
 def info(map_: MapArgument, as_json: JsonOption = False) -> None:
     """Show what a map contains: sensors, keyframes, loops, grid, settings, versions."""
     load_later("gtsam")
@@ -55,7 +55,7 @@ def info(map_: MapArgument, as_json: JsonOption = False) -> None:
     tell(json.dumps(facts, indent=2) if as_json else render_info(facts))
 
 
-@command()
+@command("check house/")
 def check(map_: MapArgument) -> None:
     """Verify a map: read all of it and compare it with its checksums."""
     from slam.outputs.finished_map import load_map
@@ -70,7 +70,7 @@ def check(map_: MapArgument) -> None:
     )
 
 
-@command()
+@command("export house/ --format nav2 -o nav2/")
 def export(
     map_: MapArgument,
     format_: Annotated[
@@ -93,7 +93,7 @@ def export(
     say("wrote " + ", ".join(str(path) for path in written))
 
 
-@command()
+@command("floorplan house/ -o plan.svg")
 def floorplan(
     map_: MapArgument,
     out: Annotated[Path, typer.Option("--out", "-o", help="the drawing: .svg, .dxf or .geojson")] = Path(
@@ -115,7 +115,7 @@ def floorplan(
     say(f"wrote {out}")
 
 
-@command()
+@command("diff monday/ friday/ -o diff/")
 def diff(
     before: MapArgument,
     after: Annotated[

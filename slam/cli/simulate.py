@@ -21,30 +21,28 @@ if TYPE_CHECKING:
 _RIG = "xu2024"
 
 
-@command()
+@command("simulate --rig xu2024 --home 3 --seed 7 -o drive/")
 def simulate(
     out: Annotated[
         Path, typer.Option("--out", "-o", parser=folder_of, help="folder for the log; must be empty or new")
     ],
-    rig: Annotated[str, typer.Option(help="robot type; an unknown name lists all")] = _RIG,
+    rig: Annotated[
+        str,
+        typer.Option(
+            help="xu2024, turtlebot_low, turtlebot_high, li2020, yang2021, yang2021_lidar, sick2d or lidar3d"
+        ),
+    ] = _RIG,
     home: Annotated[int, typer.Option(min=0, help="random seed of the floor plan")] = 1,
     seed: Annotated[int, typer.Option(min=0, help="random seed of the route, noise and faults")] = 0,
-    moved: Annotated[
-        int, typer.Option(min=0, help="number of pieces of furniture that moved, disappeared or appeared")
-    ] = 0,
-    tags: Annotated[
-        int, typer.Option(min=0, help="number of AprilTags on the walls; tags.yaml lists their poses")
-    ] = 0,
+    moved: Annotated[int, typer.Option(min=0, help="pieces of furniture moved, removed or added")] = 0,
+    tags: Annotated[int, typer.Option(min=0, help="AprilTags on the walls; tags.yaml lists them")] = 0,
     imu: Annotated[bool, typer.Option("--imu", help="add a 200 Hz IMU (always with --street)")] = False,
     office: Annotated[bool, typer.Option("--office", help="simulate an office instead of a home")] = False,
     campus: Annotated[
         bool, typer.Option("--campus", help="2 km of corridors, a SICK lidar, bad wheel odometry; no --rig")
     ] = False,
     street: Annotated[
-        bool,
-        typer.Option(
-            "--street", help="a car with a 3D lidar in a town, without wheels; --rig car64 or car16"
-        ),
+        bool, typer.Option("--street", help="a car with a 3D lidar in a town; --rig car64 or car16")
     ] = False,
     tunnel: Annotated[
         bool, typer.Option("--tunnel", help="with --street: one road with 200 m of smooth tunnel")
@@ -53,10 +51,7 @@ def simulate(
         bool, typer.Option("--undistorted", help="with --street: write clouds without motion distortion")
     ] = False,
     duration: Annotated[
-        float | None,
-        typer.Option(
-            min=1.0, help="duration in seconds; default: one tour, the whole campus, or 34 s of a street"
-        ),
+        float | None, typer.Option(min=1.0, help="seconds; default: one tour, or 34 s of a street")
     ] = None,
     faults: Annotated[
         str, typer.Option(help="none, usual or harsh (not for a campus): clock errors, losses, people")
