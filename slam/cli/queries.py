@@ -111,7 +111,7 @@ def evaluate(
         Path | None, typer.Option(help="ground truth in a published format, or a folder that contains one")
     ] = None,
     tolerance: Annotated[
-        float | None, typer.Option(min=0.0, help="seconds from a pose to its true pose; default: 0.05")
+        float | None, typer.Option(min=0.0, help="largest time to the true pose, seconds; default: 0.05")
     ] = None,
     delta: Annotated[float, typer.Option(min=0.0, help="distance over which RPE is taken, metres")] = 1.0,
     as_json: JsonOption = False,

@@ -38,6 +38,12 @@ def test_a_log_is_localised_in_a_saved_map(tmp_path: Path) -> None:
     assert np.median(wrong) < 0.05
     page = (out / "report.html").read_text()
     assert "tracking" in page and "searching" in page and "connect-src &#39;none&#39;" in page
+    assert "not found" not in result.output
+    short = tmp_path / "short.log"
+    short.write_text("".join(driven.log_path.read_text().splitlines(keepends=True)[:20]))
+    strict = ["--set", "localization.confident_probability=0.9999"]
+    lost = run(app, ["localize", str(folder), str(short), "-o", str(tmp_path / "lost"), *strict])
+    assert lost.exit_code == 0 and "the robot was not found in the map; a longer log" in lost.output
 
 
 def test_a_missing_map_is_named(tmp_path: Path) -> None:
