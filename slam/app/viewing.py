@@ -96,7 +96,7 @@ class MapView:
         """Take the last edits back; as `edit`."""
         with self._lock:
             self._take(self._map.undone(out=self._map.path.parent))
-        return f"undone; {len(self._map.edits)} edits are left"
+        return f"undone; edits left: {len(self._map.edits)}"
 
     def _take(self, saved: Map) -> None:
         """Show another map from now on."""

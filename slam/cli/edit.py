@@ -124,7 +124,7 @@ def _report(before: Map, after: Map, started: float) -> None:
     moved_m = float(np.hypot(*(np.array(ends[1]) - ends[0][: len(ends[1])]).T).max())
     loops = sum(loop.accepted for loop in after.loops)
     say(
-        f"{len(after.edits)} edits; {loops} of {len(after.loops)} loops accepted; keyframes moved by up to "
+        f"edits: {len(after.edits)}; {loops} of {len(after.loops)} loops accepted; keyframes moved by up to "
         f"{moved_m:.3f} m; {time.perf_counter() - started:.1f} s"
     )
     for loop in after.loops[len(before.loops) :]:

@@ -135,7 +135,7 @@ def simulate(
         tuple(formats) if formats else FORMATS,
     )
     counts = ", ".join(f"{count} {name}" for name, count in summary.counts.items())
-    say(f"{summary.duration_s:.0f} s, {summary.path_m:.1f} m through {len(summary.rooms)} rooms: {counts}")
+    say(f"{summary.duration_s:.0f} s, {summary.path_m:.1f} m, rooms visited: {len(summary.rooms)}; {counts}")
     say(f"wrote {summary.folder}")
 
 

@@ -128,7 +128,7 @@ def _lines(values: dict[str, Any], indent: str) -> list[str]:
             lines.append(f"{indent}{name}:")
             lines += _lines(value, indent + "  ")
         elif value is not None and not isinstance(value, list):
-            lines.append(f"{indent}{name}: {value}")
+            lines.append(f"{indent}{name}: {round(value, 4) if isinstance(value, float) else value}")
     return lines
 
 

@@ -181,7 +181,7 @@ def test_the_commands(scanweave: Scanweave, tmp_path: Path) -> None:
     told = (tmp_path / "map" / "report.html").read_bytes()
     (tmp_path / "edits.yaml").write_text("turn: {to_walls: true}\nplaces: [{name: dock, position: [0, 0]}]\n")
     done = scanweave("edit", tmp_path / "map", tmp_path / "edits.yaml")
-    assert done.code == 0 and "1 edits" in done.out, done
+    assert done.code == 0 and "edits: 1" in done.out, done
     # The page shows the map as it is now; that of the run is kept as its session's.
     assert (tmp_path / "map" / "report-1.html").read_bytes() == told
     page, edited = (tmp_path / "map" / "report.html").read_text(), slam.load_map(tmp_path / "map")

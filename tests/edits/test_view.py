@@ -65,7 +65,7 @@ def test_edits_are_saved_beside_the_map_and_can_be_taken_back(served: Served) ->
     assert served.post("edits", {"places": [{"name": "<b>", "position": [0, 0]}]})[0] == 200
     assert slam.load_map(served.folder).edits[0] == "turn: {degrees: 90.0}\n"
     assert "<b>" not in served.ask("GET", "/secret/")[1]
-    assert served.post("undo", {}) == (200, {"done": "undone; 1 edits are left"})
+    assert served.post("undo", {}) == (200, {"done": "undone; edits left: 1"})
     assert served.post("undo", {})[0] == 200
     assert content(served.view.map) == before
     assert served.post("undo", {}) == (400, {"error": f"{served.folder / 'map.db'} has no edits to undo"})
