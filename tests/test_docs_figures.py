@@ -44,6 +44,16 @@ def test_every_table_says_when_it_was_measured(page: Path) -> None:
     assert faults(REPO, page) == []
 
 
+@pytest.mark.parametrize("page", ["README.md", "docs/index.md"])
+def test_measured_numbers_of_entry_pages_are_on_a_page_of_figures(page: str) -> None:
+    measured = r"(?<![\w.`])\d+(?:\.\d+)?(?= (?:m|cm|mm|%|CPU|MB|GB|campuses|degrees)\b)"
+    text = re.sub(r"`[^`\n]*`", "", (REPO / page).read_text("utf-8"))
+    figures = "".join(file.read_text("utf-8") for file in [*pages(REPO), REPO / "docs" / "limits.md"])
+    sizes = {"530"}  # of packages of others
+    for number in {*re.findall(measured, text)} - sizes:
+        assert re.search(rf"(?<![\d.]){re.escape(number)}(?!\.?\d)", figures), f"{page}: {number}"
+
+
 def test_a_table_without_a_mark_is_seen_and_gets_one(repo: Path) -> None:
     first = commit(repo, f"text\n\n{TABLE}")
     page = repo / "docs" / "figures.md"
