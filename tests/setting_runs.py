@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import math
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import cache
 from pathlib import Path
@@ -78,21 +78,6 @@ def differs(run: Run, config: Config, baseline: Course) -> bool:
     except ScanweaveError:  # a setting that leaves nothing to map
         return True
     return len(course.digests) != len(baseline.digests)
-
-
-@contextmanager
-def read_fields(section: type) -> Iterator[set[str]]:
-    """The fields of a section that are read during the block."""
-    found: set[str] = set()
-
-    def reading(self: Any, name: str) -> Any:
-        if name in section.model_fields:  # type: ignore[attr-defined]
-            found.add(name)
-        return object.__getattribute__(self, name)
-
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(section, "__getattribute__", reading)
-        yield found
 
 
 @dataclass
@@ -371,14 +356,9 @@ BASES: dict[str, tuple[str, ...]] = {
         "match.local_map_keyframes=6",
     ),
     "first_clouds": ("cloud_odometry.voxel_m=0.25", "match.local_map_keyframes=4"),
-    "in_plan": ("localization.keyframe_m=0.1", "localization.search_threads=1"),
-    "in_room": (
-        "cloud_odometry.voxel_m=0.25",
-        "localization.search_threads=1",
-        "localization.confident_probability=0.8",
-    ),
+    "in_plan": ("localization.keyframe_m=0.1",),
+    "in_room": ("cloud_odometry.voxel_m=0.25", "localization.confident_probability=0.8"),
     "frames_alone": (*_CAMERA, "rgbd_odometry.least_inliers=8"),
-    "files": ("dense_map.octomap=true",),
 }
 RUNS: dict[str, Run] = {
     run.__name__: run

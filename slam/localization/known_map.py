@@ -46,7 +46,7 @@ class Walls:
             raise MapFileError("the map contains no lidar scan: a scan cannot be localised in it")
         self.map = known_map
         self._config = config
-        self._tile = lru_cache(config.localization.tiles_cached)(self._made)
+        self._tile = lru_cache(maxsize=48)(self._made)
         self._poses = known_map.keyframe_poses.reshape(-1, 3)
         self._views = {
             key: ScanView.of(scan, config)

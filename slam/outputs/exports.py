@@ -193,12 +193,9 @@ class Exports:
         return written
 
     def write_surfaces(self, folder: Path) -> list[Path]:
-        """Write surfaces, clouds and the octree, if they are enabled; see `write`."""
-        dense = self.config.dense_map
-        if not dense.enabled or (self.contents.frames is None and self.contents.clouds is None):
-            return []
-        written = self.write("ply", folder)
-        return written + self.write("bt", folder) if dense.octomap else written
+        """Write surfaces and clouds, if they are enabled; see `write`."""
+        shown = self.contents.frames is not None or self.contents.clouds is not None
+        return self.write("ply", folder) if self.config.dense_map.enabled and shown else []
 
     def same_surfaces(self, other: Exports) -> bool:
         """Return whether another map of the same log has the same images and clouds at the same poses."""
