@@ -8,7 +8,7 @@ from typing import Literal
 from pydantic import Field, model_validator
 
 from slam.config.calibration import Calibration
-from slam.config.strict import StrictModel
+from slam.config.files import StrictModel
 from slam.config.tags import KnownPlaces
 
 

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from fusion.estimation import gate
 from slam.config import Config
 from slam.estimates import Trajectory
-from slam.evaluation.association import nearest_indices
+from slam.evaluation.alignment import nearest_indices
 from slam.evaluation.page_charts import sigmas_of
 from slam.evaluation.page_layers import layer_pictures
 from slam.graph.influence import all_edges, elimination_order, influences

@@ -28,14 +28,18 @@ from slam.storage.files import filling, make_folder
 from slam.storage.g2o import write_g2o
 from slam.storage.georeferenced import write_georeference, write_gpx
 from slam.storage.glb import write_mesh_glb
-from slam.storage.ground_layers import write_ground_layers
-from slam.storage.kitti_poses import write_kitti
 from slam.storage.lidar_cloud_files import CLOUD_FORMATS, export_cloud, write_lidar_cloud
 from slam.storage.map_contents import MapContents
 from slam.storage.map_edits import CLOUD, FRAME, erased_bits, regions_of
 from slam.storage.map_places import write_places_yaml
 from slam.storage.mcap_results import write_results_bag
-from slam.storage.nav2_layers import MAP_YAML, write_driving_map, write_layers, write_passed_by
+from slam.storage.nav2_layers import (
+    MAP_YAML,
+    write_driving_map,
+    write_ground_layers,
+    write_layers,
+    write_passed_by,
+)
 from slam.storage.nav2_rooms import write_room_zones
 from slam.storage.nav2_zones import write_zones
 from slam.storage.octomap import write_octomap, write_octree
@@ -45,7 +49,7 @@ from slam.storage.plan_svg import write_plan_svg
 from slam.storage.ply import write_cloud_ply, write_mesh_ply
 from slam.storage.posed_images import IMAGES, plain_name, write_posed_images
 from slam.storage.transforms_json import write_transforms
-from slam.storage.tum import write_tum
+from slam.storage.tum import write_kitti, write_tum
 from slam.trajectory.poses import Poses
 
 ZONES = "nav2-zones"

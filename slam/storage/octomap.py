@@ -15,7 +15,7 @@ import numpy as np
 
 from fusion.height_band import back_project, pixel_rays
 from slam.errors import ConfigError, ScanweaveError
-from slam.mapping.posed_frames import posed_frames
+from slam.mapping.dense_map import posed_frames
 from slam.measurements import FloatArray, RgbdFrame
 from slam.storage.files import write_bytes
 

@@ -1,4 +1,7 @@
-"""Trajectories as TUM text: ``stamp tx ty tz qx qy qz qw``, full epoch seconds, without loss."""
+"""Trajectories as TUM text: ``stamp tx ty tz qx qy qz qw``, full epoch seconds, without loss.
+
+And in the format of the KITTI odometry benchmark: a 3 x 4 matrix per line, times in a file.
+"""
 
 from __future__ import annotations
 
@@ -101,3 +104,24 @@ def _to_unit_length(quaternions: FloatArray) -> FloatArray:
     """Unit quaternions; rows that are so already keep their bits."""
     norms = np.linalg.norm(quaternions, axis=1, keepdims=True)
     return np.where(np.abs(norms - 1.0) > 1e-14, quaternions / norms, quaternions)
+
+
+def write_kitti(path: Path, trajectory: Trajectory) -> list[Path]:
+    """Write poses in the frame of the first one, row by row, and ``times.txt`` in seconds from the first.
+
+    Beside ``NAME.txt`` these are ``NAME_times.txt``.
+
+    Raises
+    ------
+    MapFileError
+        If a file cannot be written.
+    """
+    poses = trajectory.poses()
+    first = poses[0].inverse()
+    rows = (first.compose(pose).matrix()[:3].ravel().tolist() for pose in poses)
+    write_lines(path, (" ".join(f"{value:.9e}" for value in row) for row in rows))
+    # Beside another name, there may be the times of a data set.
+    times = path.with_name("times.txt" if path.name == "poses.txt" else f"{path.stem}_times.txt")
+    begun_s = trajectory.stamps_s[0]
+    write_lines(times, (f"{stamp_s - begun_s:.6e}" for stamp_s in trajectory.stamps_s.tolist()))
+    return [path, times]

@@ -14,8 +14,7 @@ import yaml
 from flat_worlds import box, sweep
 
 import slam
-from slam.app.mapping import run_log
-from slam.app.measured import Measured
+from slam.app.mapping import Measured, run_log
 from slam.config import load_config
 from slam.earth import TangentPlane
 from slam.errors import ScanweaveError

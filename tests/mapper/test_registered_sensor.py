@@ -15,8 +15,7 @@ from flat_worlds import box, sweep
 from test_resume import Log, attempt
 
 import slam
-from slam.app.mapping import run_log
-from slam.app.measured import Measured
+from slam.app.mapping import Measured, run_log
 from slam.config import load_config
 from slam.errors import DatasetError, GraphError
 from slam.graph.edge import Edge, EdgeKind

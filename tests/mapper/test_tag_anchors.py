@@ -13,7 +13,7 @@ import yaml
 from tag_world import SIDE_M, TAGS, ahead_of, drive, usual, way
 
 import slam
-from slam.app.measured import Measured
+from slam.app.mapping import Measured
 from slam.config import load_config, with_places
 from slam.config.tags import KnownPlaces, KnownStart, SurveyedPlace
 from slam.errors import ConfigError
