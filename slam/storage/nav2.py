@@ -7,6 +7,7 @@ import math
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal, TypeAlias
+from warnings import catch_warnings
 
 import gtsam
 import numpy as np
@@ -16,7 +17,7 @@ from slam.errors import MapFileError
 from slam.foreign import from_yaml
 from slam.mapping.occupancy_grid import FREE, OCCUPIED, UNKNOWN, StateArray
 from slam.storage.files import write_lines
-from slam.storage.pgm import GreyImage, read_pgm, write_pgm
+from slam.storage.pgm import GreyImage, write_pgm
 
 logger = logging.getLogger(__name__)
 
@@ -180,27 +181,23 @@ def _warn_of_freed_unknowns(path: Path, image: GreyImage, negate: bool, free_thr
 
 
 def _read_image(path: Path) -> tuple[GreyImage, NDArray[np.bool_]]:
-    """Read grey pixels and whether each is opaque, row 0 on top."""
-    if path.suffix.lower() == ".pgm":
-        image = read_pgm(path)
-        return image, np.ones(image.shape, dtype=np.bool_)
-    # Only png and bmp maps of other programs need the image library.
-    import cv2
+    """Read grey pixels, 255 white, and whether each is opaque, row 0 on top."""
+    from PIL import Image
 
     try:
-        content = np.frombuffer(path.read_bytes(), dtype=np.uint8)
-    except OSError as cause:
-        raise MapFileError(f"cannot read {path}: {cause.strerror or cause}") from cause
-    loaded: Any = cv2.imdecode(content, cv2.IMREAD_UNCHANGED) if content.size else None
-    if loaded is None:
-        raise MapFileError(f"{path}: not an image that can be read (pgm, png or bmp)")
-    if loaded.dtype != np.uint8:
-        loaded = (loaded // 257).astype(np.uint8)
-    if loaded.ndim == 2:
-        return loaded, np.ones(loaded.shape, dtype=np.bool_)
-    grey = cv2.cvtColor(np.ascontiguousarray(loaded[:, :, :3]), cv2.COLOR_BGR2GRAY)
-    opaque = loaded[:, :, 3] == 255 if loaded.shape[2] == 4 else np.ones(grey.shape, dtype=np.bool_)
-    return np.asarray(grey, dtype=np.uint8), opaque
+        with catch_warnings(action="ignore"), Image.open(path) as image:
+            if image.mode.startswith("I"):  # 16 bits
+                grey = np.rint(np.asarray(image) / 257.0).astype(np.uint8)
+            else:
+                grey = np.asarray(image.convert("L"))
+            if "A" in image.getbands() or "transparency" in image.info:
+                return grey, np.asarray(image.convert("RGBA"))[:, :, 3] == 255
+    except (OSError, ValueError, SyntaxError, Image.DecompressionBombError) as cause:
+        why = (
+            getattr(cause, "strerror", None) or "not an image that can be read (pgm, png or bmp), or cut off"
+        )
+        raise MapFileError(f"cannot read {path}: {why}") from cause
+    return grey, np.ones(grey.shape, dtype=np.bool_)
 
 
 def _load_yaml(path: Path) -> dict[str, Any]:
