@@ -144,7 +144,7 @@ def test_threads_change_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
         assert [p.score for p in alone] == [p.score for p in shared]
 
 
-def test_a_room_that_looks_the_same_turned_round_is_told_twice() -> None:
+def test_a_room_that_looks_the_same_turned_round_is_reported_twice() -> None:
     corners = np.array([[0.0, 0.0], [5.0, 0.0], [5.0, 3.0], [0.0, 3.0]])
     walls = np.concatenate(
         [

@@ -1,4 +1,4 @@
-"""A grid map of another program is enough to be localised in; a start that somebody tells is weighed."""
+"""A grid map of another program is enough to be localised in; a start that somebody gives is weighed."""
 
 import math
 from pathlib import Path

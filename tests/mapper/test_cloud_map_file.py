@@ -1,4 +1,4 @@
-"""A 3D lidar's map.db, as a user meets it: resumed, checked, told, exported; and what it cannot do."""
+"""A 3D lidar's map.db, as a user meets it: resumed, checked, reported, exported; and what it cannot do."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ def mapped(log: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     return out
 
 
-def test_it_is_whole_and_tells_what_it_holds(scanweave: Scanweave, mapped: Path) -> None:
+def test_it_is_whole_and_shows_what_it_holds(scanweave: Scanweave, mapped: Path) -> None:
     outcome = scanweave("check", mapped)
     assert outcome.code == 0 and "keyframes" in outcome.out and "clouds" in outcome.out, outcome
     found = json.loads(scanweave("info", mapped, "--json").out)

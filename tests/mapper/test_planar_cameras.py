@@ -155,7 +155,7 @@ def test_the_camera_alone_on_wheels(without_lidar: MapResult) -> None:
     assert without_lidar.map.trajectory.positions_m[:, 2].max() == 0.0
 
 
-def test_a_camera_that_begins_after_the_lidar_tells_its_first_step(
+def test_a_camera_that_begins_after_the_lidar_shows_its_first_step(
     drive: list[tuple[int, Measurement]],
 ) -> None:
     """Its first frame comes 90 ms after the scan that begins the map: it is carried back."""

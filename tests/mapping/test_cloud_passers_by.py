@@ -44,7 +44,7 @@ def seen_from(x: float, box_x: float | None) -> tuple[FloatArray, BoolArray]:
 
 
 def gone(boxes: list[float | None]) -> tuple[PassedBy, list[FloatArray], list[BoolArray], list[gtsam.Pose3]]:
-    """What is taken out of a drive along x, the box where it is told."""
+    """What is taken out of a drive along x, the box where it is reported."""
     steps = 0.8 * np.arange(len(boxes))
     clouds, marks = zip(*(seen_from(x, box) for x, box in zip(steps, boxes, strict=True)), strict=True)
     poses = [gtsam.Pose3(gtsam.Rot3(), np.array([x, 0.0, LIDAR_M])) for x in steps]

@@ -121,7 +121,7 @@ class TestJoined:
         three.close()
 
 
-def test_localising_adds_the_log_only_where_it_is_told_to(
+def test_localising_adds_the_log_only_where_it_is_asked_to(
     sessions: Sessions, map_: Path, joined: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     before = contents_of(map_)

@@ -67,8 +67,8 @@ def test_pcd(cloud: LidarCloud, tmp_path: Path) -> None:
 
 
 def test_intensities_of_16_bits() -> None:
-    for told, kept in ((1.0, 65535), (0.5, 32767.5), (2.0, 514), (255, 65535), (256, 256), (65535, 65535)):
-        assert sixteen_bits(np.array([0.0, told, np.nan], np.float32))[1] == pytest.approx(kept)
+    for stated, kept in ((1.0, 65535), (0.5, 32767.5), (2.0, 514), (255, 65535), (256, 256), (65535, 65535)):
+        assert sixteen_bits(np.array([0.0, stated, np.nan], np.float32))[1] == pytest.approx(kept)
     np.testing.assert_array_equal(sixteen_bits(np.array([-1.0, 131070.0], np.float32)), [0.0, 65535.0])
 
 

@@ -1,4 +1,4 @@
-"""Clouds in a map: what was kept comes back, lies are told by table and row, older maps are still read."""
+"""Clouds in a map: what was kept comes back, lies are named by table and row, older maps are still read."""
 
 from __future__ import annotations
 
@@ -108,7 +108,7 @@ def test_what_is_known_already_is_not_written_again(tmp_path: Path) -> None:
         ({"lidar": b"\x80\x04."}, "not packed values"),
     ],
 )
-def test_a_lie_is_told_by_table_and_row(tmp_path: Path, values: dict[str, object], said: str) -> None:
+def test_a_lie_is_reported_by_table_and_row(tmp_path: Path, values: dict[str, object], said: str) -> None:
     path = forge(write(tmp_path / "map.db", clouds()), "clouds", 2, **values)
     with pytest.raises(MapFileError, match=rf"table clouds, row 2: .*{said}") as caught:
         load_map(path).check()

@@ -169,7 +169,7 @@ class TestWhatIsOpen:
 
     @pytest.mark.parametrize("noise", [(0.0, 0.0), NOISE])
     def test_a_bare_wall_is_open_along_itself(self, noise: tuple[float, float]) -> None:
-        """Noisy normals must not seem to tell what the wall does not."""
+        """Noisy normals must not seem to show what the wall does not."""
         moved = self.FACING * STEP
         found = by_surfaces(hall(), self.FACING, moved, noise=noise)
         covariance, weak = covariance_of(found.information, 1.0, MATCH)
