@@ -28,7 +28,6 @@ if TYPE_CHECKING:
     from starlette.responses import Response
 
 _LOOPBACK = "127.0.0.1"
-_TOKEN_BYTES = 32
 _HEADERS = {
     "Cache-Control": "no-store",
     "Referrer-Policy": "no-referrer",
@@ -197,7 +196,7 @@ def serve(path: Path | str, port: int, tell: Callable[[str], None]) -> None:
             await super().startup(sockets)
             tell(f"http://{_LOOPBACK}:{bound}/{token}/")
 
-    view, token = MapView(path), secrets.token_urlsafe(_TOKEN_BYTES)
+    view, token = MapView(path), secrets.token_urlsafe()
     with socket.socket(socket.AF_INET, socket.SOCK_STREAM) as listening:
         listening.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         try:
