@@ -179,7 +179,7 @@ def test_simulate_overwrites_nothing(scanweave: Scanweave, tmp_path: Path) -> No
 
 
 def test_demo(scanweave: Scanweave, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("slam.cli.simulate._DURATION_S", 3.5)
+    monkeypatch.setattr("slam.cli.demo._DURATION_S", 3.5)
     outcome = scanweave("demo", "-o", tmp_path / "demo", "--seed", 3)
     assert outcome.code == 0
     # Where it takes long, how far it is stands among them.

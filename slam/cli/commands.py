@@ -9,11 +9,11 @@ import signal
 import sys
 
 from slam import heap
-from slam.cli import compare, edit, localize, map_log, queries, saved, simulate
+from slam.cli import compare, demo, edit, localize, map_log, queries, saved, simulate
 from slam.cli.app import app, tell
 from slam.errors import ScanweaveError
 
-__all__ = ["app", "compare", "edit", "localize", "map_log", "queries", "run", "saved", "simulate"]
+__all__ = ["app", "compare", "demo", "edit", "localize", "map_log", "queries", "run", "saved", "simulate"]
 
 _OBJECTS_A_COLLECTION = 500_000
 # Help lists the commands as somebody meets them: a log, its map, what is done with a map, and the rest.

@@ -22,7 +22,7 @@ from slam.measurements import FloatArray
 from slam.storage.files import make_folder, write_lines
 from slam.storage.nav2 import write_nav2_map
 from slam.storage.nav2_layers import write_raw
-from slam.storage.plan_geojson import feature
+from slam.storage.plan_files import feature
 
 # Share of the speed through doors.
 _DOOR_PERCENT = 50

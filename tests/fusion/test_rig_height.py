@@ -8,7 +8,7 @@ import numpy as np
 
 from fusion.curves import Curve
 from fusion.panorama import CurveStack
-from fusion.rig_height import HeightContest
+from fusion.rig import HeightContest
 
 STEP = math.radians(1.0)
 

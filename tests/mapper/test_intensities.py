@@ -19,7 +19,7 @@ from slam.mapper.pipeline import build_map
 from slam.matching.cloud_points import at_middle_of_turn, base_points, usable_intensities
 from slam.measurements import Float32Array, FloatArray
 from slam.outputs.exports import Exports
-from slam.storage.las import sixteen_bits
+from slam.storage.lidar_cloud_files import sixteen_bits
 
 COUNT = 12
 
