@@ -21,7 +21,6 @@ from slam.matching.local_cloud import moved
 from slam.measurements import AnyFloatArray, Float32Array, spatial
 from slam.outputs.floorplan import floor_plan
 from slam.outputs.lidar_cloud import lidar_cloud
-from slam.storage.covariances import write_trajectory
 from slam.storage.e57 import write_e57
 from slam.storage.files import filling, make_folder
 from slam.storage.g2o import write_g2o
@@ -39,13 +38,12 @@ from slam.storage.nav2_layers import (
     write_layers,
     write_passed_by,
 )
-from slam.storage.nav2_rooms import write_room_zones
-from slam.storage.nav2_zones import write_zones
+from slam.storage.nav2_zones import write_room_zones, write_zones
 from slam.storage.octomap import write_octomap, write_octree
 from slam.storage.plan_files import write_plan_dxf, write_plan_geojson, write_plan_svg
 from slam.storage.ply import write_cloud_ply, write_mesh_ply
 from slam.storage.posed_images import IMAGES, plain_name, write_colmap, write_posed_images, write_transforms
-from slam.storage.tum import write_kitti, write_tum
+from slam.storage.tum import write_kitti, write_trajectory, write_tum
 from slam.trajectory.poses import Poses
 
 ZONES = "nav2-zones"

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from slam.datasets import open_dataset
-from slam.datasets.bin_rows import rows_of
 from slam.datasets.cloud_files import KITTI_ROWS
+from slam.datasets.clouds_over_time import rows_of
 from slam.errors import DatasetError
 from slam.measurements import FloatArray, PointCloud
 

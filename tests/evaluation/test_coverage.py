@@ -12,8 +12,7 @@ from slam.errors import EvaluationError
 from slam.estimates import Trajectory
 from slam.evaluation.coverage import coverage
 from slam.measurements import FloatArray
-from slam.storage.covariances import write_trajectory
-from slam.storage.tum import write_tum
+from slam.storage.tum import write_trajectory, write_tum
 
 COUNT = 2000
 SIGMAS = np.array([0.1, 0.02, 0.01])

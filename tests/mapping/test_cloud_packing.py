@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from slam.errors import ScanweaveError
-from slam.mapping.cloud_packing import STEP_M, packed_cloud, unpacked_cloud
+from slam.mapping.sensor_packing import STEP_M, packed_cloud, unpacked_cloud
 from slam.zstandard import zstd
 
 METRES = st.floats(-200.0, 200.0, allow_nan=False)

@@ -7,9 +7,8 @@ import numpy as np
 import pytest
 
 from fusion.voxel_hash import AXIS_BITS, index_keys, table_for
-from slam.mapping.cloud_passers_by import PassedBy, passed_by
+from slam.mapping.cloud_passers_by import PassedBy, count_looks, passed_by, spread
 from slam.mapping.elevation import elevation
-from slam.mapping.looked_through import count_looks, spread
 from slam.matching.local_cloud import moved
 from slam.measurements import BoolArray, FloatArray
 

@@ -13,7 +13,7 @@ from box_world import box_frames
 from test_saved_map import IDENTITY, MOUNT, contents, features, forge
 
 from slam.errors import MapFileError
-from slam.mapping.cloud_packing import packed_cloud
+from slam.mapping.sensor_packing import packed_cloud
 from slam.measurements import FloatArray, RgbdFrame
 from slam.outputs.finished_map import load_map
 from slam.storage.map_clouds import MapClouds
