@@ -21,8 +21,7 @@ from fusion.alignment import EPS_OVER_E, rigid_fit
 from fusion.checks import instance, numbers
 from fusion.curves import BESIDE, HEIGHT_STEP_M, Curve, DepthImage, Float32Array, FloatArray, LidarCurve
 from fusion.estimation import gate, median_to_sigma
-from fusion.native_slice import ImageView, native_slice, native_step_rad
-from fusion.panorama import Depths, as_images, lookup_of
+from fusion.panorama import Depths, ImageView, as_images, lookup_of, native_slice, native_step_rad
 from fusion.registration import Grade, Registration
 from fusion.repair import Provenance, ProvenanceArray, replace_readings, smooth_outliers
 from fusion.repair_odds import BEAM_ODDS, PIXEL_ODDS, beam_candidates, probabilities

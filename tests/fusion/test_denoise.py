@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 
 import fusion
 from fusion.alignment import Alignment, planar
-from fusion.native_slice import native_slice
+from fusion.panorama import native_slice
 from fusion.reprojection import reproject, smooth, without_bumps
 
 OFFSET = (0.1, 0.02)

@@ -10,7 +10,7 @@ import pytest
 import slam
 from fusion.bayes import FREE, OCCUPIED, UNKNOWN
 from slam.errors import ConfigError, MapFileError
-from slam.localization.drawn_walls import drawn_walls
+from slam.localization.known_map import drawn_walls
 from slam.localization.output import State
 from slam.localization.poses import Measured, diagonal
 from slam.mapping.occupancy_grid import OccupancyGrid

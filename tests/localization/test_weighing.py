@@ -16,7 +16,7 @@ from slam.config.localization import LocalizationConfig
 from slam.estimates import MotionEstimate
 from slam.localization.hypotheses import Hypothesis, HypothesisSet, KeyframeLog
 from slam.localization.known_map import Walls
-from slam.localization.loss_test import LossTest
+from slam.localization.machine import LossTest
 from slam.localization.planar_sensor import NovelSurfaces, PlanarSensor
 from slam.localization.poses import Measured, position_sigma_m, same_place
 from slam.localization.scan_view import ScanView, first_in_cells

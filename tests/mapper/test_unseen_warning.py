@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from slam.config import Config
-from slam.mapper.map_warnings import unseen
+from slam.mapper.map_result import unseen
 from slam.trajectory.poses import Poses
 
 STAMPS_S = np.arange(0.0, 10.01, 0.5)
