@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
-from slam.errors import LibraryError, MapFileError
+from slam.errors import MapFileError, needs
 from slam.mapping.dense_map import ColoredCloud
 from slam.measurements import BoolArray, Float32Array
 from slam.storage.files import filling, make_folder, replacing
@@ -153,10 +153,8 @@ def write_las(path: Path, cloud: ColoredCloud, is_ground: BoolArray) -> None:
     MapFileError
         If the file cannot be written.
     """
-    try:
+    with needs("LAS needs laspy", "las"):
         import laspy
-    except ImportError as error:
-        raise LibraryError("LAS needs laspy: pip install '.[las]'") from error
     header = laspy.LasHeader(point_format=_WITH_COLOURS, version="1.4")
     header.scales = np.full(3, _STEP_M)
     header.offsets = np.floor(cloud.points_map.min(axis=0).astype(np.float64))

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from slam.errors import LibraryError
+from slam.errors import needs
 from slam.mapping.floor_plan import FloorPlan, Length, Room
 from slam.measurements import FloatArray
 from slam.storage.files import replacing, write_lines
@@ -147,11 +147,9 @@ def write_plan_dxf(path: Path, plan: FloorPlan) -> None:
     MapFileError
         If the file cannot be written.
     """
-    try:
+    with needs("DXF needs ezdxf", "dxf"):
         import ezdxf
         from ezdxf import units
-    except ImportError as error:
-        raise LibraryError("DXF needs ezdxf; pip install 'scanweave[dxf]'") from error
     document: Any = ezdxf.new("R2010", setup=["linetypes"])
     document.units = units.M
     for name, (color, line) in _LAYERS.items():

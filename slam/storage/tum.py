@@ -84,7 +84,11 @@ def read_tum(path: Path) -> Trajectory:
     if not rows:
         raise MapFileError(f"{path}: holds no pose")
     table = np.array(rows)
-    return Trajectory(table[:, 0].copy(), table[:, 1:4].copy(), _to_unit_length(table[:, 4:8]))
+    quaternions = table[:, 4:8]
+    norms = np.linalg.norm(quaternions, axis=1, keepdims=True)
+    # Rows that are of unit length already keep their bits.
+    quaternions = np.where(np.abs(norms - 1.0) > 1e-14, quaternions / norms, quaternions)
+    return Trajectory(table[:, 0].copy(), table[:, 1:4].copy(), quaternions)
 
 
 def stamp_text(stamp_s: float) -> str:
@@ -101,12 +105,6 @@ def stamp_text(stamp_s: float) -> str:
         text = np.format_float_positional(stamp_s, unique=True)
     seconds, _, decimals = text.partition(".")
     return f"{seconds}.{decimals.ljust(_STAMP_DECIMALS, '0')}"
-
-
-def _to_unit_length(quaternions: FloatArray) -> FloatArray:
-    """Unit quaternions; rows that are so already keep their bits."""
-    norms = np.linalg.norm(quaternions, axis=1, keepdims=True)
-    return np.where(np.abs(norms - 1.0) > 1e-14, quaternions / norms, quaternions)
 
 
 def write_kitti(path: Path, trajectory: Trajectory) -> list[Path]:
