@@ -84,10 +84,9 @@ def read_tum(path: Path) -> Trajectory:
     if not rows:
         raise MapFileError(f"{path}: holds no pose")
     table = np.array(rows)
-    quaternions = table[:, 4:8]
-    norms = np.linalg.norm(quaternions, axis=1, keepdims=True)
+    norms = np.linalg.norm(table[:, 4:8], axis=1, keepdims=True)
     # Rows that are of unit length already keep their bits.
-    quaternions = np.where(np.abs(norms - 1.0) > 1e-14, quaternions / norms, quaternions)
+    quaternions = np.where(np.abs(norms - 1.0) > 1e-14, table[:, 4:8] / norms, table[:, 4:8])
     return Trajectory(table[:, 0].copy(), table[:, 1:4].copy(), quaternions)
 
 
