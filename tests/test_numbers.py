@@ -7,9 +7,9 @@ import ast
 from tools.count_numbers import bare_floats, constant_names, count_fields, count_lines, count_logic
 
 MOST_CONSTANTS = 332
-MOST_BARE_FLOATS = 142
+MOST_BARE_FLOATS = 139
 MOST_FIELDS = 154
-MOST_LINES = 71_208
+MOST_LINES = 71_205
 
 
 def test_constants_of_the_logic_do_not_grow() -> None:
