@@ -8,10 +8,10 @@ import gtsam
 import numpy as np
 import pytest
 from imu_world import T_BASE_IMU, readings
-from memory_drives import MemoryLog
 from room_world import LESS, furnished, render, write_tum_folder
 from scipy.spatial.transform import Rotation
 
+from slam.app.mapping import Measured
 from slam.config import load_config
 from slam.datasets import open_dataset
 from slam.mapper.map_result import MapResult
@@ -57,7 +57,7 @@ def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def run(log: Path, *settings: str, until_s: float = SECONDS) -> MapResult:
-    dataset = MemoryLog([one for one in open_dataset(log) if one.stamp_s < until_s])
+    dataset = Measured([one for one in open_dataset(log) if one.stamp_s < until_s])
     return build_map(dataset, load_config(None, ["dense_map.enabled=false", *settings]))  # type: ignore[arg-type]
 
 

@@ -12,10 +12,10 @@ import gtsam
 import numpy as np
 import pytest
 from flat_worlds import box, sweep
-from memory_drives import MemoryLog
 from room_world import SMALL, T_BODY_CAMERA, blind, furnished, render
 from typer.testing import CliRunner
 
+from slam.app.mapping import Measured
 from slam.cli.commands import app
 from slam.config import load_config
 from slam.errors import ScanweaveError
@@ -86,7 +86,7 @@ def drive() -> list[tuple[int, Measurement]]:
 
 def run(drive: list[tuple[int, Measurement]], edit: Edit, *overrides: str) -> MapResult:
     measurements = [edit(n, measurement) for n, measurement in drive]
-    kept = MemoryLog([measurement for measurement in measurements if measurement is not None])
+    kept = Measured([measurement for measurement in measurements if measurement is not None])
     return build_map(kept, load_config(None, ["dense_map.enabled=false", *overrides]))  # type: ignore[arg-type]
 
 
