@@ -85,9 +85,8 @@ def read_tum(path: Path) -> Trajectory:
         raise MapFileError(f"{path}: holds no pose")
     table = np.array(rows)
     norms = np.linalg.norm(table[:, 4:8], axis=1, keepdims=True)
-    # Rows that are of unit length already keep their bits.
-    quaternions = np.where(np.abs(norms - 1.0) > 1e-14, table[:, 4:8] / norms, table[:, 4:8])
-    return Trajectory(table[:, 0].copy(), table[:, 1:4].copy(), quaternions)
+    units = np.where(np.abs(norms - 1.0) > 1e-14, table[:, 4:8] / norms, table[:, 4:8])
+    return Trajectory(table[:, 0].copy(), table[:, 1:4].copy(), units)
 
 
 def stamp_text(stamp_s: float) -> str:
