@@ -22,10 +22,9 @@ from fusion.curves import DepthImage, Intrinsics, LidarCurve
 from fusion.denoise import Denoised, denoise
 from fusion.depth_model import RangeNoise
 from fusion.height_band import HeightBand
-from fusion.registration import Registration, register
+from fusion.registration import Grade, Registration, register
 from fusion.repair import Provenance
 from fusion.rig import Rig, RigEstimate
-from fusion.similarity import Grade
 from fusion.time_alignment import ClockOffset, clock_offset
 
 __all__ = [

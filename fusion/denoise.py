@@ -17,20 +17,18 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from fusion.alignment import EPS_OVER_E, rigid_fit
 from fusion.checks import instance, numbers
 from fusion.curves import BESIDE, HEIGHT_STEP_M, Curve, DepthImage, Float32Array, FloatArray, LidarCurve
 from fusion.estimation import gate, median_to_sigma
-from fusion.native_slice import ImageView, native_slice, native_step_rad
-from fusion.panorama import Depths, as_images, lookup_of
-from fusion.registration import Registration
+from fusion.panorama import Depths, ImageView, as_images, lookup_of, native_slice, native_step_rad
+from fusion.registration import Grade, Registration
 from fusion.repair import Provenance, ProvenanceArray, replace_readings, smooth_outliers
 from fusion.repair_odds import BEAM_ODDS, PIXEL_ODDS, beam_candidates, probabilities
 from fusion.repair_pixels import pixel_candidates
 from fusion.reprojection import reproject, smooth, without_bumps
 from fusion.rig import RigEstimate
-from fusion.rigid_fit import EPS_OVER_E, rigid_fit
 from fusion.showing import one_line, shaded, with_pictures
-from fusion.similarity import Grade
 
 LEAST_EPS_SHARE = 0.025  # of the range: below, the lidar's own noise would be classified as burrs
 _BURR_RAD = math.radians(1.4)  # longest run of readings that can be a burr; two squares of pixels

@@ -192,9 +192,9 @@ def obstacle_points(
     band: HeightBand,
     *,
     margin_m: FloatArray | float = 0.0,
-    radius_m: float = 0.04,
-    least_neighbours: int = 6,
-    voxel_m: float = 0.015,
+    radius_m: float,
+    least_neighbours: int,
+    voxel_m: float,
 ) -> FloatArray:
     """Return (M, 3) points of a cloud after the cut to the band, voxel filter and outlier removal.
 

@@ -1,29 +1,33 @@
 """Registration of a depth image to a lidar curve, in bearing and height: Xu2024 Eq. (1).
 
-The candidates are slices at constant height (in the paper, image rows), and a likelihood ratio selects one
-(see `fusion.likelihood`; in the paper, similarities). ``tools/xu2024_rows.py`` has both for comparison. The
-grade is by PCC, as published, but "high" also requires that no other offset explains the pair nearly as well:
-a wall matches itself anywhere along it.
+The candidates are slices at constant height (in the paper, image rows), and a likelihood ratio selects
+one (see `fusion.likelihood`; in the paper, similarities). ``tools/xu2024_rows.py`` has both for
+comparison. The grade is by PCC (similarity of two curves, Xu2024 Eq. (2)), as published, but "high" also
+requires that no other offset explains the pair nearly as well: a wall matches itself anywhere along it.
 """
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from enum import IntEnum
 
 import numpy as np
 
 from fusion.alignment import align
 from fusion.checks import instance, numbers
 from fusion.curves import HEIGHT_STEP_M, NEAR_SAMPLES, Curve, Float32Array, FloatArray, LidarCurve, resample
+from fusion.estimation import FEWEST, TINY
 from fusion.likelihood import log_ratio_map
 from fusion.panorama import CurveStack, Depths, as_images, height_slices, join
 from fusion.showing import drawn, one_line, shaded, with_pictures
-from fusion.similarity import Grade, grade_of, pearson
 
 HEIGHTS_M = HEIGHT_STEP_M * np.arange(-60.0, 21.0)  # of the lidar's plane above the camera
 CONFIDENT = 0.9  # probability share within them, for a high grade
 _SOFTNESS = 0.1  # neighbouring samples see one surface, so their evidence counts a tenth
+
+LOW_MAX, MIDDLE_MAX = 0.3, 0.6  # Xu2024, Table 1
+LEAST_OVERLAP = 0.3
 
 
 @dataclass(frozen=True)
@@ -169,3 +173,50 @@ def _belief_near(profile: Float32Array, u: int) -> float:
     belief = np.exp((profile - profile[u]) / soft)
     low = max(0, u - NEAR_SAMPLES)
     return float(belief[low : u + NEAR_SAMPLES + 1].sum() / belief.sum())
+
+
+class Grade(IntEnum):
+    """Reliability of a pair, by its PCC (Xu2024, Table 1).
+
+    Examples
+    --------
+    >>> import fusion
+    >>> fusion.Grade.HIGH > fusion.Grade.MIDDLE > fusion.Grade.LOW
+    True
+    """
+
+    LOW = 0
+    MIDDLE = 1
+    HIGH = 2
+
+
+def grade_of(pcc: float) -> Grade:
+    """Return the class of a PCC in the paper.
+
+    Examples
+    --------
+    >>> from fusion.registration import grade_of
+    >>> [grade_of(pcc).name for pcc in (0.2, 0.5, 0.9)]
+    ['LOW', 'MIDDLE', 'HIGH']
+    """
+    if pcc > MIDDLE_MAX:
+        return Grade.HIGH
+    return Grade.MIDDLE if pcc > LOW_MAX else Grade.LOW
+
+
+def pearson(one: Float32Array, other: Float32Array) -> float:
+    """Return Xu2024 Eq. (2) of two curves (W,), ``nan`` invalid; 0 if one is flat or too few are shared.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from fusion.registration import pearson
+    >>> curve = np.random.default_rng(0).uniform(1.0, 4.0, 90)
+    >>> round(pearson(curve, curve), 3), round(pearson(curve, -curve), 3)
+    (1.0, -1.0)
+    """
+    both = np.isfinite(one) & np.isfinite(other)
+    if both.sum() < max(FEWEST, LEAST_OVERLAP * one.size):
+        return 0.0
+    a, b = one[both].astype(np.float64), other[both].astype(np.float64)
+    return float(np.corrcoef(a, b)[0, 1]) if a.std() * b.std() > TINY else 0.0

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from fusion.checks import numbers
 from fusion.curves import FloatArray
 from fusion.estimation import FEWEST, TINY
-from fusion.similarity import MIDDLE_MAX
+from fusion.registration import MIDDLE_MAX
 
 # Motion between readings farther apart than this is unknown.
 GAP_S = 0.5

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -53,6 +55,15 @@ class UnfinishedMapError(MapFileError):
 
 class LibraryError(ScanweaveError):
     """A library that cannot be loaded, or that needs a missing system library."""
+
+
+@contextmanager
+def needs(what: str, extra: str) -> Iterator[None]:
+    """Turn the failed import of an optional library into a `LibraryError` that names the extra to install."""
+    try:
+        yield
+    except ImportError as error:
+        raise LibraryError(f"{what}: pip install 'scanweave[{extra}]'") from error
 
 
 class EvaluationError(ScanweaveError):

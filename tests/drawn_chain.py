@@ -1,4 +1,4 @@
-"""A chain of matched steps, and of steps that wheels alone tell."""
+"""A chain of matched steps, and of steps that wheels alone show."""
 
 from __future__ import annotations
 

@@ -38,7 +38,7 @@ def box(west: float, south: float, east: float, north: float) -> FloatArray:
 
 
 def room() -> FloatArray:
-    """A square room of 6 m around the origin, with two cupboards that tell its four corners apart."""
+    """A square room of 6 m around the origin, with two cupboards that distinguish its four corners."""
     return np.concatenate([box(-3, -3, 3, 3), box(2.2, -3, 3, -1.5), box(-1.0, 2.5, 0.5, 3)])
 
 

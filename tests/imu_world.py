@@ -45,14 +45,14 @@ def readings(
     until_s: float,
     *,
     T_base_imu: gtsam.Pose3 = T_BASE_IMU,
-    told: gtsam.Pose3 | None = T_BASE_IMU,
+    stated: gtsam.Pose3 | None = T_BASE_IMU,
     seed: int = 0,
     noise: float = 1.0,
 ) -> Iterator[ImuReading]:
-    """With noise and biases; ``told`` is the mounting that the log tells."""
+    """With noise and biases; ``stated`` is the mounting that the log shows."""
     rng = np.random.default_rng(seed)
     for n in range(int(until_s * RATE_HZ)):
         rate, force = felt(way, n / RATE_HZ, T_base_imu)
         rate = rate + noise * (GYRO_BIAS + 2e-3 * rng.standard_normal(3))
         force = force + noise * (FORCE_BIAS + 2e-2 * rng.standard_normal(3))
-        yield ImuReading(n / RATE_HZ, rate, force, told)
+        yield ImuReading(n / RATE_HZ, rate, force, stated)

@@ -3,16 +3,14 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Sequence
 
 import numpy as np
 from flat_worlds import sweep
 from numpy.typing import ArrayLike
 
+from slam.app.mapping import Measured
 from slam.config import load_config
-from slam.datasets.dataset import ReadReport
-from slam.estimates import Trajectory
 from slam.mapper.map_result import MapResult
 from slam.mapper.pipeline import build_map
 from slam.matching.planar import between, compose
@@ -21,21 +19,6 @@ from slam.odometry import STANDARD, Odometries
 
 SCAN_S = 0.1
 START_S = 100.0
-
-
-@dataclass
-class MemoryLog:
-    """Measurements in memory, as a log that can be read again and again."""
-
-    measurements: list[Measurement]
-    name: str = "in memory"
-    report: ReadReport = field(default_factory=ReadReport)
-
-    def __iter__(self) -> Iterator[Measurement]:
-        return iter(self.measurements)
-
-    def groundtruth(self) -> Trajectory | None:
-        return None
 
 
 def way(start: ArrayLike, steps: Sequence[ArrayLike]) -> FloatArray:
@@ -90,7 +73,7 @@ def mapped_drive(
 def mapped(measurements: list[Measurement], *overrides: str, odometries: Odometries = STANDARD) -> MapResult:
     """The map of measurements in their order."""
     config = load_config(None, ["dense_map.enabled=false", *overrides])
-    return build_map(MemoryLog(measurements), config, odometries=odometries)
+    return build_map(Measured(measurements), config, odometries=odometries)
 
 
 def errors(result: MapResult, truth: FloatArray) -> FloatArray:

@@ -28,7 +28,7 @@ def motion_at(
 
 
 class ScriptedOdometry:
-    """Answers as told: the truth's match, or none; near a pose, a fit that the test chooses."""
+    """Answers as set: the truth's match, or none; near a pose, a fit that the test chooses."""
 
     def __init__(self) -> None:
         self.answer: Callable[[list[Motion]], MotionEstimate | None] = lambda guesses: None
@@ -93,5 +93,5 @@ class Run:
         return float(moved.covariance[2, 2] / claimed[2, 2])
 
     def see_the_truth(self) -> None:
-        """From now on every match tells where the robot is."""
+        """From now on every match shows where the robot is."""
         self.odometry.answer = lambda guesses: motion_at(self.true_pose)

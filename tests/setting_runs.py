@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import hashlib
 import math
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager, suppress
-from dataclasses import dataclass, field, replace
+from collections.abc import Callable, Sequence
+from contextlib import suppress
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
 from tempfile import TemporaryDirectory, TemporaryFile
@@ -20,11 +20,9 @@ from flat_worlds import box, room, sweep
 from imu_world import readings, stands
 from room_world import SMALL, T_BODY_CAMERA, furnished, render, turning_walk
 
-from slam.app.mapping import run_log
+from slam.app.mapping import Measured, run_log
 from slam.config import Config, load_config
-from slam.datasets.dataset import ReadReport
 from slam.errors import ScanweaveError
-from slam.estimates import Trajectory
 from slam.localization.localizer import Localizer
 from slam.mapper.checkpoint import Checkpoint
 from slam.mapper.map_result import MapResult
@@ -80,40 +78,9 @@ def differs(run: Run, config: Config, baseline: Course) -> bool:
     return len(course.digests) != len(baseline.digests)
 
 
-@contextmanager
-def read_fields(section: type) -> Iterator[set[str]]:
-    """The fields of a section that are read during the block."""
-    found: set[str] = set()
-
-    def reading(self: Any, name: str) -> Any:
-        if name in section.model_fields:  # type: ignore[attr-defined]
-            found.add(name)
-        return object.__getattribute__(self, name)
-
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(section, "__getattribute__", reading)
-        yield found
-
-
-@dataclass
-class Log:
-    """Measurements in memory."""
-
-    measurements: Sequence[Measurement]
-    name: str = "in memory"
-    path: Path = Path()
-    report: ReadReport = field(default_factory=ReadReport)
-
-    def __iter__(self) -> Iterator[Measurement]:
-        return iter(self.measurements)
-
-    def groundtruth(self) -> Trajectory | None:
-        return None
-
-
-def mapped(log: Log, config: Config, course: Course) -> MapResult:
+def mapped(log: Measured, config: Config, course: Course) -> MapResult:
     """A log, mapped, and everything that came of it noted."""
-    result = build_map(log, config, checkpoint=course)  # type: ignore[arg-type]
+    result = build_map(log, config, checkpoint=course)
     course.note(result.map.trajectory)
     for factor in result.map.factors:
         edge, kept = factor.edge, factor.kept
@@ -141,7 +108,7 @@ _ROUND_WALLS = np.concatenate(
 
 
 @cache
-def planar_log() -> Log:
+def planar_log() -> Measured:
     """Once round the block in a room and on: the lidar is blind, wheels slip and jump, somebody pushes."""
     rng, found, wheels = np.random.default_rng(3), list[Measurement](), np.array([5.0, 1.0, -2.0])
 
@@ -167,7 +134,7 @@ def planar_log() -> Log:
         ranges_m[rng.random(ranges_m.size) < 0.04] *= np.float32(0.7)
         ranges_m[:2] = 0.05
         found += [WheelOdometry(stamp_s, pose2_from_row(wheels)), replace(seen, ranges_m=ranges_m)]
-    return Log(found)
+    return Measured(found)
 
 
 def planar(config: Config, course: Course) -> None:
@@ -182,7 +149,7 @@ _FURNISHED_WALLS = np.concatenate(
 
 
 @cache
-def fused_log() -> Log:
+def fused_log() -> Measured:
     """Wheels, scans and a camera on a floor that is not quite even; the lidar is silent for a while."""
     rng, found = np.random.default_rng(0), list[Measurement]()
     pose, wheels = np.array([0.3, -0.7, 0.2]), np.array([5.0, 1.0, -2.0])
@@ -200,7 +167,7 @@ def fused_log() -> Log:
             found.append(replace(seen, stamp_s=stamp_s))
         pose = compose(pose, np.array([0.05, 0.0, 0.09]))
         wheels = compose(wheels, np.array([0.052, 0.0, 0.093]))
-    return Log(found)
+    return Measured(found)
 
 
 def fused(config: Config, course: Course) -> None:
@@ -209,7 +176,7 @@ def fused(config: Config, course: Course) -> None:
 
 
 @cache
-def spatial_log() -> Log:
+def spatial_log() -> Measured:
     """A camera in the hand goes round in a room; it is swung once, and a board covers it for a moment."""
     walk = turning_walk(70, turns=1.25)
     poses = [walk[n] for n in [*range(0, 44, 2), *range(47, 69, 2)]]
@@ -218,7 +185,7 @@ def spatial_log() -> Log:
         for n, pose in enumerate(poses)
     ]
     board = {"color": np.zeros_like(frames[0].color), "depth_m": np.full_like(frames[0].depth_m, 0.5)}
-    return Log([replace(frame, **board) if n in (24, 25) else frame for n, frame in enumerate(frames)])
+    return Measured([replace(frame, **board) if n in (24, 25) else frame for n, frame in enumerate(frames)])
 
 
 def spatial(config: Config, course: Course) -> None:
@@ -227,7 +194,7 @@ def spatial(config: Config, course: Course) -> None:
 
 
 @cache
-def cloud_log() -> Log:
+def cloud_log() -> Measured:
     """A 3D lidar goes once round in a room with pillars, on wheels that are a little off; it grows noisy."""
     found, poses, rng = list[Measurement](), way_round(22), np.random.default_rng(0)
     for n, pose in enumerate(poses):
@@ -239,7 +206,7 @@ def cloud_log() -> Log:
         points = (points + sigma_m * rng.standard_normal(points.shape)).astype(np.float32)
         odom = gtsam.Pose2(1.03 * pose.x(), 0.98 * pose.y(), pose.rotation().yaw())
         found += [WheelOdometry(0.1 * n, odom), replace(seen, points_lidar=points, times_s=times_s[::6])]
-    return Log(found)
+    return Measured(found)
 
 
 def clouds(config: Config, course: Course) -> None:
@@ -249,7 +216,7 @@ def clouds(config: Config, course: Course) -> None:
 
 def first_clouds(config: Config, course: Course) -> None:
     """The beginning of it, and the cloud of the map."""
-    result = mapped(Log(cloud_log().measurements[:16]), config, course)
+    result = mapped(Measured(list(cloud_log())[:16]), config, course)
     assert result.map.clouds is not None
     seen = result.map.clouds, result.map.node_poses, config.grid.resolution_m
     with TemporaryFile() as file:
@@ -258,13 +225,13 @@ def first_clouds(config: Config, course: Course) -> None:
 
 
 @cache
-def imu_log() -> Log:
+def imu_log() -> Measured:
     """A 3D lidar that stands on a slope, and its IMU."""
     felt, found = list(readings(stands, 2.0)), list[Measurement]()
     for n in range(18):
         found += felt[20 * n : 20 * n + 40 if n == 17 else 20 * n + 20]
         found.append(look(stands(0.0), 0.1 * n + 0.05, seed=n))
-    return Log(found)
+    return Measured(found)
 
 
 def with_imu(config: Config, course: Course) -> None:
@@ -273,9 +240,9 @@ def with_imu(config: Config, course: Course) -> None:
 
 
 @cache
-def _result(run: Callable[[], Log], *settings: str) -> MapResult:
+def _result(run: Callable[[], Measured], *settings: str) -> MapResult:
     """The map that files are written of, or in which a robot is found."""
-    return build_map(run(), load_config(None, settings))  # type: ignore[arg-type]
+    return build_map(run(), load_config(None, settings))
 
 
 def files(config: Config, course: Course) -> None:
@@ -322,7 +289,7 @@ def _with_ranges(part: Sequence[Measurement], ranges_m: Any) -> list[Measurement
 def in_plan(config: Config, course: Course) -> None:
     """A lidar in another room, in its own, blind while its wheels slip, in the other again, and back."""
     known = _result(planar_log, *BASES["planar"]).map
-    log = planar_log().measurements
+    log = list(planar_log())
     other = sweep(room(), [0.3, 0.2, 0.3], beams=121, fov_rad=4.7).ranges_m
     elsewhere, blind_there = _with_ranges(log[96:120], other), _with_ranges(log[60:66], np.inf)
     localized(known, [*log[4:60], *blind_there, *log[66:96], *elsewhere, *log[120:170]], config, course)
@@ -331,16 +298,14 @@ def in_plan(config: Config, course: Course) -> None:
 def in_room(config: Config, course: Course) -> None:
     """A 3D lidar in its room, carried off once."""
     known = _result(cloud_log, *BASES["clouds"]).map
-    log = cloud_log().measurements
+    log = list(cloud_log())
     localized(known, [*log[2:28], *log[36:46]], config, course)
 
 
 def frames_alone(config: Config, course: Course) -> None:
     """A camera in the map of a camera."""
     known = _result(spatial_log, *BASES["spatial"]).map
-    localized(
-        known, [one for one in spatial_log().measurements if isinstance(one, RgbdFrame)], config, course
-    )
+    localized(known, [one for one in spatial_log() if isinstance(one, RgbdFrame)], config, course)
 
 
 def from_a_file(config: Config, course: Course) -> None:
@@ -371,14 +336,9 @@ BASES: dict[str, tuple[str, ...]] = {
         "match.local_map_keyframes=6",
     ),
     "first_clouds": ("cloud_odometry.voxel_m=0.25", "match.local_map_keyframes=4"),
-    "in_plan": ("localization.keyframe_m=0.1", "localization.search_threads=1"),
-    "in_room": (
-        "cloud_odometry.voxel_m=0.25",
-        "localization.search_threads=1",
-        "localization.confident_probability=0.8",
-    ),
+    "in_plan": ("localization.keyframe_m=0.1",),
+    "in_room": ("cloud_odometry.voxel_m=0.25", "localization.confident_probability=0.8"),
     "frames_alone": (*_CAMERA, "rgbd_odometry.least_inliers=8"),
-    "files": ("dense_map.octomap=true",),
 }
 RUNS: dict[str, Run] = {
     run.__name__: run

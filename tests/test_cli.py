@@ -33,17 +33,17 @@ class TestMap:
         assert " 0 records dropped, " in first
         assert [name for name in RESULTS if str(tmp_path / name) not in second] == []
 
-    def test_tags_that_lie_beside_the_log_are_told(
+    def test_tags_that_lie_beside_the_log_are_reported(
         self, scanweave: Scanweave, log: SyntheticLog, tmp_path: Path
     ) -> None:
         (tmp_path / "in").mkdir()
         given = tmp_path / "in" / log.log_path.name
         given.write_bytes(log.log_path.read_bytes())
         (tmp_path / "in" / "tags.yaml").write_text("start: {at_m: [1.0, 2.0], yaw_deg: 0.0}\n")
-        told = "used tags.yaml, found next to the log; --tags gives another file"
-        assert told in scanweave("map", given, "-o", tmp_path / "out").out.splitlines()
+        stated = "used tags.yaml, found next to the log; --tags gives another file"
+        assert stated in scanweave("map", given, "-o", tmp_path / "out").out.splitlines()
         tags = tmp_path / "in" / "tags.yaml"
-        assert told not in scanweave("map", given, "-o", tmp_path / "b", "--tags", tags).out.splitlines()
+        assert stated not in scanweave("map", given, "-o", tmp_path / "b", "--tags", tags).out.splitlines()
 
     def test_a_second_run_replaces_the_first(
         self, scanweave: Scanweave, log: SyntheticLog, mapped: Path, tmp_path: Path

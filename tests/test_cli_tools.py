@@ -156,7 +156,7 @@ def test_simulate_then_map_recovers_the_drive(scanweave: Scanweave, tmp_path: Pa
         (("--tunnel",), "need --street"),
     ],
 )
-def test_simulate_tells_what_there_is(
+def test_simulate_shows_what_there_is(
     scanweave: Scanweave, tmp_path: Path, options: tuple[str, str], reported: str
 ) -> None:
     outcome = scanweave("simulate", "-o", tmp_path / "drive", *options)
@@ -193,10 +193,10 @@ def test_demo(scanweave: Scanweave, tmp_path: Path, monkeypatch: pytest.MonkeyPa
 
 def test_an_interrupt_waits_while_a_drive_is_simulated() -> None:
     # In code that is being compiled it would surface as some other error, or be lost.
-    with pytest.raises(KeyboardInterrupt), _seconds_shown() as told:
+    with pytest.raises(KeyboardInterrupt), _seconds_shown() as stated:
         signal.raise_signal(signal.SIGINT)
         reached = True
-        told(1.0, 2.0)
+        stated(1.0, 2.0)
     assert reached
 
 

@@ -112,7 +112,7 @@ def test_an_unknown_key_names_the_nearest_valid_one(override: str, expected: str
         ("seed=[1", "override 'seed=[1': '[1' is not a YAML value"),
     ],
 )
-def test_a_bad_value_is_told_in_one_line_with_its_limit(override: str, expected: str) -> None:
+def test_a_bad_value_is_reported_in_one_line_with_its_limit(override: str, expected: str) -> None:
     with pytest.raises(ConfigError) as caught:
         load_config(overrides=[override])
     assert expected in str(caught.value)

@@ -100,10 +100,10 @@ def test_the_architecture_names_every_room() -> None:
 
 def test_every_page_is_in_the_index() -> None:
     docs = REPO / "docs"
-    told = "".join((docs / name).read_text("utf-8") for name in ("index.md", "figures.md"))
-    told += (docs / "decisions" / "index.md").read_text("utf-8").replace("](", "](decisions/")
+    stated = "".join((docs / name).read_text("utf-8") for name in ("index.md", "figures.md"))
+    stated += (docs / "decisions" / "index.md").read_text("utf-8").replace("](", "](decisions/")
     names = [str(page.relative_to(docs)) for page in PAGES if page.is_relative_to(docs)]
-    assert [name for name in names if f"({name}" not in told and name != "index.md"] == []
+    assert [name for name in names if f"({name}" not in stated and name != "index.md"] == []
 
 
 @every_page

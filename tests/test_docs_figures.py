@@ -18,8 +18,8 @@ TABLE = "| | m |\n|---|---|\n| fr079 | 0.03 |\n"
 
 def git(repo: Path, *arguments: str) -> str:
     who = ["-c", "user.name=a", "-c", "user.email=a@b"]
-    told = subprocess.run(["git", *who, *arguments], cwd=repo, check=True, capture_output=True, text=True)
-    return told.stdout.strip()
+    stated = subprocess.run(["git", *who, *arguments], cwd=repo, check=True, capture_output=True, text=True)
+    return stated.stdout.strip()
 
 
 def commit(repo: Path, text: str) -> str:

@@ -25,14 +25,14 @@ LOADED = re.compile(r"<(?:script|img|iframe|source|link)\b[^>]*?\b(?:src|href)=\
 def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The site, built as `make docs` does."""
     folder = tmp_path_factory.mktemp("site")
-    told = subprocess.run(
+    stated = subprocess.run(
         [sys.executable, "-W", "ignore", "-m", "mkdocs", "build", "--strict", "-d", str(folder)],
         cwd=REPO,
         capture_output=True,
         text=True,
         env=os.environ | {"NO_MKDOCS_2_WARNING": "1"},
     )
-    assert told.returncode == 0, told.stderr
+    assert stated.returncode == 0, stated.stderr
     return folder
 
 
@@ -71,14 +71,14 @@ def test_the_site_is_searched_from_its_folder(site: Path) -> None:
 
 
 def test_the_reference_has_every_public_name() -> None:
-    told = {
+    stated = {
         name: re.findall(
             rf"^::: {name}\.(\w+)$", (REPO / "docs/api" / f"{name}.md").read_text(), re.MULTILINE
         )
         for name in ("slam", "fusion")
     }
-    assert sorted(told["slam"]) == sorted(slam._HOMES)
-    assert sorted(told["fusion"]) == sorted(fusion.__all__)
+    assert sorted(stated["slam"]) == sorted(slam._HOMES)
+    assert sorted(stated["fusion"]) == sorted(fusion.__all__)
 
 
 def test_the_picture_of_the_architecture_is_that_of_the_imports() -> None:

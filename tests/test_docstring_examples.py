@@ -54,8 +54,8 @@ def properties() -> list[str]:
         f"{name}.{own}"
         for name, found in PUBLIC.items()
         if inspect.isclass(found)
-        for own, told in vars(found).items()
-        if not own.startswith("_") and isinstance(told, (property, cached_property))
+        for own, stated in vars(found).items()
+        if not own.startswith("_") and isinstance(stated, (property, cached_property))
     ]
 
 
@@ -93,5 +93,5 @@ def test_every_public_method_and_property_is_in_an_example_that_runs() -> None:
 def test_what_is_returned_is_shown_where_it_is_returned() -> None:
     returning = [PUBLIC[name] for name in PUBLIC if inspect.isfunction(PUBLIC[name])]
     returning += [found for name, found in methods().items() if name.startswith("fusion.Rig.")]
-    told = " ".join(str(inspect.signature(one).return_annotation) for one in returning)
-    assert not [name for name in RETURNED if name.rsplit(".", 1)[1] not in told]
+    stated = " ".join(str(inspect.signature(one).return_annotation) for one in returning)
+    assert not [name for name in RETURNED if name.rsplit(".", 1)[1] not in stated]

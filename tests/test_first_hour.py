@@ -47,7 +47,7 @@ def test_ranges_of_any_numbers_are_mapped(kind: object) -> None:
 
 
 @pytest.mark.parametrize(
-    ("measurement", "told"),
+    ("measurement", "stated"),
     [
         (
             slam.LaserScan(0.0, np.ones((3, 3)), 0.0, 0.1, 9.0),
@@ -78,8 +78,8 @@ def test_ranges_of_any_numbers_are_mapped(kind: object) -> None:
         (slam.RgbdFrame(0.0, IMAGE, np.ones((4, 6)), replace(LENS, width=60)), r"colour .*, lens \(4, 60\)"),
     ],
 )
-def test_what_is_no_array_of_a_measurement_is_named(measurement: object, told: str) -> None:
-    with pytest.raises(slam.ScanweaveError, match=f"number 4: {told}"):
+def test_what_is_no_array_of_a_measurement_is_named(measurement: object, stated: str) -> None:
+    with pytest.raises(slam.ScanweaveError, match=f"number 4: {stated}"):
         slam.build_map([*scans(np.float32), measurement])
 
 

@@ -15,7 +15,7 @@ from slam import forked
 from slam.forked import Begun, Forked, Send, is_core_free
 
 
-def test_all_that_is_told_comes_in_its_order_however_much_waits() -> None:
+def test_all_that_is_reported_comes_in_its_order_however_much_waits() -> None:
     blocks = [bytes([number]) * size for number, size in enumerate((0, 1, 70_000, 3_000_000, 5))]
 
     def work(send: Send) -> None:
@@ -30,7 +30,7 @@ def test_all_that_is_told_comes_in_its_order_however_much_waits() -> None:
         copy.close()
 
 
-def test_an_error_ends_what_it_tells_without_a_word(capfd: pytest.CaptureFixture[str]) -> None:
+def test_an_error_ends_what_it_shows_without_a_word(capfd: pytest.CaptureFixture[str]) -> None:
     def work(send: Send) -> None:
         send(b"one")
         raise ValueError("nobody reads this")

@@ -215,25 +215,16 @@ def test_a_sound_tree_has_no_violations(tmp_path: Path) -> None:
     assert violations(build(tmp_path, SOUND)) == []
 
 
+BAD = "slam/graph/bad.py"
+
+
 @pytest.mark.parametrize(
     ("file", "source", "expected"),
     [
-        (
-            "slam/graph/bad.py",
-            "from slam.mapper.pipeline import run\n",
-            "slam.graph.bad:1: imports slam.mapper.pipeline",
-        ),
-        (
-            "slam/graph/bad.py",
-            "from slam.mapper import pipeline\n",
-            "imports slam.mapper.pipeline, which is not below",
-        ),
-        (
-            "slam/graph/bad.py",
-            "from ..mapper import pipeline\n",
-            "imports slam.mapper.pipeline, which is not below",
-        ),
-        ("slam/graph/bad.py", "def f():\n    import slam.cli\n", "slam.graph.bad:2: imports slam.cli"),
+        (BAD, "from slam.mapper.pipeline import run\n", "slam.graph.bad:1: imports slam.mapper.pipeline"),
+        (BAD, "from slam.mapper import pipeline\n", "imports slam.mapper.pipeline, which is"),
+        (BAD, "from ..mapper import pipeline\n", "imports slam.mapper.pipeline, which is"),
+        (BAD, "def f():\n    import slam.cli\n", "slam.graph.bad:2: imports slam.cli"),
         (
             "slam/mapping/bad.py",
             "from slam.graph.poses import chain\n",
@@ -256,29 +247,21 @@ def test_a_sound_tree_has_no_violations(tmp_path: Path) -> None:
             "slam:1: imports slam.mapper.pipeline",
         ),
         ("slam/attic.py", "", "slam.attic: room slam.attic has no floor"),
-        ("slam/graph/bad.py", "import slam.attic\n", "imports slam.attic, a room without a floor"),
+        (BAD, "import slam.attic\n", "imports slam.attic, a room without a floor"),
         (
             "slam/graph/poses_math.py",
             "from slam.graph import poses\n",
             "circle of imports: slam.graph.poses -> ",
         ),
-        ("slam/graph/bad.py", "x = 1\n" * MAX_LINES, "400 lines, the limit is 400"),
-        ("slam/graph/bad.py", "def f():\n    print(1)\n", "prints; only slam.cli may"),
-        (
-            "slam/graph/bad.py",
-            "def f():\n    from evo.core import metrics\n",
-            "imports evo, which the product",
-        ),
-        ("slam/graph/bad.py", "import plyfile\n", "imports plyfile, which the product"),
-        ("slam/graph/bad.py", "import tools.benchmark\n", "imports tools, which the product"),
+        (BAD, "x = 1\n" * MAX_LINES, "400 lines, the limit is 400"),
+        (BAD, "def f():\n    print(1)\n", "prints; only slam.cli may"),
+        (BAD, "def f():\n    from evo.core import metrics\n", "imports evo, which the product"),
+        (BAD, "import plyfile\n", "imports plyfile, which the product"),
+        (BAD, "import tools.benchmark\n", "imports tools, which the product"),
         ("fusion/bad.py", "from tests.conftest import x\n", "imports tests, which the product"),
-        ("slam/graph/bad.py", "import open3d as o3d\n", "imports open3d at load"),
-        ("slam/graph/bad.py", "try:\n    import cv2\nexcept ImportError: ...\n", "imports cv2 at load"),
-        (
-            "slam/graph/bad.py",
-            "class A:\n    from matplotlib.figure import Figure\n",
-            "imports matplotlib at load",
-        ),
+        (BAD, "import open3d as o3d\n", "imports open3d at load"),
+        (BAD, "try:\n    import cv2\nexcept ImportError: ...\n", "imports cv2 at load"),
+        (BAD, "class A:\n    from matplotlib.figure import Figure\n", "imports matplotlib at load"),
         ("fusion/bad.py", "from kiss_icp.mapping import VoxelHashMap\n", "imports kiss_icp at load"),
     ],
 )

@@ -139,8 +139,8 @@ def test_a_termination_tidies_up_as_an_interrupt_does(tmp_path: Path) -> None:
         while not list(tmp_path.iterdir()) and time.monotonic() < ends_s:
             time.sleep(0.05)
         process.send_signal(signal.SIGTERM)
-        told = process.communicate(timeout=60)[1]
-    assert (process.returncode, told.count("interrupted")) == (130, 1)
+        stated = process.communicate(timeout=60)[1]
+    assert (process.returncode, stated.count("interrupted")) == (130, 1)
     assert list(tmp_path.iterdir()) == []
 
 
@@ -169,9 +169,9 @@ def test_arguments_of_other_types_are_refused_in_one_line(wrong: Any, mapped: Pa
     if isinstance(wrong, list):
         calls.pop(4)  # no measurements, which is refused elsewhere
     for call in calls:
-        with pytest.raises(ScanweaveError) as told:
+        with pytest.raises(ScanweaveError) as stated:
             call()
-        assert "\n" not in str(told.value)
+        assert "\n" not in str(stated.value)
 
 
 def test_a_setting_may_be_a_single_text(mapped: Path) -> None:

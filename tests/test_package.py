@@ -98,8 +98,8 @@ def test_the_wheel_runs_far_from_the_clone(wheel: Path, tmp_path: Path) -> None:
 def test_one_version_everywhere(wheel: Path) -> None:
     with zipfile.ZipFile(wheel) as archive:
         (metadata,) = (name for name in archive.namelist() if name.endswith(".dist-info/METADATA"))
-        told = archive.read(metadata).decode()
-    assert re.search(r"^Version: (.+)$", told, re.M)[1] == slam.__version__
+        stated = archive.read(metadata).decode()
+    assert re.search(r"^Version: (.+)$", stated, re.M)[1] == slam.__version__
 
 
 def test_the_changelog_and_the_citation_are_of_this_version() -> None:
@@ -147,9 +147,9 @@ def test_the_container_holds_what_the_package_is_built_of() -> None:
 
 
 def test_the_bill_of_materials() -> None:
-    told = bill_of_materials([Package("numpy", "2.4.6", "BSD-3-Clause"), Package("odd", "1", "")])
-    assert told["bomFormat"] == "CycloneDX" and told["specVersion"] == "1.6"
-    first, second = told["components"]
+    stated = bill_of_materials([Package("numpy", "2.4.6", "BSD-3-Clause"), Package("odd", "1", "")])
+    assert stated["bomFormat"] == "CycloneDX" and stated["specVersion"] == "1.6"
+    first, second = stated["components"]
     assert first["purl"] == "pkg:pypi/numpy@2.4.6" and "licenses" not in second
 
 

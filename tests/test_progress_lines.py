@@ -1,4 +1,4 @@
-"""What a run tells where its output is a file: a line now and then, and nothing when it is to be quiet."""
+"""What a run shows where its output is a file: a line now and then, and nothing when it is to be quiet."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import slam.cli.progress as shown
 from slam.app.progress import Progress
 
 
-def test_a_file_is_told_a_line_now_and_then(
+def test_a_file_is_reported_a_line_now_and_then(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     clock_s = iter([0.0, 10.0, 31.0, 40.0, 62.0])
@@ -36,6 +36,6 @@ def test_a_bar_is_drawn_without_a_thread(
         show(Progress("mapping", 100, 0.1))
         show(Progress("optimising", 1234, None))
         assert threading.active_count() == before
-    told = capsys.readouterr().err
-    assert "mapping" in told
-    assert "1,234 scans and frames" in told
+    stated = capsys.readouterr().err
+    assert "mapping" in stated
+    assert "1,234 scans and frames" in stated

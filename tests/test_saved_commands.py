@@ -178,7 +178,7 @@ class TestResume:
         outcome = scanweave("map", log.log_path, "-o", unfinished, "--set", "seed=3", "--resume")
         assert outcome.code == 0 and f"going on with {unfinished / 'map.db'}" in outcome.err
         for path in lidar_map.iterdir():
-            if path.name != "report.html":  # which tells of times
+            if path.name != "report.html":  # which contains times
                 assert (unfinished / path.name).read_bytes() == path.read_bytes(), path.name
         again = scanweave("map", log.log_path, "-o", unfinished, "--set", "seed=3", "--resume")
         assert again.code == 0 and "is already finished; there is nothing to resume" in again.out

@@ -32,7 +32,7 @@ def test_a_piece_that_is_written_in_parts_is_whole(monkeypatch: pytest.MonkeyPat
     assert spool[0] == bytes(range(100))
 
 
-def test_a_full_disk_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_full_disk_is_reported(monkeypatch: pytest.MonkeyPatch) -> None:
     spool = Spool()
 
     def full(*_: object) -> int:
@@ -66,7 +66,7 @@ def _owner(array: np.ndarray) -> object:
     return memoryview(array.base).obj
 
 
-def test_arrays_that_find_no_room_are_told(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_arrays_that_find_no_room_are_reported(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(tempfile, "TemporaryFile", Mock(side_effect=OSError(28, "No space left on device")))
     with pytest.raises(ScanweaveError, match="No space left on device; set TMPDIR"):
         ArraySpool().keep(np.zeros(3))

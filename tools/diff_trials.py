@@ -29,8 +29,7 @@ from scipy import ndimage
 from slam.app.differing import Difference, diff_maps
 from slam.config import Config
 from slam.errors import ScanweaveError
-from slam.evaluation.alignment import align
-from slam.evaluation.association import nearest_indices
+from slam.evaluation.alignment import align, nearest_indices
 from slam.mapping.keyframe_grid import layer_settings
 from slam.mapping.lidar_layer import lidar_board
 from slam.measurements import BoolArray, FloatArray, LaserScan, pose2_from_row

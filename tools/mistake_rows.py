@@ -7,7 +7,7 @@ import math
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
-from slam.app.measured import Measured
+from slam.app.mapping import Measured
 from slam.config import Config, calibrated, load_config
 from slam.config.calibration import Calibration
 from slam.doctor.finding import Finding, remedied

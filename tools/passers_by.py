@@ -14,7 +14,7 @@ from dataclasses import replace
 import gtsam
 import numpy as np
 
-from slam.app.measured import Measured
+from slam.app.mapping import Measured
 from slam.config import Config
 from slam.mapper.pipeline import build_map
 from slam.mapping.keyframe_grid import layer_settings

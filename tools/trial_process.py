@@ -16,7 +16,7 @@ _MB = 1024.0
 _LIBRARIES = (
     *("cv2", "rosbags.typesys", "rosbags.typesys.stores.ros2_humble", "rosbags.typesys.stores.ros1_noetic"),
     *("slam.cli", "slam.datasets.inspection", "slam.evaluation.pages", "slam.evaluation.map_info"),
-    *("slam.app.mapping", "slam.app.map_run", "slam.evaluation.plan_picture", "slam.outputs.finished_map"),
+    *("slam.app.mapping", "slam.app.map_run", "slam.evaluation.figure_parts", "slam.outputs.finished_map"),
     *("slam.mapping.navigation", "slam.storage.nav2", "matplotlib.pyplot", "slam.zstandard", "lz4.frame"),
 )
 _STEERING = frozenset(

@@ -31,7 +31,7 @@ from slam.graph.edge import Edge
 from slam.graph.held_graph import held_graph
 from slam.graph.influence import Influences, LinearMap, all_edges, elimination_order
 from slam.measurements import BoolArray, FloatArray, Pose
-from slam.storage.covariances import upper_triangles
+from slam.storage.tum import upper_triangles
 
 PAGE = Path(slam.__file__).parent / "evaluation" / "templates" / "page"
 PARTS = ("sparse", "lie", "solver")

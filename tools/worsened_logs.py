@@ -15,7 +15,7 @@ import numpy as np
 from slam.config import load_config
 from slam.datasets import open_dataset
 from slam.estimates import Trajectory
-from slam.evaluation.association import nearest_indices
+from slam.evaluation.alignment import nearest_indices
 from slam.evaluation.relations import read_relations, score_relations
 from slam.mapper.lidar2d import PlanarRobot
 from slam.mapper.mapper import Mapper

@@ -6,8 +6,8 @@ import math
 
 import numpy as np
 
+from fusion.alignment import moved, ransac
 from fusion.curves import FloatArray
-from fusion.rigid_fit import moved, ransac
 
 SAMPLE = 6  # Xu2024, 3.2.2
 _LEAST_AREA = 1e-4  # of the points' smaller spread over the larger: less is a line

@@ -14,7 +14,7 @@ from learn_repair_odds import RIGHT_PIXEL_M, by_rank, reliability
 from numpy.typing import NDArray
 
 import fusion
-from fusion.native_slice import native_slice
+from fusion.panorama import native_slice
 from slam.comparison.open3d_library import load_open3d
 from slam.simulation.ray_caster import RayCaster
 

@@ -8,7 +8,7 @@ from xu2024_pairs import TruePair
 from xu2024_score import Tally, is_burr, is_hole, pixels_of_beams
 
 import fusion
-from fusion.native_slice import native_slice
+from fusion.panorama import native_slice
 from fusion.reprojection import reproject, smooth
 from slam.simulation.faults import Fault
 

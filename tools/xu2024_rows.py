@@ -13,8 +13,7 @@ import numpy as np
 
 from fusion.curves import SAMPLE_STEP_RAD, Curve, DepthImage, Float32Array, LidarCurve, masked, resample
 from fusion.panorama import CurveStack, join, lookup_of, yaw_of
-from fusion.registration import Registration, registration_at
-from fusion.similarity import FEWEST, LEAST_OVERLAP
+from fusion.registration import FEWEST, LEAST_OVERLAP, Registration, registration_at
 
 SIMILARITIES = ("pcc", "inv_cos", "inv_euler")
 ROWS = 160  # Xu2024, 3.2.1: v <= 160

@@ -115,7 +115,10 @@ def run_into(
 
         def on_step(stage: str, count: int) -> None:
             if stage == "begun":
-                _load_last_modules()
+                # Loaded while a copy of the process tracks (`slam.mapper.lookahead`), not before that begins.
+                import slam.evaluation.report
+                import slam.outputs.exports  # noqa: F401
+
                 return
             on_progress(Progress(stage, count, dataset.report.share if stage == "mapping" else None))
 
@@ -156,12 +159,6 @@ def run_into(
         write_report(folder / "report.html", data, beside_file)
         stack.pop_all()
     return run
-
-
-def _load_last_modules() -> None:
-    """Load it while a copy of the process tracks, see `slam.mapper.lookahead`, not before that begins."""
-    import slam.evaluation.report
-    import slam.outputs.exports  # noqa: F401
 
 
 def _beside_file(

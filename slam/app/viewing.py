@@ -15,7 +15,7 @@ from threading import Lock
 from typing import TYPE_CHECKING, Any
 
 from slam.config.edits import dump_edits, edits_of
-from slam.errors import LibraryError, MapFileError, ScanweaveError
+from slam.errors import MapFileError, ScanweaveError, needs
 from slam.evaluation.saved_page import saved_page, write_saved_page
 from slam.foreign import MOST_TEXT, from_json, plain
 from slam.outputs.finished_map import Map, load_map
@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from starlette.responses import Response
 
 _LOOPBACK = "127.0.0.1"
-_TOKEN_BYTES = 32
+_NEEDS = "'scanweave view' needs starlette and uvicorn"
 _HEADERS = {
     "Cache-Control": "no-store",
     "Referrer-Policy": "no-referrer",
@@ -113,13 +113,11 @@ def application(view: MapView, token: str, port: int) -> Starlette:
     LibraryError
         Without the extra ``view``.
     """
-    try:
+    with needs(_NEEDS, "view"):
         from starlette.applications import Starlette
         from starlette.concurrency import run_in_threadpool
         from starlette.responses import HTMLResponse, JSONResponse, PlainTextResponse
         from starlette.routing import Route
-    except ImportError as error:
-        raise LibraryError(_lacking()) from error
     hosts = {f"{name}:{port}" for name in (_LOOPBACK, "localhost")}
 
     def refused(request: Request, *, writes: bool) -> Response | None:
@@ -185,10 +183,8 @@ def serve(path: Path | str, port: int, tell: Callable[[str], None]) -> None:
     ScanweaveError
         Without the extra ``view``, where there is no such map, or the port is in use.
     """
-    try:
+    with needs(_NEEDS, "view"):
         import uvicorn
-    except ImportError as error:
-        raise LibraryError(_lacking()) from error
 
     class _Server(uvicorn.Server):
         """A server that reports its address when it answers; an interrupt ends it."""
@@ -197,7 +193,7 @@ def serve(path: Path | str, port: int, tell: Callable[[str], None]) -> None:
             await super().startup(sockets)
             tell(f"http://{_LOOPBACK}:{bound}/{token}/")
 
-    view, token = MapView(path), secrets.token_urlsafe(_TOKEN_BYTES)
+    view, token = MapView(path), secrets.token_urlsafe()
     with socket.socket(socket.AF_INET, socket.SOCK_STREAM) as listening:
         listening.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         try:
@@ -211,8 +207,3 @@ def serve(path: Path | str, port: int, tell: Callable[[str], None]) -> None:
             server.run(sockets=[listening])
         except KeyboardInterrupt:
             return  # as it should end
-
-
-def _lacking() -> str:
-    """What to tell without the extra."""
-    return "'scanweave view' needs starlette and uvicorn: pip install 'scanweave[view]'"

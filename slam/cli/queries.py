@@ -145,7 +145,7 @@ def plan(
     out: Annotated[Path, typer.Option("--out", "-o", help="the image file to write")] = Path("plan.png"),
 ) -> None:
     """Plan and draw the shortest path over a map, avoiding unknown space where that costs little."""
-    from slam.evaluation.plan_picture import plan_picture
+    from slam.evaluation.figure_parts import plan_picture
     from slam.mapping.navigation import free_space, shortest_path
     from slam.storage.files import write_bytes
     from slam.storage.nav2 import read_nav2_map

@@ -103,7 +103,7 @@ def floorplan(
 ) -> None:
     """Draw a floor plan: rooms, doors, lengths and areas, each with its 95 % interval."""
     from slam.outputs.finished_map import load_map
-    from slam.storage.plan_geojson import plan_geojson
+    from slam.storage.plan_files import plan_geojson
 
     formats = {".svg": Format.SVG, ".dxf": Format.DXF, ".geojson": Format.GEOJSON}
     if out.suffix not in formats:

@@ -19,7 +19,7 @@ import numpy as np
 from slam.comparison.files import ERRORS, TRAJECTORY
 from slam.comparison.perform import Row
 from slam.comparison.store import ResultStore
-from slam.evaluation.error_statistics import ErrorStatistics
+from slam.evaluation.trajectory_error import ErrorStatistics
 from slam.measurements import FloatArray
 from slam.storage.files import make_folder, write_bytes
 

@@ -10,8 +10,7 @@ from typing import Any, Literal, TypeAlias
 from pydantic import Field, model_validator
 
 import slam
-from slam.config.files import find_file, model_of, nearest_field, read_tree
-from slam.config.strict import StrictModel
+from slam.config.files import StrictModel, find_file, model_of, nearest_field, read_tree
 
 # Via the link to the top-level configs/, so that a wheel contains them like the presets.
 _READY = Path(slam.__file__).parent / "presets" / "experiments"

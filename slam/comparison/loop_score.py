@@ -8,7 +8,7 @@ import numpy as np
 
 from slam.comparison.product import AcceptedLoop
 from slam.estimates import Trajectory
-from slam.evaluation.association import nearest_indices
+from slam.evaluation.alignment import nearest_indices
 from slam.matching.planar import between, wrap
 from slam.measurements import BoolArray, FloatArray
 

@@ -16,7 +16,7 @@ from pydantic.fields import FieldInfo
 
 from slam.config.calibration import Calibration
 from slam.config.clouds import CloudLoopConfig, CloudMapConfig, CloudOdometryConfig
-from slam.config.files import ConfigLoader, find_file, model_of, read_tree
+from slam.config.files import ConfigLoader, StrictModel, find_file, model_of, read_tree
 from slam.config.localization import CloudLocalizationConfig, LocalizationConfig
 from slam.config.stages import (
     DenseMapConfig,
@@ -35,7 +35,6 @@ from slam.config.stages import (
     VisualLoopConfig,
     WheelConfig,
 )
-from slam.config.strict import StrictModel
 from slam.config.tags import KnownPlaces
 from slam.errors import ConfigError
 from slam.foreign import from_yaml

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 
 from pydantic import Field, model_validator
 
-from slam.config.strict import StrictModel
+from slam.config.files import StrictModel
 
 
 class PlanarMounting(StrictModel):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pydantic import Field
 
-from slam.config.strict import StrictModel
+from slam.config.files import StrictModel
 
 
 class CloudOdometryConfig(StrictModel):

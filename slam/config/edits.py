@@ -11,8 +11,7 @@ from typing import Annotated, Any
 import yaml
 from pydantic import Field, model_validator
 
-from slam.config.files import model_of, nearest_field
-from slam.config.strict import StrictModel
+from slam.config.files import StrictModel, model_of, nearest_field
 
 # Corners of a polygon, and entries of a list: enough for manual edits, and checks remain fast.
 _MOST_CORNERS, _MOST_ENTRIES = 1000, 10_000

@@ -1,4 +1,4 @@
-"""Find and read YAML files of settings and validate them as a model; errors are messages of one line."""
+"""The base class of all settings; read YAML files of them, with errors of one line."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any, TypeVar, get_args, get_origin
 
-from pydantic import BaseModel, ValidationError
+from pydantic import BaseModel, ConfigDict, ValidationError
 from pydantic_core import ErrorDetails
 
 from slam.errors import ConfigError
@@ -149,3 +149,15 @@ def nearest_field(models: Iterable[type[BaseModel]]) -> Callable[[str], str]:
     """Return a function that suggests the most similar field name of some models."""
     names = sorted({name for model in models for name in model.model_fields})
     return lambda dotted: nearest(dotted.rpartition(".")[2], names)
+
+
+class StrictModel(BaseModel):
+    """Base of all stage models: unknown keys and implicit type conversions are errors; values are final."""
+
+    def __repr_args__(self) -> Iterable[tuple[str | None, Any]]:
+        """Return the fields that differ from their defaults: `repr` shows only these."""
+        fields = type(self).model_fields
+        shown = super().__repr_args__()
+        return [arg for arg in shown if arg[1] != fields[str(arg[0])].get_default(call_default_factory=True)]
+
+    model_config = ConfigDict(extra="forbid", frozen=True, strict=True, allow_inf_nan=False)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pydantic import Field
 
-from slam.config.strict import StrictModel
+from slam.config.files import StrictModel
 
 
 class LocalizationConfig(StrictModel):
@@ -15,9 +15,7 @@ class LocalizationConfig(StrictModel):
     search_keep_share: float = Field(
         default=0.85, gt=0, le=1, description="poses with this share of the best score are kept too"
     )
-    search_threads: int = Field(default=2, ge=1, le=64, description="threads of the global search")
     hypotheses: int = Field(default=24, ge=1, description="largest number of hypotheses")
-    tiles_cached: int = Field(default=48, ge=1, description="map tiles kept in memory")
     keyframe_m: float = Field(default=0.4, gt=0, description="travel between two readings that are weighted")
     keyframe_rad: float = Field(
         default=0.3, gt=0, description="rotation between two readings that are weighted"

@@ -8,7 +8,7 @@ from typing import Literal
 from pydantic import Field, model_validator
 
 from slam.config.calibration import Calibration
-from slam.config.strict import StrictModel
+from slam.config.files import StrictModel
 from slam.config.tags import KnownPlaces
 
 
@@ -282,7 +282,6 @@ class DenseMapConfig(StrictModel):
     enabled: bool = Field(default=True, description="write a mesh and a point cloud")
     voxel_m: float = Field(default=0.015, ge=0.001, le=1, description="voxel of the signed distance field")
     nearest_m: float = Field(default=0.3, ge=0, description="nearer depth readings are ignored")
-    octomap: bool = Field(default=False, description="also write an OctoMap; needs scanweave[octomap]")
 
 
 class FusionConfig(StrictModel):

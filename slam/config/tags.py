@@ -6,7 +6,7 @@ from typing import TypeAlias
 
 from pydantic import Field, model_validator
 
-from slam.config.strict import StrictModel
+from slam.config.files import StrictModel
 
 # Next to a recording, it is found automatically.
 FILE_NAME = "tags.yaml"

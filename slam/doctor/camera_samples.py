@@ -12,8 +12,7 @@ from fusion.height_band import back_project, pixel_rays
 from fusion.time_alignment import GAP_S
 from slam.config.stages import RgbdConfig, RgbdOdometryConfig
 from slam.doctor.depth_lag import DepthLag
-from slam.doctor.repeats import Repeats
-from slam.doctor.stretches import Stretches
+from slam.doctor.stretches import Repeats, Stretches
 from slam.measurements import CameraIntrinsics, FloatArray, RgbdFrame
 from slam.vision.feature_pose import pose_from_features
 from slam.vision.features import Features, extract_features, gray_of, match_features

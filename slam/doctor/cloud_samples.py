@@ -14,8 +14,7 @@ from slam.datasets.corrections_in_space import beyond, retimed
 from slam.datasets.dataset import Thinned
 from slam.doctor.camera_samples import SensorStep
 from slam.doctor.own_body import body_reach_m
-from slam.doctor.repeats import Repeats
-from slam.doctor.stretches import Stretches
+from slam.doctor.stretches import Repeats, Stretches
 from slam.doctor.turning import Turn, times_scale, turn_of, unit_of
 from slam.matching.cloud_points import at_middle_of_turn
 from slam.measurements import FloatArray, PointCloud

@@ -15,7 +15,7 @@ from slam.doctor.camera_samples import CameraSamples
 from slam.doctor.cloud_samples import CloudSamples
 from slam.doctor.floor import LEVER_M
 from slam.doctor.imu import ImuSamples, rising
-from slam.doctor.repeats import Repeats
+from slam.doctor.stretches import Repeats
 from slam.measurements import (
     FloatArray,
     ImuReading,

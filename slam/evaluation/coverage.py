@@ -15,7 +15,7 @@ from scipy import spatial
 from fusion.estimation import gate
 from slam.errors import EvaluationError
 from slam.estimates import Trajectory
-from slam.evaluation.association import nearest_indices
+from slam.evaluation.alignment import nearest_indices
 from slam.measurements import FloatArray
 
 Indices: TypeAlias = NDArray[np.intp]

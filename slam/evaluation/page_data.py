@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from fusion.estimation import gate
 from slam.config import Config
 from slam.estimates import Trajectory
-from slam.evaluation.association import nearest_indices
+from slam.evaluation.alignment import nearest_indices
 from slam.evaluation.page_charts import sigmas_of
 from slam.evaluation.page_layers import layer_pictures
 from slam.graph.influence import all_edges, elimination_order, influences
@@ -22,9 +22,9 @@ from slam.heap import give_back
 from slam.mapping.layered_map import PASSED_BY
 from slam.matching.planar import transform_points
 from slam.measurements import FloatArray, LaserScan, Pose, row_from_pose, row_from_pose2
-from slam.storage.covariances import upper_triangles
 from slam.storage.map_contents import MapContents, SavedFactor
 from slam.storage.map_sessions import MapSession, session_numbers
+from slam.storage.tum import upper_triangles
 
 # Limits of a page: points of scans, poses of the path. The rest is thinned evenly, and reported.
 _SCAN_POINTS, _POSES = 1_000_000, 20_000

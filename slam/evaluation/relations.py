@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 
 from slam.errors import EvaluationError
 from slam.estimates import Trajectory
-from slam.evaluation.association import nearest_indices
-from slam.evaluation.error_statistics import ErrorStatistics
+from slam.evaluation.alignment import nearest_indices
+from slam.evaluation.trajectory_error import ErrorStatistics
 from slam.matching.planar import between, wrap
 from slam.measurements import BoolArray, FloatArray
 from slam.storage.files import numbered_fields, parse_floats

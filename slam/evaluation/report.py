@@ -16,8 +16,7 @@ from slam.evaluation.map_report import ReportData
 from slam.evaluation.page_charts import map_charts
 from slam.evaluation.page_data import map_data
 from slam.evaluation.pages import render, write_page
-from slam.evaluation.report_loops import loop_section
-from slam.evaluation.saved_page import map_work_page
+from slam.evaluation.saved_page import loop_section, map_work_page
 from slam.evaluation.work_page import WorkPage
 from slam.mapper.keyframe_fusion import FusionSummary
 from slam.mapper.scan_record import CameraRecord

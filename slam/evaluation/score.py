@@ -18,8 +18,7 @@ from slam.evaluation.relations import Relations, read_relations, score_relations
 from slam.evaluation.trajectory_error import MAX_DIFFERENCE_S, absolute_error, relative_error
 from slam.measurements import FloatArray
 from slam.outputs.finished_map import Map
-from slam.storage.covariances import covariance_path, read_covariances
-from slam.storage.tum import read_tum
+from slam.storage.tum import covariance_path, read_covariances, read_tum
 
 
 def evaluate(

@@ -13,9 +13,7 @@ from scipy import spatial
 
 from slam.errors import EvaluationError
 from slam.estimates import Trajectory
-from slam.evaluation.alignment import align
-from slam.evaluation.association import nearest_indices
-from slam.evaluation.error_statistics import ErrorStatistics
+from slam.evaluation.alignment import align, nearest_indices
 from slam.measurements import FloatArray
 from slam.trajectory.poses import Poses
 
@@ -248,3 +246,27 @@ def compare_with_truth(trajectory: Trajectory, truth: Trajectory) -> TruthCompar
     true_positions = (reference.positions_m - shift) @ rotation
     distances = np.linalg.norm(estimate.positions_m - true_positions, axis=1)
     return TruthComparison(error, estimate.stamps_s, estimate.positions_m, true_positions, distances)
+
+
+@dataclass(frozen=True, slots=True)
+class ErrorStatistics:
+    """Statistics of non-negative errors, in the unit of the errors; ``std`` is that of the population."""
+
+    rmse: float
+    mean: float
+    median: float
+    std: float
+    min: float
+    max: float
+
+    @classmethod
+    def of(cls, errors: FloatArray) -> ErrorStatistics:
+        """Compute the statistics of (N,) errors, N >= 1."""
+        return cls(
+            rmse=float(np.sqrt(np.mean(np.square(errors)))),
+            mean=float(np.mean(errors)),
+            median=float(np.median(errors)),
+            std=float(np.std(errors)),
+            min=float(np.min(errors)),
+            max=float(np.max(errors)),
+        )

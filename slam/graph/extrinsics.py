@@ -23,6 +23,8 @@ from slam.measurements import IN_PLANE, BoolArray, FloatArray, Pose
 
 # GTSAM's order, base frame.
 _NAMES = ("roll", "pitch", "yaw", "x", "y", "height")
+# A direction of the mounting (radians, metres; base frame) with a larger sigma is called unobservable.
+_VAGUE = np.repeat([0.09, 0.1], 3)
 # Sigma of undetermined directions, in units of the vague sigmas.
 _UNKNOWN = 100.0
 # An axis is called unobservable if this share of it is in the undetermined subspace.
@@ -50,27 +52,6 @@ class MotionPair:
     base_covariance: FloatArray
     camera_step: gtsam.Pose3
     camera_covariance: FloatArray
-
-
-@dataclass(frozen=True, slots=True)
-class ExtrinsicsSettings:
-    """Assumptions and limits.
-
-    Attributes
-    ----------
-    inlier_probability
-        Chi-square probability at which a true pair passes the gate.
-    tilt_sigma_rad, heave_sigma_m
-        How far a planar robot leaves its plane in one step.
-    vague_sigma_rad, vague_sigma_m
-        A direction of the mounting, base frame, with a larger sigma is called unobservable.
-    """
-
-    inlier_probability: float = 0.99
-    tilt_sigma_rad: float = 0.002
-    heave_sigma_m: float = 0.002
-    vague_sigma_rad: float = 0.09
-    vague_sigma_m: float = 0.1
 
 
 @dataclass(frozen=True, slots=True)
@@ -118,26 +99,24 @@ def estimate_extrinsics(pairs: Sequence[MotionPair], start: gtsam.Pose3 | None =
     GraphError
         If a pair is not finite, its covariance is not positive definite, or planar and spatial are mixed.
     """
-    settings = ExtrinsicsSettings()
     _check(pairs, start)
     nominal = start or gtsam.Pose3(gtsam.Rot3(FORWARD), np.zeros(3))
-    vague = np.repeat([settings.vague_sigma_rad, settings.vague_sigma_m], 3)
     if not pairs:
         axes = _base_axes(nominal)
-        covariance = axes.T @ np.diag((_UNKNOWN * vague) ** 2) @ axes
+        covariance = axes.T @ np.diag((_UNKNOWN * _VAGUE) ** 2) @ axes
         nothing = np.zeros(0, np.bool_)
         return ExtrinsicsResult(nominal, covariance, ("all",), nothing, 0.0, converged=False)
-    motions = _motions(pairs, settings)
+    motions = _motions(pairs)
     rough = search(motions, nominal.rotation().matrix(), nominal.translation())
-    fit = refine(motions, *rough, settings.inlier_probability)
-    untold = _untold_space(fit, vague)
-    mount = _restored(fit, nominal, untold, vague)
+    fit = refine(motions, *rough)
+    untold = _untold_space(fit)
+    mount = _restored(fit, nominal, untold)
     agreeing = [pair for pair, keep in zip(pairs, fit.inliers, strict=True) if keep]
     # Held directions keep their values; covariances in the base frame, scaled by the vague sigmas.
     holding = (10 * SETTLED) ** 2 * untold + _UNKNOWN**2 * (np.eye(6) - untold)
-    mount, covariance = _solve_graph(agreeing, mount, _from_base(mount, holding, vague), fit.scale, settings)
-    covariance = covariance + _from_base(mount, _UNKNOWN**2 * untold, vague)
-    return _result(fit, mount, covariance, untold, vague)
+    mount, covariance = _solve_graph(agreeing, mount, _from_base(mount, holding), fit.scale)
+    covariance = covariance + _from_base(mount, _UNKNOWN**2 * untold)
+    return _result(fit, mount, covariance, untold)
 
 
 def camera_step_factor(
@@ -189,7 +168,6 @@ def _solve_graph(
     mount: gtsam.Pose3,
     holding: FloatArray,
     scale: float,
-    settings: ExtrinsicsSettings,
 ) -> tuple[gtsam.Pose3, FloatArray]:
     """Solve for base poses chained by base steps and the mounting; return the mounting and its covariance.
 
@@ -202,7 +180,7 @@ def _solve_graph(
     prior = gtsam.PriorFactorPose2 if planar else gtsam.PriorFactorPose3
     mount_key = len(pairs) + 1
     back = mount.inverse().AdjointMap()
-    swing = back @ _out_of_plane(settings) @ back.T if planar else np.zeros((6, 6))
+    swing = back @ _out_of_plane() @ back.T if planar else np.zeros((6, 6))
     graph, values = gtsam.NonlinearFactorGraph(), gtsam.Values()
     graph.add(prior(0, pose, gtsam.noiseModel.Isotropic.Sigma(3 if planar else 6, SETTLED)))
     graph.add(gtsam.PriorFactorPose3(mount_key, mount, gtsam.noiseModel.Gaussian.Covariance(holding)))
@@ -219,37 +197,35 @@ def _solve_graph(
     return solved.atPose3(mount_key), gtsam.Marginals(graph, solved).marginalCovariance(mount_key)
 
 
-def _untold_space(fit: Fit, vague: FloatArray) -> FloatArray:
+def _untold_space(fit: Fit) -> FloatArray:
     """Return (6, 6) the projector on undetermined directions; base frame, scaled by the vague sigmas."""
     axes = _base_axes(gtsam.Pose3(gtsam.Rot3(fit.R), fit.t))
-    information = np.outer(vague, vague) * (axes @ fit.information @ axes.T) / fit.scale**2
+    information = np.outer(_VAGUE, _VAGUE) * (axes @ fit.information @ axes.T) / fit.scale**2
     strengths, directions = np.linalg.eigh(information)
     weak = directions[:, strengths < 1.0]
     return np.asarray(weak @ weak.T, dtype=np.float64)
 
 
-def _restored(fit: Fit, nominal: gtsam.Pose3, untold: FloatArray, vague: FloatArray) -> gtsam.Pose3:
+def _restored(fit: Fit, nominal: gtsam.Pose3, untold: FloatArray) -> gtsam.Pose3:
     """Return the fitted mounting, with the nominal values in undetermined directions."""
     rotation = gtsam.Rot3(fit.R)
     turn = gtsam.Rot3.Logmap(nominal.rotation().compose(rotation.inverse()))
     offset = np.concatenate([turn, nominal.translation() - fit.t])
-    offset = vague * (untold @ (offset / vague))
+    offset = _VAGUE * (untold @ (offset / _VAGUE))
     return gtsam.Pose3(gtsam.Rot3.Expmap(offset[:3]).compose(rotation), fit.t + offset[3:])
 
 
-def _from_base(mount: gtsam.Pose3, covariance: FloatArray, vague: FloatArray) -> FloatArray:
+def _from_base(mount: gtsam.Pose3, covariance: FloatArray) -> FloatArray:
     """Return (6, 6) in the camera frame for a covariance over scaled axes of the base."""
     axes = _base_axes(mount)
-    turned: FloatArray = axes.T @ (np.outer(vague, vague) * covariance) @ axes
+    turned: FloatArray = axes.T @ (np.outer(_VAGUE, _VAGUE) * covariance) @ axes
     return turned
 
 
-def _result(
-    fit: Fit, mount: gtsam.Pose3, covariance: FloatArray, untold: FloatArray, vague: FloatArray
-) -> ExtrinsicsResult:
+def _result(fit: Fit, mount: gtsam.Pose3, covariance: FloatArray, untold: FloatArray) -> ExtrinsicsResult:
     """Return the result with its unobservable directions and covariance."""
     unobservable = np.diag(untold) > _UNTOLD_SHARE
-    last_step = _base_axes(mount) @ fit.last_step / vague
+    last_step = _base_axes(mount) @ fit.last_step / _VAGUE
     settled = np.abs(last_step - untold @ last_step).max() < _SETTLED
     return ExtrinsicsResult(
         T_base_camera=mount,
@@ -266,20 +242,19 @@ def _base_axes(mount: gtsam.Pose3) -> FloatArray:
     return np.asarray(np.kron(np.eye(2), mount.rotation().matrix()), dtype=np.float64)
 
 
-def _out_of_plane(settings: ExtrinsicsSettings) -> FloatArray:
-    """Return (6, 6) the noise of a step out of the plane."""
-    tilt, heave = settings.tilt_sigma_rad**2, settings.heave_sigma_m**2
-    return np.diag([tilt, tilt, 0.0, 0.0, 0.0, heave])
+def _out_of_plane() -> FloatArray:
+    """Return (6, 6) the noise of a step out of the plane: a planar robot tilts and heaves by these sigmas."""
+    return np.diag(np.square([0.002, 0.002, 0.0, 0.0, 0.0, 0.002]))
 
 
-def _motions(pairs: Sequence[MotionPair], settings: ExtrinsicsSettings) -> Motions:
+def _motions(pairs: Sequence[MotionPair]) -> Motions:
     """Return the pairs as arrays, planar steps lifted to 3D."""
     base, base_covariances = [], []
     for pair in pairs:
         if isinstance(pair.base_step, gtsam.Pose2):
             base.append(gtsam.Pose3(pair.base_step).matrix())
             lift = np.eye(6)[:, IN_PLANE]
-            base_covariances.append(lift @ pair.base_covariance @ lift.T + _out_of_plane(settings))
+            base_covariances.append(lift @ pair.base_covariance @ lift.T + _out_of_plane())
         else:
             base.append(pair.base_step.matrix())
             base_covariances.append(pair.base_covariance)

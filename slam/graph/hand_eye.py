@@ -149,13 +149,13 @@ def search(motions: Motions, R_start: FloatArray, t_start: FloatArray) -> tuple[
     return R[best], t[best]
 
 
-def refine(motions: Motions, R: FloatArray, t: FloatArray, inlier_probability: float) -> Fit:
+def refine(motions: Motions, R: FloatArray, t: FloatArray) -> Fit:
     """Refine a rough mounting by Gauss-Newton with the full covariances and the Geman-McClure loss.
 
     The median of the residuals sets the width of the loss: wide at a bad start, narrow at the end, as in the
     schedule of graduated non-convexity (Yang 2020, Sec. IV).
     """
-    limit = gate(6, inlier_probability)
+    limit = gate(6, 0.99)
     step = np.full(6, np.inf)
     for _ in range(ROUNDS):
         errors, jacobians = linearise(motions, R, t)

@@ -7,6 +7,7 @@ nearly as good a score, because rooms look alike.
 from __future__ import annotations
 
 import math
+import os
 from collections.abc import Generator
 from concurrent.futures import ThreadPoolExecutor
 from typing import NamedTuple, TypeAlias, TypeVar
@@ -88,8 +89,8 @@ def search_map(
     points
         (M, 2) points as seen from the base, of which a sample is used.
     settings
-        The mean likelihood below which poses are not searched, the share of the best score above which
-        others are reported too, and the number of threads, which share the yaws.
+        The mean likelihood below which poses are not searched, and the share of the best score above which
+        others are reported too.
     most
         Largest number of places.
     window
@@ -97,7 +98,7 @@ def search_map(
     """
     if len(points) == 0:
         return []
-    points, threads = points[:: -(-len(points) // _POINTS)], settings.search_threads
+    points = points[:: -(-len(points) // _POINTS)]
     reach_m = max(1.0, float(np.percentile(np.hypot(points[:, 0], points[:, 1]), 90)))
     turns = math.ceil(2.0 * math.pi * reach_m / field.cell_m)
     yaws: FloatArray = np.arange(turns, dtype=np.float64) * (2.0 * math.pi / turns)
@@ -107,8 +108,8 @@ def search_map(
         order = np.argsort(turned)
         yaws = yaws[order[np.abs(turned[order]) <= window.half_yaw]]
     columns, rows = _rotated_pixels(np.asarray(points, np.float64), yaws, field.cell_m)
-    with ThreadPoolExecutor(threads) as pool:
-        search = _Search(field, columns, rows, pool, threads, window)
+    with ThreadPoolExecutor(os.cpu_count()) as pool:
+        search = _Search(field, columns, rows, pool, window)
         bar = math.ceil(settings.search_least_score * 255.0 * len(points))
         nodes, scores = yield from search.descend(bar, settings.search_keep_share)
     # By score, then position and yaw: independent of the thread.
@@ -171,7 +172,6 @@ class _Search:
         columns: Pixels,
         rows: Pixels,
         pool: ThreadPoolExecutor,
-        threads: int,
         window: Window | None,
     ) -> None:
         self._field, self._seen = field, [_Seen(columns, rows, 0)]
@@ -182,7 +182,7 @@ class _Search:
             lowest, highest = (np.floor((corner - origin) / field.cell_m) for corner in window[:2])
             self._lowest = np.maximum(self._lowest, lowest.astype(np.int64))
             self._highest = np.minimum(self._highest, highest.astype(np.int64))
-        self._pool, self._threads = pool, threads
+        self._pool, self._threads = pool, os.cpu_count() or 1
         self._room = _MOST_BLOCKS
 
     def descend(self, bar: int, keep_share: float) -> Steps[tuple[Nodes, Nodes]]:

@@ -84,7 +84,7 @@ class CloudTiles:
         self._config = config.model_copy(update={"cloud_odometry": thin})
         self._positions = np.array([pose.translation() for pose in self._poses])
         self._frame = lru_cache(self._read)
-        self._tile = lru_cache(config.localization.tiles_cached)(self._made)
+        self._tile = lru_cache(maxsize=48)(self._made)
 
     def around(self, pose: gtsam.Pose3) -> CloudTile | None:
         """The tile that ``T_map_base`` stands in; None far from every keyframe."""

@@ -19,7 +19,7 @@ from slam.mapper.keyframe_store import registration_notes
 from slam.mapper.robot_cameras import CameraPoses, RobotCameras
 from slam.mapper.scan_record import CameraRecord
 from slam.mapper.tags import TagFinder
-from slam.mapping.horizon_scan import horizon_scan, with_repairs
+from slam.mapping.band_scan import horizon_scan, with_repairs
 from slam.measurements import FloatArray, LaserScan
 from slam.odometry.camera_odometry import camera_step
 from slam.odometry.clock_learner import Turns

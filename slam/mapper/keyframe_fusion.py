@@ -13,7 +13,7 @@ import fusion
 from slam.config.stages import FusionConfig
 from slam.forked import Begun
 from slam.mapper.robot_cameras import Picture
-from slam.mapping.image_packing import depth_steps_per_m, packed_depth, unpacked_depth
+from slam.mapping.sensor_packing import depth_steps_per_m, packed_depth, unpacked_depth
 from slam.measurements import CameraIntrinsics, Float32Array, FloatArray, LaserScan, RgbdFrame
 from slam.spool import Spool
 

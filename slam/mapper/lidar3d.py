@@ -38,8 +38,8 @@ from slam.odometry.cloud_tracker import CloudTracker, TrackedCloud
 from slam.odometry.imu_gravity import apart_in_time
 from slam.odometry.imu_tracker import ImuStart, ImuTracker
 from slam.odometry.wheel_tracker import WheelTracker
-from slam.storage.kept_scans import KeptScans
 from slam.storage.map_clouds import MapClouds
+from slam.storage.map_parts import KeptScans
 from slam.trajectory.readings import Readings
 from slam.vision.color_registration import ColorRegistration
 from slam.vision.prefetch import prefetched

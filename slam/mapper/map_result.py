@@ -1,4 +1,4 @@
-"""Result of a finished run."""
+"""Result of a finished run, and warnings about its constraints and about poses that nothing measured."""
 
 from __future__ import annotations
 
@@ -7,10 +7,13 @@ from dataclasses import dataclass, field, replace
 
 import gtsam
 import numpy as np
+from numpy.typing import NDArray
 
+from fusion.time_alignment import GAP_S
 from slam.config import Config
 from slam.datasets.sensor_choice import SensorUse
 from slam.errors import ScanweaveError
+from slam.estimates import Trajectory
 from slam.forked import Begun
 from slam.mapper.keyframe_fusion import FusionSummary
 from slam.mapper.scan_record import CameraRecord, ScanRecord
@@ -20,9 +23,10 @@ from slam.mapping.keyframe_grid import layer_settings, lidar_grids
 from slam.mapping.layer_builder import LayerBuilder
 from slam.mapping.layered_map import DEPTH, OCCUPANCY
 from slam.mapping.occupancy_grid import OccupancyGrid
-from slam.measurements import RgbdFrame
+from slam.measurements import FloatArray, RgbdFrame
 from slam.storage.map_contents import MapContents
 from slam.storage.map_frames import MapFrames
+from slam.trajectory.carried import grown_covariances
 
 
 @dataclass(slots=True)
@@ -145,3 +149,60 @@ def depth_grid(
                 base = gtsam.Pose3(level, np.array([base.x(), base.y(), -ground_m]))
             builder.add(frame, base)
     return builder.grid("depth")
+
+
+def apart(pieces: NDArray[np.int64], stamps_s: FloatArray) -> list[str]:
+    """Warn if only guesses connect parts of the map; single keyframes do not count as parts.
+
+    Parameters
+    ----------
+    pieces
+        (n,) the piece of each keyframe.
+    stamps_s
+        (n,) seconds since the start.
+    """
+    counts = np.bincount(pieces)
+    (parts,) = np.nonzero(counts > 1)
+    if len(parts) < 2:
+        return []
+    begins_s = sorted(float(stamps_s[pieces == part][0]) for part in parts)
+    share = counts.max() / len(pieces)
+    return [
+        f"The map is in {len(parts)} pieces whose relative poses are only a guess: the first piece ends "
+        f"before {begins_s[1]:.0f} s, the largest has {share:.0%} of the keyframes. Wheel odometry, more "
+        "scans or a place that is visited again would connect them"
+    ]
+
+
+def unseen(
+    trajectory: Trajectory, placed: NDArray[np.int64], covariances: FloatArray, config: Config
+) -> list[str]:
+    """Warn if no scan was matched for a while, and poses became more uncertain than a match corrects.
+
+    Parameters
+    ----------
+    placed
+        (S,) numbers of the poses given by a scan match.
+    covariances
+        (N, d, d) covariances of all poses.
+    """
+    # A point at this distance from the robot may be so uncertain.
+    most_m, lever_m = config.match.search_half_width_m, config.loops.reach_m
+    periods = []
+    for gap in np.flatnonzero(np.diff(trajectory.stamps_s[placed]) > GAP_S):
+        first, last = int(placed[gap]), int(placed[gap + 1])
+        grown = np.diagonal(grown_covariances(trajectory, covariances, first, last), axis1=1, axis2=2)
+        variances = np.column_stack([grown[:, 0] + grown[:, 1], grown[:, -1]]).clip(0.0)
+        off_m2 = variances @ [1.0, lever_m**2]
+        at = int(off_m2.argmax())
+        if off_m2[at] > most_m**2:
+            periods.append((float(off_m2[at]), first, last, *np.sqrt(variances[at]).tolist()))
+    if not periods:
+        return []
+    _, first, last, position_m, turn_rad = max(periods)
+    from_s, to_s = trajectory.stamps_s[[first, last]] - trajectory.stamps_s[0]
+    others = f" (the worst of {len(periods)} such periods)" if len(periods) > 1 else ""
+    return [
+        f"No scan or image was matched from {from_s:.1f} to {to_s:.1f} s{others}: relative to before, "
+        f"poses are uncertain by up to {position_m:.2f} m and {np.degrees(turn_rad):.1f} degrees (one sigma)"
+    ]

@@ -17,8 +17,7 @@ from slam.graph.pose_graph import BatchResult
 from slam.heap import end_stage, give_back
 from slam.mapper.anchoring import Track
 from slam.mapper.gnss import GnssAnchors
-from slam.mapper.map_result import MapResult
-from slam.mapper.map_warnings import apart, unseen
+from slam.mapper.map_result import MapResult, apart, unseen
 from slam.mapper.mount_learner import LearnedMounting
 from slam.mapper.protocol import SENSORS, FrontEnd, Sensor, Tracked
 from slam.mapper.scan_record import ScanRecorder

@@ -1,13 +1,15 @@
-"""2D scan for navigation, cut from clouds: the nearest obstacle at each bearing within the height band.
+"""2D scans cut from the clouds of a 3D lidar: the height band of the robot, and the horizon.
 
-Yang2021 Eq. (16)-(18): from the step that the robot can drive over to the height of the robot.
+Band: the nearest obstacle at each bearing for navigation, Yang2021 Eq. (16)-(18), from the step that the
+robot can drive over to the height of the robot. Horizon: the ring nearest to it, the curve of Xu2024, to
+compare with a camera's.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import islice
 
 import gtsam
@@ -17,12 +19,18 @@ from fusion.estimation import FEWEST, gate
 from fusion.height_band import HeightBand
 from slam.config.clouds import CloudMapConfig
 from slam.matching.plane_voxels import PlaneVoxels
-from slam.measurements import FloatArray, LaserScan
+from slam.measurements import Float32Array, FloatArray, LaserScan
 
 _LEVEL_COS = 0.97
 # A level needs this share of the points of the fullest; fewer points are noise or reflections.
 LEVEL_SHARE = 0.2
 _CELL_M = 0.05
+
+_RING = "horizon of the 3D lidar"
+# Elevations within one bin are one ring.
+_BIN_RAD = math.radians(0.25)
+# A ring farther from the horizon does not stay at the height of the lidar.
+_STEEPEST_RAD = math.radians(5.0)
 
 
 def band_scan(
@@ -156,3 +164,50 @@ def ground_height(
     lowest = int(bin_numbers[np.flatnonzero(counts >= LEVEL_SHARE * counts.max())[0]])
     in_peak = np.abs(below - (lowest + 0.5) * _CELL_M) <= 1.5 * _CELL_M
     return float(np.median(below[in_peak]))
+
+
+def horizon_scan(
+    points: FloatArray, stamp_s: float, T_base_lidar: gtsam.Pose3, config: CloudMapConfig
+) -> LaserScan | None:
+    """Return the ranges of the ring, at the bearings of `slam.mapping.band_scan.band_scan`.
+
+    Parameters
+    ----------
+    points
+        (N, 3), base frame.
+    T_base_lidar
+        Origin of the rays; ranges are horizontal from there.
+
+    Returns
+    -------
+    None if no ring is near the horizon.
+    """
+    rays = points - T_base_lidar.translation()
+    level = np.hypot(rays[:, 0], rays[:, 1])
+    elevation = np.arctan2(rays @ T_base_lidar.rotation().matrix()[:, 2], level)
+    bins = np.rint(elevation / _BIN_RAD).astype(np.int64)
+    is_level = np.abs(elevation) <= _STEEPEST_RAD
+    if not is_level.any():
+        return None
+    bin_numbers, counts = np.unique(bins[is_level], return_counts=True)
+    rings = bin_numbers[counts >= LEVEL_SHARE * counts.max()]
+    ring = int(rings[np.argmin(np.abs(rings))])
+    on_ring = np.abs(elevation - ring * _BIN_RAD) <= _BIN_RAD
+    step_rad = 2.0 * math.pi / config.bearings
+    bearing = ((np.arctan2(rays[on_ring, 1], rays[on_ring, 0]) + math.pi) / step_rad).astype(np.int64)
+    ranges: Float32Array = np.full(config.bearings, np.inf, dtype=np.float32)
+    np.minimum.at(ranges, np.minimum(bearing, config.bearings - 1), level[on_ring].astype(np.float32))
+    mounting = gtsam.Pose2(float(T_base_lidar.x()), float(T_base_lidar.y()), 0.0)
+    start = -math.pi + 0.5 * step_rad
+    return LaserScan(stamp_s, ranges, start, step_rad, config.plan_range_m, mounting, _RING)
+
+
+def with_repairs(plan: LaserScan, measured: LaserScan, repaired: LaserScan) -> LaserScan:
+    """Return the 2D scan of the height band, with nearer obstacles that the repair of the ring found.
+
+    The three share their bearings.
+    """
+    touched = (repaired.ranges_m != measured.ranges_m) & np.isfinite(repaired.ranges_m)
+    touched &= (repaired.ranges_m > 0.0) & (repaired.ranges_m < plan.range_max_m)
+    nearer = touched & ~(plan.ranges_m <= repaired.ranges_m)
+    return replace(plan, ranges_m=np.where(nearer, repaired.ranges_m, plan.ranges_m).astype(np.float32))

@@ -12,8 +12,7 @@ from numpy.typing import NDArray
 
 from fusion.estimation import FEWEST
 from fusion.height_band import thin_to_voxels
-from slam.mapping.dense_map import ColoredCloud, Colors
-from slam.mapping.posed_frames import refuse_lost
+from slam.mapping.dense_map import ColoredCloud, Colors, refuse_lost
 from slam.matching.local_cloud import moved
 from slam.matching.plane_voxels import surface_normals
 from slam.measurements import AnyFloatArray, BoolArray, Float32Array, FloatArray

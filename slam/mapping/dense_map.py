@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import TypeAlias
 
@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 
 from fusion.curves import NEAREST_M
 from slam.errors import ScanweaveError
-from slam.mapping.posed_frames import posed_frames
 from slam.mapping.surface_nets import surface_of_blocks
 from slam.mapping.voxel_blocks import VoxelBlocks
 from slam.measurements import Float32Array, RgbdFrame
@@ -135,3 +134,24 @@ def _integrate(
     blocks.add(new)
     blocks.integrate(blocks.find(keys), depth_m, frame.color, camera, T_map_camera.inverse().matrix())
     return len(keys) > 0
+
+
+def posed_frames(
+    frames: Iterable[RgbdFrame], poses: Sequence[gtsam.Pose3]
+) -> Iterator[tuple[RgbdFrame, gtsam.Pose3]]:
+    """Yield (frame, T_map_camera) pairs; ``poses`` are T_map_camera in the order of the frames.
+
+    Raises
+    ------
+    ScanweaveError
+        Before the first pair, if a pose is not finite.
+    """
+    refuse_lost(poses)
+    yield from zip(frames, poses, strict=True)
+
+
+def refuse_lost(poses: Sequence[gtsam.Pose3]) -> None:
+    """Raise a `ScanweaveError` if a keyframe pose is not finite."""
+    for index, pose in enumerate(poses):
+        if not np.isfinite(pose.matrix()).all():
+            raise ScanweaveError(f"pose {index} of {len(poses)} keyframes is not finite; see the report")

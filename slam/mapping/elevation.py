@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from fusion.kernel import kernel
 from slam.mapping.band_scan import LEVEL_SHARE
-from slam.mapping.cloud_packing import STEP_M
+from slam.mapping.sensor_packing import STEP_M
 from slam.matching.local_cloud import moved
 from slam.measurements import AnyFloatArray, BoolArray, FloatArray
 from slam.vision.prefetch import prefetched

@@ -53,7 +53,7 @@ class EvidenceTiles:
         Number of height bins of a cell; a board without heights counts for all of them.
     """
 
-    def __init__(self, memory_mb: float = 128.0, heights: int = 1) -> None:
+    def __init__(self, memory_mb: float = 24.0, heights: int = 1) -> None:
         self._loaded: OrderedDict[tuple[int, int], Tile] = OrderedDict()
         # A tile uses about the same memory for any number of height bins.
         self._side = max(1, math.isqrt(SIDE * SIDE // heights))

@@ -50,8 +50,6 @@ class LayerSettings:
         Bounds of each sensor's finished grid, so that the other one has an effect in Li2020 Eq. (10).
     robot_radius_m
         Radius of the disc around the base that the robot covers: objects there have gone.
-    memory_mb
-        Memory for the tiles of each layer while building, 10^6 bytes; the rest waits on disk.
     max_cells
         Largest number of cells of a finished grid; a larger map gets larger cells.
     """
@@ -62,7 +60,6 @@ class LayerSettings:
     p_min: float = 0.02
     p_max: float = 0.98
     robot_radius_m: float = 0.0
-    memory_mb: float = 24.0
     max_cells: int = 64_000_000
 
 
@@ -101,7 +98,7 @@ class LayerBuilder:
         for name, board in self._boards(reading, T_map_base):
             self._check_room(board.box())
             heights = board.steps.shape[2] if board.steps.ndim == 3 else 1
-            tiles = self._tiles.setdefault(name, EvidenceTiles(settings.memory_mb, heights))
+            tiles = self._tiles.setdefault(name, EvidenceTiles(heights=heights))
             tiles.add(board)
             if footprint is not None:
                 tiles.add(footprint)

@@ -21,31 +21,29 @@ from slam.matching.local_cloud import moved
 from slam.measurements import AnyFloatArray, Float32Array, spatial
 from slam.outputs.floorplan import floor_plan
 from slam.outputs.lidar_cloud import lidar_cloud
-from slam.storage.colmap import write_colmap
-from slam.storage.covariances import write_trajectory
 from slam.storage.e57 import write_e57
 from slam.storage.files import filling, make_folder
 from slam.storage.g2o import write_g2o
 from slam.storage.georeferenced import write_georeference, write_gpx
 from slam.storage.glb import write_mesh_glb
-from slam.storage.ground_layers import write_ground_layers
-from slam.storage.kitti_poses import write_kitti
 from slam.storage.lidar_cloud_files import CLOUD_FORMATS, export_cloud, write_lidar_cloud
 from slam.storage.map_contents import MapContents
 from slam.storage.map_edits import CLOUD, FRAME, erased_bits, regions_of
 from slam.storage.map_places import write_places_yaml
 from slam.storage.mcap_results import write_results_bag
-from slam.storage.nav2_layers import MAP_YAML, write_driving_map, write_layers, write_passed_by
-from slam.storage.nav2_rooms import write_room_zones
-from slam.storage.nav2_zones import write_zones
+from slam.storage.nav2_layers import (
+    MAP_YAML,
+    write_driving_map,
+    write_ground_layers,
+    write_layers,
+    write_passed_by,
+)
+from slam.storage.nav2_zones import write_room_zones, write_zones
 from slam.storage.octomap import write_octomap, write_octree
-from slam.storage.plan_dxf import write_plan_dxf
-from slam.storage.plan_geojson import write_plan_geojson
-from slam.storage.plan_svg import write_plan_svg
+from slam.storage.plan_files import write_plan_dxf, write_plan_geojson, write_plan_svg
 from slam.storage.ply import write_cloud_ply, write_mesh_ply
-from slam.storage.posed_images import IMAGES, plain_name, write_posed_images
-from slam.storage.transforms_json import write_transforms
-from slam.storage.tum import write_tum
+from slam.storage.posed_images import IMAGES, plain_name, write_colmap, write_posed_images, write_transforms
+from slam.storage.tum import write_kitti, write_trajectory, write_tum
 from slam.trajectory.poses import Poses
 
 ZONES = "nav2-zones"
@@ -193,12 +191,9 @@ class Exports:
         return written
 
     def write_surfaces(self, folder: Path) -> list[Path]:
-        """Write surfaces, clouds and the octree, if they are enabled; see `write`."""
-        dense = self.config.dense_map
-        if not dense.enabled or (self.contents.frames is None and self.contents.clouds is None):
-            return []
-        written = self.write("ply", folder)
-        return written + self.write("bt", folder) if dense.octomap else written
+        """Write surfaces and clouds, if they are enabled; see `write`."""
+        shown = self.contents.frames is not None or self.contents.clouds is not None
+        return self.write("ply", folder) if self.config.dense_map.enabled and shown else []
 
     def same_surfaces(self, other: Exports) -> bool:
         """Return whether another map of the same log has the same images and clouds at the same poses."""

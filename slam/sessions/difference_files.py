@@ -16,7 +16,7 @@ from slam.measurements import FloatArray
 from slam.sessions.changes import Comparison
 from slam.sessions.moved_things import ChangedThing
 from slam.storage.files import make_folder, write_bytes
-from slam.storage.plan_geojson import feature
+from slam.storage.plan_files import feature
 
 _COLORS = {"went": RED, "appeared": BLUE, "moved": ORANGE}
 

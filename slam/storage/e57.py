@@ -10,7 +10,7 @@ import gtsam
 import numpy as np
 from numpy.typing import NDArray
 
-from slam.errors import LibraryError, MapFileError
+from slam.errors import MapFileError, needs
 from slam.measurements import AnyFloatArray, Float32Array
 from slam.storage.files import replacing
 
@@ -34,10 +34,8 @@ def write_e57(
     MapFileError
         If the file cannot be written.
     """
-    try:
+    with needs("E57 needs pye57", "e57"):
         import pye57
-    except ImportError as error:
-        raise LibraryError("E57 needs pye57: pip install '.[e57]'") from error
     try:
         with replacing(path) as temporary:
             file = pye57.E57(str(temporary), mode="w")

@@ -12,8 +12,8 @@ import numpy as np
 from slam.errors import MapFileError
 from slam.graph.edge import Edge
 from slam.measurements import Pose, row_from_pose, row_from_pose2
-from slam.storage.covariances import upper_triangles
 from slam.storage.files import write_lines
+from slam.storage.tum import upper_triangles
 
 
 def write_g2o(path: Path, poses: Sequence[Pose], edges: Iterable[Edge]) -> None:

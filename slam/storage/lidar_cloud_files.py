@@ -1,4 +1,8 @@
-"""Cloud of a 3D lidar's map for other programs, whole or in tiles; removed points in a file beside it."""
+"""Cloud of a 3D lidar's map for other programs, whole or in tiles; removed points in a file beside it.
+
+LAS 1.4 holds points in millimetres, colours, intensities and the ground; binary PCD of the Point Cloud
+Library position, normal, colour, ground and intensity.
+"""
 
 from __future__ import annotations
 
@@ -8,22 +12,27 @@ from pathlib import Path
 
 import numpy as np
 
-from slam.errors import MapFileError
+from slam.errors import MapFileError, needs
 from slam.mapping.dense_map import ColoredCloud
 from slam.measurements import BoolArray, Float32Array
-from slam.storage.files import filling, make_folder
-from slam.storage.las import sixteen_bits, write_las
-from slam.storage.pcd import write_pcd
+from slam.storage.files import filling, make_folder, replacing
 from slam.storage.ply import write_cloud_ply
 
 _TILE_M = 50.0
-_WRITERS: dict[str, Callable[[Path, ColoredCloud, BoolArray], None]] = {
-    "las": write_las,
-    "pcd": write_pcd,
-    "ply": lambda path, cloud, _: write_cloud_ply(path, [cloud]),
-}
 TILES = "-tiles"
-CLOUD_FORMATS = ("las", "pcd", *(name + TILES for name in _WRITERS))
+CLOUD_FORMATS = ("las", "pcd", *(name + TILES for name in ("las", "pcd", "ply")))
+
+_WITH_COLOURS = 7  # point format
+_OTHER, _GROUND = 1, 2  # classes of ASPRS: unclassified, ground
+_STEP_M = 0.001
+_COLOUR_STEP = 257  # colours of 16 bits
+_MOST = 65535.0
+
+_NAMES = ("x", "y", "z", "normal_x", "normal_y", "normal_z")
+_FIELDS = (*_NAMES, "rgb", "label")
+_ROW = np.dtype([*((name, "<f4") for name in _NAMES), ("rgb", "<u4"), ("label", "<u4")])
+_INTENSITY = "intensity"
+_INTENSITY_ROW = np.dtype([*_ROW.descr, (_INTENSITY, "<f4")])
 
 
 @dataclass(frozen=True, slots=True)
@@ -75,7 +84,11 @@ def export_cloud(format_: str, out: Path, cloud: LidarCloud) -> list[Path]:
         If the map shows nothing, or a file cannot be written.
     """
     name = format_.removesuffix(TILES)
-    write = _WRITERS[name]
+    write: Callable[[Path, ColoredCloud, BoolArray], None] = {
+        "las": write_las,
+        "pcd": write_pcd,
+        "ply": lambda path, part, _: write_cloud_ply(path, [part]),
+    }[name]
     points = _joined(cloud.stays)
     if not len(points.points_map):
         raise MapFileError(f"there are no points to write to {out}; the map shows none")
@@ -123,3 +136,86 @@ def _part(cloud: ColoredCloud, chosen: BoolArray) -> ColoredCloud:
         normals_map=cloud.normals_map[chosen],
         intensities=None if cloud.intensities is None else cloud.intensities[chosen],
     )
+
+
+def write_las(path: Path, cloud: ColoredCloud, is_ground: BoolArray) -> None:
+    """Write a cloud of some points in the map frame, whole or not at all.
+
+    Parameters
+    ----------
+    is_ground
+        (N,) of the points, whose intensities are of 16 bits, see `sixteen_bits`.
+
+    Raises
+    ------
+    LibraryError
+        If laspy is not installed.
+    MapFileError
+        If the file cannot be written.
+    """
+    with needs("LAS needs laspy", "las"):
+        import laspy
+    header = laspy.LasHeader(point_format=_WITH_COLOURS, version="1.4")
+    header.scales = np.full(3, _STEP_M)
+    header.offsets = np.floor(cloud.points_map.min(axis=0).astype(np.float64))
+    # The date of writing would change the file of the same map.
+    header.creation_date = None
+    rows = laspy.LasData(header)
+    rows.x, rows.y, rows.z = cloud.points_map.T.astype(np.float64)
+    rows.red, rows.green, rows.blue = cloud.colors.T.astype(np.uint16) * _COLOUR_STEP
+    if cloud.intensities is not None:
+        rows.intensity = np.rint(np.nan_to_num(cloud.intensities)).astype(np.uint16)
+    rows.classification = np.where(is_ground, _GROUND, _OTHER).astype(np.uint8)
+    with replacing(path) as temporary, temporary.open("wb") as file:
+        rows.write(file, do_compress=False)
+
+
+def sixteen_bits(intensities: Float32Array) -> Float32Array:
+    """Scale to the sensor's full range over 16 bits, as the format requires (ASPRS 2019, Sec. 2.6).
+
+    The range is assumed to be 0 to 1, eight bits or sixteen: the narrowest that contains all values.
+    """
+    greatest = float(np.nanmax(intensities, initial=0.0))
+    full = next((top for top in (1.0, _MOST / _COLOUR_STEP, _MOST) if greatest <= top), greatest)
+    return (intensities.clip(0.0) * (_MOST / full)).astype(np.float32)
+
+
+def write_pcd(path: Path, cloud: ColoredCloud, is_ground: BoolArray) -> None:
+    """Write a cloud of some points in the map frame, whole or not at all.
+
+    Parameters
+    ----------
+    is_ground
+        (N,) of the points.
+
+    Raises
+    ------
+    MapFileError
+        If the file cannot be written.
+    """
+    count, intensities = len(cloud.points_map), cloud.intensities
+    fields, row = (_FIELDS, _ROW) if intensities is None else ((*_FIELDS, _INTENSITY), _INTENSITY_ROW)
+    rows = np.empty(count, row)
+    for name, values in zip(_NAMES, np.hstack([cloud.points_map, cloud.normals_map]).T, strict=True):
+        rows[name] = values
+    red, green, blue = cloud.colors.T.astype(np.uint32)
+    rows["rgb"] = red << 16 | green << 8 | blue
+    rows["label"] = np.where(is_ground, _GROUND, _OTHER)
+    if intensities is not None:
+        rows[_INTENSITY] = intensities
+    header = [
+        "# .PCD v0.7 - Point Cloud Data file format",
+        "VERSION 0.7",
+        f"FIELDS {' '.join(fields)}",
+        f"SIZE {' '.join(['4'] * len(fields))}",
+        f"TYPE {' '.join(row[name].kind.upper() for name in fields)}",
+        f"COUNT {' '.join(['1'] * len(fields))}",
+        f"WIDTH {count}",
+        "HEIGHT 1",
+        "VIEWPOINT 0 0 0 1 0 0 0",
+        f"POINTS {count}",
+        "DATA binary",
+    ]
+    with replacing(path) as temporary, temporary.open("wb") as file:
+        file.write("".join(f"{line}\n" for line in header).encode("ascii"))
+        file.write(rows.tobytes())

@@ -10,7 +10,7 @@ import gtsam
 import numpy as np
 
 from slam.errors import MapFileError
-from slam.mapping.cloud_packing import packed_cloud, unpacked_cloud
+from slam.mapping.sensor_packing import packed_cloud, unpacked_cloud
 from slam.measurements import Float32Array, FloatArray
 from slam.storage.map_edits import mask_of
 from slam.storage.map_file import MapFile

@@ -24,19 +24,18 @@ from slam.mapping.keyframe_grid import layers_of_grids
 from slam.mapping.layered_map import DEPTH, OCCUPANCY, LayeredMap
 from slam.mapping.occupancy_grid import OccupancyGrid
 from slam.measurements import FloatArray, LaserScan, Pose, spatial
-from slam.storage.covariances import of_upper_triangles, upper_triangles
-from slam.storage.kept_scans import KeptScans
 from slam.storage.map_clouds import MapClouds
 from slam.storage.map_edits import CLOUD, FRAME, AppliedEdits, erased_bits, read_edits
 from slam.storage.map_facts import clock_sigma_of_file, georeference_of_file, ground_of_file
 from slam.storage.map_file import MapFile
 from slam.storage.map_frames import MapFrames
-from slam.storage.map_parts import Unpack, read_grids, read_trajectory
+from slam.storage.map_parts import KeptScans, Unpack, read_grids, read_trajectory
 from slam.storage.map_places import MapPlaces, places_of_file
 from slam.storage.map_sessions import MapSession
 from slam.storage.map_soundness import of, require, sound_name, sound_stamp, unsound_covariance
 from slam.storage.map_tables import CAMERAS, COVARIANCES, FACTORS, FRAMES, GRIDS, KEYFRAMES, LOOPS, TRAJECTORY
 from slam.storage.packing import Unpacker, pack, pack_small, unpack
+from slam.storage.tum import of_upper_triangles, upper_triangles
 from slam.vision.color_registration import ColorRegistration
 from slam.vision.learned_camera import LearnedCamera
 

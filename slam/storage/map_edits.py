@@ -51,6 +51,9 @@ CLOUD: Final = "cloud"
 _KEPT = (META, KEYFRAMES, FACTORS, LOOPS, TRAJECTORY, COVARIANCES, GRIDS, CAMERAS)
 _COPIED = (FRAMES, IMAGES, CLOUDS)
 _MOST_REGIONS = 100_000
+# Settings of earlier versions; a map that was made anew with one keeps what it did.
+_REMOVED: tuple[str, ...] = ("dense_map.octomap=", "localization.field_cell_m=")
+_REMOVED += ("localization.search_threads=", "localization.tiles_cached=")
 
 
 @dataclass(frozen=True, slots=True)
@@ -196,7 +199,7 @@ def _entry(values: object, nodes: int) -> AppliedEdits:
         {(kind, number): bits for kind, number, bits in erased},
         tuple(_region(region, nodes) for region in regions),
         None if turned is None else of(gtsam.Pose2, turned),
-        tuple(of(str, one) for one in of(list, settings)),
+        tuple(one for one in of(list, settings) if not of(str, one).startswith(_REMOVED)),
     )
 
 

@@ -16,8 +16,20 @@ from typing import Any, TypeVar
 from slam.datasets.sqlite_reading import bound_steps, free_steps
 from slam.errors import MapFileError, ScanweaveError, UnfinishedMapError
 from slam.foreign import from_json, plain
-from slam.storage.map_connection import begin, beside, check_kind, reader, refuse_in_use, reported, writer
-from slam.storage.map_tables import CHECKPOINT, META, TABLES, Table, Value
+from slam.storage.map_tables import (
+    CHECKPOINT,
+    META,
+    TABLES,
+    Table,
+    Value,
+    begin,
+    beside,
+    check_kind,
+    reader,
+    refuse_in_use,
+    reported,
+    writer,
+)
 from slam.temporary import TemporaryFolder
 
 T = TypeVar("T")

@@ -12,7 +12,7 @@ import numpy as np
 
 from slam.datasets.budget import MOST_PIXELS
 from slam.errors import MapFileError
-from slam.mapping.image_packing import depth_steps_per_m, packed_color, packed_depth, unpacked_images
+from slam.mapping.sensor_packing import depth_steps_per_m, packed_color, packed_depth, unpacked_images
 from slam.measurements import CameraIntrinsics, Pose, RgbdFrame, spatial
 from slam.storage.map_edits import mask_of
 from slam.storage.map_file import MapFile

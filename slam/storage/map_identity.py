@@ -13,7 +13,7 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
-from pydantic import BaseModel, ValidationError
+from pydantic import BaseModel, TypeAdapter, ValidationError
 
 import fusion
 from slam.config import Config, leaves
@@ -209,9 +209,6 @@ NOTES, WARNINGS = "notes", "warnings"
 def lines_of(meta: Mapping[str, str], key: str, path: Path) -> list[str]:
     """Return lines of text from a row of the file; none in a map of an older version."""
     try:
-        lines = from_json(meta.get(key, "[]"))
-    except ValueError as error:
-        raise MapFileError(f"{path} has no {key} ({error}); make the map anew") from error
-    if not isinstance(lines, list) or not all(isinstance(line, str) for line in lines):
-        raise MapFileError(f"{path} has no {key}; make the map anew")
-    return lines
+        return TypeAdapter(list[str]).validate_json(meta.get(key, "[]"), strict=True)
+    except ValidationError as error:
+        raise MapFileError(f"{path} has no {key} ({error.errors()[0]['msg']}); make the map anew") from error

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Final
+from typing import Annotated, Final
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import Field, TypeAdapter, ValidationError
 
 from slam.errors import MapFileError
-from slam.foreign import from_json
 
 SESSIONS: Final = "sessions"
 
@@ -29,8 +29,8 @@ class MapSession:
 
     log_name: str
     log_fingerprint: str
-    keyframes: int
-    poses: int
+    keyframes: Annotated[int, Field(gt=0)]
+    poses: Annotated[int, Field(gt=0)]
 
 
 def session_numbers(sessions: Sequence[MapSession]) -> NDArray[np.int64]:
@@ -49,17 +49,12 @@ def sessions_of(meta: Mapping[str, str], keyframes: int, poses: int) -> list[Map
     if SESSIONS not in meta:
         return [MapSession(meta["log_name"], meta["log_fingerprint"], keyframes, poses)]
     try:
-        sessions = [MapSession(**row) for row in from_json(meta[SESSIONS])]
-        fits = all(
-            isinstance(part.log_name, str)
-            and isinstance(part.log_fingerprint, str)
-            and all(type(count) is int and count > 0 for count in (part.keyframes, part.poses))
-            for part in sessions
-        )
-        totals = (sum(part.keyframes for part in sessions), sum(part.poses for part in sessions))
-    except (ValueError, TypeError) as error:
-        raise MapFileError(f"the map's sessions cannot be read ({error}); make the map anew") from error
-    if not fits or totals != (keyframes, poses):
+        sessions = TypeAdapter(list[MapSession]).validate_json(meta[SESSIONS], strict=True)
+    except ValidationError as error:
+        why = error.errors()[0]["msg"]
+        raise MapFileError(f"the map's sessions cannot be read ({why}); make the map anew") from error
+    totals = (sum(part.keyframes for part in sessions), sum(part.poses for part in sessions))
+    if totals != (keyframes, poses):
         raise MapFileError(
             f"the map's sessions have {totals[0]} keyframes and {totals[1]} poses, it holds {keyframes} and "
             f"{poses}; make the map anew"

@@ -3,24 +3,24 @@
 from __future__ import annotations
 
 import logging
-import math
+import re
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal, TypeAlias
+from typing import Literal
+from warnings import catch_warnings
 
 import gtsam
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import BaseModel, Field, model_validator
 
-from slam.errors import MapFileError
-from slam.foreign import from_yaml
+from slam.config.files import model_of, read_tree
+from slam.errors import ConfigError, MapFileError
 from slam.mapping.occupancy_grid import FREE, OCCUPIED, UNKNOWN, StateArray
 from slam.storage.files import write_lines
-from slam.storage.pgm import GreyImage, read_pgm, write_pgm
+from slam.storage.pgm import GreyImage, write_pgm
 
 logger = logging.getLogger(__name__)
-
-Mode: TypeAlias = Literal["trinary", "scale", "raw"]
 
 OCCUPIED_THRESH = 0.65
 FREE_THRESH = 0.196
@@ -91,12 +91,13 @@ def write_nav2_map(
         )
     # The image first, so that a new yaml always has its image.
     write_pgm(image_path, values[::-1], pixel_of)
+    name, is_plain = image_path.name, re.fullmatch(r"[^\W\d_][\w.-]*", image_path.name)
     origin = ", ".join(_decimal(value) for value in (T_map_grid.x(), T_map_grid.y(), T_map_grid.theta()))
     write_lines(
         yaml_path,
         [
             f"# {what}",
-            f"image: {_quoted(image_path.name)}",
+            "image: " + (name if is_plain else "'" + name.replace("'", "''") + "'"),
             "mode: trinary",
             f"resolution: {_decimal(resolution_m)}",
             f"origin: [{origin}]",
@@ -122,47 +123,53 @@ def read_nav2_map(path: Path) -> Nav2Map:
         In one line, if the yaml or its image cannot be read, or a value is missing or invalid.
     """
     path = Path(path)
-    fields = _load_yaml(path)
-    occupied_thresh = _number(fields, "occupied_thresh", path)
-    free_thresh = _number(fields, "free_thresh", path)
-    if not 0.0 <= free_thresh < occupied_thresh <= 1.0:
-        raise MapFileError(
-            f"{path}: free_thresh {free_thresh:g} and occupied_thresh {occupied_thresh:g}"
-            " must be in this order, from 0 to 1"
-        )
-    mode = _mode(fields, path)
-    negate = fields.get("negate", 0)
-    if negate not in (0, 1):
-        raise MapFileError(f"{path}: negate is {negate!r}, it must be 0 or 1")
-    image, opaque = _read_image(_image_path(fields, path))
-    if mode == "raw":
+    try:
+        fields = model_of(_Description, read_tree(path), str(path))
+    except ConfigError as error:
+        raise MapFileError(str(error)) from error
+    image, opaque = _read_image(path.parent / fields.image)
+    if fields.mode == "raw":
         values = image.astype(np.int8)
         values[image > OCCUPIED] = UNKNOWN
     else:
-        _warn_of_freed_unknowns(path, image, bool(negate), free_thresh)
-        values = _occupancy(image, bool(negate), occupied_thresh, free_thresh, mode)
+        _warn_of_freed_unknowns(path, image, fields.negate, fields.free_thresh)
+        values = _occupancy(image, fields)
         values[~opaque] = UNKNOWN
-    resolution_m = _number(fields, "resolution", path)
-    if not resolution_m > 0.0:
-        raise MapFileError(f"{path}: resolution is {resolution_m:g} m, it must be positive")
     what = path.read_text(encoding="utf-8").splitlines()[0]
     what = what.removeprefix("# ") if what.startswith("#") else ""
-    return Nav2Map(np.ascontiguousarray(values[::-1]), resolution_m, _origin(fields, path), what)
+    return Nav2Map(np.ascontiguousarray(values[::-1]), fields.resolution, gtsam.Pose2(*fields.origin), what)
 
 
-def _occupancy(
-    image: GreyImage, negate: bool, occupied_thresh: float, free_thresh: float, mode: Mode
-) -> StateArray:
+class _Description(BaseModel, allow_inf_nan=False):
+    """What is read of the yaml."""
+
+    image: str = Field(min_length=1)
+    resolution: float = Field(gt=0)
+    origin: tuple[float, float, float]
+    negate: bool = False
+    occupied_thresh: float = Field(le=1)
+    free_thresh: float = Field(ge=0)
+    mode: Literal["trinary", "scale", "raw"] = "trinary"
+
+    @model_validator(mode="after")
+    def _in_order(self) -> _Description:
+        """Check that a cell cannot be both free and occupied."""
+        if self.free_thresh >= self.occupied_thresh:
+            raise ValueError("free_thresh must be below occupied_thresh")
+        return self
+
+
+def _occupancy(image: GreyImage, fields: _Description) -> StateArray:
     """Return the values of an image in trinary or scale mode, row 0 still on top."""
     # There are only 256 greys: decide once for each.
     grey = np.arange(256) / 255.0
-    p = grey if negate else (255 - np.arange(256)) / 255.0
+    p = grey if fields.negate else (255 - np.arange(256)) / 255.0
     table = np.full(256, UNKNOWN, dtype=np.int8)
-    if mode == "scale":
-        share = (p - free_thresh) / (occupied_thresh - free_thresh)
+    if fields.mode == "scale":
+        share = (p - fields.free_thresh) / (fields.occupied_thresh - fields.free_thresh)
         table = np.rint(100.0 * np.clip(share, 0.0, 1.0)).astype(np.int8)
-    table[p >= occupied_thresh] = OCCUPIED
-    table[p <= free_thresh] = FREE
+    table[p >= fields.occupied_thresh] = OCCUPIED
+    table[p <= fields.free_thresh] = FREE
     values: StateArray = table[image]
     return values
 
@@ -180,92 +187,25 @@ def _warn_of_freed_unknowns(path: Path, image: GreyImage, negate: bool, free_thr
 
 
 def _read_image(path: Path) -> tuple[GreyImage, NDArray[np.bool_]]:
-    """Read grey pixels and whether each is opaque, row 0 on top."""
-    if path.suffix.lower() == ".pgm":
-        image = read_pgm(path)
-        return image, np.ones(image.shape, dtype=np.bool_)
-    # Only png and bmp maps of other programs need the image library.
-    import cv2
+    """Read grey pixels, 255 white, and whether each is opaque, row 0 on top."""
+    from PIL import Image
 
     try:
-        content = np.frombuffer(path.read_bytes(), dtype=np.uint8)
-    except OSError as cause:
-        raise MapFileError(f"cannot read {path}: {cause.strerror or cause}") from cause
-    loaded: Any = cv2.imdecode(content, cv2.IMREAD_UNCHANGED) if content.size else None
-    if loaded is None:
-        raise MapFileError(f"{path}: not an image that can be read (pgm, png or bmp)")
-    if loaded.dtype != np.uint8:
-        loaded = (loaded // 257).astype(np.uint8)
-    if loaded.ndim == 2:
-        return loaded, np.ones(loaded.shape, dtype=np.bool_)
-    grey = cv2.cvtColor(np.ascontiguousarray(loaded[:, :, :3]), cv2.COLOR_BGR2GRAY)
-    opaque = loaded[:, :, 3] == 255 if loaded.shape[2] == 4 else np.ones(grey.shape, dtype=np.bool_)
-    return np.asarray(grey, dtype=np.uint8), opaque
-
-
-def _load_yaml(path: Path) -> dict[str, Any]:
-    """Read the fields of the yaml."""
-    try:
-        fields = from_yaml(path.read_text(encoding="utf-8"))
-    except OSError as cause:
-        raise MapFileError(f"cannot read {path}: {cause.strerror or cause}") from cause
-    except ValueError as cause:
-        raise MapFileError(f"{path}: not a yaml file: {cause}") from cause
-    if not isinstance(fields, dict):
-        raise MapFileError(
-            f"{path}: not a map description; it needs image, resolution, origin and thresholds"
+        with catch_warnings(action="ignore"), Image.open(path) as image:
+            if image.mode.startswith("I"):  # 16 bits
+                grey = np.rint(np.asarray(image) / 257.0).astype(np.uint8)
+            else:
+                grey = np.asarray(image.convert("L"))
+            if "A" in image.getbands() or "transparency" in image.info:
+                return grey, np.asarray(image.convert("RGBA"))[:, :, 3] == 255
+    except (OSError, ValueError, SyntaxError, Image.DecompressionBombError) as cause:
+        why = (
+            getattr(cause, "strerror", None) or "not an image that can be read (pgm, png or bmp), or cut off"
         )
-    return fields
-
-
-def _image_path(fields: dict[str, Any], path: Path) -> Path:
-    """Return the path of the image, relative to the yaml unless absolute."""
-    image = fields.get("image")
-    if not isinstance(image, str) or not image:
-        raise MapFileError(f"{path}: image is {image!r}, it must be a file name")
-    return path.parent / image
-
-
-def _mode(fields: dict[str, Any], path: Path) -> Mode:
-    """Return the mode; trinary by default."""
-    mode = fields.get("mode", "trinary")
-    if mode == "trinary" or mode == "scale" or mode == "raw":
-        return mode
-    raise MapFileError(f"{path}: mode is {mode!r}, it must be trinary, scale or raw")
-
-
-def _number(fields: dict[str, Any], key: str, path: Path) -> float:
-    """Return a finite number of the yaml."""
-    if key not in fields:
-        raise MapFileError(f"{path}: {key} is missing")
-    return _to_number(fields[key], key, path)
-
-
-def _to_number(value: Any, key: str, path: Path) -> float:
-    """Convert a number, also from text, since yaml parses 1e-2 as text."""
-    try:
-        number = float("nan") if isinstance(value, bool) else float(value)
-    except (TypeError, ValueError):
-        number = float("nan")
-    if not math.isfinite(number):
-        raise MapFileError(f"{path}: {key} is {value!r}, it must be a finite number")
-    return number
-
-
-def _origin(fields: dict[str, Any], path: Path) -> gtsam.Pose2:
-    """Return the lower-left corner."""
-    origin = fields.get("origin")
-    if not isinstance(origin, list) or len(origin) != 3:
-        raise MapFileError(f"{path}: origin is {origin!r}, it must be [x, y, yaw]")
-    return gtsam.Pose2(*(_to_number(value, "origin", path) for value in origin))
+        raise MapFileError(f"cannot read {path}: {why}") from cause
+    return grey, np.ones(grey.shape, dtype=np.bool_)
 
 
 def _decimal(value: float) -> str:
     """Format a number without exponent (yaml parses 1e-05 as text) that reads back as the same."""
     return np.format_float_positional(value, unique=True, trim="0")
-
-
-def _quoted(name: str) -> str:
-    """Return a yaml scalar, quoted if it is not a plain name."""
-    plain = all(character.isalnum() or character in "._-" for character in name) and name[0].isalpha()
-    return name if plain else "'" + name.replace("'", "''") + "'"

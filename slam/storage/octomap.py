@@ -14,8 +14,8 @@ import gtsam
 import numpy as np
 
 from fusion.height_band import back_project, pixel_rays
-from slam.errors import ConfigError, ScanweaveError
-from slam.mapping.posed_frames import posed_frames
+from slam.errors import ConfigError, ScanweaveError, needs
+from slam.mapping.dense_map import posed_frames
 from slam.measurements import FloatArray, RgbdFrame
 from slam.storage.files import write_bytes
 
@@ -63,10 +63,8 @@ def write_octree(
             f"OctoMap with a resolution of {resolution_m:g} m and a range of {range_max_m:g} m; "
             "both must be above 0"
         )
-    try:
+    with needs("OctoMap files need octomap-python", "octomap"):
         import octomap
-    except ImportError as error:
-        raise ScanweaveError("OctoMap files need an extra: pip install 'scanweave[octomap]'") from error
     tree = octomap.OcTree(resolution_m)
     reach_m = HALF_TREE * resolution_m - range_max_m
     for points, T_map_sensor in views:

@@ -15,7 +15,7 @@ import gtsam
 import numpy as np
 from numpy.typing import NDArray
 
-from slam.errors import ScanweaveError
+from slam.errors import ScanweaveError, needs
 from slam.measurements import ColorImage, Float32Array, FloatArray, Pose, spatial
 
 _UNKNOWN, _FREE, _OCCUPIED = 205, 254, 0  # nav2's grey values
@@ -109,12 +109,8 @@ def recording(path: Path | None) -> Iterator[Viewer | None]:
     if path is None:
         yield None
         return
-    try:
+    with needs("a recording needs rerun", "viewer"):
         import rerun
-    except ImportError as error:
-        raise ScanweaveError(
-            "a recording needs rerun; install it with: pip install 'scanweave[viewer]'"
-        ) from error
     if path.suffix != ".rrd":
         raise ScanweaveError(f"cannot write {path}: the name of a recording ends in .rrd")
     if not path.absolute().parent.is_dir():

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,19 +17,10 @@ def room_for_points() -> tuple[NDArray[np.float32], NDArray[np.int32]]:
     return np.empty((17, 256), np.float32), np.empty(256, np.int32)
 
 
-def surface_part(
-    points: NDArray[np.float32],
-    T: NDArray[Any],
-    planes: NDArray[np.float32],
-    camera: NDArray[np.float32],
-    limits: NDArray[np.float32],
-    room: tuple[NDArray[np.float32], NDArray[np.int32]],
-    sums: NDArray[Any],
-    seen: NDArray[np.float32],
-    residuals: NDArray[np.float32],
-    *,
-    informed: bool,
-) -> None:
+@kernel(nogil=True)
+def surface_part(  # type: ignore[no-untyped-def]
+    points, T, planes, camera, limits, room, at, sums, seen, residuals, informed
+):
     """Add the point-to-plane terms of one view; ``T`` maps the frame into the view.
 
     The Hessian squares the view's noisy normals, so a flat wall seems to determine motion along itself. The
@@ -40,31 +30,21 @@ def surface_part(
     ----------
     points
         (6, N) points of the frame, and their normals.
+    T
+        (4, 4) of float32.
     planes
-        (H, W, 4) of the view, see `slam.vision.surface.Surface`.
+        (H * W, 4) of the view, see `slam.vision.surface.Surface`.
     camera
         (6,) of the view: fx, fy, cx, cy, width, height.
     limits
         (4,) gate in metres, scale of the kernel in standard deviations, floor and share of the depth's.
-    room
-        By `room_for_points`.
+    room, at
+        By `room_for_points`. The rows of ``room``: the derivative by the view's normal (6), the distance, its
+        weight, the points in the view (3), their pixels off the centre (2), the view's planes (4).
     sums
         (6, 7) Hessian and gradient of the residual; if ``informed``, the information and an unused column.
     seen, residuals
         (N,) 1 if any view has a surface; least residual in standard deviations.
-    """
-    pose = T.astype(np.float32)
-    _surface_part(points, pose, planes.reshape(-1, 4), camera, limits, *room, sums, seen, residuals, informed)
-
-
-@kernel(nogil=True)
-def _surface_part(  # type: ignore[no-untyped-def]
-    points, T, planes, camera, limits, room, at, sums, seen, residuals, informed
-):
-    """Sum the terms of blocks of points.
-
-    The rows of ``room``: the derivative by the view's normal (6), the distance, its weight, the points in the
-    view (3), their pixels off the centre (2), the view's planes (4).
     """
     m = room
     for first in range(0, points.shape[1], at.size):
@@ -187,27 +167,14 @@ def _add_up(weight, factor, a, b, c, d, e, f, g, count, sums):  # type: ignore[n
         sums[k] += s
 
 
-def feature_part(
-    points: NDArray[Any],
-    pixels: NDArray[Any],
-    sigma_px: NDArray[Any],
-    T: NDArray[Any],
-    camera: tuple[float, float, float, float],
-    kernel: float,
-    hessian: NDArray[Any],
-    gradient: NDArray[Any],
-    residuals: NDArray[Any],
-) -> None:
-    """Add the reprojection terms, Yang2021 Eq. (5); ``T`` maps the odometry frame into the camera."""
-    slopes = np.zeros((2, 6))
-    _feature_part(points, pixels, sigma_px, T, *camera, kernel, slopes, hessian, gradient, residuals)
-
-
 @kernel(nogil=True)
-def _feature_part(  # type: ignore[no-untyped-def]
+def feature_part(  # type: ignore[no-untyped-def]
     points, pixels, sigma_px, T, fx, fy, cx, cy, kernel, slopes, hessian, gradient, residuals
 ):
-    """Sum the terms, with a buffer for the derivatives of both errors, (2, 6)."""
+    """Add the reprojection terms, Yang2021 Eq. (5); ``T`` maps the odometry frame into the camera.
+
+    ``slopes`` is a buffer of zeros for the derivatives of both errors, (2, 6).
+    """
     for i in range(points.shape[0]):
         px, py, pz = points[i, 0], points[i, 1], points[i, 2]
         x = T[0, 0] * px + T[0, 1] * py + T[0, 2] * pz + T[0, 3]

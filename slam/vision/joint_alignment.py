@@ -182,15 +182,15 @@ class _Work:
             c = surface.intrinsics
             surface_part(
                 self.points.rows,
-                view_pose.between(pose).matrix(),
-                surface.planes,
+                view_pose.between(pose).matrix().astype(np.float32),
+                surface.planes.reshape(-1, 4),
                 np.array([c.fx, c.fy, c.cx, c.cy, c.width, c.height], np.float32),
                 limits,
-                self.room,
+                *self.room,
                 sums,
                 self.seen,
                 self.point_residuals,
-                informed=informed,
+                informed,
             )
         depth_h, depth_g = sums[:, :6], -sums[:, 6]
         feature_h, feature_g = np.zeros((6, 6)), np.zeros(6)
@@ -199,8 +199,9 @@ class _Work:
             self.landmarks.pixels,
             self.landmarks.sigma_px,
             pose.inverse().matrix(),
-            (k.fx, k.fy, k.cx, k.cy),
+            *(k.fx, k.fy, k.cx, k.cy),
             kernel,
+            np.zeros((2, 6)),
             feature_h,
             feature_g,
             self.feature_residuals,

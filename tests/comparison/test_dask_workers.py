@@ -72,7 +72,7 @@ def test_one_worker_is_killed_and_every_run_counts_once(
 ) -> None:
     address, workers = cluster
     begun = tmp_path / "begun"
-    # Each tells that it has begun, and lasts long enough to be caught in the act.
+    # Each shows that it has begun, and lasts long enough to be caught in the act.
     code = (
         f"import os, sys, time; open({str(begun)!r}, 'a').write(f'{{os.getpid()}} {{sys.argv[1]}}\\n'); "
         "time.sleep(1.0)"

@@ -63,7 +63,7 @@ def test_a_command_that_is_not_there_is_named(tmp_path: Path) -> None:
     assert "cannot start no-such-program" in row["reason"]
 
 
-def test_libraries_are_told_to_use_one_thread(tmp_path: Path) -> None:
+def test_libraries_are_set_to_use_one_thread(tmp_path: Path) -> None:
     limits = "{name: v for name, v in os.environ.items() if name.endswith('_NUM_THREADS')}"
     row = perform(command_run(f"{TELLS}; import os; print({limits})").to_dict(), str(tmp_path))
     assert row["status"] == "ok"

@@ -98,7 +98,7 @@ def test_a_log_without_its_sensor_is_named(
 
 
 def test_our_mapper_runs_by_the_odometry_of_others(tmp_path: Path) -> None:
-    """It closes loops and draws a plan as ever; only the motion is told by another."""
+    """It closes loops and draws a plan as ever; only the motion is estimated by another."""
     assert set(ODOMETRIES) == OTHER_ODOMETRY
     log = write_synthetic_log(tmp_path, seed=1, duration_s=10.0)
     made = by_odometry(open_dataset(log.log_path), Config(), ODOMETRIES["kiss_matching"])

@@ -57,7 +57,7 @@ def test_a_perfect_map_scores_one(T_map_true: gtsam.Pose2) -> None:
 
 
 @pytest.mark.parametrize("T_map_true", POSES)
-def test_half_a_map_and_clutter_are_told_apart(T_map_true: gtsam.Pose2) -> None:
+def test_half_a_map_and_clutter_are_distinguished(T_map_true: gtsam.Pose2) -> None:
     T_true_map = gtsam.Pose3(T_map_true.inverse()).matrix()
     half = faces(room())
     half[12:] = -1
@@ -108,7 +108,7 @@ def test_plans_over_a_map_are_driven_over_the_truth(T_map_true: gtsam.Pose2) -> 
     assert "collide" not in scores(np.full_like(half, -1), room())
 
 
-def test_the_truth_tells_how_wide_its_robot_is(tmp_path: Path) -> None:
+def test_the_truth_shows_how_wide_its_robot_is(tmp_path: Path) -> None:
     assert robot_radius_m(tmp_path) is None
     (tmp_path / "faults.json").write_text('{"rig": "xu2024"}')
     assert robot_radius_m(tmp_path) == 0.25

@@ -1,4 +1,4 @@
-"""Rows of ``.bin`` clouds, which nothing names: told by how their numbers repeat."""
+"""Rows of ``.bin`` clouds, which nothing names: recognised by how their numbers repeat."""
 
 from __future__ import annotations
 
@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from slam.datasets import open_dataset
-from slam.datasets.bin_rows import rows_of
 from slam.datasets.cloud_files import KITTI_ROWS
+from slam.datasets.clouds_over_time import rows_of
 from slam.errors import DatasetError
 from slam.measurements import FloatArray, PointCloud
 
@@ -36,7 +36,7 @@ def folder(path: Path, kind: str, fields: int) -> tuple[Path, list[FloatArray]]:
 
 @pytest.mark.parametrize("kind", ["<f4", "<f8"])
 @pytest.mark.parametrize("fields", [3, 4, 5, 6])
-def test_rows_of_any_length_are_read_and_told(tmp_path: Path, kind: str, fields: int) -> None:
+def test_rows_of_any_length_are_read_and_reported(tmp_path: Path, kind: str, fields: int) -> None:
     path, rows = folder(tmp_path, kind, fields)
     log = open_dataset(path)
     clouds = [one for one in log if isinstance(one, PointCloud)]
@@ -44,8 +44,8 @@ def test_rows_of_any_length_are_read_and_told(tmp_path: Path, kind: str, fields:
     for cloud, truth in zip(clouds, rows, strict=True):
         np.testing.assert_array_equal(cloud.points_lidar, truth[:, :3].astype(np.float32))
         assert (cloud.intensities is None) == (fields == 3)
-    told = f"the .bin files hold {fields} numbers of {kind[2]} bytes a point"
-    assert (told in log.report.notes) == ((kind, fields) != ("<f4", 4))
+    stated = f"the .bin files hold {fields} numbers of {kind[2]} bytes a point"
+    assert (stated in log.report.notes) == ((kind, fields) != ("<f4", 4))
 
 
 def test_what_is_no_rows_of_coordinates_is_refused_in_a_line(tmp_path: Path) -> None:

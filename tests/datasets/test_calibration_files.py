@@ -128,7 +128,7 @@ def test_mountings_of_every_kind_of_file(tmp_path: Path) -> None:
     assert np.allclose(found["cam1", "cam0"].translation(), [-0.05, 0, 0])
 
 
-def test_a_file_that_was_given_must_tell_something_and_comes_first(tmp_path: Path) -> None:
+def test_a_file_that_was_given_must_show_something_and_comes_first(tmp_path: Path) -> None:
     log, given = tmp_path / "log", tmp_path / "mine.yaml"
     log.mkdir()
     (log / "rgb.yaml").write_text(CAMERA_INFO)
@@ -141,7 +141,7 @@ def test_a_file_that_was_given_must_tell_something_and_comes_first(tmp_path: Pat
 
 
 @pytest.mark.parametrize("text", [CAMERA_INFO.replace("600.5", ".nan"), CAMCHAIN.replace("600.5", "none")])
-def test_a_damaged_file_is_told_and_refused_where_it_was_given(tmp_path: Path, text: str) -> None:
+def test_a_damaged_file_is_reported_and_refused_where_it_was_given(tmp_path: Path, text: str) -> None:
     log, file = tmp_path / "log", tmp_path / "log" / "a.yaml"
     log.mkdir()
     file.write_text(text)
@@ -151,7 +151,7 @@ def test_a_damaged_file_is_told_and_refused_where_it_was_given(tmp_path: Path, t
         known_beside(log, [file])
 
 
-def test_strangers_files_beside_a_recording_tell_nothing(tmp_path: Path) -> None:
+def test_strangers_files_beside_a_recording_show_nothing(tmp_path: Path) -> None:
     for name, text in {
         "notes.yaml": "- a\n- b\n",
         "broken.yaml": "a: [",
@@ -164,21 +164,21 @@ def test_strangers_files_beside_a_recording_tell_nothing(tmp_path: Path) -> None
     assert not known.cameras and not known.transforms
 
 
-def test_a_contradiction_tells_both_values() -> None:
+def test_a_contradiction_shows_both_values() -> None:
     from slam.measurements import CameraIntrinsics
 
     one = Lens(CameraIntrinsics(600.0, 600.0, 320.0, 240.0, 640, 480), np.zeros(0))
     half = Lens(CameraIntrinsics(300.2, 300.2, 160.0, 120.0, 320, 240), np.zeros(0))
     other = Lens(CameraIntrinsics(525.0, 525.0, 319.5, 239.5, 640, 480), np.zeros(0))
     assert contradiction("/image", (one, "a.yaml"), (half, "the bag")) == ""
-    told = contradiction("/image", (one, "a.yaml"), (other, "the bag"))
-    assert "600.0" in told and "525.0" in told and "a.yaml" in told and "the bag" in told
+    stated = contradiction("/image", (one, "a.yaml"), (other, "the bag"))
+    assert "600.0" in stated and "525.0" in stated and "a.yaml" in stated and "the bag" in stated
 
 
 @pytest.mark.parametrize(
     "text", [CAMERA_INFO, CAMCHAIN, ORB_SLAM, OWN, URDF, PRINTED_TF, opencv_text(".yml"), opencv_text(".xml")]
 )
-def test_damage_is_told_in_a_line_or_tells_nothing(tmp_path: Path, text: str) -> None:
+def test_damage_is_reported_in_a_line_or_ignored(tmp_path: Path, text: str) -> None:
     rng = np.random.default_rng(5)
     for number in range(200):
         damaged = list(text)

@@ -217,22 +217,22 @@ def test_no_return_limit(tmp_path: Path, stated: float, limit: float) -> None:
 
 
 def test_a_code_of_few_beams_is_known_by_scan_after_scan() -> None:
-    told, rng = RepeatedRange(), np.random.default_rng(0)
+    repeated, rng = RepeatedRange(), np.random.default_rng(0)
     for number in range(20):
         seen = rng.uniform(0.5, 7.5, 180)
         codes = [8.183, 8.183, 8.183] + ([8.191] if number % 2 else [])
-        found, limit = classify_ranges(np.append(seen, codes), 80.0, told)
+        found, limit = classify_ranges(np.append(seen, codes), 80.0, repeated)
     assert limit == 8.183
     np.testing.assert_array_equal(found, np.float32([*seen, *[math.inf] * len(codes)]))
     beyond = rng.uniform(7.0, 30.0, 180)
-    np.testing.assert_array_equal(classify_ranges(beyond, 80.0, told)[0], np.float32(beyond))
+    np.testing.assert_array_equal(classify_ranges(beyond, 80.0, repeated)[0], np.float32(beyond))
 
 
-def test_the_shortest_range_that_many_beams_tell_once_more_is_invalid() -> None:
-    told, seen = RepeatedRange(), np.linspace(0.5, 4.5, 200)
+def test_the_shortest_range_that_many_beams_show_once_more_is_invalid() -> None:
+    repeated, seen = RepeatedRange(), np.linspace(0.5, 4.5, 200)
     ranges = np.append(seen, np.full(60, 0.1))
-    assert np.isfinite(classify_ranges(ranges, 30.0, told)[0]).all()
-    found, limit = classify_ranges(ranges, 30.0, told)
+    assert np.isfinite(classify_ranges(ranges, 30.0, repeated)[0]).all()
+    found, limit = classify_ranges(ranges, 30.0, repeated)
     assert limit == 30.0
     np.testing.assert_array_equal(found, np.float32([*seen, *[math.nan] * 60]))
 
@@ -251,7 +251,7 @@ def test_a_maximum_in_another_unit_than_the_ranges_is_raised(unit: float, limit:
     np.testing.assert_array_equal(found, np.float32([*ranges[:90], *[math.inf] * 30]))
 
 
-def test_the_longest_range_that_many_beams_tell_to_the_bit_is_no_return() -> None:
+def test_the_longest_range_that_many_beams_show_to_the_bit_is_no_return() -> None:
     seen = np.linspace(0.5, 4.5, 200)
     found, limit = classify_ranges(np.append(seen, np.full(60, 5.0)), 30.0, RepeatedRange())
     assert limit == 5.0

@@ -213,9 +213,9 @@ def test_clouds_of_text_and_of_numpy(tmp_path: Path, suffix: str, form: str) -> 
         found = clouds(folder)
         assert [cloud.stamp_s for cloud in found] == pytest.approx([0.0, 0.1, 0.2])
         np.testing.assert_allclose(found[0].points_lidar, NUMBERS[:, :3], rtol=1e-6)
-        told = found[0].intensities
-        assert (told is None) == (form in ("array", "image"))
-        assert told is None or (told == NUMBERS[:, 3]).all()
+        stated = found[0].intensities
+        assert (stated is None) == (form in ("array", "image"))
+        assert stated is None or (stated == NUMBERS[:, 3]).all()
 
 
 def test_clouds_of_text_are_named_by_stamps(tmp_path: Path) -> None:

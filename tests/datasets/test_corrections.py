@@ -44,7 +44,7 @@ def test_an_empty_calibration_leaves_the_log_as_it_is() -> None:
     assert corrected(log, Calibration()) is log
 
 
-def test_a_lidar_is_corrected_in_all_that_it_tells() -> None:
+def test_a_lidar_is_corrected_in_all_that_it_shows() -> None:
     found = only([scan()], of_lidar(upside_down=True, range_scale=0.5, T_base_laser={"yaw_deg": 90.0}))
     assert isinstance(found, LaserScan)
     assert found.ranges_m.tolist() == [1.5, 1.0, 0.5]
@@ -86,11 +86,11 @@ def test_scaled_turns_put_the_way_together_anew(factor: float) -> None:
     # On a circle of radius 1 every turn counted by a factor is a circle of another radius.
     angles = np.arange(0.0, 2.0, 0.1)
     radius = 1.0 / factor
-    told = [
+    stated = [
         wheels(0.1 * n, radius * math.sin(factor * a), radius * (1.0 - math.cos(factor * a)), factor * a)
         for n, a in enumerate(angles)
     ]
-    last = list(corrected(told, of_wheels(turn_scale=1.0 / factor)))[-1]
+    last = list(corrected(stated, of_wheels(turn_scale=1.0 / factor)))[-1]
     assert isinstance(last, WheelOdometry)
     # Chords stand for arcs: what they differ by is of second order.
     expected = gtsam.Pose2(math.sin(angles[-1]), 1.0 - math.cos(angles[-1]), angles[-1])
@@ -99,8 +99,8 @@ def test_scaled_turns_put_the_way_together_anew(factor: float) -> None:
 
 def test_a_heading_in_degrees_is_unwound_and_mended() -> None:
     true_rad = np.cumsum(0.03 * np.sin(np.arange(200) / 15.0))
-    told = [wheels(0.05 * n, 0.0, 0.0, math.degrees(yaw)) for n, yaw in enumerate(true_rad)]
-    found = list(corrected(told, of_wheels(heading_scale=math.radians(1.0))))
+    stated = [wheels(0.05 * n, 0.0, 0.0, math.degrees(yaw)) for n, yaw in enumerate(true_rad)]
+    found = list(corrected(stated, of_wheels(heading_scale=math.radians(1.0))))
     turned = [one.T_odom_base.theta() for one in found if isinstance(one, WheelOdometry)]
     assert np.allclose(np.unwrap(turned), true_rad, atol=1e-6)
 

@@ -66,7 +66,7 @@ def test_the_columns_of_published_files(tmp_path: Path, name: str, text: str) ->
     assert reading.T_base_imu is None
 
 
-def test_accelerations_in_g_are_told_and_read(tmp_path: Path) -> None:
+def test_accelerations_in_g_are_reported_and_read(tmp_path: Path) -> None:
     path = folder(tmp_path, "imu.csv", "100.5,0,0,0,0,0,1.01\n100.6,0,0,0,0,0,2.5\n")
     assert [one.specific_force_m_s2[2] for one in imu_of(path)] == pytest.approx([9.905, 24.517], abs=1e-3)
     assert "in g" in inspection_text(inspect_dataset(open_dataset(path)))
@@ -200,7 +200,7 @@ def test_a_camera_alone_takes_an_imu_too() -> None:
 
 
 def half(topic: str, stamp_s: float, rates: float = 0.0, forces: float = 0.0) -> Sent:
-    """A message that tells one of the two, as the driver of RealSense does by default."""
+    """A message that shows one of the two, as the driver of RealSense does by default."""
     fields = {
         "angular_velocity": {"x": rates, "y": 0.0, "z": 0.0},
         "linear_acceleration": {"x": 0.0, "y": forces, "z": 0.0},
@@ -259,8 +259,8 @@ def test_half_an_imu_is_used_with_its_other_half(tmp_path: Path) -> None:
 
 
 def test_halves_are_paired_by_name_and_a_whole_imu_is_none() -> None:
-    told = {"/a/gyro": (False, False), "/b/gyro": (True, False), "/imu": (True, True)}
-    told |= {"/b/accel": (False, True), "/a/accel": (False, True)}
-    assert paired_halves(told, told) == {"/a/gyro": "/a/accel", "/b/gyro": "/b/accel"}
-    del told["/a/accel"], told["/b/accel"]
-    assert paired_halves(told, told) == {"/a/gyro": "", "/b/gyro": ""}
+    stated = {"/a/gyro": (False, False), "/b/gyro": (True, False), "/imu": (True, True)}
+    stated |= {"/b/accel": (False, True), "/a/accel": (False, True)}
+    assert paired_halves(stated, stated) == {"/a/gyro": "/a/accel", "/b/gyro": "/b/accel"}
+    del stated["/a/accel"], stated["/b/accel"]
+    assert paired_halves(stated, stated) == {"/a/gyro": "", "/b/gyro": ""}

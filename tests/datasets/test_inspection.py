@@ -44,7 +44,7 @@ class Listed:
         return None
 
 
-def told(found: dict[str, Any]) -> Any:
+def stated(found: dict[str, Any]) -> Any:
     """What was found as JSON has it, its parts by name."""
     whole = json.dumps(found, allow_nan=False)
     return json.loads(whole, object_hook=lambda part: SimpleNamespace(**part))
@@ -61,7 +61,7 @@ def wheels(stamp_s: float, x: float, yaw: float) -> WheelOdometry:
 
 
 def test_figures_of_a_small_log() -> None:
-    found = told(
+    found = stated(
         inspect_dataset(
             Listed(
                 [
@@ -98,7 +98,7 @@ def test_figures_of_a_small_log() -> None:
 
 def test_a_single_reading_has_no_rate_and_is_valid_json() -> None:
     found = inspect_dataset(Listed([scan(5.0, [np.inf])]))
-    (stream,) = told(found).sensors
+    (stream,) = stated(found).sensors
     assert stream.rate_hz is None
     assert stream.laser is not None
     assert stream.laser.longest_return_m is None
@@ -106,7 +106,7 @@ def test_a_single_reading_has_no_rate_and_is_valid_json() -> None:
     assert "rate unknown" in inspection_text(found)
 
 
-def test_damage_is_told_with_reason_and_line(tmp_path: Path) -> None:
+def test_damage_is_reported_with_reason_and_line(tmp_path: Path) -> None:
     path = tmp_path / "a.log"
     path.write_text("ODOM 0 0 0 0 0 0 1 h 0\nFLASER 9 1 2\nSYNC x\nODOM 0 0 nan 0 0 0 2 h 0\n")
     found = inspect_dataset(open_dataset(path))
@@ -146,7 +146,7 @@ def test_real_logs(log: str, path_m: float, duration_s: float) -> None:
     if not path.exists():
         pytest.skip(f"REAL LOG ABSENT, not tested: {path}")
     found = inspect_dataset(open_dataset(path))
-    odometry = told(found).sensors[-1].odometry
+    odometry = stated(found).sensors[-1].odometry
     assert odometry is not None
     assert odometry.path_m == pytest.approx(path_m, abs=0.1)
     assert found["duration_s"] == pytest.approx(duration_s, abs=0.1)
@@ -162,13 +162,13 @@ def frame(stamp_s: float, depth_m: float, mount: gtsam.Pose3 | None) -> RgbdFram
     return RgbdFrame(stamp_s, color, depth, CameraIntrinsics(50, 51, 31, 23, 64, 48), mount, "RGBD_1")
 
 
-def test_a_camera_is_told_with_its_depth_and_mounting() -> None:
+def test_a_camera_is_reported_with_its_depth_and_mounting() -> None:
     # Looks to the left, tilted down by 0.1 rad.
     body = gtsam.Rot3.Ypr(math.pi / 2, 0.1, 0.0)
     optical = gtsam.Rot3(np.array([[0.0, 0, 1], [-1, 0, 0], [0, -1, 0]]))
     mount = gtsam.Pose3(body.compose(optical), np.array([0.1, 0.2, 0.9]))
     found = inspect_dataset(Listed([frame(1.0, 1.5, mount), frame(1.1, 3.5, mount)]))
-    (stream,) = told(found).sensors
+    (stream,) = stated(found).sensors
     assert stream.rate_hz == pytest.approx(10.0)
     camera = stream.camera
     assert camera is not None
@@ -183,7 +183,7 @@ def test_a_camera_is_told_with_its_depth_and_mounting() -> None:
     json.dumps(found, allow_nan=False)
 
 
-def test_a_camera_without_mounting_and_without_depth_is_told_so() -> None:
+def test_a_camera_without_mounting_and_without_depth_is_reported_so() -> None:
     empty = dataclasses.replace(frame(1.0, 0.0, None), depth_m=np.zeros((48, 64), np.float32))
     found = inspect_dataset(Listed([empty]))
     assert "mounting not reported" in inspection_text(found)

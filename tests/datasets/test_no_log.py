@@ -27,7 +27,7 @@ from tools.pack_layouts import put
         ("what.xyz", "no known format"),
     ],
 )
-def test_a_file_that_is_no_log_is_told_what_it_is(name: str, words: str, tmp_path: Path) -> None:
+def test_a_file_that_is_no_log_is_named(name: str, words: str, tmp_path: Path) -> None:
     with pytest.raises(DatasetError, match=words) as caught:
         open_dataset(put(tmp_path / name, b"\x00\x01\x02\x03" * 100))
     assert "\n" not in str(caught.value)

@@ -235,7 +235,7 @@ def test_windows_lines_and_old_names_are_read(tmp_path: Path) -> None:
 
 
 def test_a_sphere_that_many_points_lie_on_is_no_return() -> None:
-    """Rings on a level floor are told alike, too, by a lidar without noise."""
+    """Rings on a level floor are recognised alike, too, by a lidar without noise."""
     rng = np.random.default_rng(4)
     ways = rng.normal(size=(9000, 3))
     ways /= np.linalg.norm(ways, axis=1)[:, None]
@@ -249,10 +249,10 @@ def test_a_sphere_that_many_points_lie_on_is_no_return() -> None:
     assert is_return(ways.astype(np.float32)).all()
 
 
-def test_points_that_tell_no_time_have_that_of_their_neighbours() -> None:
+def test_points_that_show_no_time_have_that_of_their_neighbours() -> None:
     right, times = np.arange(1000) * 1e5, PointTimes()
-    told = np.where(np.arange(1000) % 2, right, 0.0)
-    found = times.of(["t"], lambda _: told, 5.0)
+    stated = np.where(np.arange(1000) % 2, right, 0.0)
+    found = times.of(["t"], lambda _: stated, 5.0)
     assert found is not None and np.abs(found - 1e-9 * right).max() < 2e-4
     assert times.notes("/points")[1].startswith("warning: /points: many points have no time")
     sound = PointTimes()

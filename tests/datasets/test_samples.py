@@ -100,7 +100,7 @@ def test_damaged_lines_of_player_and_rawseeds_are_counted(tmp_path: Path) -> Non
         assert sum(dropped(dataset).values()) == lost and len(found) > 30
 
 
-def test_of_several_drives_of_nuscenes_one_is_read_and_told(tmp_path: Path) -> None:
+def test_of_several_drives_of_nuscenes_one_is_read_and_reported(tmp_path: Path) -> None:
     path = LAYOUTS["nuScenes, sweeps of one scene"].write(tmp_path).path
     for file in sorted(path.iterdir())[:4]:
         (path / file.name.replace("n015-2018", "n015-2019")).write_bytes(file.read_bytes())
@@ -186,10 +186,10 @@ def test_foxglove_without_the_extra_names_it(tmp_path: Path, monkeypatch: pytest
 
 
 def test_damaged_messages_of_foxglove_are_counted(tmp_path: Path) -> None:
-    told = [("/scan", "LaserScan", 100.0 + k, _scan(100 + k)) for k in range(4)]
-    told[1][3]["pose"]["position"]["z"] = 0.5
-    told[2][3]["ranges"] = "none"
-    found, dataset = read(recorded(tmp_path / "a.mcap", told, as_json=True))
+    stated = [("/scan", "LaserScan", 100.0 + k, _scan(100 + k)) for k in range(4)]
+    stated[1][3]["pose"]["position"]["z"] = 0.5
+    stated[2][3]["ranges"] = "none"
+    found, dataset = read(recorded(tmp_path / "a.mcap", stated, as_json=True))
     assert [one.stamp_s for one in found] == [100.0, 103.0] and dropped(dataset) == {UNDECODED: 2}
 
 
@@ -199,15 +199,17 @@ def test_numbers_of_fields_are_foxgloves(tmp_path: Path) -> None:
     table["t"] = (0, 10_000, 20_000, 40_000)
     numbers = {"x": 7, "y": 7, "z": 7, "t": 3}
     fields = [{"name": name, "offset": row.fields[name][1], "type": numbers[name]} for name in row.names]
-    told = _scan(100) | {"point_stride": row.itemsize, "fields": fields, "data": table.tobytes()}
-    (found,), _ = read(recorded(tmp_path / "a.mcap", [("/points", "PointCloud", 100.0, told)], as_json=True))
+    stated = _scan(100) | {"point_stride": row.itemsize, "fields": fields, "data": table.tobytes()}
+    (found,), _ = read(
+        recorded(tmp_path / "a.mcap", [("/points", "PointCloud", 100.0, stated)], as_json=True)
+    )
     np.testing.assert_allclose(found.times_s, [0.0, 0.01, 0.02, 0.04])
 
 
 def _scan(stamp_s: int) -> dict[str, Any]:
     zero = dict.fromkeys("xyz", 0.0)
-    told = {"timestamp": {"sec": stamp_s, "nsec": 0}, "frame_id": "laser", "ranges": [1.0, None, 3.0]}
-    return told | {
+    stated = {"timestamp": {"sec": stamp_s, "nsec": 0}, "frame_id": "laser", "ranges": [1.0, None, 3.0]}
+    return stated | {
         "pose": {"position": zero, "orientation": zero | {"w": 1.0}},
         "start_angle": 0,
         "end_angle": 1,

@@ -121,7 +121,7 @@ def not_used(log: list[Measurement], settings: dict[str, object]) -> dict[str, s
         ([scan(0.0), wheels(0.1)], {"wheels": False}, "odometry", "sensors.wheels=false"),
     ],
 )
-def test_what_is_not_used_is_told_with_the_remedy(
+def test_what_is_not_used_is_reported_with_the_remedy(
     log: list[Measurement], settings: dict[str, object], sensor: str, because: str
 ) -> None:
     (found,) = not_used(log, settings).items()
@@ -135,7 +135,7 @@ def test_of_two_odometries_the_first_is_used_alone() -> None:
     assert "odometry" in not_used(log, {})["filtered"]
 
 
-def test_one_line_tells_of_all_that_share_a_reason() -> None:
+def test_one_line_reports_all_that_share_a_reason() -> None:
     found = [
         SensorUse("/a", "Imu", 3, "no IMU"),
         SensorUse("/b", "2D lidar", 1200),

@@ -85,7 +85,7 @@ def test_the_doctor_finds_the_turn_and_mends_it() -> None:
 
 
 @pytest.mark.parametrize("sign", [1.0, -1.0], ids=["the other way", "as it turns"])
-def test_a_turn_that_beams_tell_is_taken_about_its_middle_whichever_way_it_is_told(sign: float) -> None:
+def test_a_turn_of_beams_is_taken_about_its_middle_in_either_direction(sign: float) -> None:
     beam_s = abs(TURN_S) / 360.0
     log = [
         replace(one, stamp_s=one.stamp_s - 0.5 * 359 * beam_s, beam_s=sign * beam_s)
@@ -113,11 +113,11 @@ def test_a_turn_that_beams_tell_is_taken_about_its_middle_whichever_way_it_is_to
 
 
 def test_scans_that_are_taken_at_once_have_no_turn(monkeypatch: pytest.MonkeyPatch) -> None:
-    # How they lie in the plane tells that at once: to follow them as clouds takes ten times as long.
+    # How they lie in the plane shows that at once: to follow them as clouds takes ten times as long.
     monkeypatch.setattr(turning, "CloudTracker", Mock(side_effect=AssertionError))
     assert diagnose(drive(0.0)) == []
-    told = [replace(one, beam_s=5e-4) if isinstance(one, LaserScan) else one for one in drive(0.0)]
-    assert diagnose(told) == []
+    stated = [replace(one, beam_s=5e-4) if isinstance(one, LaserScan) else one for one in drive(0.0)]
+    assert diagnose(stated) == []
 
 
 def test_what_sees_half_a_circle_to_both_edges_may_not_spin(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -126,7 +126,7 @@ def test_what_sees_half_a_circle_to_both_edges_may_not_spin(monkeypatch: pytest.
     assert turning.turn_in_the_plane([[half] * 5], 0.2, Config()) is None
 
 
-def test_a_log_keeps_its_order_and_what_the_wheels_do_not_tell() -> None:
+def test_a_log_keeps_its_order_and_what_the_wheels_do_not_measure() -> None:
     spins = Calibration(lidars={"laser": LidarCorrection(turn_s=TURN_S)})
     log = drive(TURN_S, 10)
     found = list(corrected(log, spins))

@@ -81,8 +81,8 @@ def test_intrinsics_by_the_name_of_the_folder_or_assumed_and_said(
     lens = frames(found)[0].intrinsics
     assert lens.fx == pytest.approx(focal * WIDTH / 640)
     assert (lens.width, lens.height) == (WIDTH, HEIGHT)
-    told = [note for note in dataset.report.warnings if "intrinsics assumed" in note]
-    assert bool(told) == assumed and all("5000 depth steps" in note for note in told)
+    stated = [note for note in dataset.report.warnings if "intrinsics assumed" in note]
+    assert bool(stated) == assumed and all("5000 depth steps" in note for note in stated)
     assert assumed != any("published for" in note for note in dataset.report.notes)
     if assumed:
         # The middle of the image stays the middle: pixel centres are whole numbers.

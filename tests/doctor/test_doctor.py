@@ -49,7 +49,7 @@ def test_a_mistake_is_named_with_what_mends_it(name: str) -> None:
     assert [finding.kind for finding in findings] == [mistake.kind]
     assert right_remedy(findings[0], mistake.remedy(size), sound())
     if name == "wheels left for right" or not findings[0].remedies:
-        return  # nothing mends it, or nobody can tell which of two does
+        return  # nothing mends it, or nobody can show which of two does
     mended = remedied(Calibration(), findings, only_sure=False)
     assert diagnose(corrected(wrong, mended)) == []
 
@@ -70,7 +70,7 @@ def test_of_two_lidars_the_one_that_the_wheels_contradict_has_the_wrong_clock(la
 
 
 @pytest.mark.parametrize(("until_s", "kinds"), [(1025.0, ["repeated scans"]), (1020.3, [])])
-def test_scans_that_hang_are_told_where_the_wheels_drive_on(until_s: float, kinds: list[str]) -> None:
+def test_scans_that_hang_are_reported_where_the_wheels_drive_on(until_s: float, kinds: list[str]) -> None:
     last = next(one for one in sound() if isinstance(one, LaserScan) and one.stamp_s > 1020.0)
     hangs = [
         replace(one, ranges_m=last.ranges_m)
@@ -84,13 +84,13 @@ def test_scans_that_hang_are_told_where_the_wheels_drive_on(until_s: float, kind
 @pytest.mark.parametrize("jump_rad", [0.6, 2.4, -3.04])
 def test_a_heading_that_jumps_a_few_times_is_no_mistake_of_units(jump_rad: float) -> None:
     """Once, a campus was mapped with the rotations of its wheels divided by 7690."""
-    jumps_s, told = [1004.15, 1011.65, 1019.15], list[LaserScan | WheelOdometry]()
+    jumps_s, stated = [1004.15, 1011.65, 1019.15], list[LaserScan | WheelOdometry]()
     for one in sound():
         if isinstance(one, WheelOdometry):
             turned = gtsam.Pose2(0.0, 0.0, jump_rad * sum(one.stamp_s > at_s for at_s in jumps_s))
             one = replace(one, T_odom_base=turned.compose(one.T_odom_base))
-        told.append(one)
-    assert diagnose(told) == []
+        stated.append(one)
+    assert diagnose(stated) == []
 
 
 def longer(log: Log, factor: float) -> Log:
@@ -99,7 +99,7 @@ def longer(log: Log, factor: float) -> Log:
 
 
 def seated(log: Log, x_m: float) -> Log:
-    """A lidar that is told to sit ahead of where wheels turn by so much."""
+    """A lidar that is stated to sit ahead of where wheels turn by so much."""
     mount = gtsam.Pose2(x_m, 0.0, 0.0)
     return [replace(one, T_base_laser=mount) if isinstance(one, LaserScan) else one for one in log]
 
@@ -115,7 +115,7 @@ def test_ranges_and_wheels_in_one_wrong_unit_are_both_named(unit: float) -> None
     assert diagnose(corrected(longer(sound(), 1.0 / unit), mended)) == []
 
 
-def test_without_a_lever_only_what_no_lidar_reaches_is_told_and_as_perhaps() -> None:
+def test_without_a_lever_only_what_no_lidar_reaches_is_reported_and_as_perhaps() -> None:
     at_once = seated(sound(), 0.0)
     found = diagnose(longer(at_once, 1e3))
     assert [(one.kind, one.sure) for one in found[:2]] == [("range scale", False), ("scale", False)]
@@ -144,12 +144,12 @@ def test_wide_places_are_no_wrong_unit() -> None:
         (lambda one_s: np.floor(one_s), True),
     ],
 )
-def test_stamps_that_tell_no_time_are_named(stamp_s: Callable[[float], float], sure: bool) -> None:
+def test_stamps_that_show_no_time_are_named(stamp_s: Callable[[float], float], sure: bool) -> None:
     found = diagnose([replace(one, stamp_s=float(stamp_s(one.stamp_s))) for one in sound()])
     assert [(one.kind, one.sure) for one in found] == [("stamps", sure)]
 
 
-def test_what_two_sensors_cannot_tell_apart_is_not_sure_and_names_both() -> None:
+def test_what_two_sensors_cannot_distinguish_is_not_sure_and_names_both() -> None:
     for name in ("lidar upside down", "wheels left for right"):
         (finding,) = diagnose(MISTAKES[name].make(sound(), 0.0))
         assert not finding.sure
@@ -174,7 +174,7 @@ def test_a_finding_is_one_line_and_comes_back_from_plain_values() -> None:
         assert finding.interval[0] < finding.value < finding.interval[1]
 
 
-def test_a_drive_without_turns_leaves_open_what_turns_tell() -> None:
+def test_a_drive_without_turns_leaves_open_what_turns_show() -> None:
     straight = [
         one
         for n in range(120)
@@ -188,7 +188,7 @@ def test_a_drive_without_turns_leaves_open_what_turns_tell() -> None:
     assert len(diagnosis.open) == 1
 
 
-def test_a_log_that_tells_little_has_no_finding() -> None:
+def test_a_log_that_shows_little_has_no_finding() -> None:
     for log in ([], sound()[:30], [one for one in sound() if isinstance(one, LaserScan)]):
         assert diagnose(log) == []
 
@@ -229,16 +229,16 @@ def test_short_steps_of_turns_in_place_fit_as_well_as_matches_are(lost_m: float,
     """Two steps in three are a turn in place that swings the lidar 5 cm, by matches that are off 4 mm."""
     rng = np.random.default_rng(1)
     turns = rng.choice([-0.25, 0.25], 90)
-    told = np.where(np.arange(90) % 3, 0.005, 0.22) + 0j
-    lidar = told + 0.2 * (np.exp(1j * turns) - 1.0) + rng.normal(0.0, 0.004, (90, 2)) @ [1.0, 1.0j]
-    told = told + lost_m * rng.normal(0.0, 1.0, (90, 2)) @ [1.0, 1.0j]
-    places, headings = np.stack([0.0 * told, told], axis=1), np.zeros((90, 2))
+    stated = np.where(np.arange(90) % 3, 0.005, 0.22) + 0j
+    lidar = stated + 0.2 * (np.exp(1j * turns) - 1.0) + rng.normal(0.0, 0.004, (90, 2)) @ [1.0, 1.0j]
+    stated = stated + lost_m * rng.normal(0.0, 1.0, (90, 2)) @ [1.0, 1.0j]
+    places, headings = np.stack([0.0 * stated, stated], axis=1), np.zeros((90, 2))
     wheels = WheelSteps(lidar, turns, np.arange(90) // 6, places, headings)
     found = wheels.related(Reading())
     assert found is not None and fits_as_read(wheels, Reading(), found, Config()) == fits
 
 
-def test_a_short_drive_tells_of_blocked_beams() -> None:
+def test_a_short_drive_reports_blocked_beams() -> None:
     """Eight stretches of 2 s have 16 ends, and more than 20 places."""
     rng = np.random.default_rng(1)
     stretches = [
@@ -266,7 +266,7 @@ def tilted(log: Log, at_m: float, bearing_rad: float) -> Log:
 
 
 @pytest.mark.parametrize("wheels", [True, False])
-def test_the_floor_that_a_tilted_lidar_sees_is_told_and_left_out(wheels: bool) -> None:
+def test_the_floor_that_a_tilted_lidar_sees_is_reported_and_left_out(wheels: bool) -> None:
     log = [one for one in tilted(sound(), 2.5, 0.2) if wheels or isinstance(one, LaserScan)]
     (found,) = diagnose(log)
     assert (found.kind, found.sure) == ("floor", True)

@@ -1,4 +1,4 @@
-"""The command: a wrong log is told, its calibration written, and the map made with it is sound."""
+"""The command: a wrong log is reported, its calibration written, and the map made with it is sound."""
 
 from __future__ import annotations
 
@@ -31,13 +31,13 @@ def in_mm(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
-def test_the_doctor_tells_writes_and_the_map_takes_it(
+def test_the_doctor_shows_writes_and_the_map_takes_it(
     scanweave: Scanweave, in_mm: Path, tmp_path: Path
 ) -> None:
     file = tmp_path / "calibration.yaml"
-    told = scanweave("doctor", in_mm, "--write", file)
-    assert told.code == 0
-    assert "its lengths are" in told.out and "upside down" in told.out and f"wrote {file}" in told.out
+    stated = scanweave("doctor", in_mm, "--write", file)
+    assert stated.code == 0
+    assert "its lengths are" in stated.out and "upside down" in stated.out and f"wrote {file}" in stated.out
     assert "# not sure: rotates opposite" in file.read_text()
     found = json.loads(scanweave("doctor", in_mm, "--json").out)
     assert {one["kind"] for one in found["findings"]} == {"scale", "mirrored"} and found["open"] == []

@@ -66,7 +66,7 @@ def test_turn_rates_are_mended(change: Change, said: str, scale: float, wheels: 
     wrong = with_imu(change, wheels=wheels)
     (finding,) = of_imu(wrong)
     assert finding.kind == "turn rates" and finding.value == pytest.approx(scale, rel=0.03)
-    # Without wheels nobody tells whether the lidar is upside down instead.
+    # Without wheels nobody shows whether the lidar is upside down instead.
     assert finding.sure == (wheels or scale > 0.0) and len(finding.remedies) == (1 if finding.sure else 2)
     assert re.search(said, finding.text)
     assert of_imu(list(corrected(wrong, remedied(Calibration(), [finding], only_sure=False)))) == []
@@ -84,7 +84,7 @@ def left_for_right(one: Measurement) -> Measurement:
 
 
 @pytest.mark.parametrize(("mirrored", "kind"), [(upside_down, "lidars"), (left_for_right, "wheels")])
-def test_an_imu_tells_who_is_mirrored(mirrored: Callable[[Measurement], Measurement], kind: str) -> None:
+def test_an_imu_shows_who_is_mirrored(mirrored: Callable[[Measurement], Measurement], kind: str) -> None:
     wrong = [mirrored(one) for one in with_imu(lambda one: one)]
     (finding,) = diagnose(wrong)
     (remedy,) = finding.remedies
@@ -96,7 +96,7 @@ def test_an_imu_tells_who_is_mirrored(mirrored: Callable[[Measurement], Measurem
 
 
 @pytest.mark.parametrize("ahead_s", [0.05, -0.2])
-def test_a_clock_is_told_and_mended(ahead_s: float) -> None:
+def test_a_clock_is_reported_and_mended(ahead_s: float) -> None:
     wrong = with_imu(lambda one: replace(one, stamp_s=one.stamp_s + ahead_s))
     (finding,) = of_imu(wrong)
     low_s, high_s = finding.interval or (0.0, 0.0)

@@ -52,14 +52,14 @@ def test_nothing_is_wrong_with_a_sound_one() -> None:
 
 
 @pytest.mark.parametrize("ahead_s", [0.04, -0.2])
-def test_a_clock_is_told_with_its_interval(ahead_s: float) -> None:
+def test_a_clock_is_reported_with_its_interval(ahead_s: float) -> None:
     found = findings([replace(one, stamp_s=one.stamp_s + ahead_s) for one in SAID])
     assert set(found) == {"clock"}
     low_s, high_s = found["clock"].interval or (0.0, 0.0)
     assert low_s <= ahead_s <= high_s and high_s - low_s < 0.02 and found["clock"].sure
 
 
-def test_a_turn_without_times_tells_a_clock_to_half_of_it() -> None:
+def test_a_turn_without_times_shows_a_clock_to_half_of_it() -> None:
     late = [[replace(one, stamp_s=one.stamp_s + ahead_s) for one in SAID] for ahead_s in (0.04, 0.2)]
     assert findings(late[0], untimed_s=0.1) == {}
     low_s, high_s = findings(late[1], untimed_s=0.1)["clock"].interval or (0.0, 0.0)
@@ -101,7 +101,7 @@ def test_saturation() -> None:
     assert "saturates" in found["saturation"].text
 
 
-def test_one_that_hangs_is_told_and_what_it_repeats_left_out() -> None:
+def test_one_that_hangs_is_reported_and_what_it_repeats_left_out() -> None:
     hung = [*SAID[:1200], *(replace(SAID[1200], stamp_s=one.stamp_s) for one in SAID[1200:])]
     (finding,) = findings(hung).values()
     assert finding.kind == "frozen" and finding.text.startswith("1199 of 2400")
@@ -138,7 +138,7 @@ def test_the_motion_of_turns_is_between_their_middles() -> None:
     assert [step.begun_s for step in found] == pytest.approx([0.05, 0.15])
 
 
-def test_straight_ways_tell_nothing_of_a_clock() -> None:
+def test_straight_ways_show_nothing_of_a_clock() -> None:
     """Where a car turns the matches are off by ten times as much as on its straight way."""
     rows = np.zeros((4000, 7))
     rows[:, 0] = 0.005 * np.arange(4000)
@@ -156,10 +156,10 @@ def test_straight_ways_tell_nothing_of_a_clock() -> None:
         fit = turn_fit(rows, said)
         assert fit is not None
         within += abs(fit.ahead_s) <= half_interval(fit.ahead_sigma_s)
-    assert within >= 14  # with the spread of all steps for that of those which tell, 2
+    assert within >= 14  # with the spread of all steps for that of those with information, 2
 
 
-def test_one_corner_on_a_straight_way_tells_the_clock() -> None:
+def test_one_corner_on_a_straight_way_shows_the_clock() -> None:
     """What is left over of most steps is the same at any time."""
     rows = np.zeros((3000, 7))
     rows[:, 0] = 0.005 * np.arange(3000)
@@ -176,8 +176,8 @@ def test_one_corner_on_a_straight_way_tells_the_clock() -> None:
         assert fit is not None and abs(fit.ahead_s) < 0.005
 
 
-def test_a_clock_that_three_turns_tell_is_as_uncertain_as_three_are() -> None:
-    """Nearly all steps turn evenly and tell no time."""
+def test_a_clock_that_three_turns_show_is_as_uncertain_as_three_are() -> None:
+    """Nearly all steps turn evenly and reveal no time."""
     rng, within = np.random.default_rng(1), 0
     stamps_s = np.arange(0.0, 30.0, 0.005)
     rate = np.interp(
@@ -202,11 +202,11 @@ def test_a_clock_that_three_turns_tell_is_as_uncertain_as_three_are() -> None:
         fit = turn_fit(rows, said)
         assert fit is not None
         within += abs(fit.ahead_s) <= half_interval(fit.ahead_sigma_s)
-    assert within >= 24  # as a normal interval 20: errors of so few are still told a little too small
+    assert within >= 24  # as a normal interval 20: errors of so few are still estimated a little too small
 
 
 @pytest.mark.parametrize("seed", range(6))
-def test_a_robot_that_hardly_turns_tells_of_no_mounting(seed: int) -> None:
+def test_a_robot_that_hardly_turns_reports_no_mounting(seed: int) -> None:
     rng = np.random.default_rng(seed)
     swaying = 3e-3 * np.cumsum(rng.standard_normal((110, 3)), axis=0)
     straight = [
@@ -249,7 +249,7 @@ def test_only_stretches_that_are_kept_are_matched() -> None:
     assert len(samples.steps) == len(samples.points) and not samples.clouds
 
 
-def test_a_clock_is_not_told_of_turns_that_nothing_explains() -> None:
+def test_no_clock_is_reported_for_turns_that_nothing_explains() -> None:
     assert "clock" not in findings([replace(one, stamp_s=one.stamp_s + 1.0) for one in SAID])
 
 

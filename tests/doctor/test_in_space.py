@@ -52,9 +52,9 @@ def camera_at(yaw: float = 0.0, pitch: float = 0.2, place: tuple[float, float, f
 
 
 def seen_moving(
-    true: gtsam.Pose3, told: gtsam.Pose3, *, scale: float = 1.0, late_s: float = 0.0, certain: bool = True
+    true: gtsam.Pose3, stated: gtsam.Pose3, *, scale: float = 1.0, late_s: float = 0.0, certain: bool = True
 ) -> tuple[Base, Seen]:
-    """A camera that moves as it truly sits, with noise, and is told to sit elsewhere."""
+    """A camera that moves as it truly sits, with noise, and is stated to sit elsewhere."""
     rows, rng = base_rows(), np.random.default_rng(1)
     samples = CameraSamples()
     poses = [gtsam.Pose3(gtsam.Pose2(*row[1:])).compose(true) for row in rows]
@@ -66,11 +66,11 @@ def seen_moving(
         steps.append(SensorStep(rows[k, 0] + late_s, rows[k + 1, 0] + late_s, gtsam.Pose3(turn, shift)))
     samples.steps = [steps]
     base = Base("odometry", BaseTrack(rows), certain)
-    return base, seen_by("cameras", "camera", samples, told, base)
+    return base, seen_by("cameras", "camera", samples, stated, base)
 
 
-def found(true: gtsam.Pose3, told: gtsam.Pose3, **more: float) -> list[Finding]:
-    base, seen = seen_moving(true, told, **more)  # type: ignore[arg-type]
+def found(true: gtsam.Pose3, stated: gtsam.Pose3, **more: float) -> list[Finding]:
+    base, seen = seen_moving(true, stated, **more)  # type: ignore[arg-type]
     return findings_against(base, [seen], frozenset())
 
 
@@ -80,10 +80,10 @@ def mended(findings: list[Finding], frame: RgbdFrame) -> RgbdFrame:
     return after
 
 
-def frame(told: gtsam.Pose3 | None = None) -> RgbdFrame:
+def frame(stated: gtsam.Pose3 | None = None) -> RgbdFrame:
     color = np.arange(4 * 6 * 3, dtype=np.uint8).reshape(4, 6, 3)
     lens = CameraIntrinsics(5.0, 5.0, 2.0, 1.5, 6, 4)
-    return RgbdFrame(1.0, color, np.full((4, 6), 2.0, np.float32), lens, told)
+    return RgbdFrame(1.0, color, np.full((4, 6), 2.0, np.float32), lens, stated)
 
 
 def test_a_sound_camera_gives_no_finding() -> None:
@@ -92,7 +92,7 @@ def test_a_sound_camera_gives_no_finding() -> None:
 
 
 @pytest.mark.parametrize(
-    "told",
+    "stated",
     [
         camera_at(math.radians(10.0)),
         camera_at(math.pi),
@@ -101,10 +101,10 @@ def test_a_sound_camera_gives_no_finding() -> None:
         gtsam.Pose3(gtsam.Rot3.Roll(2.5), np.zeros(3)).compose(camera_at()),
     ],
 )
-def test_a_wrong_mounting_is_named_and_mended(told: gtsam.Pose3) -> None:
-    (finding,) = found(camera_at(), told)
+def test_a_wrong_mounting_is_named_and_mended(stated: gtsam.Pose3) -> None:
+    (finding,) = found(camera_at(), stated)
     assert finding.kind == "mounting" and finding.sure
-    after = mended([finding], frame(told)).T_base_camera
+    after = mended([finding], frame(stated)).T_base_camera
     assert after is not None
     step = gtsam.Pose3.Logmap(after.between(camera_at()))
     assert (
@@ -143,7 +143,7 @@ def test_two_sensors_that_agree_blame_the_wheels() -> None:
     )
 
 
-def test_mirrored_images_are_told_from_a_camera_on_its_head() -> None:
+def test_mirrored_images_are_distinguished_from_a_camera_on_its_head() -> None:
     mirror = np.diag([-1.0, 1.0, 1.0])
     base, seen = seen_moving(camera_at(), camera_at())
     assert seen.fit is not None
@@ -292,7 +292,7 @@ def test_times_of_points_that_cannot_be_are_named(turn_s: float, scale: float) -
     assert after.times_s == pytest.approx([0.0, 0.1], rel=0.03)
 
 
-def test_clouds_of_a_few_points_tell_no_times() -> None:
+def test_clouds_of_a_few_points_show_no_times() -> None:
     samples = CloudSamples()
     for n in range(60):
         count, rng = 1600 if n % 3 == 0 else 20, np.random.default_rng(n)
@@ -307,7 +307,7 @@ def turns(stamps_s: list[float], turn_s: float) -> list[PointCloud]:
 
 
 @pytest.mark.parametrize("apart_s", [0.03, 0.01])
-def test_a_second_lidar_under_the_same_name_is_told_and_left_out(apart_s: float) -> None:
+def test_a_second_lidar_under_the_same_name_is_reported_and_left_out(apart_s: float) -> None:
     """Also where it starts so soon after the first as if times were ten times too long."""
     log = turns([0.1 * (n // 2) + apart_s * (n % 2) for n in range(80)], 0.1)
     (finding,) = [one for one in diagnose(log) if one.kind == "several lidars"]
@@ -365,11 +365,11 @@ def test_wheels_that_may_take_left_for_right_judge_no_camera() -> None:
         assert (rows is not None) == known
 
 
-def tilted_samples(told: gtsam.Pose3, true: gtsam.Pose3) -> CloudSamples:
+def tilted_samples(stated: gtsam.Pose3, true: gtsam.Pose3) -> CloudSamples:
     """A lidar of a robot in a room with a floor, its mounting in the log and the true one."""
     rows, rng = base_rows(), np.random.default_rng(3)
     poses = [gtsam.Pose3(gtsam.Pose2(*row[1:])).compose(true) for row in rows[:100]]
-    samples = CloudSamples(T_base_lidar=told)
+    samples = CloudSamples(T_base_lidar=stated)
     pairs = zip(rows, poses[:-1], poses[1:], strict=False)
     samples.steps = [[SensorStep(row[0], row[0] + 0.1, one.between(other)) for row, one, other in pairs]]
     floor = np.column_stack([rng.uniform(-4, 4, (3000, 2)), rng.normal(0.0, 0.01, 3000)])
@@ -382,9 +382,9 @@ def tilted_samples(told: gtsam.Pose3, true: gtsam.Pose3) -> CloudSamples:
 
 @pytest.mark.parametrize("turn", [gtsam.Rot3.Pitch(0.6), gtsam.Rot3.Roll(-0.3), gtsam.Rot3.Roll(math.pi)])
 def test_a_tilted_lidar_is_mended_by_its_rotations_and_the_floor(turn: gtsam.Rot3) -> None:
-    told = gtsam.Pose3(gtsam.Rot3(), np.array(PLACE))
+    stated = gtsam.Pose3(gtsam.Rot3(), np.array(PLACE))
     true = gtsam.Pose3(turn, np.array(PLACE))
-    samples = tilted_samples(told, true)
+    samples = tilted_samples(stated, true)
     (finding,) = stood_up("lidar", samples)
     assert finding.sure
     assert samples.T_base_lidar.equals(true, 0.02)

@@ -1,4 +1,4 @@
-"""Wheels that tell speed without its sign are told of where the robot backs up, and only there."""
+"""Wheels that measure speed without its sign are corrected where the robot backs up, and only there."""
 
 from __future__ import annotations
 
@@ -65,13 +65,13 @@ def test_wheels_that_roll_back_have_their_sign(to_and_fro: Log) -> None:
     assert diagnose(to_and_fro) == []
 
 
-def test_wheels_that_never_roll_back_are_told_of(to_and_fro: Log) -> None:
+def test_wheels_that_never_roll_back_are_reported(to_and_fro: Log) -> None:
     (finding,) = diagnose(list(without_sign(to_and_fro)))
     assert finding.kind == "lost sign" and finding.sure and not finding.remedies
     assert "never goes backward" in finding.line
 
 
-def test_the_mapper_is_told_as_well(to_and_fro: Log, tmp_path: Path) -> None:
+def test_the_mapper_is_reported_as_well(to_and_fro: Log, tmp_path: Path) -> None:
     """What the doctor reads more than once the mapper hands it whole each time."""
 
     class Drive(list[Measurement]):
@@ -82,7 +82,7 @@ def test_the_mapper_is_told_as_well(to_and_fro: Log, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("rate_hz", [5.0, 20.0, 200.0])
-def test_a_stop_is_one_by_time_however_often_the_wheels_tell(rate_hz: float) -> None:
+def test_a_stop_is_one_by_time_however_often_the_wheels_report(rate_hz: float) -> None:
     """A robot at 0.3 m/s that stops for a second each 4 s leaves five stops in 20 s, and never else."""
     stamps_s = np.arange(0.0, 20.0, 1.0 / rate_hz)
     speed = np.where(stamps_s % 4.0 < 1.0, 0.0, 0.3)

@@ -61,7 +61,7 @@ def test_the_walls_of_a_narrow_corridor_are_no_body(half_width_m: float) -> None
     assert body_reach_m(clouds, UP, Config()) == 0.0
 
 
-def test_few_places_or_one_tell_of_no_body() -> None:
+def test_few_places_or_one_show_no_body() -> None:
     assert body_reach_m([], UP, Config()) == 0.0
     assert body_reach_m([np.zeros((0, 3), np.float32)], UP, Config()) == 0.0
     assert body_reach_m([seen(number, body=True) for number in range(15)], UP, Config()) == 0.0

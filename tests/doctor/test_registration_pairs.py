@@ -33,7 +33,7 @@ def frame(number: int, *, beside: bool, every_s: float = 0.21) -> RgbdFrame:
 
 
 @pytest.mark.parametrize("beside", [True, False])
-def test_a_short_log_tells_where_its_colour_camera_sits(beside: bool) -> None:
+def test_a_short_log_shows_where_its_colour_camera_sits(beside: bool) -> None:
     frames = [frame(number, beside=beside) for number in range(SHORT)]
     found = registrations_of(frames, ["camera"], load_config(None))["camera"]
     assert found.accepted == beside, found.reason
@@ -56,11 +56,11 @@ def test_of_a_fast_camera_every_frame_is_looked_at() -> None:
 
 @pytest.mark.skipif(not REDKITCHEN.is_dir(), reason=f"REAL LOG ABSENT, not tested: {REDKITCHEN}")
 @pytest.mark.parametrize("first", [0, 300, 450])
-def test_fifty_frames_of_a_kinect_tell_that_its_colour_is_not_registered(first: int, tmp_path: Path) -> None:
+def test_fifty_frames_of_a_kinect_show_that_its_colour_is_not_registered(first: int, tmp_path: Path) -> None:
     for file in REDKITCHEN.iterdir():
         if not file.name.startswith("frame-") or first <= int(file.name[6:12]) < first + 50:
             (tmp_path / file.name).symlink_to(file)
     (found,) = registrations_of(open_dataset(tmp_path), ["camera"], load_config(None)).values()
     assert found.accepted, found.reason
-    # 529 px by the whole log, 585 if colour were registered. Of ten such windows nine tell it.
+    # 529 px by the whole log, 585 if colour were registered. Nine of ten such windows give the same.
     assert found.intrinsics_color.fx == pytest.approx(529.0, abs=14.0)

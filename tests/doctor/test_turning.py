@@ -1,4 +1,4 @@
-"""A spinning lidar whose points tell no times: its turn is found by what the lidar's motion bends."""
+"""A spinning lidar whose points have no times: its turn is found by what the lidar's motion bends."""
 
 from __future__ import annotations
 
@@ -87,7 +87,7 @@ def test_clouds_that_were_seen_at_once_have_no_turn() -> None:
     assert turn_of(stretches(clouds(0.0, 180.0)), INTERVAL_S, Config()) is None
 
 
-def test_what_sees_a_part_of_the_circle_tells_its_turn_where_that_shows() -> None:
+def test_what_sees_a_part_of_the_circle_shows_its_turn_where_that_shows() -> None:
     behind = [
         replace(one, points_lidar=one.points_lidar[one.points_lidar[:, 0] < 0.0])
         for one in clouds(-0.1, 180.0, 84)
@@ -101,7 +101,7 @@ def test_what_sees_a_part_of_the_circle_tells_its_turn_where_that_shows() -> Non
     assert turn_of(stretches(ahead), INTERVAL_S, Config()) is None
 
 
-def test_four_seconds_tell_a_turn() -> None:
+def test_four_seconds_show_a_turn() -> None:
     turn = turn_of(stretches(clouds(-0.1, 180.0, 42)), INTERVAL_S, Config())
     assert turn is not None and turn.turn_s == pytest.approx(-0.1)
 
@@ -119,7 +119,7 @@ def test_times_that_run_backward_or_are_of_another_unit_are_found(scale: float, 
         assert np.allclose(one.times_s, true.times_s)
 
 
-def test_of_nothing_no_turn_is_told() -> None:
+def test_of_nothing_no_turn_is_reported() -> None:
     assert turn_of([], INTERVAL_S, Config()) is None
     still = clouds(-0.1, 180.0, 1)
     assert turn_of([still * 5], INTERVAL_S, Config()) is None
@@ -127,7 +127,7 @@ def test_of_nothing_no_turn_is_told() -> None:
     assert turn_of([[empty] * 5], 0.0, Config()) is None
 
 
-def test_the_doctor_tells_the_turn_and_its_remedy_times_the_points() -> None:
+def test_the_doctor_shows_the_turn_and_its_remedy_times_the_points() -> None:
     samples = CloudSamples()
     for cloud in clouds(-0.1, 180.0):
         samples.add(cloud)
@@ -136,12 +136,12 @@ def test_the_doctor_tells_the_turn_and_its_remedy_times_the_points() -> None:
     (finding,) = cloud_findings("lidar", samples)
     assert finding.kind == "turn" and finding.sure
     assert "0.100 s, clockwise" in finding.text
-    told = CloudCorrection.model_validate(finding.remedies[0]["lidars_3d"]["lidar"])
+    stated = CloudCorrection.model_validate(finding.remedies[0]["lidars_3d"]["lidar"])
     # Its start, middle and end are equally likely.
-    assert told.clock_sigma_s == pytest.approx(0.1 * math.sqrt(2 / 3 * 0.5**2), rel=0.02)
+    assert stated.clock_sigma_s == pytest.approx(0.1 * math.sqrt(2 / 3 * 0.5**2), rel=0.02)
     ahead, left, behind, odd = np.array([[5, 0, 0], [0, 5, 0], [-5, -0.1, 0], [np.nan, 1, 1]], np.float32)
     cloud = PointCloud(1.0, np.stack([ahead, left, behind, odd]), None)
-    times_s = corrected_cloud(told, cloud).times_s
+    times_s = corrected_cloud(stated, cloud).times_s
     assert times_s == pytest.approx([0.0, -0.025, -0.05 + 0.1, 0.0], abs=0.006)
 
 
@@ -162,7 +162,7 @@ def test_localisation_straightens_clouds_as_mapping_does(tmp_path: Path) -> None
     assert np.linalg.norm(found.positions_m - driven.positions_m[both], axis=1).max() < 0.04
 
 
-def test_a_lidar_that_tells_times_is_left_alone() -> None:
+def test_a_lidar_that_shows_times_is_left_alone() -> None:
     times_s = np.array([0.0, 0.1])
     cloud = PointCloud(1.0, np.array([[1, 0, 0], [0, 1, 0]], np.float32), times_s)
     found = corrected_cloud(CloudCorrection(turn_s=-0.1), cloud)

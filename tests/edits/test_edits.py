@@ -219,6 +219,15 @@ def test_what_takes_the_log_is_refused_by_its_name(house: Map) -> None:
     assert sum(factor.kept for factor in doubting.factors) < sum(factor.kept for factor in house.factors)
 
 
+def test_a_setting_that_later_versions_lack_is_not_applied_again(
+    house: Map, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    fine = house.remap(["grid.resolution_m=0.1", "layers.climb_m=0.02"])
+    monkeypatch.setattr("slam.storage.map_edits._REMOVED", ("layers.climb_m=",))
+    with load_map(fine.path) as again:
+        assert again.contents.edits[0].settings == ("grid.resolution_m=0.1",)
+
+
 def test_no_step_of_an_edited_map_is_forgotten_when_it_is_resumed(house: Map, tmp_path: Path) -> None:
     """A finished map that is resumed stays as it is, other settings and all."""
     fine = house.remap(["grid.resolution_m=0.1"], out=tmp_path)

@@ -82,7 +82,7 @@ def test_every_kind_of_map_is_made_anew_turned_and_undone(kind: str, request: py
 
 
 def test_a_map_that_is_turned_keeps_the_error_of_a_clock_in_its_covariances(robot: Map) -> None:
-    """As if a camera alone had led; beside it what the same map tells of a lidar."""
+    """As if a camera alone had led; beside it what the same map reports of a lidar."""
     learned = {"camera": LearnedCamera(clock_offset_s=0.02, clock_sigma_s=0.05)}
     alone = replace(robot.contents, measured_scans=(), cameras=learned)
     turns, config = [AppliedEdits("", turned=gtsam.Pose2(0.0, 0.0, 1.0))], load_config(None, PLAIN)
@@ -178,12 +178,12 @@ def test_the_commands(scanweave: Scanweave, tmp_path: Path) -> None:
     log = write_synthetic_log(tmp_path / "log", duration_s=12.0).log_path
     slam.map_log(log, out=tmp_path / "map").close()
     before = (tmp_path / "map" / "map.db").read_bytes()
-    told = (tmp_path / "map" / "report.html").read_bytes()
+    stated = (tmp_path / "map" / "report.html").read_bytes()
     (tmp_path / "edits.yaml").write_text("turn: {to_walls: true}\nplaces: [{name: dock, position: [0, 0]}]\n")
     done = scanweave("edit", tmp_path / "map", tmp_path / "edits.yaml")
     assert done.code == 0 and "edits: 1" in done.out, done
     # The page shows the map as it is now; that of the run is kept as its session's.
-    assert (tmp_path / "map" / "report-1.html").read_bytes() == told
+    assert (tmp_path / "map" / "report-1.html").read_bytes() == stated
     page, edited = (tmp_path / "map" / "report.html").read_text(), slam.load_map(tmp_path / "map")
     assert edited.digest[:12] in page
     edited.close()

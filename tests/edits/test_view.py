@@ -89,7 +89,7 @@ def test_it_listens_to_this_machine_alone_and_ends_by_ctrl_c(served: Served) -> 
     assert process.returncode == 0 and not err
 
 
-def test_without_the_extra_one_line_tells_it(served: Served, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_without_the_extra_one_line_shows_it(served: Served, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "starlette.applications", None)
     with pytest.raises(LibraryError, match=r"pip install 'scanweave\[view\]'"):
         application(served.view, "secret", 1)

@@ -12,8 +12,7 @@ from slam.errors import EvaluationError
 from slam.estimates import Trajectory
 from slam.evaluation.coverage import coverage
 from slam.measurements import FloatArray
-from slam.storage.covariances import write_trajectory
-from slam.storage.tum import write_tum
+from slam.storage.tum import write_trajectory, write_tum
 
 COUNT = 2000
 SIGMAS = np.array([0.1, 0.02, 0.01])
@@ -81,7 +80,7 @@ def test_an_error_of_all_poses_is_no_error_of_alignment() -> None:
     assert coverage(Trajectory.from_planar(way().stamps_s, bent), sure, way(), 0.05).yaw == 0.0
 
 
-def test_a_way_turned_far_about_its_beginning_lies_within_what_the_turn_was_told() -> None:
+def test_a_way_turned_far_about_its_beginning_lies_within_the_uncertainty_of_the_turn() -> None:
     poses, turn = way(), Rotation.from_euler("z", 0.4)
     bent = Trajectory(
         poses.stamps_s,

@@ -1,4 +1,4 @@
-"""What the report tells of scans and depth images that repaired each other, and of a robot's cameras."""
+"""What the report shows of scans and depth images that repaired each other, and of a robot's cameras."""
 
 from __future__ import annotations
 
@@ -82,7 +82,7 @@ def page(fused: FusionSummary | None, folder: Path) -> str:
     return (folder / "report.html").read_text(encoding="utf-8")
 
 
-def test_a_run_with_fusion_tells_of_it(tmp_path: Path) -> None:
+def test_a_run_with_fusion_reports_it(tmp_path: Path) -> None:
     html = page(summary(), tmp_path)
     reported = html[html.index("<h2>Fusion of lidar and depth (Xu2024)") :].split("</section>")[0]
     assert "fusion of &lt;8&gt; keyframes" in reported and "7 of 8 pairs were repaired." in reported
@@ -99,7 +99,7 @@ def test_pairs_are_counted_by_grade_and_held_against_the_rig() -> None:
     assert "<tr><td>low<td>1<td>12%<td>50.0\n" in html
 
 
-def test_where_the_rig_was_not_told_only_the_pairs_are_shown() -> None:
+def test_where_the_rig_was_not_estimated_only_the_pairs_are_shown() -> None:
     html = fusion_section(summary(repaired=False, estimate=None))
     assert "<tr><td>high<td>4<td>50%<td>–\n" in html and "<tr><td>low<td>1<td>12%<td>–\n" in html
     assert "were repaired" not in html
@@ -110,7 +110,7 @@ def test_without_a_pair_the_note_stands_alone() -> None:
     assert "no pair at all" in html and "<table" not in html
 
 
-def test_what_became_of_every_camera_of_a_robot_is_told() -> None:
+def test_what_became_of_every_camera_of_a_robot_is_reported() -> None:
     """Eight frames of one camera, of which the last two see nothing; two of another."""
     mount = gtsam.Pose3(T_BODY_CAMERA.rotation(), np.array([0.1, 0.0, 1.1]))
     refused = identity_registration(LESS, "no clear gain")

@@ -54,7 +54,7 @@ def test_what_is_packed_comes_out() -> None:
     assert packed(given) == packed(given)
 
 
-def test_the_graph_is_told_as_it_is() -> None:
+def test_the_graph_is_reported_as_it_is() -> None:
     made = contents()
     data = map_data(made, Config(), title="log")
     edges, loops = data["edges"], data["loops"]
@@ -77,7 +77,7 @@ def test_the_graph_is_told_as_it_is() -> None:
     np.testing.assert_allclose([place.x(), place.y()], made.keyframe_poses[loop.keyframe, :2], atol=1e-9)
 
 
-def test_what_fusion_changed_is_told_by_kind() -> None:
+def test_what_fusion_changed_is_reported_by_kind() -> None:
     scan = sweep(room(), [0.0, 0.0, 0.0], beams=5)
     lost = replace(scan, ranges_m=np.array([np.inf, 2.0, 2.0, 2.0, np.nan], np.float32))
     mended = replace(scan, ranges_m=np.array([1.0, 2.0, 3.0, 2.0, np.nan], np.float32))
@@ -124,8 +124,8 @@ def test_a_saved_map_has_its_page_without_its_run(tmp_path: Path) -> None:
     data = page_data(html)
     assert data["digest"] == house.digest and "connect-src &#39;self&#39;" in html
     np.testing.assert_allclose(data["nodes"]["bases"], house.keyframe_poses)
-    told = page_data((tmp_path / "map" / "report.html").read_text())
-    assert told["digest"] == house.digest and told["layers"] == data["layers"]
+    stated = page_data((tmp_path / "map" / "report.html").read_text())
+    assert stated["digest"] == house.digest and stated["layers"] == data["layers"]
     house.close()
 
 

@@ -34,7 +34,7 @@ def page(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def sound(seen: Visit, page: Path) -> None:
     """Nothing was asked of the outside, nothing was complained of, no foreign script ran."""
-    # A blob is made by the page itself; whether loading one is told goes by the moment.
+    # A blob is made by the page itself; whether loading one is reported goes by the moment.
     assert [url for url in seen.requests if not url.startswith("blob:")] == [page.resolve().as_uri()]
     assert seen.complaints == []
 
@@ -89,7 +89,7 @@ def test_every_control_does_something(page: Path) -> None:
     sound(seen, page)
 
 
-def test_loops_are_sorted_selected_and_told(page: Path) -> None:
+def test_loops_are_sorted_selected_and_reported(page: Path) -> None:
     with visit(page) as seen:
         ready(seen)
         seen.page.get_by_role("tab", name="Loops").click()
@@ -105,9 +105,11 @@ def test_loops_are_sorted_selected_and_told(page: Path) -> None:
         seen.page.select_option("#loops-shown", "refused")
         seen.click(".rows .row")
         assert seen.value(SELECTED) == "loop"
-        told = seen.page.locator("#panel-details").inner_text()
+        stated = seen.page.locator("#panel-details").inner_text()
         assert (
-            "refused: </script><script>window.harmed" in told and "\x1b" not in told and "in sigmas" in told
+            "refused: </script><script>window.harmed" in stated
+            and "\x1b" not in stated
+            and "in sigmas" in stated
         )
         # Both scans over each other, in three ways: pictures that differ.
         seen.value(

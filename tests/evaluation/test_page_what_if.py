@@ -90,7 +90,7 @@ def select_loop(page: Any, number: int) -> None:
     page.evaluate("index => Scanweave.select.set({kind: 'loop', index})", number)
 
 
-def told(page: Any) -> str:
+def stated(page: Any) -> str:
     """What the tab says."""
     text: str = page.inner_text("#panel-what-if")
     return text
@@ -101,7 +101,7 @@ def edits(page: Any) -> Any:
     return yaml.safe_load(page.evaluate("Scanweave.editsText()"))
 
 
-def test_a_loop_switched_off_moves_the_map_as_told_and_back(page: Any) -> None:
+def test_a_loop_switched_off_moves_the_map_as_stated_and_back(page: Any) -> None:
     found = contents()
     number = len(found.loops) - 2
     select_loop(page, number)
@@ -115,7 +115,7 @@ def test_a_loop_switched_off_moves_the_map_as_told_and_back(page: Any) -> None:
         for a, b in zip(exact, found.node_poses, strict=True)
     )
     assert shift > 0.1
-    assert f"moved by at most {shift:.2f} m" in told(page)
+    assert f"moved by at most {shift:.2f} m" in stated(page)
     shown = np.array(page.evaluate("Array.from(Scanweave.plan.poses)")).reshape(-1, 3)
     assert shown[:, :2] == pytest.approx(np.array([pose.translation() for pose in exact]), abs=1e-4)
     pair = [{"session": 1, "reading": 10 * node} for node in FALSE]
@@ -139,7 +139,7 @@ def test_a_refused_loop_is_forced_on_by_a_key(page: Any) -> None:
 def test_the_worst_are_switched_off_until_none_is_doubtful(page: Any) -> None:
     tab(page, "What if")
     # The false loop bends the map so that true ones are doubtful, too; it is the worst.
-    assert "Doubtful loops: 6\noff frame 50 – frame 300" in told(page)
+    assert "Doubtful loops: 6\noff frame 50 – frame 300" in stated(page)
     page.click("#snoop")
     page.wait_for_selector("text=Doubtful loops: 0")
     pair = [{"session": 1, "reading": 10 * node} for node in FALSE]
@@ -155,11 +155,11 @@ def test_a_step_that_alone_holds_the_map_says_so(page: Any) -> None:
     page.evaluate("Scanweave.select.set({kind: 'edge', index: 0})")
     page.click(".what-if .switch")
     tab(page, "What if")
-    assert "Changes to odometry edges are not saved" in told(page)
+    assert "Changes to odometry edges are not saved" in stated(page)
     assert edits(page) is None
     page.click("#what-if-reset")
     page.evaluate("Scanweave.whatIf.on.fill(0); Scanweave.whatIf.update()")
-    assert "would be disconnected" in told(page)
+    assert "would be disconnected" in stated(page)
     page.click("#what-if-reset")
 
 

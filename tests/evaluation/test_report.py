@@ -1,4 +1,4 @@
-"""The report is one file, tells every loop, escapes every text and draws the map the right way up."""
+"""The report is one file, shows every loop, escapes every text and draws the map the right way up."""
 
 from __future__ import annotations
 
@@ -124,7 +124,7 @@ def written(tmp_path: Path):
     return write
 
 
-def test_the_page_tells_what_it_was_given(data: ReportData, written) -> None:
+def test_the_page_shows_what_it_was_given(data: ReportData, written) -> None:
     text = Page(written(data)).text
     expected = ["fr079.log.gz", "2.0 m", "2 min 05 s", "7.9 s", "6.2 s", "20.0 ×", " MB", "1 of 2"]
     expected += [

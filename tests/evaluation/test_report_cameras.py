@@ -1,4 +1,4 @@
-"""What the report tells of cameras: frames not scans, losses, the truth, and the cloud the right way up."""
+"""What the report shows of cameras: frames not scans, losses, the truth, and the cloud the right way up."""
 
 from __future__ import annotations
 
@@ -91,14 +91,14 @@ def page(run: MapResult, folder: Path, beside: Beside = Beside()) -> str:  # noq
     return (folder / "report.html").read_text(encoding="utf-8")
 
 
-@pytest.mark.parametrize(("fitted", "told"), [(1, True), (5, False)])
-def test_places_that_do_not_fit_are_told(fitted: int, told: bool) -> None:
+@pytest.mark.parametrize(("fitted", "stated"), [(1, True), (5, False)])
+def test_places_that_do_not_fit_are_reported(fitted: int, stated: bool) -> None:
     loops = [LoopCandidate(0, 2, 0.1, 0.1, 1.0, None, number < fitted, "") for number in range(15)]
     run = replace(result(), map=replace(result().map, loops=loops))
-    assert any("of the 15 revisited places" in line for line in report(run).warnings) == told
+    assert any("of the 15 revisited places" in line for line in report(run).warnings) == stated
 
 
-def test_a_map_by_cameras_is_told_in_frames(tmp_path: Path) -> None:
+def test_a_map_by_cameras_is_reported_in_frames(tmp_path: Path) -> None:
     html = page(result(lost=slice(20, 27)), tmp_path)
     assert "<dt>frames</dt><dd>100</dd>" in html and "median time per frame" in html
     assert "<dt>scans" not in html
@@ -107,7 +107,7 @@ def test_a_map_by_cameras_is_told_in_frames(tmp_path: Path) -> None:
     assert "<h2>Trajectory</h2>" in html
 
 
-def test_a_map_by_lidar_is_told_in_scans(tmp_path: Path) -> None:
+def test_a_map_by_lidar_is_reported_in_scans(tmp_path: Path) -> None:
     html = page(replace(result(gtsam.Pose2(), EdgeKind.LIDAR), cameras={}), tmp_path)
     assert "<dt>scans</dt><dd>100</dd>" in html
     assert "<h2>Cameras" not in html
@@ -125,12 +125,12 @@ def test_a_map_by_lidar_is_told_in_scans(tmp_path: Path) -> None:
         (EdgeKind.WHEEL, True, "30 of 100 scans matched nothing; their motion is from dead reckoning."),
     ],
 )
-def test_dead_reckoning_is_what_no_camera_told(kind: EdgeKind, keep: bool, expected: str) -> None:
+def test_dead_reckoning_is_what_no_camera_measured(kind: EdgeKind, keep: bool, expected: str) -> None:
     run = result(gtsam.Pose2(), kind, lost=slice(60, 90), keep=keep)
     assert report(run).warnings == [expected]
 
 
-def test_only_the_steps_that_cameras_told_are_theirs() -> None:
+def test_only_the_steps_that_cameras_measured_are_theirs() -> None:
     run = result(gtsam.Pose2(), lost=slice(30, 60))
     first, *others = run.map.factors
     first = replace(first, edge=replace(first.edge, kind=EdgeKind.WHEEL))
@@ -141,7 +141,7 @@ def test_only_the_steps_that_cameras_told_are_theirs() -> None:
     ]
 
 
-def test_a_registration_is_told_with_its_reason(tmp_path: Path) -> None:
+def test_a_registration_is_reported_with_its_reason(tmp_path: Path) -> None:
     refused = identity_registration(LENS, "taken as registered: <no clear gain>")
     record = CameraRecord(frames(), motions=1234, refused_motions=56, learned=LearnedCamera(refused))
     html = page(replace(result(), cameras={"left": record}), tmp_path)

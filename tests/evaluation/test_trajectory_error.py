@@ -8,8 +8,7 @@ from scipy.spatial.transform import Rotation
 
 from slam.errors import EvaluationError
 from slam.estimates import Trajectory
-from slam.evaluation.alignment import umeyama
-from slam.evaluation.association import nearest_indices
+from slam.evaluation.alignment import nearest_indices, umeyama
 from slam.evaluation.trajectory_error import absolute_error, associate, relative_error
 
 with warnings.catch_warnings():

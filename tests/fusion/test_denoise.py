@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 
 import fusion
 from fusion.alignment import Alignment, planar
-from fusion.native_slice import native_slice
+from fusion.panorama import native_slice
 from fusion.reprojection import reproject, smooth, without_bumps
 
 OFFSET = (0.1, 0.02)
@@ -87,8 +87,8 @@ def test_a_line_over_a_hole_must_be_likely_for_both_of_its_ends():
     ranges = scan.ranges_m.copy()
     ranges[3] = np.inf  # behind the camera's back
     broken = with_ranges(scan, ranges)
-    told = float(fusion.denoise(broken, image, RIG, least_probability=0.5).lidar_probability[3])
-    for least, source in ((0.999 * told**2, INTERPOLATED), (told, HOLE)):
+    stated = float(fusion.denoise(broken, image, RIG, least_probability=0.5).lidar_probability[3])
+    for least, source in ((0.999 * stated**2, INTERPOLATED), (stated, HOLE)):
         assert fusion.denoise(broken, image, RIG, least_probability=least).lidar_source[3] == source
 
 
@@ -100,7 +100,7 @@ def test_a_burr_of_the_lidar_is_replaced(length, off):
     ranges = scan.ranges_m.copy()
     ranges[at : at + length] += np.float32(off)
     result = fusion.denoise(with_ranges(scan, ranges), image, RIG)
-    # Of three (0.41 to 0.43 m off) one may be told a little less than 0.95, and stays.
+    # Of three (0.41 to 0.43 m off) one may get a little less than 0.95, and stays.
     replaced = at + np.flatnonzero(result.lidar_source[at : at + length] == FILLED)
     assert len(replaced) > length / 2
     assert result.ranges_m[replaced] == pytest.approx(scan.ranges_m[replaced], abs=0.03)

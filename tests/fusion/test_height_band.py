@@ -51,7 +51,8 @@ def test_the_radius_filter_drops_the_lone_and_keeps_the_dense():
     assert dense_enough(points[:0], 0.025, 4).size == 0
     # A voxel's own doubles do not vouch for it once it is thinned.
     double = np.repeat(points[-1:], 50, axis=0)
-    assert len(obstacle_points(double, HeightBand(0.0, 2.0, 0.0), voxel_m=0.01)) == 0
+    filters = {"radius_m": 0.04, "least_neighbours": 6, "voxel_m": 0.01}
+    assert len(obstacle_points(double, HeightBand(0.0, 2.0, 0.0), **filters)) == 0
     assert len(thin_to_voxels(np.concatenate([double, patch]), 0.01)) == 101
 
 

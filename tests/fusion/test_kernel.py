@@ -114,8 +114,8 @@ def test_other_programs_kernels_are_kept_as_ever() -> None:
 def test_what_another_process_compiles_is_waited_for(folder: Path) -> None:
     """Two begin at once, and one of them compiles."""
     loaded(folder, 10, "+")
-    told = "import sys, caller_of_kernel as c; print(c.grown(1), sum(c.grown.stats.cache_misses.values()))"
-    code = f"import sys; sys.path[:0] = {[str(folder), str(Path.cwd())]!r}; {told}"
+    stated = "import sys, caller_of_kernel as c; print(c.grown(1), sum(c.grown.stats.cache_misses.values()))"
+    code = f"import sys; sys.path[:0] = {[str(folder), str(Path.cwd())]!r}; {stated}"
     where = {**os.environ, "NUMBA_CACHE_DIR": str(folder / "cache")}
     both = [
         subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, text=True, env=where)

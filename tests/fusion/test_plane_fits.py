@@ -9,8 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from fusion.alignment import planar
-from fusion.rigid_fit import moved, residuals, rigid_fit, rigid_motion
+from fusion.alignment import moved, planar, residuals, rigid_fit, rigid_motion
 from tools.xu2024_homography import fit, homography_dlt, is_degenerate
 
 HOMOGRAPHY = np.array([[1.1, 0.2, 0.3], [-0.1, 0.9, -0.2], [0.02, -0.03, 1.0]])

@@ -105,7 +105,7 @@ def test_the_rig_finds_yaw_height_and_offset(mount_yaw):
     assert math.atan2(T[1, 0], T[0, 0]) == pytest.approx(-mount_yaw, abs=0.006)
 
 
-def test_low_furniture_tells_the_height():
+def test_low_furniture_shows_the_height():
     boxes = (*world.ROOM, world.CUPBOARD, (1.2, -1.6, 1.7, -0.9, 0.55), (2.4, 1.6, 3.0, 2.6, 0.2))
     rig = fusion.Rig()
     for pose in world.POSES:

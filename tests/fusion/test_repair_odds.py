@@ -1,4 +1,4 @@
-"""What is told of a repair: less where a gap is wider, among holes, and where the camera contradicts."""
+"""What is reported of a repair: less where a gap is wider, among holes, and where the camera contradicts."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from fusion.repair_odds import BEAM_ODDS, PIXEL_ODDS, beam_candidates, probabili
 CAMERA, LINE = 0, 1
 
 
-def told(holes, camera=None, count=81):
+def stated(holes, camera=None, count=81):
     """(2, N) probabilities for holes in a flat wall that the camera sees, or something else."""
     wall = (2.0 / np.cos(0.4 + 0.006 * np.arange(count))).astype(np.float32)
     own = wall.copy()
@@ -23,22 +23,22 @@ def told(holes, camera=None, count=81):
 
 
 def test_the_wider_a_hole_the_less_likely_is_what_fills_it():
-    chances = [told(list(range(40, 40 + width)))[0][LINE, 40] for width in (1, 2, 3, 6)]
+    chances = [stated(list(range(40, 40 + width)))[0][LINE, 40] for width in (1, 2, 3, 6)]
     assert chances[0] > 0.95
     assert (np.diff(chances) < 0.0).all()
 
 
 def test_nothing_is_put_between_ends_that_are_far_away_or_missing():
-    chance, found, wall = told([*range(3), *range(30, 55)])
+    chance, found, wall = stated([*range(3), *range(30, 55)])
     assert (chance[:, 0] == -1.0).all() and (chance[:, 30] == -1.0).all()
     assert chance[LINE, 42] > 0.0  # 13 beams to either end
     assert found[LINE, 42, 0] == pytest.approx(wall[42], abs=0.02)
 
 
 def test_holes_around_and_a_camera_that_sees_another_surface_speak_against():
-    alone = told([40])[0]
-    assert told([40, *range(30, 38, 2), *range(43, 51, 2)])[0][LINE, 40] < alone[LINE, 40]
-    assert told([40], camera=4.5)[0][CAMERA, 40] < 0.5 < alone[CAMERA, 40]
+    alone = stated([40])[0]
+    assert stated([40, *range(30, 38, 2), *range(43, 51, 2)])[0][LINE, 40] < alone[LINE, 40]
+    assert stated([40], camera=4.5)[0][CAMERA, 40] < 0.5 < alone[CAMERA, 40]
 
 
 def test_an_odds_table_has_a_weight_for_every_pair_of_features():

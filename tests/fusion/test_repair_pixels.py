@@ -82,7 +82,7 @@ def test_a_pixel_that_flies_is_put_right(off_m):
     assert np.abs(result.depth_m[0] - image.depth_m)[at][put_right].max() < 0.05
 
 
-def test_the_readings_above_and_below_tell_how_far_they_are_off():
+def test_the_readings_above_and_below_show_how_far_they_are_off():
     pixels, ones = np.arange(5, dtype=np.int32)[:, None], np.ones((5, 1), np.float32)
 
     def beside(*depth):

@@ -8,7 +8,7 @@ import numpy as np
 
 from fusion.curves import Curve
 from fusion.panorama import CurveStack
-from fusion.rig_height import HeightContest
+from fusion.rig import HeightContest
 
 STEP = math.radians(1.0)
 
@@ -39,7 +39,7 @@ def test_a_height_that_is_seen_only_where_it_is_easy_does_not_win():
     assert contest([right, wrong], lidar, times=3).winner()[0] == 0
 
 
-def test_heights_at_which_all_is_the_same_are_told_as_equals():
+def test_heights_at_which_all_is_the_same_are_reported_as_equals():
     lidar = np.where(np.arange(60) < 30, 2.0, 3.0)
     other = np.full(60, 2.5)
     best, first, last = contest([other, lidar, lidar, lidar, other], lidar).winner()

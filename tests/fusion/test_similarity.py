@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from fusion.similarity import FEWEST, LEAST_OVERLAP, Grade, grade_of, pearson
+from fusion.registration import FEWEST, LEAST_OVERLAP, Grade, grade_of, pearson
 from tools.xu2024_rows import inverse_cosine, inverse_euler, masked_sums, pearson_map
 
 

@@ -38,7 +38,7 @@ def test_the_offset_is_found_below_a_sample(offset, step_s):
 
 @pytest.mark.parametrize("seed", range(4))
 @pytest.mark.parametrize("lasting_s", [0.3, 1.0, 2.0])
-def test_a_gap_tells_nothing(seed, lasting_s):
+def test_a_gap_shows_nothing(seed, lasting_s):
     rng = np.random.default_rng(seed)
     begun_s = rng.uniform(5.0, 30.0)
     first, second = turns(np.arange(0.0, 40.0, 0.1), 0.0, rng), turns(np.arange(0.0, 40.0, 0.07), 0.03, rng)
@@ -73,20 +73,20 @@ def test_the_offsets_sigma_is_the_scatter_of_its_error():
     assert 0.4 < np.std(errors) / np.mean(sigmas) < 2.5
 
 
-def test_a_robot_that_does_not_turn_tells_no_offset():
+def test_a_robot_that_does_not_turn_shows_no_offset():
     spans_s, _ = turns(np.arange(0.0, 30.0, 0.1), 0.0, np.random.default_rng(0))
     still = np.zeros(len(spans_s))
     assert fusion.clock_offset(spans_s, still, spans_s, still) is None
 
 
-def test_turns_that_have_nothing_in_common_tell_no_offset():
+def test_turns_that_have_nothing_in_common_show_no_offset():
     rng = np.random.default_rng(0)
     spans_s, _ = turns(np.arange(0.0, 30.0, 0.1), 0.0, rng)
     noise = 0.1 * rng.standard_normal((2, len(spans_s)))
     assert fusion.clock_offset(spans_s, noise[0], spans_s, noise[1]) is None
 
 
-def test_turns_that_a_clock_tells_twice_count_once():
+def test_turns_that_a_clock_shows_twice_count_once():
     rng = np.random.default_rng(0)
     first, second = (turns(np.arange(0.0, 30.0, 0.1), offset_s, rng) for offset_s in (0.0, 0.2))
     twice = np.concatenate([second[0], second[0][50:]]), np.concatenate([second[1], -second[1][50:]])

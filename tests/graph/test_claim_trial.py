@@ -164,7 +164,7 @@ def test_the_end_that_contradicts_more_counts(from_place: bool) -> None:
 
 
 @pytest.mark.parametrize("beyond", [CONFIG.reach_m + 0.5, 1.0])
-def test_a_place_that_was_never_near_tells_nothing(beyond: float) -> None:
+def test_a_place_that_was_never_near_shows_nothing(beyond: float) -> None:
     """The second drive goes on beside the first: too far off, nothing is asked of it."""
 
     class Beside(Way):

@@ -87,7 +87,7 @@ def test_from_a_wrong_start_with_bad_pairs(seed: int, angle_deg: float) -> None:
     result = estimate(seed, MOUNT * wrong, bad=0.3)
     assert_on_target(result)
     assert 0.6 < result.inlier_share < 0.8
-    # The height is the start's: nothing tells it.
+    # The height is the start's: nothing shows it.
     assert result.T_base_camera.z() == pytest.approx((MOUNT * wrong).z(), abs=1e-3)
 
 
@@ -120,7 +120,7 @@ def test_the_covariance_is_calibrated() -> None:
     assert 0.5 < np.mean(scores) < 2.0
 
 
-def test_a_straight_drive_tells_the_heading_only() -> None:
+def test_a_straight_drive_shows_the_heading_only() -> None:
     start = MOUNT * gtsam.Pose3(gtsam.Rot3.RzRyRx(0.1, -0.2, 0.15), np.array([0.1, 0.2, -0.1]))
     result = estimate(5, start, turn_rad=0.0)
     assert result.unobservable == ("roll", "x", "y", "height")
@@ -130,7 +130,7 @@ def test_a_straight_drive_tells_the_heading_only() -> None:
     assert sigmas[:3].max() > 1.0 and sigmas[3:].min() > 1.0
 
 
-def test_turning_on_the_spot_tells_no_heading() -> None:
+def test_turning_on_the_spot_shows_no_heading() -> None:
     """Only the place of the camera across from the axis: its distance, not its bearing in the base."""
     rng = np.random.default_rng(6)
     turns = [gtsam.Pose2(0.0, 0.0, turn) for turn in rng.normal(0.0, 0.3, 80)]
@@ -139,7 +139,7 @@ def test_turning_on_the_spot_tells_no_heading() -> None:
     assert not {"roll", "pitch"} & set(result.unobservable)
 
 
-def test_standing_still_tells_nothing() -> None:
+def test_standing_still_shows_nothing() -> None:
     rng = np.random.default_rng(7)
     result = estimate_extrinsics([pair_of(gtsam.Pose2(), rng) for _ in range(50)], MOUNT)
     assert result.unobservable == ("all",) and not result.converged

@@ -1,4 +1,4 @@
-"""A claim that one wrong step explains is told from one that none does."""
+"""A claim that one wrong step explains is distinguished from one that none does."""
 
 from collections.abc import Sequence
 from types import SimpleNamespace
@@ -33,8 +33,8 @@ def squares(
 ) -> float:
     edges = chain(gaps)
     for n, (place, key) in enumerate(loops):
-        told = pose2_from_row(between(POSES[place], POSES[key]))
-        edges.append(Edge(place, key, told, SURE, EdgeKind.LOOP, trusted=False, loop=n))
+        stated = pose2_from_row(between(POSES[place], POSES[key]))
+        edges.append(Edge(place, key, stated, SURE, EdgeKind.LOOP, trusted=False, loop=n))
     stamps_s = np.arange(float(COUNT))
     for key in gaps:
         stamps_s[key + 1 :] += gap_s
@@ -55,7 +55,7 @@ def bent(*turns: tuple[int, float]) -> FloatArray:
 OPEN = np.diag([900.0, 1e-6, 1e-6])
 
 
-def test_of_ends_that_nothing_joins_no_fault_tells_anything() -> None:
+def test_of_ends_that_nothing_joins_no_fault_shows_anything() -> None:
     faulty, nowhere = judge(chain(), np.arange(float(COUNT))), Motion(np.zeros(3), np.full((3, 3), np.inf))
     assert faulty.shared(5, 70, nowhere, Motion(bent(), SURE))[0] == np.inf
 
@@ -114,7 +114,7 @@ def test_what_wheels_claim_of_a_lone_step_may_be_wrong_at_a_gate(lone: bool) -> 
     assert (gate(3) < left < 3.0 * gate(3)) if lone else left > 10.0 * gate(3)
 
 
-def test_a_step_is_not_wrong_where_loops_on_both_sides_tell_it() -> None:
+def test_a_step_is_not_wrong_where_loops_on_both_sides_show_it() -> None:
     """Were it wrong, so were the second gap."""
     gaps, claimed = (GAP, 60), bent((GAP, 1.2))
     assert squares(gaps, claimed) < 4.0
@@ -204,7 +204,7 @@ def test_a_fault_is_not_believed_where_places_look_like_their_neighbours(repeats
     assert believed == ([] if repeats else [*members, *entailed])
 
 
-def told_by(turned: Sequence[FloatArray], keys: range) -> list[LoopCandidate]:
+def stated_by(turned: Sequence[FloatArray], keys: range) -> list[LoopCandidate]:
     """Claims at 32 keyframes before, true where the way went so."""
 
     def claim(key: int) -> LoopCandidate:
@@ -237,11 +237,11 @@ def test_faults_that_add_up_are_believed_of_a_set_that_is_so_much_longer(
     contradict each other in proportion less than the 3 % of other sets.
     """
     turned = walked([STEP + np.array([0.0, 0.0, TURNS.get(key, 0.0)]) for key in range(COUNT - 1)])
-    members, entailed = told_by(turned, range(52, 56)), told_by(turned, range(56, 56 + 4 * long))
+    members, entailed = stated_by(turned, range(52, 56)), stated_by(turned, range(56, 56 + 4 * long))
     search = PlaceSearch(SimpleNamespace(submaps=None), LoopConfig(), MatchConfig(), GraphConfig())  # type: ignore[arg-type]
     search._submaps = SimpleNamespace(travelled_m=lambda key: 2.0 * key)  # type: ignore[assignment]
     search._stretches = SimpleNamespace(spacing_m=1.5)  # type: ignore[assignment]
-    sets = [members, told_by(turned, range(56, 60))][: 1 + borne]
+    sets = [members, stated_by(turned, range(56, 60))][: 1 + borne]
 
     def between_places(one: list[LoopCandidate], other: list[LoopCandidate]) -> tuple[int, int, Motion]:
         first, last = sorted((one[0].place, other[0].place))
@@ -264,22 +264,22 @@ def test_faults_that_add_up_are_believed_of_a_set_that_is_so_much_longer(
 
 @pytest.mark.parametrize("slips", [True, False])
 def test_a_heading_that_slips_in_a_gap_bends_the_way_and_does_not_shorten_it(slips: bool) -> None:
-    """Told 20 m straight on, to a few decimetres and degrees: it turned halfway, or it stood."""
+    """Measured: 20 m straight on, to a few decimetres and degrees: it turned halfway, or it stood."""
     steps = [STEP * (20.0 if key == GAP else 1.0) for key in range(COUNT - 1)]
     went = [one.copy() for one in steps]
     halfway = STEP * [10.0, 0.0, 10.0]
     went[GAP] = (
         compose(compose(halfway, np.array([0.0, 0.0, 1.2])), halfway) if slips else STEP * [0.0, 0.0, 20.0]
     )
-    told, turned = walked(steps), walked(went)
+    stated, turned = walked(steps), walked(went)
     edges = chain(())
     edges[GAP] = Edge(
         GAP, GAP + 1, pose2_from_row(steps[GAP]), BY_WHEELS / 10.0, EdgeKind.WHEEL, trusted=True
     )
     stamps_s = np.arange(float(COUNT)) + 30.0 * (np.arange(COUNT) > GAP)
     kept = np.ones(len(edges), np.bool_)
-    faulty = FaultySteps(edges, kept, told, stamps_s, GraphConfig(), LoopConfig(), MatchConfig())
-    known = faulty.known.motion(5, 70, told)
+    faulty = FaultySteps(edges, kept, stated, stamps_s, GraphConfig(), LoopConfig(), MatchConfig())
+    known = faulty.known.motion(5, 70, stated)
     asked = faulty.explain(5, 70, known, Motion(between(turned[5], turned[70]), SURE))[1]
     assert (asked < 40.0) is slips
     assert slips or asked > 1000.0
@@ -290,8 +290,8 @@ def test_a_loop_alone_makes_no_gap_known(count: int) -> None:
     """It may be at a place that looks the same; more loops than a pose has numbers may not."""
     edges = chain()
     for n in range(count):
-        told = pose2_from_row(between(POSES[GAP - n], POSES[GAP + 5]))
-        edges.append(Edge(GAP - n, GAP + 5, told, SURE, EdgeKind.LOOP, trusted=False, loop=n))
+        stated = pose2_from_row(between(POSES[GAP - n], POSES[GAP + 5]))
+        edges.append(Edge(GAP - n, GAP + 5, stated, SURE, EdgeKind.LOOP, trusted=False, loop=n))
     known = judge(edges, np.arange(float(COUNT))).known.motion(GAP, GAP + 5, POSES)
     assert (known.covariance[2, 2] < 0.1 * BY_WHEELS[2, 2]) == (count > 3)
 
@@ -311,7 +311,7 @@ def test_where_measurements_contradict_each_other_both_are_in_doubt() -> None:
     assert believed_edges([match], np.array([True]), poses) == [match]
 
 
-def test_where_wheels_alone_tell_no_step_none_is_looser_than_known() -> None:
+def test_where_wheels_alone_show_no_step_none_is_looser_than_known() -> None:
     matched, by_wheels = (judge(edges, np.arange(float(COUNT))) for edges in (chain(()), chain()))
     assert matched.loose is matched.known
     assert by_wheels.loose is not by_wheels.known

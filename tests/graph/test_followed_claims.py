@@ -1,4 +1,4 @@
-"""Claims where each pass sees a place once: what lies along both ways tells true ones from look-alikes."""
+"""Claims where each pass sees a place once: what lies along both ways separates true from alike."""
 
 from __future__ import annotations
 
@@ -183,16 +183,16 @@ def test_a_set_that_has_a_rival_is_not_believed(submaps: SubmapStore) -> None:
 
 def test_what_lies_behind_a_step_that_nothing_saw_contradicts_little(submaps: SubmapStore) -> None:
     trial, poses = followed(submaps), np.array(submaps._poses)
-    told = {key: -2.0 if key < 20 else 1.0 for key in range(17, 28)}
-    assert trial._nats(told, 23, 0.5) == pytest.approx(2.0)
+    stated = {key: -2.0 if key < 20 else 1.0 for key in range(17, 28)}
+    assert trial._nats(stated, 23, 0.5) == pytest.approx(2.0)
     submaps.lay(poses, [20])
-    assert trial._nats(told, 23, 0.5) > 7.0
-    told = dict.fromkeys(told, 1.0)
-    assert trial._nats(told, 23, 0.5) == pytest.approx(11.0, abs=0.8), "and bears out as before"
+    assert trial._nats(stated, 23, 0.5) > 7.0
+    stated = dict.fromkeys(stated, 1.0)
+    assert trial._nats(stated, 23, 0.5) == pytest.approx(11.0, abs=0.8), "and bears out as before"
     submaps.lay(poses, [])
 
 
-def test_where_nothing_saw_the_way_a_loop_tells_of_the_place_alone(submaps: SubmapStore) -> None:
+def test_where_nothing_saw_the_way_a_loop_reports_the_place_alone(submaps: SubmapStore) -> None:
     """The surroundings of the place are torn: what was seen before it lies 0.4 m off by the estimate."""
     poses = np.array(submaps._poses)
     torn = poses.copy()

@@ -20,7 +20,7 @@ def shifts(one: Sequence[Pose], other: Sequence[Pose]) -> FloatArray:
 
 
 @pytest.mark.parametrize("kept", [True, False])
-def test_on_a_line_influence_is_told_in_closed_form(kept: bool) -> None:
+def test_on_a_line_influence_is_reported_in_closed_form(kept: bool) -> None:
     steps, off, along, loop = 10, 0.05, 0.02**2, 0.03**2
     stiff = np.diag([along, 1e-6, 1e-8])
     step, claim = gtsam.Pose2(1.0, 0.0, 0.0), gtsam.Pose2(steps + off, 0.0, 0.0)
@@ -95,7 +95,7 @@ def test_a_map_without_loops_or_in_pieces_has_no_influences() -> None:
     assert len(influences(poses, edges, kept).edges) == len(misfits(poses, edges, kept, [0])) == 0
 
 
-def test_what_some_edges_miss_is_told_without_what_they_move() -> None:
+def test_what_some_edges_miss_is_reported_without_what_they_move() -> None:
     poses, edges = ring(*RINGS["plane"])
     found = influences(poses, edges, kept := np.ones(len(edges), np.bool_))
     some = found.edges[1::2].tolist()

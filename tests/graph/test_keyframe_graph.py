@@ -79,7 +79,7 @@ def true_loop(place: int, keyframe: int) -> LoopCandidate:
 
 
 def chain(count: int, graph: KeyframeGraph | None = None) -> KeyframeGraph:
-    """Keyframes that match and wheels tell, the wheels as roughly as they are."""
+    """Steps that matches and wheels measure, the wheels as roughly as they are."""
     graph = graph or empty()
     for _ in range(count):
         follow(graph, AHEAD, step(), step(covariance=ROUGH))
@@ -133,7 +133,7 @@ class TestNewKeyframe:
         )
 
     def test_one_that_nothing_holds_is_held_loosely(self) -> None:
-        """By its first guess, until a loop tells more."""
+        """By its first guess, until a loop shows more."""
         graph = chain(2)
         graph.add_keyframe(pose2_from_row(astray()))
         assert (graph.graph.edges[-1].kind, graph.graph.edges[-1].trusted) == (EdgeKind.ASSUMED, True)
@@ -187,7 +187,7 @@ class TestWhoIsRefused:
         assert refused(graph) == []
         assert worst(graph) < 1e-3
 
-    def test_where_a_doubtful_match_falls_the_camera_tells_the_way(self) -> None:
+    def test_where_a_doubtful_match_falls_the_camera_shows_the_way(self) -> None:
         """The match was a person's who walked ahead: what is left holds loosely where the camera says."""
         graph = chain(3)
         follow(
@@ -246,7 +246,7 @@ class TestPieces:
     @pytest.mark.parametrize(
         ("loops", "pieces"), [([], 2), ([60], 2), ([60, 70], 2), ([60, 95], 1), ([60, 62, 64, 66], 1)]
     )
-    def test_what_wheels_alone_tell_is_a_guess_until_loops_tie_it_along_its_way(
+    def test_what_wheels_alone_show_is_a_guess_until_loops_tie_it_along_its_way(
         self, loops: list[int], pieces: int
     ) -> None:
         """As far as a place is seen to both ends (20 cm a step), or by more than three loops."""
@@ -344,8 +344,8 @@ class TestLoops:
         assert traces[1][0] < 0.5 * traces[0][0]
         assert traces[1][1] == pytest.approx(traces[0][1])
 
-    def test_steps_that_loops_have_not_tried_tell_nothing_of_how_often_wheels_are_wrong(self) -> None:
-        """Of three that nothing but wheels tells, a loop has refused the one that it lies across."""
+    def test_steps_that_loops_have_not_tried_show_nothing_of_how_often_wheels_are_wrong(self) -> None:
+        """Of three that nothing but wheels shows, a loop has refused the one that it lies across."""
         graph = empty()
         for n in range(30):
             wheels = step(compose(AHEAD, np.array([0.0, 0.0, 1.5])), ROUGH) if n == 5 else step(AHEAD, ROUGH)

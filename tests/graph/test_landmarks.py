@@ -102,7 +102,7 @@ def test_a_landmark_that_was_moved_is_refused_as_one(name: str) -> None:
 
 
 @pytest.mark.parametrize("name", STEPS)
-def test_two_with_one_name_and_a_false_sighting_are_told_apart(name: str) -> None:
+def test_two_with_one_name_and_a_false_sighting_are_distinguished(name: str) -> None:
     world = World(name, ROUND + 6)
     twin = world.true[10].compose(STEPS[name][0])
     world.seen[1] = [world.sighting(node, twin) for node in (8, 9)] + world.seen[1]

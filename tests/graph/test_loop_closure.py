@@ -1,4 +1,4 @@
-"""Loops: the start is recognised after a drifting round, other places are not, and every verdict is told."""
+"""Loops: the start is recognised after a drifting round, other places are not, every verdict is reported."""
 
 import itertools
 import logging
@@ -112,7 +112,7 @@ def test_every_accepted_loop_is_true(drifted: tuple[Drive, list[LoopCandidate]])
             assert np.abs(error_of(loop, drive.truth)).max() < 0.1
 
 
-def test_the_verdicts_are_told(drifted: tuple[Drive, list[LoopCandidate]]) -> None:
+def test_the_verdicts_are_reported(drifted: tuple[Drive, list[LoopCandidate]]) -> None:
     drive, loops = drifted
     for loop in loops:
         assert loop.accepted == (loop.reason == "")
@@ -235,7 +235,7 @@ def test_a_refinement_that_leaves_the_window_is_refused() -> None:
 
 
 def test_a_corridor_closes_with_its_direction_open() -> None:
-    """Two walls tell how far to the side, not how far along: if it closes, the covariance must say so."""
+    """Two walls show how far to the side, not how far along: if it closes, the covariance must say so."""
     scan = OrientedPoints.from_scan(points_at(corridor(), (0.0, 0.1, 0.0)))
     loops = [loop for loop in line_drive(Drive(), scan, scan) if loop.motion is not None]
     assert loops

@@ -27,8 +27,8 @@ def test_places_nearby_are_tried_again_from_a_loop_that_rules_out_no_other() -> 
     """
     step, edges = pose2_from_row(np.array([1.0, 0.0, 0.0])), list[Edge]()
     for key in range(COUNT - 1):
-        told = (BY_WHEELS, EdgeKind.WHEEL) if key == GAP else (SURE, EdgeKind.LIDAR)
-        edges.append(Edge(key, key + 1, step, *told, trusted=True))
+        stated = (BY_WHEELS, EdgeKind.WHEEL) if key == GAP else (SURE, EdgeKind.LIDAR)
+        edges.append(Edge(key, key + 1, step, *stated, trusted=True))
     across = pose2_from_row(np.array([20.0, 0.0, 0.0]))
     edges.append(Edge(GAP - 10, GAP + 10, across, SURE, EdgeKind.LOOP, trusted=False, loop=0))
     known, drawn = list[UncertaintyGraph](), list[FloatArray]()
@@ -53,8 +53,8 @@ def test_what_is_certain_is_judged_once_until_something_is_refused() -> None:
     """Of two sets: one where the way was matched throughout, and one across a gap."""
     step, edges = pose2_from_row(np.array([1.0, 0.0, 0.0])), list[Edge]()
     for key in range(COUNT - 1):
-        told = (BY_WHEELS, EdgeKind.WHEEL) if key == GAP else (SURE, EdgeKind.LIDAR)
-        edges.append(Edge(key, key + 1, step, *told, trusted=True))
+        stated = (BY_WHEELS, EdgeKind.WHEEL) if key == GAP else (SURE, EdgeKind.LIDAR)
+        edges.append(Edge(key, key + 1, step, *stated, trusted=True))
     edges.append(Edge(0, 2, step.compose(step), SURE, EdgeKind.LOOP, trusted=False, loop=0))
     sets = [
         [LoopCandidate(key - 6, key, 0.0, 0.0, 1.0, motion_of(0.0), True, "") for key in keys]
@@ -82,8 +82,8 @@ def test_the_whole_map_is_searched_where_the_estimate_led_to_nothing() -> None:
     """A match past a gap says that the robot is half a kilometre from where it is."""
     step, edges = pose2_from_row(np.array([10.0, 0.0, 0.0])), list[Edge]()
     for key in range(COUNT - 1):
-        told = SURE * (400.0 if key == GAP else 1.0)
-        edges.append(Edge(key, key + 1, step, told, EdgeKind.LIDAR, trusted=True))
+        stated = SURE * (400.0 if key == GAP else 1.0)
+        edges.append(Edge(key, key + 1, step, stated, EdgeKind.LIDAR, trusted=True))
     poses, asked = np.outer(10.0 * np.arange(float(COUNT)), [1.0, 0.0, 0.0]), list[np.ndarray]()
     submaps = SimpleNamespace(travelled_m=float, sparse=False, lay=lambda *_: None)
     search = PlaceSearch(SimpleNamespace(submaps=submaps), LoopConfig(), MatchConfig(), GraphConfig())  # type: ignore[arg-type]
@@ -111,8 +111,10 @@ def test_faults_are_looked_for_only_where_they_may_decide(
 ) -> None:
     """A plausible set across a gap, and another that only faults could explain: short, or a rival of it."""
     step = pose2_from_row(np.array([1.0, 0.0, 0.0]))
-    told = [(BY_WHEELS, EdgeKind.WHEEL) if key == GAP else (SURE, EdgeKind.LIDAR) for key in range(COUNT - 1)]
-    edges = [Edge(key, key + 1, step, *told[key], trusted=True) for key in range(COUNT - 1)]
+    stated = [
+        (BY_WHEELS, EdgeKind.WHEEL) if key == GAP else (SURE, EdgeKind.LIDAR) for key in range(COUNT - 1)
+    ]
+    edges = [Edge(key, key + 1, step, *stated[key], trusted=True) for key in range(COUNT - 1)]
     poses, stamps_s = np.outer(np.arange(float(COUNT)), [1.0, 0.0, 0.0]), np.arange(float(COUNT))
     sets = [
         [

@@ -28,13 +28,13 @@ def chain(count: int, covariance: FloatArray = MATCH, step: Pose = STEP) -> tupl
     return poses, edges
 
 
-def told(poses: Sequence[Pose], edges: list[Edge], kept: list[bool] | None = None) -> FloatArray:
+def stated(poses: Sequence[Pose], edges: list[Edge], kept: list[bool] | None = None) -> FloatArray:
     """Of the nodes, which are the bases."""
     return pose_covariances(poses, poses, edges, kept or [True] * len(edges), CONFIG)[0]
 
 
 def claimed(edges: Sequence[Edge], factor: float = 0.5) -> list[Edge]:
-    """As uncertain as they are told to be where no loop shows more."""
+    """As uncertain as they are stated to be where no loop shows more."""
     return [replace(edge, covariance=factor * edge.covariance) for edge in edges]
 
 
@@ -69,7 +69,7 @@ def test_space_says_the_same_as_the_plane() -> None:
     spatial = np.diag([1e-3, 1e-3, 0.003, 0.01, 0.02, 1e-3]) ** 2
     poses, spatial_edges = chain(5, spatial, gtsam.Pose3(STEP))
     picked = np.ix_([3, 4, 2], [3, 4, 2])  # x, y, yaw among rotation and translation
-    assert told(poses, spatial_edges)[5][picked] == pytest.approx(told(flat, edges)[5], rel=1e-6)
+    assert stated(poses, spatial_edges)[5][picked] == pytest.approx(stated(flat, edges)[5], rel=1e-6)
 
 
 def test_a_base_beside_its_camera_is_moved_by_its_turns() -> None:
@@ -90,7 +90,7 @@ def test_two_loops_and_a_step_into_one_keyframe_are_one_witness() -> None:
         Edge(place, 5, poses[place].between(poses[5]), MATCH, EdgeKind.LOOP, trusted=False, loop=0)
         for place in (2, 3)
     ]
-    found = told(poses, edges + near)[5]
+    found = stated(poses, edges + near)[5]
     shared = claimed(edges[:4]) + claimed([edges[4], *near], 3.0 * 0.5)
     assert found == pytest.approx(marginals(poses, shared)[5], rel=1e-6)
     as_if_independent, alone = marginals(poses, claimed(edges + near))[5], marginals(poses, claimed(edges))[5]
@@ -110,7 +110,7 @@ def test_a_loop_over_gaps_says_how_long_these_are_and_nothing_of_matches(gaps: i
 def test_a_camera_claims_the_noise_of_a_step_once() -> None:
     poses, edges = chain(4)
     seen = [replace(edge, kind=EdgeKind.RGBD) for edge in edges]
-    assert told(poses, seen)[4] == pytest.approx(marginals(poses, seen)[4], rel=1e-6)
+    assert stated(poses, seen)[4] == pytest.approx(marginals(poses, seen)[4], rel=1e-6)
 
 
 def test_loops_that_fit_better_than_claimed_make_all_matches_surer() -> None:
@@ -125,7 +125,7 @@ def test_loops_that_fit_better_than_claimed_make_all_matches_surer() -> None:
     expected = (
         claimed(edges[:49], ratio) + claimed(edges[49:56] + loops, 2.0 * ratio) + claimed(edges[56:], ratio)
     )
-    assert told(poses, edges + loops)[20] == pytest.approx(marginals(poses, expected)[20], rel=1e-6)
+    assert stated(poses, edges + loops)[20] == pytest.approx(marginals(poses, expected)[20], rel=1e-6)
 
 
 def test_loops_that_miss_make_all_matches_less_sure() -> None:
@@ -134,7 +134,7 @@ def test_loops_that_miss_make_all_matches_less_sure() -> None:
     loop = Edge(0, 50, missed, MATCH, EdgeKind.LOOP, trusted=False, loop=0)
     ratio = (0.5 * 20.0 + (0.1 / 0.01) ** 2) / 23.0
     assert ratio > 4.0
-    assert told(poses, [*edges, loop])[20] == pytest.approx(
+    assert stated(poses, [*edges, loop])[20] == pytest.approx(
         marginals(
             poses,
             claimed(edges[:49], ratio) + claimed([edges[49], loop], 2.0 * ratio) + claimed(edges[50:], ratio),
@@ -152,7 +152,7 @@ def test_a_match_past_a_guess_is_not_believed() -> None:
         Edge(2, 3, STEP, MATCH, EdgeKind.LIDAR, trusted=True),
     ]
     bridge = Edge(1, 3, STEP.compose(STEP), MATCH, EdgeKind.LIDAR, trusted=False)
-    assert told(poses, [*edges, bridge])[3] == pytest.approx(told(poses, edges)[3], rel=1e-9)
+    assert stated(poses, [*edges, bridge])[3] == pytest.approx(stated(poses, edges)[3], rel=1e-9)
 
 
 @pytest.mark.parametrize("refused", [0, 3])

@@ -334,24 +334,24 @@ def test_new_loops_are_weighed_where_refusing_one_may_cost_less(
     off_m: float, others: int, weighed: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """All are beyond the gate at first, and none once the chain has bent; to refuse one of many says more."""
-    steps, told, solved = [straight_2d(1.0)] * (20 + others), list[int](), pose_graph.solved
+    steps, stated, solved = [straight_2d(1.0)] * (20 + others), list[int](), pose_graph.solved
     graph = graph_of(gtsam.Pose2(), steps)
     for n in range(20, 20 + others):
         graph.add_edge(edge(n, n + 1, straight_2d(1.0), kind=EdgeKind.LOOP, trusted=False))
     graph.optimize()
 
     def counting(*asked: object, most_steps: int = 100) -> gtsam.Values:
-        told.append(most_steps)
+        stated.append(most_steps)
         return solved(*asked, most_steps)  # type: ignore[arg-type]
 
     monkeypatch.setattr(pose_graph, "solved", counting)
     graph.add_edge(edge(0, 20, straight_2d(20.0 + off_m), kind=EdgeKind.LOOP, trusted=False))
     assert graph.optimize().kept.all()
     # A round is one step from where the last one ended.
-    assert (1 in told) == weighed
+    assert (1 in stated) == weighed
 
 
-def test_an_edge_that_is_told_anew_is_solved_anew() -> None:
+def test_an_edge_that_is_stated_anew_is_solved_anew() -> None:
     graph = graph_of(gtsam.Pose2(), [straight_2d(1.0)])
     graph.optimize()
     graph.edges[0] = edge(0, 1, straight_2d(3.0))

@@ -120,7 +120,7 @@ def test_a_false_loop_is_refused_and_said_so() -> None:
     assert worst_m(graph, ORIGINS[0]) < 0.08
 
 
-def test_a_refused_candidate_is_told_but_no_edge() -> None:
+def test_a_refused_candidate_is_reported_but_no_edge() -> None:
     graph = walked(ORIGINS[0])
     graph.add_loop(loop(0, SIDES, gtsam.Pose3(), accepted=False))
     assert len(graph.graph.edges) == SIDES
@@ -149,10 +149,10 @@ def test_gravity_puts_a_bent_and_tilted_walk_upright() -> None:
     origin = gtsam.Pose3(gtsam.Rot3.RzRyRx(0.3, -0.2, 0.0), np.array([1.0, 2.0, 3.0]))
     true, graph = truth(origin, SIDES), walked(gtsam.Pose3())
     down = np.array([0.0, 0.0, -1.0])
-    told = {key: Gravity(0.0, pose.rotation().unrotate(down), 1e-3) for key, pose in enumerate(true)}
-    before = [pose.rotation().unrotate(down) @ told[key].down for key, pose in enumerate(graph.poses())]
-    graph.graph.level(told)
+    stated = {key: Gravity(0.0, pose.rotation().unrotate(down), 1e-3) for key, pose in enumerate(true)}
+    before = [pose.rotation().unrotate(down) @ stated[key].down for key, pose in enumerate(graph.poses())]
+    graph.graph.level(stated)
     graph.optimize(0.99)
-    after = [pose.rotation().unrotate(down) @ told[key].down for key, pose in enumerate(graph.poses())]
+    after = [pose.rotation().unrotate(down) @ stated[key].down for key, pose in enumerate(graph.poses())]
     assert math.acos(min(before)) > 0.3 and math.acos(min(1.0, *after)) < 0.01
     assert graph.poses()[0].translation() == pytest.approx(np.zeros(3), abs=1e-3)

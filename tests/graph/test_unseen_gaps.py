@@ -76,7 +76,7 @@ def test_a_long_way_that_looks_like_one_place_is_not_enough(places: tuple[int, .
         assert believed(found, loop(place, key)) == []
 
 
-def test_two_that_agree_tell_where_to_look_next() -> None:
+def test_two_that_agree_show_where_to_look_next() -> None:
     found = gaps()
     believed(found, loop(2, 22))
     assert found.likeliest(24) is None

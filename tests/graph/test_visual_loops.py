@@ -54,7 +54,7 @@ class Walk:
 
 
 TRUE = [HOME, *AWAY, RETURN]
-# The same walk with a return that is believed two metres and half a turn off: only its appearance can tell.
+# The same walk with a return that is believed two metres and half a turn off: only its looks can show it.
 LOST = [*TRUE[:-1], gtsam.Pose3(gtsam.Rot3.Ry(1.6), np.array([2.0, 0.5, 1.0])) * RETURN]
 
 
@@ -124,7 +124,7 @@ def test_disabled_means_none(views: list[PreparedFrame]) -> None:
 
 
 def test_what_is_adrift_is_joined_by_its_looks_alone(views: list[PreparedFrame]) -> None:
-    """After a loss nobody knows where the camera is: poses propose nothing until looks have told."""
+    """After a loss nobody knows where the camera is: poses propose nothing until looks have shown it."""
     walk = Walk("loops.by_appearance=0")
     walk.through(views[:-1], TRUE[:-1])
     assert walk.add(views[5], RETURN, adrift=True) == []

@@ -52,8 +52,8 @@ def test_loops_that_agree_outweigh_the_claim_of_a_single_step_of_wheels(off_m: f
     settle(graph, 0.9, wheels_of(graph))
     true = walked([np.add(STEP, [0.0, off_m * (key == GAP), 0.0]) for key in range(COUNT - 1)])
     for n in range(8):
-        told = pose2_from_row(between(true[GAP - 20 + n], true[GAP + 10 + n]))
-        graph.add_edge(Edge(GAP - 20 + n, GAP + 10 + n, told, SURE, EdgeKind.LOOP, trusted=False, loop=n))
+        stated = pose2_from_row(between(true[GAP - 20 + n], true[GAP + 10 + n]))
+        graph.add_edge(Edge(GAP - 20 + n, GAP + 10 + n, stated, SURE, EdgeKind.LOOP, trusted=False, loop=n))
     kept = graph.graph.optimize().kept[-8:]
     assert kept.all()
     assert np.hypot(*(graph.graph.planar_poses()[-1] - true[-1])[:2]) < 0.05
@@ -84,16 +84,16 @@ def test_scans_far_apart_prove_wheels_step_by_step(least_m: float) -> None:
 def test_wheels_of_scans_far_apart_are_calibrated_by_those_that_match(learned: float) -> None:
     """Every second step matches; the radii differ, and a metre is too long, on all of them.
 
-    What a metre is may have been learned on the way: from half of it on edges tell it so.
+    What a metre is may have been learned on the way: from half of it on edges state it.
     """
     graph, rng = KeyframeGraph(gtsam.Pose2(), GraphConfig()), np.random.default_rng(0)
     poses = [np.zeros(3)]
     for key in range(1, 80):
         true = np.array([6.0, 0.0, 0.8 * (key % 5 == 0)])
-        told = true * [1.03, 1.0, 1.02] + [0.0, 0.0, 0.01] + 0.005 * rng.standard_normal(3)
+        stated = true * [1.03, 1.0, 1.02] + [0.0, 0.0, 0.01] + 0.005 * rng.standard_normal(3)
         match = Motion(true, np.diag([1e-4, 1e-4, 1e-6])) if key % 2 else None
-        poses.append(compose(poses[-1], told))
-        wheels = Motion(told * [1.0 if key < 40 else learned, 1.0, 1.0], BY_WHEELS)
+        poses.append(compose(poses[-1], stated))
+        wheels = Motion(stated * [1.0 if key < 40 else learned, 1.0, 1.0], BY_WHEELS)
         edges = edges_of(key, true, match, wheels, [], GraphConfig())
         graph.add_keyframe(pose2_from_row(true), edges)
     far = Edge(0, 4, pose2_from_row(np.array([24.7, 0.6, 0.04])), BY_WHEELS, EdgeKind.WHEEL, trusted=False)

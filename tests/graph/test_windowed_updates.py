@@ -67,7 +67,7 @@ def test_isam_moves_no_more_nodes_in_a_log_of_many_laps(
     )
 
 
-def test_an_update_tells_from_which_node_on_poses_have_moved(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_update_shows_from_which_node_on_poses_have_moved(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(pose_graph, "_NODES_A_WINDOW", WINDOW)
     graph, _, _ = drive(3)
     before = graph.planar_poses().copy()

@@ -25,7 +25,7 @@ from slam.simulation.synthetic_log import write_synthetic_log
 from slam.storage.map_contents import MapContents
 from slam.storage.tum import read_tum
 
-SETTINGS = ("cloud_odometry.voxel_m=0.25", "dense_map.enabled=false", "localization.search_threads=1")
+SETTINGS = ("cloud_odometry.voxel_m=0.25", "dense_map.enabled=false")
 CONFIG = load_config(None, SETTINGS)
 
 

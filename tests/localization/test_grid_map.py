@@ -1,4 +1,4 @@
-"""A grid map of another program is enough to be localised in; a start that somebody tells is weighed."""
+"""A grid map of another program is enough to be localised in; a start that somebody gives is weighed."""
 
 import math
 from pathlib import Path
@@ -10,7 +10,7 @@ import pytest
 import slam
 from fusion.bayes import FREE, OCCUPIED, UNKNOWN
 from slam.errors import ConfigError, MapFileError
-from slam.localization.drawn_walls import drawn_walls
+from slam.localization.known_map import drawn_walls
 from slam.localization.output import State
 from slam.localization.poses import Measured, diagonal
 from slam.mapping.occupancy_grid import OccupancyGrid

@@ -230,13 +230,13 @@ def test_looks_alone_are_not_believed_where_places_look_alike(
 ) -> None:
     true = compose(between(mapped[1], np.zeros(3)), other.truth(other.log[0].stamp_s))
     known = Measured(pose2_from_row(true), np.diag([0.01, 0.01, 0.01]))
-    for share, start, told in ((0.0, None, False), (0.8, None, True), (0.8, known, False)):
+    for share, start, stated in ((0.0, None, False), (0.8, None, True), (0.8, known, False)):
         monkeypatch.setattr("slam.localization.localizer.look_alikes", lambda *_, share=share: share)
         localizer = Localizer(mapped[0], CONFIG, start=start)
         said = [output for output in map(localizer.add, other.log[:200]) if output is not None]
         surest = max(output.confidence for output in said if output.state is State.TRACKING)
-        assert (0.15 < surest <= 0.2) if told else surest > 0.9
-        assert told == ("80% of the map's own scans match other places" in (localizer.warning() or ""))
+        assert (0.15 < surest <= 0.2) if stated else surest > 0.9
+        assert stated == ("80% of the map's own scans match other places" in (localizer.warning() or ""))
 
 
 def test_own_scans_are_asked_from_all_of_the_way(mapped: tuple[MapContents, FloatArray]) -> None:

@@ -62,7 +62,7 @@ def test_trust_is_the_share_of_a_round_gaussian_within_the_same_place() -> None:
 
 
 @pytest.mark.parametrize("turned", [gtsam.Pose2(1.0, -2.0, 3.0), gtsam.Pose3(gtsam.Pose2(1.0, -2.0, 3.0))])
-def test_steps_lead_back_and_tell_metres_and_radians(turned: gtsam.Pose2 | gtsam.Pose3) -> None:
+def test_steps_lead_back_and_show_metres_and_radians(turned: gtsam.Pose2 | gtsam.Pose3) -> None:
     origin = motion_between(turned, turned)
     assert motion_between(origin, composed(turned, motion_between(turned, origin))).equals(origin, 1e-9)  # type: ignore[arg-type]
     assert separation(origin, turned) == pytest.approx((math.sqrt(5.0), 3.0))

@@ -18,14 +18,14 @@ def scan_of(stamp_s: float, ranges_m: FloatArray) -> LaserScan:
 
 
 def corridor_scan(stamp_s: float) -> LaserScan:
-    """Between two bare walls, 1.5 m to each side, from which nothing tells how far it is."""
+    """Between two bare walls, 1.5 m to each side, from which nothing shows how far it is."""
     ranges = 1.5 / np.maximum(np.abs(np.sin(ANGLES)), 0.15)
     ranges[np.abs(np.sin(ANGLES)) < 0.15] = np.inf
     return scan_of(stamp_s, ranges)
 
 
 def driven(odometry: ScanOdometry, begin_s: float, end_s: float) -> None:
-    """The wheels tell, ten times a second, that it goes straight on."""
+    """The wheels measure, ten times a second, that it goes straight on."""
     for stamp_s in np.arange(begin_s, end_s, 0.1).tolist():
         odometry.add_wheels(WheelOdometry(stamp_s, gtsam.Pose2(SPEED_M_S * stamp_s, 0.0, 0.0)))
 
@@ -61,7 +61,7 @@ def test_wheels_lead_on_where_no_scan_comes_for_long(silent_s: float, sigma_m: f
 
 
 def test_past_a_gap_a_match_that_the_wheels_contradict_is_none() -> None:
-    """The corridor looks the same after a right angle that only the wheels tell."""
+    """The corridor looks the same after a right angle that only the wheels show."""
     odometry = begun()
     for stamp_s in np.arange(10.0, 29.95, 0.1).tolist():
         turn = min((stamp_s - 10.0) / 10.0, 1.0) * np.pi / 2.0
@@ -82,8 +82,8 @@ def test_a_heading_that_slips_does_not_leave_the_corridor_open() -> None:
     assert np.sqrt(moved.covariance[0, 0]) < 0.5
 
 
-def test_without_wheels_who_stands_may_go_where_nothing_tells_it() -> None:
-    """As fast as before; and how fast it goes then, the next scan of a bare corridor does not tell either."""
+def test_without_wheels_who_stands_may_go_where_nothing_shows_it() -> None:
+    """As fast as before; and how fast it goes then, the next scan of a bare corridor does not show either."""
     odometry = ScanOdometry(load_config(None, ["sensors.wheels=false"]))
     for n in range(25):
         ahead_m = 4.0 - 0.2 * SPEED_M_S * min(n, 18)

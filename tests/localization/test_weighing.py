@@ -16,7 +16,7 @@ from slam.config.localization import LocalizationConfig
 from slam.estimates import MotionEstimate
 from slam.localization.hypotheses import Hypothesis, HypothesisSet, KeyframeLog
 from slam.localization.known_map import Walls
-from slam.localization.loss_test import LossTest
+from slam.localization.machine import LossTest
 from slam.localization.planar_sensor import NovelSurfaces, PlanarSensor
 from slam.localization.poses import Measured, position_sigma_m, same_place
 from slam.localization.scan_view import ScanView, first_in_cells
@@ -99,7 +99,7 @@ def test_the_end_of_the_path_may_count_alone_at_a_price(evidence: list[float], e
 
 
 class Places:
-    """A sensor on a line that proposes places, and says of each pose what it is told to."""
+    """A sensor on a line that proposes places, and says of each pose what it is set to."""
 
     search_every_m, weighs_back, least_keyframes = 1e9, 9, 1
 
@@ -173,7 +173,7 @@ def test_dead_reckoning_holds_the_hypotheses_that_are_in_its_covariance() -> Non
     assert best is not None and best.pose.x() == 40.0 and free.together() is None
 
 
-def test_together_they_are_as_wide_as_each_is_and_tell_nothing_where_room_is_short() -> None:
+def test_together_they_are_as_wide_as_each_is_and_show_nothing_where_room_is_short() -> None:
     known = Measured(ORIGIN, np.diag([0.4, 0.05, 0.05]) ** 2)
     hypotheses: HypothesisSet[int, None] = HypothesisSet(Places({0.0: 9.0}), CONFIG)
     hypotheses.add_keyframe(0, ORIGIN, known, bound=True)

@@ -1,4 +1,4 @@
-"""A ceiling compass: stripes overhead tell the robot's heading in the building. A sensor in one file."""
+"""A ceiling compass: stripes overhead show the robot's heading in the building. A sensor in one file."""
 
 from __future__ import annotations
 

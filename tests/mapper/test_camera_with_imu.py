@@ -8,10 +8,10 @@ import gtsam
 import numpy as np
 import pytest
 from imu_world import T_BASE_IMU, readings
-from memory_drives import MemoryLog
 from room_world import LESS, furnished, render, write_tum_folder
 from scipy.spatial.transform import Rotation
 
+from slam.app.mapping import Measured
 from slam.config import load_config
 from slam.datasets import open_dataset
 from slam.mapper.map_result import MapResult
@@ -38,7 +38,7 @@ def way(time_s: float) -> gtsam.Pose3:
 
 @pytest.fixture(scope="module")
 def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Frames with the camera as the robot's frame, and an IMU whose place in it is told."""
+    """Frames with the camera as the robot's frame, and an IMU whose place in it is stated."""
     folder, stamps_s = tmp_path_factory.mktemp("hand") / "log", np.arange(0.5, SECONDS - 0.5, 1.0 / RATE_HZ)
     folder.mkdir()
     poses = [way(float(stamp_s)).compose(T_DEVICE_CAMERA) for stamp_s in stamps_s]
@@ -57,7 +57,7 @@ def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def run(log: Path, *settings: str, until_s: float = SECONDS) -> MapResult:
-    dataset = MemoryLog([one for one in open_dataset(log) if one.stamp_s < until_s])
+    dataset = Measured([one for one in open_dataset(log) if one.stamp_s < until_s])
     return build_map(dataset, load_config(None, ["dense_map.enabled=false", *settings]))  # type: ignore[arg-type]
 
 
@@ -83,7 +83,7 @@ def test_without_the_imu_it_leans_as_the_first_image_does(log: Path) -> None:
     assert lean_degrees(run(log, "sensors.imu=false", until_s=3.0)).min() > 5.0
 
 
-def test_turns_that_differ_are_told_from_those_that_a_match_errs_by() -> None:
+def test_turns_that_differ_are_distinguished_from_errors_of_a_match() -> None:
     turn = gtsam.Pose3(gtsam.Rot3.Yaw(0.3), np.zeros(3))
     assert alike(turn, gtsam.Pose3(gtsam.Rot3.Yaw(0.34), np.ones(3)))
     assert not alike(turn, gtsam.Pose3(gtsam.Rot3.Yaw(0.36), np.zeros(3)))

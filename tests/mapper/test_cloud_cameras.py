@@ -97,7 +97,7 @@ def test_without_the_camera_the_way_is_the_same(log: Log, mapped: MapResult) -> 
     assert layers is not None and layers.lidar is alone.map.grid and layers.depth is None
 
 
-def test_the_camera_tells_the_step_where_the_lidar_is_lost() -> None:
+def test_the_camera_shows_the_step_where_the_lidar_is_lost() -> None:
     """Blind for so long that the tracker gives up; wheels are silent, and nobody else knows the way."""
     measurements = drive(32, blind=range(6, 18))
     config = load_config(None, [*SETTINGS, "fusion.enabled=false", "dense_map.enabled=false"])
@@ -108,7 +108,7 @@ def test_the_camera_tells_the_step_where_the_lidar_is_lost() -> None:
     assert np.linalg.norm(result.map.trajectory.positions_m[-1] - end.translation()) < 0.1
 
 
-def test_one_without_a_place_is_told(log: Log) -> None:
+def test_one_without_a_place_is_reported(log: Log) -> None:
     lost = [replace(one, T_base_camera=None) if isinstance(one, RgbdFrame) else one for one in log][:8]
     result = build_map(Log(lost, Path()), load_config(None, SETTINGS))  # type: ignore[arg-type]
     assert result.map.frames is None

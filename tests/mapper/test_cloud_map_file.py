@@ -1,4 +1,4 @@
-"""A 3D lidar's map.db, as a user meets it: resumed, checked, told, exported; and what it cannot do."""
+"""A 3D lidar's map.db, as a user meets it: resumed, checked, reported, exported; and what it cannot do."""
 
 from __future__ import annotations
 
@@ -20,10 +20,9 @@ from slam.outputs.finished_map import load_map
 COUNT = 9
 SETTINGS = [
     part
-    for setting in (*SMALL, "cloud_loops.least_path_voxels=4", "grid.resolution_m=0.1")
+    for setting in (*SMALL, "cloud_loops.least_path_voxels=4", "grid.resolution_m=0.2")
     for part in ("--set", setting)
 ]
-OCTOMAP = ["--set", "dense_map.octomap=true", "--set", "grid.resolution_m=0.2"]
 
 
 @pytest.fixture(scope="module")
@@ -39,11 +38,11 @@ def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def mapped(log: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Its map."""
     out = tmp_path_factory.mktemp("clouds mapped")
-    assert run("map", log, "-o", out, *SETTINGS, *OCTOMAP) == 0
+    assert run("map", log, "-o", out, *SETTINGS) == 0
     return out
 
 
-def test_it_is_whole_and_tells_what_it_holds(scanweave: Scanweave, mapped: Path) -> None:
+def test_it_is_whole_and_shows_what_it_holds(scanweave: Scanweave, mapped: Path) -> None:
     outcome = scanweave("check", mapped)
     assert outcome.code == 0 and "keyframes" in outcome.out and "clouds" in outcome.out, outcome
     found = json.loads(scanweave("info", mapped, "--json").out)
@@ -59,14 +58,11 @@ def test_it_is_whole_and_tells_what_it_holds(scanweave: Scanweave, mapped: Path)
         ("tum", ("trajectory.tum", "trajectory_covariance.csv")),
         ("g2o", ("graph.g2o",)),
         ("ply", ("cloud.ply",)),
-        ("bt", ("map.bt",)),
     ],
 )
 def test_what_is_exported_is_what_the_run_has_written(
     scanweave: Scanweave, mapped: Path, tmp_path: Path, format_: str, names: tuple[str, ...]
 ) -> None:
-    if format_ == "bt":
-        pytest.importorskip("octomap")
     outcome = scanweave("export", mapped, "-f", format_, "-o", tmp_path)
     assert outcome.code == 0, outcome.err
     assert {path.name for path in tmp_path.iterdir()} == set(names)
@@ -94,10 +90,10 @@ def test_interrupted_and_resumed(
         asked, stop_at = 0, moment
         with monkeypatch.context() as patch:
             patch.setattr(Checkpoint, "cached", interrupted)
-            outcome = scanweave("map", log, "-o", out, "--resume", *SETTINGS, *OCTOMAP)
+            outcome = scanweave("map", log, "-o", out, "--resume", *SETTINGS)
         assert outcome.code == 130, outcome.err
     assert json.loads(scanweave("info", out, "--json").out)["clouds"] >= 2
-    assert scanweave("map", log, "-o", out, "--resume", *SETTINGS, *OCTOMAP).code == 0
+    assert scanweave("map", log, "-o", out, "--resume", *SETTINGS).code == 0
     for name in ("map.db", "trajectory.tum", "graph.g2o", "map.pgm", "cloud.ply"):
         assert (out / name).read_bytes() == (mapped / name).read_bytes(), name
 

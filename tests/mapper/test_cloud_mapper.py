@@ -172,7 +172,7 @@ def test_an_unknown_mounting_finds_the_ground_by_sight(tmp_path: Path) -> None:
     ],
     ids=["five points", "one ring"],
 )
-def test_what_cannot_be_mapped_is_told(tmp_path: Path, clouds: list[PointCloud], fault: str) -> None:
+def test_what_cannot_be_mapped_is_reported(tmp_path: Path, clouds: list[PointCloud], fault: str) -> None:
     with pytest.raises(DatasetError, match=fault):
         build_map(open_dataset(write_log(tmp_path / "log", clouds)), load_config(None, SMALL))
 

@@ -14,8 +14,7 @@ import yaml
 from flat_worlds import box, sweep
 
 import slam
-from slam.app.mapping import run_log
-from slam.app.measured import Measured
+from slam.app.mapping import Measured, run_log
 from slam.config import load_config
 from slam.earth import TangentPlane
 from slam.errors import ScanweaveError
@@ -72,7 +71,7 @@ def test_it_holds_the_way_that_wheels_lose() -> None:
     assert missed_m(made) < 0.1
     earth = made.contents.georeference
     assert earth is not None
-    # A metre of the way tells the heading at its start.
+    # A metre of the way shows the heading at its start.
     assert math.cos(math.radians(earth.heading_deg)) > 0.98
     np.testing.assert_allclose(PLANE.enu_m(*earth.geodetic(np.zeros(3))), [10.0, 0.0, 2.0], atol=0.3)
     assert any(note.startswith("GNSS: ") for note in made.notes)
@@ -96,14 +95,14 @@ def test_mirrored_signals_are_refused() -> None:
     ("fixes", "changes", "why"),
     [(range(MOMENTS), {"sigma_m": 5.0}, "uncertain"), (range(5), {}, "only")],
 )
-def test_what_tells_nothing_is_not_used(fixes: range, changes: dict[str, float], why: str) -> None:
+def test_what_shows_nothing_is_not_used(fixes: range, changes: dict[str, float], why: str) -> None:
     run = run_log(Measured(drive(fixes, **changes)))
     assert run.map.contents.georeference is None
     assert missed_m(run.map) == pytest.approx(missed_m(slam.map_log(Measured(drive(())))), abs=1e-9)
     assert any("gnss (GNSS" in note and why in note for note in run.map.notes)
 
 
-def test_a_calibration_tells_the_antenna_or_leaves_the_receiver_out() -> None:
+def test_a_calibration_shows_the_antenna_or_leaves_the_receiver_out() -> None:
     untold = [replace(one, antenna_m=None) if isinstance(one, GnssFix) else one for one in drive()]
     settings = ["sensors.calibration.gnss.gnss.antenna_m=[0.3,-0.2,1.0]"]
     made = slam.map_log(Measured(untold), load_config(None, settings))
@@ -114,13 +113,13 @@ def test_a_calibration_tells_the_antenna_or_leaves_the_receiver_out() -> None:
 
 def test_files_say_where_on_the_earth_it_lies(tmp_path: Path) -> None:
     made = slam.map_log(Measured(drive()), out=tmp_path / "map")
-    told = yaml.safe_load((tmp_path / "map" / "georeference.yaml").read_text())
-    assert told["latitude_deg"] == pytest.approx(48.0, abs=1e-5)
+    stated = yaml.safe_load((tmp_path / "map" / "georeference.yaml").read_text())
+    assert stated["latitude_deg"] == pytest.approx(48.0, abs=1e-5)
     earth, saved = made.contents.georeference, slam.load_map(tmp_path / "map").contents.georeference
     assert earth is not None
     assert saved is not None
     assert saved.T_enu_map.equals(earth.T_enu_map, 1e-9)
-    np.testing.assert_allclose(told["T_enu_map"], earth.T_enu_map.matrix()[:3], atol=1e-8)
+    np.testing.assert_allclose(stated["T_enu_map"], earth.T_enu_map.matrix()[:3], atol=1e-8)
     turned = made.edited({"turn": {"degrees": 30.0}})
     last = [one.contents.georeference.geodetic(one.trajectory.positions_m[-1]) for one in (made, turned)]
     np.testing.assert_allclose(last[0], last[1], atol=1e-9)
@@ -140,9 +139,9 @@ def test_a_way_that_bends_is_straightened(planar: bool) -> None:
     for k in range(300):
         step = gtsam.Pose2(1.0, 0.0, 0.02 if k % 150 < 75 else -0.01)
         true.append(true[-1].compose(step))
-        told = lift(step.compose(gtsam.Pose2(0.0, 0.0, 5e-4)))
-        edges.append(Edge(k, k + 1, told, np.diag(np.square(sigmas)), EdgeKind.LIDAR, trusted=True))
-        poses.append(poses[-1].compose(told))
+        stated = lift(step.compose(gtsam.Pose2(0.0, 0.0, 5e-4)))
+        edges.append(Edge(k, k + 1, stated, np.diag(np.square(sigmas)), EdgeKind.LIDAR, trusted=True))
+        poses.append(poses[-1].compose(stated))
     for k in range(0, 301, 2):
         place = np.asarray(T_ENU_MAP.compose(gtsam.Pose3(true[k])).transformFrom(ANTENNA))
         place = place + rng.normal(0.0, 0.3, 3) + (20.0 * rng.normal(size=3) if k % 20 == 0 else 0.0)
@@ -156,7 +155,7 @@ def test_a_way_that_bends_is_straightened(planar: bool) -> None:
     last = gtsam.Pose3(found.edges[-1].T_source_target) if planar else found.edges[-1].T_source_target
     seen = found.T_enu_map.compose(last).transformFrom(ANTENNA)
     np.testing.assert_allclose(seen[:2], places[found.edges[-1].target], atol=1e-6)
-    # Together they tell the earth's place far better than one, and far ones share its heading.
+    # Together they show the earth's place far better than one, and far ones share its heading.
     wider = with_alignment(found.edges)
     more = [np.trace(b.covariance - a.covariance) for a, b in zip(found.edges, wider, strict=True)]
     assert 0.0 < min(more) < 0.5 * max(more) < 0.09

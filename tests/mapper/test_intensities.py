@@ -19,7 +19,7 @@ from slam.mapper.pipeline import build_map
 from slam.matching.cloud_points import at_middle_of_turn, base_points, usable_intensities
 from slam.measurements import Float32Array, FloatArray
 from slam.outputs.exports import Exports
-from slam.storage.las import sixteen_bits
+from slam.storage.lidar_cloud_files import sixteen_bits
 
 COUNT = 12
 
@@ -40,21 +40,21 @@ def mapped(tmp_path_factory: pytest.TempPathFactory) -> MapResult:
     return build_map(open_dataset(folder), load_config(None, SMALL))
 
 
-def told_right(points: FloatArray | Float32Array, bright: FloatArray | Float32Array) -> float:
+def stated_right(points: FloatArray | Float32Array, bright: FloatArray | Float32Array) -> float:
     """Share of points away from the border that are as bright as they were."""
     clear = np.abs(points[:, 2] - 0.4) > 0.05
     return float((brightness(points)[clear] == bright[clear]).mean())
 
 
-def test_kept_clouds_tell_it(mapped: MapResult) -> None:
+def test_kept_clouds_show_it(mapped: MapResult) -> None:
     clouds = mapped.map.clouds
     assert clouds is not None and len(clouds) > 2
     for key in range(len(clouds)):
         bright = clouds.intensities(key)
-        assert bright is not None and told_right(clouds.points(key), bright) == 1.0
+        assert bright is not None and stated_right(clouds.points(key), bright) == 1.0
 
 
-def test_every_file_tells_it(mapped: MapResult, tmp_path: Path) -> None:
+def test_every_file_shows_it(mapped: MapResult, tmp_path: Path) -> None:
     exports = Exports(mapped.map, load_config(None, SMALL))
     for format_, change in (("ply", None), ("pcd", None), ("las", sixteen_bits)):
         if format_ == "las":
@@ -62,7 +62,7 @@ def test_every_file_tells_it(mapped: MapResult, tmp_path: Path) -> None:
         (path, *_) = exports.write(format_, tmp_path / f"cloud.{format_}")
         found = read_cloud(path)
         bright = found.fields["intensity"] / (257.0 if change else 1.0)
-        assert told_right(found.points_lidar, bright) > 0.99
+        assert stated_right(found.points_lidar, bright) > 0.99
 
 
 def test_each_usable_point_keeps_its_own() -> None:
@@ -70,10 +70,10 @@ def test_each_usable_point_keeps_its_own() -> None:
     twist = np.array([0.0, 0.0, 0.5, 1.0, 0.0, 0.0])
     cloud = look_on_the_way(gtsam.Pose3(), twist, 0.0)
     config = CloudOdometryConfig(range_min_m=3.0)
-    told = at_middle_of_turn(replace(cloud, intensities=np.arange(len(cloud.points_lidar))), config)
-    bright = usable_intensities(told, config)
+    stated = at_middle_of_turn(replace(cloud, intensities=np.arange(len(cloud.points_lidar))), config)
+    bright = usable_intensities(stated, config)
     assert bright is not None and len(bright) < len(cloud.points_lidar)
     kept = replace(cloud, points_lidar=cloud.points_lidar[bright], times_s=cloud.times_s[bright])
     wanted = base_points(at_middle_of_turn(kept, config), twist, config)
-    np.testing.assert_allclose(base_points(told, twist, config), wanted, atol=5e-3)
+    np.testing.assert_allclose(base_points(stated, twist, config), wanted, atol=5e-3)
     assert usable_intensities(cloud, config) is None

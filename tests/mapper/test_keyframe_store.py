@@ -63,7 +63,7 @@ def test_colour_goes_where_the_depth_camera_sees_it(frames: list[PreparedFrame])
     assert np.abs(image.color.astype(int) - frames[0].frame.color).mean() > 5.0
 
 
-def test_notes_tell_of_cameras_that_sit_aside() -> None:
+def test_notes_name_cameras_that_sit_aside() -> None:
     aside = ColorRegistration(MIDDLE, MIDDLE, gtsam.Pose3(), True, "5 cm beside")
     reported = {"left": aside, "right": identity_registration(MIDDLE, "as registered")}
     assert registration_notes(reported) == ["left: 5 cm beside"]

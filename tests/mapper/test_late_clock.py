@@ -85,11 +85,11 @@ def test_frames_and_the_loops_between_them_follow_the_clock(cameras: RobotCamera
 
     cameras.cameras["eye"].clocks.clock = SensorClock(LATE_S, SIGMA_S, 3)
     keyframes.settle(graph, np.array([1.0, 12.0]))
-    told = graph.graph.edges[-1]
-    assert told.T_source_target.theta() == pytest.approx(-RATE_RAD_S * LATE_S, abs=1e-6)
-    assert math.sqrt(told.covariance[2, 2]) == pytest.approx(RATE_RAD_S * SIGMA_S, rel=0.1)
+    stated = graph.graph.edges[-1]
+    assert stated.T_source_target.theta() == pytest.approx(-RATE_RAD_S * LATE_S, abs=1e-6)
+    assert math.sqrt(stated.covariance[2, 2]) == pytest.approx(RATE_RAD_S * SIGMA_S, rel=0.1)
     assert graph.loops[0].motion is not None and graph.loops[0].edge(0).T_source_target.equals(
-        told.T_source_target, 1e-12
+        stated.T_source_target, 1e-12
     )
     head = keyframes.frames.head(0)
     assert head.T_base_camera is not None and head.sensor == "eye"

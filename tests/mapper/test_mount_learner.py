@@ -26,7 +26,7 @@ def drive(learner: MountLearner, steps: int, turn_rad: float, seed: int = 0) -> 
         learner.add(step, Motion(motion + SIGMAS * rng.standard_normal(3), np.diag(SIGMAS**2)))
 
 
-def test_a_mounting_that_nobody_told_is_learned() -> None:
+def test_a_mounting_that_nobody_stated_is_learned() -> None:
     learner = MountLearner(None)
     drive(learner, 120, 0.4)
     found = learner.T_base_camera

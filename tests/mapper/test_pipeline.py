@@ -85,7 +85,7 @@ class TestSynthetic:
         ]
         assert kept == [(loop.place, loop.keyframe) for loop in accepted]
 
-    def test_an_edge_tells_the_number_of_its_loop(self, mapped: MapResult) -> None:
+    def test_an_edge_shows_the_number_of_its_loop(self, mapped: MapResult) -> None:
         loops, edges = mapped.map.loops, [factor.edge for factor in mapped.map.factors]
         assert {edge.kind is EdgeKind.LOOP for edge in edges if edge.loop is not None} == {True}
         assert {edge.kind is EdgeKind.LOOP for edge in edges if edge.loop is None} == {False}

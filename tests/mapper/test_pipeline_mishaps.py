@@ -91,7 +91,7 @@ class TestMishaps:
     def test_scans_only_with_a_gap_claim_no_more_than_is_known(
         self, short_log: SyntheticLog, tmp_path: Path
     ) -> None:
-        """Nothing tells whether the robot is back where it was, or at a place that looks the same."""
+        """Nothing shows whether the robot is back where it was, or at a place that looks the same."""
 
         def gap(number: int, fields: list[str]) -> Iterable[list[str]]:
             if not 1004.0 < stamp(fields) < 1012.0:
@@ -112,7 +112,7 @@ class TestMishaps:
         with pytest.raises(DatasetError, match="wheels contains no scan or frame"):
             run(log)
 
-    def test_scans_that_cannot_be_read_are_told_with_the_reason(
+    def test_scans_that_cannot_be_read_are_reported_with_the_reason(
         self, short_log: SyntheticLog, tmp_path: Path
     ) -> None:
         def cut(number: int, fields: list[str]) -> Iterable[list[str]]:
@@ -121,8 +121,8 @@ class TestMishaps:
         for every in (False, True):
             log = edited(short_log, tmp_path / "cut.log", cut)
             if not every:
-                (told,) = (one for one in run(log).warnings if "are mapped" in one)
-                assert "scans or frames are mapped" in told and f"x {WRONG_COUNT}" in told
+                (stated,) = (one for one in run(log).warnings if "are mapped" in one)
+                assert "scans or frames are mapped" in stated and f"x {WRONG_COUNT}" in stated
         with pytest.raises(DatasetError, match=rf"can be mapped \(\d+ x {WRONG_COUNT}"):
             run(log)
 
@@ -193,14 +193,14 @@ class TestMishaps:
         assert errors_m(result, short_log.truth.to_planar())[-1] < 0.1
 
     @pytest.mark.parametrize(
-        ("took_s", "told"),
+        ("took_s", "stated"),
         [
             (10.0, "No scan or image was matched"),
             (0.0, "At 4.4 s a scan does not match what was seen there before (1 such scans)"),
         ],
     )
     def test_a_robot_carried_away_unseen(
-        self, short_log: SyntheticLog, tmp_path: Path, took_s: float, told: str
+        self, short_log: SyntheticLog, tmp_path: Path, took_s: float, stated: str
     ) -> None:
         stamps = np.round(short_log.truth.stamps_s, 6)
         wheels = wheel_rows(short_log.log_path)
@@ -221,11 +221,11 @@ class TestMishaps:
                     yield [*fields[:-9], *row, *row, *fields[-3:]]
 
         result = run(edited(short_log, tmp_path / "carried.log", carried))
-        assert any(told in warning for warning in result.warnings)
+        assert any(stated in warning for warning in result.warnings)
         readings = line_numbers(result)
         assert readings[-1] + 1 == len(stamps) - (after - before)
         assert np.isfinite(result.map.trajectory.positions_m).all()
-        # Where it woke up nobody can tell; what it drove there, the lidar measured.
+        # Where it woke up nobody can show; what it drove there, the lidar measured.
         tail = result.map.trajectory.to_planar()[readings >= before]
         truth = short_log.truth.to_planar()[after:]
         drove, true = between(tail[0], tail[-1]), between(truth[0], truth[-1])

@@ -94,8 +94,8 @@ def test_a_chain_that_was_bent_closes_in_the_second_round(monkeypatch: pytest.Mo
     turned = np.array(steps)
     turned[GAP, 2] -= 0.7 / (GAP.stop - GAP.start)
     by_wheels = way((5.0, 1.0, -2.0), turned.tolist())
-    told = [(wheels_at(n, pose), scan) for n, (pose, scan) in enumerate(zip(by_wheels, scans, strict=True))]
-    drive = [one for both in [*told[: GAP.start], *told[GAP.stop :]] for one in both]
+    stated = [(wheels_at(n, pose), scan) for n, (pose, scan) in enumerate(zip(by_wheels, scans, strict=True))]
+    drive = [one for both in [*stated[: GAP.start], *stated[GAP.stop :]] for one in both]
     result = mapped(drive)
     assert worst_m(result, truth) < 0.7
     assert np.median(errors(result, truth)[:, 0]) < 0.1
@@ -109,9 +109,9 @@ def test_places_are_drawn_apart_where_scans_matched_nothing(monkeypatch: pytest.
     scans, truth = seen_along(ALL_DIFFERENT[:2], ROUND[: GAP.stop + 20])
     apart, add = list[bool](), SubmapStore.add
 
-    def spied(store: SubmapStore, *told: Any, begun: bool) -> None:
+    def spied(store: SubmapStore, *stated: Any, begun: bool) -> None:
         apart.append(begun)
-        add(store, *told, begun=begun)
+        add(store, *stated, begun=begun)
 
     monkeypatch.setattr(SubmapStore, "add", spied)
     readings = mapped_drive(scans, truth).map.readings
@@ -132,6 +132,6 @@ def test_who_may_have_turned_unseen_is_asked_which_way_the_corridor_is() -> None
     by_wheels = way((5.0, 1.0, -2.0), [*SIDE[:ahead], *[[0.0, 0.0, 0.0]] * len(unseen), *SIDE[:ahead]])
     walls = np.concatenate([[[-50.0, y, 50.0, y] for y in (-1.2, 1.2)], boxes(4, 0.0, 9.0)])
     scans = [within_sight(one) for one in scans_along(truth, [walls] * len(truth), fov_rad=2.0 * np.pi)]
-    told = [(wheels_at(n, pose), scan) for n, (pose, scan) in enumerate(zip(by_wheels, scans, strict=True))]
-    result = mapped([one for n, both in enumerate(told) for one in both[: 1 if n in unseen else 2]])
+    stated = [(wheels_at(n, pose), scan) for n, (pose, scan) in enumerate(zip(by_wheels, scans, strict=True))]
+    result = mapped([one for n, both in enumerate(stated) for one in both[: 1 if n in unseen else 2]])
     assert worst_m(result, truth) < 0.5

@@ -12,10 +12,10 @@ import gtsam
 import numpy as np
 import pytest
 from flat_worlds import box, sweep
-from memory_drives import MemoryLog
 from room_world import SMALL, T_BODY_CAMERA, blind, furnished, render
 from typer.testing import CliRunner
 
+from slam.app.mapping import Measured
 from slam.cli.commands import app
 from slam.config import load_config
 from slam.errors import ScanweaveError
@@ -86,7 +86,7 @@ def drive() -> list[tuple[int, Measurement]]:
 
 def run(drive: list[tuple[int, Measurement]], edit: Edit, *overrides: str) -> MapResult:
     measurements = [edit(n, measurement) for n, measurement in drive]
-    kept = MemoryLog([measurement for measurement in measurements if measurement is not None])
+    kept = Measured([measurement for measurement in measurements if measurement is not None])
     return build_map(kept, load_config(None, ["dense_map.enabled=false", *overrides]))  # type: ignore[arg-type]
 
 
@@ -155,7 +155,7 @@ def test_the_camera_alone_on_wheels(without_lidar: MapResult) -> None:
     assert without_lidar.map.trajectory.positions_m[:, 2].max() == 0.0
 
 
-def test_a_camera_that_begins_after_the_lidar_tells_its_first_step(
+def test_a_camera_that_begins_after_the_lidar_shows_its_first_step(
     drive: list[tuple[int, Measurement]],
 ) -> None:
     """Its first frame comes 90 ms after the scan that begins the map: it is carried back."""

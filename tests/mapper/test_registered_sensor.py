@@ -15,8 +15,7 @@ from flat_worlds import box, sweep
 from test_resume import Log, attempt
 
 import slam
-from slam.app.mapping import run_log
-from slam.app.measured import Measured
+from slam.app.mapping import Measured, run_log
 from slam.config import load_config
 from slam.errors import DatasetError, GraphError
 from slam.graph.edge import Edge, EdgeKind
@@ -61,7 +60,7 @@ def test_it_keeps_the_heading_that_wheels_lose() -> None:
     assert missed_rad(drive(compass=True)) < 0.08
 
 
-def test_graph_map_and_report_tell_of_it(tmp_path: Path) -> None:
+def test_graph_map_and_report_show_it(tmp_path: Path) -> None:
     run = run_log(Measured(drive(compass=True)), out=tmp_path / "map")
     kinds = [factor.edge.kind for factor in slam.load_map(tmp_path / "map").factors]
     assert kinds.count(KIND) == len(run.map.keyframe_poses) - 1 > 10

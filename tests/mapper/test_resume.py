@@ -242,7 +242,7 @@ def test_known_answers_are_not_computed_again(
 
     monkeypatch.setattr(SurfelOdometry, "match", refuse)
     monkeypatch.setattr("slam.graph.loop_closure.search_place", refuse)
-    monkeypatch.setattr("slam.mapping.image_packing.packed_color", refuse)
+    monkeypatch.setattr("slam.mapping.sensor_packing.packed_color", refuse)
     asked: list[int] = []
     monkeypatch.setattr(
         "slam.vision.prepared_frame.extract_features",

@@ -1,4 +1,4 @@
-"""Tags on the walls: they close the way, hold it where they were surveyed, and tell what does not fit."""
+"""Tags on the walls: they close the way, hold it where they were surveyed, and show what does not fit."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ import yaml
 from tag_world import SIDE_M, TAGS, ahead_of, drive, usual, way
 
 import slam
-from slam.app.measured import Measured
+from slam.app.mapping import Measured
 from slam.config import load_config, with_places
 from slam.config.tags import KnownPlaces, KnownStart, SurveyedPlace
 from slam.errors import ConfigError
@@ -140,9 +140,9 @@ def test_files(checked: slam.Map, tmp_path: Path) -> None:
     assert saved.places.T_survey_map is not None and made.contents.places.T_survey_map is not None
     assert saved.places.T_survey_map.equals(made.contents.places.T_survey_map, 1e-9)
     Exports(made.contents, made.config).write_files(tmp_path / "files")
-    told = with_places(PLAIN, tmp_path / "files" / "tags.yaml").sensors.tags
-    assert told is not None and told.size_m == SIDE_M
-    for one in told.surveyed:
+    stated = with_places(PLAIN, tmp_path / "files" / "tags.yaml").sensors.tags
+    assert stated is not None and stated.size_m == SIDE_M
+    for one in stated.surveyed:
         true = T_SURVEY_MAP.transformFrom(TAGS[one.tag or 0].T_map_tag.translation())
         np.testing.assert_allclose(one.at_m[:2], true[:2], atol=0.05)
 

@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 from cloud_world import SMALL, look, look_on_the_way
 from imu_world import readings, walk
-from memory_drives import MemoryLog
 
+from slam.app.mapping import Measured
 from slam.config import load_config
 from slam.mapper.checkpoint import Checkpoint
 from slam.mapper.imu_start import after_readings, first_twist, start_of
@@ -30,7 +30,7 @@ CLOUDS = [look(walk(stamp_s), stamp_s, seed=n) for n, stamp_s in enumerate(np.ar
 def run(imu: Iterator[ImuReading] | list[ImuReading], file: MapFile | None = None) -> MapResult:
     log: list[Measurement] = sorted([*imu, *CLOUDS], key=lambda one: one.stamp_s)
     config = load_config(None, ["sensors.doctor=false", *SMALL])
-    return build_map(MemoryLog(log), config, checkpoint=Checkpoint(file))  # type: ignore[arg-type]
+    return build_map(Measured(log), config, checkpoint=Checkpoint(file))
 
 
 def worst_m(result: MapResult) -> float:
@@ -100,7 +100,7 @@ def test_late_readings_are_used_as_if_they_came_in_time(late_s: float) -> None:
         [*said, *CLOUDS], key=lambda one: one.stamp_s + late_s * isinstance(one, ImuReading)
     )
     config = load_config(None, ["sensors.doctor=false", *SMALL])
-    result = build_map(MemoryLog(log), config)  # type: ignore[arg-type]
+    result = build_map(Measured(log), config)
     assert any("gravity to" in note for note in result.notes)
 
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from slam.config import Config
-from slam.mapper.map_warnings import unseen
+from slam.mapper.map_result import unseen
 from slam.trajectory.poses import Poses
 
 STAMPS_S = np.arange(0.0, 10.01, 0.5)
@@ -13,19 +13,21 @@ PLACED = np.flatnonzero((STAMPS_S <= 3.0) | (STAMPS_S >= 7.0))
 
 
 @pytest.mark.parametrize(
-    ("position_m", "turn_rad", "told"),
+    ("position_m", "turn_rad", "stated"),
     [(0.7, 0.0, "up to 0.70 m and 0.0 degrees"), (0.1, 0.3, "up to 0.10 m and 17.2 degrees"), (0.5, 0.1, "")],
 )
-def test_only_what_a_match_would_not_mend_is_told(position_m: float, turn_rad: float, told: str) -> None:
+def test_only_what_a_match_would_not_mend_is_reported(
+    position_m: float, turn_rad: float, stated: str
+) -> None:
     """In metres, or by a turn of what lies 3 m away."""
     covariances = np.zeros((len(STAMPS_S), 3, 3))
     covariances[(STAMPS_S > 4.0) & (STAMPS_S < 6.0)] = np.diag([position_m**2, 0.0, turn_rad**2])
     warnings = unseen(ALONG, PLACED, covariances, Config())
-    assert [told in warning for warning in warnings] == [True] * bool(told)
+    assert [stated in warning for warning in warnings] == [True] * bool(stated)
     assert all("from 3.0 to 7.0 s: relative" in warning for warning in warnings)
 
 
-def test_the_worst_of_several_is_told_with_their_number() -> None:
+def test_the_worst_of_several_is_reported_with_their_number() -> None:
     placed = np.setdiff1d(PLACED, np.flatnonzero((STAMPS_S > 7.5) & (STAMPS_S < 9.5)))
     covariances = np.diag([0.0, 1.0, 0.0])[None] * np.isin(STAMPS_S, [5.0, 8.5])[:, None, None]
     covariances[STAMPS_S == 8.5] *= 4.0
@@ -36,7 +38,7 @@ def test_the_worst_of_several_is_told_with_their_number() -> None:
     )
 
 
-def test_who_was_uncertain_before_is_not_told_of_a_gap() -> None:
+def test_no_gap_is_reported_where_the_pose_was_uncertain_before() -> None:
     """A heading that is off from the start moves what is 100 m on by the more, gap or not."""
     covariances = np.repeat(np.diag([4.0, 4.0, 0.1])[None], len(STAMPS_S), axis=0)
     covariances[:, 1, 1] += 0.1 * (10.0 * STAMPS_S) ** 2

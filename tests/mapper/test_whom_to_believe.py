@@ -1,4 +1,4 @@
-"""Whom the mapper believes where lidar and wheels contradict each other, told by what becomes of the map.
+"""Whom the mapper believes where lidar and wheels contradict each other, judged by what becomes of the map.
 
 Each drive goes wrong in one way, and the truth is known. Nothing here knows how the mapper judges.
 """
@@ -31,7 +31,7 @@ def corridor() -> FloatArray:
 
 
 def hall() -> FloatArray:
-    """16 x 12 m with boxes scattered, so that every view tells position and heading."""
+    """16 x 12 m with boxes scattered, so that every view shows position and heading."""
     rng = np.random.default_rng(6)
     walls = [box(-8, -6, 8, 6)]
     for _ in range(14):
@@ -47,7 +47,7 @@ def with_person(walls: FloatArray, x_m: float) -> FloatArray:
 
 
 class TestSomebodyWalksAhead:
-    """Along bare walls the lidar tells the way by the person alone; the wheels are right within 1 %."""
+    """Along bare walls the lidar shows the way by the person alone; the wheels are right within 1 %."""
 
     BEFORE = 100
 
@@ -122,7 +122,7 @@ def test_wheels_that_lose_their_sign_are_believed_no_more(step_m: float) -> None
 
 @pytest.mark.parametrize("axle_m", [0.1, 0.2])
 def test_wheels_that_proved_exact_on_the_straight_may_swing_in_a_turn(axle_m: float) -> None:
-    """The base sits beside the axle: turns on the spot take it aside, which the wheels do not tell."""
+    """The base sits beside the axle: turns on the spot take it aside, which the wheels do not measure."""
     straight, turn = [0.03 * AHEAD] * 10, 0.1
     steps, by_wheels = straight * 6, straight * 6
     axle = np.array([0.0, axle_m, 0.0])

@@ -1,4 +1,4 @@
-"""Whom the mapper believes among lidar, wheels and cameras, told by what becomes of the map.
+"""Whom the mapper believes among lidar, wheels and cameras, judged by what becomes of the map.
 
 A furnished room that the cameras see at their height and the lidar at its own; a drive goes wrong in one way.
 """
@@ -29,7 +29,7 @@ MOUNTS = {
 }
 BEFORE_SCAN_S = 0.01  # frames are taken so long before the scans
 NO_WHEELS = "sensors.wheels=false"
-# So that half of the scans are keyframes: a short run then tells as much as a long one.
+# So that half of the scans are keyframes: a short run then shows as much as a long one.
 DENSE = ("keyframes.distance_m=0.07", "keyframes.angle_rad=0.08")
 
 Lie = Callable[[int, str], tuple[float, ...]]
@@ -122,7 +122,7 @@ def _since_first(poses: FloatArray) -> list[FloatArray]:
 
 
 class TestClock:
-    def test_a_camera_whose_clock_is_off_tells_the_truth_in_the_end(self) -> None:
+    def test_a_camera_whose_clock_is_off_shows_the_truth_in_the_end(self) -> None:
         """Its steps were off by up to 0.1 rad when they were new; the clock is known when all is seen."""
         result, truth = driven(60, ahead_s=0.08)
         assert worst_m(result, truth) < 0.015
@@ -155,7 +155,7 @@ class TestClock:
 
 
 class TestLyingCamera:
-    """Lidar and wheels tell the truth; a camera is moved by something for a while."""
+    """Lidar and wheels measure the truth; a camera is moved by something for a while."""
 
     @pytest.mark.parametrize(
         ("last", "offset"),

@@ -1,4 +1,4 @@
-"""Whom the mapper believes after a blind gap, when keyframes in between were guessed, told by the map.
+"""Whom the mapper believes after a blind gap, when keyframes in between were guessed, judged by the map.
 
 A garden full of boxes, and a lidar that sees 2.5 or 3 m of it all around: places apart share nothing. In a
 gap the lidar is blind, or sees a single post, which matches nothing.
@@ -123,7 +123,7 @@ class TestAroundTheGarden:
 
 
 class TestWheelsThatHadLostTheirSign:
-    """The wheels tell backward for 50 scans, and are right in the gap and after it, with the robot in a turn.
+    """The wheels count backward for 50 scans, and are right in the gap and after it; the robot is in a turn.
 
     So the pose after the gap is guessed from the last velocity. What is seen then matches nothing of before,
     but the next scan matches this one, and surely: a motion that is true, from a place that is not.
@@ -141,7 +141,7 @@ class TestWheelsThatHadLostTheirSign:
             (ODOMETRIES["kiss_matching"], 0.12, 1.6),
         ],
     )
-    def test_the_wheels_tell_the_gap(self, odometries: Odometries, step_m: float, turn_rad: float) -> None:
+    def test_the_wheels_show_the_gap(self, odometries: Odometries, step_m: float, turn_rad: float) -> None:
         steps = np.tile([step_m, 0.0, 0.0], (self.BEFORE + self.GAP + self.AFTER, 1))
         steps[self.BEFORE : self.BEFORE + self.GAP, 2] = turn_rad / self.GAP
         by_wheels = steps.copy()

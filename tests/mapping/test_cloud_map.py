@@ -90,12 +90,12 @@ def test_nothing_gives_nothing_and_a_bad_pose_is_named():
 def test_tiles_keep_the_intensity_of_the_point_that_stays():
     points, _ = wall((0, 0, 1), 1.0)
     here, there = gtsam.Pose3(), gtsam.Pose3(gtsam.Rot3(), np.array([0.0, 0.0, 3.0]))
-    told = np.column_stack([points, 1e3 * points[:, 0]])
-    parts = list(map_cloud([told, points], [here, there], 0.1))
+    stated = np.column_stack([points, 1e3 * points[:, 0]])
+    parts = list(map_cloud([stated, points], [here, there], 0.1))
     cloud = np.vstack([np.column_stack([part.points_map, part.intensities]) for part in parts])
     low = cloud[:, 2] < 0.5
     np.testing.assert_allclose(cloud[low, 3], 1e3 * cloud[low, 0], rtol=1e-5)
-    assert np.isnan(cloud[~low, 3]).all() and low.any() and not low.all()  # the second lidar told none
+    assert np.isnan(cloud[~low, 3]).all() and low.any() and not low.all()  # the second lidar gave none
     assert all(part.intensities is None for part in map_cloud([points], [here], 0.1))
 
 

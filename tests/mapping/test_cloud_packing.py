@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from slam.errors import ScanweaveError
-from slam.mapping.cloud_packing import STEP_M, packed_cloud, unpacked_cloud
+from slam.mapping.sensor_packing import STEP_M, packed_cloud, unpacked_cloud
 from slam.zstandard import zstd
 
 METRES = st.floats(-200.0, 200.0, allow_nan=False)
@@ -35,7 +35,7 @@ def test_intensities_come_back_as_they_were() -> None:
     found = unpacked_cloud(packed_cloud(rows))
     np.testing.assert_array_equal(found[:, 3], rows[:, 3])
     np.testing.assert_array_equal(found[:, :3], unpacked_cloud(packed_cloud(rows[:, :3])))
-    assert unpacked_cloud(packed_cloud(rows[:0])).shape == (0, 3)  # nothing tells nothing
+    assert unpacked_cloud(packed_cloud(rows[:0])).shape == (0, 3)  # nothing shows nothing
 
 
 def test_far_points_take_coarser_steps() -> None:

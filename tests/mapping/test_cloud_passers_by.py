@@ -7,9 +7,8 @@ import numpy as np
 import pytest
 
 from fusion.voxel_hash import AXIS_BITS, index_keys, table_for
-from slam.mapping.cloud_passers_by import PassedBy, passed_by
+from slam.mapping.cloud_passers_by import PassedBy, count_looks, passed_by, spread
 from slam.mapping.elevation import elevation
-from slam.mapping.looked_through import count_looks, spread
 from slam.matching.local_cloud import moved
 from slam.measurements import BoolArray, FloatArray
 
@@ -44,7 +43,7 @@ def seen_from(x: float, box_x: float | None) -> tuple[FloatArray, BoolArray]:
 
 
 def gone(boxes: list[float | None]) -> tuple[PassedBy, list[FloatArray], list[BoolArray], list[gtsam.Pose3]]:
-    """What is taken out of a drive along x, the box where it is told."""
+    """What is taken out of a drive along x, the box where it is reported."""
     steps = 0.8 * np.arange(len(boxes))
     clouds, marks = zip(*(seen_from(x, box) for x, box in zip(steps, boxes, strict=True)), strict=True)
     poses = [gtsam.Pose3(gtsam.Rot3(), np.array([x, 0.0, LIDAR_M])) for x in steps]

@@ -1,4 +1,4 @@
-"""Laws of evidence that tells the heights of a cell apart."""
+"""Laws of evidence that distinguishes the heights of a cell."""
 
 import math
 from dataclasses import replace
@@ -116,7 +116,7 @@ def test_beyond_the_reach_of_the_camera_a_room_is_free(roll_deg):
     assert state([turned(float(i), image) for i in range(4)]) == UNKNOWN
 
 
-def test_a_height_that_nothing_told_of_keeps_a_cell_unknown():
+def test_a_height_that_nothing_measured_keeps_a_cell_unknown():
     tiles = EvidenceTiles(heights=5)
     steps = np.full((1, 2, 5), -300, np.int16)
     steps[0, 1, 3] = 0

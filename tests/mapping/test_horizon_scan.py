@@ -10,7 +10,7 @@ import numpy as np
 from cloud_world import T_BASE_LIDAR, base, cast, look
 
 from slam.config.clouds import CloudMapConfig
-from slam.mapping.horizon_scan import horizon_scan, with_repairs
+from slam.mapping.band_scan import horizon_scan, with_repairs
 from slam.measurements import FloatArray, LaserScan
 
 CONFIG = CloudMapConfig(bearings=180)

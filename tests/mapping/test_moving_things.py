@@ -63,7 +63,7 @@ def on_him(scan: LaserScan, number: int, at: tuple[float, float]) -> FloatArray:
         ([*COMING, *STANDING, *GOING], True),
         (STANDING, False),
         ([None] * 20, False),
-        ([*[None] * 10, STAND, *[None] * 10], False),  # but one scan tells it
+        ([*[None] * 10, STAND, *[None] * 10], False),  # but one scan shows it
     ],
 )
 def test_who_comes_or_goes_is_taken_out_wherever_he_stood_and_nothing_else(

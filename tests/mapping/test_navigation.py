@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from slam.errors import ScanweaveError
-from slam.evaluation.plan_picture import plan_picture
+from slam.evaluation.figure_parts import plan_picture
 from slam.mapping.navigation import clearance_m, free_space, shortest_path
 from slam.mapping.occupancy_grid import FREE, OCCUPIED, UNKNOWN
 

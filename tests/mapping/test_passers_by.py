@@ -72,7 +72,7 @@ def test_who_came_last_is_not_in_the_grid_and_nobody_knows_whether_he_is_still_t
         ([1] * 12 + [0] * 10, True),
         ([0] * 10 + [1] * 12, True),
         ([0] * 5 + [1] * 12 + [0] * 5, True),
-        ([1] * 12 + [0] * 3, False),  # too few to tell
+        ([1] * 12 + [0] * 3, False),  # too few to decide
         ([1, 0] * 12 + [0] * 6, False),  # as a thin leg is met
     ],
 )

@@ -1,4 +1,4 @@
-"""Which sides of rooms are told as walls: what speaks for one, and what against it."""
+"""Which sides of rooms are reported as walls: what speaks for one, and what against it."""
 
 from __future__ import annotations
 

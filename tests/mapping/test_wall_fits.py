@@ -58,7 +58,7 @@ def test_the_drift_is_how_far_later_scans_saw_the_wall_elsewhere() -> None:
     assert fitted(later).drift.value == pytest.approx(0.002, abs=1e-3)
 
 
-def test_the_walls_tell_how_large_errors_of_poses_are() -> None:
+def test_the_walls_show_how_large_errors_of_poses_are() -> None:
     wall, rng = fitted(POSES), np.random.default_rng(1)
     variances = rng.uniform(0.5, 2.0, 400)
     fits = [

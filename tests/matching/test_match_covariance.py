@@ -178,7 +178,7 @@ def test_a_single_wall_leaves_the_direction_along_it_open() -> None:
     assert abs(motion.weak_direction @ along) > math.cos(math.radians(3.0))
 
 
-def test_a_round_room_does_not_tell_the_heading() -> None:
+def test_a_round_room_does_not_show_the_heading() -> None:
     angles = np.linspace(0.0, 2.0 * math.pi, 361)
     corners = 3.0 * np.column_stack([np.cos(angles), np.sin(angles)])
     circle = np.hstack([corners[:-1], corners[1:]])

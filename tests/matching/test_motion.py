@@ -1,4 +1,4 @@
-"""When two motions agree: the chi-square gate, whatever frame they are told in."""
+"""When two motions agree: the chi-square gate, whatever frame they are in."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ COVARIANCE = np.diag([0.02, 0.01, 0.005]) ** 2
 
 
 @pytest.mark.parametrize("pose", [(0.0, 0.0, 0.0), (3.0, -2.0, 3.1)])
-def test_the_distance_is_told_in_sigmas_of_the_motions_own_axes(pose: tuple[float, ...]) -> None:
+def test_the_distance_is_reported_in_sigmas_of_the_motions_own_axes(pose: tuple[float, ...]) -> None:
     motion = Motion(np.array(pose), COVARIANCE)
     for axis, sigma in enumerate((0.02, 0.01, 0.005)):
         off = compose(motion.pose, 2.0 * sigma * np.eye(3)[axis])

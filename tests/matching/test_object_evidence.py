@@ -13,7 +13,7 @@ from slam.measurements import FloatArray
 HOME = np.array([0.0, 0.1, 0.05])
 
 
-class Told:
+class Stated:
     """A local map of what was seen at home, and what a scan of now says for a pose against another."""
 
     def __init__(self, before: FloatArray, at: FloatArray = HOME) -> None:
@@ -33,7 +33,7 @@ class Told:
 def evidence(before: FloatArray, now: FloatArray, pose: FloatArray, other: FloatArray) -> FloatArray:
     """What the objects of a scan of ``now``, taken at ``pose``, say against ``other``, (K,)."""
     scan = OrientedPoints.from_scan(points_at(now, pose))
-    return np.asarray(Told(before).evidence(scan, pose, other).sum(axis=0))
+    return np.asarray(Stated(before).evidence(scan, pose, other).sum(axis=0))
 
 
 def test_a_walker_is_one_object() -> None:
@@ -44,7 +44,7 @@ def test_a_walker_is_one_object() -> None:
     now = np.concatenate([corridor(), moved(walker, ahead)])
     driven = compose(HOME, ahead)
     scan = OrientedPoints.from_scan(points_at(now, driven))
-    says = Told(before).evidence(scan, HOME, driven).sum(axis=0)
+    says = Stated(before).evidence(scan, HOME, driven).sum(axis=0)
     assert says.max() > 1.0
     assert np.count_nonzero(says > 0.1) <= 2, "his front, and perhaps a side of him"
 
@@ -60,13 +60,13 @@ def test_it_turns_with_the_order() -> None:
     driven = compose(HOME, np.array([0.1, 0.05, 0.0]))
     forth = evidence(room(), room(), driven, HOME)
     scan = OrientedPoints.from_scan(points_at(room(), driven))
-    back = Told(room()).evidence(scan, HOME, driven).sum(axis=0)
+    back = Stated(room()).evidence(scan, HOME, driven).sum(axis=0)
     np.testing.assert_allclose(back / back.sum(), forth / forth.sum(), atol=1e-9)
-    assert back.sum() < 0.0 < forth.sum(), "how many points are a witness is told at the first pose"
+    assert back.sum() < 0.0 < forth.sum(), "how many points are a witness is counted at the first pose"
 
 
 def test_no_points_say_nothing() -> None:
-    assert Told(room()).evidence(OrientedPoints.none(), HOME, HOME).size == 0
+    assert Stated(room()).evidence(OrientedPoints.none(), HOME, HOME).size == 0
 
 
 def hall(begin_m: float, end_m: float) -> FloatArray:
@@ -81,14 +81,14 @@ class TestGroundThatNobodySaw:
     HERE, BEYOND = np.array([1.0, 0.0, 0.0]), np.array([19.0, 0.0, 0.0])
     LOOK_ALIKE = np.array([3.0, 0.0, 0.0])
 
-    def told(self, at: FloatArray = HERE) -> Told:
-        return Told(np.concatenate([hall(0.0, 12.0), [[12.0, -1.0, 12.0, 1.0]]]), at)
+    def stated(self, at: FloatArray = HERE) -> Stated:
+        return Stated(np.concatenate([hall(0.0, 12.0), [[12.0, -1.0, 12.0, 1.0]]]), at)
 
     def scan(self, segments: FloatArray, pose: FloatArray) -> OrientedPoints:
         return OrientedPoints.from_scan(points_at(segments, pose, fov_rad=np.pi, beams=181))
 
     def test_a_look_alike_gains_no_certainty_from_it(self) -> None:
-        known, by_chance = self.told().evidence(
+        known, by_chance = self.stated().evidence(
             self.scan(hall(12.0, 24.0), self.BEYOND), self.LOOK_ALIKE, self.BEYOND
         )
         assert by_chance.sum() > 5.0, "much fits there"
@@ -98,19 +98,21 @@ class TestGroundThatNobodySaw:
         """A post stands where nothing stood at the look-alike."""
         post = box(20.9, -0.1, 21.1, 0.1)
         scan = self.scan(np.concatenate([hall(12.0, 24.0), post]), self.BEYOND)
-        known, _ = self.told().evidence(scan, self.LOOK_ALIKE, self.BEYOND)
+        known, _ = self.stated().evidence(scan, self.LOOK_ALIKE, self.BEYOND)
         assert known.min() < -1.0
 
     def test_what_a_beam_would_have_crossed_contradicts(self) -> None:
         """Held at a pose before the end wall, the scan looks far through it."""
         before = np.array([10.0, 0.0, 0.0])
         scan = self.scan(hall(12.0, 24.0), self.BEYOND)
-        known, _ = self.told(np.array([9.0, 0.0, 0.0])).evidence(scan, before, self.BEYOND)
+        known, _ = self.stated(np.array([9.0, 0.0, 0.0])).evidence(scan, before, self.BEYOND)
         assert known.sum() < -1.0
 
     def test_who_is_not_sure_where_he_is_is_not_contradicted(self) -> None:
         """Turned wrongly by 20 degrees, the rival's points stand in the hall, unless it may be so wrong."""
         scan, turned = self.scan(hall(0.0, 12.0), self.HERE), compose(self.HERE, np.array([0.0, 0.0, 0.35]))
-        sure, unsure = (self.told().evidence(scan, self.HERE, turned, sigma)[0].sum() for sigma in (0.0, 1.0))
+        sure, unsure = (
+            self.stated().evidence(scan, self.HERE, turned, sigma)[0].sum() for sigma in (0.0, 1.0)
+        )
         assert sure > 5.0
         assert unsure < 0.3 * sure

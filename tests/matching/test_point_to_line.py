@@ -53,7 +53,7 @@ def test_a_square_room_recovers_a_known_displacement(
     assert 0.9 < result.fit <= result.inlier_share + 1e-9
 
 
-def test_convergence_is_told() -> None:
+def test_convergence_is_reported() -> None:
     home = np.array([0.3, -0.2, 0.1])
     surfels = surfels_of(room(), home)
     guess = compose(home, np.array([0.08, 0.0, 0.0]))

@@ -45,7 +45,7 @@ def test_nothing_looks_like_nothing() -> None:
     assert dissimilarity(context_at(0.5, 0.5, 0.0), empty)[0] == 1.0
 
 
-def test_a_bank_tells_what_the_pairs_tell() -> None:
+def test_a_bank_shows_what_the_pairs_show() -> None:
     empty = scan_context(np.zeros((0, 3)), VOXEL_M)
     contexts = [context_at(0.5, 0.5, 0.0), context_at(-4.0, -3.0, 1.0), empty]
     here = context_at(0.6, 0.5, 1.0, seed=1)
@@ -59,7 +59,7 @@ def test_a_bank_tells_what_the_pairs_tell() -> None:
 
 
 def test_planes_of_clouds_add_up() -> None:
-    """Two halves together tell the planes of the whole, and every plane lies on a wall or the floor."""
+    """Two halves together show the planes of the whole, and every plane lies on a wall or the floor."""
     points = points_at(-1.0, 0.3, 0.4)
     whole = PlaneVoxels.build(points, 0.2, 0.06)
     parts, newest = (points[::3] + 1.0, points[::2], points[1::2]), PlaneVoxels(0.2, 0.06)

@@ -71,7 +71,7 @@ def test_a_clock_that_goes_back_begins_anew() -> None:
 
 @pytest.mark.parametrize("newest_s", [0.2, 0.4])
 def test_the_newest_motion_is_a_speed_between_two_stamps(newest_s: float) -> None:
-    """Of a camera of few images a second, too: it tells how it turned, though not where it was between."""
+    """Of a camera of few images a second, too: it shows how it turned, though not where it was between."""
     motion = at_constant_speed(np.array([0.0, 0.1, newest_s])).newest_motion()
     assert motion is not None
     assert motion[:2] == (0.1, newest_s)

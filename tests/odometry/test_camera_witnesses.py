@@ -1,4 +1,4 @@
-"""Cameras beside the lidar: they outdo a match that few things speak for, and tell a corridor's length."""
+"""Cameras beside the lidar: they outdo a match that few things speak for, and show a corridor's length."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ CONFIDENT = np.eye(3) * 1e-6
 
 
 class Run:
-    """A lidar that answers as told, wheels and cameras that say what the test says; 0.1 s a scan."""
+    """A lidar that answers as set, wheels and cameras that say what the test says; 0.1 s a scan."""
 
     def __init__(self, *, wheels: bool) -> None:
         self.lidar_offset = np.zeros(3)

@@ -60,7 +60,7 @@ def test_a_long_run_is_taken_in_stretches() -> None:
     assert clock.offset_s == pytest.approx(-0.03, abs=0.003)
 
 
-def test_scans_many_seconds_apart_tell_it_in_longer_stretches() -> None:
+def test_scans_many_seconds_apart_show_it_in_longer_stretches() -> None:
     clock = learned(-0.12, duration_s=1200.0, period_s=7.3).clock
     assert clock.stretches >= 2
     assert clock.offset_s == pytest.approx(-0.12, abs=0.02)
@@ -79,7 +79,7 @@ def test_few_stretches_are_not_significant() -> None:
     assert learned(0.005, duration_s=300.0).clock.significant_s == 0.0
 
 
-def test_headings_wrap_and_stamps_that_go_back_tell_nothing() -> None:
+def test_headings_wrap_and_stamps_that_go_back_show_nothing() -> None:
     turns = Turns()
     for stamp_s, yaw in ((0.0, 3.1), (0.1, -3.1), (5.0, 0.0), (5.0, 0.2), (4.9, 0.1), (5.1, 0.3)):
         turns.add(stamp_s, yaw)

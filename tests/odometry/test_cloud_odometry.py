@@ -52,7 +52,7 @@ def test_a_scan_finds_its_place_from_a_guess_far_off(odometry: CloudOdometry) ->
     assert 0.005 < motion.residual_m < 0.03
 
 
-def test_the_error_is_what_the_covariance_tells(odometry: CloudOdometry) -> None:
+def test_the_error_is_what_the_covariance_shows(odometry: CloudOdometry) -> None:
     squares = []
     for seed in range(6):
         truth = base(0.2 * seed - 0.5, 0.1, 0.1 * seed)
@@ -179,7 +179,7 @@ def test_too_little_matches_nothing(odometry: CloudOdometry, points: FloatArray)
     assert odometry.match(points, [gtsam.Pose3()]) is None
 
 
-def test_one_ring_tells_no_planes() -> None:
+def test_one_ring_shows_no_planes() -> None:
     made = CloudOdometry(CONFIG, 0.2)
     ring = points_at(gtsam.Pose3(), elevations=ELEVATIONS[7:8])
     made.add_keyframe(ring, gtsam.Pose3(), LIDAR)
@@ -201,8 +201,8 @@ def test_a_ring_over_a_corner_is_no_plane() -> None:
 
 
 @pytest.mark.parametrize(("direction", "degenerate"), [(1, False), (3, True)], ids=["pitch", "way"])
-def test_few_points_tell_a_turn_but_no_way(direction: int, degenerate: bool) -> None:
-    """Ground tells pitch by few of a street's points; as little of the way is what normals err by."""
+def test_few_points_show_a_turn_but_no_way(direction: int, degenerate: bool) -> None:
+    """Ground shows pitch by few of a street's points; as little of the way is what normals err by."""
     information = np.full(6, 1000.0)
     information[direction] = 5.0
     arms = np.eye(3)
@@ -258,7 +258,7 @@ def test_the_voxel_follows_the_scene() -> None:
     assert voxel_of(room, TURNS) == 0.2
 
 
-def test_a_drive_is_tracked_and_a_gap_is_told() -> None:
+def test_a_drive_is_tracked_and_a_gap_is_reported() -> None:
     tracker = CloudTracker(CONFIG, None)
     errors, motions = [], []
     poses = way_round(41)[:12]
@@ -338,7 +338,7 @@ def test_errors_that_planes_share_widen_the_covariance() -> None:
 
 
 def test_after_a_restart_nothing_is_expected_of_what_was_seen_before() -> None:
-    """Keyframes tell how much of the next one is known; a new place has to show that anew."""
+    """Keyframes show how much of the next one is known; a new place has to show that anew."""
     fresh, restarted = CloudOdometry(CONFIG, 0.2), CloudOdometry(CONFIG, 0.2)
     for seed, x in enumerate((-0.4, -0.2, 0.0, 0.2)):
         restarted.add_keyframe(points_at(base(x, 0.0, 0.0), seed), base(x, 0.0, 0.0), LIDAR)

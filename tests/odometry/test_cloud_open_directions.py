@@ -1,4 +1,4 @@
-"""Scans of a 3D lidar where little tells one direction: it stays or settles, and is claimed neither way."""
+"""Scans of a 3D lidar where little shows one direction: it stays or settles, and is claimed neither way."""
 
 import gtsam
 import numpy as np
@@ -66,7 +66,7 @@ def test_between_two_walls_the_way_along_them_is_open() -> None:
 
 
 def test_a_tunnel_that_settles_now_and_then_by_chance_leads_nowhere() -> None:
-    """A match that settles is followed only while most of the newest do; that it did is told in any case."""
+    """A match that settles is followed only while most of the newest do; it is reported in any case."""
     rng = np.random.default_rng(0)
     made, cloud, guess = odometry(with_a_board(rng)), with_a_board(rng), base(0.08, 0.0, 0.0)
     followed = list[bool]()

@@ -19,7 +19,7 @@ from slam.odometry.imu_tracker import ImuTracker
 from slam.odometry.wheel_tracker import WheelMoment, WheelTracker
 
 CONFIG = Config(cloud_odometry=CloudOdometryConfig(voxel_m=0.2))
-# Two turns of the lidar before a step that no velocity tells.
+# Two turns of the lidar before a step that no velocity shows.
 PATH = [base(-1.5, -0.5, 0.0), base(-1.4, -0.5, 0.0), base(0.6, 0.5, 0.9)]
 
 
@@ -50,7 +50,7 @@ def test_wheels_lead_where_it_went_far_in_one_step() -> None:
     assert error_m(driven(PATH, wheels=True)[-1], PATH) < 0.02
 
 
-def test_without_wheels_such_a_step_is_not_told_for_sure() -> None:
+def test_without_wheels_such_a_step_is_not_reported_for_sure() -> None:
     last = driven(PATH, wheels=False)[-1]
     assert error_m(last, PATH) > 0.3
     assert last.motion is None or not last.motion.converged

@@ -40,7 +40,7 @@ def test_it_is_known_after_one_step() -> None:
 
 
 @pytest.mark.parametrize("late_s", [0.0, 0.1])
-def test_a_cloud_that_comes_twice_or_late_tells_no_speed(late_s: float) -> None:
+def test_a_cloud_that_comes_twice_or_late_shows_no_speed(late_s: float) -> None:
     velocity, _ = driven(3)
     at_m = 0.3 - late_s
     pose = gtsam.Pose3.Expmap(at_m * AHEAD)
@@ -59,7 +59,7 @@ def test_a_clock_that_is_set_back_changes_no_speed() -> None:
         np.testing.assert_allclose(velocity.twist, AHEAD, atol=1e-9)
 
 
-def test_a_gap_tells_no_velocity() -> None:
+def test_a_gap_shows_no_velocity() -> None:
     velocity, pose = driven(2)
     far = pose.compose(gtsam.Pose3(gtsam.Rot3(), np.array([9.0, 0.0, 0.0])))
     np.testing.assert_allclose(velocity.to(far, 8.0), AHEAD, atol=1e-9)
@@ -73,14 +73,14 @@ def test_an_open_direction_does_not_gather_speed(roll_rad: float) -> None:
     for n in range(4, 8):
         pose = pose.compose(gtsam.Pose3.Expmap(0.1 * AHEAD + roll_rad * ROLL))
         velocity.learn(pose, 5.0 + 0.1 * n, ARMS_M, match(pose, ROLL))
-        # By a twentieth of what this match tells and of what is left of those before.
+        # By a twentieth of what this match shows and of what is left of those before.
         assert abs(velocity.twist[0]) <= 0.05 * abs(roll_rad / 0.1) * (n - 3) + 1e-6
         np.testing.assert_allclose(velocity.twist[2:4], AHEAD[2:4], atol=0.05)
     velocity.learn(pose.compose(gtsam.Pose3.Expmap(0.1 * AHEAD + 0.01 * ROLL)), 5.8, ARMS_M, match(pose))
     assert abs(velocity.twist[0]) > 0.05
 
 
-def test_a_twist_that_changes_evenly_is_told_as_it_is_at_the_end_of_a_step() -> None:
+def test_a_twist_that_changes_evenly_is_reported_as_it_is_at_the_end_of_a_step() -> None:
     velocity, place_m = CloudVelocity(), 0.0
     velocity.begin(5.0)
     for stamp_s, step_s in ((5.1, 0.1), (5.3, 0.2)):

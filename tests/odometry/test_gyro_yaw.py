@@ -31,7 +31,7 @@ def rolls(time_s: float) -> gtsam.Pose3:
 
 
 def said(until_s: float, *, gap: tuple[float, float] = (0.0, 0.0), seed: int = 0) -> list[ImuReading]:
-    """Readings two hundredths too large; the log does not tell the mounting."""
+    """Readings two hundredths too large; the log does not show the mounting."""
     return [
         ImuReading(one.stamp_s, SCALE * one.gyro_rad_s, one.specific_force_m_s2)
         for one in readings(rolls, until_s, seed=seed)
@@ -67,7 +67,7 @@ def test_bias_and_scale_are_learned_within_what_they_claim() -> None:
     assert np.abs(off).max() < 3.5 and np.mean(np.square(off)) < 2.0
 
 
-def test_a_turn_that_no_scan_saw_is_told_with_an_honest_variance() -> None:
+def test_a_turn_that_no_scan_saw_is_reported_with_an_honest_variance() -> None:
     gyro, moments = heard(said(80.0), 60.0)
     turn_rad, variance = gyro.turn(moments[-190], moments[-1]) or (0.0, 0.0)
     true = heading(moments[-1].stamp_s) - heading(moments[-190].stamp_s)
@@ -84,7 +84,7 @@ def test_before_anything_is_learned_the_bias_may_be_large() -> None:
     assert not gyro.notes()
 
 
-def test_across_missing_readings_nothing_is_told() -> None:
+def test_across_missing_readings_nothing_is_reported() -> None:
     gyro, moments = heard(said(30.0, gap=(15.0, 17.0)), 30.0)
     inside = [n for n, one in enumerate(moments) if one.stamp_s < 15.0]
     assert gyro.turn(moments[inside[-2]], moments[-1]) is None
@@ -92,7 +92,7 @@ def test_across_missing_readings_nothing_is_told() -> None:
     assert gyro.turn(None, moments[-1]) is None
 
 
-def test_of_a_scan_that_comes_after_a_later_one_nothing_is_told() -> None:
+def test_of_a_scan_that_comes_after_a_later_one_nothing_is_reported() -> None:
     gyro, moments = heard(said(20.0), 10.0)
     assert gyro.turn(moments[-3], moments[-1]) is not None
     assert gyro.turn(moments[-1], moments[-3]) is None
@@ -125,7 +125,7 @@ def test_where_nothing_matches_wheels_that_slip_in_a_turn_follow_the_gyroscope(
             gyro.add(ImuReading(one.stamp_s, sign * one.gyro_rad_s, one.specific_force_m_s2))
             number += 1
         step = heading(stamp_s) - heading(stamp_s - 0.1)
-        # Without scans one wheel spins, and tells half as much again.
+        # Without scans one wheel spins, and shows half as much again.
         turned += step if stamp_s <= 34.0 else 1.5 * step
         wheels.add(WheelOdometry(stamp_s, pose2_from_row(np.array([0.0, 0.0, turned]))))
         true = np.array([0.0, 0.0, heading(stamp_s) - begun])
@@ -139,7 +139,7 @@ def test_where_nothing_matches_wheels_that_slip_in_a_turn_follow_the_gyroscope(
 
 
 def test_who_is_blind_runs_on_no_longer_for_a_gyroscope() -> None:
-    """It tells turns and no way: at constant velocity nobody goes on for seconds."""
+    """It measures turns and no way: at constant velocity nobody goes on for seconds."""
     odometry, gyro = ScriptedOdometry(), YawGyro()
     tracker = MotionTracker(odometry, None, PredictionConfig(), MatchConfig(), gyro)
     rows, number, ahead = said(15.0), 0, np.zeros(2)

@@ -26,14 +26,14 @@ def tracked(
     until_s: float,
     seen: Callable[[float], bool] = lambda time_s: True,
     *,
-    told: gtsam.Pose3 = T_BASE_IMU,
+    stated: gtsam.Pose3 = T_BASE_IMU,
     wheels: bool = False,
     scale: float = 1.0,
 ) -> ImuTracker:
     """Ten poses a second as a lidar matches them, where it sees; the odometry begins level at the first."""
     imu, rng, last = ImuTracker(), np.random.default_rng(1), 0.0
     T_odom_map = way(0.05).inverse()
-    for reading in readings(way, until_s, told=told):
+    for reading in readings(way, until_s, stated=stated):
         imu.add(replace(reading, gyro_rad_s=scale * reading.gyro_rad_s))
         time_s = reading.stamp_s - 0.05
         if time_s < last + 0.1 - 1e-9 or time_s < 0.05:
@@ -50,7 +50,7 @@ def apart_rad(first: FloatArray, second: FloatArray) -> float:
     return float(np.arccos(np.clip(first @ second, -1.0, 1.0)))
 
 
-def test_a_walk_tells_gravity_velocity_and_biases() -> None:
+def test_a_walk_shows_gravity_velocity_and_biases() -> None:
     imu = tracked(walk, 8.0)
     state, gravity = imu.state, imu.gravity()
     assert state is not None and gravity is not None
@@ -66,7 +66,7 @@ def test_a_walk_tells_gravity_velocity_and_biases() -> None:
 def test_who_stands_knows_gravity_only_as_well_as_the_accelerometer() -> None:
     gravity = tracked(stands, 12.0).gravity()
     assert gravity is not None
-    # Twenty milligravities, for good: to stand on tells nothing new.
+    # Twenty milligravities, for good: to stand on gives nothing new.
     assert 0.01 < gravity.sigma_rad < 0.04
     assert apart_rad(gravity.down, stands(0.0).rotation().unrotate(DOWN)) < 2.0 * gravity.sigma_rad
 
@@ -131,7 +131,7 @@ def test_turns_that_are_some_percent_too_large_lead_nowhere() -> None:
 
 def test_a_wrong_mounting_is_found_out() -> None:
     with pytest.raises(UnfitImuError) as found:
-        tracked(walk, 8.0, told=gtsam.Pose3(gtsam.Rot3.Roll(1.5), np.zeros(3)))
+        tracked(walk, 8.0, stated=gtsam.Pose3(gtsam.Rot3.Roll(1.5), np.zeros(3)))
     assert found.value.args[0] == "imu" and "wrong mounting" in found.value.args[1]
 
 
@@ -180,7 +180,7 @@ def test_a_turn_is_straightened() -> None:
     assert imu.straightened(PointCloud(99.0, cloud.points_lidar, times_s), np.zeros(6)).times_s is not None
 
 
-def test_noise_is_told_by_the_readings_of_a_robot_that_moves() -> None:
+def test_noise_is_reported_by_the_readings_of_a_robot_that_moves() -> None:
     held = ImuReadings()
     for reading in readings(walk, 3.0):
         held.add(reading)

@@ -56,7 +56,7 @@ def test_without_wheels_velocity_is_the_only_guess() -> None:
     ("gap_s", "steps"), [(0.1, 1.0), (0.2, 2.0), (0.3, 3.0), (5.0, 3.0), (0.0, 1.0), (-9.0, 1.0)]
 )
 def test_velocity_is_stretched_over_a_gap_but_not_for_ever(gap_s: float, steps: float) -> None:
-    """A stamp that stands or runs backward tells no time: then the last step is repeated."""
+    """A stamp that stands or runs backward gives no time: then the last step is repeated."""
     run = Run.sure(2, wheels=False)
     run.tracker.track(SOME, run.stamp_s + gap_s)
     np.testing.assert_allclose(run.odometry.asked[1][0].pose, compose(STEP, steps * STEP), atol=1e-9)
@@ -319,7 +319,7 @@ def test_a_gap_that_nothing_bridges_leaves_a_match_open(gap_s: float, wheels: bo
 
 
 def test_the_end_of_a_corridor_makes_up_for_what_went_wrong_along_it() -> None:
-    """The wheels jumped where nothing could tell: what makes up for it is no velocity."""
+    """The wheels jumped where nothing could show it: what makes up for it is no velocity."""
     run = Run.sure(5)
     along = np.array([0.4, 0.0, 0.0])
     ahead = motion_at(compose(run.true_pose, compose(STEP, along)), degenerate=True)

@@ -41,7 +41,7 @@ def picture() -> PreparedFrame:
 
 
 class Run:
-    """A tracker whose matcher answers as told; frames differ by their stamps alone."""
+    """A tracker whose matcher answers as set; frames differ by their stamps alone."""
 
     def __init__(self, picture: PreparedFrame, config: Config = CONFIG) -> None:
         self.answer: Callable[[gtsam.Pose3], VisualMatch | None] = match_at
@@ -250,7 +250,7 @@ def test_a_camera_is_known_at_its_frame_and_shortly_after() -> None:
 
 
 def test_a_camera_seen_once_may_move_at_any_speed() -> None:
-    """One frame tells no speed: carried on it may have stood still, or not; and never is it sure."""
+    """One frame shows no speed: carried on it may have stood still, or not; and never is it sure."""
     camera = Rendered()
     camera.add(0.0)
     step = camera_step(camera.at(0.02), camera.at(0.2))
@@ -288,7 +288,7 @@ def test_long_blind_and_back_where_it_was_goes_on() -> None:
     assert not found.restarted
 
 
-def test_without_depth_images_alone_tell_how_it_turns() -> None:
+def test_without_depth_images_alone_show_how_it_turns() -> None:
     camera = Rendered()
     camera.add(0.0)
     turns = [gtsam.Rot3.Ypr(0.0, 0.08, 0.03)] * 4

@@ -1,4 +1,4 @@
-"""How far the velocity leads where nothing else tells, and who may teach it."""
+"""How far the velocity leads where nothing else shows it, and who may teach it."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from scripted_tracker import STEP, Run
 from slam.matching.planar import between
 
 
-def test_what_nothing_tells_goes_on_for_half_a_second_and_then_stands() -> None:
+def test_what_nothing_shows_goes_on_for_half_a_second_and_then_stands() -> None:
     """Ten metres a second would be a hundred after ten seconds without a match."""
     run = Run.sure(5, wheels=False)
     run.odometry.answer = lambda guesses: None
@@ -17,7 +17,7 @@ def test_what_nothing_tells_goes_on_for_half_a_second_and_then_stands() -> None:
     assert 2.0 * STEP[0] < gone_m < 8.0 * STEP[0]
 
 
-def test_the_step_that_mends_a_guess_tells_no_velocity() -> None:
+def test_the_step_that_mends_a_guess_shows_no_velocity() -> None:
     """Blind for a scan the robot was 3 m off; where it is found again says nothing of its speed."""
     run = Run.sure(5, wheels=False)
     run.odometry.answer = lambda guesses: None
@@ -28,7 +28,7 @@ def test_the_step_that_mends_a_guess_tells_no_velocity() -> None:
     np.testing.assert_allclose(expected[:2], STEP[:2], atol=0.05)
 
 
-def test_stamps_that_are_close_together_tell_no_velocity() -> None:
+def test_stamps_that_are_close_together_show_no_velocity() -> None:
     run = Run.sure(5, wheels=False)
     run.stamp_s -= 0.09
     close = run.scan()
@@ -42,7 +42,7 @@ def test_wheels_that_never_move_are_dead_once_the_robot_has_moved() -> None:
     still, ahead = np.zeros(3), np.array([0.1, 0.0, 0.0])
     run.scan(still, ahead)
     run.scan(still, ahead)
-    assert len(run.odometry.asked[-1]) == 2  # nothing tells yet
+    assert len(run.odometry.asked[-1]) == 2  # nothing is known yet
     for _ in range(10):
         run.scan(still, ahead)
     assert run.wheels is not None

@@ -54,7 +54,7 @@ def test_what_a_robot_does_for_one_reading_only_is_no_motion(
 
 
 @pytest.mark.parametrize(("repeated_s", "guessed_m"), [(4.0, 2.0), (40.0, 2.5)])
-def test_readings_that_go_on_repeating_tell_that_it_stands(repeated_s: float, guessed_m: float) -> None:
+def test_readings_that_go_on_repeating_show_that_it_stands(repeated_s: float, guessed_m: float) -> None:
     """Carried for a while, and then left standing: it is as uncertain as if it had gone on."""
     tracker = WheelTracker(WheelConfig())
     begun_s, x_m = driven(tracker)
@@ -140,7 +140,7 @@ def test_a_driver_that_speaks_only_while_it_moves_goes_nowhere_in_a_stop() -> No
     assert tracker.add(reading(stamp_s + 60.0, x_m + 0.01))[0] == pytest.approx(x_m + 0.01)
 
 
-def test_between_two_readings_the_wheels_tell_however_far_apart_they_are() -> None:
+def test_between_two_readings_the_wheels_show_however_far_apart_they_are() -> None:
     """A lidar that lags asks for what was, and both readings are known."""
     tracker = WheelTracker(WheelConfig())
     for n in range(3):
@@ -183,16 +183,16 @@ def test_the_scale_is_learned_and_a_lost_sign_is_not() -> None:
     assert tracker._scale.tolist() == pytest.approx([1.02, 1.02, 1.0], abs=1e-3)
 
 
-def test_what_a_larger_wheel_turns_is_learned_and_told_where_nothing_is_matched() -> None:
+def test_what_a_larger_wheel_turns_is_learned_and_reported_where_nothing_is_matched() -> None:
     tracker, rng = WheelTracker(WheelConfig()), np.random.default_rng(3)
-    told, true, asked = np.zeros(3), np.zeros(3), list[tuple[Any, Any]]()
+    stated, true, asked = np.zeros(3), np.zeros(3), list[tuple[Any, Any]]()
     for n in range(900):
         turn_rad = 0.05 * math.sin(0.1 * n)
         # A larger right wheel, and one that spins now and then.
         slip_rad = 0.3 if n % 50 == 7 else 0.0
-        told = compose(told, np.array([0.05, 0.0, turn_rad - 0.1 * 0.05 + slip_rad]))
+        stated = compose(stated, np.array([0.05, 0.0, turn_rad - 0.1 * 0.05 + slip_rad]))
         true = compose(true, np.array([0.05, 0.0, turn_rad]))
-        tracker.add(WheelOdometry(n * PERIOD_S, pose2_from_row(told)))
+        tracker.add(WheelOdometry(n * PERIOD_S, pose2_from_row(stated)))
         asked.append((tracker.moment(n * PERIOD_S), true))
         if 0 < n < 600:
             step = tracker.motion(asked[-2][0], asked[-1][0], PERIOD_S)

@@ -121,11 +121,11 @@ def where(true_s: float) -> FloatArray:
 
 
 def driven(ahead_s: float, *, sorted_by_stamp: bool) -> tuple[WheelTracker, list[tuple[float, FloatArray]]]:
-    """A robot whose wheels' clock is ahead, and what was told of where it is at each scan.
+    """A robot whose wheels' clock is ahead, and what was reported of where it is at each scan.
 
     The readings come in the order of their arrival, or of their stamps.
     """
-    wheels, lidar, told = WheelTracker(CONFIG), Turns(), []
+    wheels, lidar, stated = WheelTracker(CONFIG), Turns(), []
     readings = [(0.1 * n, 0.1 * n + ahead_s, "wheels") for n in range(3200)]
     scans = [(true_s, true_s, "lidar") for true_s in np.arange(0.53, 319.0, 0.73)]
     rng = np.random.default_rng(1)
@@ -134,31 +134,31 @@ def driven(ahead_s: float, *, sorted_by_stamp: bool) -> tuple[WheelTracker, list
             noisy = where(true_s) + rng.normal(0.0, [1e-4, 1e-4, 1e-3])
             wheels.add(WheelOdometry(stamp_s, pose2_from_row(noisy)))
         else:
-            told.append((true_s, pose_at(wheels, stamp_s)))
+            stated.append((true_s, pose_at(wheels, stamp_s)))
             lidar.add(stamp_s, where(true_s)[2] + rng.normal(0.0, 0.001))
             wheels.learn_clock(lidar)
-    return wheels, told
+    return wheels, stated
 
 
-def worst_step(told: list[tuple[float, FloatArray]]) -> float:
+def worst_step(stated: list[tuple[float, FloatArray]]) -> float:
     """Greatest error of a step from scan to scan, metres or radians."""
     return max(
         float(np.abs(between(between(where(begun_s), where(ended_s)), between(a, b))).max())
-        for (begun_s, a), (ended_s, b) in pairwise(told)
+        for (begun_s, a), (ended_s, b) in pairwise(stated)
     )
 
 
 @pytest.mark.parametrize("sorted_by_stamp", [False, True])
 @pytest.mark.parametrize("ahead_s", [-0.13, 0.13])
 def test_wheels_with_another_clock_are_read_at_the_lidars_time(ahead_s: float, sorted_by_stamp: bool) -> None:
-    wheels, told = driven(ahead_s, sorted_by_stamp=sorted_by_stamp)
+    wheels, stated = driven(ahead_s, sorted_by_stamp=sorted_by_stamp)
     assert wheels.clock_was_used
     assert wheels.clock.offset_s == pytest.approx(ahead_s, abs=0.01)
-    assert worst_step(told[:50]) > 0.04
+    assert worst_step(stated[:50]) > 0.04
     # Carried on by their speed where the readings of the moment are yet to come, as all are before.
-    assert worst_step(told[-100:]) < 0.025
+    assert worst_step(stated[-100:]) < 0.025
     # No step is longer because the clock was learned meanwhile.
-    assert worst_step(told) < 1.5 * worst_step(told[:50])
+    assert worst_step(stated) < 1.5 * worst_step(stated[:50])
 
 
 def test_clocks_that_agree_change_nothing() -> None:
@@ -168,7 +168,7 @@ def test_clocks_that_agree_change_nothing() -> None:
 
 
 @pytest.mark.parametrize("again_s", [1e-5, 0.0, -1e-5])
-def test_readings_at_about_one_time_tell_no_wild_speed(again_s: float) -> None:
+def test_readings_at_about_one_time_show_no_wild_speed(again_s: float) -> None:
     wheels, _ = driven(-0.13, sorted_by_stamp=True)
     now = pose_at(wheels, 319.9)
     wheels.add(WheelOdometry(319.9 - 0.13 + again_s, pose2_from_row(where(319.905))))
@@ -199,9 +199,9 @@ def test_stamps_that_came_late_are_no_jump() -> None:
     wheels = WheelTracker(CONFIG)
     stamps_s = [0.4 * n for n in range(20)]
     stamps_s[12] = stamps_s[13] - 0.01
-    told = [
+    stated = [
         wheels.add(WheelOdometry(at_s, gtsam.Pose2(0.2 * n, 0.0, 0.0))) for n, at_s in enumerate(stamps_s)
     ]
-    np.testing.assert_allclose(np.array(told)[:, 0], 0.2 * np.arange(20), atol=1e-9)
+    np.testing.assert_allclose(np.array(stated)[:, 0], 0.2 * np.arange(20), atol=1e-9)
     jump = wheels.add(WheelOdometry(stamps_s[-1] + 0.01, gtsam.Pose2(0.2 * 20 + 3.0, 0.0, 0.0)))
     assert jump[0] < 0.2 * 20 + 0.1

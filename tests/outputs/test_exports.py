@@ -62,10 +62,10 @@ def colmap_views(folder: Path) -> tuple[Views, np.ndarray]:
 
 def nerfstudio_views(folder: Path) -> Views:
     """As nerfstudio takes them: OpenGL's axes."""
-    told = json.loads((folder / "transforms.json").read_text())
+    stated = json.loads((folder / "transforms.json").read_text())
     views = []
-    for frame in told["frames"]:
-        lens = {**told, **frame}
+    for frame in stated["frames"]:
+        lens = {**stated, **frame}
         assert all((folder / frame[name]).is_file() for name in ("file_path", "depth_file_path"))
         to_world = np.array(frame["transform_matrix"])
         to_world[:3, 1:3] *= -1.0
@@ -215,8 +215,8 @@ def test_a_robots_results_as_a_bag_and_its_lidars_way(tmp_path: Path) -> None:
     with bag.open("rb") as stream:
         summary = make_reader(stream).get_summary()
     assert summary is not None
-    told = summary.statistics.channel_message_counts
-    counts = {one.topic: told.get(number, 0) for number, one in summary.channels.items()}
+    stated = summary.statistics.channel_message_counts
+    counts = {one.topic: stated.get(number, 0) for number, one in summary.channels.items()}
     readings = len(house.trajectory)
     assert counts == {
         "/map": 1,

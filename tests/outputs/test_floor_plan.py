@@ -32,7 +32,7 @@ from slam.outputs.floorplan import floor_plan
 from slam.simulation.floor_plan import cast_rays
 from slam.storage.map_contents import OCCUPANCY, MapContents, SavedFactor
 from slam.storage.nav2 import read_nav2_map
-from slam.storage.plan_geojson import plan_geojson
+from slam.storage.plan_files import plan_geojson
 
 STEP_RAD = np.radians(1.0)
 

@@ -23,7 +23,7 @@ CONFIG = Config()
 def visit(
     *worlds: FloatArray, sigma_m: float = 0.0, seed: int = 0, off: tuple[float, float] = (0.0, 0.0)
 ) -> Visit:
-    """Sweeps from 24 places of the room, as many of each world; the poses told are off by as much."""
+    """Sweeps from 24 places of the room, as many of each world; the stated poses are off by as much."""
     rng = np.random.default_rng(seed)
     everything = np.concatenate(worlds)
     poses: list[FloatArray] = []
@@ -51,7 +51,7 @@ def likely(found: Comparison) -> list[Change]:
 
 
 def things(found: Comparison) -> list[ChangedThing]:
-    """As people are told."""
+    """As text for people."""
     return changed_things(likely(found), found.resolution_m)
 
 
@@ -60,7 +60,7 @@ def with_(*more: FloatArray) -> FloatArray:
     return np.concatenate([room(), *more])
 
 
-def test_a_box_that_moved_is_one_thing_told_with_its_way() -> None:
+def test_a_box_that_moved_is_one_thing_reported_with_its_way() -> None:
     found = things(compared(visit(with_(CHAIR)), visit(with_(ELSEWHERE), seed=1)))
     (thing,) = found
     assert thing.what == "moved"
@@ -112,7 +112,7 @@ def test_what_the_other_visit_could_not_see_is_no_change() -> None:
     assert found.seen_m2()[1] > 0.1
 
 
-def test_somebody_who_walked_by_is_not_told() -> None:
+def test_somebody_who_walked_by_is_not_reported() -> None:
     found = compared(visit(with_(CHAIR), with_(), with_()), visit(with_(), seed=1))
     assert likely(found) == []
     # Where more than half of the scans met it, the grid has it, and it is known for what it is.
@@ -148,7 +148,7 @@ def test_what_fills_a_single_cell_is_noise() -> None:
     assert compared(visit(with_(speck)), visit(with_(), seed=1)).changes == []
 
 
-def test_without_a_way_between_the_visits_nothing_is_told() -> None:
+def test_without_a_way_between_the_visits_nothing_is_reported() -> None:
     found = compared(visit(with_(CHAIR)), visit(with_(), seed=1), sigma_m=math.inf)
     assert [change.probability for change in found.changes] == [0.0]
 

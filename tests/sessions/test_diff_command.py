@@ -1,4 +1,4 @@
-"""scanweave diff: what moved between two maps of a place is told, and what cannot be compared is refused."""
+"""scanweave diff: what moved between two maps is reported, what cannot be compared is refused."""
 
 from __future__ import annotations
 
@@ -37,16 +37,18 @@ def days(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-def test_a_pillar_that_moved_is_told(days: Path, capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+def test_a_pillar_that_moved_is_reported(
+    days: Path, capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
     done = outcome_of(capsys, "diff", days / "monday", days / "wednesday", "-o", tmp_path / "diff")
     assert done.code == 0, done
     # Met from other sides on the two days, it need not look like the same pillar.
     assert re.search(r"an object of 0\.[34] x 0\.[234] m from \(5\.0, -0\.7\)", done.out)
     assert re.search(r"(an object of 0\.[34] x 0\.[234] m at|to) \(6\.2, 0\.7\)", done.out)
-    told = json.loads((tmp_path / "diff" / "diff.json").read_text())
-    kinds = sorted(thing["what"] for thing in told["things"])
+    stated = json.loads((tmp_path / "diff" / "diff.json").read_text())
+    kinds = sorted(thing["what"] for thing in stated["things"])
     assert kinds in (["moved"], ["appeared", "went"]) and done.out.count("probability") == len(kinds)
-    assert told["seen_m2"]["both"] > 20.0
+    assert stated["seen_m2"]["both"] > 20.0
     shapes = json.loads((tmp_path / "diff" / "diff.geojson").read_text())["features"]
     assert sorted(shape["properties"]["at"] for shape in shapes) == ["after", "before"]
     for shape in shapes:
@@ -58,7 +60,7 @@ def test_a_pillar_that_moved_is_told(days: Path, capsys: pytest.CaptureFixture[s
     assert all((picture == colors[kind]).all(axis=2).any() for kind in kinds)
 
 
-def test_where_nothing_moved_nothing_is_told(days: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_where_nothing_moved_nothing_is_reported(days: Path, capsys: pytest.CaptureFixture[str]) -> None:
     done = outcome_of(capsys, "diff", days / "monday", days / "tuesday", "--json")
     assert done.code == 0, done
     assert json.loads(done.out)["things"] == []

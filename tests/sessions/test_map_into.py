@@ -121,7 +121,7 @@ class TestJoined:
         three.close()
 
 
-def test_localising_adds_the_log_only_where_it_is_told_to(
+def test_localising_adds_the_log_only_where_it_is_asked_to(
     sessions: Sessions, map_: Path, joined: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     before = contents_of(map_)
@@ -225,11 +225,11 @@ def test_a_session_without_its_page_is_joined(
         (map_ / "joining" / "session" / "report.html").unlink(missing_ok=True)
     assert outcome_of(capsys, "map", sessions.later_log, "--into", map_, "--resume").code == 0
     assert (map_ / "report-2.html").is_file()
+    assert not (map_ / "joining").exists()
 
 
 def fails(*_: object) -> None:
     raise OSError(28, "disk full")
-    assert not (map_ / "joining").exists()
 
 
 def test_a_move_that_was_killed_is_done_again(

@@ -14,8 +14,8 @@ from slam.localization.known_map import Walls
 from slam.mapper.lidar2d import PlanarRobot
 from slam.mapper.mapper import Mapper
 from slam.measurements import FloatArray
+from slam.sessions.placing import Followed, Sighting, follow
 from slam.sessions.sides import Side
-from slam.sessions.whole_path import Followed, Sighting, follow
 
 CONFIG = Config()
 

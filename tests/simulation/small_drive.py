@@ -36,7 +36,7 @@ def fake_sensors(patch: pytest.MonkeyPatch) -> None:
 
 
 def _scan(scene: None, pose: gtsam.Pose3, model: Any, rng: np.random.Generator, person: Any) -> SimulatedScan:
-    """Ranges that tell where the laser was."""
+    """Ranges that reveal where the laser was."""
     count = model.beams
     true = np.full(count, 1.0 + abs(pose.x()), dtype=np.float32)
     ranges = np.clip(true + rng.normal(0.0, 0.01, count), 0.1, model.range_max_m - 0.1).astype(np.float32)
@@ -51,7 +51,7 @@ def _scan(scene: None, pose: gtsam.Pose3, model: Any, rng: np.random.Generator, 
 def _image(
     scene: None, pose: gtsam.Pose3, model: Any, rng: np.random.Generator, person: Any
 ) -> SimulatedImage:
-    """Images that tell where the camera was."""
+    """Images that reveal where the camera was."""
     shape = (model.intrinsics.height, model.intrinsics.width)
     color = rng.integers(0, 256, (*shape, 3), dtype=np.uint8)
     true = np.full(shape, 1.0 + 0.1 * abs(pose.x()), dtype=np.float32)

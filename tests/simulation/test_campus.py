@@ -85,7 +85,7 @@ def test_the_same_seed_gives_the_same_bytes_and_another_does_not(cut: Path, tmp_
     assert {name for name in once if once[name] == other[name]} == {"plan.txt"}
 
 
-def test_a_drive_is_as_long_as_told(drive: CampusDrive, truth: Trajectory) -> None:
+def test_a_drive_is_as_long_as_stated(drive: CampusDrive, truth: Trajectory) -> None:
     assert 1500.0 < drive.path_m < 3000.0
     assert 3200 < drive.scans < 4500
     assert len(truth) == drive.scans
@@ -125,7 +125,7 @@ def test_beams_end_on_walls_where_the_truth_says_they_were_cast(folder: Path, tr
     assert np.mean(off_m < 0.05) < 1.0
 
 
-def test_gaps_are_as_many_and_as_long_as_told(drive: CampusDrive, truth: Trajectory) -> None:
+def test_gaps_are_as_many_and_as_long_as_stated(drive: CampusDrive, truth: Trajectory) -> None:
     apart_s = np.diff(truth.stamps_s)
     gaps_s = apart_s[apart_s >= 5.0]
     assert len(gaps_s) == USUAL.gaps == len(drive.gaps_s)
@@ -133,20 +133,20 @@ def test_gaps_are_as_many_and_as_long_as_told(drive: CampusDrive, truth: Traject
     assert apart_s[apart_s < 5.0].max() <= 4.0 + 1e-6
 
 
-def test_the_log_tells_what_the_wheels_say(folder: Path, drive: CampusDrive, truth: Trajectory) -> None:
-    told = [reading for reading in open_dataset(folder) if isinstance(reading, WheelOdometry)]
+def test_the_log_shows_what_the_wheels_say(folder: Path, drive: CampusDrive, truth: Trajectory) -> None:
+    stated = [reading for reading in open_dataset(folder) if isinstance(reading, WheelOdometry)]
     facts = json.loads((folder / "truth" / "faults.json").read_text())
     assert len(facts["gross_errors"]) == len(drive.gross_errors) == USUAL.gross_errors
     assert {error["kind"] for error in facts["gross_errors"]} == {"heading", "position", "standstill"}
     assert 0.05 <= drive.lag_s <= 0.15
-    stamps_s = np.array([reading.stamp_s for reading in told])
+    stamps_s = np.array([reading.stamp_s for reading in stated])
     assert np.all(np.diff(stamps_s) >= 0.0)
     headings = [
         error for error in facts["gross_errors"] if error["kind"] == "heading" and error["size"] > 1.0
     ]
     for error in headings:
         after = int(np.searchsorted(stamps_s, 1000.0 + error["first"] / 10.0 - 1e-6))
-        swung = abs(told[after - 1].T_odom_base.between(told[after].T_odom_base).theta())
+        swung = abs(stated[after - 1].T_odom_base.between(stated[after].T_odom_base).theta())
         assert swung == pytest.approx(error["size"], abs=0.15)
     assert len(headings) > 10
 
@@ -182,16 +182,16 @@ def test_without_faults_the_way_is_the_same_and_the_wheels_are_right(
     both = np.isin(np.round(poses.stamps_s, 3), np.round(truth.stamps_s - drive.lag_s, 3))
     assert np.count_nonzero(both) > 0.8 * len(poses)
     np.testing.assert_array_equal(poses.positions_m[both], truth.positions_m[same])
-    # Each scan's line tells the wheels' pose at its stamp: between two readings, too.
+    # Each scan's line shows the wheels' pose at its stamp: between two readings, too.
     wheels = {
         reading.stamp_s: reading.T_odom_base
         for reading in open_dataset(tmp_path / "clean")
         if isinstance(reading, WheelOdometry)
     }
-    told = [wheels[stamp_s] for stamp_s in poses.stamps_s.tolist()]
+    stated = [wheels[stamp_s] for stamp_s in poses.stamps_s.tolist()]
     true = [pose2_from_row(row) for row in poses.to_planar()]
-    for n in range(1, len(told)):
-        missed = true[n - 1].between(true[n]).between(told[n - 1].between(told[n]))
+    for n in range(1, len(stated)):
+        missed = true[n - 1].between(true[n]).between(stated[n - 1].between(stated[n]))
         assert math.hypot(missed.x(), missed.y()) < 0.01
         assert abs(missed.theta()) < 0.02
 

@@ -112,7 +112,7 @@ def test_two_cameras_never_share_their_noise() -> None:
     assert len(set(images)) == len(images)
 
 
-def test_clocks_are_off_as_asked_and_the_truth_is_told_apart() -> None:
+def test_clocks_are_off_as_asked_and_the_truth_is_distinguished() -> None:
     faults = DriveFaults(lidar_clock_offset_s=-0.5, camera_clock_offset_s=0.2, camera_clock_spread_s=0.05)
     off: dict[str, list[float]] = {}
     for event in drive_of(faults).events():

@@ -150,7 +150,7 @@ def test_drivable_cells_keep_the_radius() -> None:
 
 
 @pytest.mark.parametrize("seed", [0, 3, 5])
-def test_moved_furniture_is_told_and_all_else_stays(seed: int) -> None:
+def test_moved_furniture_is_reported_and_all_else_stays(seed: int) -> None:
     before, after = generate_home(seed), generate_home(seed, moved=6, day=1)
     gone = [part for one in after.changes if one.before for part in one.before.parts]
     new = [part for one in after.changes if one.after for part in one.after.parts]

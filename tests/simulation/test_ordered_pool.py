@@ -1,4 +1,4 @@
-"""Threads that write: order with one, errors told, memory bounded."""
+"""Threads that write: order with one, errors reported, memory bounded."""
 
 from __future__ import annotations
 

@@ -47,8 +47,8 @@ def test_other_sensors_stay_as_they_are_to_the_byte(tmp_path: Path) -> None:
     for log in ("with", "with/log.mcap"):
         said = [one for one in open_dataset(tmp_path / log) if isinstance(one, ImuReading)]
         assert len(said) == pytest.approx(200.0 * SECONDS, abs=1)
-        told = said[0].T_base_imu
-        assert told is not None and told.equals(ROBOT_IMU.T_body_imu, 1e-6)
+        stated = said[0].T_base_imu
+        assert stated is not None and stated.equals(ROBOT_IMU.T_body_imu, 1e-6)
 
 
 def test_turn_rates_integrate_to_the_drive_and_forces_to_gravity() -> None:

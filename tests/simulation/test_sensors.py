@@ -104,7 +104,7 @@ def test_range_noise_is_the_data_sheets(model: LidarModel) -> None:
     assert np.abs(steps - np.round(steps)).max() < 1e-2
 
 
-def test_no_return_and_too_near_are_told_apart() -> None:
+def test_no_return_and_too_near_are_distinguished() -> None:
     wide = replace(HOKUYO_URG_04LX, range_min_m=1.6, range_max_m=1.9, faults=NO_FAULTS, sigma_share=0.0)
     wide = replace(wide, sigma_m=0.0, sigma_share_far=0.0)
     scan = scan_lidar(ROOM, at(0.0, 0.0, 0.3, 0.0), wide, np.random.default_rng(0))

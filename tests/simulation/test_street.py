@@ -71,7 +71,7 @@ def test_undistorted_clouds_lie_on_the_ground_of_the_plan(still: Path) -> None:
         assert 0.0 < rows[:, 3].min() < rows[:, 3].max() <= 1.0
 
 
-def test_the_bag_tells_the_times_and_the_folder_the_poses(still: Path) -> None:
+def test_the_bag_shows_the_times_and_the_folder_the_poses(still: Path) -> None:
     bag = clouds_of(still / "log.mcap")
     assert len(bag) == 5
     assert bag[0].times_s is not None

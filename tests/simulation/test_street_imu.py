@@ -32,8 +32,8 @@ def standing(times_s: FloatArray) -> tuple[FloatArray, FloatArray]:
 
 
 def test_readings_without_noise_integrate_to_the_drive(drive: StreetDrive) -> None:
-    told = record_imu(IDEAL, drive.poses_at, ImuFaults(), 12.0, 0.0, SEED)
-    assert np.abs(told.gyro_rad_s).max() > 0.6  # round a corner
+    stated = record_imu(IDEAL, drive.poses_at, ImuFaults(), 12.0, 0.0, SEED)
+    assert np.abs(stated.gyro_rad_s).max() > 0.6  # round a corner
 
     def state(time_s: float) -> gtsam.NavState:
         ends = []
@@ -44,11 +44,11 @@ def test_readings_without_noise_integrate_to_the_drive(drive: StreetDrive) -> No
 
     parameters = gtsam.PreintegrationParams.MakeSharedU(GRAVITY_M_S2)
     whole = gtsam.PreintegratedImuMeasurements(parameters, gtsam.imuBias.ConstantBias())
-    rows = np.hstack([told.specific_force_m_s2, told.gyro_rad_s])
-    for row, step_s in zip(0.5 * (rows[1:] + rows[:-1]), np.diff(told.true_s), strict=True):
+    rows = np.hstack([stated.specific_force_m_s2, stated.gyro_rad_s])
+    for row, step_s in zip(0.5 * (rows[1:] + rows[:-1]), np.diff(stated.true_s), strict=True):
         whole.integrateMeasurement(row[:3], row[3:], float(step_s))
-    end = whole.predict(state(told.true_s[0]), gtsam.imuBias.ConstantBias())
-    true = state(told.true_s[-1])
+    end = whole.predict(state(stated.true_s[0]), gtsam.imuBias.ConstantBias())
+    true = state(stated.true_s[-1])
     assert np.linalg.norm(end.pose().translation() - true.pose().translation()) < 0.05
     assert np.linalg.norm(gtsam.Rot3.Logmap(end.pose().rotation().between(true.pose().rotation()))) < 1e-3
 
@@ -56,13 +56,13 @@ def test_readings_without_noise_integrate_to_the_drive(drive: StreetDrive) -> No
 def test_noise_and_biases_are_those_of_model_and_faults() -> None:
     model = ImuModel(200.0, 1e-3, 1e-2)
     imu = MountedImu(model, gtsam.Pose3(gtsam.Rot3.Roll(0.5 * np.pi), np.ones(3)))
-    told = record_imu(imu, standing, ImuFaults(0.02, 0.3, 0.25), 60.0, 100.0, SEED)
-    assert told.stamps_s - told.true_s == pytest.approx(100.25, abs=1e-6)
-    off = told.specific_force_m_s2.mean(axis=0) - [0.0, GRAVITY_M_S2, 0.0]
+    stated = record_imu(imu, standing, ImuFaults(0.02, 0.3, 0.25), 60.0, 100.0, SEED)
+    assert stated.stamps_s - stated.true_s == pytest.approx(100.25, abs=1e-6)
+    off = stated.specific_force_m_s2.mean(axis=0) - [0.0, GRAVITY_M_S2, 0.0]
     assert np.linalg.norm(off) == pytest.approx(0.3, rel=0.05)
-    assert np.linalg.norm(told.gyro_rad_s.mean(axis=0)) == pytest.approx(0.02, rel=0.05)
-    assert told.gyro_rad_s.std(axis=0) == pytest.approx(1e-3 * 200.0**0.5, rel=0.05)
-    assert told.specific_force_m_s2.std(axis=0) == pytest.approx(1e-2 * 200.0**0.5, rel=0.05)
+    assert np.linalg.norm(stated.gyro_rad_s.mean(axis=0)) == pytest.approx(0.02, rel=0.05)
+    assert stated.gyro_rad_s.std(axis=0) == pytest.approx(1e-3 * 200.0**0.5, rel=0.05)
+    assert stated.specific_force_m_s2.std(axis=0) == pytest.approx(1e-2 * 200.0**0.5, rel=0.05)
 
 
 def test_biases_wander_and_axes_saturate() -> None:
@@ -72,7 +72,7 @@ def test_biases_wander_and_axes_saturate() -> None:
     assert record_imu(imu, standing, ImuFaults(), 1.0, 0.0, SEED).specific_force_m_s2[:, 2].max() == 5.0
 
 
-def test_bag_and_folder_tell_the_same_readings_where_the_imu_sits(tmp_path: Path) -> None:
+def test_bag_and_folder_show_the_same_readings_where_the_imu_sits(tmp_path: Path) -> None:
     faults = replace(STREET_FAULTS["usual"], density=0.0)
     record_street(HOME, SEED, tmp_path / "street", STREET_RIGS["car16"], faults, 0.3)
     (tmp_path / "folder").mkdir()

@@ -1,4 +1,4 @@
-"""The synthetic log: exact rays, a drive that keeps clear of walls, and files that tell the truth."""
+"""The synthetic log: exact rays, a drive that keeps clear of walls, and files that show the truth."""
 
 from __future__ import annotations
 
@@ -59,7 +59,7 @@ def test_the_drive_is_smooth_clear_of_walls_and_returns_twice() -> None:
     assert all(np.hypot(*(poses[:, :2] - room).T).min() < 0.5 for room in rooms)
 
 
-def test_perfect_wheels_tell_the_truth_and_real_ones_drift() -> None:
+def test_perfect_wheels_show_the_truth_and_real_ones_drift() -> None:
     poses = drive_tour(CONFIG, 60.0)
     perfect = SyntheticLogConfig(
         wheel_scale_left=1.0, wheel_scale_right=1.0, wheel_sigma=0.0, slips_per_s=0.0

@@ -21,7 +21,7 @@ def arcs(count: int, speed: float, turn: float, rate_hz: float = 20.0) -> np.nda
 
 
 @pytest.mark.parametrize(("speed", "turn"), [(0.5, 0.0), (0.4, 0.7), (0.0, -0.8), (0.3, -1e-9)])
-def test_perfect_wheels_tell_the_truth(speed: float, turn: float) -> None:
+def test_perfect_wheels_show_the_truth(speed: float, turn: float) -> None:
     poses = arcs(200, speed, turn)
     read = wheel_readings(PERFECT, poses, np.random.default_rng(0))
     assert np.allclose(read.poses_xyt[:, :2], poses[:, :2], atol=1e-9)
@@ -81,7 +81,7 @@ def test_slip_is_marked_where_it_bends_the_path_and_nowhere_else() -> None:
     # 0.1 slips a second of 0.5 s each: about 5 % of the time, the wheels alike.
     assert 0.02 < off.mean() < 0.10
     assert read.slipping.any(axis=0).all()
-    # A spinning wheel tells more than it rolled, never less.
+    # A spinning wheel shows more than it rolled, never less.
     assert read.twists[1:, 0].min() > 0.4 - 1e-9
 
 

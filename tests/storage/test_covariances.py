@@ -7,7 +7,7 @@ import pytest
 
 from slam.errors import MapFileError
 from slam.estimates import Trajectory
-from slam.storage.covariances import covariance_path, read_covariances, write_trajectory
+from slam.storage.tum import covariance_path, read_covariances, write_trajectory
 
 
 def poses(count: int) -> Trajectory:

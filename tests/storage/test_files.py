@@ -37,7 +37,7 @@ def test_the_temporary_name_is_hidden_and_keeps_the_suffix(tmp_path):
     assert (tmp_path / "picture.png").read_bytes() == b"x"
 
 
-def test_a_missing_folder_is_told_in_one_line(tmp_path):
+def test_a_missing_folder_is_reported_in_one_line(tmp_path):
     with pytest.raises(MapFileError, match=r"cannot write .*No such file or directory") as caught:
         write_bytes(tmp_path / "absent" / "a.txt", b"x")
     assert "\n" not in str(caught.value)

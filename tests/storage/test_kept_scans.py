@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from slam.measurements import LaserScan
-from slam.storage.kept_scans import KeptScans
+from slam.storage.map_parts import KeptScans
 from slam.storage.packing import pack
 
 

@@ -14,8 +14,13 @@ from slam.errors import MapFileError
 from slam.mapping.dense_map import ColoredCloud
 from slam.measurements import AnyFloatArray, BoolArray, Float32Array
 from slam.storage import lidar_cloud_files
-from slam.storage.las import sixteen_bits
-from slam.storage.lidar_cloud_files import CLOUD_FORMATS, LidarCloud, export_cloud, write_lidar_cloud
+from slam.storage.lidar_cloud_files import (
+    CLOUD_FORMATS,
+    LidarCloud,
+    export_cloud,
+    sixteen_bits,
+    write_lidar_cloud,
+)
 from slam.storage.ply import read_cloud_ply
 
 COUNT = 400
@@ -67,8 +72,8 @@ def test_pcd(cloud: LidarCloud, tmp_path: Path) -> None:
 
 
 def test_intensities_of_16_bits() -> None:
-    for told, kept in ((1.0, 65535), (0.5, 32767.5), (2.0, 514), (255, 65535), (256, 256), (65535, 65535)):
-        assert sixteen_bits(np.array([0.0, told, np.nan], np.float32))[1] == pytest.approx(kept)
+    for stated, kept in ((1.0, 65535), (0.5, 32767.5), (2.0, 514), (255, 65535), (256, 256), (65535, 65535)):
+        assert sixteen_bits(np.array([0.0, stated, np.nan], np.float32))[1] == pytest.approx(kept)
     np.testing.assert_array_equal(sixteen_bits(np.array([-1.0, 131070.0], np.float32)), [0.0, 65535.0])
 
 
@@ -97,13 +102,13 @@ def test_interrupted_tiles_leave_no_folder_but_keep_what_was_there(
     cloud: LidarCloud, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     (tmp_path / "old").mkdir()
-    write = lidar_cloud_files._WRITERS["ply"]
+    write = lidar_cloud_files.write_cloud_ply
 
-    def interrupted(path: Path, *rest: object) -> None:
-        write(path, *rest)
+    def interrupted(path: Path, parts: list[ColoredCloud]) -> None:
+        write(path, parts)
         raise KeyboardInterrupt
 
-    monkeypatch.setitem(lidar_cloud_files._WRITERS, "ply", interrupted)
+    monkeypatch.setattr(lidar_cloud_files, "write_cloud_ply", interrupted)
     for name in ("old", "new"):
         with pytest.raises(KeyboardInterrupt):
             export_cloud("ply-tiles", tmp_path / name, cloud)

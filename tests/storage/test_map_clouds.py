@@ -1,4 +1,4 @@
-"""Clouds in a map: what was kept comes back, lies are told by table and row, older maps are still read."""
+"""Clouds in a map: what was kept comes back, lies are named by table and row, older maps are still read."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from box_world import box_frames
 from test_saved_map import IDENTITY, MOUNT, contents, features, forge
 
 from slam.errors import MapFileError
-from slam.mapping.cloud_packing import packed_cloud
+from slam.mapping.sensor_packing import packed_cloud
 from slam.measurements import FloatArray, RgbdFrame
 from slam.outputs.finished_map import load_map
 from slam.storage.map_clouds import MapClouds
@@ -108,7 +108,7 @@ def test_what_is_known_already_is_not_written_again(tmp_path: Path) -> None:
         ({"lidar": b"\x80\x04."}, "not packed values"),
     ],
 )
-def test_a_lie_is_told_by_table_and_row(tmp_path: Path, values: dict[str, object], said: str) -> None:
+def test_a_lie_is_reported_by_table_and_row(tmp_path: Path, values: dict[str, object], said: str) -> None:
     path = forge(write(tmp_path / "map.db", clouds()), "clouds", 2, **values)
     with pytest.raises(MapFileError, match=rf"table clouds, row 2: .*{said}") as caught:
         load_map(path).check()

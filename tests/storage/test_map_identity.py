@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from slam.app.measured import Measured
+from slam.app.mapping import Measured
 from slam.config import Config, load_config
 from slam.errors import ConfigError, DatasetError
 from slam.measurements import LaserScan

@@ -5,11 +5,12 @@ import gtsam
 import numpy as np
 import pytest
 import yaml
+from PIL import Image
 
 from slam.errors import MapFileError
 from slam.measurements import row_from_pose2
 from slam.storage.nav2 import read_nav2_map, write_nav2_map
-from slam.storage.pgm import read_pgm, write_pgm
+from slam.storage.pgm import write_pgm
 
 # Row 0 is the lowest y.
 STATES = np.array([[100, 0, -1], [0, 0, 100]], dtype=np.int8)
@@ -36,7 +37,7 @@ def as_nav2_reads(path):
     """nav2's own steps, written out a cell at a time: (x, y) of a cell's centre -> value."""
     fields = yaml.safe_load(path.read_text())
     assert (fields["mode"], fields["negate"]) == ("trinary", 0)
-    image = read_pgm(path.parent / fields["image"])
+    image = np.asarray(Image.open(path.parent / fields["image"]))
     x, y, yaw = fields["origin"]
     cells = {}
     for row in range(image.shape[0]):
@@ -83,7 +84,7 @@ def test_the_files_hold_what_nav2s_saver_writes(tmp_path):
         "free_thresh: 0.196",
     ]
     # The top row of the image is the highest y.
-    assert read_pgm(image_path).tolist() == [[254, 254, 0], [0, 254, 205]]
+    assert np.asarray(Image.open(image_path)).tolist() == [[254, 254, 0], [0, 254, 205]]
 
 
 def test_a_name_of_any_kind_is_read_back(tmp_path):
@@ -148,22 +149,47 @@ def test_a_png_with_holes_is_unknown_there(tmp_path):
 
 
 @pytest.mark.parametrize(
+    "content",
+    [
+        b"P5 3 1 100\n\x00\x32\x64",
+        b"P5 3 1 65535\n\x00\x00\x80\x00\xff\xff",
+        b"P2\n# CREATOR: map_saver 0.05 m/pix\n3 1\n# no blank\n255\n0 128\n# end\n255\n",
+    ],
+)
+def test_white_is_white_whatever_its_number(tmp_path, content):
+    path = write_grey(tmp_path)
+    (tmp_path / "m.pgm").write_bytes(content)
+    assert read_nav2_map(path).values.tolist() == [[100, -1, 0]]
+
+
+@pytest.mark.parametrize(
+    "content",
+    [b"", b"P5 2 2 255\n\0\0\0", b"P5 0 2 255\n", b"P5 1 1 0\n\0", b"P2 1 1 255\nx", b"P2 1 1 9\n-1"],
+)
+def test_a_damaged_image_is_refused(tmp_path, content):
+    path = write_grey(tmp_path)
+    (tmp_path / "m.pgm").write_bytes(content)
+    with pytest.raises(MapFileError, match="not an image that can be read"):
+        read_nav2_map(path)
+
+
+@pytest.mark.parametrize(
     ("changes", "reason"),
     [
-        ({"image": None}, "image is None"),
+        ({"image": None}, "image = .*: field required"),
         ({"image": "absent.pgm"}, "cannot read .*absent.pgm"),
         ({"image": "absent.png"}, "cannot read .*absent.png"),
-        ({"resolution": None}, "resolution is missing"),
-        ({"resolution": 0}, "resolution is 0 m"),
-        ({"resolution": "wide"}, "resolution is 'wide'"),
-        ({"origin": [0, 0]}, "origin is"),
-        ({"origin": [0, 0, "x"]}, "origin is 'x'"),
-        ({"free_thresh": None}, "free_thresh is missing"),
-        ({"free_thresh": 0.7}, "must be in this order"),
-        ({"occupied_thresh": 1.5}, "must be in this order"),
-        ({"occupied_thresh": float("nan")}, "occupied_thresh is nan"),
-        ({"negate": 2}, "negate is 2"),
-        ({"mode": "binary"}, "mode is 'binary'"),
+        ({"resolution": None}, "resolution = .*: field required"),
+        ({"resolution": 0}, "resolution = 0: input should be greater than 0"),
+        ({"resolution": "wide"}, 'resolution = "wide": .* a valid number'),
+        ({"origin": [0, 0]}, "origin.2 = .*: field required"),
+        ({"origin": [0, 0, "x"]}, 'origin.2 = "x": .* a valid number'),
+        ({"free_thresh": None}, "free_thresh = .*: field required"),
+        ({"free_thresh": 0.7}, "free_thresh must be below occupied_thresh"),
+        ({"occupied_thresh": 1.5}, "occupied_thresh = 1.5: .* less than or equal to 1"),
+        ({"occupied_thresh": float("nan")}, "occupied_thresh = .* a finite number"),
+        ({"negate": 2}, "negate = 2: .* a valid boolean"),
+        ({"mode": "binary"}, 'mode = "binary": .*trinary'),
     ],
 )
 def test_a_senseless_description_is_refused_in_one_line(tmp_path, changes, reason):
@@ -176,7 +202,7 @@ def test_what_is_no_map_is_refused_in_one_line(tmp_path):
     path = tmp_path / "map.yaml"
     with pytest.raises(MapFileError, match="cannot read"):
         read_nav2_map(path)
-    for content, reason in (("a: [1,\nb: }", "not a yaml file"), ("just text", "not a map description")):
+    for content, reason in (("a: [1,\nb: }", "cannot read"), ("just text", "holds a str")):
         path.write_text(content)
         with pytest.raises(MapFileError, match=reason) as caught:
             read_nav2_map(path)

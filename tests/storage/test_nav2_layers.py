@@ -63,7 +63,7 @@ def test_the_map_to_drive_by_is_the_decision_and_every_file_says_what_it_is(tmp_
 def test_a_map_of_the_lidar_alone_has_no_layers_beside_it(tmp_path):
     alone = LayeredMap(built().lidar, None)
     assert write_layers(tmp_path / "layers", alone) == [] and not (tmp_path / "layers").exists()
-    # Nor those of an earlier run, which would tell of another map.
+    # Nor those of an earlier run, which would show another map.
     write_layers(tmp_path / "layers", built())
     (tmp_path / "layers" / "mine.txt").write_text("mine")
     assert write_layers(tmp_path / "layers", alone) == []

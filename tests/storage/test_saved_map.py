@@ -161,7 +161,9 @@ class TestReadBack:
         np.testing.assert_allclose(saved.keyframe_poses[1], [0.3, 0.0, 0.4])
         saved.close()
 
-    def test_the_digest_tells_maps_apart(self, map_db: Path, frames: list[RgbdFrame], tmp_path: Path) -> None:
+    def test_the_digest_distinguishes_maps(
+        self, map_db: Path, frames: list[RgbdFrame], tmp_path: Path
+    ) -> None:
         again = load_map(write(tmp_path / "again.db", contents(), frames))
         other = load_map(write(tmp_path / "other.db", contents(), frames[:2]))
         assert load_map(map_db).digest == again.digest != other.digest
@@ -248,7 +250,7 @@ class TestRefused:
             (IMAGES, 2, {"depth": b"\x89PNG\r\n\x1a\n\0\0\0\rIHDR" + b"\x7f" * 8}, "pixels, the camera has"),
         ],
     )
-    def test_a_lie_is_told_by_table_and_row(
+    def test_a_lie_is_reported_by_table_and_row(
         self, map_db: Path, tmp_path: Path, table: object, number: int, values: dict[str, object], said: str
     ) -> None:
         path = tmp_path / "map.db"

@@ -93,7 +93,7 @@ def test_a_roll_lifts_what_lies_beside() -> None:
 
 
 def test_stamps_that_are_off_together_move_all_that_does_not_move_as_what_is_held() -> None:
-    """A way that turns now fast now slowly, told 5 ms late: what it is off, laid on the pose that is held."""
+    """A way that turns now fast now slowly, 5 ms late: what it is off, laid on the pose that is held."""
     stamps_s = np.arange(0.0, 8.0, 0.02)
 
     def way(late_s: float) -> Poses:
@@ -179,7 +179,7 @@ def test_without_wheels_a_robot_may_be_anywhere_that_it_comes_to() -> None:
     # 2 m/s: a second from either end; a second after the last.
     for stamp_s in (3.0, 6.0):
         assert found[stamps_s == stamp_s][0] == pytest.approx(np.diag([4.0, 4.0, 0.0]))
-    assert not unseen_covariances(trajectory, np.array([7]), None, 3).any()  # nothing tells how fast
+    assert not unseen_covariances(trajectory, np.array([7]), None, 3).any()  # nothing shows how fast
 
 
 def test_a_stamp_that_runs_backward_makes_no_variance_negative() -> None:

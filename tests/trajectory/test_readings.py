@@ -216,8 +216,8 @@ def test_wheels_are_read_anew_when_their_clock_is_known() -> None:
     after = found(readings, keyframes)
     stamps_s = readings.trajectory([pose2_from_row(pose) for pose in keyframes]).stamps_s
     true_s = np.where(stamps_s < -50.0, stamps_s + 100.0, stamps_s)
-    # Where readings end, at the log's end and where the clock begins anew, none tells the last moments.
-    told = (true_s < 1.16) | ((true_s > 2.16) & (true_s < 3.16))
+    # Where readings end, at the log's end and where the clock begins anew, none shows the last moments.
+    stated = (true_s < 1.16) | ((true_s > 2.16) & (true_s < 3.16))
     expected = np.array([where(one_s) for one_s in true_s])
-    np.testing.assert_allclose(after[told], expected[told], atol=1e-6)
-    assert np.abs(before - expected)[told].max() > 0.1
+    np.testing.assert_allclose(after[stated], expected[stated], atol=1e-6)
+    assert np.abs(before - expected)[stated].max() > 0.1

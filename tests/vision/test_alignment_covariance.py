@@ -19,7 +19,7 @@ from slam.vision.surface import SurfacePoints, points_of, surface_of
 from slam.vision.visual_match import VisualKeyframe
 
 CORNER = looking(-0.3, 0.2, 1.5, -0.7, 0.35)
-# Neither floor nor ceiling is seen: only a cupboard's rim tells the height.
+# Neither floor nor ceiling is seen: only a cupboard's rim shows the height.
 LEVEL = looking(0.0, 0.0, 1.3, 0.3, 0.05)
 STEP = gtsam.Pose3(gtsam.Rot3.RzRyRx(0.02, -0.03, 0.02), np.array([0.05, 0.03, 0.04]))
 ODOMETRY, IMAGES, MATCH = RgbdOdometryConfig(), RgbdConfig(), MatchConfig()

@@ -88,7 +88,7 @@ def test_a_depth_image_of_another_size_is_refused() -> None:
 
 
 def test_colour_lands_on_the_pixel_of_its_point() -> None:
-    # A ramp in the colour image tells the column from which each depth pixel took its colour.
+    # A ramp in the colour image shows the column from which each depth pixel took its colour.
     ramp = np.repeat(np.tile(np.arange(80, dtype=np.uint8), (60, 1))[..., None], 3, axis=2)
     warped, known = register_color(ramp, flat(2.0), BESIDE)
     expected = ((np.arange(80) - 40.0) / 100.0 - SHIFT_M / 2.0) * 80.0 + 42.0

@@ -1,4 +1,4 @@
-"""PnP without a guess: the true pose among outliers, and none where the points do not tell it."""
+"""PnP without a guess: the true pose among outliers, and none where the points do not show it."""
 
 from __future__ import annotations
 
@@ -73,12 +73,12 @@ def test_the_same_features_give_the_same_pose() -> None:
 
 
 @pytest.mark.parametrize("count", [0, 1, 3, 4, 14])
-def test_too_few_points_tell_nothing(count: int) -> None:
+def test_too_few_points_show_nothing(count: int) -> None:
     points = before(POSES[0], count)
     assert found(points, project(points, POSES[0])) is None
 
 
-def test_pixels_by_chance_tell_nothing() -> None:
+def test_pixels_by_chance_show_nothing() -> None:
     points = before(POSES[0], 80)
     assert found(points, np.random.default_rng(1).uniform([0, 0], [160, 120], (80, 2))) is None
 
@@ -96,7 +96,7 @@ def test_degenerate_points_give_none_or_a_finite_pose(kind: str) -> None:
 
 
 def test_points_on_a_wall_are_enough() -> None:
-    """Coplanar points tell the pose all the same."""
+    """Coplanar points show the pose all the same."""
     rng = np.random.default_rng(4)
     camera = np.column_stack([rng.uniform(-0.9, 0.9, 80), rng.uniform(-0.7, 0.7, 80), np.zeros(80)])
     camera[:, 2] = 2.0 + 0.3 * camera[:, 0]

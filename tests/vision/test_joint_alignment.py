@@ -117,15 +117,15 @@ def test_the_derivative_of_point_to_plane(seed: int) -> None:
     for informed in (False, True):
         surface_part(
             np.concatenate([point, pose.rotation().matrix().T @ normal])[:, None].astype(np.float32),
-            pose.matrix(),
-            planes.astype(np.float32),
+            pose.matrix().astype(np.float32),
+            planes.reshape(-1, 4).astype(np.float32),
             np.array([*CAMERA, 160, 120], np.float32),
             np.array([1.0, 1e9, 1.0, 0.0], np.float32),
-            room_for_points(),
+            *room_for_points(),
             sums[int(informed)],
             np.zeros(1, np.float32),
             residuals,
-            informed=informed,
+            informed,
         )
     (hessian, information), gradient = sums[:, :, :6], -sums[0, :, 6]
 
@@ -147,7 +147,8 @@ def test_the_derivative_of_reprojection(seed: int) -> None:
     pose = CORNER * gtsam.Pose3.Expmap(rng.uniform(-0.1, 0.1, 6))
     landmarks = seen_points(CORNER, count=7, sigma_px=2.0, seed=seed)
     hessian, gradient = np.zeros((6, 6)), np.zeros(6)
-    feature_part(*landmarks, pose.inverse().matrix(), CAMERA, 1e9, hessian, gradient, np.zeros(7))
+    T_camera_map, slopes = pose.inverse().matrix(), np.zeros((2, 6))
+    feature_part(*landmarks, T_camera_map, *CAMERA, 1e9, slopes, hessian, gradient, np.zeros(7))
 
     def errors(tangent: FloatArray) -> FloatArray:
         at = pose.compose(gtsam.Pose3.Expmap(tangent)).inverse()
@@ -168,7 +169,7 @@ class TestWhatIsOpen:
 
     @pytest.mark.parametrize("noise", [(0.0, 0.0), NOISE])
     def test_a_bare_wall_is_open_along_itself(self, noise: tuple[float, float]) -> None:
-        """Noisy normals must not seem to tell what the wall does not."""
+        """Noisy normals must not seem to show what the wall does not."""
         moved = self.FACING * STEP
         found = by_surfaces(hall(), self.FACING, moved, noise=noise)
         covariance, weak = covariance_of(found.information, 1.0, MATCH)

@@ -62,7 +62,7 @@ def test_the_covariance_is_that_of_samples(mounting: gtsam.Pose3) -> None:
     ids=["roll", "pitch", "lift"],
 )  # fmt: skip
 @pytest.mark.parametrize("mounting", MOUNTINGS)
-def test_what_leaves_the_floor_is_told(leaves: gtsam.Pose3, mounting: gtsam.Pose3) -> None:
+def test_what_leaves_the_floor_is_reported(leaves: gtsam.Pose3, mounting: gtsam.Pose3) -> None:
     base = on_floor(0.2, 0.0, 0.1)
     tilted = planar_motion(of_camera(base * leaves, mounting), CONFIDENT, mounting)
     assert tilted.excess > 16.0

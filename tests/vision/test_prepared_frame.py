@@ -61,7 +61,7 @@ class TestRegistrations:
         config = load_config(None, ["rgbd.registration=given"])
         assert registrations_of(iter(()), ["camera"], config) == {}
 
-    def test_too_little_to_tell_is_no_other_place(self) -> None:
+    def test_too_little_to_show_is_no_other_place(self) -> None:
         found = registrations_of(self.FRAMES, ["camera", "absent"], load_config(None))
         assert not any(registration.accepted for registration in found.values())
 

@@ -1,4 +1,4 @@
-"""Tags in images: poses as sure as they are, and the two of a square told apart where they can be."""
+"""Tags in images: poses as sure as they are, and the two of a square distinguished where they can be."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ def test_poses_are_as_sure_as_they_claim() -> None:
     assert max(squares) < 6.0
 
 
-def test_a_tag_that_may_be_tilted_either_way_tells_its_place_alone() -> None:
+def test_a_tag_that_may_be_tilted_either_way_shows_its_place_alone() -> None:
     tag = tag_at(3, 2.2, 0.0, math.pi + 0.3)
     (view,) = find_tags(seen([tag], CAMERA), LENS, PLACES)
     covariance = view.covariance(0.3)
@@ -71,7 +71,7 @@ def test_a_tag_of_another_size_is_as_far_as_it_is() -> None:
     assert wrong.T_camera_tag.z() == pytest.approx(1.5 * SIDE_M / 0.3, rel=0.01)
 
 
-def test_a_tag_that_is_too_small_to_tell_its_edges_is_left_out() -> None:
+def test_a_tag_that_is_too_small_to_show_its_edges_is_left_out() -> None:
     """OpenCV finds it, with corners of whole pixels, which are farther off than those of other tags."""
     tag = tag_at(3, 3.4, 0.3, math.pi + 0.9)
     image = seen([tag], CAMERA)

@@ -103,8 +103,8 @@ def test_frames_that_steer_a_terminal_are_plain(tmp_path: Path) -> None:
     sent.frame = "laser\x1b[31m\n"
     dataset = open_dataset(write_bag(tmp_path / "log", "mcap", [sent]))
     assert len(list(dataset)) == 1
-    told = " ".join([*dataset.report.notes, *dataset.figures.tree.lines()])  # type: ignore[attr-defined]
-    assert told.isprintable()
+    stated = " ".join([*dataset.report.notes, *dataset.figures.tree.lines()])  # type: ignore[attr-defined]
+    assert stated.isprintable()
 
 
 def test_a_database_of_views_is_no_bag(tmp_path: Path) -> None:

@@ -37,7 +37,7 @@ def frame_of(log: Path, **more: Any) -> tuple[RgbdFrame, list[str]]:
     return frame, list(dataset.report.notes)
 
 
-def test_a_lens_beside_the_bag_is_found_and_told(tmp_path: Path) -> None:
+def test_a_lens_beside_the_bag_is_found_and_reported(tmp_path: Path) -> None:
     log = write_bag(tmp_path / "log", "mcap", CAMERA)
     assert any(note.startswith(WARNING) and "assumed" in note for note in frame_of(log)[1])
     (tmp_path / "depth.yaml").write_text(INFO.format(name="depth_camera", focal=55.0))
@@ -54,12 +54,12 @@ def test_two_lenses_that_differ_are_a_warning_with_both(tmp_path: Path, given: b
     file.write_text(INFO.format(name="depth_camera", focal=55.0))
     frame, notes = frame_of(log, calibration=[file] if given else [])
     assert frame.intrinsics.fx == (55.0 if given else 50.0)
-    (told,) = [note for note in notes if note.startswith("warning")]
-    assert "fx 55.0" in told and "fx 50.0" in told
-    assert told.endswith("that of depth.yaml is used" if given else "that of the bag is used")
+    (stated,) = [note for note in notes if note.startswith("warning")]
+    assert "fx 55.0" in stated and "fx 50.0" in stated
+    assert stated.endswith("that of depth.yaml is used" if given else "that of the bag is used")
 
 
-def test_our_own_file_places_the_camera_and_tells_its_unit(tmp_path: Path) -> None:
+def test_our_own_file_places_the_camera_and_shows_its_unit(tmp_path: Path) -> None:
     log = write_bag(tmp_path / "log", "mcap", CAMERA)
     (tmp_path / "calibration.yaml").write_text(
         "intrinsics: {fx: 60, fy: 60, cx: 32, cy: 24, width: 64, height: 48}\ndepth_steps_per_m: 500\n"
@@ -104,8 +104,8 @@ def test_a_urdf_and_tf_that_differ_are_a_warning_with_both(tmp_path: Path, given
     file.write_text(URDF.format(child="laser"))
     mount, notes = scan_mount(log, calibration=[file] if given else [])
     assert mount.x() == pytest.approx(0.3 if given else 0.1)
-    (told,) = [note for note in notes if note.startswith("warning")]
-    assert "x 0.300" in told and "x 0.100" in told
+    (stated,) = [note for note in notes if note.startswith("warning")]
+    assert "x 0.300" in stated and "x 0.100" in stated
 
 
 def test_a_camchain_places_the_camera_by_the_topics_in_it(tmp_path: Path) -> None:
@@ -119,7 +119,7 @@ def test_a_camchain_places_the_camera_by_the_topics_in_it(tmp_path: Path) -> Non
     assert frame.intrinsics.fx == 61.0
 
 
-def test_a_file_that_was_given_and_helps_nothing_is_told(tmp_path: Path) -> None:
+def test_a_file_that_was_given_and_helps_nothing_is_reported(tmp_path: Path) -> None:
     log, file = robot(tmp_path), tmp_path / "other" / "robot.urdf"
     file.parent.mkdir()
     file.write_text(INFO.format(name="depth", focal=50.0))

@@ -68,7 +68,7 @@ def test_of_several_lidars_the_one_with_the_better_view_is_read(tmp_path: Path) 
     assert {one.sensor for one in found} == {"/livox/points"}
 
 
-def test_two_scanners_whose_places_tf_tells_are_both_read(tmp_path: Path) -> None:
+def test_two_scanners_whose_places_tf_shows_are_both_read(tmp_path: Path) -> None:
     places = {"front": gtsam.Pose3(gtsam.Rot3(), np.array([0.3, 0, 0])), "rear": gtsam.Pose3()}
     sent = [
         transforms(places),
@@ -151,7 +151,7 @@ def test_what_a_camera_saw_of_the_way_is_no_wheels_in_tf_either(tmp_path: Path) 
     assert not any(isinstance(one, WheelOdometry) for one in read(tmp_path, sent)[0])
 
 
-def test_packets_without_what_tells_how_to_read_them_name_it(tmp_path: Path) -> None:
+def test_packets_without_what_shows_how_to_read_them_name_it(tmp_path: Path) -> None:
     sent = [Sent("/ouster/lidar_packets", "ouster_sensor_msgs/msg/PacketMsg", START_S, {"buf": [1, 2]})]
     with pytest.raises(DatasetError, match=r"without its metadata: put its .json"):
         read(tmp_path, sent)
@@ -231,7 +231,7 @@ def test_inspect_gives_a_command_a_robot(tmp_path: Path) -> None:
         ([odometry(START_S)], "no sensor of the surroundings is used"),
     ],
 )
-def test_inspect_tells_what_is_in_a_bag_that_cannot_be_mapped(
+def test_inspect_shows_what_is_in_a_bag_that_cannot_be_mapped(
     tmp_path: Path, sent: list[Sent], said: str
 ) -> None:
     from slam.cli.app import app

@@ -40,8 +40,8 @@ def test_a_clock_since_the_start_of_the_sensor_is_brought_to_the_others(tmp_path
     found, dataset = read(tmp_path, [sent for pair in zip(wheels, scans, strict=True) for sent in pair])
     stamps = [one.stamp_s for one in found if isinstance(one, LaserScan)]
     assert stamps == pytest.approx([START_S, START_S + 0.1, START_S + 0.2], abs=1e-3)
-    (told,) = dataset.report.warnings
-    assert told.startswith("/scan: its clock is") and "behind the other topics'" in told
+    (stated,) = dataset.report.warnings
+    assert stated.startswith("/scan: its clock is") and "behind the other topics'" in stated
 
 
 @pytest.mark.parametrize("behind_s", [20.0, -20.0])

@@ -108,7 +108,7 @@ def test_random_damage_never_ends_in_anything_else(
 
 
 @pytest.mark.parametrize("content", [b"\x89MCAP0\r\n", b"#ROSBAG V2.0\n", b"SQLite format 3\x00", b"nothing"])
-def test_a_file_that_only_begins_as_a_bag_is_told(tmp_path: Path, content: bytes) -> None:
+def test_a_file_that_only_begins_as_a_bag_is_reported(tmp_path: Path, content: bytes) -> None:
     for suffix in (".mcap", ".bag", ".db3"):
         path = tmp_path / f"short{suffix}"
         path.write_bytes(content)

@@ -72,7 +72,7 @@ def test_a_recording_of_librealsense_has_its_unit_its_lenses_and_its_colour_in_p
     assert any("Infrared" in name for name in why)
 
 
-def test_the_extrinsics_message_places_colour_and_tf_that_says_otherwise_is_told(tmp_path: Path) -> None:
+def test_the_extrinsics_message_places_colour_and_tf_that_says_otherwise_is_reported(tmp_path: Path) -> None:
     turned = gtsam.Rot3.Rz(0.1).matrix()
     placed = {"rotation": turned.T.ravel(), "translation": [-0.05, 0.0, 0.0]}
     kind = "realsense2_camera_msgs/msg/Extrinsics"
@@ -92,8 +92,8 @@ def test_the_extrinsics_message_places_colour_and_tf_that_says_otherwise_is_told
     assert any("0.050 m from depth by /camera/extrinsics" in note for note in dataset.report.notes)
     other = transforms({"color": gtsam.Pose3(gtsam.Rot3(), np.array([0.02, 0, 0]))}, parent="depth")
     _, dataset = read(tmp_path, [other, *sent])
-    (told,) = [note for note in dataset.report.notes if note.startswith("warning")]
-    assert "0.050 0.005" in told.replace("-", "") and "0.020 0.000 0.000 m by tf" in told
+    (stated,) = [note for note in dataset.report.notes if note.startswith("warning")]
+    assert "0.050 0.005" in stated.replace("-", "") and "0.020 0.000 0.000 m by tf" in stated
 
 
 def test_extrinsics_are_those_of_their_own_camera(tmp_path: Path) -> None:
@@ -246,7 +246,7 @@ def test_packets_of_a_velodyne_are_a_cloud(tmp_path: Path) -> None:
     assert dataset.report.dropped_count == 0
 
 
-def test_without_the_extra_the_command_that_installs_it_is_told(
+def test_without_the_extra_the_command_that_installs_it_is_reported(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setitem(sys.modules, "velodyne_decoder", None)
@@ -305,6 +305,6 @@ def test_fixes_of_a_satellite_receiver_are_read_and_those_without_one_counted(tm
     assert first.antenna_m.tolist() == [0.1, 0.2, 1.0]
     assert second.covariance_m2 is None
     assert dataset.report.dropped["GNSS message without a fix"].count == 2
-    (told,) = (one for one in inspect_dataset(dataset)["sensors"] if one["gnss"])
-    assert told["gnss"]["first"] == [49.0, 8.4, 116.0]
-    assert told["gnss"]["median_sigma_m"] == 2.0
+    (stated,) = (one for one in inspect_dataset(dataset)["sensors"] if one["gnss"])
+    assert stated["gnss"]["first"] == [49.0, 8.4, 116.0]
+    assert stated["gnss"]["median_sigma_m"] == 2.0

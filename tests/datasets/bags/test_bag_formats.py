@@ -115,7 +115,7 @@ def test_parts_of_a_recording_are_read_in_their_order(tmp_path: Path) -> None:
     assert [round(m.stamp_s - START_S) for m in open_dataset(folder)] == [10, 10, 10, 0, 0, 0]
 
 
-def test_several_bags_in_a_folder_and_missing_parts_are_told(tmp_path: Path) -> None:
+def test_several_bags_in_a_folder_and_missing_parts_are_reported(tmp_path: Path) -> None:
     for name in ("kitchen", "hall"):
         write_bag(tmp_path / name, "mcap", [scan()])
     with pytest.raises(DatasetError, match=r"2 bags \(hall.mcap, kitchen.mcap\); give one"):

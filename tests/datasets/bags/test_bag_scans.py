@@ -26,7 +26,7 @@ def read(path: Path, *sent: Sent, writer: str = "mcap") -> tuple[list[Measuremen
     return list(dataset), dataset
 
 
-def test_no_return_and_invalid_readings_are_told_apart(tmp_path: Path) -> None:
+def test_no_return_and_invalid_readings_are_distinguished(tmp_path: Path) -> None:
     ranges = [0.05, 1.0, math.inf, math.nan, 8.0]
     (found,), _ = read(tmp_path, scan(ranges=ranges))
     assert isinstance(found, LaserScan)
@@ -182,11 +182,11 @@ def test_without_transforms_the_mount_is_noted_and_an_upright_laser_is_refused(t
         read(tmp_path, transforms({"laser": gtsam.Pose3(gtsam.Rot3.Pitch(1.5), np.zeros(3))}), scan())
 
 
-@pytest.mark.parametrize(("tilt_deg", "told"), [(20.0, "6% too long"), (3.0, "")])
-def test_a_laser_that_tf_tilts_is_told(tmp_path: Path, tilt_deg: float, told: str) -> None:
+@pytest.mark.parametrize(("tilt_deg", "stated"), [(20.0, "6% too long"), (3.0, "")])
+def test_a_laser_that_tf_tilts_is_reported(tmp_path: Path, tilt_deg: float, stated: str) -> None:
     tilted = gtsam.Pose3(gtsam.Rot3.Pitch(math.radians(tilt_deg)), np.zeros(3))
     _, dataset = read(tmp_path, transforms({"laser": tilted}), scan())
-    assert any(told in one for one in dataset.report.warnings) if told else not dataset.report.warnings
+    assert any(stated in one for one in dataset.report.warnings) if stated else not dataset.report.warnings
 
 
 def test_a_joint_that_moves_is_noted_but_the_way_of_the_robot_is_no_joint(tmp_path: Path) -> None:

@@ -1,4 +1,4 @@
-"""Which topics of a bag are read, and what is told of them."""
+"""Which topics of a bag are read, and what is reported of them."""
 
 from __future__ import annotations
 
@@ -38,21 +38,21 @@ def test_of_two_lasers_without_tf_the_wider_view_is_read_and_both_where_they_are
     bag = write_bag(tmp_path / "log", "mcap", two_lasers())
     dataset = open_dataset(bag)
     assert {m.sensor for m in dataset} == {"/front", "/odom"}
-    told = dataset.report.reasons["/rear (sensor_msgs/msg/LaserScan)"]
-    assert told.startswith("/front is read") and "--topics /rear" in told
+    stated = dataset.report.reasons["/rear (sensor_msgs/msg/LaserScan)"]
+    assert stated.startswith("/front is read") and "--topics /rear" in stated
     chosen = open_dataset(bag, topics=["/rear"])
     assert {m.sensor for m in chosen} == {"/rear", "/odom"}  # the wheels were no question
     assert chosen.report.reasons["/front (sensor_msgs/msg/LaserScan)"] == "--topics names others of its kind"
     assert {m.sensor for m in open_dataset(bag, topics=["/front", "/rear"])} == {"/front", "/rear", "/odom"}
 
 
-def test_of_two_lasers_the_one_whose_mounting_tf_tells_is_read(tmp_path: Path) -> None:
+def test_of_two_lasers_the_one_whose_mounting_tf_shows_is_read(tmp_path: Path) -> None:
     mount = transforms({"rear_laser": gtsam.Pose3()})
     sent = [scan("/front"), scan("/rear", frame="rear_laser", ranges=[1.0, 2.0]), mount]
     assert [m.sensor for m in open_dataset(write_bag(tmp_path / "log", "mcap", sent))] == ["/rear"]
 
 
-def test_topics_that_are_not_there_or_not_read_are_told(tmp_path: Path) -> None:
+def test_topics_that_are_not_there_or_not_read_are_reported(tmp_path: Path) -> None:
     bag = write_bag(tmp_path / "log", "db3", [*two_lasers(), transforms({"laser": gtsam.Pose3()})])
     with pytest.raises(DatasetError, match=r"no topic /scan; it holds /front \(LaserScan, 3 messages\)"):
         list(open_dataset(bag, topics=["/scan"]))
@@ -117,7 +117,7 @@ def test_colour_without_depth_is_noted(tmp_path: Path) -> None:
     assert any("no depth beside it" in note for note in dataset.report.notes)
 
 
-def test_inspect_tells_rates_gaps_clocks_and_frames(tmp_path: Path) -> None:
+def test_inspect_shows_rates_gaps_clocks_and_frames(tmp_path: Path) -> None:
     mounts = transforms({"laser": gtsam.Pose3()})
     wheels = [odometry(START_S + 0.1 * k) for k in range(30)]
     scans = [scan(stamp_s=START_S + 0.2 * k + 0.5) for k in range(12) if k not in (4, 5)]

@@ -1,4 +1,4 @@
-"""Every topic of a bag is used, or it is told why not; a depth camera's cloud is no lidar."""
+"""Every topic of a bag is used, or the reason is reported; a depth camera's cloud is no lidar."""
 
 from __future__ import annotations
 
@@ -93,7 +93,7 @@ def test_a_cameras_cloud_is_read_where_it_is_named_or_all_there_is(tmp_path: Pat
     assert uses(tmp_path, sent)["/depth/points"] == ("3D lidar", 30, "")
 
 
-def test_every_topic_is_told_of(tmp_path: Path) -> None:
+def test_every_topic_is_reported(tmp_path: Path) -> None:
     imu = [Sent("/imu", "sensor_msgs/msg/Imu", START_S + 0.1 * k, {}, "imu") for k in range(5)]
     scans = [scan(stamp_s=START_S + 0.1 * k) for k in range(30)]
     wheels = [odometry(START_S + 0.1 * k) for k in range(31)]

@@ -29,10 +29,10 @@ def turns() -> list[list[bytes]]:
 
 
 def sensor(**changes: object) -> Ouster:
-    """A sensor of the profile, its form told otherwise in places."""
-    told = json.loads(ouster.metadata(PROFILE))
-    told["lidar_data_format"] |= changes
-    return Ouster(OusterModel.of(json.dumps(told)))
+    """A sensor of the profile, its form stated otherwise in places."""
+    stated = json.loads(ouster.metadata(PROFILE))
+    stated["lidar_data_format"] |= changes
+    return Ouster(OusterModel.of(json.dumps(stated)))
 
 
 @pytest.mark.parametrize("profile", ouster.PROFILES)
@@ -57,7 +57,7 @@ def test_a_capture_of_a_sensor_without_a_clock(tmp_path: Path) -> None:
         list(open_dataset(sample.path))
 
 
-def test_turns_that_lack_packets_are_told_or_left_out(turns: list[list[bytes]]) -> None:
+def test_turns_that_lack_packets_are_reported_or_left_out(turns: list[list[bytes]]) -> None:
     one = sensor()
     sent = [*turns[0][20:], *turns[1][:5], *turns[1][9:], *turns[2]]
     found = [cloud for at, data in enumerate(sent) if (cloud := one.add(100.0 + 0.003 * at, data))]
@@ -105,9 +105,9 @@ def test_damaged_and_late_packets_are_refused(turns: list[list[bytes]]) -> None:
         (aged.tobytes(), DAMAGED),
         (packets[0], LATE),
     ):
-        with pytest.raises(RecordFault) as told:
+        with pytest.raises(RecordFault) as stated:
             one.add(100.0, data)
-        assert told.value.reason == reason
+        assert stated.value.reason == reason
     with pytest.raises(RecordFault):
         one.imu(100.0, bytes(47))
 
@@ -127,6 +127,6 @@ def test_damaged_and_late_packets_are_refused(turns: list[list[bytes]]) -> None:
     ],
 )
 def test_metadata_that_cannot_be_used_is_refused_with_why(text: str, reason: str) -> None:
-    with pytest.raises(RecordFault) as told:
+    with pytest.raises(RecordFault) as stated:
         OusterModel.of(text)
-    assert reason in told.value.reason
+    assert reason in stated.value.reason

@@ -1,15 +1,21 @@
-"""Floor plan as a drawing: SVG, 1:50, rotated to align with its walls."""
+"""Floor plan for other programs, in metres in the map frame.
+
+SVG: a drawing, 1:50, rotated to align with its walls. CAD: DXF R2010. GIS: GeoJSON.
+"""
 
 from __future__ import annotations
 
+import json
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
+from slam.errors import needs
 from slam.mapping.floor_plan import FloorPlan, Length, Room
 from slam.measurements import FloatArray
-from slam.storage.files import write_lines
+from slam.storage.files import replacing, write_lines
 
 _MARGIN_M = 1.0
 _SCALE = 50
@@ -19,6 +25,16 @@ _STYLE = (
     ".door{stroke:#fff;stroke-width:7}.leaf{stroke:#2468b4;stroke-width:2}.size{stroke:#888;stroke-width:1}"
     "text{font-family:sans-serif;font-size:16px;text-anchor:middle;fill:#222}.small{font-size:12px;fill:#555}"
 )
+
+# Layers with their colours of AutoCAD's index and line types.
+_LAYERS = {
+    "WALLS": (7, "CONTINUOUS"),
+    "UNOBSERVED": (8, "DASHED"),
+    "DOORS": (5, "CONTINUOUS"),
+    "ROOMS": (3, "CONTINUOUS"),
+    "TEXT": (7, "CONTINUOUS"),
+}
+_TEXT_M = 0.15
 
 
 def write_plan_svg(path: Path, plan: FloorPlan) -> None:
@@ -119,3 +135,121 @@ class _Drawing:
             f'<text class="small" x="50" y="{y + 26:.0f}" style="text-anchor:start">± 95 % interval, by '
             "points and poses, as far as the lidar's ranges are right; dashed: not seen</text>"
         )
+
+
+def write_plan_dxf(path: Path, plan: FloorPlan) -> None:
+    """Write walls, what of them was not seen, doors, rooms as closed polylines, and texts, a layer each.
+
+    Raises
+    ------
+    LibraryError
+        If ezdxf is not installed.
+    MapFileError
+        If the file cannot be written.
+    """
+    with needs("DXF needs ezdxf", "dxf"):
+        import ezdxf
+        from ezdxf import units
+    document: Any = ezdxf.new("R2010", setup=["linetypes"])
+    document.units = units.M
+    for name, (color, line) in _LAYERS.items():
+        document.layers.add(name, color=color, linetype=line)
+    space = document.modelspace()
+    for room in plan.rooms:
+        space.add_lwpolyline(room.corners_m.tolist(), close=True, dxfattribs={"layer": "ROOMS"})
+        for wall in room.walls:
+            for begin, end, seen in wall.pieces():
+                layer = "WALLS" if seen else "UNOBSERVED"
+                space.add_line(begin.tolist(), end.tolist(), dxfattribs={"layer": layer})
+        _text(space, f"Room {room.number}: {room.area_text}", room.middle_m.tolist(), 0.0)
+        for length in room.lengths:
+            x, y = length.end_m - length.begin_m
+            turn = (np.degrees(np.arctan2(y, x)) + 90.0) % 180.0 - 90.0
+            middle = 0.5 * (length.begin_m + length.end_m)
+            _text(space, length.text, middle.tolist(), float(turn))
+    for door in plan.doors:
+        space.add_line(door.begin_m.tolist(), door.end_m.tolist(), dxfattribs={"layer": "DOORS"})
+    with replacing(path) as temporary, temporary.open("w", encoding="utf-8", newline="\n") as file:
+        document.write(file)
+
+
+def _text(space: Any, text: str, at_m: list[float], turn_deg: float) -> None:
+    """A line of text about a point."""
+    from ezdxf.enums import TextEntityAlignment
+
+    entity = space.add_text(text, height=_TEXT_M, rotation=turn_deg, dxfattribs={"layer": "TEXT"})
+    entity.set_placement(at_m, align=TextEntityAlignment.MIDDLE_CENTER)
+
+
+def write_plan_geojson(path: Path, plan: FloorPlan) -> None:
+    """Write rooms (polygons), walls and doors (lines).
+
+    Coordinates are metres in the map's frame, not longitude and latitude, for a map is not georeferenced:
+    what RFC 7946 section 4 allows by agreement. The member ``frame`` says so.
+
+    Raises
+    ------
+    MapFileError
+        If the file cannot be written.
+    """
+    write_lines(path, [json.dumps(plan_geojson(plan), indent=1)])
+
+
+def plan_geojson(plan: FloorPlan) -> dict[str, Any]:
+    """The plan as plain data, for files and for the page of a map."""
+    features: list[dict[str, Any]] = []
+    for room in plan.rooms:
+        ring = _rounded(room.corners_m)
+        sizes = [
+            {
+                "from": _rounded(length.begin_m),
+                "to": _rounded(length.end_m),
+                "length_m": round(length.length_m, 4),
+                "half_interval_m": round(length.half_interval_m, 4),
+            }
+            for length in room.lengths
+        ]
+        features.append(
+            feature(
+                "Polygon",
+                [[*ring, ring[0]]],
+                kind="room",
+                number=room.number,
+                area_m2=round(room.area_m2, 3),
+                area_half_interval_m2=_some(room.area_half_interval_m2),
+                entered=room.entered,
+                lengths=sizes,
+            )
+        )
+        for wall in room.walls:
+            for begin, end, seen in wall.pieces():
+                line = [_rounded(begin), _rounded(end)]
+                tags = {"kind": "wall", "room": room.number, "seen": seen, "sigma_m": _some(wall.sigma_m)}
+                if line[0] != line[1]:  # shorter than a tenth of a millimetre: no line
+                    features.append(feature("LineString", line, **tags))
+    for door in plan.doors:
+        line = [_rounded(door.begin_m), _rounded(door.end_m)]
+        width = round(door.width_m, 2)
+        features.append(
+            feature("LineString", line, kind="door", rooms=door.rooms, driven=door.driven, width_m=width)
+        )
+    return {"type": "FeatureCollection", "frame": "map", "unit": "metre", "features": features}
+
+
+def feature(geometry: str, coordinates: Any, **properties: Any) -> dict[str, Any]:
+    """One of GeoJSON's features."""
+    return {
+        "type": "Feature",
+        "geometry": {"type": geometry, "coordinates": coordinates},
+        "properties": properties,
+    }
+
+
+def _rounded(points_m: FloatArray) -> Any:
+    """To a tenth of a millimetre."""
+    return points_m.round(4).tolist()
+
+
+def _some(value: float | None) -> float | None:
+    """Rounded, if it is known."""
+    return None if value is None else round(value, 4)
