@@ -6,7 +6,7 @@ import ast
 
 from tools.count_numbers import bare_floats, constant_names, count_fields, count_lines, count_logic
 
-MOST_CONSTANTS = 332
+MOST_CONSTANTS = 333
 MOST_BARE_FLOATS = 143
 MOST_FIELDS = 157
 MOST_LINES = 71_717
