@@ -18,7 +18,7 @@ from slam.doctor.stretches import Repeats, Stretches
 from slam.doctor.turning import Turn, times_scale, turn_of, unit_of
 from slam.matching.cloud_points import at_middle_of_turn
 from slam.measurements import FloatArray, PointCloud
-from slam.odometry.cloud_tracker import CloudTracker, TrackedCloud
+from slam.odometry.cloud_tracker import CloudTracker, FirstMap, TrackedCloud
 
 # The points of 16 rings are enough for the motion of a lidar and its surroundings.
 _MOST_POINTS = 16_000
@@ -131,7 +131,7 @@ class CloudSamples:
         tracked = self._tracker.follow(cloud)
         if self._first is not None and tracked.motion is not None:
             # The first was deskewed as if the robot stood still: repeat both with the estimated motion.
-            self._tracker = CloudTracker(_CONFIG, None, twist=self._tracker.twist)
+            self._tracker = CloudTracker(_CONFIG, None, first=FirstMap(self._tracker.twist))
             before = self._first.stamp_s, self._tracker.follow(self._first)
             tracked = self._tracker.follow(cloud)
         # A cloud without a match has only a predicted pose: no step starts there.

@@ -1,4 +1,4 @@
-"""Estimate the motion of a robot at its first cloud, before mapping starts.
+"""Estimate the state of an IMU at the first cloud of a robot, before mapping starts.
 
 Clouds in motion are deskewed with the velocity, which is known only after some clouds are matched. So the
 first seconds are read twice.
@@ -10,15 +10,11 @@ import math
 from collections import deque
 from collections.abc import Iterable, Iterator
 from contextlib import suppress
-from itertools import islice, pairwise
-
-import gtsam
-import numpy as np
 
 from slam.config import Config
-from slam.matching.cloud_points import at_middle_of_turn, deskewed
-from slam.measurements import FloatArray, ImuReading, Measurement, PointCloud
-from slam.odometry.cloud_tracker import CloudTracker
+from slam.matching.cloud_points import at_middle_of_turn
+from slam.measurements import ImuReading, Measurement, PointCloud
+from slam.odometry.cloud_tracker import NO_MAP, CloudTracker, FirstMap
 from slam.odometry.cloud_velocity import LONGEST_STEP_S
 from slam.odometry.imu_tracker import ImuStart, ImuTracker, UnfitImuError
 
@@ -41,10 +37,10 @@ def after_readings(log: Iterable[Measurement]) -> Iterator[Measurement]:
     yield from (item for _, item in waiting)
 
 
-def start_of(log: Iterable[Measurement], config: Config) -> ImuStart | None:
+def start_of(log: Iterable[Measurement], config: Config, first: FirstMap = NO_MAP) -> ImuStart | None:
     """Return the state at the first cloud; None if the first seconds do not determine it."""
     imu = ImuTracker()
-    tracker, first_s = CloudTracker(config, None, imu=imu), math.inf
+    tracker, first_s = CloudTracker(config, None, imu=imu, first=first), math.inf
     for measurement in log:
         if isinstance(measurement, ImuReading):
             imu.add(measurement)
@@ -57,29 +53,3 @@ def start_of(log: Iterable[Measurement], config: Config) -> ImuStart | None:
                 tracker.follow(cloud)
     start = imu.start()
     return start if start is not None and start.state.stamp_s == first_s else None
-
-
-def first_twist(log: Iterable[Measurement], config: Config) -> FloatArray | None:
-    """Return the twist (6,) of the base at the first cloud, by the first three; None if they do not show it.
-
-    Otherwise the first cloud is deskewed as if the robot stood still, and all later poses differ from the
-    first by the error of its match.
-    """
-    clouds = list(islice((item for item in log if isinstance(item, PointCloud)), 3))
-    clouds = [at_middle_of_turn(item, config.cloud_odometry) for item in clouds]
-    stamps_s, twist = np.array([item.stamp_s for item in clouds]), None
-    if len(clouds) < 3 or not all(deskewed(item, config.cloud_odometry) for item in clouds):
-        return None
-    if not all(0.0 < step_s < LONGEST_STEP_S for step_s in np.diff(stamps_s)):
-        return None
-    for _ in clouds:
-        tracker = CloudTracker(config, None, twist=twist)
-        tracked = [tracker.follow(item) for item in clouds]
-        matches = [item.motion for item in tracked[1:]]
-        if not all(item and item.converged and not item.degenerate for item in matches):
-            return None
-        motions = np.array([gtsam.Pose3.Logmap(a.pose.between(b.pose)) for a, b in pairwise(tracked)])
-        first, second = motions / np.diff(stamps_s)[:, None]
-        # Half a step before the middle of the first step, by constant acceleration.
-        twist = first + (first - second) * (stamps_s[1] - stamps_s[0]) / (stamps_s[2] - stamps_s[0])
-    return twist

@@ -18,7 +18,8 @@ from slam.doctor.registration_pairs import paired_frames, registrations_of
 from slam.errors import DatasetError
 from slam.heap import end_stage
 from slam.mapper.checkpoint import Checkpoint
-from slam.mapper.imu_start import after_readings, first_twist, start_of
+from slam.mapper.first_map import first_map
+from slam.mapper.imu_start import after_readings, start_of
 from slam.mapper.lidar2d import PlanarRobot
 from slam.mapper.lidar3d import CloudLidar
 from slam.mapper.lookahead import Ahead, Lookahead, LostError
@@ -226,9 +227,10 @@ class _Run:
         config, choice, checkpoint = self._config, self._choice, self._checkpoint
         if choice.cloud:
             imu = choice.imu and config.sensors.imu
-            start = start_of(self._used(self._dataset), config) if imu else None
-            twist = None if start else first_twist(self._used(self._dataset), config)
-            return CloudLidar(config, checkpoint, self._registrations, start, twist)
+            with fewer_frames(self._dataset, None):
+                first = first_map(self._used(self._dataset), config)
+            start = start_of(self._used(self._dataset), config, first) if imu else None
+            return CloudLidar(config, checkpoint, self._registrations, start, first)
         if choice.spatial:
             return FreeCamera(config, checkpoint, self._registrations, self._odometries)
         known = self._registrations, self._mountings, self._odometries

@@ -51,11 +51,18 @@ class CloudOdometry:
         """Discard the local map."""
         self._newest: deque[FloatArray] = deque()  # clouds in the planes of the map
         self._known: deque[float] = deque(maxlen=_KNOWN_KEYFRAMES)
+        self._ahead = 0  # clouds of the map that the robot has yet to reach
         turns = self._config.cloud_odometry
         # A ray within a plane's thickness across the largest voxel is parallel to it.
         least_sine = turns.thickness_m / (SIZES[0] * turns.greatest_voxel_m)
         planes = PlaneVoxels(self._voxel_m, turns.thickness_m, least_sine, rough=1)
         self._map = LocalCloud(planes, self._voxel_m, self._config)
+
+    def begin(self, keyframes: Sequence[tuple[FloatArray, FloatArray]]) -> None:
+        """Start with clouds (N, 3) of the first seconds and their lidar (3,), odometry frame."""
+        for points, lidar in keyframes:
+            self.add_keyframe(points, gtsam.Pose3(), lidar)
+        self._ahead = len(self._newest)
 
     def add_keyframe(self, points: FloatArray, pose: gtsam.Pose3, lidar_base: FloatArray) -> None:
         """Add points (N, 3), seen from (3,), both base frame, at ``T_odom_base`` to the local map."""
@@ -66,9 +73,11 @@ class CloudOdometry:
         before = self._map.agreement(scan, pose)
         self._newest.append(moved(half, pose))
         old = self._newest.popleft() if len(self._newest) > self._config.match.local_map_keyframes else None
+        self._ahead -= old is not None and self._ahead > 0
         self._map.planes.add(self._newest[-1], old, pose.transformFrom(lidar_base))
         own = self._map.agreement(scan, pose)
-        if before > 0.0 and own > 0.0:
+        # A map of the same place from ahead knows more than keyframes usually do.
+        if before > 0.0 and own > 0.0 and not self._ahead:
             self._known.append(before / own)
         self._expected = own * max(float(np.median(self._known or [0.0])), _LEAST_KNOWN)
 

@@ -55,15 +55,28 @@ class TrackedCloud:
     unseen_m: float = 0.0
 
 
-class CloudTracker:
-    """State of the odometry.
+@dataclass(frozen=True, slots=True)
+class FirstMap:
+    """What is known at the first cloud.
 
-    Parameters
+    Attributes
     ----------
     twist
         (6,) as `CloudVelocity.twist`, of a robot that moves at the beginning; None if it stands still or its
         motion is unknown.
+    keyframes
+        Points (N, 3) of later clouds and the position (3,) of their lidar, frame of the first cloud's base.
     """
+
+    twist: FloatArray | None = None
+    keyframes: Sequence[tuple[FloatArray, FloatArray]] = ()
+
+
+NO_MAP = FirstMap()
+
+
+class CloudTracker:
+    """State of the odometry."""
 
     def __init__(
         self,
@@ -71,14 +84,14 @@ class CloudTracker:
         wheels: WheelTracker | None,
         result_cache: ResultCache = COMPUTED,
         imu: ImuTracker | None = None,
-        twist: FloatArray | None = None,
+        first: FirstMap = NO_MAP,
     ) -> None:
         self._config, self._wheels, self._result_cache = config, wheels, result_cache
         self._imu = imu
         self._turns = config.cloud_odometry
         self._odometry: CloudOdometry | None = None
         self._matcher: TurnMatcher | None = None
-        self._velocity = CloudVelocity(twist)
+        self._velocity, self._first = CloudVelocity(first.twist), first
         # Without wheels or an IMU, the motion along a tunnel is unknown.
         self._open = UnobservedPath(config.wheels.greatest_speed_m_s)
         self._cloud: PointCloud | None = None
@@ -140,6 +153,10 @@ class CloudTracker:
                 turn.points, expected, new_keyframe=self._lost >= self._config.match.lost_after
             )
         return self._matched(cloud, turn, motion)
+
+    def moves_on(self, step_s: float) -> bool:
+        """Return whether the robot is far enough for a keyframe after a time, by its velocity."""
+        return self._moved_on(self._pose.compose(gtsam.Pose3.Expmap(self.twist * step_s)))
 
     def follow(self, cloud: PointCloud) -> TrackedCloud:
         """`track`, and add the cloud to the local map if the robot has moved far enough."""
@@ -208,6 +225,7 @@ class CloudTracker:
         self._odometry = CloudOdometry(self._config, self.voxel_m)
         self._matcher = TurnMatcher(self._turns, self._odometry, self._velocity, self.voxel_m)
         self._velocity.begin(cloud.stamp_s)
+        self._odometry.begin(self._first.keyframes)
         self._feed(np.diag([self._config.match.floor_rad**2] * 3 + [self._config.match.floor_m**2] * 3))
         return TrackedCloud(turn.points, self._pose, None, new_keyframe=True)
 

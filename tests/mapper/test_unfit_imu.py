@@ -9,13 +9,13 @@ from pathlib import Path
 import gtsam
 import numpy as np
 import pytest
-from cloud_world import SMALL, look, look_on_the_way
+from cloud_world import SMALL, look
 from imu_world import readings, walk
 
 from slam.app.mapping import Measured
 from slam.config import load_config
 from slam.mapper.checkpoint import Checkpoint
-from slam.mapper.imu_start import after_readings, first_twist, start_of
+from slam.mapper.imu_start import after_readings, start_of
 from slam.mapper.map_result import MapResult
 from slam.mapper.pipeline import build_map
 from slam.measurements import ImuReading, Measurement, WheelOdometry
@@ -102,15 +102,3 @@ def test_late_readings_are_used_as_if_they_came_in_time(late_s: float) -> None:
     config = load_config(None, ["sensors.doctor=false", *SMALL])
     result = build_map(Measured(log), config)
     assert any("gravity to" in note for note in result.notes)
-
-
-def test_the_twist_of_a_robot_that_moves_at_the_first_cloud_is_found_without_an_imu() -> None:
-    """Around the middle of the first revolution, 0.05 s after its stamp."""
-    twist = np.array([0.0, 0.0, 0.6, 0.8, 0.0, 0.0])
-    clouds = [look_on_the_way(gtsam.Pose3.Expmap(twist * n / 10), twist, n / 10, seed=n) for n in range(3)]
-    config = load_config(None, [*SMALL])
-    found = first_twist(clouds, config)
-    assert found is not None
-    np.testing.assert_allclose(found, twist, atol=0.06)
-    assert first_twist(CLOUDS, config) is None  # their points have no times
-    assert first_twist(clouds[:2], config) is None
