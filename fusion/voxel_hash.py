@@ -12,8 +12,8 @@ from fusion.kernel import ZERO, kernel
 # A key consists of three axes, and a level in the upper bits.
 AXIS_BITS = 20
 HALF, AXIS = 1 << AXIS_BITS - 1, (1 << AXIS_BITS) - 1
-# Teschner 2003, "Optimized spatial hashing for collision detection of deformable objects", section 4.1.
-_PRIMES = (73856093, 19349663)
+# 2^64 over the golden ratio, as a signed number: Knuth 1998, "The Art of Computer Programming", section 6.4.
+_GOLDEN = -7046029254386353131
 
 
 def table_for(count: int) -> NDArray[np.int32]:
@@ -39,7 +39,7 @@ def key_of(x, y, z, size_m):  # type: ignore[no-untyped-def]
 def slot_of(key, table, keys):  # type: ignore[no-untyped-def]
     """The slot of a key; an empty one if it has no entry."""
     mask = table.shape[0] - 1
-    slot = (key ^ ((key >> AXIS_BITS) * _PRIMES[0]) ^ ((key >> 2 * AXIS_BITS) * _PRIMES[1])) & mask
+    slot = (key * _GOLDEN >> 32) & mask
     while table[slot] >= 0 and keys[table[slot]] != key:
         slot = (slot + 1) & mask
     return slot

@@ -30,8 +30,7 @@ def give_back() -> None:
 def end_stage() -> None:
     """`give_back`, and in an `own_process` let go of the code of libraries, and of arrays in files.
 
-    The next stage calls others; what it asks for comes back from the system's cache of files. It takes some
-    ten milliseconds.
+    What the next stage calls comes back from the system's cache of files, in some ten milliseconds.
     """
     give_back()
     if not own_process:

@@ -13,6 +13,7 @@ from slam.datasets.corrections import begins_early
 from slam.datasets.corrections_in_space import beyond, retimed
 from slam.datasets.dataset import Thinned
 from slam.doctor.camera_samples import SensorStep
+from slam.doctor.floor import LEVER_M, floor_below_m
 from slam.doctor.own_body import body_reach_m
 from slam.doctor.stretches import Repeats, Stretches
 from slam.doctor.turning import Turn, times_scale, turn_of, unit_of
@@ -68,6 +69,14 @@ class CloudSamples:
     def untimed_s(self) -> float:
         """Duration of a revolution with unknown point times; 0 if they are known."""
         return 0.0 if self.turn_s.values or self.turn else self.interval_s.median() or 0.0
+
+    @property
+    def stands(self) -> bool:
+        """Whether a floor is as far below it as the log says, so that its rotation is right."""
+        points, height_m = np.concatenate([np.zeros((0, 3)), *self.points]), self.T_base_lidar.z()
+        points = points[np.linalg.norm(points, axis=1) > height_m - LEVER_M]  # nearer is the robot
+        below_m = floor_below_m(points, np.asarray(self.T_base_lidar.rotation().matrix())[2])
+        return below_m is not None and abs(below_m - height_m) < LEVER_M
 
     def add(self, cloud: PointCloud) -> None:
         """Add the next cloud."""

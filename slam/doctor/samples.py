@@ -136,6 +136,6 @@ class Samples:
         for lidar in samples.lidars.values():
             lidar.close()
         for clouds in samples.clouds.values():
-            compared = samples.wheels or samples.imus or clouds.T_base_lidar.z() > LEVER_M
-            clouds.close(compared=bool(compared))
+            tilted = clouds.T_base_lidar.z() > LEVER_M and not clouds.stands
+            clouds.close(compared=bool(samples.wheels or samples.imus or tilted))
         return samples

@@ -114,9 +114,9 @@ class LinearMap:
         """Return the residual of each of these edges in the map without it: see `Influences`."""
         return np.concatenate([left_out for *_, left_out in self._switched(np.array(asked, np.int64))])
 
-    def _switched(self, sets: NDArray[np.int64], together: int = 24) -> Iterator[tuple[NDArray[Any], ...]]:
+    def _switched(self, sets: NDArray[np.int64]) -> Iterator[tuple[NDArray[Any], ...]]:
         """Yield for sets of edges: rows and values of the shift, residuals, and residuals without them."""
-        sets, size = sets.reshape(len(sets), -1), self._size
+        sets, size, together = sets.reshape(len(sets), -1), self._size, 72 // self._size
         for some in (sets[first : first + together] for first in range(0, len(sets), together)):
             rows = (some[..., None] * size + np.arange(size)).reshape(len(some), -1)
             at, pulled = self._factor.forward(self._jacobian, rows.ravel())

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import tempfile
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -13,7 +12,6 @@ from slam.config import Config
 from slam.heap import give_back
 from slam.mapping.cloud_map import CloudTiles
 from slam.mapping.cloud_passers_by import passed_by
-from slam.mapping.dense_map import ColoredCloud
 from slam.mapping.elevation import Elevation
 from slam.measurements import BoolArray, Float32Array, spatial
 from slam.storage.lidar_cloud_files import LidarCloud
@@ -42,7 +40,7 @@ def lidar_cloud(contents: MapContents, config: Config, ground: Elevation | None)
         tiles = CloudTiles(rows, poses, config.grid.resolution_m, file)
         give_back()
         if ground is None:
-            yield LidarCloud(_Parts(tiles.cloud), lambda points: np.zeros(len(points), np.bool_), None)
+            yield LidarCloud(tiles.cloud(), lambda points: np.zeros(len(points), np.bool_), None)
             return
         reach_m = config.cloud_odometry.range_max_m
         passed = passed_by(tiles.points(), tiles.seen(), poses, contents.T_base_lidar, ground, reach_m)
@@ -53,16 +51,5 @@ def lidar_cloud(contents: MapContents, config: Config, ground: Elevation | None)
             # Where no ground was seen, its height is a guess.
             return np.asarray((above_m < 0.5 * passed.voxel_m) & ground.seen_at(points))
 
-        stays = _Parts(lambda: tiles.cloud(lambda points: ~passed.holds(points)))
-        removed = _Parts(lambda: tiles.cloud(passed.holds)) if len(passed.keys) else None
-        yield LidarCloud(stays, is_ground, removed)
-
-
-@dataclass(frozen=True, slots=True)
-class _Parts:
-    """Parts of a cloud, computed again at each iteration."""
-
-    make: Callable[[], Iterator[ColoredCloud]]
-
-    def __iter__(self) -> Iterator[ColoredCloud]:
-        return self.make()
+        removed = tiles.cloud(passed.holds) if len(passed.keys) else None
+        yield LidarCloud(tiles.cloud(lambda points: ~passed.holds(points)), is_ground, removed)

@@ -42,7 +42,7 @@ class LidarCloud:
     Attributes
     ----------
     stays
-        Static points of the map, in parts; read more than once.
+        Static points of the map, in parts.
     is_ground
         Function of points (N, 3): which (N,) are the ground.
     gone

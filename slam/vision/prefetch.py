@@ -7,6 +7,8 @@ from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from typing import TypeVar
 
+from slam.heap import give_back
+
 Item = TypeVar("Item")
 Prepared = TypeVar("Prepared")
 
@@ -22,7 +24,9 @@ def prefetched(
     waiting: deque[Future[Prepared]] = deque()
     with ThreadPoolExecutor(threads, thread_name_prefix="prepare") as pool:
         try:
-            for item in items:
+            for number, item in enumerate(items, 1):
+                if number % 100 == 0:  # else holes between what is kept fill up
+                    give_back()
                 waiting.append(pool.submit(prepare, item))
                 if len(waiting) > most_waiting:
                     yield waiting.popleft().result()

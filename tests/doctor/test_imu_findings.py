@@ -131,6 +131,15 @@ def test_clouds_are_matched_for_an_imu_where_there_are_no_wheels() -> None:
     assert not Samples.of(level).clouds["lidar"].steps[0]
 
 
+def test_clouds_alone_are_matched_only_if_no_floor_is_as_far_below_as_the_log_says() -> None:
+    clouds = [look(base(0.05 * n, 0.0, 0.0), 0.1 * n, seed=n) for n in range(4)]
+    assert not Samples.of(clouds).clouds["lidar"].steps[0]
+    higher = [
+        replace(one, T_base_lidar=gtsam.Pose3(gtsam.Rot3(), np.array([0.0, 0.0, 1.2]))) for one in clouds
+    ]
+    assert Samples.of(higher).clouds["lidar"].steps[0]
+
+
 def test_the_motion_of_turns_is_between_their_middles() -> None:
     clouds = [look(walk(0.0), 0.1 * n, seed=n) for n in range(3)]
     turns = [replace(one, times_s=np.linspace(0.0, 0.1, len(one.points_lidar))) for one in clouds]
