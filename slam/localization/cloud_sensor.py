@@ -23,7 +23,7 @@ from slam.localization.sensor import Keyframe, Observation, moved_on
 from slam.localization.whole_map_field import WholeMapField
 from slam.matching.cloud_points import at_middle_of_turn
 from slam.matching.local_cloud import REACH, Aligned, LocalCloud, moved
-from slam.measurements import FloatArray, PointCloud, Pose, WheelOdometry
+from slam.measurements import FloatArray, PointCloud, Pose, WheelOdometry, logarithm
 from slam.storage.map_contents import MapContents
 
 # Shares of explained, in-free and crossing beams at true poses, and at wrong ones that fit best: see
@@ -82,6 +82,7 @@ class CloudSensor:
         self.voxel_m = self._tiles.voxel_m
         self._places = CloudPlaces(field, known, self.voxel_m, config)
         self.search_every_m = self._general.search_every_m
+        self._stamp_s = -math.inf
 
     def observe(self, measurement: Any, known: Pose | None) -> Observation[CloudView] | None:
         """See `Sensor`; takes clouds, whose time is the middle of their revolution, and wheel readings."""
@@ -92,7 +93,12 @@ class CloudSensor:
         cloud = at_middle_of_turn(measurement, self._config.cloud_odometry)
         points, step = self._odometry.add(cloud)
         view = CloudView.of(points, cloud.T_base_lidar, self.voxel_m)
-        return Observation(cloud.stamp_s, view, step.pose, step.moved, step.moved is None)
+        elapsed_s, self._stamp_s = cloud.stamp_s - self._stamp_s, cloud.stamp_s
+        late: FloatArray | float = 0.0
+        if step.moved is not None and elapsed_s > 0.0:
+            sigma_s = self._config.sensors.calibration.cloud_sigma_s
+            late = logarithm(step.moved.pose) * sigma_s / elapsed_s
+        return Observation(cloud.stamp_s, view, step.pose, step.moved, step.moved is None, late)
 
     def sees_new(self, view: CloudView, before: Pose | None, pose: Pose) -> bool:
         """See `Sensor`."""

@@ -143,3 +143,21 @@ def test_the_command(scanweave: Scanweave, log: Path, tmp_path: Path) -> None:
     assert scanweave("map", flat, "-o", tmp_path / "flat map").code == 0
     outcome = scanweave("localize", tmp_path / "flat map", driven, "-o", out)
     assert_one_line_error(outcome, "needs planar scans")
+
+
+def test_a_stamp_error_counts_in_the_direction_of_motion(known_map: MapContents) -> None:
+    poses = drive(OTHER)[2:20]
+    clouds = seen(poses, 100)
+    settings = [*SETTINGS, "sensors.calibration.lidars_3d.lidar.clock_sigma_s=0.05"]
+    localizer = Localizer(known_map, load_config(None, settings))
+    late = [localizer.add(cloud) for cloud in clouds]
+    checked = 0
+    for n, (output, exact) in enumerate(zip(late, follow(known_map, clouds), strict=True)):
+        if output is None or output.covariance is None or exact.covariance is None:
+            continue
+        elapsed_s = clouds[n].stamp_s - clouds[n - 1].stamp_s
+        moved = 0.05 / elapsed_s * gtsam.Pose3.Logmap(poses[n - 1].between(poses[n]))
+        more = output.covariance - exact.covariance
+        np.testing.assert_allclose(more, np.outer(moved, moved), atol=0.2 * float(moved @ moved))
+        checked += 1
+    assert checked > 3
