@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -141,23 +141,26 @@ class CloudSensor:
 
     def propose(
         self, view: CloudView, keyframes: Sequence[Keyframe[CloudView]], within: Measured | None
-    ) -> list[gtsam.Pose3]:
-        """See `Sensor`: places that look similar by scan context or plan, and fit best."""
+    ) -> Iterator[gtsam.Pose3 | None]:
+        """See `Sensor`: places that look similar by scan context or plan, and fit best.
+
+        One reading makes at most one tile of the map here: it costs more than everything else.
+        """
         scan = thin_to_voxels(view.points, COARSENESS * self.voxel_m)
         arrived: list[tuple[float, gtsam.Pose3, LocalCloud]] = []
         for guess in self._places.propose(view.points):
-            tile = self._tiles.around(guess)
-            if tile is None:
+            made = self._tiles.made
+            if (tile := self._tiles.around(guess)) is None:
                 continue
+            if self._tiles.made > made:
+                yield None
             aligned = tile.coarse.align(scan, guess)
             ends = [guess, *([] if aligned is None else [aligned.found.pose])]  # large voxels may mislead
             arrived.append(max(((self.weigh(at, view), at, tile.local) for at in ends), key=lambda a: a[0]))
         arrived.sort(key=lambda place: -place[0])
-        proposed = []
         for _, pose, local in arrived[: self._settings.places]:
             exact = local.align(view.points, pose, REACH * self.voxel_m)  # may be some voxels off
-            proposed.append(pose if exact is None else exact.found.pose)
-        return proposed
+            yield pose if exact is None else exact.found.pose
 
     def _aligned(self, view: CloudView, guess: Pose) -> tuple[Aligned | None, float]:
         """Return an alignment, and the share of the cloud that agrees, relative to the map's own clouds."""
