@@ -163,3 +163,16 @@ def test_a_stamp_error_counts_in_the_direction_of_motion(known_map: MapContents)
         np.testing.assert_allclose(more, np.outer(moved, moved), atol=0.2 * float(moved @ moved))
         checked += 1
     assert checked > 3
+
+
+def test_a_search_makes_one_tile_per_reading(known_map: MapContents) -> None:
+    sensor = CloudSensor(known_map, None, CONFIG)
+    pose = drive(OTHER)[4]
+    (cloud,) = seen([pose], 7)
+    points = cloud.T_base_lidar.translation() + cloud.points_lidar.astype(np.float64)
+    made = [0]
+    for place in sensor.propose(CloudView.of(points, cloud.T_base_lidar, sensor.voxel_m), [], None):
+        made.append(sensor._tiles.made)
+        if place is not None:
+            break
+    assert len(made) > 2 and max(np.diff(made)) == 1
