@@ -27,7 +27,7 @@ import slam.mapper.tags as tags_of_keyframes
 from slam.config import load_config
 from slam.config.tags import KnownPlaces
 from slam.estimates import Trajectory
-from slam.evaluation.coverage import coverage
+from slam.evaluation.coverage import coverage, truth_at
 from slam.evaluation.trajectory_error import absolute_error
 from slam.measurements import CameraIntrinsics, ColorImage, RgbdFrame
 from slam.simulation.drive_faults import FAULT_PRESETS
@@ -127,15 +127,15 @@ def variants(best: list[int]) -> dict[str, Alter]:
 
 
 def lap_error_m(way: Trajectory, truth: Trajectory, lap_s: float) -> float:
-    """By how much the way from the first pose to the end of the first lap is off."""
-    ends = []
-    for one in (way, truth):
-        poses = [
-            one[np.array([int(np.abs(one.stamps_s - at).argmin())])].poses()[0]
-            for at in (way.stamps_s[0], way.stamps_s[0] + lap_s)
-        ]
-        ends.append(np.asarray(poses[0].between(poses[1]).translation()))
-    return float(np.linalg.norm(ends[0] - ends[1]))
+    """By how much the way from the first pose to the end of the first lap is off, at the same two stamps."""
+    ends = [0, int(np.abs(way.stamps_s - way.stamps_s[0] - lap_s).argmin())]
+    true, known = truth_at(truth, way.stamps_s[ends], 0.05)
+    assert len(known) == 2
+    moved = [
+        np.asarray(two[0].between(two[1]).translation())
+        for two in (way[np.array(ends)].poses(), true.poses())
+    ]
+    return float(np.linalg.norm(moved[0] - moved[1]))
 
 
 def main() -> None:

@@ -165,6 +165,11 @@ class Calibration(StrictModel):
     imus: dict[str, ImuCorrection] = Field(default={}, description="corrections of IMUs, by name")
     gnss: dict[str, GnssCorrection] = Field(default={}, description="corrections of GNSS receivers, by name")
 
+    @property
+    def cloud_sigma_s(self) -> float:
+        """Return the standard deviation of all stamps of clouds; 0 if they are exact."""
+        return max((lidar.clock_sigma_s for lidar in self.lidars_3d.values()), default=0.0)
+
     def merged(self, entries: Mapping[str, Mapping[str, Mapping[str, object]]]) -> Calibration:
         """Return it with more entries, by kind and name of the sensor; existing values are kept."""
         tree = self.plain()

@@ -41,21 +41,22 @@ def corrected_cloud(fix: CloudCorrection, cloud: PointCloud) -> PointCloud:
     times_s = retimed(cloud, fix.times_scale).times_s
     if times_s is None and fix.turn_s != 0.0:
         times_s = turn_times(cloud.points_lidar, fix.turn_s, math.radians(fix.cut_deg))
-    cloud = beyond(cloud, fix.range_min_m)
+    cloud = beyond(replace(cloud, times_s=times_s), fix.range_min_m)
     return replace(
         cloud,
         points_lidar=raised(cloud.points_lidar, fix.elevation_deg) * np.float32(fix.range_scale),
-        times_s=times_s,
         T_base_lidar=cloud.T_base_lidar if fix.T_base_lidar is None else mounted(fix.T_base_lidar),
     )
 
 
 def beyond(cloud: PointCloud, range_m: float) -> PointCloud:
-    """Return a cloud whose points within a range are zero: not measured."""
+    """Return a cloud without the points within a range, whose times are not of the remaining ones."""
     if range_m == 0.0:
         return cloud
-    points = cloud.points_lidar
-    return replace(cloud, points_lidar=points * (np.sum(points**2, axis=1) > range_m**2)[:, None])
+    kept = np.sum(cloud.points_lidar**2, axis=1) > range_m**2
+    times_s = None if cloud.times_s is None else cloud.times_s[kept]
+    intensities = None if cloud.intensities is None else cloud.intensities[kept]
+    return replace(cloud, points_lidar=cloud.points_lidar[kept], times_s=times_s, intensities=intensities)
 
 
 def retimed(cloud: PointCloud, scale: float) -> PointCloud:

@@ -68,7 +68,7 @@ def coverage(
     EvaluationError
         If fewer than two poses have a ground truth, or a covariance is not positive definite.
     """
-    truth, covered = _truth_at(reference, trajectory.stamps_s, max_difference_s)
+    truth, covered = truth_at(reference, trajectory.stamps_s, max_difference_s)
     estimate, covariances = trajectory[covered], covariances[covered]
     if len(estimate) < 2:
         raise EvaluationError(f"{len(estimate)} poses have a true one within {max_difference_s} s")
@@ -119,7 +119,7 @@ def _errors(estimate: Trajectory, truth: Trajectory, fixed: int) -> FloatArray:
     return np.hstack([shifted - estimate.positions_m - 0.5 * across + curvature, angles])
 
 
-def _truth_at(reference: Trajectory, stamps_s: FloatArray, limit_s: float) -> tuple[Trajectory, Indices]:
+def truth_at(reference: Trajectory, stamps_s: FloatArray, limit_s: float) -> tuple[Trajectory, Indices]:
     """Return the ground truth at those of (N,) stamps where it is known, and their indices."""
     covered = np.flatnonzero(
         np.abs(reference.stamps_s[nearest_indices(reference.stamps_s, stamps_s)] - stamps_s) <= limit_s

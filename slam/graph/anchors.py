@@ -17,11 +17,11 @@ from dataclasses import dataclass, replace
 import gtsam
 import numpy as np
 
-from fusion.estimation import ROUNDS, TINY, gate
+from fusion.estimation import ROUNDS, gate
 from slam.graph.edge import Edge, EdgeKind
 from slam.graph.factors import solved
 from slam.graph.held_graph import held_graph, marginals
-from slam.measurements import IN_PLANE, FloatArray, Pose, motion_between, planar, spatial
+from slam.measurements import IN_PLANE, FloatArray, Pose, composed, motion_between, planar, spatial
 
 _FREEDOM = 3.0
 # Tolerance of the iteration, in whitened errors.
@@ -170,51 +170,24 @@ def _scale2(seen_m: FloatArray, places_m: FloatArray, spreads: FloatArray, T_map
     return max(1.0, float(np.median(squares)) / gate(2, 0.5))
 
 
-def with_alignment(edges: Sequence[Edge]) -> list[Edge]:
-    """Return edges, those of anchors with the covariance of the earth's pose added: they share its error.
+def with_earth(poses: Sequence[Pose], edges: Sequence[Edge]) -> tuple[list[Pose], list[Edge]]:
+    """Return a graph, and the earth as one more node for each node from which edges of anchors start.
 
-    The pose of the earth is estimated from all of them, so their sum gives its covariance.
+    These edges share the error of the earth's pose, which depends on the whole graph.
     """
-    aligned, groups = list(edges), dict[tuple[int, str], list[int]]()
-    for number, edge in enumerate(edges):
+    nodes, joined, earths = [*poses], list[Edge](), dict[tuple[int, str], int]()
+    for edge in edges:
         if edge.kind in (EdgeKind.GNSS, EdgeKind.SURVEY):
-            groups.setdefault((edge.source, edge.kind), []).append(number)
-    for members in groups.values():
-        poses = [spatial(edges[number].T_source_target) for number in members]
-        turns = np.array([pose.rotation().matrix() for pose in poses])
-        places = np.array([pose.translation() for pose in poses])
-        covariances = np.array([_of_place(edges[number]) for number in members])
-        spreads = turns @ covariances @ turns.transpose(0, 2, 1)
-        # x, y, z of the earth, and its heading about the middle.
-        slopes = np.tile(np.eye(3, 4), (len(members), 1, 1))
-        offsets = places - places.mean(axis=0)
-        slopes[:, 0, 3], slopes[:, 1, 3] = -offsets[:, 1], offsets[:, 0]
-        information = np.einsum("kia,kij,kjb->ab", slopes, np.linalg.inv(spreads), slopes)
-        shared = slopes @ np.linalg.inv(information + TINY * np.eye(4)) @ slopes.transpose(0, 2, 1)
-        shared = turns.transpose(0, 2, 1) @ shared @ turns
-        if edges[members[0]].kind == EdgeKind.SURVEY:  # few: all share it, so it is scaled up
-            shared *= len(members)
-        for number, more in zip(members, shared, strict=True):
-            covariance = edges[number].covariance.copy()
-            if len(covariance) == 6:
-                covariance[3:, 3:] += more
-            else:
-                covariance[:2, :2] += more[:2, :2]
-            aligned[number] = replace(edges[number], covariance=covariance)
-    return aligned
-
-
-def _of_place(edge: Edge) -> FloatArray:
-    """Return (3, 3) the covariance of an anchor in the node's axes, without rotation.
-
-    In 2D, the height has a sigma of 1 m.
-    """
-    information = np.linalg.inv(edge.covariance)
-    if len(information) == 6:
-        return np.linalg.inv(information[3:, 3:])
-    covariance = np.eye(3)
-    covariance[:2, :2] = np.linalg.inv(information[:2, :2])
-    return covariance
+            key, source = (edge.source, edge.kind), poses[edge.source]
+            if key not in earths:
+                earths[key] = len(nodes)
+                nodes.append(_like(source, gtsam.Pose3(gtsam.Rot3(), spatial(source).translation())))
+                joined.append(_upright(nodes, edge.source))
+            T_earth_source = motion_between(nodes[earths[key]], source)
+            T_earth_target = composed(T_earth_source, edge.T_source_target)
+            edge = replace(edge, source=earths[key], T_source_target=T_earth_target)
+        joined.append(edge)
+    return nodes, joined
 
 
 def _seen(poses: Sequence[Pose], anchors: Sequence[Anchor]) -> FloatArray:
@@ -232,13 +205,13 @@ def _laid(seen_m: FloatArray, places_m: FloatArray, weights: FloatArray) -> gtsa
     return gtsam.Pose3(turn, middles[0] - np.asarray(turn.rotate(middles[1])))
 
 
-def _upright(nodes: Sequence[Pose]) -> Edge:
-    """Return an edge from node 0 to the earth, the last node: it only limits the tilt of the map."""
+def _upright(nodes: Sequence[Pose], source: int = 0) -> Edge:
+    """Return an edge from a node to the earth, the last node: it only limits the tilt of the map."""
     nothing, leans = NOWHERE_M**2, _LEANS_RAD**2
     planar = isinstance(nodes[0], gtsam.Pose2)
     variances = [nothing, nothing, math.pi**2] if planar else [leans, leans, math.pi**2, *[nothing] * 3]
-    motion = motion_between(nodes[0], nodes[-1])
-    return Edge(0, len(nodes) - 1, motion, np.diag(variances), EdgeKind.GNSS, trusted=True)
+    motion = motion_between(nodes[source], nodes[-1])
+    return Edge(source, len(nodes) - 1, motion, np.diag(variances), EdgeKind.GNSS, trusted=True)
 
 
 def _edges(

@@ -32,7 +32,7 @@ from scipy import sparse
 
 from fusion.estimation import FEWEST
 from slam.config import Config
-from slam.graph.anchors import with_alignment
+from slam.graph.anchors import with_earth
 from slam.graph.edge import Edge, EdgeKind
 from slam.graph.held_graph import marginals
 from slam.graph.influence import linearized
@@ -63,7 +63,7 @@ def pose_covariances(
     (n, d, d) and (n - 1, d, d), of the motion from each base to the next: GTSAM's tangent of the base where
     it ends. Node 0 is fixed: the others are relative to it.
     """
-    scaled = used_edges(poses, edges, kept, config)
+    nodes, scaled = with_earth(poses, used_edges(poses, edges, kept, config))
     information = np.zeros((len(poses) - 1, *_unknown(poses, config).shape))
     if of_steps := [edge for edge in scaled if edge.target == edge.source + 1]:
         each = np.linalg.inv([edge.covariance for edge in of_steps])
@@ -73,8 +73,8 @@ def pose_covariances(
     offsets = map(motion_between, bases, poses)
     adjoints = np.array([offset.AdjointMap() for offset in offsets])
     turned = adjoints.transpose(0, 2, 1)
-    nodes, steps = marginals(poses, scaled), np.linalg.inv(information)
-    return adjoints @ nodes @ turned, adjoints[1:] @ steps @ turned[1:]
+    covariances, steps = marginals(nodes, scaled)[: len(poses)], np.linalg.inv(information)
+    return adjoints @ covariances @ turned, adjoints[1:] @ steps @ turned[1:]
 
 
 def used_edges(
@@ -82,7 +82,7 @@ def used_edges(
 ) -> list[Edge]:
     """Return the edges that `pose_covariances` uses: the inliers with their joint uncertainty."""
     held = [edge for edge, keep in zip(edges, kept, strict=True) if keep and not _may_repeat_a_guess(edge)]
-    return _used(poses, with_alignment(held), _slips(edges, kept), config)
+    return _used(poses, held, _slips(edges, kept), config)
 
 
 def _used(
@@ -179,7 +179,7 @@ def joint_covariance(
     poses
         (n,) at which the edges are linearised; node 0 is held.
     edges
-        That hold all of them together, as uncertain as they are (`slam.graph.pose_covariances.told_edges`).
+        The inliers with their joint uncertainty (`used_edges`).
     jacobian
         (m, 3 n) of m numbers by GTSAM's tangent of every pose: forward, left, turn in the pose's own frame.
 
@@ -187,8 +187,8 @@ def joint_covariance(
     -------
     (m, m)
     """
-    linear, _ = linearized(poses, edges)
-    free = sparse.csr_matrix(jacobian)[:, 3:]
-    solved = sparse.linalg.splu((linear.T @ linear).tocsc()).solve(free.T.toarray())
-    covariance = np.asarray(free @ solved)
+    linear, _ = linearized(*with_earth(poses, edges))
+    free = sparse.csr_matrix(jacobian)[:, 3:].T.toarray()
+    free = np.pad(free, ((0, linear.shape[1] - len(free)), (0, 0)))
+    covariance = free.T @ sparse.linalg.splu((linear.T @ linear).tocsc()).solve(free)
     return np.asarray(0.5 * (covariance + covariance.T))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -23,7 +23,7 @@ from slam.localization.sensor import Keyframe, Observation, moved_on
 from slam.localization.whole_map_field import WholeMapField
 from slam.matching.cloud_points import at_middle_of_turn
 from slam.matching.local_cloud import REACH, Aligned, LocalCloud, moved
-from slam.measurements import FloatArray, PointCloud, Pose, WheelOdometry
+from slam.measurements import FloatArray, PointCloud, Pose, WheelOdometry, logarithm
 from slam.storage.map_contents import MapContents
 
 # Shares of explained, in-free and crossing beams at true poses, and at wrong ones that fit best: see
@@ -82,6 +82,7 @@ class CloudSensor:
         self.voxel_m = self._tiles.voxel_m
         self._places = CloudPlaces(field, known, self.voxel_m, config)
         self.search_every_m = self._general.search_every_m
+        self._stamp_s = -math.inf
 
     def observe(self, measurement: Any, known: Pose | None) -> Observation[CloudView] | None:
         """See `Sensor`; takes clouds, whose time is the middle of their revolution, and wheel readings."""
@@ -92,7 +93,12 @@ class CloudSensor:
         cloud = at_middle_of_turn(measurement, self._config.cloud_odometry)
         points, step = self._odometry.add(cloud)
         view = CloudView.of(points, cloud.T_base_lidar, self.voxel_m)
-        return Observation(cloud.stamp_s, view, step.pose, step.moved, step.moved is None)
+        elapsed_s, self._stamp_s = cloud.stamp_s - self._stamp_s, cloud.stamp_s
+        late: FloatArray | float = 0.0
+        if step.moved is not None and elapsed_s > 0.0:
+            sigma_s = self._config.sensors.calibration.cloud_sigma_s
+            late = logarithm(step.moved.pose) * sigma_s / elapsed_s
+        return Observation(cloud.stamp_s, view, step.pose, step.moved, step.moved is None, late)
 
     def sees_new(self, view: CloudView, before: Pose | None, pose: Pose) -> bool:
         """See `Sensor`."""
@@ -135,23 +141,26 @@ class CloudSensor:
 
     def propose(
         self, view: CloudView, keyframes: Sequence[Keyframe[CloudView]], within: Measured | None
-    ) -> list[gtsam.Pose3]:
-        """See `Sensor`: places that look similar by scan context or plan, and fit best."""
+    ) -> Iterator[gtsam.Pose3 | None]:
+        """See `Sensor`: places that look similar by scan context or plan, and fit best.
+
+        One reading makes at most one tile of the map here: it costs more than everything else.
+        """
         scan = thin_to_voxels(view.points, COARSENESS * self.voxel_m)
         arrived: list[tuple[float, gtsam.Pose3, LocalCloud]] = []
         for guess in self._places.propose(view.points):
-            tile = self._tiles.around(guess)
-            if tile is None:
+            made = self._tiles.made
+            if (tile := self._tiles.around(guess)) is None:
                 continue
+            if self._tiles.made > made:
+                yield None
             aligned = tile.coarse.align(scan, guess)
             ends = [guess, *([] if aligned is None else [aligned.found.pose])]  # large voxels may mislead
             arrived.append(max(((self.weigh(at, view), at, tile.local) for at in ends), key=lambda a: a[0]))
         arrived.sort(key=lambda place: -place[0])
-        proposed = []
         for _, pose, local in arrived[: self._settings.places]:
             exact = local.align(view.points, pose, REACH * self.voxel_m)  # may be some voxels off
-            proposed.append(pose if exact is None else exact.found.pose)
-        return proposed
+            yield pose if exact is None else exact.found.pose
 
     def _aligned(self, view: CloudView, guess: Pose) -> tuple[Aligned | None, float]:
         """Return an alignment, and the share of the cloud that agrees, relative to the map's own clouds."""

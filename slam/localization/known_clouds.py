@@ -86,6 +86,11 @@ class CloudTiles:
         self._frame = lru_cache(self._read)
         self._tile = lru_cache(maxsize=48)(self._made)
 
+    @property
+    def made(self) -> int:
+        """Return the number of tiles made so far."""
+        return self._tile.cache_info().misses
+
     def around(self, pose: gtsam.Pose3) -> CloudTile | None:
         """The tile that ``T_map_base`` stands in; None far from every keyframe."""
         return self._tile(*np.floor(pose.translation() / (TILE * self.voxel_m)).astype(np.int64).tolist())

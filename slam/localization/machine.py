@@ -93,7 +93,7 @@ class StateMachine(Generic[V, N]):
             support = self._track(observed, predicted)
         else:
             support, recovered = self._search(observed, predicted)
-        return self._output(observed.stamp_s, support, recovered)
+        return self._output(observed, support, recovered)
 
     def wants_help(self) -> bool:
         """Return whether the robot has moved since another sensor helped: only then is it new evidence."""
@@ -199,7 +199,9 @@ class StateMachine(Generic[V, N]):
         self._hypotheses.clear()
         self._unknown.clear()
 
-    def _output(self, stamp_s: float, support: float, recovered: Sequence[RecoveredPose]) -> LocalizerOutput:
+    def _output(
+        self, observed: Observation[V], support: float, recovered: Sequence[RecoveredPose]
+    ) -> LocalizerOutput:
         """Return the output for a reading; a pose that the newest reading contradicts counts as lost."""
         probabilities = self._hypotheses.probabilities()
         state, confidence = self._state, float(probabilities.max(initial=0.0))
@@ -211,10 +213,10 @@ class StateMachine(Generic[V, N]):
             known = Measured(known.pose, known.covariance + diagonal(known.pose, OPEN_M, math.pi))
         members = self._hypotheses.members
         return LocalizerOutput(
-            stamp_s=stamp_s,
+            stamp_s=observed.stamp_s,
             state=state,
             pose=None if known is None else known.pose,
-            covariance=None if known is None else known.covariance,
+            covariance=None if known is None else known.covariance + np.outer(observed.late, observed.late),
             confidence=confidence,
             hypotheses=tuple(
                 PoseHypothesis(members[n].pose, float(probabilities[n]))

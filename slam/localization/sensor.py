@@ -9,7 +9,7 @@ from typing import Any, Generic, Protocol, TypeVar
 from slam.config.localization import LocalizationConfig
 from slam.estimates import MotionEstimate
 from slam.localization.poses import Measured, separation
-from slam.measurements import Pose, composed, motion_between
+from slam.measurements import FloatArray, Pose, composed, motion_between
 
 V = TypeVar("V")
 N = TypeVar("N")
@@ -31,6 +31,8 @@ class Observation(Generic[V]):
         Motion since the last reading; None if not even dead reckoning is possible.
     restarted
         Whether a new odometry frame has started.
+    late
+        (d,) motion within the sigma of its stamp, GTSAM's tangent of the base; 0 if the stamp is exact.
     """
 
     stamp_s: float
@@ -38,6 +40,7 @@ class Observation(Generic[V]):
     pose: Pose | None
     moved: Measured | None
     restarted: bool
+    late: FloatArray | float = 0.0
 
 
 @dataclass(frozen=True, slots=True)

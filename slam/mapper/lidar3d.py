@@ -187,8 +187,7 @@ class CloudLidar(FrontEnd):
         # The appearance of all places, and what is left of the final optimisation.
         self._closer = None
         end_stage()
-        told = self._config.sensors.calibration.lidars_3d.values()
-        sigma_s = max((one.clock_sigma_s for one in told), default=0.0)
+        sigma_s = self._config.sensors.calibration.cloud_sigma_s
         result.map = replace(result.map, clouds=self._clouds, clock_sigma_s=sigma_s)
         result.add_cameras(self._cameras.records(), self._cameras.frames)
         result.notes.append(f"3D lidar: voxels of {self._tracker.voxel_m:.2f} m")

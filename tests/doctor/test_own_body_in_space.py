@@ -75,5 +75,5 @@ def test_the_doctor_leaves_out_what_the_robot_sees_of_itself() -> None:
     cloud = next(iter(corrected(log, remedied(Calibration(), found, only_sure=True))))
     assert isinstance(cloud, PointCloud)
     ranges_m = np.linalg.norm(cloud.points_lidar, axis=1)
-    assert cloud.points_lidar.dtype == np.float32 and cloud.points_lidar.shape == log[0].points_lidar.shape
-    assert not ((ranges_m > 0.0) & (ranges_m < BODY_M)).any() and (ranges_m > 1.0).any()
+    assert cloud.points_lidar.dtype == np.float32 and 0 < len(ranges_m) < len(log[0].points_lidar)
+    assert (ranges_m > BODY_M).all()

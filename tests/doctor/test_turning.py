@@ -22,6 +22,7 @@ from slam.doctor.diagnosis import diagnose
 from slam.doctor.finding import remedied
 from slam.doctor.in_space import cloud_findings
 from slam.doctor.turning import turn_of
+from slam.matching.cloud_points import at_middle_of_turn
 from slam.measurements import FloatArray, PointCloud
 from slam.outputs.finished_map import load_map
 
@@ -167,3 +168,18 @@ def test_a_lidar_that_shows_times_is_left_alone() -> None:
     cloud = PointCloud(1.0, np.array([[1, 0, 0], [0, 1, 0]], np.float32), times_s)
     found = corrected_cloud(CloudCorrection(turn_s=-0.1), cloud)
     assert found.times_s is not None and found.times_s.tolist() == times_s.tolist()
+
+
+def test_points_of_the_robot_itself_do_not_move_the_middle_of_a_revolution() -> None:
+    """Half of a revolution sees the robot: the pose is that of the middle of the other half."""
+    bearings = np.linspace(-np.pi, np.pi, 400, endpoint=False)
+    ranges_m = np.where(bearings < 0.0, 0.8, 9.0)
+    points = np.column_stack([ranges_m * np.cos(bearings), ranges_m * np.sin(bearings), np.zeros(400)])
+    cloud = PointCloud(
+        5.0, points.astype(np.float32), np.linspace(-0.05, 0.05, 400), intensities=np.ones(400, np.float32)
+    )
+    found = corrected_cloud(CloudCorrection(range_min_m=1.0), cloud)
+    assert found.times_s is not None and found.intensities is not None
+    assert len(found.points_lidar) == len(found.times_s) == len(found.intensities) == 200
+    middle = at_middle_of_turn(found, Config().cloud_odometry)
+    assert middle.stamp_s == pytest.approx(5.025, abs=1e-3)

@@ -8,7 +8,9 @@ import numpy as np
 import pytest
 
 from slam.config import Config
+from slam.graph.anchors import Anchor, anchored
 from slam.graph.edge import Edge, EdgeKind
+from slam.graph.factors import solved
 from slam.graph.held_graph import held_graph, marginals
 from slam.graph.pose_covariances import pose_covariances
 from slam.measurements import FloatArray, Pose
@@ -199,3 +201,31 @@ def test_ellipses_hold_as_many_true_poses_as_they_say() -> None:
         off = gtsam.Pose2.Logmap(poses[-1].between(true))
         inside.append(off @ np.linalg.solve(covariances[-1], off) < 7.815)
     assert 0.91 < np.mean(inside) < 0.99
+
+
+@pytest.mark.parametrize("planar", [True, False])
+def test_surveyed_places_do_not_say_where_the_first_node_is(planar: bool) -> None:
+    """Nodes 6 and 12 of a noisy chain are surveyed; the claim is the error relative to node 0."""
+    rng, squares = np.random.default_rng(0), list[float]()
+    spread = MATCH if planar else np.diag([1e-3, 1e-3, 0.003, 0.01, 0.02, 0.01]) ** 2
+    step = STEP if planar else gtsam.Pose3(STEP)
+    true, _ = chain(12, spread, step)
+    kind = type(step)
+    for _ in range(60):
+        noise = rng.multivariate_normal(np.zeros(len(spread)), spread, 12)
+        steps = [step.compose(kind.Expmap(one)) for one in noise]
+        edges = [Edge(n, n + 1, one, spread, EdgeKind.WHEEL, trusted=True) for n, one in enumerate(steps)]
+        poses = [kind()]
+        for one in steps:
+            poses.append(poses[-1].compose(one))
+        places = {n: np.array([float(n), 0.0, 0.0]) + rng.normal(0.0, 0.003, 3) for n in (6, 12)}
+        anchors = [Anchor(n, place, 9e-6 * np.eye(3), np.zeros(3)) for n, place in places.items()]
+        found = anchored(poses, edges, anchors, EdgeKind.SURVEY)
+        assert found is not None
+        values = solved(*held_graph(poses, [*edges, *found.edges]))
+        poses = [values.atPose2(n) if planar else values.atPose3(n) for n in range(13)]
+        claim = told(poses, [*edges, *found.edges])
+        for n in (6, 12):
+            missed = kind.Logmap(poses[n].between(true[n]))
+            squares.append(float(missed @ np.linalg.solve(claim[n], missed)) / len(missed))
+    assert 0.7 < np.mean(squares) < 1.3

@@ -86,7 +86,9 @@ def test_every_search_finds_the_place(known_map: MapContents) -> None:
     for pose, cloud in list(zip(drive(OTHER), seen(drive(OTHER), 1500), strict=True))[::3]:
         points = cloud.T_base_lidar.translation() + cloud.points_lidar.astype(np.float64)
         view = CloudView.of(points, cloud.T_base_lidar, sensor.voxel_m)
-        assert min(offset(found, pose)[0] for found in sensor.propose(view, [], None)) < 0.1
+        assert (
+            min(offset(found, pose)[0] for found in sensor.propose(view, [], None) if found is not None) < 0.1
+        )
 
 
 def test_another_building_leads_to_no_pose(known_map: MapContents) -> None:
@@ -143,3 +145,34 @@ def test_the_command(scanweave: Scanweave, log: Path, tmp_path: Path) -> None:
     assert scanweave("map", flat, "-o", tmp_path / "flat map").code == 0
     outcome = scanweave("localize", tmp_path / "flat map", driven, "-o", out)
     assert_one_line_error(outcome, "needs planar scans")
+
+
+def test_a_stamp_error_counts_in_the_direction_of_motion(known_map: MapContents) -> None:
+    poses = drive(OTHER)[2:20]
+    clouds = seen(poses, 100)
+    settings = [*SETTINGS, "sensors.calibration.lidars_3d.lidar.clock_sigma_s=0.05"]
+    localizer = Localizer(known_map, load_config(None, settings))
+    late = [localizer.add(cloud) for cloud in clouds]
+    checked = 0
+    for n, (output, exact) in enumerate(zip(late, follow(known_map, clouds), strict=True)):
+        if output is None or output.covariance is None or exact.covariance is None:
+            continue
+        elapsed_s = clouds[n].stamp_s - clouds[n - 1].stamp_s
+        moved = 0.05 / elapsed_s * gtsam.Pose3.Logmap(poses[n - 1].between(poses[n]))
+        more = output.covariance - exact.covariance
+        np.testing.assert_allclose(more, np.outer(moved, moved), atol=0.2 * float(moved @ moved))
+        checked += 1
+    assert checked > 3
+
+
+def test_a_search_makes_one_tile_per_reading(known_map: MapContents) -> None:
+    sensor = CloudSensor(known_map, None, CONFIG)
+    pose = drive(OTHER)[4]
+    (cloud,) = seen([pose], 7)
+    points = cloud.T_base_lidar.translation() + cloud.points_lidar.astype(np.float64)
+    made = [0]
+    for place in sensor.propose(CloudView.of(points, cloud.T_base_lidar, sensor.voxel_m), [], None):
+        made.append(sensor._tiles.made)
+        if place is not None:
+            break
+    assert len(made) > 2 and max(np.diff(made)) == 1
