@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 import math
+import re
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal, TypeAlias
@@ -91,12 +92,13 @@ def write_nav2_map(
         )
     # The image first, so that a new yaml always has its image.
     write_pgm(image_path, values[::-1], pixel_of)
+    name, is_plain = image_path.name, re.fullmatch(r"[^\W\d_][\w.-]*", image_path.name)
     origin = ", ".join(_decimal(value) for value in (T_map_grid.x(), T_map_grid.y(), T_map_grid.theta()))
     write_lines(
         yaml_path,
         [
             f"# {what}",
-            f"image: {_quoted(image_path.name)}",
+            "image: " + (name if is_plain else "'" + name.replace("'", "''") + "'"),
             "mode: trinary",
             f"resolution: {_decimal(resolution_m)}",
             f"origin: [{origin}]",
@@ -263,9 +265,3 @@ def _origin(fields: dict[str, Any], path: Path) -> gtsam.Pose2:
 def _decimal(value: float) -> str:
     """Format a number without exponent (yaml parses 1e-05 as text) that reads back as the same."""
     return np.format_float_positional(value, unique=True, trim="0")
-
-
-def _quoted(name: str) -> str:
-    """Return a yaml scalar, quoted if it is not a plain name."""
-    plain = all(character.isalnum() or character in "._-" for character in name) and name[0].isalpha()
-    return name if plain else "'" + name.replace("'", "''") + "'"

@@ -8,7 +8,6 @@ import numpy as np
 
 from slam.errors import MapFileError
 from slam.estimates import NORM_TOLERANCE, Trajectory
-from slam.measurements import FloatArray
 from slam.storage.files import numbered_fields, parse_floats, write_lines
 
 _STAMP_DECIMALS = 9
@@ -78,7 +77,9 @@ def read_tum(path: Path) -> Trajectory:
     if not rows:
         raise MapFileError(f"{path}: holds no pose")
     table = np.array(rows)
-    return Trajectory(table[:, 0].copy(), table[:, 1:4].copy(), _to_unit_length(table[:, 4:8]))
+    norms = np.linalg.norm(table[:, 4:8], axis=1, keepdims=True)
+    units = np.where(np.abs(norms - 1.0) > 1e-14, table[:, 4:8] / norms, table[:, 4:8])
+    return Trajectory(table[:, 0].copy(), table[:, 1:4].copy(), units)
 
 
 def stamp_text(stamp_s: float) -> str:
@@ -95,9 +96,3 @@ def stamp_text(stamp_s: float) -> str:
         text = np.format_float_positional(stamp_s, unique=True)
     seconds, _, decimals = text.partition(".")
     return f"{seconds}.{decimals.ljust(_STAMP_DECIMALS, '0')}"
-
-
-def _to_unit_length(quaternions: FloatArray) -> FloatArray:
-    """Unit quaternions; rows that are so already keep their bits."""
-    norms = np.linalg.norm(quaternions, axis=1, keepdims=True)
-    return np.where(np.abs(norms - 1.0) > 1e-14, quaternions / norms, quaternions)
