@@ -50,9 +50,8 @@ def corrected(log: Iterable[Measurement], calibration: Calibration) -> Iterable[
         return log
     stream = _corrected_one_by_one(log, calibration)
     offsets_s = [correction.clock_offset_s for correction in _by_name(calibration).values()]
-    cameras = calibration.cameras.items()
-    late = {name: ahead_s for name, camera in cameras if (ahead_s := camera.depth_clock_offset_s)}
-    if late:
+    late = {name: camera.depth_clock_offset_s for name, camera in calibration.cameras.items()}
+    if any(late.values()):
         stream = with_depth_in_time(stream, late)
         offsets_s += [max(late.values()) + GAP_S]
     if any(offsets_s):

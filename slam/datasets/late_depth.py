@@ -27,9 +27,8 @@ def with_depth_in_time(log: Iterable[Measurement], ahead_s: Mapping[str, float])
             frame = frames.pop(0)
             since_s = frame.stamp_s - 2.0 * abs(ahead_s[name])
             past[name] = [*(one for one in past[name] if one.stamp_s > since_s), frame]
-            known = past[name] + frames
-            off_s = [abs(one.stamp_s - ahead_s[name] - frame.stamp_s) for one in known]
-            yield replace(frame, depth_m=known[int(np.argmin(off_s))].depth_m)
+            off_s = [abs(one.stamp_s - ahead_s[name] - frame.stamp_s) for one in past[name] + frames]
+            yield replace(frame, depth_m=(past[name] + frames)[int(np.argmin(off_s))].depth_m)
 
     for measurement in log:
         if isinstance(measurement, RgbdFrame) and measurement.sensor in ahead_s:
