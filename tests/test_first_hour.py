@@ -75,6 +75,11 @@ def test_ranges_of_any_numbers_are_mapped(kind: object) -> None:
             slam.RgbdFrame(0.0, IMAGE.transpose(2, 0, 1), np.ones((4, 6)), LENS),
             r"color is uint8\[3, 4, 6\]; give numbers of shape \(N, N, 3\)",
         ),
+        (slam.RgbdFrame(0.0, IMAGE, np.full((4, 6), 900, np.uint16), LENS), "depth_m is uint16"),
+        (
+            slam.RgbdFrame(0.0, IMAGE * 0 + 999 * np.ones(3, np.uint16), np.ones((4, 6)), LENS),
+            "color is uint16",
+        ),
         (slam.RgbdFrame(0.0, IMAGE, np.ones((4, 6)), replace(LENS, width=60)), r"colour .*, lens \(4, 60\)"),
     ],
 )

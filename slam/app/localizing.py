@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import gtsam
+import numpy as np
 
 from fusion.showing import drawn, one_line, with_pictures
 from slam.app.progress import OnProgress, Progress, silent
@@ -144,8 +145,9 @@ def localize_log(
 
 def _known(start: tuple[float, float, float], sigma: tuple[float, float]) -> Measured:
     """Return the given initial pose with its covariance."""
-    if not (all(map(math.isfinite, (*start, *sigma))) and min(sigma) > 0.0):
-        raise ConfigError(f"start {start} with sigma {sigma}: needs finite numbers, and sigmas above zero")
+    shapes = np.shape(start), np.shape(sigma)
+    if shapes != ((3,), (2,)) or not (np.isfinite([*start, *sigma]).all() and min(sigma) > 0.0):
+        raise ConfigError(f"start {start}, sigma {sigma}: needs x, y, yaw, and two sigmas above zero, finite")
     return Measured(pose := gtsam.Pose2(*start), diagonal(pose, *sigma))
 
 

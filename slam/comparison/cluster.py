@@ -7,6 +7,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any
 
 from slam.comparison.isolation import STOPPING, Outcome
@@ -74,10 +75,13 @@ def client_of(workers: int, scheduler: str | None) -> Iterator[Client]:
 @contextmanager
 def _local_client(workers: int) -> Iterator[Client]:
     """A client of a cluster in this process; slots are threads that wait for the processes of their runs."""
+    import dask
     from distributed import Client, LocalCluster
 
     try:
         with (
+            TemporaryDirectory() as scratch,
+            dask.config.set({"temporary-directory": scratch}),
             LocalCluster(  # type: ignore[no-untyped-call]
                 n_workers=1,
                 threads_per_worker=workers,
@@ -129,7 +133,7 @@ def run_all(
     from distributed import as_completed
 
     place = str(root.resolve())
-    drives = _drives(client, runs, sources, place)
+    drives = _drives(client, runs, sources)
     futures = {}
     for number, run in enumerate(runs):
         future = client.submit(
@@ -153,7 +157,7 @@ def run_all(
     return rows
 
 
-def _drives(client: Client, runs: Sequence[Run], sources: Sequence[Source], root: str) -> dict[str, Any]:
+def _drives(client: Client, runs: Sequence[Run], sources: Sequence[Source]) -> dict[str, Any]:
     """Futures of the simulated drives that the runs need, by path."""
     needed = {run.log for run in runs}
     futures = {}
@@ -162,9 +166,8 @@ def _drives(client: Client, runs: Sequence[Run], sources: Sequence[Source], root
         if source.drive is not None and path in needed:
             users = [run for run in runs if run.log == path]
             limits = (max(run.timeout_s for run in users), max(run.memory_mb for run in users))
-            futures[path] = client.submit(
-                record_drive, asdict(source.drive), path, root, *limits, key=f"drive-{path}", pure=False
-            )
+            submitted = asdict(source.drive), path, *limits
+            futures[path] = client.submit(record_drive, *submitted, key=f"drive-{path}", pure=False)
     return futures
 
 

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import slam
 from slam.comparison.experiment import Simulation
-from slam.errors import ConfigError, DatasetError
+from slam.errors import ConfigError
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,7 +69,7 @@ def drives_of(simulation: Simulation) -> Iterator[Drive]:
 
 
 def record(drive: Drive, folder: Path) -> None:
-    """Simulate a drive into a folder, unless it exists.
+    """Simulate a drive into a new folder.
 
     Raises
     ------
@@ -80,25 +80,10 @@ def record(drive: Drive, folder: Path) -> None:
     from slam.simulation.home import generate_home
     from slam.simulation.record import record_drive
     from slam.simulation.rigs import RIGS
-    from slam.storage.files import make_folder
 
-    if is_recorded(folder):
-        return
-    make_folder(folder.parent)
     home = generate_home(drive.home, "office" if drive.office else "home")
-    try:
-        record_drive(
-            home,
-            RIGS[drive.rig],
-            drive.seed,
-            folder,
-            FAULT_PRESETS[drive.faults],
-            drive.duration_s,
-            formats=("folder",),
-        )
-    except DatasetError:
-        if not is_recorded(folder):  # another experiment may have been faster
-            raise
+    faults = FAULT_PRESETS[drive.faults]
+    record_drive(home, RIGS[drive.rig], drive.seed, folder, faults, drive.duration_s, formats=("folder",))
 
 
 def is_recorded(folder: Path) -> bool:

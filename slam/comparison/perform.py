@@ -10,6 +10,8 @@ from slam.comparison.drives import is_recorded
 from slam.comparison.files import MEASURED
 from slam.comparison.isolation import Outcome, run_isolated
 from slam.comparison.store import ResultStore
+from slam.storage.files import make_folder
+from slam.temporary import TemporaryFolder
 
 Row = dict[str, Any]
 
@@ -42,13 +44,21 @@ def perform(run: Row, root: str, drive_fault: str = "") -> Row:
         return store.publish(folder, run["key"], row_of(run, outcome, folder))
 
 
-def record_drive(drive: Row, folder: str, root: str, timeout_s: float, memory_mb: float) -> str:
+def record_drive(drive: Row, folder: str, timeout_s: float, memory_mb: float) -> str:
     """Simulate a drive in its own process; returns an error message, or an empty text."""
-    if is_recorded(Path(folder)):
+    target = Path(folder)
+    if is_recorded(target):
         return ""
-    with ResultStore(Path(root)).attempt() as attempt:
-        outcome = run_isolated({"drive": drive, "folder": folder}, attempt, timeout_s, memory_mb)
-    return outcome.reason
+    make_folder(target.parent)
+    attempt = TemporaryFolder(target.parent, ".attempt-")
+    try:
+        made = attempt.path / target.name
+        outcome = run_isolated({"drive": drive, "folder": str(made)}, attempt.path, timeout_s, memory_mb)
+        if outcome.status == "ok" and not is_recorded(target):  # another experiment may have been faster
+            made.replace(target)
+        return outcome.reason
+    finally:
+        attempt.remove()
 
 
 def row_of(run: Row, outcome: Outcome, folder: Path | None) -> Row:

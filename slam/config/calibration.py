@@ -121,6 +121,9 @@ class CameraCorrection(SensorCorrection):
 
     T_base_camera: Mounting | None = Field(default=None, description="pose on the robot")
     depth_scale: float = Field(default=1.0, gt=0, description="factor on depth: 0.001 for millimetres")
+    depth_clock_offset_s: float = Field(
+        default=0.0, ge=-1, le=1, description="how far stamps of depth images are ahead of those of colour"
+    )
     intrinsics: Lens | None = Field(default=None, description="camera intrinsics")
     mirrored: bool = Field(default=False, description="left is right in its images")
 

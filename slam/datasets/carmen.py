@@ -16,7 +16,6 @@ from slam.datasets.carmen_records import (
     NOT_A_NUMBER,
     LaserRecord,
     OdometryRecord,
-    Row,
     parse_configured_laser,
     parse_odometry,
     parse_parameter,
@@ -217,7 +216,9 @@ class _Decoder:
 
     def _mount(self, record: LaserRecord, number: int) -> gtsam.Pose2:
         """Pose of the laser, found once per sensor: from PARAM or from the logged poses."""
-        from_line = _relative(record.robot, record.laser)
+        from_line = None
+        if record.robot is not None and record.laser is not None:
+            from_line = pose2_from_row(record.robot).between(pose2_from_row(record.laser))
         if record.kind not in self._mounts:
             mount = self._parameter_mount(record.kind)
             # FLASER lines may contain a corrected laser pose, so only PARAM is used for them.
@@ -278,10 +279,3 @@ def _preferred_kinds(head: bytes) -> frozenset[str]:
         frequent = [kind for kind in group if present[kind] and 2 * present[kind] >= most]
         preferred.update(frequent[:1] or group)
     return frozenset(preferred)
-
-
-def _relative(robot: Row | None, laser: Row | None) -> gtsam.Pose2 | None:
-    """Pose of the laser in the robot's frame, None if the line has no poses."""
-    if robot is None or laser is None:
-        return None
-    return pose2_from_row(robot).between(pose2_from_row(laser))

@@ -13,8 +13,10 @@ from typing import Any
 import gtsam
 import numpy as np
 
+from fusion.time_alignment import GAP_S
 from slam.config.calibration import Calibration, LidarCorrection, SensorCorrection, WheelCorrection
 from slam.datasets.corrections_in_space import corrected_cloud, corrected_fix, corrected_frame, corrected_imu
+from slam.datasets.late_depth import with_depth_in_time
 from slam.datasets.spinning_scans import straightened
 from slam.errors import DatasetError
 from slam.matching.planar import wrap
@@ -48,6 +50,10 @@ def corrected(log: Iterable[Measurement], calibration: Calibration) -> Iterable[
         return log
     stream = _corrected_one_by_one(log, calibration)
     offsets_s = [correction.clock_offset_s for correction in _by_name(calibration).values()]
+    late = {name: camera.depth_clock_offset_s for name, camera in calibration.cameras.items()}
+    if any(late.values()):
+        stream = with_depth_in_time(stream, late)
+        offsets_s += [max(late.values()) + GAP_S]
     if any(offsets_s):
         stream = _in_time_order(stream, max([0.0, *offsets_s]) - min([0.0, *offsets_s]))
     spinning = {name: lidar for name, lidar in calibration.lidars.items() if lidar.turn_s}

@@ -17,14 +17,8 @@ from slam.estimates import Trajectory
 
 # Nanoseconds, position and quaternion; velocities and biases after them are ignored.
 POSES = PoseTable(stamp_units_s=(0.0,), order="wxyz")
-_ADVIO = "iphone/frames.mov"
+_FILES = "mav0/cam0/data.csv", "cam0/data.csv", "iphone/frames.mov"  # the last of ADVIO
 _TRUTHS = ("state_groundtruth_estimate0/data.csv", "mocap0/data.csv", "gt/data.csv")
-
-
-def looks_like_euroc(path: Path, head: bytes) -> bool:
-    """Whether a path is the folder of a sequence, or its ``mav0``."""
-    files = ("mav0/cam0/data.csv", "cam0/data.csv", _ADVIO)
-    return any((path / name).is_file() for name in files)
 
 
 def _load(path: Path, account: Account) -> Contents:
@@ -41,4 +35,9 @@ def _groundtruth(path: Path, account: Account) -> Trajectory | None:
     return POSES.read(file, account) if file else None
 
 
-FORMAT = recorded("EuRoC or ADVIO folder (it has no depth)", looks_like_euroc, _load, _groundtruth)
+FORMAT = recorded(
+    "EuRoC or ADVIO folder (it has no depth)",
+    lambda path, head: any((path / name).is_file() for name in _FILES),
+    _load,
+    _groundtruth,
+)

@@ -36,12 +36,6 @@ _EARTH_RADIUS_M = 6378137.0  # of WGS 84, as in the publishers' own tools
 _MOST_TURN_S = 1.0
 
 
-def looks_like_kitti_raw(path: Path, head: bytes) -> bool:
-    """Whether a path is the folder of a drive with clouds."""
-    inside = path / _INSIDE
-    return (inside / "data").is_dir() and (inside / "timestamps.txt").is_file()
-
-
 def _load(path: Path, account: Account) -> Contents:
     """The folder of one drive; the robot's frame is that of the lidar.
 
@@ -174,4 +168,9 @@ def _calibration(path: Path, account: Account) -> gtsam.Pose3 | None:
     return rotation_and_shift(file, account) if file else None
 
 
-FORMAT = recorded("KITTI raw drive", looks_like_kitti_raw, _load, _groundtruth)
+FORMAT = recorded(
+    "KITTI raw drive",
+    lambda path, head: (path / _INSIDE / "data").is_dir() and (path / _INSIDE / "timestamps.txt").is_file(),
+    _load,
+    _groundtruth,
+)

@@ -50,15 +50,11 @@ class _Gunzipped(io.RawIOBase):
     """
 
     def __init__(self, path: Path) -> None:
-        self._raw = path.open("rb")
-        self._file = gzip.GzipFile(fileobj=self._raw)
+        self.packed = path.open("rb")
+        self._file = gzip.GzipFile(fileobj=self.packed)
 
     def readable(self) -> bool:
         return True
-
-    def packed_position(self) -> int:
-        """Bytes of the compressed file that have been read."""
-        return self._raw.tell()
 
     def readinto(self, buffer: Buffer) -> int:
         view = memoryview(buffer)
@@ -68,7 +64,7 @@ class _Gunzipped(io.RawIOBase):
 
     def close(self) -> None:
         self._file.close()
-        self._raw.close()
+        self.packed.close()
         super().close()
 
 
@@ -130,10 +126,11 @@ def numbered_lines(
                     unpaid = 0
                     if on_share is not None:
                         raw = stream.raw
-                        read = raw.packed_position() if isinstance(raw, _Gunzipped) else stream.tell()
+                        read = raw.packed.tell() if isinstance(raw, _Gunzipped) else stream.tell()
                         on_share(read / size)
                 if len(line) == MAX_LINE_BYTES and not line.endswith(b"\n"):
-                    _skip_line(stream, budget)
+                    while (rest := stream.readline(MAX_LINE_BYTES)) and not rest.endswith(b"\n"):
+                        budget.take(len(rest))
                     fault = RecordFault(LINE_TOO_LONG, f"more than {MAX_LINE_BYTES} bytes")
                     account.refuse(fault, path.name, number)
                     continue
@@ -144,9 +141,3 @@ def numbered_lines(
             account.refuse(fault, path.name, number)
         except OSError as error:
             raise DatasetError(f"cannot read {path} after line {number}: {error.strerror}") from error
-
-
-def _skip_line(stream: io.BufferedReader, budget: Budget) -> None:
-    """Advance the stream to the start of the next line."""
-    while (rest := stream.readline(MAX_LINE_BYTES)) and not rest.endswith(b"\n"):
-        budget.take(len(rest))

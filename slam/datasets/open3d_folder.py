@@ -75,12 +75,6 @@ class _RotatedDepth(ImageFiles):
         return metres_of((steps >> 3) | (steps << 13), calibration)
 
 
-def looks_like_open3d_folder(path: Path, head: bytes) -> bool:
-    """Whether a path is a folder with a colour and a depth folder."""
-    places = _places(path) if path.is_dir() else None
-    return places is not None and all(_named(place) for place in places)
-
-
 def _places(path: Path) -> tuple[Path, Path] | None:
     """The colour and the depth folder."""
     inside = sorted((len(entry.name), entry) for entry in path.iterdir() if entry.is_dir())
@@ -170,7 +164,7 @@ def _groundtruth(path: Path, account: Account) -> Trajectory | None:
 
 FORMAT = recorded(
     "Open3D, Redwood, SUN3D or ScanNet folder",
-    looks_like_open3d_folder,
+    lambda path, head: bool(path.is_dir() and (places := _places(path)) and all(map(_named, places))),
     lambda *folder: Contents([_camera(*folder)]),
     _groundtruth,
 )

@@ -27,7 +27,7 @@ from slam.estimates import Trajectory
 STAMPS_IN_NAMES = "stamps from the names of the clouds in {place}"
 
 # Seconds with a decimal fraction, seconds and nanoseconds, or an integer of any unit.
-_NAME = r"(?:[a-z]+_)?(\d{9,19}(?:\.\d{1,9})?|\d{9,10}_\d{1,9})\." + CLOUD_NAMES
+_NAME = r"(?:\w*[a-z]_)?(\d{9,19}(?:\.\d{1,9})?|\d{9,10}_\d{1,9})(?:_[a-z]\w*)?\." + CLOUD_NAMES
 _FOLDER = re.compile(r"cloud|lidar|hesai|ouster|velodyne|livox|pandar|points|scans", re.IGNORECASE)
 _TRUTH = "groundtruth.txt"
 _OWN_TRUTH = "gt-tum.txt", "processed/trajectory/gt-tum.txt", "trajectory/gt-tum.txt"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Iterable
 from typing import Any
 
@@ -12,11 +13,8 @@ from fusion.estimation import FEWEST
 from slam.datasets.dataset import WARNING
 from slam.measurements import Float32Array, FloatArray
 
-# Ouster, Velodyne, Hesai and RoboSense, Livox, and names in common use.
-_NAMES = (
-    *("t", "time", "timestamp", "offset_time", "time_offset", "point_time_offset"),
-    *("ts", "time_stamp", "times"),
-)
+# By the names of all known drivers: t, ts, time, timestamp, offset_time, gps_time and others.
+_TIME = re.compile(r"ts?|.*(time|stamp).*", re.IGNORECASE)
 # Drivers, PCL, CloudCompare; a reflectivity is an intensity corrected for range.
 _INTENSITIES = "intensity", "intensities", "i", "scalar_intensity", "reflectivity", "reflectance", "remission"
 _UNITS_S = {"seconds": 1.0, "milliseconds": 1e-3, "microseconds": 1e-6, "nanoseconds": 1e-9}
@@ -63,10 +61,10 @@ class PointTimes:
         column
             The values of a field, (N,).
         """
-        own = {name.lower(): name for name in names}
+        names = list(names)
         if not self._field:
-            self._choose(own, column)
-        if self._field not in own.values():
+            self._choose(names, column)
+        if self._field not in names:
             return None
         with np.errstate(invalid="ignore", over="ignore"):
             times_s: FloatArray = column(self._field).astype(np.float64) * self._unit_s
@@ -84,23 +82,21 @@ class PointTimes:
         # If the clock is not that of the stamp, only differences are meaningful.
         return times_s - (stamp_s if abs(first_s - stamp_s) < _SAME_CLOCK_S else first_s)
 
-    def _choose(self, own: dict[str, str], column: Callable[[str], NDArray[Any]]) -> None:
+    def _choose(self, names: Iterable[str], column: Callable[[str], NDArray[Any]]) -> None:
         """Find the time field, and its unit from the possible durations of a revolution."""
-        named = [own[name] for name in _NAMES if name in own]
-        if not named:
-            self.choice = "points without times"
-            return
-        values = column(named[0])
-        kind, values = values.dtype, values.astype(np.float64)
-        span = float(np.ptp(values)) if values.size and np.isfinite(values).all() else 0.0
-        for unit, unit_s in _UNITS_S.items():
-            if _SHORTEST_TURN_S < span * unit_s <= LONGEST_TURN_S:
-                self._field, self._unit_s = named[0], unit_s
-                absolute = abs(float(values.min()) * unit_s) > LONGEST_TURN_S
-                after = "by a clock" if absolute else "after the stamp of the cloud"
-                self.choice = f"times of points from field {named[0]} ({kind}), {unit} {after}"
-                return
-        self.choice = f"times of points in field {named[0]} span {span:g}, which is no revolution: not used"
+        self.choice = "points without times"
+        for name in sorted(filter(_TIME.fullmatch, names), key=len):
+            values = column(name)
+            kind, values = values.dtype, values.astype(np.float64)
+            span = float(np.ptp(values)) if values.size and np.isfinite(values).all() else 0.0
+            self.choice = f"times of points in field {name} span {span:g}, which is no revolution: not used"
+            for unit, unit_s in _UNITS_S.items():
+                if _SHORTEST_TURN_S < span * unit_s <= LONGEST_TURN_S:
+                    self._field, self._unit_s = name, unit_s
+                    absolute = abs(float(values.min()) * unit_s) > LONGEST_TURN_S
+                    after = "by a clock" if absolute else "after the stamp of the cloud"
+                    self.choice = f"times of points from field {name} ({kind}), {unit} {after}"
+                    return
 
 
 def intensities_of(names: Iterable[str], column: Callable[[str], NDArray[Any]]) -> Float32Array | None:

@@ -81,20 +81,15 @@ def _selection(path: Path) -> _Selection | None:
         path = path.parent
     for database in [path] if path.is_file() else sorted(path.glob("*.db")):
         try:
-            if _is_robot_at_home(database):
-                return _Selection(database, *names)
+            if not database.is_file() or read_head(database, len(SQLITE_MAGIC)) != SQLITE_MAGIC:
+                continue
+            with _connected(database) as opened:
+                if {"rh_raw", "rh_home_sessions"} <= _tables(opened):
+                    return _Selection(database, *names)
         except DatasetError:
             if database == path and not names:
                 raise  # otherwise the user did not name it
     return None
-
-
-def _is_robot_at_home(path: Path) -> bool:
-    """Whether a file is a database with the dataset's tables."""
-    if not path.is_file() or read_head(path, len(SQLITE_MAGIC)) != SQLITE_MAGIC:
-        return False
-    with _connected(path) as database:
-        return {"rh_raw", "rh_home_sessions"} <= _tables(database)
 
 
 @contextmanager

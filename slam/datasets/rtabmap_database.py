@@ -200,7 +200,8 @@ def _log(database: _Database, nodes: list[_Node], account: Account) -> Iterator[
     """Odometry if it is that of a robot on a floor, and scans."""
     posed = [node.T_odom_base for node in nodes if node.T_odom_base]
     sessions = database.rows("SELECT count(DISTINCT map_id) FROM Node")[0][0]
-    level = all(_is_level(pose) for pose in posed) and sessions == 1
+    upright = all(pose.rotation().matrix()[2, 2] > math.cos(_LEVEL_RAD) for pose in posed)
+    level = upright and all(abs(pose.z()) < _LEVEL_M for pose in posed) and sessions == 1
     if posed and not level:
         account.report.ignore("odometry", OWN_ODOMETRY, len(posed))
     beside = "scan_info" if database.has("Data", "scan_info") else ""
@@ -220,12 +221,6 @@ def _log(database: _Database, nodes: list[_Node], account: Account) -> Iterator[
                 account.report.line_count += 1
                 account.report.accept("scan")
                 yield node.number, reading
-
-
-def _is_level(pose: gtsam.Pose3) -> bool:
-    """Whether a pose is in the plane."""
-    up = float(pose.rotation().matrix()[2, 2])
-    return up > math.cos(_LEVEL_RAD) and abs(pose.z()) < _LEVEL_M
 
 
 def _scan(stamp_s: float, info: ScanInfo, points: Any) -> LaserScan | PointCloud:

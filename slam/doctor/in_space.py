@@ -101,8 +101,9 @@ def late_depth(name: str, lag: tuple[float, float] | None) -> list[Finding]:
         return []
     order = "later" if lag[0] > 0 else "earlier"
     text = f"its depth images are {1000 * abs(lag[0]):.0f} ms {order} than its colour images, by their edges"
-    effect = "while it turns, depths are of other places; change the stamps of its depth images by that time"
-    return [Finding(name, "depth clock", text, effect, sure=True, value=lag[0], interval=interval(*lag))]
+    remedy: Remedy = {"cameras": {name: {"depth_clock_offset_s": round(lag[0], 3)}}}
+    effect, span = "while it turns, depths are of other places", interval(*lag)
+    return [Finding(name, "depth clock", text, effect, (remedy,), sure=True, value=lag[0], interval=span)]
 
 
 def unit_finding(

@@ -79,7 +79,13 @@ class MapFrames:
         index = self._count
         self._count += 1
         if index < self._file.count(FRAMES):
-            self._check_same(self.head(index), frame, node)
+            head = self.head(index)
+            if (head.stamp_s, head.sensor, head.node) != (frame.stamp_s, frame.sensor, node):
+                raise MapFileError(
+                    f"{self._file.path} cannot be resumed: it has a frame of {head.sensor} at "
+                    f"{head.stamp_s:.6f} s where one of {frame.sensor} at {frame.stamp_s:.6f} s comes; "
+                    "map anew, without --resume"
+                )
             return index
         steps_per_m = depth_steps_per_m(frame)
         camera = pack((frame.intrinsics, frame.T_base_camera))
@@ -198,15 +204,6 @@ class MapFrames:
                 pose = pose.compose(head.T_base_camera)
             poses.append(pose)
         return poses
-
-    def _check_same(self, head: FrameHead, frame: RgbdFrame, node: int) -> None:
-        """Raise an error if an interrupted run has another frame here."""
-        if (head.stamp_s, head.sensor, head.node) != (frame.stamp_s, frame.sensor, node):
-            raise MapFileError(
-                f"{self._file.path} cannot be resumed: it has a frame of {head.sensor} at "
-                f"{head.stamp_s:.6f} s where one of {frame.sensor} at {frame.stamp_s:.6f} s comes; "
-                "map anew, without --resume"
-            )
 
     def _row(self, index: int, table: Table = FRAMES) -> tuple[Value, ...]:
         """The values of a row."""

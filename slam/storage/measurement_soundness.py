@@ -71,8 +71,12 @@ def _with_arrays(measurement: Any, name: str) -> Any:
             array = numbers(value, tuple(shape), item.name, finite=item.name not in _OPEN)
         except ValueError as fault:
             raise DatasetError(f"{name}: {fault}") from None
-        if kind == "u1" and array.dtype.kind == "f":
+        if kind == "u1" and (array.dtype.kind == "f" or array.max(initial=0) > 255):
             raise DatasetError(f"{name}: {item.name} is {array.dtype}; give uint8 of 0 to 255")
+        if item.name == "depth_m" and array.dtype == np.uint16:
+            raise DatasetError(
+                f"{name}: {item.name} is uint16, as files in millimetres; give metres as float32"
+            )
         if item.name == "ranges_m" and np.isneginf(array).any():
             array = np.where(np.isneginf(array), np.nan, array)  # nearer than the least range (REP-117)
         if array is not value or array.dtype != kind:

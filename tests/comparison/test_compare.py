@@ -4,6 +4,9 @@ from __future__ import annotations
 
 import csv
 import sys
+import tempfile
+import threading
+import time
 import zipfile
 from dataclasses import asdict
 from pathlib import Path
@@ -143,11 +146,29 @@ def test_drives_are_simulated_once_and_shared(tmp_path: Path) -> None:
     folder = tmp_path / "drives" / drive.folder_name
     made_ns = set()
     for _ in range(2):
-        assert record_drive(asdict(drive), str(folder), str(tmp_path / "out"), 300.0, 4000.0) == ""
+        assert record_drive(asdict(drive), str(folder), 300.0, 4000.0) == ""
         made_ns.add((folder / "groundtruth.txt").stat().st_mtime_ns)
     assert len(made_ns) == 1
-    assert list((tmp_path / "out" / "runs").iterdir()) == []
+    assert list((tmp_path / "drives").iterdir()) == [folder]
     assert (folder / "truth" / "grid_robot.npz").is_file() and (folder / "scans.log").is_file()
+
+
+def test_a_drive_that_is_stopped_leaves_no_file(tmp_path: Path) -> None:
+    (drive,) = drives_of(Simulation(rig="sick2d", homes=[1], duration_s=60.0))
+    folder = tmp_path / "drives" / drive.folder_name
+
+    def stop() -> None:
+        while not list(tmp_path.glob("drives/.*/.*.part/*")) and not list(tmp_path.glob("drives/.*.part/*")):
+            time.sleep(0.01)
+        STOPPING.set()
+
+    thread = threading.Thread(target=stop, daemon=True)
+    thread.start()
+    try:
+        assert record_drive(asdict(drive), str(folder), 300.0, 4000.0) == "was interrupted"
+    finally:
+        STOPPING.clear()
+    assert list((tmp_path / "drives").iterdir()) == []
 
 
 def test_runs_without_their_drive_are_rows(tmp_path: Path) -> None:
@@ -159,7 +180,11 @@ def test_runs_without_their_drive_are_rows(tmp_path: Path) -> None:
     assert "its data set could not be made: took longer than 0.05 s" in row["reason"]
 
 
-def test_an_interrupt_ends_the_runs_at_once_and_resume_repeats_them(tmp_path: Path) -> None:
+def test_an_interrupt_ends_the_runs_at_once_and_resume_repeats_them(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (temporary := tmp_path / "temporary").mkdir()
+    monkeypatch.setattr(tempfile, "tempdir", str(temporary))
     long, short = ("['{python}', -c, 'import time; time.sleep(600)']", "['{python}', -V]")
     (tmp_path / "x.yaml").write_text(
         f"{{name: x, commands: [{{name: long, command: {long}}}, {{name: short, command: {short}}}]}}"
@@ -171,7 +196,7 @@ def test_an_interrupt_ends_the_runs_at_once_and_resume_repeats_them(tmp_path: Pa
     with pytest.raises(KeyboardInterrupt):
         compare(tmp_path / "x.yaml", tmp_path / "out", workers=2, on_row=interrupt)
     assert psutil.Process().children(recursive=True) == []
-    assert not STOPPING.is_set()
+    assert not STOPPING.is_set() and list(temporary.iterdir()) == []
     store = ResultStore(tmp_path / "out")
     plan = plan_of(load_experiment(tmp_path / "x.yaml"), tmp_path, tmp_path)
     ended = {run.configuration: store.row(run.key) for run in plan.runs}

@@ -220,8 +220,8 @@ def test_clouds_of_text_and_of_numpy(tmp_path: Path, suffix: str, form: str) -> 
 
 def test_clouds_of_text_are_named_by_stamps(tmp_path: Path) -> None:
     (tmp_path / "lidar").mkdir()
-    for stamp in ("1700000000.5", "1700000000.6"):
-        np.savetxt(tmp_path / "lidar" / f"{stamp}.txt", NUMBERS)
+    for name in ("1700000000.5", "scan_1700000000.6_top"):
+        np.savetxt(tmp_path / "lidar" / f"{name}.txt", NUMBERS)
     assert [cloud.stamp_s for cloud in clouds(tmp_path)] == [1700000000.5, 1700000000.6]
 
 

@@ -4,13 +4,17 @@ from __future__ import annotations
 
 import math
 
+import gtsam
 import numpy as np
 import pytest
 
+from slam.config.calibration import Calibration
+from slam.datasets.corrections import corrected
 from slam.doctor.camera_samples import CameraSamples
 from slam.doctor.depth_lag import DepthLag
+from slam.doctor.finding import remedied
 from slam.doctor.in_space import camera_findings, late_depth
-from slam.measurements import CameraIntrinsics, RgbdFrame
+from slam.measurements import CameraIntrinsics, Measurement, RgbdFrame, WheelOdometry
 
 HEIGHT, WIDTH, FAR = 120, 160, 900
 STEPS = 0.1 * np.arange(81)
@@ -70,3 +74,26 @@ def test_frames_of_the_samples_are_compared() -> None:
         lens = CameraIntrinsics(140.0, 140.0, 79.5, 59.5, WIDTH, HEIGHT)
         samples.add(RgbdFrame(time_s, color, depth_m[:, at : at + WIDTH], lens), compared=False)
     assert len(samples.lag.fits) == 1 and samples.lag.fits[0].max() > 0.0
+
+
+@pytest.mark.parametrize("late_s", [0.04, -0.07, 0.1, 0.22])
+def test_colour_gets_the_depth_that_is_nearest_in_time(late_s: float) -> None:
+    gray, depth_m = panorama()
+    lens, log = CameraIntrinsics(140.0, 140.0, 79.5, 59.5, WIDTH, HEIGHT), list[Measurement]()
+    for time_s in STEPS.tolist():
+        at, then = (int(370 + 300 * math.sin(0.9 * one_s)) for one_s in (time_s, time_s - late_s))
+        color = np.repeat(gray[:, at : at + WIDTH, None], 3, axis=2)
+        log.append(RgbdFrame(time_s, color, depth_m[:, then : then + WIDTH].copy(), lens))
+        log.append(WheelOdometry(time_s, gtsam.Pose2()))
+    by = remedied(Calibration(), late_depth("camera", (late_s, 0.003)), only_sure=True)
+    found = list(corrected(log, by))
+    frames = [one for one in found if isinstance(one, RgbdFrame)]
+    assert [one.stamp_s for one in found] == sorted(one.stamp_s for one in log)
+    assert [one.stamp_s for one in frames] == STEPS.tolist()
+    for one in frames[3:-3]:
+        at = int(370 + 300 * math.sin(0.9 * (one.stamp_s + round(10 * late_s) / 10 - late_s)))
+        assert np.array_equal(one.depth_m, depth_m[:, at : at + WIDTH])
+    still = Calibration.model_validate({"cameras": {"camera": {"depth_clock_offset_s": late_s}}})
+    (alone,) = corrected(log[:1], still)
+    assert isinstance(alone, RgbdFrame) and isinstance(log[0], RgbdFrame)
+    assert np.array_equal(alone.depth_m, log[0].depth_m)

@@ -224,7 +224,7 @@ def test_surveyed_places_do_not_say_where_the_first_node_is(planar: bool) -> Non
         assert found is not None
         values = solved(*held_graph(poses, [*edges, *found.edges]))
         poses = [values.atPose2(n) if planar else values.atPose3(n) for n in range(13)]
-        claim = told(poses, [*edges, *found.edges])
+        claim = stated(poses, [*edges, *found.edges])
         for n in (6, 12):
             missed = kind.Logmap(poses[n].between(true[n]))
             squares.append(float(missed @ np.linalg.solve(claim[n], missed)) / len(missed))

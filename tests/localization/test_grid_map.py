@@ -106,6 +106,9 @@ def test_what_cannot_be_is_refused_in_one_line(house: Path, driven: SyntheticLog
     picture = load_grid_map(house / "map.yaml")
     with pytest.raises(ConfigError, match="sigmas above zero"):
         slam.localize_log(picture, driven.log_path, start=(0.0, 0.0, 0.0), start_sigma=(0.0, 0.1))
+    for start in ((1.0, 2.0), 5.0, (math.nan, 0.0, 0.0)):
+        with pytest.raises(ConfigError, match="needs x, y, yaw"):
+            slam.localize_log(picture, driven.log_path, start=start)
     empty = np.full((4, 4), FREE, np.int8)
     yaml, _ = write_nav2_map(tmp_path / "empty", empty, 0.05, gtsam.Pose2(), "nothing")
     with pytest.raises(MapFileError, match="no wall"):

@@ -183,7 +183,8 @@ def _rows(message: Any) -> NDArray[Any]:
     row = width * step
     if step < 1 or not 0 < height * width * step <= LARGEST_BYTES:
         raise RecordFault(BAD_LAYOUT, f"{width} x {height} points of {step} bytes")
-    row_step = row if height == 1 else row_step
+    # If no byte is between rows, a wrong row step (0, or that of the whole cloud) does no harm.
+    row_step = row if height == 1 or data.size == height * row else row_step
     if row_step < row or data.size < row_step * (height - 1) + row:
         raise RecordFault(BAD_LAYOUT, f"{width} x {height} points of {step} bytes in {data.size} bytes")
     layout = _layout(message.fields, order, step)

@@ -173,7 +173,7 @@ def _compressed_depth(message: Any, budget: Budget, steps_per_m: float) -> Float
     image = content[_CONFIG_BYTES:] if with_header else content
     runs = with_header and "rvl" in words.lower()
     steps = unpacked(image, budget) if runs else decoded(image, "compressed depth", budget)
-    if steps.ndim != 2 or steps.dtype != np.uint16:
+    if steps.ndim != 2 or steps.dtype not in (np.uint16, np.float32):
         raise RecordFault(BAD_ENCODING, f"compressed depth {steps.dtype} {steps.shape}")
     if not (with_header and words.startswith("32FC1")):
         return _metres(steps, steps_per_m)

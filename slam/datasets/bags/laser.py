@@ -50,7 +50,7 @@ class LaserMount:
 def scan_from(message: Any, mount: LaserMount, topic: str, repeated: RepeatedRange) -> LaserScan:
     """A scan with counter-clockwise beams, as seen from above the robot.
 
-    Of a MultiEchoLaserScan, the first (nearest) echo of each beam is used, because glass is an obstacle. NaN
+    Of a MultiEchoLaserScan, the nearest valid echo of each beam is used, because glass is an obstacle. NaN
     and ranges below ``range_min`` are invalid, if ``range_min`` is below ``range_max``; ranges from
     ``range_max`` on and ``inf`` hit nothing (REP-117). The stamp is that of the first beam.
 
@@ -93,11 +93,10 @@ def scan_from(message: Any, mount: LaserMount, topic: str, repeated: RepeatedRan
 
 
 def _ranges(message: Any) -> FloatArray:
-    """(N,) ranges; of several echoes the first, NaN for a beam without echo."""
+    """(N,) ranges; of several echoes the nearest valid one, NaN for a beam without any."""
     ranges = message.ranges
     if len(ranges) and hasattr(ranges[0], "echoes"):
-        firsts = [float(beam.echoes[0]) if len(beam.echoes) else math.nan for beam in ranges]
-        return np.array(firsts)
+        return np.array([min((one for one in beam.echoes if one > 0.0), default=math.nan) for beam in ranges])
     with np.errstate(invalid="ignore"):  # a signalling NaN of a damaged message
         wide: FloatArray = np.asarray(ranges, dtype=np.float64)
     return wide

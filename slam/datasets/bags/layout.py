@@ -243,8 +243,8 @@ def _mount_of_lidar(
 ) -> gtsam.Pose3 | None:
     """Like `_mount`, with a warning if the robot has tf and the lidar is not in it."""
     mount = _mount(survey, layout, topic, kind, only=only)
-    if mount is None and layout.base:
-        text = f"{topic}: tf has no mounting for it; assumed at {layout.base}"
+    if mount is None and any(channel.kind in TRANSFORMS for channel in survey.channels.values()):
+        text = f"{topic}: tf has no mounting for it; assumed at {layout.base or 'the robot'}"
         layout.notes.append(f"{WARNING}{text}, unless --calibration gives it (a URDF, a yaml of tf)")
     return mount
 
@@ -366,9 +366,8 @@ def _lens(survey: Survey, layout: Layout, topic: str) -> Lens | None:
         return None
     layout.lenses.add(source)
     if lens.unknown_model:
-        layout.notes.append(
-            f"{topic}: distortion model {lens.unknown_model[:32]} is unknown; it is left in the images"
-        )
+        text = f"distortion model {lens.unknown_model[:32]} is unknown; it is left in the images"
+        layout.notes.append(f"{WARNING}{topic}: {text}")
     elif lens.distortion.size:
         layout.notes.append(f"{topic}: distortion taken out of the images")
     return lens

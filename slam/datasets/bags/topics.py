@@ -144,7 +144,8 @@ def choose(
     imus, receivers = (_named(of(kind), requested) or tuple(of(kind)) for kind in (IMU, NAVSAT))
     images = of(*IMAGES)
     named = [topic for topic in images if topic in requested]
-    cameras, unpaired = _cameras(named or _raw_first(images), depths, evidence, named=bool(named))
+    raw = [one for one in images if _TRANSPORT.sub("", one) not in images or not _TRANSPORT.search(one)]
+    cameras, unpaired = _cameras(named or raw, depths, evidence, named=bool(named))
     read = {*scans, *clouds, *odometry, *imus, *receivers, *unpaired}
     read |= {topic for camera in cameras for topic in (camera.color, camera.depth)}
     for topic, kind in kinds.items():
@@ -195,13 +196,6 @@ def camera_info_topics(image_topic: str) -> tuple[str, ...]:
 def is_rectified(image_topic: str) -> bool:
     """Whether a topic name says that its images are already undistorted."""
     return "rect" in _TRANSPORT.sub("", image_topic).rpartition("/")[2]
-
-
-def _raw_first(images: list[str]) -> list[str]:
-    """Image topics without compressed copies of others."""
-    return [
-        topic for topic in images if _TRANSPORT.sub("", topic) not in images or not _TRANSPORT.search(topic)
-    ]
 
 
 def _cameras(

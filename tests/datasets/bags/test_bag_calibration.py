@@ -141,6 +141,13 @@ def test_the_option_takes_either_sort_of_file(tmp_path: Path, text: str, is_fore
     assert bool(sensors.calibration.wheels) == (not is_foreign)
 
 
+def test_tf_whose_transforms_are_all_invalid_is_a_warning(tmp_path: Path) -> None:
+    bad = transforms({"laser": gtsam.Pose3()})
+    bad.fields["transforms"][0]["transform"]["rotation"]["w"] = 0.0
+    _, notes = scan_mount(robot(tmp_path, bad))
+    assert any(note.startswith("warning: /scan: tf has no mounting for it") for note in notes)
+
+
 def test_a_scanner_that_tf_leaves_out_is_a_warning_until_a_file_places_it(tmp_path: Path) -> None:
     log = robot(tmp_path, transforms({"camera": gtsam.Pose3()}))
     _, notes = scan_mount(log)

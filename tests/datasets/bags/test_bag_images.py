@@ -41,6 +41,11 @@ def alpha(pixels: np.ndarray) -> np.ndarray:
     return np.dstack([pixels, np.full(pixels.shape[:2], 9, np.uint8)])
 
 
+def tiff(metres: np.ndarray) -> bytes:
+    """Depth as image_transport compresses floats."""
+    return cv2.imencode(".tiff", metres.astype(np.float32))[1].tobytes()
+
+
 def inverse_depth(packing: Callable[[np.ndarray], bytes] = png) -> bytes:
     """What the transport makes of 32FC1: a header, and an image of quantised inverse depth."""
     a, b = 100.0 * 101.0, 1.0 - 100.0 * 101.0 / 10.0
@@ -89,6 +94,7 @@ def test_grey_is_spread_and_jpeg_is_near(tmp_path: Path) -> None:
         (packed_image(D + "/compressedDepth", bytes(12) + rvl(DEPTH), "16UC1; compressedDepth rvl"), 1e-6),
         (packed_image(D + "/compressedDepth", inverse_depth(rvl), "32FC1; compressedDepth rvl"), 2e-3),
         (packed_image(D + "/compressed", png(DEPTH), "16UC1; png compressed "), 1e-6),
+        (packed_image(D + "/compressed", tiff(METRES), "32FC1; tiff compressed "), 1e-6),
     ],
     ids=lambda value: (
         str(value.fields.get("encoding") or value.fields["format"]) if isinstance(value, Sent) else ""
@@ -188,6 +194,15 @@ def lens_points(model: str, d: list[float]) -> tuple[np.ndarray, np.ndarray]:
     else:
         seen, _ = cv2.projectPoints(rays, np.zeros(3), np.zeros(3), k, np.array(d))
     return seen.reshape(-1, 2), (rays @ k.T)[:, :2]
+
+
+def test_a_distortion_that_is_not_known_is_a_warning(tmp_path: Path) -> None:
+    known = info("/camera/depth/camera_info", 64, 48, 40.0, distortion_model="ftheta", d=[0.1, 0.2])
+    small = np.full((48, 64), 900, np.uint16)
+    sent = image(C, np.zeros((48, 64, 3), np.uint8), "rgb8"), image(D, small, "16UC1")
+    dataset = open_dataset(write_bag(tmp_path / "lens", "mcap", [known, *sent]))
+    assert len(list(dataset)) == 1
+    assert any(note.startswith("warning: ") and "ftheta is unknown" in note for note in dataset.report.notes)
 
 
 @pytest.mark.parametrize(

@@ -40,9 +40,11 @@ def test_a_minimum_in_millimetres_beside_a_maximum_in_metres_takes_no_reading(tm
     assert found.ranges_m.tolist() == [0.5, 1.0, math.inf]
 
 
-def test_of_several_echoes_the_nearest_is_taken(tmp_path: Path) -> None:
+def test_of_several_echoes_the_nearest_valid_one_is_taken(tmp_path: Path) -> None:
     fields = dict(scan().fields)
-    fields["ranges"] = [{"echoes": beam} for beam in ([1.0, 2.0], [], [3.0], [4.0, 5.0, 6.0], [7.0])]
+    fields["ranges"] = [
+        {"echoes": beam} for beam in ([2.0, 1.0], [], [math.nan, 3.0], [0.0, 4.0, 5.0], [7.0])
+    ]
     (found,), _ = read(tmp_path, Sent("/echoes", ECHOES, START_S, fields, "laser"))
     assert isinstance(found, LaserScan)
     assert found.ranges_m[[0, 2, 3, 4]].tolist() == [1.0, 3.0, 4.0, 7.0] and np.isnan(found.ranges_m[1])
@@ -102,6 +104,8 @@ NS, S = 1_700_000_000_000_000_000, 1_700_000_000.0
         ("ts", np.array([0.0, 25.0, 50.0, 75.0, 100.0], "<f4"), "milliseconds after"),
         ("timestamp", 5e6 + np.array([0.0, 0.025, 0.05, 0.075, 0.1]), "seconds by a clock"),
         ("timestamp", 1e3 + np.array([0.0, 0.025, 0.05, 0.075, 0.1]), "seconds by a clock"),
+        ("stamp", S + np.array([0.0, 0.025, 0.05, 0.075, 0.1]), "seconds by a clock"),
+        ("time_offset_ns", np.array([0, 25, 50, 75, 100], "<i4") * 1_000_000, "nanoseconds after"),
     ],
 )
 def test_times_of_points_are_found_by_name_and_their_unit_by_the_turn(
@@ -114,6 +118,13 @@ def test_times_of_points_are_found_by_name_and_their_unit_by_the_turn(
     start_s = -0.1 if name == "time" else 0.0
     assert found.times_s == pytest.approx(start_s + np.array([0.0, 0.025, 0.05]), abs=1e-6)
     assert any(said in note and f"field {name} " in note for note in dataset.report.notes)
+
+
+def test_a_time_field_without_values_does_not_hide_another(tmp_path: Path) -> None:
+    times = S + np.array([0.0, 0.025, 0.05, 0.075, 0.1])
+    (found,), dataset = read(tmp_path, cloud({**XYZ, "t": np.zeros(5, "<u4"), "timestamp": times}))
+    assert isinstance(found, PointCloud) and found.times_s == pytest.approx([0.0, 0.025, 0.05], abs=1e-6)
+    assert any("field timestamp" in note for note in dataset.report.notes)
 
 
 @pytest.mark.parametrize(
@@ -133,6 +144,11 @@ def test_clouds_of_several_rows_with_padding_and_of_doubles_are_read(tmp_path: P
     (found,), _ = read(tmp_path, packed)
     assert isinstance(found, PointCloud) and found.points_lidar[:, 0].tolist() == [1, 2, 3, 4, 5, 6]
     assert found.times_s is None
+    for row_step in (0, step, 6 * step):  # as drivers write it that do not use it
+        data = rows[:, : 3 * step].copy()
+        packed.fields |= {"row_step": row_step, "data": data}
+        (found,), _ = read(tmp_path, packed)
+        assert isinstance(found, PointCloud) and found.points_lidar[:, 0].tolist() == [1, 2, 3, 4, 5, 6]
     swapped = cloud({name: np.arange(1.0, 7.0).astype(">f4") for name in "xyz"})
     (found,), _ = read(tmp_path, swapped)
     assert isinstance(found, PointCloud) and found.points_lidar[:, 2].tolist() == [1, 2, 3, 4, 5, 6]
