@@ -74,5 +74,7 @@ def _upright(
     upright = upright_of(-np.asarray(turned.rotate(up))).compose(turned)
     if by_wheels is not None and by_wheels.up @ up > math.cos(off_rad):
         ahead = np.asarray(upright.rotate(by_wheels.ahead))
-        upright = gtsam.Rot3.Yaw(-math.atan2(ahead[1], ahead[0])).compose(upright)
+        yaw_rad = -math.atan2(ahead[1], ahead[0])
+        if abs(yaw_rad) > ANGLE_RAD + gate() ** 0.5 * by_wheels.sigmas[2]:
+            upright = gtsam.Rot3.Yaw(yaw_rad).compose(upright)
     return upright

@@ -198,9 +198,8 @@ def turn_by_beam_times(stretches: Sequence[Sequence[LaserScan]], config: Config)
     cut_rad = math.pi + 0.5 * (scan.start_angle_rad + float(scan.bearings_rad()[-1]))
     pairs = [pair for scans in _short(stretches) for pair in _pairs_of_scans(scans, config)]
     directions = [Turn(sign * turn_s, 0.0, cut_rad) for sign in (1.0, -1.0)]
-    return _bent(
-        pairs, max(directions, key=lambda turn: sum(_agreed(pairs, turn.timed, config))), config, 2.0
-    )
+    best = max(directions, key=lambda turn: sum(_agreed(pairs, turn.timed, config)))
+    return _bent(pairs, best, config)
 
 
 def _short(stretches: Sequence[Sequence[LaserScan]]) -> list[list[LaserScan]]:
