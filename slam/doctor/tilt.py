@@ -66,9 +66,12 @@ def _upright(
         found = [one for one in found if one @ stated_up > -math.cos(2.0 * ANGLE_RAD)]
     found = [one for one in found if abs(one @ axis) > math.cos(off_rad)]
     up = max(found, key=lambda one: float(one @ stated_up), default=stated_up)
-    stands = floors[0] is not None and floors[0] @ stated_up > math.cos(off_rad)
+    least_rad = (
+        off_rad if all(one is None for one in floors) else 0.5 * ANGLE_RAD
+    )  # a floor is more exact than the axis
+    stands = floors[0] is not None and floors[0] @ stated_up > math.cos(least_rad)
     tilt_rad = math.acos(float(np.clip(up @ stated_up, -1.0, 1.0)))
-    if stands or tilt_rad < off_rad:
+    if stands or tilt_rad < least_rad:
         return None
     turned = stated.compose(gtsam.Rot3.Roll(math.pi)) if up @ stated_up < -0.5 else stated
     upright = upright_of(-np.asarray(turned.rotate(up))).compose(turned)
