@@ -30,6 +30,7 @@ from slam.doctor.samples import Samples, WheelSamples
 from slam.doctor.scan_motion import ScanMotion, Steps, track_stretches
 from slam.doctor.seen_floor import floor_findings
 from slam.doctor.stretches import Stretches
+from slam.doctor.tilt import stood_up
 from slam.doctor.turning import Turn, turn_by_beam_times, turn_in_the_plane
 from slam.doctor.wheels_and_lidar import compare
 from slam.measurements import LaserScan, Measurement
@@ -201,29 +202,25 @@ def _beside_wheels(
 def _in_space(
     samples: Samples, wheels: tuple[str, WheelSamples] | None, findings: list[Finding], *, vouched: bool
 ) -> list[Finding]:
-    """Compare cameras and 3D lidars with the corrected wheel odometry.
-
-    Parameters
-    ----------
-    vouched
-        Whether a 2D lidar was compared with the wheels, so that the corrected odometry is certain.
-    """
+    """Compare cameras and 3D lidars with the corrected wheel odometry, ``vouched`` for by a 2D lidar."""
     rows = np.empty((0, 4)) if wheels is None else wheels[1].rows()
     found = [one for camera in samples.cameras.items() for one in in_space.camera_findings(*camera, rows)]
     doubtful = frozenset(one.sensor for one in found if one.kind in _REGISTERED)
+    known = None if wheels is None else mended_rows(wheels[0], rows, findings)
+    base = None if wheels is None or known is None else in_space.Base(wheels[0], BaseTrack(known), vouched)
+    imus = samples.imus.values()
     for lidar, clouds in samples.clouds.items():
-        found += in_space.cloud_findings(lidar, clouds, samples.imus.values())
-        found += in_space.stood_up(lidar, clouds)
+        found += in_space.cloud_findings(lidar, clouds, imus)
+        seen = in_space.seen_by("lidars_3d", lidar, clouds, clouds.T_base_lidar, base)
+        found += stood_up(lidar, clouds, imus, seen.fit)
     for lidar, clouds in list(samples.clouds.items())[: 0 if samples.lidars else 1]:
         steps = [step for stretch in clouds.steps for step in stretch]
         for name, imu in samples.imus.items():
             new = imu_findings(name, imu, steps, clouds.T_base_lidar, clouds.untimed_s)
             turn = clouds.turn
             found += [same for one in new for same in ([one] if turn is None else turn.stamped(one, lidar))]
-    known = None if wheels is None else mended_rows(wheels[0], rows, findings)
-    if wheels is None or known is None:
+    if base is None:
         return found
-    base = in_space.Base(wheels[0], BaseTrack(known), vouched)
     motions = [
         in_space.seen_by("cameras", name, camera, camera.T_base_camera, base)
         for name, camera in samples.cameras.items()

@@ -3,13 +3,10 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 
-import gtsam
 import numpy as np
 
-from fusion.estimation import FEWEST, SETTLED, gate
-from slam.matching.upright import upright_of
+from fusion.estimation import FEWEST
 from slam.measurements import FloatArray
 
 # Limits of a correct mounting: tilt in radians, height in metres.
@@ -20,14 +17,9 @@ _BINS = 40  # of the height, so that a bin is as wide as the noise of a depth ca
 
 
 def floor_below_m(points: FloatArray, up: FloatArray) -> float | None:
-    """Distance to the lowest horizontal surface below a sensor; None if there is none.
+    """Distance to the lowest horizontal surface below a sensor at the origin; None if there is none.
 
-    Parameters
-    ----------
-    points
-        (N, 3) in the sensor's frame.
-    up
-        (3,) up direction in that frame.
+    ``points`` (N, 3) and the upward direction ``up`` (3,) are in one frame.
     """
     heights = points @ up
     below = -heights[heights < 0.0]
@@ -36,53 +28,21 @@ def floor_below_m(points: FloatArray, up: FloatArray) -> float | None:
     lowest = float(np.quantile(below, 1.0 - _BELOW * len(heights) / len(below)))
     width = lowest / _BINS
     counts, edges = np.histogram(below, np.arange(0.0, lowest + 4.0 * width, width))
-    near = np.flatnonzero(counts >= _SEEN * len(heights))
+    near = np.flatnonzero(counts[:-1] + counts[1:] >= _SEEN * len(heights))  # an edge may divide the floor
     if not near.size or edges[near[-1]] < 0.75 * lowest:
         return None
-    among = below[np.abs(below - edges[near[-1]] - 0.5 * width) < 1.5 * width]
-    return float(np.median(among))
+    return float(np.median(below[np.abs(below - edges[near[-1] + 1]) < 2.0 * width]))
 
 
-def upright_mounting(
-    turns: FloatArray, stretches: Sequence[FloatArray], T_base_lidar: gtsam.Pose3
-) -> gtsam.Pose3 | None:
-    """Return the mounting of a lidar that is tilted although the log does not contain this.
-
-    A robot on a floor rotates about the vertical. If that axis is tilted in the base frame, and perpendicular
-    to it is a floor as far below as the log says, the rotation in the log is wrong. The correction is the
-    smallest rotation, of a lidar on its head after a rotation about its forward axis.
-
-    Parameters
-    ----------
-    turns
-        (N, 3) rotation vectors of its steps, lidar's frame.
-    stretches
-        (M, 3) points of one cloud of each stretch, lidar's frame.
-    T_base_lidar
-        The mounting in the log.
-
-    Returns
-    -------
-    ``T_base_lidar``; None if the log is right, or the evidence is not sufficient.
-    """
-    stated, height_m = T_base_lidar.rotation(), T_base_lidar.z()
-    if len(turns) < FEWEST or height_m < LEVER_M:
-        return None
-    points, spread, axes = np.concatenate(stretches), *np.linalg.eigh(turns.T @ turns)
-    points = points[np.linalg.norm(points, axis=1) > height_m - LEVER_M]  # nearer is the robot, no floor
-    stated_up = np.asarray(stated.matrix())[2]
-    up = axes[:, 2] * math.copysign(1.0, axes[:, 2] @ stated_up)
-
-    def stands(up: FloatArray) -> bool:
-        below_m = floor_below_m(points, up)
-        return below_m is not None and abs(below_m - height_m) < LEVER_M
-
-    on_head = not stands(up) and stands(-up)
-    up = -up if on_head else up
-    sigma_rad = math.sqrt(spread[1] / max(spread[2] * len(turns), SETTLED))
-    tilt_rad = math.acos(float(np.clip(up @ stated_up, -1.0, 1.0)))
-    if tilt_rad < ANGLE_RAD + gate() ** 0.5 * sigma_rad or not stands(up) or stands(stated_up):
-        return None
-    turned = stated.compose(gtsam.Rot3.Roll(math.pi)) if on_head else stated
-    upright = upright_of(-np.asarray(turned.rotate(up))).compose(turned)
-    return gtsam.Pose3(upright, T_base_lidar.translation())
+def floor_normal(points: FloatArray, up: FloatArray, height_m: float) -> FloatArray | None:
+    """Like `floor_below_m`, the upward normal (3,) of a floor at the stated height; ``up`` may be inexact."""
+    middle_m = height_m
+    for within_m in LEVER_M * 0.5 ** np.arange(3):
+        near = points[np.abs(points @ up + middle_m) < within_m]
+        if len(near) < FEWEST:
+            return None
+        normal = np.linalg.eigh(np.cov(near.T))[1][:, 0]
+        up = normal * math.copysign(1.0, normal @ up)
+        middle_m = -float(near.mean(axis=0) @ up)
+    below_m = floor_below_m(points, up)
+    return up if below_m is not None and abs(below_m - height_m) < LEVER_M else None

@@ -110,12 +110,28 @@ def imu_findings(
 
 def clock_sigma_s(samples: ImuSamples, steps: Sequence[SensorStep]) -> float:
     """Sigma of the clock offset between an IMU and a lidar; infinite if rotations do not determine it."""
+    fit = _agreeing(samples, steps)
+    return math.inf if fit is None else fit.ahead_sigma_s
+
+
+def up_by_imu(samples: ImuSamples, steps: Sequence[SensorStep]) -> FloatArray | None:
+    """(3,) vertical of the base in the lidar's frame, by an IMU that rotates about it with the lidar."""
+    fit = _agreeing(samples, steps)
+    if fit is None or samples.T_base_imu is None:
+        return None
+    axis = np.linalg.eigh(np.cov(samples.rows()[:, 1:4].T))[1][:, 2]
+    along = float(np.asarray(samples.T_base_imu.rotation().matrix())[2] @ axis)
+    return fit.R_lidar_imu @ axis * math.copysign(1.0, along) if abs(along) > math.cos(_ANGLE_RAD) else None
+
+
+def _agreeing(samples: ImuSamples, steps: Sequence[SensorStep]) -> TurnFit | None:
+    """The `turn_fit` of an IMU, in the right unit; None unless it explains the rotations of the lidar."""
     rows = samples.rows()
     if len(rows) < FEWEST:
-        return math.inf
+        return None
     rows[:, 1:4] *= _unit(rows, steps)
     fit = turn_fit(rows, steps)
-    return math.inf if fit is None or fit.left_share > SPREAD else fit.ahead_sigma_s
+    return None if fit is None or fit.left_share > SPREAD else fit
 
 
 def handed(found: Sequence[Finding]) -> float:
@@ -127,13 +143,7 @@ def handed(found: Sequence[Finding]) -> float:
 
 
 def turn_fit(rows: FloatArray, steps: Sequence[SensorStep]) -> TurnFit | None:
-    """Clock offset and rotation with the best fit of both rotations; None if there are too few.
-
-    Parameters
-    ----------
-    rows
-        Rows of `ImuSamples.rows`.
-    """
+    """Clock offset and rotation with the best fit of `ImuSamples.rows` to a lidar; None if too few."""
     turns = _turns(rows, steps)
     if turns is None:
         return None

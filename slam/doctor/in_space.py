@@ -17,12 +17,12 @@ from slam.datasets.laser_geometry import DEFAULT_NO_RETURN_M
 from slam.doctor.camera_samples import SPREAD, CameraSamples
 from slam.doctor.cloud_samples import CloudSamples
 from slam.doctor.finding import Finding, Remedy, mounting_entry
-from slam.doctor.floor import ANGLE_RAD, LEVER_M, floor_below_m, upright_mounting
+from slam.doctor.floor import ANGLE_RAD, LEVER_M, floor_below_m
 from slam.doctor.imu import ImuSamples, clock_sigma_s
 from slam.doctor.lens_fit import lens_fit
 from slam.doctor.own_body import body_finding
 from slam.doctor.pair import interval
-from slam.doctor.paired_motions import BaseTrack, clock_of, joined, runs_of, turns_of
+from slam.doctor.paired_motions import JOINED, BaseTrack, clock_of, joined, runs_of, turns_of
 from slam.doctor.planar_hand_eye import PlanarHandEye, planar_hand_eye
 from slam.measurements import FloatArray
 from slam.vision.camera_frame import T_BODY_CAMERA
@@ -35,7 +35,6 @@ _SHARE = 0.06
 _DEPTHS_M = (0.1, 30.0)
 # Ratios of the unit of depth files to the assumed one.
 _UNITS = (1000.0, 0.001, 5.0, 0.2, 10.0, 0.1, 100.0, 0.01)
-_JOINED = 5  # steps of a sensor that are joined to one motion
 
 
 @dataclass(frozen=True, slots=True)
@@ -159,18 +158,22 @@ def lens_findings(name: str, samples: CameraSamples) -> list[Finding]:
 
 
 def seen_by(
-    kind: str, name: str, samples: CameraSamples | CloudSamples, T_base_sensor: gtsam.Pose3 | None, base: Base
+    kind: str,
+    name: str,
+    samples: CameraSamples | CloudSamples,
+    T_base_sensor: gtsam.Pose3 | None,
+    base: Base | None,
 ) -> Seen:
-    """The robot's motion as seen by a sensor."""
+    """The robot's motion as seen by a sensor; without a base nothing of it is known."""
     R = None if T_base_sensor is None else np.asarray(T_base_sensor.rotation().matrix())
     seen = Seen(kind, name, R, None if T_base_sensor is None else np.asarray(T_base_sensor.translation()))
     runs = runs_of(samples.steps)
+    steps = joined(runs, JOINED)
+    if base is None or not steps:
+        return seen
     clock = clock_of(runs, base.track, _MOST_S)
     if clock is not None:
         seen.clock_s, seen.clock_sigma_s = clock.offset_s, clock.sigma_s
-    steps = joined(runs, _JOINED)
-    if not steps:
-        return seen
     begun, ended = (
         np.array([getattr(step, at) for step in steps]) - seen.clock_s for at in ("begun_s", "ended_s")
     )
@@ -192,13 +195,7 @@ def seen_by(
 
 
 def findings_against(base: Base, sensors: Sequence[Seen], doubtful: frozenset[str]) -> list[Finding]:
-    """Findings about sensors that contradict the base.
-
-    Parameters
-    ----------
-    doubtful
-        Names of cameras with uncertain intrinsics: what depends on them is not examined.
-    """
+    """Findings about sensors that contradict the base, except what depends on ``doubtful`` intrinsics."""
     found: list[Finding] = []
     fitted = [seen for seen in sensors if seen.fit is not None]
     for seen in sensors:
@@ -375,23 +372,6 @@ def cloud_findings(name: str, samples: CloudSamples, imus: Iterable[ImuSamples] 
         remedy = {"lidars_3d": {name: {"drop_repeated": True}}}
         found.append(Finding(name, "several lidars", text, why, (remedy,), sure=True))
     return found
-
-
-def stood_up(name: str, samples: CloudSamples) -> list[Finding]:
-    """Return a tilt of a 3D lidar that the log does not contain; its samples get the right mounting."""
-    stated = samples.T_base_lidar
-    steps = [step for stretch in samples.steps for step in stretch]
-    upright = upright_mounting(turns_of(steps), samples.points, stated) if samples.points else None
-    if upright is None:
-        return []
-    samples.T_base_lidar = upright
-    off_deg = math.degrees(
-        float(np.linalg.norm(gtsam.Rot3.Logmap(stated.rotation().between(upright.rotation()))))
-    )
-    text = f"it is tilted by {off_deg:.1f} degrees more than the log says, by its rotations and the floor"
-    entry = _entry("lidars_3d", np.asarray(upright.rotation().matrix()), upright.translation().tolist())
-    effect, remedy = "the path of the robot is wrong", {"lidars_3d": {name: entry}}
-    return [Finding(name, "mounting", text, effect, (remedy,), sure=True, value=off_deg)]
 
 
 def _within(off: float, sigma: float, limit: float) -> bool:

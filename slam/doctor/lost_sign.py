@@ -19,18 +19,10 @@ from slam.measurements import FloatArray, LaserScan, Measurement
 
 
 def starts_after_stops(rows: FloatArray, distance_m: float) -> FloatArray:
-    """Times at which wheels that never roll back leave a stop, and have then moved some distance.
+    """Times (K, 2) at which wheels that never roll back leave a stop, and have then moved some distance.
 
     A robot reverses direction only at a stop. Wheels that ever report backward motion have their sign.
-
-    Parameters
-    ----------
-    rows
-        (N, 4) stamp, x, y, heading.
-
-    Returns
-    -------
-    (K, 2) increasing stamps; none if the wheels report backward motion.
+    ``rows`` (N, 4) are stamp, x, y, heading.
     """
     steps = np.diff(rows[:, 1:3], axis=0)
     headings_rad = rows[:-1, 3]
@@ -56,14 +48,7 @@ def lost_sign(
 ) -> Finding | None:
     """Wheels that report forward motion while the lidar moves back; None if not, or with too few data.
 
-    Parameters
-    ----------
-    log
-        The measurements again.
-    wheels, lidar
-        Names of two sensors that agree in everything else.
-    rows
-        (N, 4) rows of the wheels.
+    The sensors agree in everything else; ``rows`` as for `starts_after_stops`.
     """
     spans_s = starts_after_stops(rows, config.keyframes.distance_m)
     enough = FEWEST // 4  # one scan may be matched wrongly, but not so many with the same sign

@@ -51,13 +51,7 @@ def body_reach_m(clouds: Sequence[Float32Array], up: FloatArray, config: Config)
 
     As for `blocked_beams`, their ranges are equal wherever the robot is. Those of floor and ceiling are, too,
     and along a straight path those of walls: so points beyond two metres do not count, nor few directions.
-
-    Parameters
-    ----------
-    clouds
-        (N, 3) points in the lidar's frame, half a second apart.
-    up
-        (3,) upward direction in that frame.
+    ``clouds`` (N, 3), half a second apart, and the upward direction ``up`` (3,) are in the lidar's frame.
     """
     kept, same_m = list[Float32Array](), 0.5 * config.match.cell_m
     near = [float(np.mean(np.sum(points**2, axis=1) < 2.0**2)) for points in clouds if len(points)]

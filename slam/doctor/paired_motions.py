@@ -17,6 +17,8 @@ from slam.doctor.camera_samples import SensorStep
 from slam.doctor.finding import Finding, remedied
 from slam.measurements import FloatArray, WheelOdometry
 
+JOINED = 5  # steps of a sensor that are joined to one motion
+
 
 @dataclass(frozen=True, slots=True)
 class BaseTrack:
@@ -97,13 +99,7 @@ def joined(runs: Sequence[Sequence[SensorStep]], count: int) -> list[SensorStep]
 
 
 def mended_rows(wheels: str, rows: FloatArray, findings: Sequence[Finding]) -> FloatArray | None:
-    """(N, 4) rows of wheels corrected by findings; None if a correction is ambiguous, or for too few rows.
-
-    Parameters
-    ----------
-    rows
-        (N, 4) stamp, x, y, heading.
-    """
+    """(N, 4) rows of wheels corrected by findings; None if a correction is ambiguous, or for too few rows."""
     own = [one for one in findings if one.sensor == wheels or any("wheels" in each for each in one.remedies)]
     if len(rows) < FEWEST or any(len(finding.remedies) != 1 for finding in own):
         return None

@@ -99,13 +99,7 @@ def planar_hand_eye(turns: FloatArray, shifts_m: FloatArray, base: FloatArray) -
 
 
 def _robust(design: FloatArray, seen: FloatArray) -> tuple[FloatArray, FloatArray, int]:
-    """Least squares with Geman-McClure's loss: (k,) solution, (k, k) covariance, number of inlier rows.
-
-    Parameters
-    ----------
-    design, seen
-        (N, d, k) and (N, d).
-    """
+    """Fit (N, d, k) to (N, d) with Geman-McClure's loss: (k,), covariance (k, k), number of inliers."""
     weights = np.ones(len(seen))
     solution = np.zeros(design.shape[2])
     for _ in range(ROUNDS):

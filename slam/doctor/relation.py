@@ -43,12 +43,9 @@ class Linear:
 
 
 def fit_linear(design: FloatArray, measured: FloatArray, stretch: FloatArray) -> Linear | None:
-    """Least squares with Geman-McClure weights at the scale of the residuals; None for too few.
+    """Fit (N, P) to (N,) with Geman-McClure weights at the scale of the residuals; None for too few.
 
-    Parameters
-    ----------
-    design, measured, stretch
-        (N, P), (N,), and (N,) index of the stretch of each.
+    ``stretch`` (N,) is the index of the stretch of each.
     """
     if len(measured) < FEWEST or np.linalg.matrix_rank(design) < design.shape[1]:
         return None

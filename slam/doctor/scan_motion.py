@@ -74,12 +74,8 @@ def track_stretches(
 ) -> list[ScanMotion]:
     """Match the scans of each stretch to its start, predicted only by their own motion so far.
 
-    A stretch starts again if a match fails or is degenerate (a corridor).
-
-    Parameters
-    ----------
-    angle_scale
-        Factor of all bearings, about the centre of the field of view.
+    A stretch starts again if a match fails or is degenerate (a corridor). ``angle_scale`` is a factor of all
+    bearings, about the centre of the field of view.
     """
     return [
         one for scans in stretches for one in _track([_turned(scan, angle_scale) for scan in scans], config)

@@ -198,7 +198,8 @@ def turn_by_beam_times(stretches: Sequence[Sequence[LaserScan]], config: Config)
     cut_rad = math.pi + 0.5 * (scan.start_angle_rad + float(scan.bearings_rad()[-1]))
     pairs = [pair for scans in _short(stretches) for pair in _pairs_of_scans(scans, config)]
     directions = [Turn(sign * turn_s, 0.0, cut_rad) for sign in (1.0, -1.0)]
-    return _bent(pairs, max(directions, key=lambda turn: sum(_agreed(pairs, turn.timed, config))), config)
+    best = max(directions, key=lambda turn: sum(_agreed(pairs, turn.timed, config)))
+    return _bent(pairs, best, config)
 
 
 def _short(stretches: Sequence[Sequence[LaserScan]]) -> list[list[LaserScan]]:
@@ -260,12 +261,15 @@ def _settled(pairs: Sequence[_Pair], fit: Turn, interval_s: float, config: Confi
         step_rad = slices * math.tau / SLICES
         tried = [replace(best, cut_rad=best.cut_rad + side * step_rad) for side in (0, -1, 1)]
         best = max(tried, key=lambda turn: sum(_agreed(pairs, turn.timed, config)))
-    return _bent(pairs, best, config) if flat else best
+    # Planes seen from a tilted lidar confirm any duration, but points do not fit better with a wrong one.
+    return _bent(pairs, best, config, reverse=not flat)
 
 
-def _bent(pairs: Sequence[_Pair], turn: Turn, config: Config) -> Turn | None:
-    """The rotation, if planar scans fit better with it."""
-    return turn if _gain(pairs, turn.timed, replace(turn, turn_s=TINY).timed, config) > 2 else None
+def _bent(pairs: Sequence[_Pair], turn: Turn, config: Config, *, reverse: bool = False) -> Turn | None:
+    """The rotation, if points fit better with it than without one, or than with none or the reverse."""
+    others_s = (TINY, -turn.turn_s) if reverse else (TINY,)
+    gains = [_gain(pairs, turn.timed, replace(turn, turn_s=one).timed, config) for one in others_s]
+    return turn if sum(gains) > 2 else None
 
 
 def _gain(pairs: Sequence[_Pair], one: _Timed, other: _Timed, config: Config) -> float:

@@ -17,6 +17,7 @@ from slam.config import Config, load_config
 from slam.config.calibration import Calibration, CloudCorrection
 from slam.datasets.corrections import corrected
 from slam.datasets.corrections_in_space import corrected_cloud, retimed, turn_times
+from slam.doctor import turning
 from slam.doctor.cloud_samples import CloudSamples
 from slam.doctor.diagnosis import diagnose
 from slam.doctor.finding import remedied
@@ -88,7 +89,13 @@ def test_clouds_that_were_seen_at_once_have_no_turn() -> None:
     assert turn_of(stretches(clouds(0.0, 180.0)), INTERVAL_S, Config()) is None
 
 
-def test_what_sees_a_part_of_the_circle_shows_its_turn_where_that_shows() -> None:
+def test_a_turn_by_which_points_do_not_fit_better_is_none(monkeypatch: pytest.MonkeyPatch) -> None:
+    """As seen from a tilted lidar, planes confirm a turn that there is not."""
+    monkeypatch.setattr(turning, "_gain", lambda *_: 0.4)
+    assert turn_of(stretches(clouds(-0.1, 180.0)), INTERVAL_S, Config()) is None
+
+
+def test_what_sees_a_part_of_the_circle_tells_its_turn_where_that_shows() -> None:
     behind = [
         replace(one, points_lidar=one.points_lidar[one.points_lidar[:, 0] < 0.0])
         for one in clouds(-0.1, 180.0, 84)
