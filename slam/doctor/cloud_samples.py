@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field, replace
 
 import gtsam
@@ -13,7 +14,7 @@ from slam.datasets.corrections import begins_early
 from slam.datasets.corrections_in_space import beyond, retimed
 from slam.datasets.dataset import Thinned
 from slam.doctor.camera_samples import SensorStep
-from slam.doctor.floor import LEVER_M, floor_below_m
+from slam.doctor.floor import ANGLE_RAD, LEVER_M, floor_normal
 from slam.doctor.own_body import body_reach_m
 from slam.doctor.stretches import Repeats, Stretches
 from slam.doctor.turning import Turn, times_scale, turn_of, unit_of
@@ -71,12 +72,21 @@ class CloudSamples:
         return 0.0 if self.turn_s.values or self.turn else self.interval_s.median() or 0.0
 
     @property
+    def stated_up(self) -> FloatArray:
+        """The vertical (3,) of the base in the lidar's frame, by the log."""
+        return np.asarray(self.T_base_lidar.rotation().matrix())[2]
+
+    @property
     def stands(self) -> bool:
-        """Whether a floor is as far below it as the log says, so that its rotation is right."""
+        """Whether a floor confirms its rotation."""
+        normal = self.floor(self.stated_up)
+        return normal is not None and bool(normal @ self.stated_up > math.cos(0.5 * ANGLE_RAD))
+
+    def floor(self, up: FloatArray) -> FloatArray | None:
+        """Normal (3,) of a floor as far below as the log says, near ``up`` (3,), lidar's frame."""
         points, height_m = np.concatenate([np.zeros((0, 3)), *self.points]), self.T_base_lidar.z()
         points = points[np.linalg.norm(points, axis=1) > height_m - LEVER_M]  # nearer is the robot
-        below_m = floor_below_m(points, np.asarray(self.T_base_lidar.rotation().matrix())[2])
-        return below_m is not None and abs(below_m - height_m) < LEVER_M
+        return floor_normal(points, up, height_m)
 
     def add(self, cloud: PointCloud) -> None:
         """Add the next cloud."""

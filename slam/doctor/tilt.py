@@ -11,7 +11,7 @@ import numpy as np
 from fusion.estimation import FEWEST, SETTLED, gate
 from slam.doctor.cloud_samples import CloudSamples
 from slam.doctor.finding import Finding, mounting_entry
-from slam.doctor.floor import ANGLE_RAD, LEVER_M, floor_normal
+from slam.doctor.floor import ANGLE_RAD, LEVER_M
 from slam.doctor.imu import ImuSamples, up_by_imu
 from slam.doctor.paired_motions import JOINED, joined, runs_of, turns_of
 from slam.doctor.planar_hand_eye import PlanarHandEye
@@ -49,29 +49,23 @@ def _upright(
     ``ups`` (3,) are the vertical of the base in the lidar's frame by IMUs. Without wheels, the correction is
     the smallest rotation, of a lidar on its head after a rotation about its forward axis.
     """
-    stated, height_m = samples.T_base_lidar.rotation(), samples.T_base_lidar.z()
+    stated, stated_up = samples.T_base_lidar.rotation(), samples.stated_up
     turns = turns_of(joined(runs_of(samples.steps), JOINED))
-    if len(turns) < FEWEST or height_m < LEVER_M or not samples.points:
+    if len(turns) < FEWEST or samples.T_base_lidar.z() < LEVER_M or samples.stands:
         return None
-    points = np.concatenate(samples.points)
-    points = points[np.linalg.norm(points, axis=1) > height_m - LEVER_M]  # nearer is the robot, no floor
     _, sizes, axes = np.linalg.svd(turns, full_matrices=False)
-    axis, stated_up = axes[0], np.asarray(stated.matrix())[2]
-    off_rad = 0.5 * ANGLE_RAD + math.sqrt(gate() / len(turns)) * sizes[1] / max(sizes[0], SETTLED)
-    floors = [floor_normal(points, one, height_m) for one in (stated_up, axis, -axis)]
-    found = [one for one in floors if one is not None]
+    axis, least_rad = axes[0], 0.5 * ANGLE_RAD
+    off_rad = least_rad + math.sqrt(gate() / len(turns)) * sizes[1] / max(sizes[0], SETTLED)
+    found = [one for one in map(samples.floor, (stated_up, axis, -axis)) if one is not None]
     if not found:
+        least_rad = off_rad  # a floor is more exact than the axis
         found = [*ups, *([] if by_wheels is None else [by_wheels.up])]
         # Without a floor, a lidar on its head and rotations of the wrong sign look alike.
         found = [one for one in found if one @ stated_up > -math.cos(2.0 * ANGLE_RAD)]
     found = [one for one in found if abs(one @ axis) > math.cos(off_rad)]
     up = max(found, key=lambda one: float(one @ stated_up), default=stated_up)
-    least_rad = (
-        off_rad if all(one is None for one in floors) else 0.5 * ANGLE_RAD
-    )  # a floor is more exact than the axis
-    stands = floors[0] is not None and floors[0] @ stated_up > math.cos(least_rad)
     tilt_rad = math.acos(float(np.clip(up @ stated_up, -1.0, 1.0)))
-    if stands or tilt_rad < least_rad:
+    if tilt_rad < least_rad:
         return None
     turned = stated.compose(gtsam.Rot3.Roll(math.pi)) if up @ stated_up < -0.5 else stated
     upright = upright_of(-np.asarray(turned.rotate(up))).compose(turned)
