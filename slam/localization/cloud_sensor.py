@@ -150,13 +150,17 @@ class CloudSensor:
         arrived: list[tuple[float, gtsam.Pose3, LocalCloud]] = []
         for guess in self._places.propose(view.points):
             made = self._tiles.made
-            if (tile := self._tiles.around(guess)) is None:
-                continue
+            tile = self._tiles.around(guess)
             if self._tiles.made > made:
                 yield None
+            if tile is None:
+                continue
             aligned = tile.coarse.align(scan, guess)
             ends = [guess, *([] if aligned is None else [aligned.found.pose])]  # large voxels may mislead
+            made = self._tiles.made
             arrived.append(max(((self.weigh(at, view), at, tile.local) for at in ends), key=lambda a: a[0]))
+            if self._tiles.made > made:
+                yield None
         arrived.sort(key=lambda place: -place[0])
         for _, pose, local in arrived[: self._settings.places]:
             exact = local.align(view.points, pose, REACH * self.voxel_m)  # may be some voxels off
