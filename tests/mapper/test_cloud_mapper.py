@@ -19,6 +19,7 @@ from slam.evaluation.trajectory_error import absolute_error
 from slam.graph.cloud_loops import CloudLoopCloser
 from slam.graph.edge import Edge, EdgeKind
 from slam.graph.keyframe_graph import KeyframeGraph
+from slam.mapper.first_map import first_map
 from slam.mapper.map_result import MapResult
 from slam.mapper.pipeline import build_map
 from slam.matching.cloud_points import at_middle_of_turn
@@ -56,10 +57,8 @@ def test_once_round_the_room(mapped: MapResult, log: Path) -> None:
 def test_every_second_cloud_of_the_local_map_is_a_keyframe(mapped: MapResult, log: Path) -> None:
     """A step is as unsure as the matches of both, and the way is that of a keyframe for each."""
     config = load_config(None, SMALL)
-    tracker, clouds = (
-        CloudTracker(config, None),
-        [one for one in open_dataset(log) if isinstance(one, PointCloud)],
-    )
+    clouds = [one for one in open_dataset(log) if isinstance(one, PointCloud)]
+    tracker = CloudTracker(config, None, first=first_map(clouds, config))
     tracked = [tracker.follow(at_middle_of_turn(cloud, config.cloud_odometry)) for cloud in clouds]
     local = [number for number, one in enumerate(tracked) if one.new_keyframe]
     assert mapped.map.readings.tolist() == local[::2] and len(local) > 12
