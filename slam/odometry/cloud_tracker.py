@@ -155,8 +155,10 @@ class CloudTracker:
         return self._matched(cloud, turn, motion)
 
     def moves_on(self, step_s: float) -> bool:
-        """Return whether the robot is far enough for a keyframe after a time, by its velocity."""
-        return self._moved_on(self._pose.compose(gtsam.Pose3.Expmap(self.twist * step_s)))
+        """Return whether the robot may be far enough for a keyframe after a time, by its velocity."""
+        return not self._velocity.known or self._moved_on(
+            self._pose.compose(gtsam.Pose3.Expmap(self.twist * step_s))
+        )
 
     def follow(self, cloud: PointCloud) -> TrackedCloud:
         """`track`, and add the cloud to the local map if the robot has moved far enough."""

@@ -64,3 +64,13 @@ def test_clouds_after_a_gap_or_out_of_order_are_not_used() -> None:
     twice = [one for cloud in CLOUDS for one in (cloud, cloud)]
     assert len(first_map(twice, CONFIG).keyframes) == len(first_map(CLOUDS, CONFIG).keyframes)
     assert first_map([], CONFIG) is NO_MAP
+
+
+def test_no_cloud_is_skipped_until_the_velocity_is_known() -> None:
+    tracker = CloudTracker(CONFIG, None)
+    standing = [look_on_the_way(pose(0), np.zeros(6), n / 10, seed=n) for n in range(3)]
+    tracker.follow(standing[0])
+    assert tracker.moves_on(0.1)
+    for cloud in standing[1:]:
+        tracker.follow(cloud)
+    assert not tracker.moves_on(0.1)
