@@ -1,7 +1,8 @@
 """Pose of a sensor with motion in 3D on a robot with motion in the plane, from the motions of both.
 
 A rotation of the robot is a rotation of the sensor about the robot's vertical axis; perpendicular to that
-axis, the sensor's translations are the robot's, rotated, scaled, plus the lever arm: linear in four numbers.
+axis, the sensor's translations are the robot's, rotated, scaled, plus the lever arm: linear in four numbers
+(hand-eye calibration, Tsai 1989).
 """
 
 from __future__ import annotations
@@ -11,7 +12,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from fusion.estimation import FEWEST, ROUNDS, SETTLED, gate, median_to_sigma
+from fusion.estimation import FEWEST, SETTLED, gate
+from slam.doctor.relation import Linear, fit_linear
 from slam.measurements import FloatArray
 
 
@@ -65,7 +67,10 @@ def planar_hand_eye(turns: FloatArray, shifts_m: FloatArray, base: FloatArray) -
     """
     if len(base) < FEWEST:
         return None
-    slopes, slope_cov, _ = _robust(base[:, 2, None, None] * np.eye(3), turns)
+    turning = _fit(base[:, 2, None, None] * np.eye(3), turns)
+    if turning is None:
+        return None
+    slopes, slope_cov = turning.values, turning.covariance
     gain = float(np.linalg.norm(slopes))
     if gain < gate() ** 0.5 * math.sqrt(float(np.trace(slope_cov))):
         return None
@@ -79,7 +84,10 @@ def planar_hand_eye(turns: FloatArray, shifts_m: FloatArray, base: FloatArray) -
     x, y = base[:, 0], base[:, 1]
     # p = M t + (R - 1) M l, M = [[a, -b], [b, a]]; unknown are a, b and M l.
     design = np.stack([np.stack([x, -y, cos, -sin], axis=1), np.stack([y, x, sin, cos], axis=1)], axis=1)
-    found, covariance, agree = _robust(design, shifts_m @ axes.T)
+    moving = _fit(design, shifts_m @ axes.T)
+    if moving is None:
+        return None
+    found, covariance = moving.values, moving.covariance
     a, b = found[:2]
     scale = math.hypot(a, b)
     sigma_ab = math.sqrt(max(covariance[0, 0], covariance[1, 1]))
@@ -95,24 +103,11 @@ def planar_hand_eye(turns: FloatArray, shifts_m: FloatArray, base: FloatArray) -
     gain_sigma = math.sqrt(float(up @ slope_cov @ up))
     sigmas = np.array([gain_sigma, sigma_ab, sigma_ab / scale, *lever_sigmas])
     spread = float(np.median(left) / max(np.median(moved), SETTLED))
+    agree = int(np.count_nonzero(left**2 < gate(2) * moving.sigma**2))
     return PlanarHandEye(up, ahead, scale, lever, sigmas, tilt, spread, agree)
 
 
-def _robust(design: FloatArray, seen: FloatArray) -> tuple[FloatArray, FloatArray, int]:
-    """Fit (N, d, k) to (N, d) with Geman-McClure's loss: (k,), covariance (k, k), number of inliers."""
-    weights = np.ones(len(seen))
-    solution = np.zeros(design.shape[2])
-    for _ in range(ROUNDS):
-        weighted = design * weights[:, None, None]
-        information = np.einsum("ndi,ndj->ij", weighted, design)
-        information += SETTLED**2 * np.trace(information) * np.eye(len(information)) + SETTLED**4
-        solution = np.linalg.solve(information, np.einsum("ndi,nd->i", weighted, seen))
-        errors = np.linalg.norm(np.einsum("ndi,i->nd", design, solution) - seen, axis=1)
-        sigma = max(float(np.median(errors)) * median_to_sigma(design.shape[1]), SETTLED**2)
-        limit = gate(design.shape[1]) * sigma**2
-        weights = (limit / (errors**2 + limit)) ** 2
-    agree = errors**2 < limit
-    rows = design[agree]
-    information = np.einsum("ndi,ndj->ij", rows, rows)
-    variance = float((errors[agree] ** 2).sum()) / max(1, rows.shape[0] * rows.shape[1] - len(solution))
-    return solution, variance * np.linalg.pinv(information), int(agree.sum())
+def _fit(design: FloatArray, seen: FloatArray) -> Linear | None:
+    """Fit (N, d, k) to (N, d)."""
+    number = np.repeat(np.arange(float(len(seen))), seen.shape[1])
+    return fit_linear(design.reshape(-1, design.shape[2]), seen.ravel(), number)
