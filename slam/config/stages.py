@@ -25,9 +25,6 @@ class SensorsConfig(StrictModel):
         description="given: use the camera mountings in the log; estimate: estimate them, starting from "
         "those in the log; mountings missing in the log are always estimated",
     )
-    lidar_silent_s: float = Field(
-        default=0.5, gt=0, description="time without a scan after which only the cameras track"
-    )
     topics: tuple[str, ...] = Field(
         default=(),
         description="topics to read if a bag has several of one kind (scans, clouds, odometry, images)",
@@ -157,13 +154,13 @@ class LoopConfig(StrictModel):
     )
     every_m: float = Field(default=0.8, gt=0, description="distance travelled between two searches")
     least_path_m: float = Field(default=10.0, gt=0, description="shortest path around a loop")
-    reach_m: float = Field(default=3.0, gt=0, description="two keyframes this close see the same place")
-    sigmas: float = Field(default=3.0, gt=0, description="half width of the search window in sigmas")
-    greatest_half_width_m: float = Field(
+    reach_m: float = Field(
         default=3.0,
         gt=0,
-        description="limit of the half width; a less certain pose is searched for in the whole map",
+        description="two keyframes this close see the same place; a less certain pose is searched for in the "
+        "whole map",
     )
+    sigmas: float = Field(default=3.0, gt=0, description="half width of the search window in sigmas")
     misses_until_wide: int = Field(
         default=4, ge=1, description="failed searches in known surroundings until the window widens"
     )
@@ -268,9 +265,6 @@ class VisualLoopConfig(StrictModel):
         gt=0,
         description="views are near up to this sum: travel (in median depths) and rotation (in radians)",
     )
-    least_place_score: float = Field(
-        default=0.02, gt=0, le=1, description="lowest score, relative to that of two neighbouring keyframes"
-    )
     least_features: int = Field(
         default=25, ge=6, description="fewest matched features if only the appearance proposes the place"
     )
@@ -281,7 +275,6 @@ class DenseMapConfig(StrictModel):
 
     enabled: bool = Field(default=True, description="write a mesh and a point cloud")
     voxel_m: float = Field(default=0.015, ge=0.001, le=1, description="voxel of the signed distance field")
-    nearest_m: float = Field(default=0.3, ge=0, description="nearer depth readings are ignored")
 
 
 class FusionConfig(StrictModel):

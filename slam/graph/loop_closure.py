@@ -128,7 +128,7 @@ class LoopCloser:
         """
         config = self._config
         sigma_m = float(position_sigmas(covariance[None])[0])
-        width = min(config.sigmas * sigma_m, config.greatest_half_width_m)
+        width = min(config.sigmas * sigma_m, config.reach_m)
         yaw = min(config.sigmas * math.sqrt(float(covariance[2, 2])), math.pi)
         if wide:
             width, yaw = max(width, 0.5 * config.reach_m), max(yaw, self._match.search_half_yaw_rad)
@@ -152,12 +152,12 @@ class LoopCloser:
         With ``wide``, also places whose distance is only known to within that at which a place is visible.
         """
         config, submaps = self._config, self.submaps
-        most_m = config.sigmas * config.reach_m if wide else config.greatest_half_width_m
+        most_m = config.sigmas * config.reach_m if wide else config.reach_m
         travelled, least_path_m = submaps.travelled_m(key), submaps.least_path_m
         places = submaps.places(key)
         distance = np.hypot(*(poses[places, :2] - poses[key, :2]).T)
         reach_m = submaps.wide_m(config.reach_m, 1.0)
-        able = distance <= reach_m + config.greatest_half_width_m
+        able = distance <= reach_m + config.reach_m
         able &= travelled - submaps.ways_m()[places] > least_path_m
         places, distance = places[able], distance[able]
         order = np.argsort(distance)
