@@ -63,7 +63,10 @@ class MatchConfig(StrictModel):
     iterations: int = Field(default=10, ge=3, description="Gauss-Newton steps per alignment")
     local_map_keyframes: int = Field(default=30, ge=1, description="newest keyframes in the local map")
     confident_inlier_share: float = Field(
-        default=0.7, gt=0, le=1, description="below this share of inliers, another initial guess is tried"
+        default=0.7,
+        gt=0,
+        le=1,
+        description="below this share of inliers, another guess is tried, and loops may overrule the match",
     )
     least_inlier_share: float = Field(
         default=0.4, gt=0, le=1, description="below this share of inliers, odometry replaces the match"
@@ -161,9 +164,6 @@ class LoopConfig(StrictModel):
         "whole map",
     )
     sigmas: float = Field(default=3.0, gt=0, description="half width of the search window in sigmas")
-    misses_until_wide: int = Field(
-        default=4, ge=1, description="failed searches in known surroundings until the window widens"
-    )
     near: int = Field(default=3, ge=0, description="candidate places chosen by their distance")
     by_appearance: int = Field(default=2, ge=0, description="candidate places chosen by their appearance")
     half_keyframes: int = Field(default=8, ge=1, description="keyframes on each side in a place's local map")
@@ -181,12 +181,6 @@ class GraphConfig(StrictModel):
 
     incremental_every: int = Field(default=20, ge=1, description="keyframes between two iSAM2 updates")
     lost_sigma_m: float = Field(default=1.0, gt=0, description="position sigma of an unmeasured step")
-    confident_inlier_share: float = Field(
-        default=0.8, ge=0, le=1, description="loops may overrule a match with a smaller share of inliers"
-    )
-    loose_share: float = Field(
-        default=0.3, gt=0, le=1, description="factor on both lost sigmas, for a step whose match is rejected"
-    )
     lost_sigma_rad: float = Field(default=0.5, gt=0, description="rotation sigma of an unmeasured step")
 
 
