@@ -9,7 +9,7 @@ from tools.count_numbers import bare_floats, constant_names, count_fields, count
 MOST_CONSTANTS = 323
 MOST_BARE_FLOATS = 111
 MOST_FIELDS = 147
-MOST_LINES = 70_737
+MOST_LINES = 70_736
 
 
 def test_constants_of_the_logic_do_not_grow() -> None:

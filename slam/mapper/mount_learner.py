@@ -101,7 +101,6 @@ class MountLearner:
 
     def _is_certain(self, fit: PlanarHandEye) -> bool:
         """Return whether a fit is certain enough for planar motion, and most pairs agree with it."""
-        angle_rad, lever_m = max(fit.sigmas[2], fit.tilt_sigma_rad), fit.sigmas[3:].max()
-        return bool(
-            2 * fit.count >= len(self._pairs) and angle_rad < _CONFIDENT_RAD and lever_m < _CONFIDENT_M
-        )
+        yaw_rad, lever_m = fit.sigmas[2], fit.sigmas[3:].max()
+        agree = 2 * fit.count >= len(self._pairs)
+        return bool(agree and yaw_rad < _CONFIDENT_RAD and lever_m < _CONFIDENT_M)
