@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fusion.curves import BESIDE, EDGE_M, Curve, FloatArray
-from fusion.estimation import FEWEST, ROUNDS, SETTLED
+from fusion.estimation import FEWEST, ROUNDS, SETTLED, TINY
 from fusion.kernel import kernel
 
 _NARROW_M = 0.06  # a residual beyond counts little in the last round
@@ -240,5 +240,5 @@ def residuals(matrix: FloatArray, source: FloatArray, target: FloatArray) -> Flo
 def moved(matrix: FloatArray, points: FloatArray) -> FloatArray:
     """Apply a homography to (N, 2) points; ``nan`` at the horizon."""
     h = points @ matrix[:, :2].T + matrix[:, 2]
-    scale = np.where(np.abs(h[:, 2]) > 1e-12, h[:, 2], np.nan)
+    scale = np.where(np.abs(h[:, 2]) > TINY, h[:, 2], np.nan)
     return np.asarray(h[:, :2] / scale[:, None])

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fusion.checks import instance, numbers
+from fusion.estimation import TINY
 from fusion.kernel import ZERO, kernel
 from fusion.showing import drawn, one_line, shaded, with_pictures
 
@@ -253,7 +254,7 @@ def resample(scan: LidarCurve, step_rad: float = SAMPLE_STEP_RAD) -> Curve:
     aperture = own * (len(ranges) - 1)
     if aperture > 2.0 * math.pi + own:
         raise ValueError(f"the sweep has {math.degrees(aperture):.0f} degrees; more than one turn")
-    count = math.floor(aperture / step_rad + 1e-6) + 1
+    count = math.floor(aperture / step_rad + TINY) + 1
     medians, samples_a_beam = np.full(count, np.nan, np.float32), own / step_rad
     window = np.empty(math.ceil(1.0 / samples_a_beam) + 3, np.float32)
     _fill_medians(ranges, samples_a_beam, window, medians)

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from fusion.alignment import EPS_OVER_E, rigid_fit
 from fusion.checks import instance, numbers
 from fusion.curves import BESIDE, HEIGHT_STEP_M, Curve, DepthImage, Float32Array, FloatArray, LidarCurve
-from fusion.estimation import gate, median_to_sigma
+from fusion.estimation import TINY, gate, median_to_sigma
 from fusion.panorama import Depths, ImageView, as_images, lookup_of, native_slice, native_step_rad
 from fusion.registration import Grade, Registration
 from fusion.repair import Provenance, ProvenanceArray, replace_readings, smooth_outliers
@@ -222,7 +222,7 @@ def find_candidates(
     clean = without_bumps(own, step, 1, burr, _LIDAR_SLACK)
     steady = smooth(clean, step, BESIDE, _LIDAR_SLACK)
     mine, theirs = roughness(clean, steady), max([rough for rough in noise if rough >= 0.0], default=math.nan)
-    trust = mine**2 / max(mine**2 + theirs**2, 1e-12) if np.isfinite(mine + theirs) else 0.0
+    trust = mine**2 / max(mine**2 + theirs**2, TINY) if np.isfinite(mine + theirs) else 0.0
     replaced, source = replace_readings(own, other, share, burr, trust)
     smooth_outliers(replaced, steady, source, math.sqrt(gate()) * mine)
     kinds, beams = beam_candidates(own, steady, other, replaced, source, share, 5 * burr)

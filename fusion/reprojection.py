@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fusion.curves import SLACK_M, Float32Array, FloatArray
+from fusion.estimation import TINY
 from fusion.kernel import kernel
 
 _STEEP = 6.0  # a surface seen at more than 80 degrees from its normal is an edge
@@ -55,7 +56,7 @@ def reproject(
             continue
         x, y = ranges[i] * math.cos(start + i * step), ranges[i] * math.sin(start + i * step)
         scale = matrix[2, 0] * x + matrix[2, 1] * y + matrix[2, 2]
-        if abs(scale) < 1e-9:
+        if abs(scale) < TINY:
             continue
         px = (matrix[0, 0] * x + matrix[0, 1] * y + matrix[0, 2]) / scale
         py = (matrix[1, 0] * x + matrix[1, 1] * y + matrix[1, 2]) / scale
@@ -85,7 +86,7 @@ def _draw(nearest: Float32Array, from_at: float, to_at: float, from_m: float, to
     """Draw a straight piece into the samples that look at it, if it is the nearest; in place."""
     if from_at > to_at:
         from_at, to_at, from_m, to_m = to_at, from_at, to_m, from_m
-    wide = max(to_at - from_at, 1e-9)
+    wide = max(to_at - from_at, TINY)
     for k in range(max(0, math.ceil(from_at)), min(nearest.size - 1, math.floor(to_at)) + 1):
         share = (k - from_at) / wide
         # A straight wall is almost a straight line in 1 / range.

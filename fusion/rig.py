@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 from fusion.alignment import Alignment, align
 from fusion.checks import instance, numbers
 from fusion.curves import EDGE_M, Curve, Float32Array, FloatArray
+from fusion.estimation import TINY
 from fusion.kernel import kernel
 from fusion.likelihood import ELSEWHERE_PER_M, OFFSETS_M, SAME_SHARE, SIGMA_SHARE, log_ratios_at
 from fusion.panorama import CurveStack
@@ -232,7 +233,7 @@ class HeightContest:
         """
         cover = np.diag(self._shared)
         laplacian = np.diag(self._shared.sum(axis=1)) - self._shared
-        values = np.linalg.lstsq(laplacian + 1e-6 * np.eye(cover.size), self._gain.sum(axis=1), rcond=None)[0]
+        values = np.linalg.lstsq(laplacian + TINY * np.eye(cover.size), self._gain.sum(axis=1), rcond=None)[0]
         values = np.where(cover > LEAST_COVER * cover.max(), values, -np.inf)
         best = int(np.argmax(values))
         is_good = values >= values[best] - _AS_GOOD

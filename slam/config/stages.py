@@ -25,9 +25,6 @@ class SensorsConfig(StrictModel):
         description="given: use the camera mountings in the log; estimate: estimate them, starting from "
         "those in the log; mountings missing in the log are always estimated",
     )
-    lidar_silent_s: float = Field(
-        default=0.5, gt=0, description="time without a scan after which only the cameras track"
-    )
     topics: tuple[str, ...] = Field(
         default=(),
         description="topics to read if a bag has several of one kind (scans, clouds, odometry, images)",
@@ -66,7 +63,10 @@ class MatchConfig(StrictModel):
     iterations: int = Field(default=10, ge=3, description="Gauss-Newton steps per alignment")
     local_map_keyframes: int = Field(default=30, ge=1, description="newest keyframes in the local map")
     confident_inlier_share: float = Field(
-        default=0.7, gt=0, le=1, description="below this share of inliers, another initial guess is tried"
+        default=0.7,
+        gt=0,
+        le=1,
+        description="below this share of inliers, another guess is tried, and loops may overrule the match",
     )
     least_inlier_share: float = Field(
         default=0.4, gt=0, le=1, description="below this share of inliers, odometry replaces the match"
@@ -157,16 +157,13 @@ class LoopConfig(StrictModel):
     )
     every_m: float = Field(default=0.8, gt=0, description="distance travelled between two searches")
     least_path_m: float = Field(default=10.0, gt=0, description="shortest path around a loop")
-    reach_m: float = Field(default=3.0, gt=0, description="two keyframes this close see the same place")
-    sigmas: float = Field(default=3.0, gt=0, description="half width of the search window in sigmas")
-    greatest_half_width_m: float = Field(
+    reach_m: float = Field(
         default=3.0,
         gt=0,
-        description="limit of the half width; a less certain pose is searched for in the whole map",
+        description="two keyframes this close see the same place; a less certain pose is searched for in the "
+        "whole map",
     )
-    misses_until_wide: int = Field(
-        default=4, ge=1, description="failed searches in known surroundings until the window widens"
-    )
+    sigmas: float = Field(default=3.0, gt=0, description="half width of the search window in sigmas")
     near: int = Field(default=3, ge=0, description="candidate places chosen by their distance")
     by_appearance: int = Field(default=2, ge=0, description="candidate places chosen by their appearance")
     half_keyframes: int = Field(default=8, ge=1, description="keyframes on each side in a place's local map")
@@ -184,12 +181,6 @@ class GraphConfig(StrictModel):
 
     incremental_every: int = Field(default=20, ge=1, description="keyframes between two iSAM2 updates")
     lost_sigma_m: float = Field(default=1.0, gt=0, description="position sigma of an unmeasured step")
-    confident_inlier_share: float = Field(
-        default=0.8, ge=0, le=1, description="loops may overrule a match with a smaller share of inliers"
-    )
-    loose_share: float = Field(
-        default=0.3, gt=0, le=1, description="factor on both lost sigmas, for a step whose match is rejected"
-    )
     lost_sigma_rad: float = Field(default=0.5, gt=0, description="rotation sigma of an unmeasured step")
 
 
@@ -268,9 +259,6 @@ class VisualLoopConfig(StrictModel):
         gt=0,
         description="views are near up to this sum: travel (in median depths) and rotation (in radians)",
     )
-    least_place_score: float = Field(
-        default=0.02, gt=0, le=1, description="lowest score, relative to that of two neighbouring keyframes"
-    )
     least_features: int = Field(
         default=25, ge=6, description="fewest matched features if only the appearance proposes the place"
     )
@@ -281,7 +269,6 @@ class DenseMapConfig(StrictModel):
 
     enabled: bool = Field(default=True, description="write a mesh and a point cloud")
     voxel_m: float = Field(default=0.015, ge=0.001, le=1, description="voxel of the signed distance field")
-    nearest_m: float = Field(default=0.3, ge=0, description="nearer depth readings are ignored")
 
 
 class FusionConfig(StrictModel):

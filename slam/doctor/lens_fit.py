@@ -62,7 +62,7 @@ def lens_fit(pairs: Sequence[MatchedPair], stated: CameraIntrinsics) -> LensFit 
         change = -np.linalg.solve(
             information + SETTLED**2 * np.eye(3), np.einsum("pn,pnki,pnk->i", weights, slopes, errors)
         )
-        lens = lens + np.clip(change, -0.1, 0.1)
+        lens = lens + change
         # Weights that depend on the median do not converge completely.
         if np.abs(change).max() < 10 * SETTLED:
             break

@@ -1,7 +1,7 @@
 """Pose of a sensor with motion in 3D on a robot with motion in the plane, from the motions of both.
 
-A rotation of the robot is a rotation of the sensor about the robot's vertical axis; perpendicular to that
-axis, the sensor's translations are the robot's, rotated, scaled, plus the lever arm: linear in four numbers.
+A rotation of the robot is a rotation of the sensor about the robot's vertical axis (hand-eye calibration,
+Tsai 1989); perpendicular to that axis, its translations relate to the robot's as those of a 2D lidar.
 """
 
 from __future__ import annotations
@@ -11,7 +11,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from fusion.estimation import FEWEST, ROUNDS, SETTLED, gate, median_to_sigma
+from fusion.estimation import FEWEST, SETTLED, gate
+from slam.doctor.relation import fit_linear, relate
 from slam.measurements import FloatArray
 
 
@@ -65,7 +66,13 @@ def planar_hand_eye(turns: FloatArray, shifts_m: FloatArray, base: FloatArray) -
     """
     if len(base) < FEWEST:
         return None
-    slopes, slope_cov, _ = _robust(base[:, 2, None, None] * np.eye(3), turns)
+    number = np.arange(float(len(base)))
+    turning = fit_linear(
+        (base[:, 2, None, None] * np.eye(3)).reshape(-1, 3), turns.ravel(), np.repeat(number, 3)
+    )
+    if turning is None:
+        return None
+    slopes, slope_cov = turning.values, turning.covariance
     gain = float(np.linalg.norm(slopes))
     if gain < gate() ** 0.5 * math.sqrt(float(np.trace(slope_cov))):
         return None
@@ -75,44 +82,21 @@ def planar_hand_eye(turns: FloatArray, shifts_m: FloatArray, base: FloatArray) -
     first = first - (first @ up) * up
     first /= np.linalg.norm(first)
     axes = np.stack([first, np.cross(up, first)])
-    cos, sin = np.cos(base[:, 2]) - 1.0, np.sin(base[:, 2])
-    x, y = base[:, 0], base[:, 1]
-    # p = M t + (R - 1) M l, M = [[a, -b], [b, a]]; unknown are a, b and M l.
-    design = np.stack([np.stack([x, -y, cos, -sin], axis=1), np.stack([y, x, sin, cos], axis=1)], axis=1)
-    found, covariance, agree = _robust(design, shifts_m @ axes.T)
-    a, b = found[:2]
-    scale = math.hypot(a, b)
-    sigma_ab = math.sqrt(max(covariance[0, 0], covariance[1, 1]))
-    if scale < gate() ** 0.5 * sigma_ab:
+    seen, wheels = (
+        np.ascontiguousarray(xy).view(np.complex128)[:, 0] for xy in (shifts_m @ axes.T, base[:, :2])
+    )
+    moving = relate(seen, base[:, 2], wheels, number)
+    if moving is None or gate() * moving.sigma_alpha**2 > 1.0:
         return None
-    turned = np.array([[a, -b], [b, a]])
-    lever = np.linalg.solve(turned, found[2:])
-    lever_sigmas = np.sqrt(np.diag(covariance)[2:] + (np.linalg.norm(lever) * sigma_ab) ** 2) / scale
-    left = np.linalg.norm(np.einsum("nij,j->ni", design, found) - shifts_m @ axes.T, axis=1)
-    moved = np.linalg.norm(shifts_m @ axes.T, axis=1)
-    ahead = (a * axes[0] + b * axes[1]) / scale
+    scale, lever = abs(moving.alpha), moving.beta / moving.alpha
+    sigma_scale = moving.sigma_alpha * scale
+    lever_sigmas = np.hypot(np.sqrt(np.diag(moving.covariance)[2:]) / scale, abs(lever) * moving.sigma_alpha)
+    left = np.abs(moving.alpha * wheels + moving.beta * (np.exp(1j * base[:, 2]) - 1.0) - seen)
+    ahead = (moving.alpha.real * axes[0] + moving.alpha.imag * axes[1]) / scale
     tilt = math.sqrt(max(0.0, float(np.trace(slope_cov) - up @ slope_cov @ up))) / gain
     gain_sigma = math.sqrt(float(up @ slope_cov @ up))
-    sigmas = np.array([gain_sigma, sigma_ab, sigma_ab / scale, *lever_sigmas])
-    spread = float(np.median(left) / max(np.median(moved), SETTLED))
-    return PlanarHandEye(up, ahead, scale, lever, sigmas, tilt, spread, agree)
-
-
-def _robust(design: FloatArray, seen: FloatArray) -> tuple[FloatArray, FloatArray, int]:
-    """Fit (N, d, k) to (N, d) with Geman-McClure's loss: (k,), covariance (k, k), number of inliers."""
-    weights = np.ones(len(seen))
-    solution = np.zeros(design.shape[2])
-    for _ in range(ROUNDS):
-        weighted = design * weights[:, None, None]
-        information = np.einsum("ndi,ndj->ij", weighted, design)
-        information += SETTLED**2 * np.trace(information) * np.eye(len(information)) + SETTLED**4
-        solution = np.linalg.solve(information, np.einsum("ndi,nd->i", weighted, seen))
-        errors = np.linalg.norm(np.einsum("ndi,i->nd", design, solution) - seen, axis=1)
-        sigma = max(float(np.median(errors)) * median_to_sigma(design.shape[1]), SETTLED**2)
-        limit = gate(design.shape[1]) * sigma**2
-        weights = (limit / (errors**2 + limit)) ** 2
-    agree = errors**2 < limit
-    rows = design[agree]
-    information = np.einsum("ndi,ndj->ij", rows, rows)
-    variance = float((errors[agree] ** 2).sum()) / max(1, rows.shape[0] * rows.shape[1] - len(solution))
-    return solution, variance * np.linalg.pinv(information), int(agree.sum())
+    sigmas = np.array([gain_sigma, sigma_scale, moving.sigma_alpha, *lever_sigmas])
+    spread = float(np.median(left) / max(np.median(np.abs(seen)), SETTLED))
+    agree = int(np.count_nonzero(left**2 < gate(2) * moving.sigma_m**2))
+    place_m = np.array([lever.real, lever.imag])
+    return PlanarHandEye(up, ahead, scale, place_m, sigmas, tilt, spread, agree)

@@ -166,7 +166,7 @@ def matched_loops(
     for first, second, guess, ends in pairs:
         if guess is None:
             # At about the same position, with any heading.
-            widths = loops.greatest_half_width_m, np.pi
+            widths = loops.reach_m, np.pi
             expected = np.array([0.0, 0.0, between(poses[first], poses[second])[2]])
         else:
             widths, expected = (config.match.search_half_width_m, config.match.search_half_yaw_rad), guess
@@ -194,7 +194,7 @@ def _match_in_space(
         for pose, points in zip(poses, clouds, strict=True):
             closer.add_keyframe(points, pose)
         sigma_m = config.match.search_half_width_m / config.loops.sigmas
-        wide_m = config.loops.greatest_half_width_m / config.loops.sigmas
+        wide_m = config.loops.reach_m / config.loops.sigmas
         return closer.verify(earlier, later, guess, wide_m if guess is None else sigma_m), ends
     assert frames is not None
     store = KeyframeStore(config.rgbd, config.match.local_map_keyframes, frames)

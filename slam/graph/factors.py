@@ -8,7 +8,7 @@ from contextlib import suppress
 import gtsam
 import numpy as np
 
-from fusion.estimation import TINY
+from fusion.estimation import SETTLED, TINY
 from slam.graph.edge import Edge
 from slam.measurements import Pose
 
@@ -41,7 +41,7 @@ def weighted(edge: Edge, weight: float) -> gtsam.NonlinearFactor:
 def gauge(origin: Pose) -> gtsam.NonlinearFactor:
     """Return the prior that fixes node 0: the gauge, not a measurement."""
     dimension = 3 if isinstance(origin, gtsam.Pose2) else 6
-    return prior(0, origin, gtsam.noiseModel.Isotropic.Sigma(dimension, 1e-4))
+    return prior(0, origin, gtsam.noiseModel.Isotropic.Sigma(dimension, SETTLED))
 
 
 def prior(node: int, pose: Pose, noise: gtsam.noiseModel.Base) -> gtsam.NonlinearFactor:

@@ -35,7 +35,6 @@ class LoopCloser:
         self.submaps = SubmapStore(config, match)
         self._closed_again: set[tuple[int, int]] = set()
         self._last_attempt_m = -math.inf
-        self._misses = 0
 
     def close(self, key: int, poses: FloatArray, uncertainty: UncertaintyGraph) -> list[LoopCandidate]:
         """Try to close loops with places to which the newest keyframe may have returned.
@@ -60,13 +59,9 @@ class LoopCloser:
         if len(self.submaps.scan(key)) < FEWEST:
             return []
         tried = []
-        # If none of the known places around fits, the error may be larger than estimated.
-        wide = self._misses >= self._config.misses_until_wide
         for place, covariance in self.propose(key, poses, uncertainty):
             guess = between(poses[place], poses[key])
-            tried.append(self.verify(place, key, guess, covariance, wide=wide))
-        if tried:
-            self._misses = 0 if any(candidate.accepted for candidate in tried) else self._misses + 1
+            tried.append(self.verify(place, key, guess, covariance))
         return tried
 
     def close_again(
@@ -110,7 +105,6 @@ class LoopCloser:
         guess: FloatArray,
         covariance: FloatArray,
         *,
-        wide: bool = False,
         confirming: bool = False,
     ) -> LoopCandidate:
         """Match a keyframe to a place in a window given by the uncertainty of the guess.
@@ -121,17 +115,13 @@ class LoopCloser:
             (3,) expected pose of the keyframe in the frame of the place.
         covariance
             (3, 3) covariance of the guess.
-        wide
-            Whether to search at least as far as a place is visible.
         confirming
             Whether a match that leaves a direction undetermined is accepted in a wide window, too.
         """
         config = self._config
         sigma_m = float(position_sigmas(covariance[None])[0])
-        width = min(config.sigmas * sigma_m, config.greatest_half_width_m)
+        width = min(config.sigmas * sigma_m, config.reach_m)
         yaw = min(config.sigmas * math.sqrt(float(covariance[2, 2])), math.pi)
-        if wide:
-            width, yaw = max(width, 0.5 * config.reach_m), max(yaw, self._match.search_half_yaw_rad)
         begun = LoopCandidate(place, key, width, yaw, 1.0, None, False, "")
         # Always requested: the content of the cache must not depend on the source of the result.
         submap = self.submaps.submap(place)
@@ -152,12 +142,12 @@ class LoopCloser:
         With ``wide``, also places whose distance is only known to within that at which a place is visible.
         """
         config, submaps = self._config, self.submaps
-        most_m = config.sigmas * config.reach_m if wide else config.greatest_half_width_m
+        most_m = config.sigmas * config.reach_m if wide else config.reach_m
         travelled, least_path_m = submaps.travelled_m(key), submaps.least_path_m
         places = submaps.places(key)
         distance = np.hypot(*(poses[places, :2] - poses[key, :2]).T)
         reach_m = submaps.wide_m(config.reach_m, 1.0)
-        able = distance <= reach_m + config.greatest_half_width_m
+        able = distance <= reach_m + config.reach_m
         able &= travelled - submaps.ways_m()[places] > least_path_m
         places, distance = places[able], distance[able]
         order = np.argsort(distance)

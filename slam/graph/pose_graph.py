@@ -15,7 +15,7 @@ from itertools import compress
 import gtsam
 import numpy as np
 
-from fusion.estimation import TINY, gate
+from fusion.estimation import SETTLED, TINY, gate
 from fusion.showing import one_line
 from slam.errors import GraphError
 from slam.graph.edge import Edge, EdgeKind, check_edge, check_pose
@@ -377,5 +377,5 @@ class PoseGraph:
         """Return the prior of node 0; if gravity is known, without roll and pitch."""
         if not self._down:
             return gauge(self._origin)
-        covariance = heading_alone(self._origin, 1e-8 * np.eye(6))
+        covariance = heading_alone(self._origin, SETTLED**2 * np.eye(6))
         return prior(0, self._origin, gtsam.noiseModel.Gaussian.Covariance(covariance))

@@ -135,7 +135,7 @@ class VisualLoopCloser:
         if self._newest is None:
             return []
         matches = self._places.query(self._newest, key - config.least_gap + 1, self._loops.by_appearance)
-        return [(m.key, m.relative_score) for m in matches if m.relative_score >= config.least_place_score]
+        return [(m.key, m.relative_score) for m in matches if m.relative_score > 0.0]
 
     def _verify(self, place: int, key: int, guess: gtsam.Pose3 | None, score: float) -> LoopCandidate:
         """Match the keyframe to the place, and accept or reject the result."""

@@ -9,6 +9,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
+from fusion.time_alignment import GAP_S
 from slam.config import Config
 from slam.estimates import MotionEstimate
 from slam.graph.edge import Edge, EdgeKind
@@ -228,7 +229,7 @@ class PlanarOdometry:
             # The lidar is about to start: a first keyframe without a scan would leave it nothing to match.
             self._scan_stamp_s = frame.stamp_s
         stamp_s = self.cameras.robot_stamp_s(frame)
-        silent = stamp_s - self._scan_stamp_s > self._config.sensors.lidar_silent_s
+        silent = stamp_s - self._scan_stamp_s > GAP_S
         if not silent or not self.cameras.leads(frame.frame.sensor, stamp_s):
             return None
         camera = self.cameras.cameras[frame.frame.sensor]

@@ -15,7 +15,7 @@ from itertools import islice
 import gtsam
 import numpy as np
 
-from fusion.estimation import FEWEST, gate
+from fusion.estimation import FEWEST, SETTLED, gate
 from fusion.height_band import HeightBand
 from slam.config.clouds import CloudMapConfig
 from slam.matching.plane_voxels import PlaneVoxels
@@ -126,7 +126,7 @@ def ground_of(
     """
     first = islice(clouds, FEWEST)
     seen_m = ground_height(first, float(T_base_lidar.z()), voxel_m, thickness_m)
-    mounted = not T_base_lidar.equals(gtsam.Pose3(), 1e-6)
+    mounted = not T_base_lidar.equals(gtsam.Pose3(), SETTLED)
     if mounted and (seen_m is None or abs(seen_m) < 2.0 * _CELL_M):
         return Ground(0.0, by_mounting=True)
     return None if seen_m is None else Ground(seen_m, by_mounting=False)

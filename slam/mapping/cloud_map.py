@@ -10,7 +10,7 @@ import gtsam
 import numpy as np
 from numpy.typing import NDArray
 
-from fusion.estimation import FEWEST
+from fusion.estimation import FEWEST, TINY
 from fusion.height_band import thin_to_voxels
 from slam.mapping.dense_map import ColoredCloud, Colors, refuse_lost
 from slam.matching.local_cloud import moved
@@ -158,6 +158,6 @@ def _usual(heights: AnyFloatArray) -> tuple[float, float]:
 def ramp(values: AnyFloatArray, usual: tuple[float, float] | None = None) -> Colors:
     """Return (N, 3) RGB of values (N,), from blue to red between the usual ones."""
     low, high = _usual(values) if usual is None else usual
-    share = np.clip((values - low) / max(high - low, 1e-6), 0.0, 1.0) * (len(_RAMP) - 1)
+    share = np.clip((values - low) / max(high - low, TINY), 0.0, 1.0) * (len(_RAMP) - 1)
     channels = [np.interp(share, np.arange(len(_RAMP)), _RAMP[:, channel]) for channel in range(3)]
     return np.column_stack(channels).astype(np.uint8)

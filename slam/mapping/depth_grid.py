@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fusion.bayes import evidence_steps
-from fusion.curves import HEIGHT_STEP_M
+from fusion.curves import HEIGHT_STEP_M, NEAREST_M
 from fusion.depth_model import RangeNoise, hit_evidence
 from fusion.height_band import HeightBand, back_project, obstacle_points, pixel_rays, to_frame
 from slam.errors import ConfigError
@@ -54,7 +54,7 @@ class DepthModel:
 
     band: HeightBand
     depth_max_m: float
-    depth_min_m: float = 0.3
+    depth_min_m: float = NEAREST_M
     noise: RangeNoise = field(default_factory=lambda: RangeNoise(0.002, per_m=0.003))
     p_hit: float = 0.7
     p_miss: float = 0.4

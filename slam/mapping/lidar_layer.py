@@ -11,6 +11,7 @@ import numpy as np
 
 from fusion.bayes import evidence_steps
 from fusion.depth_model import RangeNoise, hit_evidence
+from fusion.estimation import TINY
 from fusion.kernel import kernel
 from slam.mapping.evidence_tiles import Board
 from slam.mapping.occupancy_grid import Steps
@@ -120,7 +121,7 @@ def _weigh(  # type: ignore[no-untyped-def]
         share = 1.0
         if kinds[beam] == HIT or kinds[beam] == TAKEN:
             margin_m = margin_sigmas * (sigma_m[0] + sigma_m[1] * range_m + sigma_m[2] * range_m * range_m)
-            share = max(0.0, 1.0 - margin_m / max(range_m, 1e-6))
+            share = max(0.0, 1.0 - margin_m / max(range_m, TINY))
         short[beam, 0] = laser[0] + share * away_x
         short[beam, 1] = laser[1] + share * away_y
     mark_lines(short, kinds, box, laser[0], laser[1], miss_step, steps)

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import gtsam
 import numpy as np
 
+from fusion.estimation import TINY
 from slam.measurements import FloatArray
 
 
@@ -42,6 +43,6 @@ def upright_of(down: FloatArray) -> gtsam.Rot3:
     """
     axis = np.cross(down, [0.0, 0.0, -1.0])
     sine, cosine = float(np.linalg.norm(axis)), -float(down[2])
-    if sine < 1e-12:
+    if sine < TINY:
         return gtsam.Rot3() if cosine > 0.0 else gtsam.Rot3.Roll(np.pi)
     return gtsam.Rot3.Expmap(axis / sine * np.arctan2(sine, cosine))

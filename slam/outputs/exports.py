@@ -238,7 +238,7 @@ class Exports:
     def _surface(self) -> ColoredMesh:
         """Return the surface of the images; empty if they show none."""
         saved, dense = self.contents, self.config.dense_map
-        settings = DenseMapSettings(dense.voxel_m, self.config.layers.depth_max_m, dense.nearest_m)
+        settings = DenseMapSettings(dense.voxel_m, self.config.layers.depth_max_m)
         return fuse_keyframes(saved.frames or (), saved.frame_poses(), settings)
 
     def _scans(self) -> Iterator[tuple[str, gtsam.Pose3, AnyFloatArray, Colors | None, Float32Array | None]]:

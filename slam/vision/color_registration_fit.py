@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 import gtsam
 import numpy as np
 
-from fusion.estimation import gate
+from fusion.estimation import TINY, gate
 from slam.measurements import BoolArray, CameraIntrinsics, FloatArray
 from slam.vision.color_registration import ColorRegistration, identity_registration
 from slam.vision.color_registration_search import (
@@ -151,7 +151,7 @@ def _standard_errors(gains: FloatArray) -> float:
     known = gains[np.isfinite(gains)]
     if known.size < _FEWEST_PAIRS:
         return 0.0
-    return float(known.mean() * np.sqrt(known.size) / max(float(known.std(ddof=1)), 1e-9))
+    return float(known.mean() * np.sqrt(known.size) / max(float(known.std(ddof=1)), TINY))
 
 
 def _gains(problem: Problem, worse: FloatArray, better: FloatArray) -> FloatArray:
@@ -165,9 +165,8 @@ def _gains(problem: Problem, worse: FloatArray, better: FloatArray) -> FloatArra
 
 def _distance_px(a: Guess, b: Guess, depth: CameraIntrinsics) -> float:
     """Return the RMS distance of colour pixels in the depth image by two guesses, at 1 to 3 m."""
-    columns, rows = np.meshgrid(
-        np.linspace(0.1, 0.9, 9) * depth.width, np.linspace(0.1, 0.9, 9) * depth.height
-    )
+    shares = np.arange(1, 10) / 10
+    columns, rows = np.meshgrid(shares * depth.width, shares * depth.height)
     squares = []
     for z in (1.0, 2.0, 3.0):
         places = []

@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from fusion.curves import NEAREST_M
-from fusion.estimation import FEWEST, ROUNDS
+from fusion.estimation import FEWEST, ROUNDS, SETTLED
 from slam.measurements import AnyFloatArray, BoolArray, CameraIntrinsics, Float32Array, FloatArray
 from slam.vision.color_registration import camera_row, points_of_images, points_of_pixels
 from slam.vision.color_registration_kernels import IntArray, settle_motions
@@ -23,8 +23,6 @@ MATCH_PX = 2.0
 _MATCHES_A_PAIR = 300
 # Iterations of the motions after a small change of the registration; twice as many after a large one.
 SETTLING = 3
-# A round of the search with a smaller gain is the last.
-_SETTLED = 2e-4
 # Initial steps of the search: share of the focal length, pixels, metres; and their largest number.
 AXES = {"focal": 0.02, "x": 6.0, "y": 6.0, "shift_x": 0.025, "shift_y": 0.015}
 _LONGEST_STEP = 2.0
@@ -153,7 +151,7 @@ def search(problem: Problem, fit: Fit, axes: tuple[str, ...]) -> Fit:
                 tried.append(at(axis, share * step))
                 steps[axis] = step * min(1.0, max(0.5, abs(share)))
             fit = min(tried, key=lambda trial: trial.loss)
-        if before - fit.loss < _SETTLED:
+        if before - fit.loss < SETTLED:
             break
     return fit
 

@@ -15,8 +15,6 @@ from slam.config.stages import RgbdOdometryConfig
 from slam.measurements import BoolArray, CameraIntrinsics, FloatArray
 from slam.vision.features import Features, match_features
 
-_ROUNDS = 200
-
 
 @dataclass(frozen=True, slots=True)
 class FeaturePose:
@@ -65,7 +63,6 @@ def pose_from_features(
         observed,
         camera,
         None,
-        iterationsCount=_ROUNDS,
         reprojectionError=tolerance_px,
         confidence=CONFIDENCE,
         flags=cv2.SOLVEPNP_AP3P,

@@ -118,7 +118,7 @@ def test_the_verdicts_are_reported(drifted: tuple[Drive, list[LoopCandidate]]) -
         assert loop.accepted == (loop.reason == "")
         assert 0.0 <= loop.score <= 1.0
         assert 0 <= loop.place < loop.keyframe < len(drive.poses)
-        assert loop.half_width_m <= LoopConfig().greatest_half_width_m
+        assert loop.half_width_m <= LoopConfig().reach_m
         assert loop.motion is not None or not loop.accepted
     tried = {loop.keyframe for loop in loops}
     assert max(sum(loop.keyframe == key for loop in loops) for key in tried) <= LoopConfig().near

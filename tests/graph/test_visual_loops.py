@@ -71,9 +71,7 @@ def test_a_true_return_closes(poses: list[gtsam.Pose3], views: list[PreparedFram
 
 @pytest.mark.parametrize("poses", [TRUE, LOST], ids=["believed near", "by its looks"])
 def test_every_accepted_loop_is_true(poses: list[gtsam.Pose3], views: list[PreparedFrame]) -> None:
-    for loop in Walk("visual_loops.near_dissimilarity=3.0", "visual_loops.least_place_score=1e-6").through(
-        views, poses
-    ):
+    for loop in Walk("visual_loops.near_dissimilarity=3.0").through(views, poses):
         assert loop.accepted == (loop.reason == "")
         if loop.accepted:
             assert loop.motion is not None
@@ -86,7 +84,7 @@ def test_another_scene_is_refused(
     believed: gtsam.Pose3, views: list[PreparedFrame], caplog: pytest.LogCaptureFixture
 ) -> None:
     stranger = prepared(render(STRANGE, looking(0.0, 0.0, 1.2, 0.9, 0.1), MIDDLE))
-    walk = Walk("visual_loops.least_place_score=1e-6")
+    walk = Walk()
     walk.through(views[:-1], TRUE[:-1])
     with caplog.at_level(logging.INFO, logger="slam.graph.loop_candidate"):
         loops = walk.add(stranger, believed)
