@@ -145,10 +145,10 @@ def opened_by(sensors: SensorsConfig, log: Path | str | Dataset, *, strict: bool
 def _opened(known: DatasetFormat, path: Path, strict: bool, topics: tuple[str, ...]) -> Dataset:
     """A log of a known format."""
     if known is not _CARMEN:
-        from slam.datasets.bags.dataset import open_bag
+        from slam.datasets.bags.dataset import BagDataset
 
-        if known.open is open_bag:
-            return open_bag(path, strict, topics)
+        if known.open is BagDataset:
+            return BagDataset(path, strict, topics)
     if topics:
         raise DatasetError(f"{path} is a {known.description} and has no topics; leave out --topics")
     return known.open(path, strict)
