@@ -122,13 +122,14 @@ def _plain_clouds(folder: Path) -> list[Path]:
 
 def stamped_clouds(times: Path, folder: Path, account: Account) -> list[StampedFile]:
     """The clouds of a list of stamps: by the names in it, else in the order of the folder."""
-    if any(len(fields) > 1 for _, fields in fields_of(times, Account.quiet(times), 1, 2)):
+    looked_at = fields_of(times, Account.quiet(times), 1, 2)
+    if any(len(fields) > 1 and fields[0].count(b"-") != 2 for _, fields in looked_at):  # no date and time
         return read_image_list(times, account)
-    lines, files = list(fields_of(times, account, 1)), cloud_files(folder)
-    stamped = []
+    lines = list(fields_of(times, account, 1, 2))
+    files, stamped = cloud_files(folder), list[StampedFile]()
     for (number, fields), path in zip(lines, files, strict=False):
         with account.refusing(times.name, number):
-            stamped.append(StampedFile(stamp_of(fields[0], True), path, number))
+            stamped.append(StampedFile(stamp_of(b"T".join(fields), True), path, number))
     for number, _ in lines[len(files) :]:
         account.refuse(RecordFault(WITHOUT_CLOUD, f"{len(lines)} and {len(files)}"), times.name, number)
     for place in range(len(lines), len(files)):

@@ -175,7 +175,8 @@ def _problem_of(folder: Path) -> str:
     inside = [str(recording.relative_to(folder)) for recording in _recordings(folder)]
     if inside:
         return f"is no log itself but holds some; give one of {', '.join(inside[:8])}"
-    return f"is a directory of no known format; {_supported()}"
+    listed = "list images in rgb.txt and depth.txt, clouds in times.txt, or write a bag"
+    return f"is a directory of no known format: {listed}; {_supported()}"
 
 
 def _recordings(folder: Path) -> list[Path]:

@@ -7,6 +7,7 @@ import os
 import re
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from datetime import UTC, datetime
 from pathlib import Path
 
 import numpy as np
@@ -136,10 +137,19 @@ def stamp_of(field: bytes, any_unit: bool = False) -> float:
     try:
         stamp_s = float(field)
     except ValueError:
-        stamp_s = math.nan
+        stamp_s = _date_s(field.decode("ascii", "replace"))
     if not abs(stamp_s) * (UNITS_S["nanoseconds"] if any_unit else 1.0) < STAMP_LIMIT_S:
         raise RecordFault(BAD_STAMP, repr(field[:24]))
     return stamp_s
+
+
+def _date_s(text: str) -> float:
+    """Seconds since 1970 of a date like ``2011-09-26T13:02:25.951199337``; NaN if it is none."""
+    moment, _, fraction = text.partition(".")
+    try:
+        return datetime.fromisoformat(moment).replace(tzinfo=UTC).timestamp() + float(f"0.{fraction or 0}")
+    except (ValueError, OverflowError):
+        return math.nan
 
 
 def image_path(folder: Path, name: bytes) -> Path:

@@ -141,6 +141,18 @@ def test_stamps_that_are_no_seconds_are_read_in_their_unit(
     assert named == pytest.approx([one.stamp_s for one in found])
 
 
+def test_stamps_may_be_dates(tmp_path: Path) -> None:
+    folder = kitti(tmp_path, 3)
+    for parted in ("T", " "):
+        lines = [f"2011-09-26{parted}13:02:25.{k}00000500\n" for k in range(3)]
+        (folder / "times.txt").write_text("".join(lines))
+        stamps = [one.stamp_s - 1317042145.0 for one in clouds(folder)]
+        assert stamps == pytest.approx([5e-7, 0.1 + 5e-7, 0.2 + 5e-7], abs=3e-7)
+    named = [f"{k}.0 velodyne/{k:06d}.bin\n" for k in range(3)]
+    (folder / "times.txt").write_text("".join(named))
+    assert [one.stamp_s for one in clouds(folder)] == [0.0, 1.0, 2.0]
+
+
 def test_clouds_that_come_seldom_keep_their_seconds_and_one_wrong_stamp_is_counted(tmp_path: Path) -> None:
     bins(tmp_path, 4)
     (tmp_path / "times.txt").write_text("0\n8\n16\n24000000000000\n")

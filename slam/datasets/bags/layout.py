@@ -159,6 +159,8 @@ def layout_of(bag: Bag, survey: Survey, requested: tuple[str, ...], known: Known
     layout.lenses |= survey.facts.fact_topics if layout.cameras else set()
     for topic in choice.lonely:
         layout.left_out[topic] = f"no {'colour' if survey.depths.get(topic) else 'depth'} beside it"
+        if {"depth", "aligned_depth_to_color"} & {*topic.split("/")} and not survey.depths.get(topic, True):
+            layout.left_out[topic] = "its images are pictures of depth; record it as 16UC1 or 32FC1"
         layout.notes.append(f"{topic} is not read: {layout.left_out[topic]}")
     if not choice.odometry and layout.base:
         layout.wheels_from = wheels_from_tf(survey, layout.base, layout.notes)

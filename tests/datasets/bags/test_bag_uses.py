@@ -101,6 +101,15 @@ def test_the_images_and_the_lens_of_a_camera_that_is_not_used_are_not_used(tmp_p
     assert found["/b/color/camera_info"][2] == found["/b/color/image_raw"][2] == found["/b"][2]
 
 
+@pytest.mark.parametrize(("encoding", "channels"), [("rgb8", 3), ("mono8", 1)])
+def test_pictures_of_depth_are_no_depth(tmp_path: Path, encoding: str, channels: int) -> None:
+    picture = np.zeros((4, 6, channels), np.uint8)
+    pictures = [image(DEPTH, picture, encoding, START_S + 0.1 * k) for k in range(30)]
+    colors = [one for one in camera() if one.topic != DEPTH]
+    scans = [scan(stamp_s=START_S + 0.1 * k) for k in range(30)]
+    assert "record it as 16UC1 or 32FC1" in uses(tmp_path, [*colors, *pictures, *scans])[DEPTH][2]
+
+
 def test_every_topic_is_reported(tmp_path: Path) -> None:
     imu = [Sent("/imu", "sensor_msgs/msg/Imu", START_S + 0.1 * k, {}, "imu") for k in range(5)]
     scans = [scan(stamp_s=START_S + 0.1 * k) for k in range(30)]
