@@ -40,7 +40,7 @@ from slam.datasets.dataset import RecordFault
 LOOK_S = 10.0  # of the bag's time, at most
 _LEAST_S = 2.0  # of the bag's time, for image stamps and for transforms at 1 Hz
 _STAMPS_KEPT = 200
-_SAME_S = 1e-6  # between stamp and record time: of a converted log
+_SAME_S = 1e-6  # no recorder is as even: record times were made of the stamps
 OTHER_CLOCK_S = 5.0  # at least one message is recorded faster; the doctor finds smaller offsets
 
 
@@ -64,8 +64,8 @@ class Survey:
         For each image topic, whether it contains depth.
     stamps_s
         First stamps of each image topic.
-    late_s
-        For each sensor topic, record time minus stamp of its first message; None if that has no stamp.
+    late_s, uneven
+        Of each sensor topic, the least record time minus stamp, None without a stamp; topics where it varies.
     clouds, in_pieces
         Properties of the first valid cloud of each topic; and whether the next has another direction.
     scans, scan_stamps_s
@@ -90,6 +90,7 @@ class Survey:
     depths: dict[str, bool] = field(default_factory=dict)
     stamps_s: dict[str, list[float]] = field(default_factory=dict)
     late_s: dict[str, float | None] = field(default_factory=dict)
+    uneven: set[str] = field(default_factory=set)
     clouds: dict[str, CloudView] = field(default_factory=dict)
     in_pieces: dict[str, bool] = field(default_factory=dict)
     scans: dict[str, Any] = field(default_factory=dict)
@@ -203,7 +204,7 @@ def clock_shifts(survey: Survey) -> dict[str, float]:
     """How far the stamps of topics are ahead of the others' clock: of their own clock, or of last points.
 
     The common clock is the one that is nearest to the recorder's. If a revolution arrives before its last
-    point was measured, its stamp is of that point; record times that are the stamps (converted) show nothing.
+    point was measured, its stamp is of that point; record times made of the stamps (converted) show nothing.
     """
     stamped = {topic: late_s for topic, late_s in survey.late_s.items() if late_s is not None}
     reference_s, shifts = min(stamped.values(), key=abs, default=0.0), dict[str, float]()
@@ -215,7 +216,7 @@ def clock_shifts(survey: Survey) -> dict[str, float]:
         clock_s = min([0.0, *(one for other, one in stamped.items() if other != topic)])
         if abs(late_s - reference_s) > OTHER_CLOCK_S:
             shifts[topic] = reference_s - late_s + end_s
-        elif abs(late_s) > _SAME_S and abs(late_s - clock_s) < 0.5 * end_s:
+        elif topic in survey.uneven and abs(late_s - clock_s) < 0.5 * end_s:
             shifts[topic] = end_s
     return shifts
 
@@ -264,7 +265,9 @@ def _look_at_reading(survey: Survey, record: BagRecord, message: Any) -> None:
     if least_s is None:
         message.header.stamp = header_at(record.recorded_s, "").stamp
     else:
-        survey.late_s[topic] = min(least_s, record.recorded_s - stamp_of(message.header))
+        late_s = record.recorded_s - stamp_of(message.header)
+        survey.late_s[topic] = min(least_s, late_s)
+        survey.uneven |= {topic} if _SAME_S < abs(late_s - least_s) < math.inf else set()
     if kind in CLOUDS:
         view = cloud_view(message)
         if topic in survey.clouds:

@@ -164,6 +164,7 @@ def turns(late_s: float, first_s: float = 0.0) -> list[Sent]:
         (0.004, -0.1, 0.001, 0.0),  # times before the stamp
         (0.004, 0.0, -0.1, 0.0),  # the recorder's clock is behind
         (0.0, 0.0, 0.001, 0.0),  # a converted log
+        (0.002, 0.0, 0.001, 0.0),  # another one: the record times are as even as the stamps
         (0.25, 0.0, 0.001, 0.0),
         (20.1, 0.0, 0.0, -20.0),  # another clock: the last point is what arrives
     ],
@@ -172,8 +173,8 @@ def test_a_cloud_does_not_arrive_before_its_last_point(
     tmp_path: Path, late_s: float, first_s: float, wheels_s: float, off_s: float
 ) -> None:
     sent = turns(late_s, first_s)
-    if late_s == 0.0:
-        sent = [late(one, 0.0) for one in sent]
+    if late_s in (0.0, 0.002):
+        sent = [late(one, late_s) for one in sent]
     sent += [late(odometry(START_S + 0.05 * n, 0.01 * n), wheels_s) for n in range(50)]
     found, dataset = read(tmp_path, sorted(sent, key=lambda one: one.stamp_s + one.late_s))
     first = next(one for one in found if isinstance(one, PointCloud))
