@@ -32,9 +32,8 @@ from slam.datasets.dataset import RecordFault
 from slam.datasets.log_file import files_inside, first_file
 from slam.datasets.plain_points import holds_points
 from slam.datasets.point_times import PointTimes, intensities_of
-from slam.datasets.pose_files import by_its_size
 from slam.datasets.recording import Numbered
-from slam.datasets.stamped_files import BAD_STAMP, StampedFile, fields_of, read_image_list, stamp_of
+from slam.datasets.stamped_files import StampedFile, fields_of, in_seconds, read_image_list, stamp_of
 from slam.datasets.wheels_between import WHEELS_KEPT, wheels_at
 from slam.errors import DatasetError
 from slam.measurements import FloatArray, PointCloud, WheelOdometry
@@ -123,36 +122,33 @@ def _plain_clouds(folder: Path) -> list[Path]:
 
 def stamped_clouds(times: Path, folder: Path, account: Account) -> list[StampedFile]:
     """The clouds of a list of stamps: by the names in it, else in the order of the folder."""
-    if any(len(fields) > 1 for _, fields in fields_of(times, Account.quiet(times), 1, 2)):
+    looked_at = fields_of(times, Account.quiet(times), 1, 2)
+    if any(len(fields) > 1 and fields[0].count(b"-") != 2 for _, fields in looked_at):  # no date and time
         return read_image_list(times, account)
-    lines, files = list(fields_of(times, account, 1)), cloud_files(folder)
-    stamped = []
+    lines = list(fields_of(times, account, 1, 2))
+    files, stamped = cloud_files(folder), list[StampedFile]()
     for (number, fields), path in zip(lines, files, strict=False):
         with account.refusing(times.name, number):
-            stamped.append(StampedFile(stamp_of(fields[0]), path, number))
+            stamped.append(StampedFile(stamp_of(b"T".join(fields), True), path, number))
     for number, _ in lines[len(files) :]:
         account.refuse(RecordFault(WITHOUT_CLOUD, f"{len(lines)} and {len(files)}"), times.name, number)
     for place in range(len(lines), len(files)):
         account.refuse(RecordFault(UNPAIRED, f"{len(files)} and {len(lines)}"), times.name, place + 1)
-    return stamped
+    return in_seconds(stamped, account, times.name)
 
 
 def clouds_by_name(
     folder: Path,
     account: Account,
     pattern: str = r"(\d{9,19})\.bin",
-    stamp_of_name: Callable[[re.Match[str]], float] = lambda match: by_its_size(int(match[1])),
+    stamp_of_name: Callable[[re.Match[str]], float] = lambda match: float(match[1]),
 ) -> list[StampedFile]:
     """The clouds whose names match a pattern, sorted by the stamps in their names."""
     name, stamped = re.compile(pattern), []
     for path in cloud_files(folder):
-        match = name.fullmatch(path.name)
-        if match is None:
-            continue
-        try:
+        if match := name.fullmatch(path.name):
             stamped.append(StampedFile(stamp_of_name(match), path, 0))
-        except ValueError as error:
-            account.refuse(RecordFault(BAD_STAMP, f"{path.name}: {error}"), folder.name, 1)
+    stamped = in_seconds(stamped, account, folder.name)
     stamped.sort(key=lambda file: (file.stamp_s, file.path.name))
     return [replace(file, number=number) for number, file in enumerate(stamped, 1)]
 

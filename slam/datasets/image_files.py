@@ -33,7 +33,7 @@ DAMAGED = "image truncated or damaged"
 NOT_COLOR = "colour image not 8-bit RGB or grey"
 NOT_16_BIT = "depth image not 16-bit"
 MANY_CHANNELS = "depth image has several channels"
-NOT_PNG = "depth image neither PNG nor PGM"
+NOT_PNG = "depth image neither PNG, PGM nor .npy: convert it to PNG of 16 bits, in mm"
 NOT_METRES = "depth array not of metres"
 OTHER_CONFIDENCE = "confidence image does not fit the depth"
 

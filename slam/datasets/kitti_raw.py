@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from datetime import UTC, datetime
 from pathlib import Path
 
 import gtsam
@@ -23,7 +22,7 @@ from slam.datasets.log_file import first_file, numbered_lines
 from slam.datasets.numbered_frames import numbered_files
 from slam.datasets.pose_files import numbers_of, rotation_and_shift, trajectory_of
 from slam.datasets.recording import Contents, Numbered
-from slam.datasets.stamped_files import BAD_POSE, BAD_STAMP, StampedFile
+from slam.datasets.stamped_files import BAD_POSE, StampedFile, stamp_of
 from slam.estimates import Trajectory
 from slam.measurements import FloatArray, ImuReading
 
@@ -92,14 +91,9 @@ def _clouds(path: Path, account: Account) -> list[StampedFile]:
 def _stamps(path: Path, account: Account) -> Iterator[tuple[int, float]]:
     """Lines ``2011-09-26 13:02:25.951199337`` by their numbers from 0."""
     for number, line in numbered_lines(path, account):
-        text = line.decode("ascii", "replace").strip()
-        try:
-            moment, _, fraction = text.partition(".")
-            seconds = datetime.strptime(moment, "%Y-%m-%d %H:%M:%S").replace(tzinfo=UTC).timestamp()
-            yield number - 1, seconds + float(f"0.{fraction or 0}")
-        except ValueError as error:
-            if text:
-                account.refuse(RecordFault(BAD_STAMP, str(error)), path.name, number)
+        with account.refusing(path.name, number):
+            if fields := line.split():
+                yield number - 1, stamp_of(b"T".join(fields))
 
 
 def _turn(path: Path) -> float:

@@ -14,7 +14,6 @@ from slam.datasets.cloud_files import Rows, row_of
 from slam.datasets.clouds_over_time import CloudFolder, clouds_by_name
 from slam.datasets.dataset import WARNING
 from slam.datasets.dataset_format import recorded
-from slam.datasets.pose_files import by_its_size
 from slam.datasets.recording import Contents
 from slam.datasets.stamped_files import StampedFile
 
@@ -39,7 +38,7 @@ def _load(path: Path, account: Account) -> Contents:
     """The clouds of the first drive by name; the robot's frame is that of the lidar."""
     files: list[StampedFile] = []
     for place in _places(path):
-        files += clouds_by_name(place, account, _NAME, lambda match: by_its_size(int(match[2])))
+        files += clouds_by_name(place, account, _NAME, lambda match: float(match[2]))
     files.sort(key=lambda file: file.stamp_s)
     drives = sorted({_drive(file) for file in files})
     if len(drives) > 1:

@@ -31,9 +31,9 @@ from slam.datasets.numbered_frames import (
     poses_of_files,
     with_own_calibration,
 )
-from slam.datasets.pose_files import by_its_size, numbers_of, pose_blocks, trajectory_of
+from slam.datasets.pose_files import numbers_of, pose_blocks, trajectory_of
 from slam.datasets.recording import Contents
-from slam.datasets.stamped_files import StampedFile
+from slam.datasets.stamped_files import StampedFile, in_seconds
 from slam.errors import DatasetError
 from slam.estimates import Trajectory
 from slam.measurements import CameraIntrinsics, Float32Array
@@ -105,26 +105,26 @@ def _camera(path: Path, account: Account) -> Camera:
         numbered = [numbered_files(place, _NUMBER.pattern + r"\.(?:png|jpe?g)") for place in places]
         return numbered_camera(numbered[0], numbered[1], calibration, account, at_rate(), source)
     account.report.note(STAMPS_IN_NAMES, 1)
-    stamped = [_stamped(place, named) for place, named in zip(places, (colors, depths), strict=True)]
+    stamped = [_stamped(place, named, account) for place, named in zip(places, (colors, depths), strict=True)]
     return Camera(
         "camera", pair_images(stamped[0], stamped[1], account, "camera"), calibration, source=source
     )
 
 
-def _stamped(folder: Path, named: list[tuple[str, Path]]) -> list[StampedFile]:
+def _stamped(folder: Path, named: list[tuple[str, Path]], account: Account) -> list[StampedFile]:
     """Images sorted by the stamps in their names."""
     stamped = []
     for number, (name, file) in enumerate(named, 1):
         if match := _FRAME_AND_STAMP.fullmatch(name):
             stamped.append(StampedFile(int(match[2]) * 1e-6, file, number))
         elif match := _CLOCK.fullmatch(name):
-            stamped.append(StampedFile(by_its_size(float(match[1])), file, number))
+            stamped.append(StampedFile(float(match[1]), file, number))
         else:
             raise DatasetError(
                 f"{folder} holds '{file.name}', which is no number and no stamp; "
                 "list the images with their stamps in rgb.txt and depth.txt, as TUM does"
             )
-    return sorted(stamped, key=lambda image: image.stamp_s)
+    return sorted(in_seconds(stamped, account, folder.name), key=lambda image: image.stamp_s)
 
 
 def _calibration(path: Path) -> Calibration:

@@ -145,10 +145,10 @@ def opened_by(sensors: SensorsConfig, log: Path | str | Dataset, *, strict: bool
 def _opened(known: DatasetFormat, path: Path, strict: bool, topics: tuple[str, ...]) -> Dataset:
     """A log of a known format."""
     if known is not _CARMEN:
-        from slam.datasets.bags.dataset import open_bag
+        from slam.datasets.bags.dataset import BagDataset
 
-        if known.open is open_bag:
-            return open_bag(path, strict, topics)
+        if known.open is BagDataset:
+            return BagDataset(path, strict, topics)
     if topics:
         raise DatasetError(f"{path} is a {known.description} and has no topics; leave out --topics")
     return known.open(path, strict)
@@ -175,7 +175,8 @@ def _problem_of(folder: Path) -> str:
     inside = [str(recording.relative_to(folder)) for recording in _recordings(folder)]
     if inside:
         return f"is no log itself but holds some; give one of {', '.join(inside[:8])}"
-    return f"is a directory of no known format; {_supported()}"
+    listed = "list images in rgb.txt and depth.txt, clouds in times.txt, or write a bag"
+    return f"is a directory of no known format: {listed}; {_supported()}"
 
 
 def _recordings(folder: Path) -> list[Path]:

@@ -19,7 +19,7 @@ from slam.datasets.clouds_over_time import CloudFolder, cloud_files, clouds_by_n
 from slam.datasets.dataset_format import recorded
 from slam.datasets.imu_files import beside_imu, imu_file
 from slam.datasets.log_file import first_file
-from slam.datasets.pose_files import by_its_size, trajectory_of
+from slam.datasets.pose_files import trajectory_of
 from slam.datasets.recording import Contents
 from slam.datasets.stamped_files import numbered_poses, read_poses
 from slam.estimates import Trajectory
@@ -49,7 +49,7 @@ def _load(path: Path, account: Account) -> Contents:
 def _stamp(match: re.Match[str]) -> float:
     """Stamp in seconds."""
     seconds, parted, rest = match[1].partition("_")
-    return int(seconds) + int(rest) * 1e-9 if parted else by_its_size(float(seconds))
+    return int(seconds) + int(rest) * 1e-9 if parted else float(seconds)
 
 
 def _place(path: Path) -> Path | None:

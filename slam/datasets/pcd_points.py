@@ -22,12 +22,7 @@ _MOST_GROWTH = 264 / 3
 def read_pcd_points(path: Path) -> dict[str, NDArray[Any]]:
     """The fields of the points by name, (N,) each, or (N, C) if a field has a count C.
 
-    Raises
-    ------
-    ValueError
-        The file is damaged, truncated, or no PCD file.
-    OSError
-        It cannot be read.
+    ValueError if the file is damaged, truncated, or no PCD file; OSError if it cannot be read.
     """
     with path.open("rb") as stream:
         header = _header(stream)

@@ -20,12 +20,7 @@ _LIST = "list"
 def read_ply_points(path: Path) -> dict[str, NDArray[Any]]:
     """The properties of the element ``vertex`` by name, (N,) each.
 
-    Raises
-    ------
-    ValueError
-        The file is damaged, truncated, or no PLY file.
-    OSError
-        It cannot be read.
+    ValueError if the file is damaged, truncated, or no PLY file; OSError if it cannot be read.
     """
     with path.open("rb") as stream:
         form, elements = _header(stream)

@@ -11,13 +11,13 @@ from numpy.typing import NDArray
 
 from fusion.estimation import FEWEST
 from slam.datasets.dataset import WARNING
+from slam.datasets.stamped_files import UNITS_S
 from slam.measurements import Float32Array, FloatArray
 
 # By the names of all known drivers: t, ts, time, timestamp, offset_time, gps_time and others.
 _TIME = re.compile(r"ts?|.*(time|stamp).*", re.IGNORECASE)
 # Drivers, PCL, CloudCompare; a reflectivity is an intensity corrected for range.
 _INTENSITIES = "intensity", "intensities", "i", "scalar_intensity", "reflectivity", "reflectance", "remission"
-_UNITS_S = {"seconds": 1.0, "milliseconds": 1e-3, "microseconds": 1e-6, "nanoseconds": 1e-9}
 # Every revolution takes longer than the first and less than the second; their ratio is that of two units.
 _SHORTEST_TURN_S, LONGEST_TURN_S = 0.002, 2.0
 _SAME_CLOCK_S = 1.0
@@ -90,7 +90,7 @@ class PointTimes:
             kind, values = values.dtype, values.astype(np.float64)
             span = float(np.ptp(values)) if values.size and np.isfinite(values).all() else 0.0
             self.choice = f"times of points in field {name} span {span:g}, which is no revolution: not used"
-            for unit, unit_s in _UNITS_S.items():
+            for unit, unit_s in UNITS_S.items():
                 if _SHORTEST_TURN_S < span * unit_s <= LONGEST_TURN_S:
                     self._field, self._unit_s = name, unit_s
                     absolute = abs(float(values.min()) * unit_s) > LONGEST_TURN_S

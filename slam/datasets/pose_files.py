@@ -11,9 +11,9 @@ import numpy as np
 
 from slam.datasets.account import Account
 from slam.datasets.calibration import pose_from, pose_from_matrix
-from slam.datasets.dataset import RecordFault
+from slam.datasets.dataset import STAMP_LIMIT_S, RecordFault
 from slam.datasets.log_file import MAX_LINE_BYTES, numbered_lines
-from slam.datasets.stamped_files import BAD_POSE, BAD_STAMP, PARTED, fields_of
+from slam.datasets.stamped_files import BAD_POSE, BAD_STAMP, PARTED, UNITS_S, fields_of
 from slam.estimates import Trajectory
 from slam.measurements import FloatArray, row_from_pose
 
@@ -21,9 +21,6 @@ from slam.measurements import FloatArray, row_from_pose
 T_ARKIT_OPTICAL = gtsam.Pose3(gtsam.Rot3(np.diag([1.0, -1.0, -1.0])), np.zeros(3))
 COMPARED = "the phone's own tracking is used only for comparison"
 BAD_MATRIX = "pose without a 4 x 4 rigid transform"
-
-# The size of an absolute stamp shows its unit: seconds until the year 5138, and so on.
-_LARGEST = ((1e11, 1.0), (1e14, 1e-3), (1e17, 1e-6), (1e20, 1e-9))
 
 
 @dataclass(frozen=True, slots=True)
@@ -85,8 +82,8 @@ class PoseTable:
 
 def by_its_size(number: float) -> float:
     """Return seconds of a stamp since 1970 in s, ms, us or ns; ValueError if no clock shows it."""
-    for largest, unit_s in _LARGEST:
-        if abs(number) < largest:
+    for unit_s in UNITS_S.values():
+        if abs(number) * unit_s < STAMP_LIMIT_S:
             return number * unit_s
     raise ValueError(f"{BAD_STAMP}: {number}")
 

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from importlib import import_module
 
-from slam.datasets.bags.dataset import open_bag
+from slam.datasets.bags.dataset import BagDataset
 from slam.datasets.bags.files import looks_like_bag
 from slam.datasets.dataset_format import DatasetFormat
 from slam.datasets.robot_at_home import looks_like_robot_at_home, open_robot_at_home
@@ -31,7 +31,7 @@ def _formats_of(layouts: str) -> list[DatasetFormat]:
 OTHERS: tuple[DatasetFormat, ...] = (
     *_formats_of(_LAYOUTS),
     DatasetFormat("Robot@Home session folder", looks_like_robot_at_home, open_robot_at_home),
-    DatasetFormat("ROS bag (.bag, .db3, .mcap, or the folder of one)", looks_like_bag, open_bag),
+    DatasetFormat("ROS bag (.bag, .db3, .mcap, or the folder of one)", looks_like_bag, BagDataset),
     DatasetFormat("Robot@Home2 database (rh.db)", looks_like_robot_at_home2, open_robot_at_home2),
     *_formats_of(_LOOSE),
 )

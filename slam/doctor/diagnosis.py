@@ -31,7 +31,7 @@ from slam.doctor.scan_motion import ScanMotion, Steps, track_stretches
 from slam.doctor.seen_floor import floor_findings
 from slam.doctor.stretches import Stretches
 from slam.doctor.tilt import stood_up
-from slam.doctor.turning import Turn, turn_by_beam_times, turn_in_the_plane
+from slam.doctor.turning import Turn, stamped, turn_by_beam_times, turn_in_the_plane
 from slam.doctor.wheels_and_lidar import compare
 from slam.measurements import LaserScan, Measurement
 from slam.vision.color_registration import ColorRegistration
@@ -217,8 +217,9 @@ def _in_space(
         steps = [step for stretch in clouds.steps for step in stretch]
         for name, imu in samples.imus.items():
             new = imu_findings(name, imu, steps, clouds.T_base_lidar, clouds.untimed_s)
-            turn = clouds.turn
-            found += [same for one in new for same in ([one] if turn is None else turn.stamped(one, lidar))]
+            span_s = abs((clouds.turn_s.median() or 0.0) * clouds.times_scale)
+            turn_s, timed = (span_s, True) if clouds.turn is None else (abs(clouds.turn.turn_s), False)
+            found += [same for one in new for same in stamped(one, lidar, turn_s, timed=timed)]
     if base is None:
         return found
     motions = [

@@ -84,26 +84,28 @@ class Turn:
             value=turn_s,
         )
 
-    def stamped(self, clock: Finding, lidar: str) -> list[Finding]:
-        """Explain an IMU's clock offset by the stamps of the lidar, if they are nearer to one end of a sweep.
-
-        Drivers stamp the beginning of a sweep or its end; points without times are assigned to its middle.
-        What remains is the offset of the IMU's clock.
-        """
-        ahead_s, half_s = clock.value or 0.0, 0.5 * abs(self.turn_s)
-        if clock.kind != "clock" or clock.interval is None or abs(ahead_s) < 0.5 * half_s:
-            return [clock]
-        half_s = math.copysign(half_s, ahead_s)
-        text = f"its stamps are of the {'beginning' if half_s > 0.0 else 'end'} of a sweep, by the IMU"
-        effect = "poses are off by half a revolution in time"
-        remedy: Remedy = {"lidars_3d": {lidar: {"clock_offset_s": round(-half_s, 4)}}}
-        sweep = Finding(lidar, clock.kind, text, effect, (remedy,), sure=True, value=-half_s)
-        rest_s, within_s = ahead_s - half_s, 0.5 * (clock.interval[1] - clock.interval[0])
-        return [sweep, *clock_findings(clock.sensor, rest_s, within_s)]
-
     def timed(self, cloud: PointCloud) -> PointCloud:
         """The cloud with point times, and the stamp in the middle of its revolution."""
         return replace(cloud, times_s=turn_times(cloud.points_lidar, self.turn_s, self.cut_rad))
+
+
+def stamped(clock: Finding, lidar: str, turn_s: float, *, timed: bool) -> list[Finding]:
+    """Explain an IMU's clock offset by the stamps of the lidar, if they are nearer to one end of a sweep.
+
+    Drivers stamp the beginning of a sweep or its end; points without times are assigned to its middle, those
+    with times to the beginning. What remains is the offset of the IMU's clock, which times leave none for.
+    """
+    ahead_s, off_s = clock.value or 0.0, turn_s if timed else 0.5 * turn_s
+    if clock.kind != "clock" or clock.interval is None or abs(ahead_s) < 0.5 * off_s:
+        return [clock]
+    off_s = math.copysign(off_s, ahead_s)
+    rest = clock_findings(clock.sensor, ahead_s - off_s, 0.5 * (clock.interval[1] - clock.interval[0]))
+    if timed and (rest or ahead_s > 0.0):
+        return [clock]
+    text = f"its stamps are of the {'beginning' if off_s > 0.0 else 'end'} of a sweep, by the IMU"
+    effect = f"poses are off by {abs(off_s):.3g} s in time"
+    remedy: Remedy = {"lidars_3d": {lidar: {"clock_offset_s": round(-off_s, 4)}}}
+    return [Finding(lidar, clock.kind, text, effect, (remedy,), sure=True, value=-off_s), *rest]
 
 
 @dataclass(frozen=True, slots=True)

@@ -56,16 +56,7 @@ def write_layers(folder: Path, layers: LayeredMap) -> list[Path]:
 
     A layer without data of its sensor is left out; without cameras, the only layer is the map itself, and
     nothing is written. In the raw map a pixel is the probability in percent, and 255, which nav2 reads as
-    unknown, where it is one half.
-
-    Returns
-    -------
-    The yaml files.
-
-    Raises
-    ------
-    MapFileError
-        If a file cannot be written.
+    unknown, where it is one half. Returns the yaml files; MapFileError if one cannot be written.
     """
     remove_maps(folder, set(LAYERS) - set(layers.names))
     if not layers.names:
@@ -119,19 +110,12 @@ def write_raw(
 def write_ground_layers(folder: Path, ground: Elevation | None, driving_yaml: Path) -> list[Path]:
     """Write ``elevation`` (16 bits, centimetres) and ``slope`` (nav2's raw mode); None removes earlier ones.
 
+    Returns the yaml files; MapFileError if one cannot be written.
+
     Parameters
     ----------
     driving_yaml
         The navigation map, whose form the yaml files have.
-
-    Returns
-    -------
-    The yaml files.
-
-    Raises
-    ------
-    MapFileError
-        If a file cannot be written.
     """
     if ground is None:
         remove_maps(folder, {_ELEVATION, _SLOPE})

@@ -49,21 +49,14 @@ def write_zones(
 ) -> list[Path]:
     """Write the masks, as large as the map; a mask without a zone is removed.
 
+    Returns the yaml files; MapFileError if one cannot be written.
+
     Parameters
     ----------
     keep_out
         (n, 2) corners of each zone, map frame.
     slow
         The same, with percent of the usual speed; where zones overlap the least counts.
-
-    Returns
-    -------
-    The yaml files.
-
-    Raises
-    ------
-    MapFileError
-        If a file cannot be written.
     """
     masks: dict[str, StateArray] = {}
     size, place = layers.states("decision").shape, (layers.resolution_m, layers.T_map_grid)

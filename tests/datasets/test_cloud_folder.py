@@ -21,6 +21,7 @@ from slam.datasets.clouds_over_time import UNPAIRED, WITHOUT_CLOUD
 from slam.datasets.dataset import RecordFault
 from slam.datasets.image_files import depth_of
 from slam.datasets.inspection import inspect_dataset
+from slam.datasets.stamped_files import BAD_STAMP
 from slam.errors import DatasetError
 from slam.evaluation.pages import inspection_text
 from slam.measurements import PointCloud, WheelOdometry
@@ -120,6 +121,44 @@ def test_a_list_of_another_length_is_counted(tmp_path: Path, stamps: int, reason
     (tmp_path / "times.txt").write_text("".join(f"{k}.0\n" for k in range(stamps)))
     found, dataset = read(tmp_path)
     assert len(found) == min(stamps, 3) and dropped(dataset) == {reason: 1}
+
+
+@pytest.mark.parametrize("begun_s", [0.0, 1000.0, 1_700_000_000.0])
+@pytest.mark.parametrize(("unit", "in_a_second"), [("milliseconds", 1e3), ("nanoseconds", 1e9)])
+def test_stamps_that_are_no_seconds_are_read_in_their_unit(
+    tmp_path: Path, unit: str, in_a_second: float, begun_s: float
+) -> None:
+    folder = kitti(tmp_path, 4)
+    lines = [f"{(begun_s + 0.1 * k) * in_a_second:.0f}\n" for k in range(4)]
+    (folder / "times.txt").write_text("".join(lines))
+    found, dataset = read(folder)
+    assert [one.stamp_s for one in found] == pytest.approx([begun_s + 0.1 * k for k in range(4)], rel=1e-15)
+    assert any("times.txt" in text and unit in text for text in dataset.report.warnings) == (begun_s < 1e9)
+    for k, line in enumerate(lines):  # the same as names
+        (folder / "velodyne" / f"{k:06d}.bin").rename(folder / "velodyne" / f"{int(line):010d}.bin")
+    (folder / "times.txt").unlink()
+    named = [one.stamp_s for one in clouds(folder / "velodyne")]
+    assert named == pytest.approx([one.stamp_s for one in found])
+
+
+def test_stamps_may_be_dates(tmp_path: Path) -> None:
+    folder = kitti(tmp_path, 3)
+    for parted in ("T", " "):
+        lines = [f"2011-09-26{parted}13:02:25.{k}00000500\n" for k in range(3)]
+        (folder / "times.txt").write_text("".join(lines))
+        stamps = [one.stamp_s - 1317042145.0 for one in clouds(folder)]
+        assert stamps == pytest.approx([5e-7, 0.1 + 5e-7, 0.2 + 5e-7], abs=3e-7)
+    named = [f"{k}.0 velodyne/{k:06d}.bin\n" for k in range(3)]
+    (folder / "times.txt").write_text("".join(named))
+    assert [one.stamp_s for one in clouds(folder)] == [0.0, 1.0, 2.0]
+
+
+def test_clouds_that_come_seldom_keep_their_seconds_and_one_wrong_stamp_is_counted(tmp_path: Path) -> None:
+    bins(tmp_path, 4)
+    (tmp_path / "times.txt").write_text("0\n8\n16\n24000000000000\n")
+    found, dataset = read(tmp_path)
+    assert [one.stamp_s for one in found] == [0.0, 8.0, 16.0]
+    assert dropped(dataset) == {BAD_STAMP: 1} and not any("unit" in note for note in dataset.report.notes)
 
 
 def test_damaged_clouds_are_counted(tmp_path: Path) -> None:

@@ -21,7 +21,7 @@ from slam.doctor.diagnosis import _in_space
 from slam.doctor.finding import Finding, remedied
 from slam.doctor.imu import ImuSamples, clock_findings, imu_findings, turn_fit
 from slam.doctor.samples import Samples
-from slam.doctor.turning import Turn
+from slam.doctor.turning import Turn, stamped
 from slam.measurements import GRAVITY_M_S2, ImuReading, PointCloud
 
 T_BASE_LIDAR = gtsam.Pose3(gtsam.Rot3.Yaw(0.5), np.array([0.1, 0.0, 0.3]))
@@ -273,12 +273,21 @@ def test_an_offset_is_of_the_lidar_as_far_as_half_a_revolution_explains_it(
     ahead_s: float, lidar_s: float, imu_s: float
 ) -> None:
     (clock,) = clock_findings("imu", ahead_s, 0.004)
-    found = {one.sensor: one for one in Turn(-0.1, 1e-3, 0.0).stamped(clock, "lidar")}
+    found = {one.sensor: one for one in stamped(clock, "lidar", 0.1, timed=False)}
     assert found["lidar"].value == pytest.approx(lidar_s)
     assert ("imu" in found) == (imu_s > 0.0)
     assert not imu_s or found["imu"].value == pytest.approx(imu_s)
 
 
+@pytest.mark.parametrize(("ahead_s", "of"), [(-0.098, "lidar"), (-0.08, "imu"), (0.1, "imu")])
+def test_an_offset_of_a_whole_revolution_is_of_the_stamps_of_a_lidar_with_times(
+    ahead_s: float, of: str
+) -> None:
+    (clock,) = clock_findings("imu", ahead_s, 0.002)
+    (found,) = stamped(clock, "lidar", 0.1, timed=True)
+    assert found.sensor == of and found.value == pytest.approx(0.1 if of == "lidar" else ahead_s)
+
+
 def test_a_small_offset_is_of_the_imu() -> None:
     (clock,) = clock_findings("imu", 0.02, 0.002)
-    assert Turn(-0.1, 1e-3, 0.0).stamped(clock, "lidar") == [clock]
+    assert stamped(clock, "lidar", 0.1, timed=False) == [clock]

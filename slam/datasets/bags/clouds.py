@@ -132,8 +132,8 @@ class CloudView:
         Number of points.
     around
         Fraction of the directions about z that contain a point.
-    timed
-        Whether its points have timestamps.
+    timed, ends_s
+        Whether its points have timestamps, and the last of them after that of the cloud.
     ahead_rad, width_rad
         Mean bearing of the points about z, and the width of their spread, if it is uniform.
     """
@@ -144,6 +144,7 @@ class CloudView:
     points: int = 0
     around: float = 0.0
     timed: bool = False
+    ends_s: float = 0.0
     ahead_rad: float = 0.0
     width_rad: float = 0.0
 
@@ -167,11 +168,9 @@ def cloud_view(message: Any) -> CloudView:
     offsets = bearings - ahead_rad / (2.0 * math.pi)
     # The standard deviation of a uniform distribution is its width divided by sqrt(12).
     width_rad = 2.0 * math.pi * math.sqrt(12.0) * float((offsets - np.rint(offsets)).std())
-    timed = cloud.times_s is not None
-    count = len(cloud.points_lidar)
-    return CloudView(
-        cloud.stamp_s, int(message.height), "".join(along[:1]), count, around, timed, ahead_rad, width_rad
-    )
+    kind = int(message.height), "".join(along[:1]), len(cloud.points_lidar), around, cloud.times_s is not None
+    ends_s = 0.0 if cloud.times_s is None else float(cloud.times_s.max())
+    return CloudView(cloud.stamp_s, *kind, ends_s, ahead_rad, width_rad)
 
 
 def _rows(message: Any) -> NDArray[Any]:

@@ -10,6 +10,7 @@ from typing import Any
 
 from slam.datasets.account import Account
 from slam.datasets.bags.camera import BagCamera
+from slam.datasets.bags.cloud_messages import header_at
 from slam.datasets.bags.decoding import Decoder, stamp_of
 from slam.datasets.bags.figures import BagFigures
 from slam.datasets.bags.files import Bag, find_bag
@@ -18,7 +19,7 @@ from slam.datasets.bags.layout import Layout, frames_of, layout_of
 from slam.datasets.bags.ouster import Ousters
 from slam.datasets.bags.pairing import ImagePair, PairStream, StampedImage
 from slam.datasets.bags.records import BagRecord
-from slam.datasets.bags.survey import Survey, restamp, survey_bag
+from slam.datasets.bags.survey import Survey, survey_bag
 from slam.datasets.bags.time_merge import TimeMerge
 from slam.datasets.bags.topics import IMAGES, OUSTER, TRANSFORMS, advice
 from slam.datasets.bags.truth import read_truth, truth_topic
@@ -78,7 +79,7 @@ class BagDataset:
         Whether to read frames; without them, reading the other sensors is many times faster.
     """
 
-    def __init__(self, path: Path, *, strict: bool = False, topics: tuple[str, ...] = ()) -> None:
+    def __init__(self, path: Path, strict: bool = False, topics: tuple[str, ...] = ()) -> None:
         self.path = path
         self.name = plain(path.resolve().name)
         self.report = ReadReport()
@@ -146,11 +147,9 @@ class BagDataset:
                 self.report.ignore(name, why_not, count)
             elif made and not self.report.records[made]:
                 self.report.ignore(name, "none of its messages could be read", count)
-            elif topic not in layout.readers:
+            elif topic in layout.joined or topic not in layout.readers:
                 self.report.beside[name] = count
-            elif topic in layout.joined:
-                self.report.beside[name] = count
-                self.report.part_of[name] = layout.joined[topic]
+                self.report.part_of[name] = layout.joined.get(topic, "")
 
     def _open(self) -> tuple[Bag, Survey, Layout]:
         """Files, topics and sensor poses: found once, so that each pass reads the same."""
@@ -162,14 +161,9 @@ class BagDataset:
         return self._opened
 
 
-def open_bag(path: Path, strict: bool, topics: tuple[str, ...] = ()) -> BagDataset:
-    """A bag of ROS 1 or ROS 2."""
-    return BagDataset(path, strict=strict, topics=topics)
-
-
 def _stream(
     bag: Bag, layout: Layout, account: Account, budget: Budget, figures: BagFigures, *, images: bool
-) -> Iterator[_Done | _FrameToDo]:
+) -> Iterator[tuple[int, Measurement] | _FrameToDo]:
     """The contents of the bag in order, images not decoded yet."""
     time_merge: TimeMerge[_FrameToDo] = TimeMerge()
     pairs = [PairStream(camera.sensor, camera.tolerance_s, account) for camera in layout.cameras]
@@ -190,7 +184,7 @@ def _stream(
                 time_merge.add_reading(record.number, item, now_s)
         for place, pair_stream in enumerate(pairs):
             _add_frames(time_merge, layout, place, pair_stream.settle(now_s))
-        yield from _wrapped(time_merge.due(now_s))
+        yield from time_merge.due(now_s)
     for record in last.values():
         for item in reader.rest(record):
             time_merge.add_reading(record.number, item, record.recorded_s)
@@ -198,7 +192,7 @@ def _stream(
         account.report.note(text, number)
     for place, pair_stream in enumerate(pairs):
         _add_frames(time_merge, layout, place, pair_stream.rest())
-    yield from _wrapped(time_merge.rest())
+    yield from time_merge.rest()
     for pair_stream in pairs:
         pair_stream.note_offsets()
 
@@ -214,16 +208,10 @@ def _add_frames(
         )
 
 
-def _wrapped(items: Iterator[tuple[int, Measurement] | _FrameToDo]) -> Iterator[_Done | _FrameToDo]:
-    """Wrap readings, which need no decoding."""
-    for item in items:
-        yield item if isinstance(item, _FrameToDo) else _Done(*item)
-
-
-def _decoded(item: _Done | _FrameToDo, budget: Budget) -> _Done:
+def _decoded(item: tuple[int, Measurement] | _FrameToDo, budget: Budget) -> _Done:
     """Decode the images of a frame; runs on the prefetching thread."""
-    if isinstance(item, _Done):
-        return item
+    if not isinstance(item, _FrameToDo):
+        return _Done(*item)
     number, where = item.pair.color.number, item.camera.sensor
     try:
         return _Done(number, item.camera.frame(item.pair, budget))
@@ -272,7 +260,7 @@ class _Reader:
             return list(layout.wheels_from(message)) if layout.wheels_from else []
         if shift_s := layout.shifts_s.get(topic):
             at_s = record.recorded_s if math.isinf(shift_s) else stamp_of(message.header) - shift_s
-            restamp(message, at_s)
+            message.header.stamp = header_at(at_s, "").stamp
         stamp_s = stamp_of(message.header)
         self._figures.stamped(record, stamp_s)
         if topic in layout.images:

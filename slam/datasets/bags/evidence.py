@@ -158,7 +158,9 @@ def _scan_rank(survey: Survey, topic: str) -> tuple[Any, ...]:
     """Scanners with a pose in tf first, then the wider view, then the longer range."""
     base, frame = survey.base_frame(), survey.frames.get(topic, "")
     lost = base is not None and survey.tree.between(base, frame) is None and frame != base
-    span_rad, range_m = survey.scans.get(topic, (0.0, 0.0))
+    scan = survey.scans.get(topic)
+    view = (float(abs(scan.angle_max - scan.angle_min)), float(scan.range_max)) if scan else (0.0, 0.0)
+    span_rad, range_m = view if all(map(math.isfinite, view)) else (0.0, 0.0)
     return lost, -round(math.degrees(span_rad)), -range_m, topic
 
 

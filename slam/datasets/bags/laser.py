@@ -47,12 +47,15 @@ class LaserMount:
         return cls(flat, bool(axes[2, 2] < 0.0), math.acos(min(abs(axes[2, 2]), 1.0)))
 
 
-def scan_from(message: Any, mount: LaserMount, topic: str, repeated: RepeatedRange) -> LaserScan:
+def scan_from(
+    message: Any, mount: LaserMount, topic: str, repeated: RepeatedRange, unit: float = 1.0
+) -> LaserScan:
     """A scan with counter-clockwise beams, as seen from above the robot.
 
     Of a MultiEchoLaserScan, the nearest valid echo of each beam is used, because glass is an obstacle. NaN
     and ranges below ``range_min`` are invalid, if ``range_min`` is below ``range_max``; ranges from
-    ``range_max`` on and ``inf`` hit nothing (REP-117). The stamp is that of the first beam.
+    ``range_max`` on and ``inf`` hit nothing (REP-117). The stamp is that of the first beam. Times are divided
+    by ``unit``.
 
     Raises
     ------
@@ -61,7 +64,7 @@ def scan_from(message: Any, mount: LaserMount, topic: str, repeated: RepeatedRan
     """
     ranges_m = _ranges(message)
     start_rad, step_rad = float(message.angle_min), float(message.angle_increment)
-    beam_s = float(message.time_increment)
+    beam_s = float(message.time_increment) / unit
     if not ranges_m.size:
         raise RecordFault(ZERO_BEAMS, topic)
     span = abs(step_rad) * (ranges_m.size - 1)

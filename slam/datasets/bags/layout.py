@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections import Counter
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from typing import Any
@@ -10,6 +11,7 @@ from typing import Any
 import gtsam
 import numpy as np
 
+from slam.datasets.account import Account
 from slam.datasets.bags.by_files import FileFacts
 from slam.datasets.bags.camera import APART_M, BagCamera
 from slam.datasets.bags.clouds import CloudReader, TurnReader
@@ -20,7 +22,7 @@ from slam.datasets.bags.imu import NO_FORCES, ImuReader, JoinedImu, paired_halve
 from slam.datasets.bags.laser import ANGLE_TOLERANCE_RAD, LaserMount, scan_from
 from slam.datasets.bags.lens import Lens, lens_of
 from slam.datasets.bags.ouster_model import OusterModel
-from slam.datasets.bags.survey import Survey, clock_shifts, count_messages
+from slam.datasets.bags.survey import OTHER_CLOCK_S, Survey, clock_shifts, times_unit
 from slam.datasets.bags.topics import (
     CAMERA_INFO,
     SENSORS,
@@ -55,7 +57,7 @@ class Layout:
     readers
         For each topic, the function that converts a message to one or more readings.
     joined
-        For each topic with only accelerations, the topic of its angular rates.
+        For each topic with only a part of a sensor (accelerations, images, lenses), the sensor.
     images
         For each image topic, the index of its camera in ``cameras``, and whether it is depth.
     wheels_from
@@ -153,9 +155,12 @@ def layout_of(bag: Bag, survey: Survey, requested: tuple[str, ...], known: Known
     for place, camera in enumerate(choice.cameras):
         layout.cameras.append(_camera(survey, layout, camera, only=len(choice.cameras) == 1))
         layout.images[camera.color], layout.images[camera.depth] = (place, False), (place, True)
+        layout.joined |= {camera.color: camera.name, camera.depth: camera.name}
     layout.lenses |= survey.facts.fact_topics if layout.cameras else set()
     for topic in choice.lonely:
         layout.left_out[topic] = f"no {'colour' if survey.depths.get(topic) else 'depth'} beside it"
+        if {"depth", "aligned_depth_to_color"} & {*topic.split("/")} and not survey.depths.get(topic, True):
+            layout.left_out[topic] = "its images are pictures of depth; record it as 16UC1 or 32FC1"
         layout.notes.append(f"{topic} is not read: {layout.left_out[topic]}")
     if not choice.odometry and layout.base:
         layout.wheels_from = wheels_from_tf(survey, layout.base, layout.notes)
@@ -174,7 +179,10 @@ def _read_clocks(survey: Survey, layout: Layout) -> None:
         if topic in layout.readers or topic in layout.images:
             layout.shifts_s[topic] = shift_s
             ahead = f"{abs(shift_s):.1f} s {'ahead of' if shift_s > 0 else 'behind'} the other topics'"
-            layout.notes.append(f"{WARNING}{topic}: its clock is {ahead}; corrected by its first arrival")
+            text = f"its clock is {ahead}; corrected by its first arrival"
+            if abs(shift_s) < OTHER_CLOCK_S:
+                text = f"it arrives before its last point, so it is stamped there; {shift_s:.3f} s taken off"
+            layout.notes.append(f"{WARNING}{topic}: {text}")
 
 
 def _choice(bag: Bag, survey: Survey, requested: tuple[str, ...]) -> Choice:
@@ -201,7 +209,8 @@ def _choice(bag: Bag, survey: Survey, requested: tuple[str, ...]) -> Choice:
 
 def _listing(bag: Bag, survey: Survey) -> str:
     """Sensor topics with types and numbers of messages."""
-    counts = count_messages(bag)
+    records = bag.records(Account.quiet(bag.path), bag.budget())
+    counts = Counter(record.channel.topic for record in records)
     topics = [
         f"{topic} ({channel.kind.rpartition('/')[2]}, {counts[topic]} messages)"
         for topic, channel in sorted(survey.channels.items())
@@ -266,8 +275,11 @@ def _scan_reader(survey: Survey, layout: Layout, topic: str) -> Callable[[Any], 
         layout.notes.append(f"{WARNING}{text} as level: ranges are up to {long:.0%} too long")
     if mount.inverted:
         layout.notes.append(f"{topic}: the laser is mounted upside down; its beams are reversed")
-    repeated = RepeatedRange()
-    return lambda message: scan_from(message, mount, topic, repeated)
+    repeated, unit = RepeatedRange(), times_unit(survey, topic) if topic in survey.scans else 1.0
+    if unit != 1.0:
+        text = f"{topic}: by time_increment, a revolution takes {unit:g} times as long as from scan to scan"
+        layout.notes.append(f"{WARNING}{text}; divided by it")
+    return lambda message: scan_from(message, mount, topic, repeated, unit)
 
 
 def _cloud_reader(
@@ -307,8 +319,8 @@ def _camera(survey: Survey, layout: Layout, topics: CameraTopics, *, only: bool)
     stamps = [survey.stamps_s.get(topic, []) for topic in (topics.color, topics.depth)]
     camera = BagCamera(
         topics.name,
-        layout.files.lens(survey, topics.depth, _lens(survey, layout, topics.depth)),
-        layout.files.lens(survey, topics.color, _lens(survey, layout, topics.color)),
+        layout.files.lens(survey, topics.depth, _lens(survey, layout, topics.depth, topics.name)),
+        layout.files.lens(survey, topics.color, _lens(survey, layout, topics.color, topics.name)),
         T_depth_color,
         _mount(survey, layout, topics.depth, "camera", only=only),
         tolerance_of(*(np.array(of_one, dtype=np.float64) for of_one in stamps)),
@@ -353,8 +365,8 @@ def _xyz(translation: Any) -> str:
     return " ".join(f"{number:.3f}" for number in translation)
 
 
-def _lens(survey: Survey, layout: Layout, topic: str) -> Lens | None:
-    """The lens of an image topic, None if it has no usable CameraInfo."""
+def _lens(survey: Survey, layout: Layout, topic: str, camera: str) -> Lens | None:
+    """The lens of an image topic of a camera, None if it has no usable CameraInfo."""
     source = survey.lens_topic(topic)
     if source is None:
         return None
@@ -365,6 +377,7 @@ def _lens(survey: Survey, layout: Layout, topic: str) -> Lens | None:
         layout.notes.append(f"{topic}: {error}")
         return None
     layout.lenses.add(source)
+    layout.joined.setdefault(source, camera)
     if lens.unknown_model:
         text = f"distortion model {lens.unknown_model[:32]} is unknown; it is left in the images"
         layout.notes.append(f"{WARNING}{topic}: {text}")

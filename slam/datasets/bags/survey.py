@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import math
-from collections import Counter
 from collections.abc import Container, Sequence
 from dataclasses import dataclass, field
 from typing import Any
+
+import numpy as np
 
 from slam.datasets.account import Account
 from slam.datasets.bags.cloud_messages import header_at
@@ -39,7 +40,8 @@ from slam.datasets.dataset import RecordFault
 LOOK_S = 10.0  # of the bag's time, at most
 _LEAST_S = 2.0  # of the bag's time, for image stamps and for transforms at 1 Hz
 _STAMPS_KEPT = 200
-_OTHER_CLOCK_S = 5.0  # at least one message is recorded faster; the doctor finds smaller offsets
+_SAME_S = 1e-6  # no recorder is as even: record times were made of the stamps
+OTHER_CLOCK_S = 5.0  # at least one message is recorded faster; the doctor finds smaller offsets
 
 
 @dataclass(slots=True)
@@ -62,14 +64,12 @@ class Survey:
         For each image topic, whether it contains depth.
     stamps_s
         First stamps of each image topic.
-    late_s
-        For each sensor topic, record time minus stamp of its first message; None if that has no stamp.
+    late_s, uneven
+        Of each sensor topic, the least record time minus stamp, None without a stamp; topics where it varies.
     clouds, in_pieces
         Properties of the first valid cloud of each topic; and whether the next has another direction.
-    scans
-        For each scan topic, its field of view and its range.
-    scan_stamps_s
-        First stamps of each scan topic.
+    scans, scan_stamps_s
+        The newest message of each scan topic, and its first stamps.
     imus
         For each IMU topic, whether its first message contains angular rates, and accelerations.
     sizes
@@ -90,9 +90,10 @@ class Survey:
     depths: dict[str, bool] = field(default_factory=dict)
     stamps_s: dict[str, list[float]] = field(default_factory=dict)
     late_s: dict[str, float | None] = field(default_factory=dict)
+    uneven: set[str] = field(default_factory=set)
     clouds: dict[str, CloudView] = field(default_factory=dict)
     in_pieces: dict[str, bool] = field(default_factory=dict)
-    scans: dict[str, tuple[float, float]] = field(default_factory=dict)
+    scans: dict[str, Any] = field(default_factory=dict)
     scan_stamps_s: dict[str, set[float]] = field(default_factory=dict)
     imus: dict[str, tuple[bool, bool]] = field(default_factory=dict)
     sizes: dict[str, tuple[int, int]] = field(default_factory=dict)
@@ -200,28 +201,33 @@ def _learn(decoder: Decoder, record: BagRecord) -> None:
 
 
 def clock_shifts(survey: Survey) -> dict[str, float]:
-    """How far the stamps of topics are ahead of the others' clock, if they have a clock of their own.
+    """How far the stamps of topics are ahead of the others' clock: of their own clock, or of last points.
 
-    The common clock is the one that is nearest to the recorder's.
+    The common clock is the one that is nearest to the recorder's. If a revolution arrives before its last
+    point was measured, its stamp is of that point; record times made of the stamps (converted) show nothing.
     """
     stamped = {topic: late_s for topic, late_s in survey.late_s.items() if late_s is not None}
-    reference_s = min(stamped.values(), key=abs, default=0.0)
-    return {
-        topic: reference_s - late_s
-        for topic, late_s in stamped.items()
-        if abs(late_s - reference_s) > _OTHER_CLOCK_S
-    }
+    reference_s, shifts = min(stamped.values(), key=abs, default=0.0), dict[str, float]()
+    ends_s = {topic: view.ends_s for topic, view in survey.clouds.items() if not survey.in_pieces.get(topic)}
+    for topic, scan in survey.scans.items():
+        ends_s[topic] = abs(scan.time_increment) * (len(scan.ranges) - 1) / times_unit(survey, topic)
+    for topic, late_s in stamped.items():
+        end_s = ends_s.get(topic, 0.0)
+        clock_s = min([0.0, *(one for other, one in stamped.items() if other != topic)])
+        if abs(late_s - reference_s) > OTHER_CLOCK_S:
+            shifts[topic] = reference_s - late_s + end_s
+        elif topic in survey.uneven and abs(late_s - clock_s) < 0.5 * end_s:
+            shifts[topic] = end_s
+    return shifts
 
 
-def restamp(message: Any, stamp_s: float) -> None:
-    """Change the stamp of a message."""
-    message.header.stamp = header_at(stamp_s, "").stamp
-
-
-def count_messages(bag: Bag) -> Counter[str]:
-    """Number of messages on each topic, by reading the whole bag."""
-    quiet = Account.quiet(bag.path)
-    return Counter(record.channel.topic for record in bag.records(quiet, bag.budget()))
+def times_unit(survey: Survey, scan: str) -> float:
+    """Factor by which the stated times of a scan's beams exceed a revolution; 1 unless it is a unit."""
+    step_s, message = np.diff(sorted(survey.scan_stamps_s[scan])), survey.scans[scan]
+    turn_s = math.tau * abs(message.time_increment / (message.angle_increment or math.inf))
+    turns = turn_s / float(np.median(step_s)) if step_s.size else 0.0
+    unit = 10.0 ** (3 * round(math.log10(turns) / 3)) if 0.0 < turns < math.inf else 1.0
+    return unit if 4.0 * abs(turns / unit - 1.0) < 1.0 else 1.0
 
 
 def _look(survey: Survey, record: BagRecord, decoder: Decoder) -> None:
@@ -257,9 +263,11 @@ def _look_at_reading(survey: Survey, record: BagRecord, message: Any) -> None:
     unset = message.header.stamp.sec == 0 and message.header.stamp.nanosec == 0
     least_s = survey.late_s.setdefault(topic, None if unset else math.inf)
     if least_s is None:
-        restamp(message, record.recorded_s)
+        message.header.stamp = header_at(record.recorded_s, "").stamp
     else:
-        survey.late_s[topic] = min(least_s, record.recorded_s - stamp_of(message.header))
+        late_s = record.recorded_s - stamp_of(message.header)
+        survey.late_s[topic] = min(least_s, late_s)
+        survey.uneven |= {topic} if _SAME_S < abs(late_s - least_s) < math.inf else set()
     if kind in CLOUDS:
         view = cloud_view(message)
         if topic in survey.clouds:
@@ -267,9 +275,7 @@ def _look_at_reading(survey: Survey, record: BagRecord, message: Any) -> None:
         survey.clouds.setdefault(topic, view)
     elif kind in SCANS:
         survey.scan_stamps_s.setdefault(topic, set()).add(stamp_of(message.header))
-        span_rad = float(abs(message.angle_max - message.angle_min))
-        scan_view = span_rad, float(message.range_max)
-        survey.scans[topic] = scan_view if all(map(math.isfinite, scan_view)) else (0.0, 0.0)
+        survey.scans[topic] = message
     elif kind == IMU:
         survey.imus[topic] = quantities_in(message)
     elif kind == ODOMETRY:

@@ -145,3 +145,49 @@ def test_a_bag_that_was_unpacked_is_read_though_its_index_names_the_packed_file(
     index.write_text(index.read_text().replace(file.name, f"{file.name}.zstd"))
     (folder / f"{file.name}.zstd").write_bytes(b"\x28\xb5\x2f\xfd" + bytes(100))
     assert len(list(open_dataset(folder))) == 1
+
+
+def turns(late_s: float, first_s: float = 0.0) -> list[Sent]:
+    """Clouds of 0.1 s whose points have times, recorded some time after their stamp."""
+    count = 400
+    angle = np.linspace(0.0, 6.28, count)
+    columns = {"x": np.cos(angle), "y": np.sin(angle), "z": np.zeros(count), "t": first_s + angle / 62.8}
+    columns = {name: column.astype(np.float32) for name, column in columns.items()}
+    return [late(cloud(columns, START_S + 0.1 * n, "/points"), late_s + 1e-3 * (n % 2)) for n in range(25)]
+
+
+@pytest.mark.parametrize(
+    ("late_s", "first_s", "wheels_s", "off_s"),
+    [
+        (0.004, 0.0, 0.001, 0.1),  # stamped at the end
+        (0.104, 0.0, 0.001, 0.0),
+        (0.004, -0.1, 0.001, 0.0),  # times before the stamp
+        (0.004, 0.0, -0.1, 0.0),  # the recorder's clock is behind
+        (0.0, 0.0, 0.001, 0.0),  # a converted log
+        (0.002, 0.0, 0.001, 0.0),  # another one: the record times are as even as the stamps
+        (0.25, 0.0, 0.001, 0.0),
+        (20.1, 0.0, 0.0, -20.0),  # another clock: the last point is what arrives
+    ],
+)
+def test_a_cloud_does_not_arrive_before_its_last_point(
+    tmp_path: Path, late_s: float, first_s: float, wheels_s: float, off_s: float
+) -> None:
+    sent = turns(late_s, first_s)
+    if late_s in (0.0, 0.002):
+        sent = [late(one, late_s) for one in sent]
+    sent += [late(odometry(START_S + 0.05 * n, 0.01 * n), wheels_s) for n in range(50)]
+    found, dataset = read(tmp_path, sorted(sent, key=lambda one: one.stamp_s + one.late_s))
+    first = next(one for one in found if isinstance(one, PointCloud))
+    assert START_S - first.stamp_s == pytest.approx(off_s, abs=2e-3)
+    assert any("arrives before its last" in one for one in dataset.report.warnings) == (off_s > 0.0)
+
+
+@pytest.mark.parametrize(
+    ("unit", "beam_s"), [(1.0, 0.1 / 360), (1e3, 0.1 / 360), (1e-3, 0.1 / 360), (36.0, 0.01)]
+)
+def test_times_of_beams_in_another_unit_are_divided_by_it(tmp_path: Path, unit: float, beam_s: float) -> None:
+    around = {"angle_increment": 2.0 * np.pi / 360, "time_increment": unit * 0.1 / 360}
+    sent = [late(scan(stamp_s=START_S + 0.1 * n, **around), 0.11) for n in range(25)]
+    found, dataset = read(tmp_path, sent)
+    assert [one.beam_s for one in found] == pytest.approx([beam_s] * 25, rel=1e-5)
+    assert any("time_increment" in text for text in dataset.report.warnings) == (unit in (1e3, 1e-3))

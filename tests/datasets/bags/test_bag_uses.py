@@ -42,11 +42,12 @@ def clouds(seen: str, frame: str, late_s: float = 0.0, timed: bool = False, **fi
     return sent
 
 
-def camera() -> list[Sent]:
+def camera(space: str = "/camera") -> list[Sent]:
     color, depth = np.zeros((4, 6, 3), np.uint8), np.full((4, 6), 1000, np.uint16)
-    sent = [info("/camera/color/camera_info", 6, 4)]
+    topics = f"{space}/color/image_raw", f"{space}/depth/image_raw"
+    sent = [info(f"{space}/color/camera_info", 6, 4)]
     for stamp_s in START_S + 0.1 * np.arange(30):
-        sent += [image(COLOR, color, "rgb8", stamp_s), image(DEPTH, depth, "16UC1", stamp_s)]
+        sent += [image(topics[0], color, "rgb8", stamp_s), image(topics[1], depth, "16UC1", stamp_s)]
     return sent
 
 
@@ -91,6 +92,22 @@ def test_a_cameras_cloud_is_read_where_it_is_named_or_all_there_is(tmp_path: Pat
     sent = clouds("optical", OPTICAL)
     assert uses(tmp_path, [*camera(), *sent], ("/depth/points",))["/depth/points"][2] == ""
     assert uses(tmp_path, sent)["/depth/points"] == ("3D lidar", 30, "")
+
+
+def test_the_images_and_the_lens_of_a_camera_that_is_not_used_are_not_used(tmp_path: Path) -> None:
+    found = uses(tmp_path, [*camera("/a"), *camera("/b")])
+    used = {name for name, use in found.items() if not use[2]}
+    assert used == {"/a", "/a/color/image_raw", "/a/depth/image_raw", "/a/color/camera_info"}
+    assert found["/b/color/camera_info"][2] == found["/b/color/image_raw"][2] == found["/b"][2]
+
+
+@pytest.mark.parametrize(("encoding", "channels"), [("rgb8", 3), ("mono8", 1)])
+def test_pictures_of_depth_are_no_depth(tmp_path: Path, encoding: str, channels: int) -> None:
+    picture = np.zeros((4, 6, channels), np.uint8)
+    pictures = [image(DEPTH, picture, encoding, START_S + 0.1 * k) for k in range(30)]
+    colors = [one for one in camera() if one.topic != DEPTH]
+    scans = [scan(stamp_s=START_S + 0.1 * k) for k in range(30)]
+    assert "record it as 16UC1 or 32FC1" in uses(tmp_path, [*colors, *pictures, *scans])[DEPTH][2]
 
 
 def test_every_topic_is_reported(tmp_path: Path) -> None:
