@@ -38,14 +38,7 @@ def gate(degrees: int = 1, confidence: float = CONFIDENCE) -> float:
 
 
 def half_interval(sigma: float) -> float:
-    """Return half the width of the 95 % interval of a normal estimate, as it is reported to users.
-
-    Examples
-    --------
-    >>> from fusion.estimation import half_interval
-    >>> round(half_interval(0.01), 4)
-    0.0196
-    """
+    """Return half the width of the 95 % interval of a normal estimate, as it is reported to users."""
     return math.sqrt(gate(1, 0.95)) * sigma
 
 
@@ -57,11 +50,5 @@ def median_to_sigma(degrees: int = 1) -> float:
     ----------
     degrees
         Number of axes of which a residual is the root mean square.
-
-    Examples
-    --------
-    >>> from fusion.estimation import median_to_sigma
-    >>> round(median_to_sigma(), 4)
-    1.4826
     """
     return math.sqrt(degrees / gate(degrees, 0.5))

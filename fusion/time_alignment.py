@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from fusion.checks import numbers
 from fusion.curves import FloatArray
-from fusion.estimation import FEWEST, TINY
+from fusion.estimation import FEWEST, ROUNDS, TINY, gate
 from fusion.registration import MIDDLE_MAX
 
 # Motion between readings farther apart than this is unknown.
@@ -62,7 +62,8 @@ def clock_offset(
     Returns
     -------
     None if the offset is not determined: too few spans, too little rotation, or no clear peak in the range. A
-    span is ignored if one of the tried offsets moves it to a time without data of the second sensor.
+    span is ignored if one of the tried offsets moves it to a time without data of the other sensor. Rotations
+    that contradict the rest, as of a slipping wheel, are left out.
 
     Raises
     ------
@@ -86,9 +87,13 @@ def clock_offset(
     second_spans_s, second_turned_rad = _rising(second_spans_s, second_turned_rad)
     if min(len(first_spans_s), len(second_spans_s)) < FEWEST:
         return None
-    # Interpolated rotations have less noise halfway between stamps than at stamps. Averaged over the period
-    # of a reading, noise is equal for all offsets, so that it prefers none.
-    half = round(0.5 * float(np.median(np.diff(second_spans_s))) / STEP_S)
+    periods_s = [float(np.median(np.diff(spans[:, 0]))) for spans in (first_spans_s, second_spans_s)]
+    if periods_s[0] < periods_s[1]:
+        # Within long spans the rate is unknown: compare them with sums of short ones, not the reverse.
+        found = clock_offset(second_spans_s, second_turned_rad, first_spans_s, first_turned_rad, most_s)
+        return None if found is None else replace(found, offset_s=-found.offset_s)
+    # Interpolated noise is less halfway between stamps: as the mean over a period, it prefers no offset.
+    half = round(0.5 * periods_s[1] / STEP_S)
     steps = math.ceil(most_s / STEP_S)
     every_shift = np.arange(-steps - half, steps + half + 1) * STEP_S
     covered = _covered(first_spans_s, second_spans_s, float(every_shift[-1]))
@@ -100,8 +105,16 @@ def clock_offset(
     shifts, lasted_s = every_shift[half : len(every_shift) - half], spans_s[:, 1] - spans_s[:, 0]
     if min((turned / lasted_s).std(), (moved / lasted_s).std(axis=1).min()) < _LEAST_TURN_RAD_S:
         return None
-    correlation = _correlations(turned, moved)
-    best = int(np.argmax(correlation))
+    right = np.ones(turned.size, np.bool_)
+    for _ in range(ROUNDS):
+        correlation, before = _correlations(turned[right], moved[:, right]), right
+        best = int(np.argmax(correlation))
+        slope, level = np.polyfit(moved[best, right], turned[right], 1)
+        misfits = turned - slope * moved[best] - level
+        # A slip of the wheels turns like no offset. (A median would be that of a robot that stands still.)
+        right = misfits**2 <= gate() * max(float(misfits[right].var()), TINY**2)
+        if np.array_equal(right, before):
+            break
     if not 0 < best < shifts.size - 1 or correlation[best] < MIDDLE_MAX:
         return None
     # Fit a parabola to the whole peak, because single samples are noisy.
@@ -112,8 +125,8 @@ def clock_offset(
     offset = float(shifts[best] + np.clip(-0.5 * tilt / bend, -_PEAK_STEPS * STEP_S, _PEAK_STEPS * STEP_S))
     # Least squares: noise divided by slopes. The curvature of the peak contains the product of both sensors'
     # slopes, because noise also causes slopes, but not the same ones in both.
-    slopes_squared = -2.0 * bend * turned.std() * moved[best].std() * min(turned.size, len(second_spans_s))
-    sigma_s = math.sqrt(max(float((moved[best] - turned).var()), TINY**2) / slopes_squared)
+    slopes_squared = -2.0 * bend * turned[right].std() * moved[best, right].std() * np.count_nonzero(right)
+    sigma_s = max(float(misfits[right].std()), TINY) / math.sqrt(slopes_squared)
     return ClockOffset(offset, sigma_s, float(correlation[best]))
 
 
@@ -127,16 +140,7 @@ def _rising(spans_s: FloatArray, turned_rad: FloatArray) -> tuple[FloatArray, Fl
 
 
 def turns_between(known_s: FloatArray, turned_rad: FloatArray, spans_s: FloatArray) -> FloatArray:
-    """Return (...) rotations over spans (..., 2) from (M,) over (M, 2) rising spans, at constant rates.
-
-    Examples
-    --------
-    >>> import numpy as np
-    >>> from fusion.time_alignment import turns_between
-    >>> known_s, turned_rad = np.array([[0.0, 1.0], [1.0, 2.0]]), np.array([0.2, 0.4])
-    >>> turns_between(known_s, turned_rad, np.array([[0.5, 1.5]])).round(3).tolist()
-    [0.3]
-    """
+    """Return (...) rotations over spans (..., 2) from (M,) over (M, 2) rising spans, at constant rates."""
     yaw_rad = np.column_stack([np.cumsum(turned_rad) - turned_rad, np.cumsum(turned_rad)])
     yaws = np.interp(spans_s, known_s.ravel(), yaw_rad.ravel())
     return np.asarray(yaws[..., 1] - yaws[..., 0])

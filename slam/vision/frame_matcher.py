@@ -46,18 +46,22 @@ class FrameMatcher:
     def _without_walkers(
         self, best: JointAlignment, frame: PreparedFrame, local: list[VisualKeyframe], landmarks: Landmarks
     ) -> JointAlignment:
-        """Return an alignment, or one started from features alone, if surfaces do not converge there.
+        """Return an alignment, or one near that of features alone, if these contradict it.
 
-        A person in front of the camera shifts the alignment of surfaces, but not of features.
+        A person in front of the camera shifts the alignment of surfaces, but not of features: near theirs,
+        only surfaces within one sigma count.
         """
         config, k = self._config, frame.frame.intrinsics
         alone = align_features(landmarks, k, best.pose, config, self._match.iterations)
-        if np.linalg.norm(best.pose.between(alone).translation()) < config.gate_m:
+        least = self._support(best.pose, landmarks, frame)
+        least += gate(6) * config.correlated_features / (2 * config.kernel_sigmas**2)
+        if self._support(alone, landmarks, frame) < least:
             return best
-        gain = self._support(alone, landmarks, frame) - self._support(best.pose, landmarks, frame)
-        if 2 * config.kernel_sigmas**2 * gain / config.correlated_features < gate(6):
+        near = self._align(frame, local, landmarks, alone, 0, 1.0 / config.kernel_sigmas)
+        if self._support(near.pose, landmarks, frame) < least or self._judge(near) is None:
             return best
-        return self._better(best, [self._align(frame, local, landmarks, alone, 0)], landmarks, frame)
+        # Where nobody walks, surfaces fit best at their own pose.
+        return near if near.residual_m < best.residual_m else best
 
     def _better(
         self, best: JointAlignment, others: list[JointAlignment], landmarks: Landmarks, frame: PreparedFrame
@@ -132,11 +136,12 @@ class FrameMatcher:
         landmarks: Landmarks,
         guess: gtsam.Pose3,
         coarse: int,
+        slack: float = 1.0,
     ) -> JointAlignment:
         """Solve least squares from one guess; the first steps have a wide kernel."""
         views = [View(keyframe.frame.surface, keyframe.pose) for keyframe in local]
         rounds, k = (coarse, self._match.iterations - coarse), frame.frame.intrinsics
-        return align(frame.points, views, landmarks, k, guess, self._config, rounds)
+        return align(frame.points, views, landmarks, k, guess, self._config, rounds, slack)
 
     def _share(self, alignment: JointAlignment) -> float:
         """Return the share of inliers among readings with a partner."""

@@ -84,6 +84,7 @@ def align(
     guess: gtsam.Pose3,
     config: RgbdOdometryConfig,
     rounds: tuple[int, int],
+    slack: float = 1.0,
 ) -> JointAlignment:
     """Find ``T_odom_camera`` of a frame near a guess.
 
@@ -99,12 +100,14 @@ def align(
         Of the pixels in ``landmarks``.
     rounds
         Largest number of Gauss-Newton steps, first with four times the tolerance, then with the final.
+    slack
+        Final tolerance as a share of the configured one.
     """
     # A few points give a rough pose; all are used for the last millimetres.
     coarse = _Work(points.every(_THINNED), landmarks)
     start, _ = _descend(coarse, views, intrinsics, guess, config, rounds[0], 10 * SETTLED, 4.0)
     fine = _Work(points, landmarks)
-    pose, step = _descend(fine, views, intrinsics, start, config, rounds[1], SETTLED, 1.0)
+    pose, step = _descend(fine, views, intrinsics, start, config, rounds[1], SETTLED, slack)
     fine.linearize(views, intrinsics, pose, config, 1.0, informed=True)
     return fine.conclude(pose, config, converged=step < 10 * SETTLED)
 

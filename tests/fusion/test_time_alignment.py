@@ -62,6 +62,30 @@ def test_noise_prefers_no_offset():
     assert abs(np.mean(errors)) < 0.003
 
 
+def test_a_slipping_wheel_moves_it_little():
+    """Slips of half a second report a turn that never was, always to one side."""
+    errors = []
+    for seed in range(10):
+        rng = np.random.default_rng(seed)
+        first, (spans_s, turned) = (
+            np.arange(0.0, 60.0, 0.25),
+            turns(np.arange(0.0, 60.0, 0.05), 0.03, rng, 0.05),
+        )
+        for begun in rng.integers(0, len(turned) - 10, 4):
+            turned[begun : begun + 10] += 0.02
+        found = fusion.clock_offset(*turns(first, 0.0, rng), spans_s, turned, 0.25)
+        errors.append(found.offset_s - 0.03)
+    assert np.sqrt(np.mean(np.square(errors))) < 0.002
+
+
+def test_the_order_of_the_sensors_gives_the_sign_alone():
+    rng = np.random.default_rng(0)
+    slow, fast = turns(np.arange(0.0, 60.0, 0.25), 0.0, rng), turns(np.arange(0.0, 60.0, 0.05), 0.03, rng)
+    found, reverse = fusion.clock_offset(*slow, *fast, 0.25), fusion.clock_offset(*fast, *slow, 0.25)
+    assert reverse.offset_s == -found.offset_s
+    assert reverse.sigma_s == found.sigma_s
+
+
 def test_the_offsets_sigma_is_the_scatter_of_its_error():
     errors, sigmas = [], []
     for seed in range(30):

@@ -154,6 +154,21 @@ def test_who_walks_before_the_camera_does_not_take_it_along(aside_m: float, move
     assert np.abs(error_of(match.pose, PLACE * STEP)).max() < 0.01
 
 
+def test_features_contradict_surfaces_that_somebody_took_along(
+    before: PreparedFrame, after: PreparedFrame
+) -> None:
+    """A slow walker shifts surfaces by less than their gate, and they fit badly; else they are right."""
+    matcher, local = FrameMatcher(CONFIG), [VisualKeyframe(before, PLACE)]
+    landmarks = matcher._landmarks(after, local, PLACE * STEP)
+    right = matcher._align(after, local, landmarks, PLACE * STEP, 0)
+    shifted = right.pose * gtsam.Pose3(gtsam.Rot3(), np.array([0.02, 0.0, 0.0]))
+    taken = replace(right, pose=shifted, residual_m=5.0 * right.residual_m)
+    found = matcher._without_walkers(taken, after, local, landmarks)
+    assert np.abs(error_of(found.pose, PLACE * STEP)).max() < 0.005
+    tight = replace(taken, residual_m=0.1 * right.residual_m)
+    assert matcher._without_walkers(tight, after, local, landmarks) is tight
+
+
 def test_without_a_guess_among_several_keyframes(before: PreparedFrame, after: PreparedFrame) -> None:
     other = looking(0.3, 0.0, 1.4, 2.4)
     local = [VisualKeyframe(seen(other), other), VisualKeyframe(before, PLACE)]
