@@ -6,10 +6,10 @@ import ast
 
 from tools.count_numbers import bare_floats, constant_names, count_fields, count_lines, count_logic
 
-MOST_CONSTANTS = 333
+MOST_CONSTANTS = 332
 MOST_BARE_FLOATS = 138
 MOST_FIELDS = 154
-MOST_LINES = 71_298
+MOST_LINES = 71_286
 
 
 def test_constants_of_the_logic_do_not_grow() -> None:

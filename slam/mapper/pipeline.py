@@ -19,7 +19,6 @@ from slam.errors import DatasetError
 from slam.heap import end_stage
 from slam.mapper.checkpoint import Checkpoint
 from slam.mapper.first_map import first_map
-from slam.mapper.imu_start import after_readings, start_of
 from slam.mapper.lidar2d import PlanarRobot
 from slam.mapper.lidar3d import CloudLidar
 from slam.mapper.lookahead import Ahead, Lookahead, LostError
@@ -27,6 +26,7 @@ from slam.mapper.map_result import MapResult
 from slam.mapper.mapper import Mapper
 from slam.mapper.mount_learner import LearnedMounting
 from slam.mapper.protocol import FrontEnd
+from slam.mapper.reading_order import after_readings
 from slam.mapper.rgbd import FreeCamera
 from slam.measurements import Measurement
 from slam.odometry import STANDARD, Odometries
@@ -184,9 +184,9 @@ class _Run:
             except LostError:
                 self._begin_again()
             except UnfitImuError as unfit:
-                (name, why), effect = unfit.args, "the map is made without it"
-                left_out = ({"imus": {name: {"use": False}}},)
-                finding = Finding(name, "no agreement", why, effect, left_out, sure=True)
+                name, why, fix = unfit.args
+                remedies = ({"imus": {name: fix}},)
+                finding = Finding(name, "no agreement", why, "the map is made again", remedies, sure=True)
                 self._findings = [*self._findings, finding]
                 self._config = settled(self._config, [finding])
                 self._choice = self._chosen()
@@ -226,11 +226,9 @@ class _Run:
         """Create the front end of the leading sensor."""
         config, choice, checkpoint = self._config, self._choice, self._checkpoint
         if choice.cloud:
-            imu = choice.imu and config.sensors.imu
             with fewer_frames(self._dataset, None):
                 first = first_map(self._used(self._dataset), config)
-            start = start_of(self._used(self._dataset), config, first) if imu else None
-            return CloudLidar(config, checkpoint, self._registrations, start, first)
+            return CloudLidar(config, checkpoint, self._registrations, first)
         if choice.spatial:
             return FreeCamera(config, checkpoint, self._registrations, self._odometries)
         known = self._registrations, self._mountings, self._odometries
