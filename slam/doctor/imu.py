@@ -260,9 +260,7 @@ def _in_the_plane(
 def _slope(about: FloatArray, turned: FloatArray) -> Linear | None:
     """Scale of the rotations of an IMU to those of a lidar, both (N, K) about the same axes."""
     about, turned = about - about.mean(axis=0), turned - turned.mean(axis=0)
-    return fit_linear(
-        about.reshape(-1, 1), turned.ravel(), np.repeat(np.arange(float(len(turned))), about.shape[1])
-    )
+    return fit_linear(about.reshape(-1, 1), turned.ravel(), np.arange(float(turned.size)))
 
 
 def _turn_rates(name: str, unit: float, facing: float, slope: Linear | None) -> list[Finding]:

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import math
 import time
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 from typing import TypeAlias
@@ -26,10 +28,10 @@ from slam.mapper.map_result import MapResult
 from slam.mapper.mapper import Mapper
 from slam.mapper.mount_learner import LearnedMounting
 from slam.mapper.protocol import FrontEnd
-from slam.mapper.reading_order import after_readings
 from slam.mapper.rgbd import FreeCamera
-from slam.measurements import Measurement
+from slam.measurements import ImuReading, Measurement, PointCloud
 from slam.odometry import STANDARD, Odometries
+from slam.odometry.cloud_velocity import LONGEST_STEP_S
 from slam.odometry.imu_tracker import UnfitImuError
 from slam.vision.color_registration import ColorRegistration
 from slam.vision.features import forget_keypoints
@@ -185,8 +187,8 @@ class _Run:
                 self._begin_again()
             except UnfitImuError as unfit:
                 name, why, fix = unfit.args
-                remedies = ({"imus": {name: fix}},)
-                finding = Finding(name, "no agreement", why, "the map is made again", remedies, sure=True)
+                remedy, effect = {"imus": {name: fix}}, "mapping starts again"
+                finding = Finding(name, "no agreement", why, effect, (remedy,), sure=True)
                 self._findings = [*self._findings, finding]
                 self._config = settled(self._config, [finding])
                 self._choice = self._chosen()
@@ -233,6 +235,21 @@ class _Run:
             return FreeCamera(config, checkpoint, self._registrations, self._odometries)
         known = self._registrations, self._mountings, self._odometries
         return PlanarRobot(config, checkpoint, *known, ahead)
+
+
+def after_readings(log: Iterable[Measurement]) -> Iterator[Measurement]:
+    """Yield a log in its order, with readings before the clouds of their time, however late they arrive."""
+    waiting, newest_s = deque[tuple[float, Measurement]](), -math.inf
+    for item in log:
+        if isinstance(item, ImuReading):
+            newest_s = max(newest_s, item.stamp_s)
+            yield item
+        else:
+            times_s = item.times_s if isinstance(item, PointCloud) else None
+            waiting.append((item.stamp_s if times_s is None else item.stamp_s + float(times_s.max()), item))
+        while waiting and (waiting[0][0] <= newest_s or item.stamp_s - waiting[0][0] > LONGEST_STEP_S):
+            yield waiting.popleft()[1]
+    yield from (item for _, item in waiting)
 
 
 @dataclass(slots=True)

@@ -162,8 +162,7 @@ class FreeCamera(FrontEnd):
         """Process a reading of an IMU with known mounting, transformed to the camera."""
         if self._imu is None or self._camera is None:
             return
-        if reading.T_base_imu is None:
-            raise UnfitImuError(reading.sensor, "its pose relative to the camera is unknown", {"use": False})
-        if not reading.specific_force_m_s2.any():
-            raise UnfitImuError(reading.sensor, "it has no accelerations", {"use": False})
+        if reading.T_base_imu is None or not reading.specific_force_m_s2.any():
+            lacks = "its pose relative to the camera, or its acceleration, is unknown"
+            raise UnfitImuError(reading.sensor, lacks, {"use": False})
         self._imu.add(replace(reading, T_base_imu=self._T_camera_base.compose(reading.T_base_imu)))

@@ -241,6 +241,9 @@ class CloudTracker:
             self._judge_wheels(self._pose.between(pose_of(motion)))
         self._lost = 0
         self._pose = pose_of(motion)
+        if cloud.times_s is not None and deskewed(cloud, self._turns):
+            moved = self._velocity.misplaced(self._pose, cloud.stamp_s, np.asarray(cloud.times_s))
+            motion = replace(motion, covariance=motion.covariance + np.outer(moved, moved))
         points, measured = turn.points, motion.covariance
         if motion.converged:
             if deskewed(cloud, self._turns):

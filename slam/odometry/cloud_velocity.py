@@ -60,6 +60,15 @@ class CloudVelocity:
         twist = np.asarray(mean + share * (mean - self.twist))
         return np.append(np.zeros(3), twist[3:]) if self.rotated else twist
 
+    def misplaced(self, pose: gtsam.Pose3, stamp_s: float, times_s: FloatArray) -> FloatArray:
+        """Return (6,) how far a match at ``T_odom_base`` is off by a constant twist that has changed.
+
+        It is the mean of half the acceleration times the square of the times (N,) around the stamp.
+        """
+        offset = self.at(pose, stamp_s) - self.twist * ([not self.rotated] * 3 + [True] * 3)
+        passed_s = stamp_s - self._stamp_s + 0.5 * self._step_s
+        return np.asarray(0.5 * offset / passed_s * np.mean(times_s**2)) if passed_s > 0.0 else np.zeros(6)
+
     def carry_on(self, twist: FloatArray, stamp_s: float) -> gtsam.Pose3 | None:
         """Extrapolate the last certain pose with a twist (6,); None after a gap."""
         step_s = stamp_s - self._stamp_s

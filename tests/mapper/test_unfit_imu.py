@@ -16,8 +16,7 @@ from slam.app.mapping import Measured
 from slam.config import load_config
 from slam.mapper.checkpoint import Checkpoint
 from slam.mapper.map_result import MapResult
-from slam.mapper.pipeline import build_map
-from slam.mapper.reading_order import after_readings
+from slam.mapper.pipeline import after_readings, build_map
 from slam.measurements import ImuReading, Measurement, WheelOdometry
 from slam.storage.map_file import MapFile
 from slam.storage.map_tables import CLOUDS as CLOUD_ROWS

@@ -84,16 +84,14 @@ class ImuReader:
         Raises
         ------
         RecordFault
-            A number is not finite, or one of its sensors is missing: the accelerations are zero on every
-            axis, or a covariance starts with -1 (sensor_msgs).
+            A number is not finite, or a quantity is missing, see `quantities_in`.
         """
         gyro, force = _vector(message.angular_velocity), _vector(message.linear_acceleration)
-        missing = message.linear_acceleration_covariance[0] == -1.0 or not force.any()
-        force = np.zeros(3) if self.gyro_alone else force
-        missing = message.angular_velocity_covariance[0] == -1.0 or (missing and not self.gyro_alone)
-        if missing or not np.isfinite([gyro, force]).all():
+        forces = message.linear_acceleration_covariance[0] != -1.0 and force.any()
+        known = message.angular_velocity_covariance[0] != -1.0 and (forces or self.gyro_alone)
+        if not known or not np.isfinite([gyro, force]).all():
             raise RecordFault(NOT_BOTH, f"{gyro}, {force}")
-        force = force if self.gyro_alone else self.unit.m_s2(force)
+        force = np.zeros(3) if self.gyro_alone else self.unit.m_s2(force)
         return ImuReading(stamp_of(message.header), gyro, force, self.T_base_imu, self.topic)
 
 
