@@ -16,8 +16,9 @@ _GAP = 10.0
 _KEPT_S = 30.0
 # Lower limit of the noise: a tenth of that of a phone's sensors (Woodman 2007).
 _GYRO_DENSITY, _FORCE_DENSITY = 2e-5, 1e-3
-# Random walk of biases: ten times that of a tactical unit (Forster 2017, Sec. VIII).
-GYRO_WALK, FORCE_WALK = 1e-4, 1e-3
+# Random walk of biases: ten times that of a tactical gyroscope (Forster 2017, Sec. VIII), and that of EuRoC's
+# accelerometer (Burri 2016): with less, its wander on a straight road looks like a lean.
+GYRO_WALK, FORCE_WALK = 1e-4, 3e-3
 # Prior sigmas of a gyroscope: bias in rad/s, scale error (of cheap ones, by their data sheets).
 GYRO_UNKNOWN = np.diag([0.1, 0.03])
 
