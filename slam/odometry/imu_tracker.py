@@ -73,7 +73,11 @@ class ImuTracker:
         return None if self._readings.weightless else self._carried(stamp_s)
 
     def turned(self, stamp_s: float) -> gtsam.Rot3 | None:
-        """Predict the rotation of `predicted`, which needs no forces."""
+        """Predict the rotation of `predicted`, which needs no forces, and no state before there is one."""
+        if self._poses and self._readings.covers(self._poses[-1][0], stamp_s):
+            last_s, last, _ = self._poses[-1]
+            turn = gtsam.Rot3(self._readings.turns(np.array([stamp_s]), last_s, np.zeros(3))[0])
+            return last.rotation().compose(turn).compose(self._readings.T_base_imu.rotation().inverse())
         pose = self._carried(stamp_s)
         return None if pose is None else pose.rotation()
 

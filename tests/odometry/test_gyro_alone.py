@@ -44,6 +44,16 @@ def test_turns_and_their_bias_are_known_but_no_pose_and_no_gravity() -> None:
     assert any("gyroscope alone" in note for note in notes) and not unused
 
 
+def test_the_second_cloud_is_turned_too() -> None:
+    imu = ImuTracker()
+    for one in readings(walk, 0.4, noise=0.0):
+        imu.add(replace(one, specific_force_m_s2=np.zeros(3)))
+    imu.took(0.2, walk(0.2), MATCHED)
+    turned = imu.turned(0.35)
+    assert imu.state is None and turned is not None
+    assert np.linalg.norm(gtsam.Rot3.Logmap(walk(0.35).rotation().between(turned))) < 1e-3
+
+
 def test_who_stands_exactly_still_is_followed() -> None:
     imu = ImuTracker()
     for one in readings(stands, 3.0, noise=0.0):
