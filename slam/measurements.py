@@ -247,7 +247,7 @@ class ImuReading:
     gyro_rad_s
         (3,) angular rate.
     specific_force_m_s2
-        (3,) from the accelerometer: at rest the reaction to gravity, 9.8 upward.
+        (3,) from the accelerometer: at rest the reaction to gravity, 9.8 upward. Zeros if it has none.
     T_base_imu
         Pose of the IMU on the robot; None if the log does not contain it.
     sensor

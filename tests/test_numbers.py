@@ -6,10 +6,10 @@ import ast
 
 from tools.count_numbers import bare_floats, constant_names, count_fields, count_lines, count_logic
 
-MOST_CONSTANTS = 323
+MOST_CONSTANTS = 322
 MOST_BARE_FLOATS = 111
 MOST_FIELDS = 147
-MOST_LINES = 70_736
+MOST_LINES = 70_726
 
 
 def test_constants_of_the_logic_do_not_grow() -> None:

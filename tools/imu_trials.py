@@ -27,7 +27,7 @@ from slam.datasets.dataset import Dataset
 from slam.estimates import Trajectory
 from slam.evaluation.coverage import coverage
 from slam.evaluation.trajectory_error import absolute_error, associate
-from slam.measurements import FloatArray, GnssFix, Measurement, PointCloud, WheelOdometry
+from slam.measurements import FloatArray, GnssFix, ImuReading, Measurement, PointCloud, WheelOdometry
 from slam.simulation.street import STREET_FAULTS, STREET_RIGS, record_street
 from slam.storage.tum import read_tum
 from tools.handheld_imu import lean_degrees
@@ -49,6 +49,7 @@ class Case:
     every: int = 0
     wheels: bool = False
     imu: bool = True
+    forces: bool = True
 
 
 def corner_gap(truth: Trajectory) -> Span:
@@ -61,6 +62,7 @@ def corner_gap(truth: Trajectory) -> Span:
 
 CASES = (
     Case("sharp corners, without its IMU", imu=False),
+    Case("sharp corners, its gyroscope alone", forces=False),
     Case("sharp corners"),
     Case("every third cloud lost, without its IMU", every=3, imu=False),
     Case("every third cloud lost", every=3),
@@ -90,6 +92,8 @@ def cut(log: Dataset, case: Case, truth: Trajectory) -> Iterator[Measurement]:
                 one = replace(
                     one, points_lidar=one.points_lidar[:FEW], times_s=one.times_s[:FEW], intensities=None
                 )
+        if isinstance(one, ImuReading) and not case.forces:
+            one = replace(one, specific_force_m_s2=np.zeros(3))
         if not isinstance(one, GnssFix):
             yield one
 

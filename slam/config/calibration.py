@@ -148,6 +148,9 @@ class ImuCorrection(SensorCorrection):
     gyro_scale: float = Field(
         default=1.0, description="factor on the angular rates: -1 for a wrong sign, 0.0174533 for degrees"
     )
+    force_scale: float = Field(
+        default=1.0, description="factor on the accelerations; 0 ignores them: the gyroscope is used alone"
+    )
 
 
 class GnssCorrection(SensorCorrection):

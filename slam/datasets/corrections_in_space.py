@@ -101,7 +101,8 @@ def raised(points_lidar: Float32Array, elevation_deg: float) -> Float32Array:
 def corrected_imu(fix: ImuCorrection, reading: ImuReading) -> ImuReading:
     """Correct an IMU reading."""
     mounting = reading.T_base_imu if fix.T_base_imu is None else mounted(fix.T_base_imu)
-    return replace(reading, gyro_rad_s=fix.gyro_scale * reading.gyro_rad_s, T_base_imu=mounting)
+    rate, force = fix.gyro_scale * reading.gyro_rad_s, fix.force_scale * reading.specific_force_m_s2
+    return replace(reading, gyro_rad_s=rate, specific_force_m_s2=force, T_base_imu=mounting)
 
 
 def corrected_fix(correction: GnssCorrection, fix: GnssFix) -> GnssFix:

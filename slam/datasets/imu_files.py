@@ -67,7 +67,7 @@ class ForceUnit:
 
 @dataclass(frozen=True, slots=True)
 class _Columns:
-    """Column indices of a line."""
+    """Column indices of a line; none of forces if the IMU is a gyroscope alone."""
 
     time: tuple[int, ...]
     gyro: tuple[int, ...]
@@ -142,8 +142,8 @@ def _read_imu(imu: ImuFile, account: Account) -> Iterator[tuple[int, ImuReading]
             row = np.array([float(field) for field in _parted(text) if field.strip()])
             stamp_s = columns.stamp_s(row)
             gyro = row[list(columns.gyro)] * columns.gyro_scale
-            force = row[list(columns.force)]
-            if not np.isfinite([stamp_s, *gyro, *force]).all() or not force.any():
+            force = row[list(columns.force)] if columns.force else np.zeros(3)
+            if not np.isfinite([stamp_s, *gyro, *force]).all() or force.any() != bool(columns.force):
                 raise RecordFault(BAD_ROW, text[:60].decode("ascii", "replace"))
             account.report.accept("IMU reading")
             yield number, ImuReading(stamp_s, gyro, unit.m_s2(force), mounting)
@@ -188,7 +188,11 @@ def _columns(head: str) -> _Columns | None:
     seconds = [n for n, name in enumerate(plain) if name in _SECONDS]
     rest = [n for n, name in enumerate(plain) if name in _REST]
     time = [n for n, name in enumerate(plain) if name.startswith(_TIMES[:3]) or name == _TIMES[3]]
-    if not gyro or not force or not (time or (seconds and rest)):
+    if not gyro or not (time or (seconds and rest)):
+        return None
+    # Phones call accelerations without gravity those of the user.
+    others = [name for n, name in enumerate(plain) if n not in (*gyro, *time, *seconds, *rest)]
+    if not force and sum(not name.startswith("user") for name in others) >= len(gyro):
         return None
     gyro_scale = math.radians(1.0) if "deg" in names[gyro[0]] else 1.0
     if seconds and rest:

@@ -17,7 +17,7 @@ from slam.doctor.camera_samples import SPREAD, SensorStep
 from slam.doctor.finding import Finding, Remedy, mounting_entry
 from slam.doctor.pair import IN_ORDER, interval
 from slam.doctor.paired_motions import turns_of
-from slam.doctor.relation import fit_linear
+from slam.doctor.relation import Linear, fit_linear
 from slam.measurements import GRAVITY_M_S2, BoolArray, FloatArray, ImuReading
 
 # Harmless errors of clock and mounting: 0.01 rad when turning at 1 rad/s.
@@ -99,11 +99,12 @@ def imu_findings(
     unit = _unit(rows, steps)
     rows[:, 1:4] *= unit
     if T_base_lidar is None:
-        return [*found, *_in_the_plane(name, rows, steps, unit)]
-    found += [_turn_rates(name, "in degrees", unit)] if unit != 1.0 else []
-    found += _without_gravity(name, rows)
-    fit = turn_fit(rows, steps)
-    if fit is None or fit.left_share > SPREAD:
+        return [*found, *_in_the_plane(name, samples.T_base_imu, rows, steps, unit)]
+    fit, turns = turn_fit(rows, steps), _turns(rows, steps)
+    known = fit is not None and turns is not None and fit.left_share <= SPREAD
+    slope = _slope(turns[1](fit.ahead_s) @ fit.R_lidar_imu.T, turns[0]) if fit and turns and known else None
+    found += [*_turn_rates(name, unit, 1.0, slope), *_without_gravity(name, rows)]
+    if fit is None or not known:
         return found
     return [*found, *_clock(name, fit, untimed_s), *_sits(name, samples, fit, T_base_lidar)]
 
@@ -229,49 +230,61 @@ def _unit(rows: FloatArray, steps: Sequence[SensorStep]) -> float:
     return math.radians(1.0) if abs(math.log(ratio * math.radians(1.0))) < 0.5 else 1.0
 
 
-def _in_the_plane(name: str, rows: FloatArray, steps: Sequence[SensorStep], unit: float) -> list[Finding]:
+def _in_the_plane(
+    name: str, T_base_imu: gtsam.Pose3 | None, rows: FloatArray, steps: Sequence[SensorStep], unit: float
+) -> list[Finding]:
     """Findings about a gyroscope on a robot that turns only about the vertical axis."""
     fit, turns = turn_fit(rows, steps), _turns(rows, steps)
     if turns is None or float(np.std(turns[0][:, 2])) < IN_ORDER:
         return []
-    turned = turns[0][:, 2] - turns[0][:, 2].mean()
-    about = np.zeros(len(turned)) if fit is None else turns[1](fit.ahead_s) @ fit.R_lidar_imu[2]
-    about -= about.mean()
-    slope = fit_linear(about[:, None], turned, np.arange(float(len(turned))))
+    turned = turns[0][:, 2:] - turns[0][:, 2].mean()
+    about = np.zeros_like(turned) if fit is None else turns[1](fit.ahead_s) @ fit.R_lidar_imu[2:].T
+    slope = _slope(about, turned)
     remedy: Remedy = {"imus": {name: {"use": False}}}
-    unexplained = 0.0 if slope is None else np.abs(turned - slope.values[0] * about).sum()
+    unexplained = 0.0 if slope is None else np.abs(turned - slope.values[0] * (about - about.mean())).sum()
     if fit is None or slope is None or 2.0 * unexplained > np.abs(turned).sum():
         text = "its rotation does not agree with the lidar's for any unit, sign, axis or clock"
         return [Finding(name, "no agreement", text, "it misleads", (remedy,), sure=True)]
-    up = np.median(rows[:, 4:7], axis=0)
-    facing = float(fit.R_lidar_imu[2] @ up) / max(float(np.linalg.norm(up)), SETTLED)
-    found = _clock(name, fit)
+    found, up = _clock(name, fit), np.median(rows[:, 4:7], axis=0)
+    force_m_s2 = np.median(np.linalg.norm(rows[:, 4:7], axis=1))
+    if not (weighed := 2.0 * np.linalg.norm(up) > force_m_s2 > 0.5 * GRAVITY_M_S2):
+        found += _without_gravity(name, rows)
+        up = (T_base_imu or gtsam.Pose3()).rotation().matrix()[2]
+    facing = float(fit.R_lidar_imu[2] @ up) / float(np.linalg.norm(up))
     if abs(facing) < 0.5:
-        text = "its rotation axis is not the vertical of its accelerometer"
+        text = f"its rotation axis is not the vertical of its {'accelerometer' if weighed else 'mounting'}"
         return [*found, Finding(name, "axes", text, "it misleads", (remedy,), sure=True)]
-    scale, sigma = float(slope.values[0]), math.sqrt(float(slope.covariance[0, 0]))
-    off = abs(math.log(scale)) > IN_ORDER + math.sqrt(gate()) * sigma / scale
+    return [*found, *_turn_rates(name, unit, facing, slope)]
+
+
+def _slope(about: FloatArray, turned: FloatArray) -> Linear | None:
+    """Scale of the rotations of an IMU to those of a lidar, both (N, K) about the same axes."""
+    about, turned = about - about.mean(axis=0), turned - turned.mean(axis=0)
+    return fit_linear(about.reshape(-1, 1), turned.ravel(), np.arange(float(turned.size)))
+
+
+def _turn_rates(name: str, unit: float, facing: float, slope: Linear | None) -> list[Finding]:
+    """Return an error of the angular rates: of unit, sign and scale."""
+    scale, sigma = (1.0, 0.0) if slope is None else (slope.values[0], math.sqrt(slope.covariance[0, 0]))
+    off = scale > 0.0 and abs(math.log(scale)) > IN_ORDER + math.sqrt(gate()) * sigma / scale
     what = ["in degrees"] if unit != 1.0 else []
     what += ["of the wrong sign"] if facing < 0.0 else []
     what += [f"{1.0 / scale:.2f} times too large"] if off else []
     if not what:
-        return found
-    factor = math.copysign(unit, facing) * (scale if off else 1.0)
-    return [*found, _turn_rates(name, " and ".join(what), factor, sigma * unit)]
-
-
-def _turn_rates(name: str, what: str, factor: float, sigma: float = 0.0) -> Finding:
-    """A scale error of the angular rates."""
-    return Finding(
-        name,
-        "turn rates",
-        f"its turn rates are {what}",
-        "rotations of the robot are wrong",
-        ({"imus": {name: {"gyro_scale": float(f"{factor:.6g}")}}},),
-        sure=True,
-        value=factor,
-        interval=interval(factor, sigma),
-    )
+        return []
+    factor = math.copysign(unit, facing) * (float(scale) if off else 1.0)
+    return [
+        Finding(
+            name,
+            "turn rates",
+            f"its turn rates are {' and '.join(what)}",
+            "rotations of the robot are wrong",
+            ({"imus": {name: {"gyro_scale": float(f"{factor:.6g}")}}},),
+            sure=True,
+            value=factor,
+            interval=interval(factor, sigma * unit),
+        )
+    ]
 
 
 def _clock(name: str, fit: TurnFit, untimed_s: float = 0.0) -> list[Finding]:
@@ -334,12 +347,12 @@ def _frozen(rows: FloatArray, steps: Sequence[SensorStep]) -> BoolArray:
 
 
 def _without_gravity(name: str, rows: FloatArray) -> list[Finding]:
-    """Return that the accelerations in rows (N, 7) are not mostly gravity, or in another unit."""
+    """Return that the accelerations in rows (N, 7), if any, are not mostly gravity, or in another unit."""
     force_m_s2 = float(np.median(np.linalg.norm(rows[:, 4:7], axis=1)))
-    if 0.5 < force_m_s2 / GRAVITY_M_S2 < 2.0:
+    if 0.5 < force_m_s2 / GRAVITY_M_S2 < 2.0 or not rows[:, 4:7].any():
         return []
     text = f"the median of its accelerations is {force_m_s2:.3g} m/s^2 where gravity is {GRAVITY_M_S2:.1f}"
-    remedy: Remedy = {"imus": {name: {"use": False}}}
+    remedy: Remedy = {"imus": {name: {"force_scale": 0.0}}}
     return [Finding(name, "forces", text, "poses would be predicted in free fall", (remedy,), sure=True)]
 
 

@@ -35,8 +35,7 @@ from slam.matching.upright import Gravity
 from slam.measurements import FloatArray, ImuReading, LaserScan, PointCloud, Pose, WheelOdometry, spatial
 from slam.odometry.clock_learner import Turns
 from slam.odometry.cloud_tracker import NO_MAP, CloudTracker, FirstMap, TrackedCloud
-from slam.odometry.imu_gravity import apart_in_time
-from slam.odometry.imu_tracker import ImuStart, ImuTracker
+from slam.odometry.imu_tracker import ImuTracker, apart_in_time
 from slam.odometry.wheel_tracker import WheelTracker
 from slam.storage.map_clouds import MapClouds
 from slam.storage.map_parts import KeptScans
@@ -59,13 +58,12 @@ class CloudLidar(FrontEnd):
         config: Config,
         checkpoint: Checkpoint,
         registrations: Mapping[str, ColorRegistration],
-        start: ImuStart | None = None,
         first: FirstMap = NO_MAP,
     ) -> None:
         self.readings = Readings()
         self._config, self._checkpoint = config, checkpoint
         self._wheels = WheelTracker(config.wheels) if config.sensors.wheels else None
-        self._imu = ImuTracker(start) if config.sensors.imu else None
+        self._imu = ImuTracker() if config.sensors.imu else None
         self._tracker = CloudTracker(config, self._wheels, checkpoint, self._imu, first)
         self._down: dict[int, Gravity] = {}
         self._clouds = checkpoint.cloud_spool()

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import math
 import time
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 from typing import TypeAlias
@@ -19,7 +21,6 @@ from slam.errors import DatasetError
 from slam.heap import end_stage
 from slam.mapper.checkpoint import Checkpoint
 from slam.mapper.first_map import first_map
-from slam.mapper.imu_start import after_readings, start_of
 from slam.mapper.lidar2d import PlanarRobot
 from slam.mapper.lidar3d import CloudLidar
 from slam.mapper.lookahead import Ahead, Lookahead, LostError
@@ -28,8 +29,9 @@ from slam.mapper.mapper import Mapper
 from slam.mapper.mount_learner import LearnedMounting
 from slam.mapper.protocol import FrontEnd
 from slam.mapper.rgbd import FreeCamera
-from slam.measurements import Measurement
+from slam.measurements import ImuReading, Measurement, PointCloud
 from slam.odometry import STANDARD, Odometries
+from slam.odometry.cloud_velocity import LONGEST_STEP_S
 from slam.odometry.imu_tracker import UnfitImuError
 from slam.vision.color_registration import ColorRegistration
 from slam.vision.features import forget_keypoints
@@ -184,9 +186,9 @@ class _Run:
             except LostError:
                 self._begin_again()
             except UnfitImuError as unfit:
-                (name, why), effect = unfit.args, "the map is made without it"
-                left_out = ({"imus": {name: {"use": False}}},)
-                finding = Finding(name, "no agreement", why, effect, left_out, sure=True)
+                name, why, fix = unfit.args
+                remedy, effect = {"imus": {name: fix}}, "mapping starts again"
+                finding = Finding(name, "no agreement", why, effect, (remedy,), sure=True)
                 self._findings = [*self._findings, finding]
                 self._config = settled(self._config, [finding])
                 self._choice = self._chosen()
@@ -226,15 +228,28 @@ class _Run:
         """Create the front end of the leading sensor."""
         config, choice, checkpoint = self._config, self._choice, self._checkpoint
         if choice.cloud:
-            imu = choice.imu and config.sensors.imu
             with fewer_frames(self._dataset, None):
                 first = first_map(self._used(self._dataset), config)
-            start = start_of(self._used(self._dataset), config, first) if imu else None
-            return CloudLidar(config, checkpoint, self._registrations, start, first)
+            return CloudLidar(config, checkpoint, self._registrations, first)
         if choice.spatial:
             return FreeCamera(config, checkpoint, self._registrations, self._odometries)
         known = self._registrations, self._mountings, self._odometries
         return PlanarRobot(config, checkpoint, *known, ahead)
+
+
+def after_readings(log: Iterable[Measurement]) -> Iterator[Measurement]:
+    """Yield a log in its order, with readings before the clouds of their time, however late they arrive."""
+    waiting, newest_s = deque[tuple[float, Measurement]](), -math.inf
+    for item in log:
+        if isinstance(item, ImuReading):
+            newest_s = max(newest_s, item.stamp_s)
+            yield item
+        else:
+            times_s = item.times_s if isinstance(item, PointCloud) else None
+            waiting.append((item.stamp_s if times_s is None else item.stamp_s + float(times_s.max()), item))
+        while waiting and (waiting[0][0] <= newest_s or item.stamp_s - waiting[0][0] > LONGEST_STEP_S):
+            yield waiting.popleft()[1]
+    yield from (item for _, item in waiting)
 
 
 @dataclass(slots=True)

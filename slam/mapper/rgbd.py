@@ -24,8 +24,7 @@ from slam.mapper.tags import TagFinder
 from slam.matching.upright import Gravity
 from slam.measurements import ImuReading, Pose, spatial
 from slam.odometry import STANDARD, Odometries
-from slam.odometry.imu_gravity import apart_in_time
-from slam.odometry.imu_tracker import ImuTracker, UnfitImuError, alike
+from slam.odometry.imu_tracker import ImuTracker, UnfitImuError, alike, apart_in_time
 from slam.odometry.rgbd_tracker import RgbdTracker, TrackedFrame
 from slam.trajectory.readings import Readings
 from slam.vision.camera_frame import T_BODY_CAMERA
@@ -163,6 +162,7 @@ class FreeCamera(FrontEnd):
         """Process a reading of an IMU with known mounting, transformed to the camera."""
         if self._imu is None or self._camera is None:
             return
-        if reading.T_base_imu is None:
-            raise UnfitImuError(reading.sensor, "its pose relative to the camera is unknown")
+        if reading.T_base_imu is None or not reading.specific_force_m_s2.any():
+            lacks = "its pose relative to the camera, or its acceleration, is unknown"
+            raise UnfitImuError(reading.sensor, lacks, {"use": False})
         self._imu.add(replace(reading, T_base_imu=self._T_camera_base.compose(reading.T_base_imu)))

@@ -113,11 +113,15 @@ class CloudTracker:
         """Find the pose of the next cloud at its stamp; without a match it is a guess."""
         step_s = 0.0 if self._stamp_s is None else cloud.stamp_s - self._stamp_s
         by_imu = None if self._imu is None else self._imu.predicted(cloud.stamp_s)
+        turned = None if self._imu is None else self._imu.turned(cloud.stamp_s)
         guesses, before = self._guesses(cloud, step_s, by_imu), self._pose
+        if by_imu is None and turned is not None:
+            guesses = [gtsam.Pose3(turned, guess.translation()) for guess in guesses]
         expected = guesses[0] if guesses else before
         self._stamp_s = cloud.stamp_s
         if self._imu is not None and deskewed(cloud, self._turns):
-            cloud = self._imu.straightened(cloud, self._velocity.twist)
+            straight = self._imu.straightened(cloud, self._velocity.twist)
+            cloud, self._velocity.rotated = straight, straight is not cloud
         self._cloud = cloud
         moves = guesses or self._matcher is None
         twist = self._velocity.at(expected, cloud.stamp_s) if moves else np.zeros(6)
@@ -140,7 +144,7 @@ class CloudTracker:
             "cloud",
             float(expected.x()),
             lambda: (
-                matcher.match(cloud, turn, guesses, before, step_s, turn_known=by_imu is not None),
+                matcher.match(cloud, turn, guesses, before, step_s, turn_known=turned is not None),
                 odometry.settles,
             ),
         )
@@ -237,6 +241,9 @@ class CloudTracker:
             self._judge_wheels(self._pose.between(pose_of(motion)))
         self._lost = 0
         self._pose = pose_of(motion)
+        if cloud.times_s is not None and deskewed(cloud, self._turns):
+            moved = self._velocity.misplaced(self._pose, cloud.stamp_s, np.asarray(cloud.times_s))
+            motion = replace(motion, covariance=motion.covariance + np.outer(moved, moved))
         points, measured = turn.points, motion.covariance
         if motion.converged:
             if deskewed(cloud, self._turns):

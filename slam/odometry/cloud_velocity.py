@@ -23,7 +23,11 @@ class CloudVelocity:
         Last measured twist; before that as given, or zero.
     known
         Whether it was measured in this local map, or given.
+    rotated
+        Whether a gyroscope has compensated the rotation within clouds.
     """
+
+    rotated = False
 
     def __init__(self, twist: FloatArray | None = None) -> None:
         self.twist: FloatArray = np.zeros(6) if twist is None else twist
@@ -47,13 +51,23 @@ class CloudVelocity:
         return np.asarray(gtsam.Pose3.Logmap(self._pose.between(pose)) / step_s)
 
     def at(self, pose: gtsam.Pose3, stamp_s: float) -> FloatArray:
-        """Return the twist (6,) at the time of a pose.
+        """Return the twist (6,) at the time of a pose, to deskew a cloud.
 
         It assumes constant acceleration: the mean of a step is the twist half a step ago.
         """
         mean, step_s = self.to(pose, stamp_s), stamp_s - self._stamp_s
         share = step_s / (step_s + self._step_s) if 0.0 < step_s < LONGEST_STEP_S else 0.0
-        return np.asarray(mean + share * (mean - self.twist))
+        twist = np.asarray(mean + share * (mean - self.twist))
+        return np.append(np.zeros(3), twist[3:]) if self.rotated else twist
+
+    def misplaced(self, pose: gtsam.Pose3, stamp_s: float, times_s: FloatArray) -> FloatArray:
+        """Return (6,) how far a match at ``T_odom_base`` is off by a constant twist that has changed.
+
+        It is the mean of half the acceleration times the square of the times (N,) around the stamp.
+        """
+        offset = self.at(pose, stamp_s) - self.twist * ([not self.rotated] * 3 + [True] * 3)
+        passed_s = stamp_s - self._stamp_s + 0.5 * self._step_s
+        return np.asarray(0.5 * offset / passed_s * np.mean(times_s**2)) if passed_s > 0.0 else np.zeros(6)
 
     def carry_on(self, twist: FloatArray, stamp_s: float) -> gtsam.Pose3 | None:
         """Extrapolate the last certain pose with a twist (6,); None after a gap."""

@@ -16,8 +16,9 @@ _GAP = 10.0
 _KEPT_S = 30.0
 # Lower limit of the noise: a tenth of that of a phone's sensors (Woodman 2007).
 _GYRO_DENSITY, _FORCE_DENSITY = 2e-5, 1e-3
-# Random walk of biases: ten times that of a tactical unit (Forster 2017, Sec. VIII).
-GYRO_WALK, FORCE_WALK = 1e-4, 1e-3
+# Random walk of biases: ten times that of a tactical gyroscope (Forster 2017, Sec. VIII), and that of EuRoC's
+# accelerometer (Burri 2016): with less, its wander on a straight road looks like a lean.
+GYRO_WALK, FORCE_WALK = 1e-4, 3e-3
 # Prior sigmas of a gyroscope: bias in rad/s, scale error (of cheap ones, by their data sheets).
 GYRO_UNKNOWN = np.diag([0.1, 0.03])
 
@@ -71,6 +72,11 @@ class ImuReadings:
             self._gyro_density = self._densities()[0]
         return self._gyro_density or _GYRO_DENSITY
 
+    @property
+    def weightless(self) -> bool:
+        """Return whether forces are unknown: all are zero."""
+        return bool(self._rows) and not self._rows[-1][1][3:].any()
+
     def covers(self, begin_s: float, end_s: float) -> bool:
         """Return whether readings cover the time, up to a few steps after the newest."""
         if len(self._rows) < 2 or end_s < begin_s:
@@ -90,9 +96,13 @@ class ImuReadings:
         return np.asarray((rows if len(rows) else self._with_ends(begin_s, end_s)[1]).mean(axis=0))
 
     def parameters(self) -> gtsam.PreintegrationCombinedParams:
-        """Return the parameters of GTSAM's preintegration, with noise from neighbouring readings."""
+        """Return the parameters of GTSAM's preintegration, with noise from neighbouring readings.
+
+        Without forces, any acceleration is possible: wheels and feet exert at most about the weight.
+        """
         parameters = gtsam.PreintegrationCombinedParams.MakeSharedU(GRAVITY_M_S2)
         gyro, force = self._densities()
+        force = GRAVITY_M_S2 if self.weightless else force
         parameters.setGyroscopeCovariance(gyro**2 * np.eye(3))
         parameters.setAccelerometerCovariance(force**2 * np.eye(3))
         parameters.setIntegrationCovariance(1e-8 * np.eye(3))

@@ -104,7 +104,7 @@ class ImuSmoother:
         self._smoother = gtsam.BatchFixedLagSmoother(_LAG_S, parameters)
         self._marginals: gtsam.Marginals | None = None
         self._count, self._downs = 0, 0
-        self._first_s = self._down_s = start.stamp_s
+        self._down_s = start.stamp_s
         graph, values = gtsam.NonlinearFactorGraph(), gtsam.Values()
         noise = gtsam.noiseModel.Gaussian.Covariance
         graph.add(gtsam.PriorFactorPose3(X(0), start.pose, noise(np.diag([_HELD**2] * 6))))
@@ -173,10 +173,6 @@ class ImuSmoother:
     def down_sigma_rad(self) -> float:
         """Return the sigma of the gravity direction in the base frame, along its worse axis."""
         return float(np.sqrt(np.linalg.eigvalsh(self._marginal(G(self._downs)))[-1]))
-
-    def first(self) -> ImuState:
-        """Return the first state as smoothed; only while it is within the lag."""
-        return self._found(0, self._first_s)
 
     def restarted(self) -> ImuSmoother:
         """Return a smoother that starts at the newest state, where the odometry frame was restarted."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import pairwise
 
 import gtsam
@@ -15,7 +15,7 @@ from fusion.kernel import kernel
 from slam.matching.cloud_points import SLICES
 from slam.matching.upright import Gravity
 from slam.measurements import GRAVITY_M_S2, FloatArray, ImuReading, PointCloud
-from slam.odometry.imu_readings import ImuReadings
+from slam.odometry.imu_readings import FORCE_WALK, ImuReadings
 from slam.odometry.imu_smoother import FORCE_BIAS_M_S2, ImuSmoother, ImuSpread, ImuState
 
 # Poses over this time determine velocity and gravity; without a pose for as long, readings continue.
@@ -28,25 +28,11 @@ _APART_RAD, _APART_SHARE = 0.02, 0.1
 
 
 class UnfitImuError(Exception):
-    """The IMU contradicts the lidar; the arguments are its name and the reason."""
-
-
-@dataclass(frozen=True, slots=True)
-class ImuStart:
-    """State of a robot at its first cloud, which may be recorded in motion."""
-
-    state: ImuState
-    spread: ImuSpread
-    parameters: gtsam.PreintegrationCombinedParams
+    """The IMU contradicts the lidar; the arguments are its name, the reason, and its calibration."""
 
 
 class ImuTracker:
-    """State of one IMU beside the tracker of a lidar.
-
-    Parameters
-    ----------
-    start
-        Known state; None if the first poses must determine it.
+    """State of one IMU beside the tracker of a lidar; the first poses determine it.
 
     Attributes
     ----------
@@ -54,15 +40,13 @@ class ImuTracker:
         Time bridged by readings alone.
     """
 
-    def __init__(self, start: ImuStart | None = None) -> None:
+    def __init__(self) -> None:
         self.bridged_s = 0.0
         self._states = 0
         self._sensor = ""
         self._readings = ImuReadings()
         self._parameters: gtsam.PreintegrationCombinedParams | None = None
         self._smoother: ImuSmoother | None = None
-        if start is not None:
-            self._parameters, self._smoother = start.parameters, ImuSmoother(start.state, start.spread)
         self._poses: list[tuple[float, gtsam.Pose3, FloatArray]] = []
         self._agree: deque[bool] = deque(maxlen=2 * FEWEST)
         self._interval: tuple[ImuState, float, gtsam.PreintegratedCombinedMeasurements] | None = None
@@ -79,15 +63,6 @@ class ImuTracker:
         """Return the newest state, once velocity and gravity are known."""
         return None if self._smoother is None else self._smoother.state
 
-    def start(self) -> ImuStart | None:
-        """Return the state at the first cloud as estimated so far."""
-        if self.state is None or self._smoother is None or self._parameters is None:
-            return None
-        # Velocities are reliable. Biases and gravity may have absorbed the distortion of the first clouds.
-        first = self._smoother.first()
-        state = replace(first, bias=gtsam.imuBias.ConstantBias(np.zeros(3), first.bias.gyroscope()))
-        return ImuStart(state, _GUESS, self._parameters)
-
     def due_s(self) -> float | None:
         """Return a stamp up to which readings alone must continue without a cloud; None if not needed."""
         state, newest_s = self.state, self._readings.newest_s
@@ -95,6 +70,19 @@ class ImuTracker:
 
     def predicted(self, stamp_s: float) -> gtsam.Pose3 | None:
         """Predict ``T_odom_base`` at a stamp after the newest state; None if the readings do not suffice."""
+        return None if self._readings.weightless else self._carried(stamp_s)
+
+    def turned(self, stamp_s: float) -> gtsam.Rot3 | None:
+        """Predict the rotation of `predicted`, which needs no forces, and no state before there is one."""
+        if self._poses and self._readings.covers(self._poses[-1][0], stamp_s):
+            last_s, last, _ = self._poses[-1]
+            turn = gtsam.Rot3(self._readings.turns(np.array([stamp_s]), last_s, np.zeros(3))[0])
+            return last.rotation().compose(turn).compose(self._readings.T_base_imu.rotation().inverse())
+        pose = self._carried(stamp_s)
+        return None if pose is None else pose.rotation()
+
+    def _carried(self, stamp_s: float) -> gtsam.Pose3 | None:
+        """Return the newest state, carried on by the readings up to a stamp."""
         state = self.state
         if state is None or stamp_s <= state.stamp_s or not self._readings.covers(state.stamp_s, stamp_s):
             return None
@@ -104,12 +92,13 @@ class ImuTracker:
     def straightened(self, cloud: PointCloud, twist: FloatArray) -> PointCloud:
         """Deskew a revolution to its stamp: rotated by the gyroscope, translated by velocity and force.
 
-        Unchanged if the readings do not cover it.
+        Unchanged if the readings do not cover it. Only rotated, with its times, if the IMU does not know its
+        velocity: that is known better after the match.
 
         Parameters
         ----------
         twist
-            (6,) twist of the base from previous clouds: its velocity is used until that of the IMU is known.
+            (6,) twist of the base from previous clouds.
         """
         if cloud.times_s is None:
             return cloud
@@ -117,16 +106,19 @@ class ImuTracker:
         if not self._readings.covers(cloud.stamp_s + first_s, cloud.stamp_s + last_s):
             return cloud
         T_imu_base = self._readings.T_base_imu.inverse()
-        bias, acceleration = np.zeros(3), np.zeros(3)
-        velocity = (T_imu_base.AdjointMap() @ twist)[3:]
-        state = self.state
-        if state is not None and self._readings.covers(state.stamp_s, cloud.stamp_s):
+        mean = self._readings.mean(cloud.stamp_s + first_s, cloud.stamp_s + last_s)
+        state, there, left_s = self.state, T_imu_base.AdjointMap(), None
+        bias = np.zeros(3) if state is None else np.asarray(state.bias.gyroscope())
+        # In its own frame, the velocity of the robot hardly changes.
+        velocity, acceleration = there[3:, :3] @ twist[:3], np.cross(mean[:3] - bias, there[3:] @ twist)
+        known = state is not None and self._readings.covers(state.stamp_s, cloud.stamp_s)
+        if state is None or not known or self._readings.weightless:
+            left_s = cloud.times_s
+        else:
             pose, moving = state.carried(self._integrated(state, cloud.stamp_s))
-            bias, velocity = np.asarray(state.bias.gyroscope()), np.asarray(pose.rotation().unrotate(moving))
-            force = self._readings.mean(cloud.stamp_s + first_s, cloud.stamp_s + last_s)[3:]
-            acceleration = (
-                force - state.bias.accelerometer() + GRAVITY_M_S2 * pose.rotation().unrotate(state.down)
-            )
+            velocity = np.asarray(pose.rotation().unrotate(moving))
+            weight = GRAVITY_M_S2 * pose.rotation().unrotate(state.down)
+            acceleration = mean[3:] - state.bias.accelerometer() + weight
         edges_s = np.linspace(first_s, last_s, SLICES + 1)
         turns = self._readings.turns(cloud.stamp_s + edges_s, cloud.stamp_s, bias)
         T_imu_lidar = T_imu_base.compose(cloud.T_base_lidar)
@@ -139,7 +131,7 @@ class ImuTracker:
         per_slice_s = (last_s - first_s) / SLICES
         times_s = np.asarray(cloud.times_s, dtype=np.float64)
         _turned(cloud.points_lidar, times_s, first_s, per_slice_s, poses, slopes, points)
-        return replace(cloud, points_lidar=points, times_s=None)
+        return replace(cloud, points_lidar=points, times_s=left_s)
 
     def took(
         self,
@@ -204,7 +196,7 @@ class ImuTracker:
         off_m_s2 = float(np.linalg.norm(smoother.state.bias.accelerometer()))
         if off_m_s2**2 > gate(3) * FORCE_BIAS_M_S2**2:
             why = f"its forces are {off_m_s2:.1f} m/s^2 off what the trajectory implies"
-            raise UnfitImuError(self._sensor, f"{why}: a wrong mounting, clock or unit")
+            raise UnfitImuError(self._sensor, f"{why}: a wrong mounting, clock or unit", {"force_scale": 0.0})
 
     def restart(self) -> None:
         """Restart at the newest state, where the lidar's map is restarted."""
@@ -213,8 +205,8 @@ class ImuTracker:
         self._poses.clear()
 
     def spread(self) -> FloatArray | None:
-        """Return (6, 6) the covariance of the newest ``T_odom_base``; None before there is a state."""
-        if self.state is None or self._smoother is None:
+        """Return (6, 6) the covariance of the newest ``T_odom_base``; None if the IMU does not know it."""
+        if self.state is None or self._smoother is None or self._readings.weightless:
             return None
         back = self._readings.T_base_imu.AdjointMap()
         return np.asarray(back @ self._smoother.spread() @ back.T)
@@ -230,7 +222,7 @@ class ImuTracker:
     def gravity(self) -> Gravity | None:
         """Return gravity in the base frame at the newest state."""
         state = self.state
-        if state is None or self._smoother is None:
+        if state is None or self._smoother is None or self._readings.weightless:
             return None
         down_imu = state.pose.rotation().unrotate(state.down)
         down = np.asarray(self._readings.T_base_imu.rotation().rotate(down_imu))
@@ -241,14 +233,15 @@ class ImuTracker:
         if not self._sensor:
             return [], {}
         state, gravity = self.state, self.gravity()
-        if state is None or gravity is None:
+        if state is None:
             why = "velocity and gravity could not be initialised; that needs a second of matches"
             return [], {self._sensor: why} if self._states < FEWEST else {}
         gyro, force = np.abs(state.bias.gyroscope()).max(), np.abs(state.bias.accelerometer()).max()
-        notes = [
-            f"{self._sensor}: gravity to {math.degrees(gravity.sigma_rad):.2f} degrees (sigma); biases up to "
-            f"{math.degrees(gyro):.2f} degrees/s and {force:.3f} m/s^2"
-        ]
+        biases = f"biases up to {math.degrees(gyro):.2f} degrees/s"
+        if gravity is None:
+            return [f"{self._sensor}: its gyroscope alone is used; {biases}"], {}
+        known = f"gravity to {math.degrees(gravity.sigma_rad):.2f} degrees (sigma)"
+        notes = [f"{self._sensor}: {known}; {biases} and {force:.3f} m/s^2"]
         if self.bridged_s:
             notes.append(f"{self._sensor}: {self.bridged_s:.1f} s without a match were bridged")
         return notes, {}
@@ -282,7 +275,7 @@ class ImuTracker:
         mean = np.average(forces, axis=0, weights=np.diff(stamps_s))
         middles_s = 0.5 * (stamps_s[1:] + stamps_s[:-1])
         change = (velocities[-1] - velocities[0]) / (middles_s[-1] - middles_s[0])
-        down = np.asarray(change - mean)
+        down = np.array([0.0, 0.0, -1.0]) if self._readings.weightless else np.asarray(change - mean)
         return ImuState(
             float(stamps_s[0]),
             poses[0][1],
@@ -298,7 +291,7 @@ class ImuTracker:
         self._agree.append(alike(matched, state.pose.between(state.carried(integral)[0])))
         if len(self._agree) == 2 * FEWEST and sum(self._agree) < FEWEST:
             why = "its rotation does not agree with the lidar's: a wrong mounting, clock or unit"
-            raise UnfitImuError(self._sensor, why)
+            raise UnfitImuError(self._sensor, why, {"use": False})
 
     def _lose(self) -> None:
         """Discard the state after a gap in the readings."""
@@ -319,6 +312,21 @@ def alike(matched: gtsam.Pose3, predicted: gtsam.Pose3) -> bool:
     turn_rad = float(np.linalg.norm(gtsam.Rot3.Logmap(matched.rotation())))
     apart_rad = float(np.linalg.norm(gtsam.Rot3.Logmap(predicted.rotation().between(matched.rotation()))))
     return apart_rad <= _APART_RAD + _APART_SHARE * turn_rad
+
+
+def apart_in_time(directions: dict[int, Gravity]) -> dict[int, Gravity]:
+    """Return directions by keyframe, with covariances scaled by the number that shares one error.
+
+    The accelerometer's bias tilts gravity, and stays the same until it has drifted by its uncertainty: the
+    directions of that time count as one.
+    """
+    stamps_s = np.array([gravity.stamp_s for gravity in directions.values()])
+    scaled = {}
+    for key, gravity in directions.items():
+        shared_s = (gravity.sigma_rad * GRAVITY_M_S2 / FORCE_WALK) ** 2
+        sharing = int(np.count_nonzero(np.abs(stamps_s - gravity.stamp_s) <= 0.5 * shared_s))
+        scaled[key] = replace(gravity, sigma_rad=gravity.sigma_rad * float(np.sqrt(sharing)))
+    return scaled
 
 
 @kernel

@@ -12,7 +12,7 @@ from point_files import write_ply
 
 from slam.config.stages import SensorsConfig
 from slam.datasets import open_dataset
-from slam.datasets.bags.imu import NO_FORCES, NOT_BOTH, paired_halves
+from slam.datasets.bags.imu import NO_VALUES, NOT_BOTH, paired_halves
 from slam.datasets.imu_files import BAD_ROW, NO_RATES
 from slam.datasets.inspection import inspect_dataset
 from slam.datasets.kitti_raw import ONCE_A_CLOUD
@@ -244,12 +244,27 @@ def test_accelerations_are_not_bridged_over_a_gap(tmp_path: Path) -> None:
     assert len(found) == 22 and not any(1000.101 < one.stamp_s < 1000.799 for one in found)
 
 
+@pytest.mark.parametrize("others", ["", ",userAcceleration_x,userAcceleration_y,userAcceleration_z"])
+def test_a_file_without_accelerations_has_a_gyroscope(tmp_path: Path, others: str) -> None:
+    rest = ",1,2,3" if others else ""
+    text = f"time,gyro_x,gyro_y,gyro_z{others}\n100.5,0.1,0.2,0.3{rest}\n100.6,0.1,0.2,nan{rest}\n"
+    (reading,) = imu_of(folder(tmp_path, "imu.csv", text))
+    assert reading.gyro_rad_s.tolist() == [0.1, 0.2, 0.3] and not reading.specific_force_m_s2.any()
+
+
 def test_half_an_imu_is_used_with_its_other_half(tmp_path: Path) -> None:
     scans = [scan(stamp_s=1000.0 + 0.1 * n) for n in range(4)]
     sent = [half(RATES, 0.1 * n, rates=0.1) for n in range(4)]
     dataset = open_dataset(write_bag(tmp_path / "alone", "mcap", [*scans, *sent]))
+    alone = [one for one in dataset if isinstance(one, ImuReading)]
+    assert len(alone) == 4 and all(
+        one.gyro_rad_s.any() and not one.specific_force_m_s2.any() for one in alone
+    )
+    assert not any("in g" in note for note in dataset.report.notes)
+    idle = [half(RATES, 0.1 * n) for n in range(4)]
+    dataset = open_dataset(write_bag(tmp_path / "idle", "mcap", [*scans, *idle]))
     list(dataset)
-    assert dataset.report.reasons[f"{RATES} (sensor_msgs/msg/Imu)"] == NO_FORCES
+    assert dataset.report.reasons[f"{RATES} (sensor_msgs/msg/Imu)"] == NO_VALUES
     sent += [half(FORCES, 0.1 * n, forces=9.8) for n in range(4)]
     both = open_dataset(
         write_bag(tmp_path / "both", "mcap", sorted([*scans, *sent], key=lambda s: s.stamp_s))

@@ -13,13 +13,14 @@ import gtsam
 import numpy as np
 import pytest
 from gyro_world import beside, imu_of
+from imu_world import T_BASE_IMU
 
 from slam.config.calibration import Calibration
 from slam.datasets import open_dataset
 from slam.datasets.corrections import corrected
 from slam.doctor.diagnosis import diagnose
 from slam.doctor.finding import Finding, remedied
-from slam.measurements import ImuReading, LaserScan, Measurement, WheelOdometry
+from slam.measurements import GRAVITY_M_S2, ImuReading, LaserScan, Measurement, WheelOdometry
 from slam.simulation.synthetic_log import write_synthetic_log
 
 Change = Callable[[ImuReading], ImuReading]
@@ -102,6 +103,32 @@ def test_a_clock_is_reported_and_mended(ahead_s: float) -> None:
     low_s, high_s = finding.interval or (0.0, 0.0)
     assert finding.kind == "clock" and low_s <= ahead_s <= high_s and high_s - low_s < 0.03
     assert of_imu(list(corrected(wrong, remedied(Calibration(), [finding], only_sure=True)))) == []
+
+
+def without_gravity(one: ImuReading) -> ImuReading:
+    rest = T_BASE_IMU.rotation().unrotate(np.array([0.0, 0.0, GRAVITY_M_S2]))
+    return replace(one, specific_force_m_s2=one.specific_force_m_s2 - rest)
+
+
+def weightless(one: ImuReading) -> ImuReading:
+    return replace(one, specific_force_m_s2=np.zeros(3))
+
+
+def test_without_gravity_the_vertical_is_that_of_the_mounting() -> None:
+    wrong = with_imu(without_gravity)
+    (finding,) = of_imu(wrong)
+    assert finding.kind == "forces" and finding.sure
+    assert of_imu(list(corrected(wrong, remedied(Calibration(), [finding], only_sure=True)))) == []
+    assert of_imu(with_imu(weightless)) == []
+    (finding,) = of_imu(with_imu(lambda one: turned(-1.0)(weightless(one))))
+    assert finding.kind == "turn rates" and finding.value == pytest.approx(-1.0, rel=0.03)
+    (finding,) = of_imu(with_imu(lambda one: replace(weightless(one), gyro_rad_s=np.roll(one.gyro_rad_s, 1))))
+    assert finding.kind == "axes" and "mounting" in finding.text
+    aside = gtsam.Pose3(gtsam.Rot3(np.roll(np.eye(3), 1, axis=0).T), np.zeros(3))
+    told = with_imu(
+        lambda one: replace(weightless(one), gyro_rad_s=np.roll(one.gyro_rad_s, 1), T_base_imu=aside)
+    )
+    assert of_imu(told) == []
 
 
 @pytest.mark.parametrize(

@@ -262,10 +262,24 @@ def test_no_clock_is_reported_for_turns_that_nothing_explains() -> None:
     assert "clock" not in findings([replace(one, stamp_s=one.stamp_s + 1.0) for one in SAID])
 
 
-@pytest.mark.parametrize("unit", [0.0, 1.0 / GRAVITY_M_S2])
+@pytest.mark.parametrize("unit", [1e-3, 1.0 / GRAVITY_M_S2])
 def test_accelerations_without_gravity_or_in_another_unit_are_found(unit: float) -> None:
     found = findings([replace(one, specific_force_m_s2=unit * one.specific_force_m_s2) for one in SAID])
-    assert found["forces"].sure and found["forces"].remedies == ({"imus": {"imu": {"use": False}}},)
+    assert found["forces"].sure and found["forces"].remedies == ({"imus": {"imu": {"force_scale": 0.0}}},)
+
+
+@pytest.mark.parametrize("scale", [0.88, 1.15])
+def test_turn_rates_some_percent_too_large_are_found(scale: float) -> None:
+    found = findings([replace(one, gyro_rad_s=scale * one.gyro_rad_s) for one in SAID])
+    assert set(found) == {"turn rates"} and found["turn rates"].value == pytest.approx(1.0 / scale, rel=0.02)
+
+
+def test_an_imu_without_accelerations_is_a_sound_gyroscope() -> None:
+    weightless = [replace(one, specific_force_m_s2=np.zeros(3)) for one in SAID]
+    assert findings(weightless) == {}
+    assert set(findings([replace(one, gyro_rad_s=np.degrees(one.gyro_rad_s)) for one in weightless])) == {
+        "turn rates"
+    }
 
 
 @pytest.mark.parametrize(("ahead_s", "lidar_s", "imu_s"), [(0.072, -0.05, 0.022), (-0.05, 0.05, 0.0)])

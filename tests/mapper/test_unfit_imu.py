@@ -15,9 +15,8 @@ from imu_world import readings, walk
 from slam.app.mapping import Measured
 from slam.config import load_config
 from slam.mapper.checkpoint import Checkpoint
-from slam.mapper.imu_start import after_readings, start_of
 from slam.mapper.map_result import MapResult
-from slam.mapper.pipeline import build_map
+from slam.mapper.pipeline import after_readings, build_map
 from slam.measurements import ImuReading, Measurement, WheelOdometry
 from slam.storage.map_file import MapFile
 from slam.storage.map_tables import CLOUDS as CLOUD_ROWS
@@ -45,26 +44,16 @@ def worst_m(result: MapResult) -> float:
     )
 
 
-def test_the_way_is_begun_again_without_an_imu_whose_forces_are_of_another(tmp_path: Path) -> None:
+def test_the_way_is_begun_again_without_the_forces_of_another(tmp_path: Path) -> None:
     aside = np.array([2.0, 0.0, 0.0])
     wrong = [
         replace(one, specific_force_m_s2=one.specific_force_m_s2 + aside * (one.stamp_s > 1.5))
         for one in readings(walk, SECONDS)
     ]
     result = run(wrong, MapFile.create(tmp_path / "map.db"))
-    assert any("imu: its forces" in note and "use: false" in note for note in result.notes)
+    assert any("imu: its forces" in note and "force_scale: 0" in note for note in result.notes)
+    assert any("imu: its gyroscope alone" in note for note in result.notes)
     assert worst_m(result) < 0.05
-
-
-def test_who_looks_how_the_way_begins_does_not_judge_its_forces() -> None:
-    """Gravity is a guess then: of one that began in a corner they were off by twice what is borne."""
-    aside = np.array([2.0, 0.0, 0.0])
-    wrong = [
-        replace(one, specific_force_m_s2=one.specific_force_m_s2 + aside * (one.stamp_s > 1.5))
-        for one in SAID
-    ]
-    log: list[Measurement] = sorted([*wrong, *CLOUDS], key=lambda one: one.stamp_s)
-    assert start_of(log, load_config(None, ["sensors.doctor=false", *SMALL])) is not None
 
 
 def test_one_whose_readings_end_was_used() -> None:

@@ -91,3 +91,23 @@ def test_a_twist_that_changes_evenly_is_reported_as_it_is_at_the_end_of_a_step()
         assert velocity.at(pose, stamp_s)[3] == pytest.approx(mean if stamp_s == 5.1 else 6.0 * 0.3)
         velocity.learn(pose, stamp_s, ARMS_M, match(pose))
     assert velocity.at(pose, 9.0) == pytest.approx(velocity.twist)
+
+
+@pytest.mark.parametrize("rotated", [False, True])
+def test_a_changing_twist_misplaces_a_cloud_by_what_its_points_are_off_on_average(rotated: bool) -> None:
+    velocity, times_s = CloudVelocity(), np.linspace(-0.05, 0.05, 101)
+    before, spin, surge = np.array([0.0, 0.0, 0.2, 8.0, 0.0, 0.0]), 3.0, 4.0
+
+    def way(time_s: float) -> gtsam.Pose3:
+        """On a line and about its own axis, both ever faster."""
+        yaw = before[2] * time_s + 0.5 * spin * time_s**2
+        return gtsam.Pose3(gtsam.Rot3.Yaw(yaw), np.array([0.0, 0.0, 8.0 * time_s + 0.5 * surge * time_s**2]))
+
+    velocity.begin(0.0)
+    for stamp_s in (0.1, 0.2):
+        velocity.learn(way(stamp_s), stamp_s, ARMS_M, match(way(stamp_s)))
+    velocity.rotated = rotated
+    off = velocity.misplaced(way(0.3), 0.3, times_s)
+    expected = 0.5 * np.mean(times_s**2) * np.array([0.0, 0.0, 0.0 if rotated else spin, 0.0, 0.0, surge])
+    assert off == pytest.approx(expected, rel=0.1, abs=1e-6)
+    assert not CloudVelocity().misplaced(way(0.3), 0.3, times_s).any()

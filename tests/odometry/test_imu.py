@@ -12,10 +12,9 @@ from imu_world import GYRO_BIAS, T_BASE_IMU, Way, readings, stands, walk
 
 from slam.matching.upright import Gravity, upright_of
 from slam.measurements import FloatArray, ImuReading, PointCloud
-from slam.odometry.imu_gravity import apart_in_time
 from slam.odometry.imu_readings import ImuReadings
 from slam.odometry.imu_smoother import noise_of
-from slam.odometry.imu_tracker import ImuTracker, UnfitImuError
+from slam.odometry.imu_tracker import ImuTracker, UnfitImuError, apart_in_time
 
 MATCHED = np.diag([1e-6] * 3 + [4e-6] * 3)
 DOWN = np.array([0.0, 0.0, -1.0])

@@ -21,7 +21,7 @@ from slam.measurements import FloatArray, ImuReading, Measurement
 
 NOT_BOTH = "IMU message without angular rate or acceleration"
 NO_HALF = "IMU message without the quantity that its topic provides"
-NO_FORCES = "it has no accelerations, and no other topic has any"
+NO_VALUES = "its first message has neither angular rates nor accelerations"
 
 
 def quantities_in(message: Any) -> tuple[bool, bool]:
@@ -65,11 +65,14 @@ class ImuReader:
         Its pose on the robot; None if tf does not contain it.
     unit
         Unit of its accelerations.
+    gyro_alone
+        Whether it has no accelerations.
     """
 
     topic: str
     T_base_imu: gtsam.Pose3 | None
     unit: ForceUnit = field(default_factory=ForceUnit)
+    gyro_alone: bool = False
 
     def notes(self) -> list[str]:
         """Notes for the user."""
@@ -81,14 +84,15 @@ class ImuReader:
         Raises
         ------
         RecordFault
-            A number is not finite, or one of the two sensors is missing: it is zero on every axis, or its
-            covariance starts with -1 (sensor_msgs).
+            A number is not finite, or a quantity is missing, see `quantities_in`.
         """
         gyro, force = _vector(message.angular_velocity), _vector(message.linear_acceleration)
-        missing = -1.0 in (message.angular_velocity_covariance[0], message.linear_acceleration_covariance[0])
-        if missing or not np.isfinite([gyro, force]).all() or not force.any():
+        forces = message.linear_acceleration_covariance[0] != -1.0 and force.any()
+        known = message.angular_velocity_covariance[0] != -1.0 and (forces or self.gyro_alone)
+        if not known or not np.isfinite([gyro, force]).all():
             raise RecordFault(NOT_BOTH, f"{gyro}, {force}")
-        return ImuReading(stamp_of(message.header), gyro, self.unit.m_s2(force), self.T_base_imu, self.topic)
+        force = np.zeros(3) if self.gyro_alone else self.unit.m_s2(force)
+        return ImuReading(stamp_of(message.header), gyro, force, self.T_base_imu, self.topic)
 
 
 @dataclass(slots=True)

@@ -18,7 +18,7 @@ from slam.datasets.bags.clouds import CloudReader, TurnReader
 from slam.datasets.bags.evidence import evidence_of, never_read
 from slam.datasets.bags.files import Bag
 from slam.datasets.bags.gnss import gnss_reader
-from slam.datasets.bags.imu import NO_FORCES, ImuReader, JoinedImu, paired_halves
+from slam.datasets.bags.imu import NO_VALUES, ImuReader, JoinedImu, paired_halves
 from slam.datasets.bags.laser import ANGLE_TOLERANCE_RAD, LaserMount, scan_from
 from slam.datasets.bags.lens import Lens, lens_of
 from slam.datasets.bags.ouster_model import OusterModel
@@ -305,10 +305,10 @@ def _read_imus(survey: Survey, layout: Layout, topics: tuple[str, ...]) -> None:
             layout.imus.append(joined)
             layout.readers |= {topic: joined.read_rates, forces: joined.read_forces}
             layout.joined[forces] = topic
-        elif topic in pairs:
-            layout.left_out[topic] = NO_FORCES
+        elif topic in pairs and not survey.imus[topic][0]:
+            layout.left_out[topic] = NO_VALUES
         else:
-            reader = ImuReader(topic, _mount(survey, layout, topic))
+            reader = ImuReader(topic, _mount(survey, layout, topic), gyro_alone=topic in pairs)
             layout.imus.append(reader)
             layout.readers[topic] = reader.read
 

@@ -11,7 +11,7 @@ from bag_writing import START_S, Sent, cloud, image, info, odometry, scan, trans
 from numpy.typing import NDArray
 
 from slam.datasets import open_dataset
-from slam.datasets.bags.imu import NO_FORCES
+from slam.datasets.bags.imu import NO_VALUES
 from slam.datasets.inspection import inspect_dataset
 from slam.evaluation.pages import inspection_text
 
@@ -122,12 +122,12 @@ def test_every_topic_is_reported(tmp_path: Path) -> None:
     assert {name for name, use in found.items() if not use[2]} == {
         *("/camera", COLOR, DEPTH, "/camera/color/camera_info", "/scan", "/odom", "/tf_static")
     }
-    assert found["/imu"] == ("sensor_msgs/msg/Imu", 5, NO_FORCES)
+    assert found["/imu"] == ("sensor_msgs/msg/Imu", 5, NO_VALUES)
     assert "no depth beside it" in found["/eye/image_raw"][2]
     assert "another image topic" in found["/camera/infra1/image_rect_raw"][2]
     assert "sensors.motion=spatial" in found["/depth/points"][2]
     text = inspection_text(inspect_dataset(open_dataset(tmp_path / "log.mcap")))
-    assert f"not used, because {NO_FORCES}: /imu (sensor_msgs/msg/Imu, 5)" in text
+    assert f"not used, because {NO_VALUES}: /imu (sensor_msgs/msg/Imu, 5)" in text
 
 
 def test_a_topic_of_which_nothing_could_be_read_is_not_used(tmp_path: Path) -> None:
