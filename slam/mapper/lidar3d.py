@@ -129,7 +129,10 @@ class CloudLidar(FrontEnd):
                 edges.append(Edge(key - 1, key, step, spread, EdgeKind.ASSUMED, trusted=True))
         if motion is None:
             self._doubt.begin()
-        self._last, self._between = tracked.pose, None
+        first = motion if self._last is None else None
+        # The next step also has the error of the first cloud in the first map.
+        self._between = None if first is None else (tracked.pose, first.covariance)
+        self._last = tracked.pose
         return step, edges
 
     def recognise(self, key: int, graph: KeyframeGraph) -> list[LoopCandidate]:
@@ -218,7 +221,7 @@ class CloudLidar(FrontEnd):
         """Add every second cloud only to the local map, if its pose is certain and it has no images."""
         motion = tracked.motion
         sure = motion is not None and motion.converged and not motion.degenerate
-        if motion is None or not sure or self._between is not None or self._cameras.frames:
+        if motion is None or not sure or self._last is None or self._between or self._cameras.frames:
             return False
         self._between = tracked.pose, motion.covariance
         self._tracker.add_keyframe(tracked)

@@ -232,6 +232,12 @@ class CloudTracker:
         self._matcher = TurnMatcher(self._turns, self._odometry, self._velocity, self.voxel_m)
         self._velocity.begin(cloud.stamp_s)
         self._odometry.begin(self._first.keyframes)
+        if self._first.keyframes:
+            # A gyroscope may know more about its rotation than the clouds after it.
+            known = self._imu is not None
+            motion = self._matcher.match(cloud, turn, [self._pose], self._pose, 0.0, turn_known=known)
+            if motion is not None and motion.converged and not motion.degenerate:
+                return replace(self._matched(cloud, turn, motion), new_keyframe=True)
         self._feed(np.diag([self._config.match.floor_rad**2] * 3 + [self._config.match.floor_m**2] * 3))
         return TrackedCloud(turn.points, self._pose, None, new_keyframe=True)
 

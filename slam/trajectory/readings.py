@@ -186,16 +186,19 @@ def at_stamps(trajectory: Trajectory, stamps_s: FloatArray) -> Trajectory:
     if len(own_s) < 2 or np.array_equal(own_s, stamps_s):
         return Trajectory(stamps_s, trajectory.positions_m, trajectory.quaternions_xyzw)
     poses, steps_s = trajectory.poses(), np.diff(own_s)
-    steps_s[steps_s <= 0.0] = np.inf  # a repeated or late stamp gives no motion
+    steps_s[steps_s <= 0.0] = 1.0 / TINY  # a repeated or late stamp gives no motion
     twists = np.array([gtsam.Pose3.Logmap(last.between(next_)) for last, next_ in pairwise(poses)])
-    rates = np.pad(twists / steps_s[:, None], ((1, 1), (0, 0)))
-    spans_s = np.pad(steps_s, 1, constant_values=np.inf)[:, None]
-    before, after, before_s, after_s = rates[:-1], rates[1:], spans_s[:-1], spans_s[1:]
-    # The shorter a step, the larger its weight for the speed at its ends.
-    speeds = (before / before_s + after / after_s) / (TINY + 1.0 / before_s + 1.0 / after_s)
-    near_s = np.minimum(before_s, after_s)
+    around_s = np.pad(steps_s, 1, mode="edge")
+    near_s = np.minimum(around_s[:-1], around_s[1:])[:, None]
     late_s = np.clip((stamps_s - own_s)[:, None], -near_s, near_s)
-    offsets = late_s * (speeds + late_s * (after - before) / (before_s + after_s))
+    steps_s = steps_s[:, None]
+    rates, changes = twists / steps_s, np.zeros((len(poses), 6))
+    changes[1:-1] = 2.0 * np.diff(rates, axis=0) / (steps_s[1:] + steps_s[:-1])
+    # The first and last pose are on the parabola of their neighbour.
+    changes[[0, -1]] = changes[[1, -2]]
+    speeds = rates - 0.5 * steps_s * changes[:-1]
+    speeds = np.vstack([speeds, rates[-1:] + 0.5 * steps_s[-1:] * changes[-1:]])
+    offsets = late_s * (speeds + 0.5 * late_s * changes)
     moved = [pose.compose(gtsam.Pose3.Expmap(offset)) for pose, offset in zip(poses, offsets, strict=True)]
     return Poses.of(moved).trajectory(stamps_s)
 

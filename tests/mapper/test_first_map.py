@@ -58,6 +58,16 @@ def test_its_planes_are_where_the_first_cloud_sees_them() -> None:
     assert np.mean(np.square(with_map)) < 0.5 * np.mean(np.square(without))
 
 
+def test_the_first_cloud_is_matched_to_it() -> None:
+    """The clouds after it may have misplaced it, where the robot began to turn."""
+    first, aside_m = first_map(CLOUDS, CONFIG), np.array([0.0, 0.03, 0.0])
+    moved = [(points + aside_m, lidar + aside_m) for points, lidar in first.keyframes]
+    tracker = CloudTracker(CONFIG, None, first=replace(first, keyframes=moved))
+    found = tracker.follow(at_middle_of_turn(CLOUDS[0], CONFIG.cloud_odometry))
+    assert found.new_keyframe and found.motion is not None
+    np.testing.assert_allclose(found.pose.translation(), aside_m, atol=0.005)
+
+
 def test_clouds_after_a_gap_or_out_of_order_are_not_used() -> None:
     late = [replace(cloud, stamp_s=cloud.stamp_s + 5.0 * (n >= 2)) for n, cloud in enumerate(CLOUDS)]
     assert first_map(late, CONFIG) is NO_MAP
