@@ -103,18 +103,21 @@ def clock_offset(
     moved = turns_between(second_spans_s, second_turned_rad, spans_s + every_shift[:, None, None])
     moved = np.lib.stride_tricks.sliding_window_view(moved, 2 * half + 1, axis=0).mean(axis=-1)
     shifts, lasted_s = every_shift[half : len(every_shift) - half], spans_s[:, 1] - spans_s[:, 0]
-    if min((turned / lasted_s).std(), (moved / lasted_s).std(axis=1).min()) < _LEAST_TURN_RAD_S:
+    rates = np.vstack([turned, moved]) / lasted_s
+    if rates.std(axis=1).min() < _LEAST_TURN_RAD_S:
         return None
     right = np.ones(turned.size, np.bool_)
     for _ in range(ROUNDS):
-        correlation, before = _correlations(turned[right], moved[:, right]), right
+        correlation = _correlations(turned[right], moved[:, right])
         best = int(np.argmax(correlation))
         slope, level = np.polyfit(moved[best, right], turned[right], 1)
         misfits = turned - slope * moved[best] - level
         # A slip of the wheels turns like no offset. (A median would be that of a robot that stands still.)
-        right = misfits**2 <= gate() * max(float(misfits[right].var()), TINY**2)
-        if np.array_equal(right, before):
+        kept = misfits**2 <= gate() * max(float(misfits[right].var()), TINY**2)
+        # Where a robot stands still for long, only its rotations would be left out.
+        if np.array_equal(kept, right) or rates[:, kept].std(axis=1).min() < _LEAST_TURN_RAD_S:
             break
+        right = kept
     if not 0 < best < shifts.size - 1 or correlation[best] < MIDDLE_MAX:
         return None
     # Fit a parabola to the whole peak, because single samples are noisy.

@@ -60,6 +60,7 @@ BESIDE: dict[str, tuple[str, ...]] = {
     "cloud_loops.greatest_residual_ratio": ("match.minimal_residual_m=0.001",),
     "localization.keyframe_rad": ("localization.keyframe_m=5",),
     "localization.lost_after_s": ("localization.dead_reckoning_m=100", "localization.keyframe_m=0.05"),
+    "graph.loose_share": ("match.confident_inlier_share=1.0",),
     "rgbd_odometry.keyframe_parallax": (
         "keyframes.angle_rad=3",
         "rgbd_odometry.keyframe_overlap=0.01",

@@ -181,6 +181,9 @@ class GraphConfig(StrictModel):
 
     incremental_every: int = Field(default=20, ge=1, description="keyframes between two iSAM2 updates")
     lost_sigma_m: float = Field(default=1.0, gt=0, description="position sigma of an unmeasured step")
+    loose_share: float = Field(
+        default=0.3, gt=0, le=1, description="factor on both lost sigmas, for a step whose match is rejected"
+    )
     lost_sigma_rad: float = Field(default=0.5, gt=0, description="rotation sigma of an unmeasured step")
 
 

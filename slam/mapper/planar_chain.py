@@ -231,7 +231,7 @@ def edges_of(
     if match is not None and match_doubtful:
         # It may be wrong as a loop may be: a second, loose edge holds the chain where it is refused. Not so
         # for a certain match, or a handful of false loops that agree with each other could break the chain.
-        loose = Motion(step, match.covariance + unmeasured(config, longer, planar=True))
+        loose = Motion(step, match.covariance + unmeasured(config, longer * config.loose_share, planar=True))
         edges.append(_edge(key - 1, key, loose, EdgeKind.ASSUMED, trusted=True))
     if wheels is not None and match_open:
         # Translation and rotation may be rejected separately: a heading may jump.
@@ -243,7 +243,8 @@ def edges_of(
     edges += [_camera_edge(key - 1, key, camera) for camera in cameras]
     if match_open or (match is None and wheels is None):
         # A person in front of the camera distorts its motion: if it is rejected, this edge holds.
-        assumed = Motion(step, unmeasured(config, longer, planar=True))
+        share = config.loose_share if cameras else 1.0
+        assumed = Motion(step, unmeasured(config, longer * share, planar=True))
         edges.append(_edge(key - 1, key, assumed, EdgeKind.ASSUMED, trusted=True))
     return edges
 
