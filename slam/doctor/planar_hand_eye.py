@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from fusion.estimation import FEWEST, SETTLED, gate
+from slam.doctor.pair import IN_ORDER
 from slam.doctor.relation import fit_linear, relate
 from slam.measurements import FloatArray
 
@@ -64,7 +65,7 @@ def planar_hand_eye(turns: FloatArray, shifts_m: FloatArray, base: FloatArray) -
     -------
     None if the motions do not determine it: too few, without rotations, or without translations.
     """
-    if len(base) < FEWEST:
+    if len(base) < FEWEST or float(np.std(base[:, 2])) < IN_ORDER:
         return None
     number = np.arange(float(len(base)))
     turning = fit_linear(
