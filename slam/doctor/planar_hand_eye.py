@@ -68,9 +68,8 @@ def planar_hand_eye(turns: FloatArray, shifts_m: FloatArray, base: FloatArray) -
     if len(base) < FEWEST or float(np.std(base[:, 2])) < IN_ORDER:
         return None
     number = np.arange(float(len(base)))
-    turning = fit_linear(
-        (base[:, 2, None, None] * np.eye(3)).reshape(-1, 3), turns.ravel(), np.repeat(number, 3)
-    )
+    design = (base[:, 2, None, None] * np.eye(3)).reshape(-1, 3)
+    turning = fit_linear(design, turns.ravel(), np.repeat(number, 3))
     if turning is None:
         return None
     slopes, slope_cov = turning.values, turning.covariance
