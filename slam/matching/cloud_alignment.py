@@ -72,10 +72,44 @@ class CloudAlignment:
     roughness: float
 
 
+@dataclass(frozen=True, slots=True)
+class PlacedCloud:
+    """Where a cloud fits, without its uncertainty; see `CloudAlignment`."""
+
+    pose: gtsam.Pose3
+    linear: _Linear
+    converged: bool
+    agreement: float
+
+
+def place_cloud(
+    points: FloatArray, planes: PlaneVoxels, guess: gtsam.Pose3, iterations: int, kernel_m: float
+) -> PlacedCloud | None:
+    """Gauss-Newton on the distances to planes, with Cauchy weights whose scale is that of the residuals.
+
+    Parameters and result are those of `align_cloud`.
+    """
+    pose, converged, last_at = guess, False, np.full((2, len(points)), -1)
+    for _ in range(iterations):
+        linear = _linearise(points, planes, pose, kernel_m, last_at)
+        if linear is None:
+            return None
+        step = _step(linear.hessian, linear.gradient)
+        pose = pose.compose(gtsam.Pose3.Expmap(step))
+        # The remaining gain is less than a hundredth of a point: only noise.
+        if -(linear.gradient @ step) < LEAST_EIGENVALUE * linear.kernel_m**2 or np.abs(step).max() < SETTLED:
+            converged = True
+            break
+    linear = _linearise(points, planes, pose, kernel_m, last_at)
+    if linear is None:
+        return None
+    return PlacedCloud(pose, linear, converged, share_on_planes(linear.residuals, kernel_m, len(points)))
+
+
 def align_cloud(
     points: FloatArray, planes: PlaneVoxels, guess: gtsam.Pose3, iterations: int, kernel_m: float
 ) -> CloudAlignment | None:
-    """Gauss-Newton on the distances to planes, with Cauchy weights whose scale is that of the residuals.
+    """Find where a cloud fits, as `place_cloud` does, and how well.
 
     Parameters
     ----------
@@ -92,24 +126,14 @@ def align_cloud(
     -------
     None if fewer than six points lie on planes.
     """
-    pose, linear, converged = guess, None, False
-    for _ in range(iterations):
-        linear = _linearise(points, planes, pose, kernel_m)
-        if linear is None:
-            return None
-        step = _step(linear.hessian, linear.gradient)
-        pose = pose.compose(gtsam.Pose3.Expmap(step))
-        # The remaining gain is less than a hundredth of a point: only noise.
-        if -(linear.gradient @ step) < LEAST_EIGENVALUE * linear.kernel_m**2 or np.abs(step).max() < SETTLED:
-            converged = True
-            break
-    linear = _linearise(points, planes, pose, kernel_m)
-    if linear is None:
+    placed = place_cloud(points, planes, guess, iterations, kernel_m)
+    if placed is None:
         return None
+    linear = placed.linear
     agree = np.abs(linear.residuals) <= linear.kernel_m
     inliers = linear.residuals[agree]
     return CloudAlignment(
-        pose,
+        placed.pose,
         linear.hessian,
         linear.spread(),
         float(linear.weights.sum()),
@@ -119,8 +143,8 @@ def align_cloud(
         float(agree.mean()),
         float(linear.weights.mean()),
         float(np.sqrt(np.mean(inliers**2))) if len(inliers) else np.inf,
-        converged,
-        share_on_planes(linear.residuals, kernel_m, len(points)),
+        placed.converged,
+        placed.agreement,
         planes.roughness(linear.planes),
     )
 
@@ -140,8 +164,8 @@ def drawn_near(
         pose = pose.compose(gtsam.Pose3.Expmap(step))
         if np.linalg.norm(step[3:]) < _ARRIVED * reach_m:
             break
-    aligned = align_cloud(points, planes, pose, iterations, reach_m)
-    return pose if aligned is None else aligned.pose
+    placed = place_cloud(points, planes, pose, iterations, reach_m)
+    return pose if placed is None else placed.pose
 
 
 def share_on_planes(residuals: FloatArray, kernel_m: float, point_count: int) -> float:
@@ -239,10 +263,12 @@ def _step(hessian: FloatArray, gradient: FloatArray) -> FloatArray:
     return np.asarray(-np.linalg.solve(hessian + damping, gradient))
 
 
-def _linearise(points: FloatArray, planes: PlaneVoxels, pose: gtsam.Pose3, kernel_m: float) -> _Linear | None:
+def _linearise(
+    points: FloatArray, planes: PlaneVoxels, pose: gtsam.Pose3, kernel_m: float, last_at: NDArray[np.int64]
+) -> _Linear | None:
     """Return Hessian and gradient for a motion of the base in its own frame."""
     T_map_base = pose.matrix()
-    pairs = planes.residuals(points, T_map_base)
+    pairs = planes.residuals(points, T_map_base, last_at)
     residuals = pairs.distances_m
     if len(residuals) < 6:
         return None

@@ -22,6 +22,7 @@ from slam.matching.cloud_alignment import (
     drawn_near,
     levers,
     motion_of,
+    place_cloud,
     share_on_planes,
 )
 from slam.matching.plane_voxels import PlaneVoxels
@@ -128,8 +129,9 @@ class LocalCloud:
     def best_of(self, scan: FloatArray, starts: Sequence[gtsam.Pose3]) -> gtsam.Pose3:
         """Return the aligned start ``T_map_base`` with most points of a part of the scan on planes."""
         part = _part(scan, _ARRIVING_POINTS)
-        alignments = [self._by_planes(part, start) for start in starts]
-        best = max(alignments, key=lambda aligned: 0.0 if aligned is None else aligned.agreement)
+        limits = self._config.match.iterations, self._voxel_m
+        placed = [place_cloud(part, self.planes, start, *limits) for start in starts]
+        best = max(placed, key=lambda one: 0.0 if one is None else one.agreement)
         return starts[0] if best is None else best.pose
 
     def agreement(self, scan: FloatArray, pose: gtsam.Pose3) -> float:

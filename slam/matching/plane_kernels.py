@@ -175,7 +175,7 @@ def fit_planes(keys, sums, sizes, thickness_m, rough, lidar, least_sine, marks, 
 
 
 @kernel
-def pair_up(points, pose, sizes, table, keys, flat, planes, which, plane, residuals):  # type: ignore[no-untyped-def]
+def pair_up(points, pose, sizes, table, keys, flat, planes, last_at, which, plane, residuals):  # type: ignore[no-untyped-def]
     """Find the plane of the largest voxel with one around each point (N, 3), or a rough one; count them.
 
     Parameters
@@ -186,6 +186,8 @@ def pair_up(points, pose, sizes, table, keys, flat, planes, which, plane, residu
         Sides of the voxels, each half of the one before.
     table, keys, flat, planes
         Of the voxels: slots, keys (V,), and what `fit_planes` makes of them.
+    last_at
+        (2, N) key of the smallest voxel of each point at the last pose, and its plane: -1 if none is known.
     which, plane, residuals
         (N,) each: room for numbers of points, of their voxels, and distances.
     """
@@ -201,15 +203,20 @@ def pair_up(points, pose, sizes, table, keys, flat, planes, which, plane, residu
         column = math.floor(x / sizes[last])
         row = math.floor(y / sizes[last])
         layer = math.floor(z / sizes[last])
-        k = NONE
-        for level in range(last + 1):
-            key = key_of_cell(column >> (last - level), row >> (last - level), layer >> (last - level))
-            key |= level << 3 * AXIS_BITS
-            here = entry_of(key, table, keys)
-            if here >= 0 and flat[here] > (flat[k] if k >= 0 else 0):
-                k = here
-                if flat[k] == 2:
-                    break
+        cell = key_of_cell(column, row, layer)
+        if cell != last_at[0, i]:
+            k = NONE
+            for level in range(last + 1):
+                key = key_of_cell(column >> (last - level), row >> (last - level), layer >> (last - level))
+                key |= level << 3 * AXIS_BITS
+                here = entry_of(key, table, keys)
+                if here >= 0 and flat[here] > (flat[k] if k >= 0 else 0):
+                    k = here
+                    if flat[k] == 2:
+                        break
+            last_at[0, i] = cell
+            last_at[1, i] = k
+        k = last_at[1, i]
         if k < 0:
             continue
         which[count] = i

@@ -127,12 +127,22 @@ class PlaneVoxels:
         kept = np.flatnonzero((self._flat[: self._count] > 0) | largest)
         self._store(len(kept), kept)
 
-    def residuals(self, points: FloatArray, T_map_base: FloatArray) -> Residuals:
-        """Return the residuals of points (N, 3), base frame, at a pose (4, 4)."""
+    def residuals(
+        self, points: FloatArray, T_map_base: FloatArray, last_at: NDArray[np.int64] | None = None
+    ) -> Residuals:
+        """Return the residuals of points (N, 3), base frame, at a pose (4, 4).
+
+        Parameters
+        ----------
+        last_at
+            (2, N) filled with -1, then changed by each call with these points: in an alignment, most points
+            stay in their voxels.
+        """
+        last_at = np.full((2, len(points)), -1) if last_at is None else last_at
         which, voxels = np.empty(len(points), np.int64), np.empty(len(points), np.int64)
         distances_m = np.empty(len(points))
         known = self._sizes_m, self._table, self._keys, self._flat, self._planes
-        count = pair_up(points, T_map_base, *known, which, voxels, distances_m)
+        count = pair_up(points, T_map_base, *known, last_at, which, voxels, distances_m)
         return Residuals(which[:count], voxels[:count], distances_m[:count])
 
     def normal_equations(
