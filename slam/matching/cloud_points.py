@@ -56,10 +56,10 @@ def at_middle_of_turn(cloud: PointCloud, config: CloudOdometryConfig) -> PointCl
 
 def turn_known(times_s: FloatArray) -> bool:
     """Return whether the times of points span a revolution: not all equal, and not of another clock."""
-    if not len(times_s) or not np.isfinite(times_s).all():
+    if not len(times_s):
         return False
-    span_s = float(np.ptp(times_s))
-    return _SHORTEST_TURN_S <= span_s <= _LONGEST_TURN_S and bool(np.abs(times_s).max() <= _LONGEST_TURN_S)
+    first_s, last_s = float(times_s.min()), float(times_s.max())  # NaN if one is
+    return _SHORTEST_TURN_S <= last_s - first_s <= _LONGEST_TURN_S >= max(-first_s, last_s)
 
 
 def voxel_of(points: FloatArray, config: CloudOdometryConfig) -> float:

@@ -81,14 +81,18 @@ class CloudOdometry:
             self._known.append(before / own)
         self._expected = own * max(float(np.median(self._known or [0.0])), _LEAST_KNOWN)
 
+    def thinned(self, points: FloatArray) -> FloatArray:
+        """Return one point (M, 3) of a cloud (N, 3) in each voxel: a scan to be matched."""
+        return thin_evenly(points, self._voxel_m)
+
     def match(
         self,
-        points: FloatArray,
+        scan: FloatArray,
         guesses: Sequence[gtsam.Pose3],
         before: gtsam.Pose3 | None = None,
         turned_rad: float = 0.0,
     ) -> MotionEstimate | None:
-        """Return the pose of a scan (N, 3), base frame, in the odometry frame; None if nothing fits.
+        """Return the pose of a thinned scan (N, 3), base frame, in the odometry frame; None if nothing fits.
 
         Parameters
         ----------
@@ -106,7 +110,6 @@ class CloudOdometry:
         -------
         Not converged, and uncertain by a voxel, where fewer points than usual lie on planes.
         """
-        scan = thin_evenly(points, self._voxel_m)
         fits: list[Aligned | None] = []
         for guess in guesses:
             aligned = self._map.align(scan, guess, None, self._usual)
@@ -132,13 +135,13 @@ class CloudOdometry:
         """Record whether an open match converged; such matches are used if most do."""
         self._settled.append(settles)
 
-    def nearby(self, points: FloatArray, start: gtsam.Pose3) -> gtsam.Pose3:
-        """Return roughly where a scan (N, 3) fits near ``T_odom_base``."""
-        return self._map.best_of(thin_evenly(points, self._voxel_m), [start])
+    def nearby(self, scan: FloatArray, start: gtsam.Pose3) -> gtsam.Pose3:
+        """Return roughly where a thinned scan (N, 3) fits near ``T_odom_base``."""
+        return self._map.best_of(scan, [start])
 
-    def agreement(self, points: FloatArray, pose: gtsam.Pose3) -> float:
-        """Return the share of a scan (N, 3), base frame, on planes at ``T_odom_base``."""
-        return self._map.agreement(thin_evenly(points, self._voxel_m), pose)
+    def agreement(self, scan: FloatArray, pose: gtsam.Pose3) -> float:
+        """Return the share of a thinned scan (N, 3), base frame, on planes at ``T_odom_base``."""
+        return self._map.agreement(scan, pose)
 
     @property
     def _usual(self) -> float:

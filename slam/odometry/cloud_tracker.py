@@ -250,9 +250,9 @@ class CloudTracker:
         if cloud.times_s is not None and deskewed(cloud, self._turns):
             moved = self._velocity.misplaced(self._pose, cloud.stamp_s, np.asarray(cloud.times_s))
             motion = replace(motion, covariance=motion.covariance + np.outer(moved, moved))
-        points, measured = turn.points, motion.covariance
+        points, measured, new_keyframe = turn.points, motion.covariance, self._moved_on(self._pose)
         if motion.converged:
-            if deskewed(cloud, self._turns):
+            if new_keyframe and deskewed(cloud, self._turns):
                 points = base_points(cloud, self._velocity.at(self._pose, cloud.stamp_s), self._turns)
             self._velocity.learn(self._pose, cloud.stamp_s, turn.arms_m, motion)
             if self._wheels is not None:
@@ -264,7 +264,7 @@ class CloudTracker:
             motion = self._open.widened(cloud.stamp_s, motion, self._velocity.twist)
         else:
             motion = replace(motion, covariance=by_imu)
-        return TrackedCloud(points, self._pose, motion, self._moved_on(self._pose))
+        return TrackedCloud(points, self._pose, motion, new_keyframe)
 
     def _judge_wheels(self, step: gtsam.Pose3) -> None:
         """Learn the uncertainty of the wheels from a matched step."""

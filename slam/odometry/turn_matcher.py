@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import gtsam
 import numpy as np
@@ -22,7 +23,7 @@ _SKEWED_VOXELS, _DESKEWED_TIMES = 0.05, 3
 _TURN_RATE_OFFSETS_RAD_S = (0.5, -0.5, 1.0, -1.0, 1.5, -1.5, 2.0, -2.0)
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class DeskewedCloud:
     """A cloud deskewed with a twist of the base.
 
@@ -42,10 +43,19 @@ class DeskewedCloud:
         """Deskew a cloud."""
         return cls(base_points(cloud, twist, config), twist)
 
-    @property
+    @cached_property
     def arms_m(self) -> FloatArray:
         """Return (3, 3) arms of the points, see `slam.matching.cloud_alignment.arms_of`."""
         return arms_of(self.points)
+
+
+@dataclass(frozen=True, slots=True)
+class _Trial:
+    """A deskewed cloud, its match, and the share of its points on planes there."""
+
+    turn: DeskewedCloud
+    motion: MotionEstimate | None
+    share: float
 
 
 class TurnMatcher:
@@ -81,40 +91,47 @@ class TurnMatcher:
             Whether a gyroscope measured the rotation: then no sudden rotation is searched for.
         """
         turned_rad = max(_TURN_RATE_OFFSETS_RAD_S) * step_s
-        motion = self._odometry.match(turn.points, guesses, before, turned_rad)
-        if not turn_known and (motion is None or not motion.converged):
-            turn, motion = self._after_a_sudden_turn(cloud, turn, motion)
+        best = self._trial(turn, guesses, before, turned_rad)
+        if not turn_known and (best.motion is None or not best.motion.converged):
+            best = self._after_a_sudden_turn(cloud, best)
         for _ in range(_DESKEWED_TIMES):
-            if motion is None or not self._is_skewed(cloud, turn, motion):
+            if best.motion is None or not self._is_skewed(cloud, best.turn, best.motion):
                 break
-            redone = DeskewedCloud.of(cloud, self._velocity.at(pose_of(motion), cloud.stamp_s), self._config)
-            better = self._odometry.match(redone.points, [pose_of(motion)])
-            if self._share(redone, better) <= self._share(turn, motion):
+            place = pose_of(best.motion)
+            redone = DeskewedCloud.of(cloud, self._velocity.at(place, cloud.stamp_s), self._config)
+            better = self._trial(redone, [place])
+            if better.share <= best.share:
                 break
-            turn, motion = redone, better
-        return motion
+            best = better
+        return best.motion
 
-    def _after_a_sudden_turn(
-        self, cloud: PointCloud, turn: DeskewedCloud, motion: MotionEstimate | None
-    ) -> tuple[DeskewedCloud, MotionEstimate | None]:
+    def _trial(
+        self,
+        turn: DeskewedCloud,
+        guesses: Sequence[gtsam.Pose3],
+        before: gtsam.Pose3 | None = None,
+        turned_rad: float = 0.0,
+    ) -> _Trial:
+        """Match a deskewed cloud."""
+        scan = self._odometry.thinned(turn.points)
+        motion = self._odometry.match(scan, guesses, before, turned_rad)
+        share = 0.0 if motion is None else self._odometry.agreement(scan, pose_of(motion))
+        return _Trial(turn, motion, share)
+
+    def _after_a_sudden_turn(self, cloud: PointCloud, first: _Trial) -> _Trial:
         """Return the best match of a robot that may have started or stopped rotating suddenly."""
         tried = []
         for offset_rad_s in _TURN_RATE_OFFSETS_RAD_S:
-            twist = turn.twist + np.array([0.0, 0.0, offset_rad_s, 0.0, 0.0, 0.0])
+            twist = first.turn.twist + np.array([0.0, 0.0, offset_rad_s, 0.0, 0.0, 0.0])
             start = self._velocity.carry_on(twist, cloud.stamp_s)
             if start is None:
-                return turn, motion
+                return first
             turned = DeskewedCloud.of(cloud, twist, self._config)
-            pose = self._odometry.nearby(turned.points, start)
-            tried.append((self._odometry.agreement(turned.points, pose), turned, pose))
+            scan = self._odometry.thinned(turned.points)
+            pose = self._odometry.nearby(scan, start)
+            tried.append((self._odometry.agreement(scan, pose), turned, pose))
         _, turned, pose = max(tried, key=lambda trial: trial[0])
-        match = self._odometry.match(turned.points, [pose])
-        better = self._share(turned, match) > self._share(turn, motion)
-        return (turned, match) if better else (turn, motion)
-
-    def _share(self, turn: DeskewedCloud, motion: MotionEstimate | None) -> float:
-        """Return the share of a cloud on planes at the pose of a match."""
-        return 0.0 if motion is None else self._odometry.agreement(turn.points, pose_of(motion))
+        return max(first, self._trial(turned, [pose]), key=lambda trial: trial.share)
 
     def _is_skewed(self, cloud: PointCloud, turn: DeskewedCloud, motion: MotionEstimate) -> bool:
         """Return whether the match has another twist than the one used for deskewing."""

@@ -42,7 +42,7 @@ def odometry() -> CloudOdometry:
 def test_a_scan_finds_its_place_from_a_guess_far_off(odometry: CloudOdometry) -> None:
     truth = base(0.3, -0.2, 0.2)
     guess = truth.compose(gtsam.Pose3(gtsam.Rot3.Ypr(0.08, 0.01, -0.01), np.array([0.2, -0.15, 0.03])))
-    motion = odometry.match(points_at(truth), [guess])
+    motion = odometry.match(odometry.thinned(points_at(truth)), [guess])
     error = error_of(motion, truth)
     assert np.linalg.norm(error[3:]) < 0.01
     assert np.linalg.norm(error[:3]) < 0.003
@@ -56,7 +56,7 @@ def test_the_error_is_what_the_covariance_shows(odometry: CloudOdometry) -> None
     squares = []
     for seed in range(6):
         truth = base(0.2 * seed - 0.5, 0.1, 0.1 * seed)
-        motion = odometry.match(points_at(truth, seed), [truth])
+        motion = odometry.match(odometry.thinned(points_at(truth, seed)), [truth])
         error = error_of(motion, truth)
         assert motion is not None
         squares.append(error @ np.linalg.solve(motion.covariance, error))
@@ -67,7 +67,9 @@ def test_the_error_is_what_the_covariance_shows(odometry: CloudOdometry) -> None
 
 def test_a_second_guess_is_tried_where_the_first_leads_nowhere(odometry: CloudOdometry) -> None:
     truth = base(0.1, 0.1, 0.0)
-    motion = odometry.match(points_at(truth), [base(0.0, 0.0, 0.5).compose(base(40.0, 0.0, 0.0)), truth])
+    motion = odometry.match(
+        odometry.thinned(points_at(truth)), [base(0.0, 0.0, 0.5).compose(base(40.0, 0.0, 0.0)), truth]
+    )
     assert np.abs(error_of(motion, truth)).max() < 0.01
 
 
@@ -76,7 +78,9 @@ def test_wheels_that_slipped_do_not_lead_to_what_fits_in_part(
     odometry: CloudOdometry, off: gtsam.Pose3
 ) -> None:
     truth = base(0.3, -0.2, 0.2)
-    motion = odometry.match(points_at(truth), [truth.compose(off), truth.compose(base(0.1, 0.05, -0.02))])
+    motion = odometry.match(
+        odometry.thinned(points_at(truth)), [truth.compose(off), truth.compose(base(0.1, 0.05, -0.02))]
+    )
     assert np.linalg.norm(error_of(motion, truth)) < 0.01
     assert motion is not None
     assert motion.converged
@@ -84,13 +88,13 @@ def test_wheels_that_slipped_do_not_lead_to_what_fits_in_part(
 
 def test_what_fits_in_part_is_not_sure(odometry: CloudOdometry) -> None:
     truth = base(0.3, -0.2, 0.2)
-    motion = odometry.match(points_at(truth), [truth.compose(base(1.5, 0.0, 0.0))])
+    motion = odometry.match(odometry.thinned(points_at(truth)), [truth.compose(base(1.5, 0.0, 0.0))])
     assert np.linalg.norm(error_of(motion, truth)) > 0.3
     assert motion is not None
     assert motion.inlier_share > 0.6
     assert not motion.converged
     assert np.sqrt(np.linalg.eigvalsh(motion.covariance[3:, 3:])[0]) > 0.2
-    assert odometry.match(points_at(truth), [truth.compose(base(1.0, 0.0, 1.0))]) is None
+    assert odometry.match(odometry.thinned(points_at(truth)), [truth.compose(base(1.0, 0.0, 1.0))]) is None
 
 
 def test_what_fits_in_part_is_as_unsure_as_its_guess_is_far_or_the_search_wide(
@@ -128,7 +132,7 @@ def test_without_a_measured_motion_places_around_are_tried(odometry: CloudOdomet
     """From where it was the scan fits well enough there."""
     truth = base(0.3, -0.2, 0.2)
     before = truth.compose(base(-ahead_m, 0.0, 0.0))
-    motion = odometry.match(points_at(truth), [], before)
+    motion = odometry.match(odometry.thinned(points_at(truth)), [], before)
     assert np.linalg.norm(error_of(motion, truth)) < 0.01
 
 
@@ -139,7 +143,7 @@ def test_without_a_measured_motion_turns_are_tried(
     """About slanted axes too, for a lidar in the hand may be held in any way."""
     truth = base(0.3, -0.2, 0.2)
     before = truth.compose(gtsam.Pose3(gtsam.Rot3.Ypr(*turned), np.array([0.2, 0.1, 0.05])))
-    motion = odometry.match(points_at(truth), [before], before, turned_rad=1.3)
+    motion = odometry.match(odometry.thinned(points_at(truth)), [before], before, turned_rad=1.3)
     assert np.linalg.norm(error_of(motion, truth)) < 0.01
     assert motion is not None
     assert motion.converged
@@ -305,9 +309,9 @@ def test_middles_of_voxels_are_asked_only_where_the_guess_is_far(
     truth, asked = base(0.3, -0.2, 0.2), []
     draw = local_cloud.drawn_near
     monkeypatch.setattr(local_cloud, "drawn_near", lambda *args: asked.append(1) or draw(*args))  # type: ignore[func-returns-value]
-    near = odometry.match(points_at(truth), [truth.compose(base(0.06, -0.04, 0.01))])
+    near = odometry.match(odometry.thinned(points_at(truth)), [truth.compose(base(0.06, -0.04, 0.01))])
     assert not asked
-    far = odometry.match(points_at(truth), [truth.compose(base(0.4, -0.3, 0.1))])
+    far = odometry.match(odometry.thinned(points_at(truth)), [truth.compose(base(0.4, -0.3, 0.1))])
     assert asked
     assert np.linalg.norm(error_of(near, truth) - error_of(far, truth)) < 0.002
 

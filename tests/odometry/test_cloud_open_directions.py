@@ -37,7 +37,8 @@ def odometry(points: FloatArray) -> CloudOdometry:
 def test_a_direction_of_few_points_is_followed_where_it_settles_but_claims_no_more() -> None:
     """A board hangs in the corridor: matches come to it from either side."""
     rng = np.random.default_rng(0)
-    motion = odometry(with_a_board(rng)).match(with_a_board(rng), [base(0.08, 0.0, 0.0)])
+    made = odometry(with_a_board(rng))
+    motion = made.match(made.thinned(with_a_board(rng)), [base(0.08, 0.0, 0.0)])
     assert motion is not None
     assert motion.degenerate
     assert motion.covariance[3, 3] > 0.1
@@ -53,7 +54,8 @@ def test_between_two_walls_the_way_along_them_is_open() -> None:
         return corridor(rng, 9000) + 0.005 * rng.standard_normal((9000, 3))
 
     guess = base(0.11, 0.05, 0.01)
-    motion = odometry(seen()).match(seen(), [guess])
+    made = odometry(seen())
+    motion = made.match(made.thinned(seen()), [guess])
     assert motion is not None
     assert motion.degenerate
     assert abs(abs(motion.weak_direction[3]) - 1.0) < 0.05
@@ -71,7 +73,7 @@ def test_a_tunnel_that_settles_now_and_then_by_chance_leads_nowhere() -> None:
     made, cloud, guess = odometry(with_a_board(rng)), with_a_board(rng), base(0.08, 0.0, 0.0)
     followed = list[bool]()
     for number in range(2 * FEWEST):
-        motion = made.match(cloud, [guess])
+        motion = made.match(made.thinned(cloud), [guess])
         assert motion is not None and motion.degenerate and made.settles
         assert isinstance(motion.T_reference_base, gtsam.Pose3)
         followed.append(abs(motion.T_reference_base.x()) < 0.02)
