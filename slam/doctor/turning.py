@@ -27,7 +27,7 @@ from slam.doctor.finding import Finding, Remedy
 from slam.doctor.imu import clock_findings
 from slam.doctor.scan_motion import track_stretches
 from slam.doctor.stretches import LASTS_S, MOST
-from slam.matching.cloud_alignment import align_cloud
+from slam.matching.cloud_alignment import place_cloud
 from slam.matching.cloud_points import SLICES, base_points, voxel_of
 from slam.matching.plane_voxels import PlaneVoxels
 from slam.measurements import FloatArray, LaserScan, PointCloud, pose2_from_row
@@ -175,8 +175,9 @@ def times_scale(
     if interval_s and abs(turn_s / interval_s / 2.0 - 1.0) < 1.0 / FEWEST:
         return 0.5
     pairs = [pair for clouds in islice(_spread_out(stretches), 5) for pair in _pairs(clouds, config)]
-    for scale in [-1.0, *([1.0 / unit] if unit < 1.0 else [])] if len(pairs) > 9 else []:
-        if _gain(pairs, partial(retimed, scale=scale), lambda cloud: cloud, config) > 2:
+    told = _agreed(pairs, lambda cloud: cloud, config) if len(pairs) > 9 else []
+    for scale in [-1.0, *([1.0 / unit] if unit < 1.0 else [])] if told else []:
+        if _gain(_agreed(pairs, partial(retimed, scale=scale), config), told) > 2:
             return scale
     return 1.0
 
@@ -200,8 +201,8 @@ def turn_by_beam_times(stretches: Sequence[Sequence[LaserScan]], config: Config)
     cut_rad = math.pi + 0.5 * (scan.start_angle_rad + float(scan.bearings_rad()[-1]))
     pairs = [pair for scans in _short(stretches) for pair in _pairs_of_scans(scans, config)]
     directions = [Turn(sign * turn_s, 0.0, cut_rad) for sign in (1.0, -1.0)]
-    best = max(directions, key=lambda turn: sum(_agreed(pairs, turn.timed, config)))
-    return _bent(pairs, best, config)
+    tried = [(turn, _agreed(pairs, turn.timed, config)) for turn in directions]
+    return _bent(pairs, *max(tried, key=lambda trial: sum(trial[1])), config)
 
 
 def _short(stretches: Sequence[Sequence[LaserScan]]) -> list[list[LaserScan]]:
@@ -252,6 +253,7 @@ def _settled(pairs: Sequence[_Pair], fit: Turn, interval_s: float, config: Confi
     if abs(fit.turn_s) < max(interval_s / (_TURNS + 0.5), 2 * math.sqrt(gate()) * fit.sigma_s):
         return None
     shares = [math.copysign(interval_s / turns, fit.turn_s) for turns in range(1, _TURNS + 1)]
+    shares = sorted(shares, key=lambda share: abs(math.log(share / fit.turn_s)))[:3]  # the nearest
     refits = [_fit(_all_sums(pairs, replace(fit, turn_s=share), config, own), own) or fit for share in shares]
     # If deskewing is right, the clouds give the same estimate again. A share nearly as good: ambiguous.
     errors = [abs(one.turn_s / share - 1.0) for one, share in zip(refits, shares, strict=True)]
@@ -259,24 +261,28 @@ def _settled(pairs: Sequence[_Pair], fit: Turn, interval_s: float, config: Confi
         return None
     chosen, turn_s = refits[int(np.argmin(errors))], shares[int(np.argmin(errors))]
     best = replace(chosen, turn_s=turn_s)
+    agreed = _agreed(pairs, best.timed, config)
     for slices in (4, 2, 1):
         step_rad = slices * math.tau / SLICES
-        tried = [replace(best, cut_rad=best.cut_rad + side * step_rad) for side in (0, -1, 1)]
-        best = max(tried, key=lambda turn: sum(_agreed(pairs, turn.timed, config)))
+        aside = [replace(best, cut_rad=best.cut_rad + side * step_rad) for side in (-1, 1)]
+        tried = [(best, agreed), *((turn, _agreed(pairs, turn.timed, config)) for turn in aside)]
+        best, agreed = max(tried, key=lambda trial: sum(trial[1]))
     # Planes seen from a tilted lidar confirm any duration, but points do not fit better with a wrong one.
-    return _bent(pairs, best, config, reverse=not flat)
+    return _bent(pairs, best, agreed, config, reverse=not flat)
 
 
-def _bent(pairs: Sequence[_Pair], turn: Turn, config: Config, *, reverse: bool = False) -> Turn | None:
+def _bent(
+    pairs: Sequence[_Pair], turn: Turn, agreed: Sequence[float], config: Config, *, reverse: bool = False
+) -> Turn | None:
     """The rotation, if points fit better with it than without one, or than with none or the reverse."""
-    others_s = (TINY, -turn.turn_s) if reverse else (TINY,)
-    gains = [_gain(pairs, turn.timed, replace(turn, turn_s=one).timed, config) for one in others_s]
+    others = [replace(turn, turn_s=one_s) for one_s in ((TINY, -turn.turn_s) if reverse else (TINY,))]
+    gains = [_gain(agreed, _agreed(pairs, other.timed, config)) for other in others]
     return turn if sum(gains) > 2 else None
 
 
-def _gain(pairs: Sequence[_Pair], one: _Timed, other: _Timed, config: Config) -> float:
+def _gain(agreed: Sequence[float], others: Sequence[float]) -> float:
     """Additional share of fitting points with one timing compared with another, beyond chance."""
-    gains = np.subtract(_agreed(pairs, one, config), _agreed(pairs, other, config))
+    gains = np.subtract(agreed, others)
     return float(gains.mean() / max(gains.std() / math.sqrt(len(gains)), TINY)) if len(gains) else 0.0
 
 
@@ -286,9 +292,8 @@ def _agreed(pairs: Sequence[_Pair], timed: _Timed, config: Config) -> list[float
     for first, second, voxel_m in pairs:
         known, seen = (base_points(timed(one.cloud), one.twist, ways) for one in (first, second))
         planes = PlaneVoxels.build(known, voxel_m, ways.thickness_m)
-        guess = first.pose.between(second.pose)
-        aligned = align_cloud(seen[::4], planes, guess, ROUNDS, 0.5 * voxel_m)
-        found.append(0.0 if aligned is None else aligned.agreement)
+        placed = place_cloud(seen[::4], planes, first.pose.between(second.pose), ROUNDS, 0.5 * voxel_m)
+        found.append(0.0 if placed is None else placed.agreement)
     return found
 
 
@@ -320,9 +325,8 @@ def _sums(
     ways = config.cloud_odometry
     known, seen = (base_points(now.timed(one.cloud), one.twist, ways) for one in (first, second))
     planes = PlaneVoxels.build(known, voxel_m, _THICKNESS * voxel_m)
-    seen = seen[::4]
-    guess = first.pose.between(second.pose)
-    found = align_cloud(seen, planes, guess, ROUNDS, 0.5 * voxel_m)
+    seen, guess = seen[::4], first.pose.between(second.pose)
+    found = place_cloud(seen, planes, guess, ROUNDS, 0.5 * voxel_m)
     if found is None:
         return None
     turned = found.pose.rotation().matrix()
