@@ -55,18 +55,19 @@ def first_map(log: Iterable[Measurement], config: Config) -> FirstMap:
         T_first_base = T_first_map.compose(one.pose)
         lidar = T_first_base.transformFrom(lidars[number].translation())
         placed.append((moved(thin_evenly(one.points, fine_m), T_first_base), lidar))
-    return FirstMap(_first_twist(tracked[-3:]) if timed else None, placed)
+    return FirstMap(*_first_twist(tracked[-3:]), placed) if timed else FirstMap(keyframes=placed)
 
 
-def _first_twist(last: list[tuple[int, float, TrackedCloud]]) -> FloatArray:
-    """Return the twist (6,) at the last of three clouds tracked backward, by constant acceleration."""
+def _first_twist(last: list[tuple[int, float, TrackedCloud]]) -> tuple[FloatArray, FloatArray]:
+    """Return the twist (6,) at the last of three clouds tracked backward, and its change per second."""
     steps = [
         (then_s - now_s, gtsam.Pose3.Logmap(now.pose.between(then.pose)) / (then_s - now_s))
         for (_, then_s, then), (_, now_s, now) in pairwise(last)
     ]
     (later_s, later), (step_s, mean) = steps
+    change = np.asarray(2.0 * (later - mean) / (step_s + later_s))
     # Half a step before the middle of the first step.
-    return np.asarray(mean + (mean - later) * step_s / (step_s + later_s))
+    return mean - 0.5 * step_s * change, change
 
 
 def _first_clouds(log: Iterable[Measurement], config: Config) -> list[PointCloud]:

@@ -33,6 +33,7 @@ from slam.matching.cloud_points import at_middle_of_turn
 from slam.matching.local_cloud import moved
 from slam.matching.upright import Gravity
 from slam.measurements import FloatArray, ImuReading, LaserScan, PointCloud, Pose, WheelOdometry, spatial
+from slam.odometry.before_first import BeforeFirst
 from slam.odometry.clock_learner import Turns
 from slam.odometry.cloud_tracker import NO_MAP, CloudTracker, FirstMap, TrackedCloud
 from slam.odometry.imu_tracker import ImuTracker, apart_in_time
@@ -65,6 +66,7 @@ class CloudLidar(FrontEnd):
         self._wheels = WheelTracker(config.wheels) if config.sensors.wheels else None
         self._imu = ImuTracker() if config.sensors.imu else None
         self._tracker = CloudTracker(config, self._wheels, checkpoint, self._imu, first)
+        self._before_first = BeforeFirst(first)
         self._down: dict[int, Gravity] = {}
         self._clouds = checkpoint.cloud_spool()
         turns = Turns() if self._wheels is None else self._wheels.turns
@@ -110,6 +112,9 @@ class CloudLidar(FrontEnd):
                 if self._between is not None:
                     carried = tracked.pose.between(self._between[0]).AdjointMap()
                     covariance = covariance + carried @ self._between[1] @ carried.T
+                if key == 1:
+                    off = tracked.pose.between(self._last).AdjointMap() @ self._before_first.off
+                    covariance = covariance + np.outer(off, off)
                 edges.append(Edge(key - 1, key, step, covariance, EdgeKind.LIDAR, trusted=True))
             elif (seen := self._cameras.step(self._stamp_s)) is not None:
                 step, covariance = seen
@@ -177,6 +182,7 @@ class CloudLidar(FrontEnd):
 
         Loops across a gap without measurements are rejected if nothing else confirms them.
         """
+        self.readings.before_first = self._before_first.offset
         for loop in [] if self._closer is None else self._closer.alone():
             graph.add_loop(loop)
         self._cameras.settle(graph, np.array(self._stamps_s))
@@ -204,6 +210,10 @@ class CloudLidar(FrontEnd):
         reported_s = cloud.stamp_s
         cloud = at_middle_of_turn(cloud, self._config.cloud_odometry)
         tracked = self._tracker.track(cloud)
+        if not self.readings.scan_count:
+            self._before_first.begin(reported_s, cloud.stamp_s, self._tracker.twist)
+        if self._imu is not None:
+            self._before_first.see(self._imu)
         self._newest, self._stamp_s = tracked, cloud.stamp_s
         self._matched += tracked.motion is not None
         self._doubtful += tracked.motion is not None and not tracked.motion.converged

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import gtsam
 import numpy as np
@@ -64,11 +64,14 @@ class FirstMap:
     twist
         (6,) as `CloudVelocity.twist`, of a robot that moves at the beginning; None if it stands still or its
         motion is unknown.
+    change
+        (6,) of the twist per second.
     keyframes
         Points (N, 3) of later clouds and the position (3,) of their lidar, frame of the first cloud's base.
     """
 
     twist: FloatArray | None = None
+    change: FloatArray = field(default_factory=lambda: np.zeros(6))
     keyframes: Sequence[tuple[FloatArray, FloatArray]] = ()
 
 
@@ -235,6 +238,9 @@ class CloudTracker:
         if self._first.keyframes:
             # A gyroscope may know more about its rotation than the clouds after it.
             known = self._imu is not None
+            if self._velocity.known and not self._velocity.rotated:
+                turn = self._matcher.fitted(cloud, turn, self._pose)
+                self._velocity.twist = turn.twist
             motion = self._matcher.match(cloud, turn, [self._pose], self._pose, 0.0, turn_known=known)
             if motion is not None and motion.converged and not motion.degenerate:
                 return replace(self._matched(cloud, turn, motion), new_keyframe=True)

@@ -32,7 +32,8 @@ class CloudVelocity:
     def __init__(self, twist: FloatArray | None = None) -> None:
         self.twist: FloatArray = np.zeros(6) if twist is None else twist
         self.known = twist is not None
-        self._pose, self._stamp_s, self._step_s = gtsam.Pose3(), -np.inf, np.inf
+        # A twist that is given is that of a moment, a measured one the mean of a step.
+        self._pose, self._stamp_s, self._step_s = gtsam.Pose3(), -np.inf, 0.0 if self.known else np.inf
 
     @property
     def speed_m_s(self) -> float:

@@ -81,6 +81,15 @@ class ImuTracker:
         pose = self._carried(stamp_s)
         return None if pose is None else pose.rotation()
 
+    def turned_between(self, begin_s: float, end_s: float) -> gtsam.Rot3 | None:
+        """Return the rotation of the base from one stamp to a later one; None if readings do not cover it."""
+        if not self._readings.covers(begin_s, end_s):
+            return None
+        bias = np.zeros(3) if self.state is None else np.asarray(self.state.bias.gyroscope())
+        turn = gtsam.Rot3(self._readings.turns(np.array([end_s]), begin_s, bias)[0])
+        mounting = self._readings.T_base_imu.rotation()
+        return mounting.compose(turn).compose(mounting.inverse())
+
     def _carried(self, stamp_s: float) -> gtsam.Pose3 | None:
         """Return the newest state, carried on by the readings up to a stamp."""
         state = self.state

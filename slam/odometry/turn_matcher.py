@@ -105,6 +105,25 @@ class TurnMatcher:
             best = better
         return best.motion
 
+    def fitted(self, cloud: PointCloud, turn: DeskewedCloud, pose: gtsam.Pose3) -> DeskewedCloud:
+        """Deskew the first cloud, before which nothing shows a twist, by the yaw rate that fits best."""
+        lever_m = np.linalg.norm(turn.arms_m[:, 2])
+        step = 2.0 * _SKEWED_VOXELS * self._voxel_m / (0.5 * np.ptp(np.asarray(cloud.times_s)) * lever_m)
+        for _ in range(_DESKEWED_TIMES):
+            twists = turn.twist + np.outer([-step, 0.0, step], np.eye(6)[2])
+            tried = (DeskewedCloud.of(cloud, twist, self._config) for twist in twists)
+            fits = [self._trial(turned, [pose]).motion for turned in tried]
+            less, here, more = (np.nan if fit is None else fit.residual_m**2 for fit in fits)
+            bend = less - 2.0 * here + more
+            if not bend > 0.0:
+                break
+            # The vertex of the parabola through the three.
+            share = 0.5 * float(np.clip((less - more) / bend, -2.0, 2.0))
+            turn = DeskewedCloud.of(cloud, twists[1] + share * (twists[2] - twists[1]), self._config)
+            if abs(share) < 1.0:
+                break
+        return turn
+
     def _trial(
         self,
         turn: DeskewedCloud,

@@ -26,10 +26,13 @@ class Readings:
     ----------
     bridged
         (6, 6) by reading number: covariance if only an IMU led to this reading, GTSAM's tangent.
+    before_first
+        (6,) motion from the first scan's pose to its reported stamp, see `at_stamps`.
     """
 
     def __init__(self) -> None:
         self.bridged: dict[int, FloatArray] = {}
+        self.before_first: FloatArray = np.full(6, np.nan)
         self._stamps_s = array("d")
         self._reported_s = array("d")
         self._wheel_poses = array("d")
@@ -156,7 +159,7 @@ class Readings:
         if motion is None:
             motion = _motion_without_wheels(stamps_s, scans, poses)
         spread = spread_correction(motion, scans, poses).trajectory(stamps_s)
-        return at_stamps(spread, np.array(self._reported_s))
+        return at_stamps(spread, np.array(self._reported_s), (self._scan_readings[0], self.before_first))
 
     def _trusted(self) -> BoolArray:
         """Return (S,) which scans are anchors for the others: keyframes, and trusted scans."""
@@ -176,11 +179,19 @@ class Readings:
         return steadied(matched, bridged, variances, keyframes)
 
 
-def at_stamps(trajectory: Trajectory, stamps_s: FloatArray) -> Trajectory:
+def at_stamps(
+    trajectory: Trajectory, stamps_s: FloatArray, measured: tuple[int, FloatArray] | None = None
+) -> Trajectory:
     """Return a pose for each of other stamps (N,), in the order of the trajectory's own and near them.
 
     It is on the parabola through a pose and its neighbours: at the beginning of a corner, a car half a
     revolution earlier has another heading than constant motion predicts.
+
+    Parameters
+    ----------
+    measured
+        Number of a pose, and its motion (6,) to the other stamp, GTSAM's tangent, NaN where unknown: at the
+        first pose a corner may just have begun, which later ones do not show.
     """
     own_s = trajectory.stamps_s
     if len(own_s) < 2 or np.array_equal(own_s, stamps_s):
@@ -199,6 +210,8 @@ def at_stamps(trajectory: Trajectory, stamps_s: FloatArray) -> Trajectory:
     speeds = rates - 0.5 * steps_s * changes[:-1]
     speeds = np.vstack([speeds, rates[-1:] + 0.5 * steps_s[-1:] * changes[-1:]])
     offsets = late_s * (speeds + 0.5 * late_s * changes)
+    if measured is not None:
+        offsets[measured[0]] = np.where(np.isnan(measured[1]), offsets[measured[0]], measured[1])
     moved = [pose.compose(gtsam.Pose3.Expmap(offset)) for pose, offset in zip(poses, offsets, strict=True)]
     return Poses.of(moved).trajectory(stamps_s)
 

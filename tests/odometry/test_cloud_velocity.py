@@ -111,3 +111,12 @@ def test_a_changing_twist_misplaces_a_cloud_by_what_its_points_are_off_on_averag
     expected = 0.5 * np.mean(times_s**2) * np.array([0.0, 0.0, 0.0 if rotated else spin, 0.0, 0.0, surge])
     assert off == pytest.approx(expected, rel=0.1, abs=1e-6)
     assert not CloudVelocity().misplaced(way(0.3), 0.3, times_s).any()
+
+
+def test_a_given_twist_is_that_of_the_first_pose() -> None:
+    """A robot that begins to turn: the mean of its first step is halfway between both ends."""
+    velocity = CloudVelocity(AHEAD)
+    velocity.begin(5.0)
+    faster = AHEAD * [1.0, 1.0, 3.0, 1.0, 1.0, 1.0]
+    after = gtsam.Pose3.Expmap(0.1 * 0.5 * (AHEAD + faster))
+    np.testing.assert_allclose(velocity.at(after, 5.1), faster, atol=1e-9)

@@ -58,6 +58,16 @@ def test_stamps_that_stand_still_or_are_too_few_move_nothing() -> None:
     np.testing.assert_array_equal(at_stamps(one, np.array([0.0])).positions_m, one.positions_m)
 
 
+def test_what_is_measured_before_the_first_pose_counts_more_than_the_parabola() -> None:
+    stamps_s, before = np.arange(12) * 0.1, np.array([0.01, np.nan, -0.2, np.nan, 0.03, np.nan])
+    path = along(stamps_s + 0.05)
+    usual, found = at_stamps(path, stamps_s), at_stamps(path, stamps_s, (0, before))
+    np.testing.assert_array_equal(found.positions_m[1:], usual.positions_m[1:])
+    first = path.poses()[0]
+    moved, smooth = (gtsam.Pose3.Logmap(first.between(one.poses()[0])) for one in (found, usual))
+    np.testing.assert_allclose(moved, np.where(np.isnan(before), smooth, before), atol=1e-9)
+
+
 STEP = gtsam.Pose3(gtsam.Rot3.RzRyRx(0.02, -0.03, 0.05), np.array([0.1, 0.02, -0.01]))
 MOUNT = gtsam.Pose3(gtsam.Rot3.RzRyRx(0.4, 0.2, -1.0), np.array([0.1, 0.2, 0.3]))
 
