@@ -63,8 +63,8 @@ class LidarSamples:
     stretches
         Lists of scans of a few seconds each.
     count, repeats, undated, alternating
-        Numbers of scans, of bit-identical repeats, of other scans whose stamp is not later, and of those among
-        the first that resemble the last but one, not the last.
+        Numbers of scans, of bit-identical repeats, of other scans whose stamp is not later, and of those
+        among the first that resemble the last but one, not the last.
     interval_s
         Interval between scans.
     """
