@@ -33,7 +33,6 @@ RUN_OF_SECTION = {
 RUN_OF = {
     "localization.search_every_m": "in_room",
     "match.lost_after": "spatial",
-    "match.degenerate_sigma_m": "spatial",
     "loops.by_appearance": "spatial",
     "loops.least_overlap": "spatial",
     "sensors.topics": "from_a_file",
@@ -116,7 +115,6 @@ VALUES: dict[str, Any] = {
     "rgbd.working_width": 80,
     "rgbd.farthest_m": 1.5,
     "rgbd_odometry.views": 1,
-    "rgbd_odometry.feature_views": 1,
     "rgbd_odometry.guided_radius": 0.01,
     "cloud_odometry.voxel_m": 0.5,
     "cloud_odometry.range_min_m": 1.6,

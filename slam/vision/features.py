@@ -161,7 +161,9 @@ def _depth_at(depth_m, pixels, around, depths_m):  # type: ignore[no-untyped-def
             depths_m[i] = (upper + lower + around[8]) / count
 
 
-def match_features(first: Descriptors, second: Descriptors, ratio: float, greatest_distance: int) -> Matches:
+def match_features(
+    first: Descriptors, second: Descriptors, ratio: float, greatest_distance: int = 64
+) -> Matches:
     """Match features that are mutual nearest neighbours and pass Lowe's ratio test.
 
     Parameters

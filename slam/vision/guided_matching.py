@@ -20,7 +20,7 @@ def match_near(
     current: Features,
     radius_px: float,
     ratio: float,
-    greatest_distance: int,
+    greatest_distance: int = 64,
 ) -> Matches:
     """Match features that are mutual nearest neighbours near their expected position.
 
