@@ -88,8 +88,6 @@ class Georeference:
     ----------
     plane
         East, north, up at the first fix.
-    T_enu_map
-        The map in it.
     """
 
     plane: TangentPlane

@@ -51,8 +51,6 @@ def registrations_of(
     log
         Read from its start, once or twice, until every camera has enough pairs, at most 40 seconds; only the
         needed images are read if the log supports that.
-    cameras
-        Names of the cameras.
     """
     if not cameras or config.rgbd.registration == "given":
         return {}

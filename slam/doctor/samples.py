@@ -65,8 +65,6 @@ class LidarSamples:
     count, repeats, undated, alternating
         Numbers of scans, of bit-identical repeats, of other scans whose stamp is not later, and of those
         among the first that resemble the last but one, not the last.
-    interval_s
-        Interval between scans.
     """
 
     stretches: list[list[LaserScan]] = field(default_factory=list)

@@ -26,8 +26,6 @@ class FusionPair:
 
     Attributes
     ----------
-    stamp_s
-        Stamp of the scan.
     u, grade
         Best offset along the lidar curve, and the reliability of the pair.
     repaired

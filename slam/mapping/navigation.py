@@ -36,8 +36,6 @@ class FreeSpace:
     price
         (rows, cols) what a step into a cell counts: 1, and up to twice that the more the robot's disc (at
         least a cell wide to either side) reaches into the unknown. Outside the map all is unknown.
-    resolution_m
-        Side of a cell.
     T_map_grid
         The lower-left corner of cell (0, 0).
     """

@@ -95,8 +95,6 @@ def extract_features(
         (H, W) brightness.
     depth_m
         (H, W) registered to it, 0 where invalid.
-    count
-        Largest number of keypoints.
     again
         Whether the image will be used again: its keypoints are cached until then.
     """

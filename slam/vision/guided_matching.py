@@ -28,8 +28,6 @@ def match_near(
     ----------
     known, expected_px
         Features and their expected pixels, (N, 2); NaN for one that is not visible.
-    current
-        Features of the image.
     radius_px
         Largest distance from the expected position.
     ratio
