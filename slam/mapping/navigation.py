@@ -82,13 +82,6 @@ def clearance_m(states: StateArray, resolution_m: float, state: int = OCCUPIED) 
     """(rows, cols) distance from each cell's middle to the nearest edge of a cell of a state.
 
     Cells are squares: half a cell less than from middle to middle. Where no cell is such, infinity.
-
-    Examples
-    --------
-    >>> import numpy as np
-    >>> from slam.mapping.navigation import clearance_m
-    >>> clearance_m(np.array([[100, 0, 0, 0]], np.int8), resolution_m=0.5).tolist()  # to its near side
-    [[0.0, 0.25, 0.75, 1.25]]
     """
     such = states == state
     if not such.any():
