@@ -54,12 +54,6 @@ def log_odds(probability: float) -> float:
     ------
     ValueError
         If the probability is not above 0 and below 1.
-
-    Examples
-    --------
-    >>> from fusion.bayes import log_odds
-    >>> log_odds(0.5), round(log_odds(0.9), 2)
-    (0.0, 2.2)
     """
     if not 0.0 < probability < 1.0:
         raise ValueError(f"probability is {probability}; it must be above 0 and below 1")
@@ -67,14 +61,7 @@ def log_odds(probability: float) -> float:
 
 
 def evidence_steps(probability: float) -> int:
-    """Return log-odds in steps of 1 / `STEPS_A_UNIT`; zero only if the probability is exactly one half.
-
-    Examples
-    --------
-    >>> from fusion.bayes import evidence_steps
-    >>> evidence_steps(0.5), evidence_steps(0.7)
-    (0, 868)
-    """
+    """Return log-odds in steps of 1 / `STEPS_A_UNIT`; zero only if the probability is exactly one half."""
     steps = round(log_odds(probability) * STEPS_A_UNIT)
     if steps == 0 and probability != 0.5:
         return int(math.copysign(1, probability - 0.5))
@@ -100,17 +87,6 @@ def decide(lidar: States, camera: States, rule: Rule = "corrected") -> States:
     ------
     ValueError
         If the rule has another name.
-
-    Examples
-    --------
-    A low box that the lidar looks over: what the camera sees stays an obstacle.
-
-    >>> import numpy as np
-    >>> from fusion.bayes import FREE, OCCUPIED, UNKNOWN, decide
-    >>> lidar = np.array([FREE, FREE, OCCUPIED], np.int8)
-    >>> camera = np.array([OCCUPIED, UNKNOWN, FREE], np.int8)
-    >>> decide(lidar, camera).tolist(), decide(lidar, camera, "cautious").tolist()
-    ([100, 0, 100], [100, -1, 100])
     """
     if rule not in _RULES:
         raise ValueError(f"rule is {rule!r}; it must be {', '.join(RULES[:-1])} or {RULES[-1]}")

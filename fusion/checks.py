@@ -17,16 +17,6 @@ def numbers(value: Any, shape: tuple[int | None, ...], name: str, *, finite: boo
     ------
     ValueError
         If they are not numbers, have another shape, or are not finite.
-
-    Examples
-    --------
-    >>> from fusion.checks import numbers
-    >>> numbers([1, 2, 3], (None,), "ranges_m").tolist()
-    [1, 2, 3]
-    >>> numbers([1.0, float("nan")], (3,), "the guess")
-    Traceback (most recent call last):
-    ...
-    ValueError: the guess is float64[2]; give numbers of shape (3)
     """
     try:
         array = np.asarray(value)

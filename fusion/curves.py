@@ -235,15 +235,6 @@ def resample(scan: LidarCurve, step_rad: float = SAMPLE_STEP_RAD) -> Curve:
     ------
     ValueError
         If the step is not above zero, or the sweep covers more than one revolution.
-
-    Examples
-    --------
-    >>> import fusion, numpy as np
-    >>> from fusion.curves import resample
-    >>> fine = fusion.LidarCurve(np.full(721, 2.0), start_angle_rad=0.0, step_rad=np.radians(0.25))
-    >>> coarse = resample(fine, step_rad=np.radians(1.0))
-    >>> coarse.ranges_m.size, float(np.nanmax(coarse.ranges_m))
-    (181, 2.0)
     """
     if not step_rad > 0.0:
         raise ValueError(f"step_rad is {step_rad}; give an angle above 0")

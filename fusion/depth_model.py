@@ -73,10 +73,6 @@ def hit_evidence(noise: RangeNoise, p_hit: float, cell_m: float, range_max_m: fl
     ----------
     p_hit
         Hit probability, above 0.5.
-    cell_m
-        Side of a cell.
-    range_max_m
-        Maximum range of the table.
 
     Returns
     -------

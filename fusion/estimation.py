@@ -25,12 +25,6 @@ def gate(degrees: int = 1, confidence: float = CONFIDENCE) -> float:
         Degrees of freedom: the number of differences.
     confidence
         Share of true differences within the gate.
-
-    Examples
-    --------
-    >>> from fusion.estimation import gate
-    >>> round(gate(2, 0.95), 2)  # chi-square of two degrees of freedom
-    5.99
     """
     from scipy.special import chdtri  # imported here because it loads slowly
 

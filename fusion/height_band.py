@@ -82,15 +82,7 @@ class HeightBand:
 
 
 def pixel_rays(shape: tuple[int, int], intrinsics: Intrinsics) -> FloatArray:
-    """Return the viewing ray of each pixel: (H, W, 2) x/z, y/z in the optical frame, Yang2021 Eq. (13).
-
-    Examples
-    --------
-    >>> import fusion
-    >>> from fusion.height_band import pixel_rays
-    >>> pixel_rays((2, 3), fusion.Intrinsics(fx=1.0, fy=1.0, cx=1.0, cy=0.5))[0].tolist()
-    [[-1.0, -0.5], [0.0, -0.5], [1.0, -0.5]]
-    """
+    """Return the viewing ray of each pixel: (H, W, 2) x/z, y/z in the optical frame, Yang2021 Eq. (13)."""
     rows, cols = shape
     x = np.broadcast_to((np.arange(cols) - intrinsics.cx) / intrinsics.fx, shape)
     y = np.broadcast_to(((np.arange(rows) - intrinsics.cy) / intrinsics.fy)[:, None], shape)
@@ -106,14 +98,6 @@ def back_project(depth_m: NDArray[np.floating[Any]], rays: FloatArray) -> FloatA
         (H, W) along the optical axis; zero and values that are not finite are invalid.
     rays
         (H, W, 2) from `pixel_rays`.
-
-    Examples
-    --------
-    >>> import fusion, numpy as np
-    >>> from fusion.height_band import back_project, pixel_rays
-    >>> depth_m = np.array([[2.0, 0.0, 2.0]])  # the middle pixel has no reading
-    >>> back_project(depth_m, pixel_rays((1, 3), fusion.Intrinsics(fx=2.0, fy=2.0, cx=1.0, cy=0.0))).tolist()
-    [[-1.0, 0.0, 2.0], [1.0, 0.0, 2.0]]
     """
     valid = np.isfinite(depth_m) & (depth_m > 0.0)
     z = depth_m[valid].astype(np.float64)
@@ -142,13 +126,6 @@ def thin_to_voxels(points: FloatArray, voxel_m: float, step: int = 1) -> FloatAr
     """Return the first point (M, 3) in each voxel, so that near surfaces weigh no more than far ones.
 
     Points are visited in strides of ``step``, coprime to their number.
-
-    Examples
-    --------
-    >>> import numpy as np
-    >>> from fusion.height_band import thin_to_voxels
-    >>> thin_to_voxels(np.array([[0.01, 0.0, 0.0], [0.02, 0.0, 0.0], [1.0, 0.0, 0.0]]), voxel_m=0.1).tolist()
-    [[0.01, 0.0, 0.0], [1.0, 0.0, 0.0]]
     """
     if not len(points):
         return points
@@ -169,16 +146,7 @@ def thin_evenly(points: FloatArray, voxel_m: float) -> FloatArray:
 
 
 def dense_enough(points: FloatArray, radius_m: float, least_neighbours: int) -> BoolArray:
-    """Radius outlier removal: return (N,) whether enough other points are within the radius.
-
-    Examples
-    --------
-    >>> import numpy as np
-    >>> from fusion.height_band import dense_enough
-    >>> points = np.array([[0.0, 0.0, 0.0], [0.01, 0.0, 0.0], [5.0, 0.0, 0.0]])
-    >>> dense_enough(points, radius_m=0.1, least_neighbours=1).tolist()
-    [True, True, False]
-    """
+    """Radius outlier removal: return (N,) whether enough other points are within the radius."""
     from scipy.spatial import cKDTree
 
     if not len(points):

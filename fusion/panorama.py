@@ -238,8 +238,6 @@ class ImageView:
     ----------
     curve
         Ranges at the bearings of the columns.
-    lookup
-        Pixels that show these ranges.
     low_m, high_m
         Limits of the heights that are as good as that of the curve.
     """

@@ -191,30 +191,14 @@ class Grade(IntEnum):
 
 
 def grade_of(pcc: float) -> Grade:
-    """Return the class of a PCC in the paper.
-
-    Examples
-    --------
-    >>> from fusion.registration import grade_of
-    >>> [grade_of(pcc).name for pcc in (0.2, 0.5, 0.9)]
-    ['LOW', 'MIDDLE', 'HIGH']
-    """
+    """Return the class of a PCC in the paper."""
     if pcc > MIDDLE_MAX:
         return Grade.HIGH
     return Grade.MIDDLE if pcc > LOW_MAX else Grade.LOW
 
 
 def pearson(one: Float32Array, other: Float32Array) -> float:
-    """Return Xu2024 Eq. (2) of two curves (W,), ``nan`` invalid; 0 if one is flat or too few are shared.
-
-    Examples
-    --------
-    >>> import numpy as np
-    >>> from fusion.registration import pearson
-    >>> curve = np.random.default_rng(0).uniform(1.0, 4.0, 90)
-    >>> round(pearson(curve, curve), 3), round(pearson(curve, -curve), 3)
-    (1.0, -1.0)
-    """
+    """Return Xu2024 Eq. (2) of two curves (W,), ``nan`` invalid; 0 if one is flat or too few are shared."""
     both = np.isfinite(one) & np.isfinite(other)
     if both.sum() < max(FEWEST, LEAST_OVERLAP * one.size):
         return 0.0

@@ -23,15 +23,6 @@ class TangentPlane:
     ----------
     latitude_deg, longitude_deg, altitude_m
         Of its origin.
-
-    Examples
-    --------
-    >>> from slam.earth import TangentPlane
-    >>> plane = TangentPlane(48.0, 8.0, 300.0)
-    >>> (plane.enu_m(48.001, 8.0, 300.0).round(2) + 0.0).tolist()  # metres
-    [0.0, 111.2, 0.0]
-    >>> [round(float(value), 6) for value in plane.geodetic([0.0, 111.2, 0.0])]
-    [48.001, 8.0, 300.00097]
     """
 
     latitude_deg: float
@@ -88,8 +79,6 @@ class Georeference:
     ----------
     plane
         East, north, up at the first fix.
-    T_enu_map
-        The map in it.
     """
 
     plane: TangentPlane

@@ -21,12 +21,6 @@ def plain(text: object, longest: int = 256) -> str:
     ----------
     longest
         Where it is cut, with dots behind.
-
-    Examples
-    --------
-    >>> from slam.foreign import plain
-    >>> plain("scan" + chr(27) + "[31m of a stranger")
-    'scan?[31m of a stranger'
     """
     whole = str(text)
     if whole.isprintable() and len(whole) <= longest:

@@ -31,8 +31,6 @@ class Forked:
 
     Attributes
     ----------
-    number
-        The number of the process.
     close
         Ends it, wherever it is.
     """

@@ -16,8 +16,6 @@ class ResultCache(Protocol):
 
         Parameters
         ----------
-        question
-            Its kind.
         key
             A number of what is asked about; one bit of difference shows that events took another course.
         compute

@@ -116,7 +116,6 @@ VALUES: dict[str, Any] = {
     "rgbd.working_width": 80,
     "rgbd.farthest_m": 1.5,
     "rgbd_odometry.views": 1,
-    "rgbd_odometry.feature_views": 1,
     "rgbd_odometry.guided_radius": 0.01,
     "cloud_odometry.voxel_m": 0.5,
     "cloud_odometry.range_min_m": 1.6,

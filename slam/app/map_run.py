@@ -45,8 +45,6 @@ class MapRun:
 
     Attributes
     ----------
-    folder
-        Where the map is.
     report
         Content of its report; None if the map was finished before, and nothing was done.
     written

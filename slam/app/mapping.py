@@ -179,8 +179,6 @@ class Measured:
     ----------
     measurements
         In the order in which they came. What can be iterated only once is gathered in memory first.
-    name
-        For people.
     """
 
     def __init__(self, measurements: Iterable[Measurement], name: str = "measurements") -> None:

@@ -88,7 +88,8 @@ def localize(
         f"{len(result.drive)} scans and frames: {shares}; {len(result.trajectory)} poses; "
         f"{time.perf_counter() - started:.1f} s"
     )
-    unfound = "the robot was not found in the map; a longer log or its initial pose (--start) may help"
+    remedy = "its initial pose (--start)" if start is None else "another --start"
+    unfound = f"the robot was not found in the map; a longer log or {remedy} may help"
     for warning in [*result.warnings, *([] if len(result.trajectory) else [unfound])]:
         tell(f"warning: {warning}", sys.stderr)
     say("wrote " + ", ".join(str(path) for path in result.written))

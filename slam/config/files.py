@@ -109,14 +109,7 @@ def _described(fault: ErrorDetails, hint: Callable[[str], str]) -> str:
 
 
 def nearest(name: str, candidates: Sequence[str]) -> str:
-    """Return a hint at the most similar candidate, or an empty text.
-
-    Examples
-    --------
-    >>> from slam.config.files import nearest
-    >>> nearest("resolution", ["resolution_m", "margin_m"])
-    "; did you mean 'resolution_m'?"
-    """
+    """Return a hint at the most similar candidate, or an empty text."""
     match = difflib.get_close_matches(name, candidates, n=1)
     return f"; did you mean '{match[0]}'?" if match else ""
 

@@ -61,9 +61,3 @@ class CloudLocalizationConfig(StrictModel):
     new_share: float = Field(
         default=0.2, gt=0, le=1, description="share of a scan that counts as new compared with the last scan"
     )
-    least_agreement: float = Field(
-        default=0.5,
-        gt=0,
-        le=1,
-        description="least share of a cloud on known planes, relative to that of the map's own clouds",
-    )

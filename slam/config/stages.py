@@ -81,7 +81,6 @@ class MatchConfig(StrictModel):
         default=25, ge=1, description="beams up to this many apart may have correlated errors in the map"
     )
     floor_m: float = Field(default=0.002, gt=0, description="lower limit for the position sigma of a match")
-    floor_rad: float = Field(default=0.001, gt=0, description="lower limit for the rotation sigma of a match")
     minimal_residual_m: float = Field(default=0.01, gt=0, description="smaller residuals are raised to this")
     degenerate_share: float = Field(
         default=0.02, gt=0, lt=0.5, description="share of information below which a direction is degenerate"
@@ -89,6 +88,11 @@ class MatchConfig(StrictModel):
     degenerate_sigma_m: float = Field(
         default=0.5, gt=0, description="sigma of a degenerate direction of a cloud or image"
     )
+
+    @property
+    def floor_rad(self) -> float:
+        """Lower limit for the rotation sigma of a match: that of a position, two metres away."""
+        return 0.5 * self.floor_m
 
     @property
     def coarse_cell_m(self) -> float:
@@ -109,8 +113,9 @@ class MatchConfig(StrictModel):
 class PredictionConfig(StrictModel):
     """Prediction of the next motion, and the decision if match and prediction contradict each other."""
 
-    velocity_floor_m: float = Field(default=0.05, gt=0, description="constant velocity: sigma at rest")
-    velocity_floor_rad: float = Field(default=0.05, gt=0, description="constant velocity: sigma at rest")
+    velocity_floor: float = Field(
+        default=0.05, gt=0, description="constant velocity: sigma at rest, m and rad"
+    )
     velocity_share: float = Field(default=0.5, ge=0, description="constant velocity: sigma per m or rad")
     memory_scans: float = Field(default=30.0, ge=1, description="scans over which errors are averaged")
     disputed_within: float = Field(
@@ -182,9 +187,13 @@ class GraphConfig(StrictModel):
     incremental_every: int = Field(default=20, ge=1, description="keyframes between two iSAM2 updates")
     lost_sigma_m: float = Field(default=1.0, gt=0, description="position sigma of an unmeasured step")
     loose_share: float = Field(
-        default=0.3, gt=0, le=1, description="factor on both lost sigmas, for a step whose match is rejected"
+        default=0.3, gt=0, le=1, description="factor on the lost sigmas, for a step whose match is rejected"
     )
-    lost_sigma_rad: float = Field(default=0.5, gt=0, description="rotation sigma of an unmeasured step")
+
+    @property
+    def lost_sigma_rad(self) -> float:
+        """Rotation sigma of an unmeasured step."""
+        return 0.5 * self.lost_sigma_m
 
 
 class GridConfig(StrictModel):
@@ -227,9 +236,7 @@ class RgbdOdometryConfig(StrictModel):
     """Matching of RGB-D frames to keyframes."""
 
     views: int = Field(default=5, ge=1, description="keyframes to which a frame is matched at once")
-    feature_views: int = Field(default=2, ge=1, description="how many of these also match features")
     match_ratio: float = Field(default=0.8, gt=0, le=1, description="Lowe's ratio of descriptor distances")
-    match_bits: int = Field(default=64, ge=1, le=256, description="largest Hamming distance of a match")
     guided_radius: float = Field(
         default=0.05, gt=0, le=1, description="search radius around a predicted feature, in image widths"
     )
@@ -242,15 +249,22 @@ class RgbdOdometryConfig(StrictModel):
     depth_share: float = Field(default=0.0012, ge=0, description="depth sigma per squared metre of distance")
     correlated_points: float = Field(default=60.0, ge=1, description="points that count as one measurement")
     correlated_features: float = Field(default=2.0, ge=1, description="features that count as one")
-    least_points: int = Field(
-        default=300, ge=1, description="fewest matched surface points where too few features match"
-    )
     keyframe_parallax: float = Field(
         default=0.12, gt=0, description="travel over median depth that makes a keyframe"
     )
     keyframe_overlap: float = Field(
         default=0.6, gt=0, le=1, description="a keyframe is made if a smaller share of the image is known"
     )
+
+    @property
+    def feature_views(self) -> int:
+        """Number of keyframes whose features a frame is matched to, too."""
+        return max(self.views // 2, 1)
+
+    @property
+    def least_points(self) -> float:
+        """Fewest matched surface points where too few features match: those of five measurements."""
+        return 5.0 * self.correlated_points
 
 
 class VisualLoopConfig(StrictModel):

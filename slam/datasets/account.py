@@ -23,8 +23,6 @@ class Account:
     ----------
     name
         Name of the dataset, for messages.
-    report
-        Collects the counts.
     strict
         Stop at the first damaged record.
     """

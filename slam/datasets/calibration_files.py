@@ -69,8 +69,6 @@ class KnownCalibration:
 
         Parameters
         ----------
-        role
-            "depth" or "color".
         names
             Topic and frame of the image.
         size
@@ -103,8 +101,6 @@ def known_beside(path: Path, named: Sequence[Path] = ()) -> KnownCalibration:
     ----------
     path
         The recording; the search is in this folder, or in the folder of this file.
-    named
-        Files that the user named.
 
     Raises
     ------

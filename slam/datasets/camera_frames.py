@@ -30,16 +30,10 @@ class Camera:
 
     Attributes
     ----------
-    sensor
-        Its name.
     pairs
         Its images, in the order of the log.
-    calibration
-        Calibration of the upright images.
     quarter_turns
         Number of counter-clockwise 90-degree rotations that make the stored images upright.
-    source
-        Source of its images.
     """
 
     sensor: str

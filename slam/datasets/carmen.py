@@ -112,8 +112,6 @@ def read_messages(
     ----------
     words
         Converts a line to CARMEN messages; raises `RecordFault` if it is damaged.
-    where
-        The file of the lines.
     kinds
         The types of scan messages that are read.
     """

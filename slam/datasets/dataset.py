@@ -214,15 +214,6 @@ class Dataset(Protocol):
     Iteration returns the measurements in file order, which may differ from the order of the stamps, and
     raises `slam.errors.DatasetError` at the end of a log without any. Each new iteration starts a new
     `report`; it is complete when the iteration is.
-
-    Attributes
-    ----------
-    name
-        Short name for the user.
-    path
-        Path of the log.
-    report
-        Report of the latest pass.
     """
 
     name: str

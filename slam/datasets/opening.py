@@ -51,8 +51,9 @@ def _formats() -> Iterator[DatasetFormat]:
 
 
 def _supported() -> str:
-    """The supported formats, for the error message."""
-    return "supported: " + ", ".join(known.description for known in _formats())
+    """Which formats are supported, in short, for the error message."""
+    others = sum(1 for _ in _formats()) - 4
+    return f"supported: CARMEN logs, ROS bags, TUM and KITTI folders, and {others} others in docs/formats.md"
 
 
 def open_dataset(

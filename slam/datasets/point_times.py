@@ -56,8 +56,6 @@ class PointTimes:
 
         Parameters
         ----------
-        names
-            The fields of its points.
         column
             The values of a field, (N,).
         """
@@ -104,8 +102,6 @@ def intensities_of(names: Iterable[str], column: Callable[[str], NDArray[Any]]) 
 
     Parameters
     ----------
-    names
-        The fields of its points.
     column
         The values of a field, (N,).
     """

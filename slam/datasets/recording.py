@@ -96,8 +96,6 @@ class Recording:
 
     Parameters
     ----------
-    path
-        The folder.
     load
         Lists the contents, again for each pass; rejected records go to the account.
     truth

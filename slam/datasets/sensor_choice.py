@@ -77,8 +77,6 @@ class SensorChoice:
         there is none.
     gnss
         Name of the GNSS receiver that georeferences the map (the first in the log); empty if there is none.
-    config
-        The settings.
     """
 
     spatial: bool
@@ -235,8 +233,6 @@ class SensorTally:
 
         Parameters
         ----------
-        report
-            Report of the counted pass.
         unused
             Why the run could not use a sensor that was chosen, by name.
         """

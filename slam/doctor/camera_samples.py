@@ -104,7 +104,7 @@ class CameraSamples:
         self, begun_s: float, known: Features, features: Features, frame: RgbdFrame, back: int
     ) -> None:
         """Match to the previous frame for motion, or to an earlier one for a pair."""
-        matches = match_features(known.descriptors, features.descriptors, _WAYS.match_ratio, _WAYS.match_bits)
+        matches = match_features(known.descriptors, features.descriptors, _WAYS.match_ratio)
         one, other = known.where(matches.first), features.where(matches.second)  # type: ignore[arg-type]
         found = pose_from_features(
             one.points_camera(frame.intrinsics),

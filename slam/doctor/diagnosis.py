@@ -95,6 +95,7 @@ def examine(log: Iterable[Measurement], registrations: Registrations | None = No
     agrees = False  # the wheel odometry, with one of several 2D lidars
     wheels = max(samples.wheels.items(), key=lambda item: item[1].count, default=None)
     for name, lidar in samples.lidars.items():
+        findings += lidar.mixed(name)
         hangs = wheels is not None and lidar.repeats.driven(wheels[1].rows())
         findings += lidar.repeats.findings("lidars", name, lidar.count, "scans", enough=hangs)
         if not lidar.stretches:

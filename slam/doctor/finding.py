@@ -23,14 +23,10 @@ class Finding:
 
     Attributes
     ----------
-    sensor
-        Its name in the log.
     kind
         The type of error in a word or two, the same for every log.
     text
         The finding in one line, with its interval.
-    effect
-        Its effect on the map.
     remedies
         Remedies as entries of a calibration file, the most likely first. Several if the log does not
         determine which is right, none if no calibration helps.

@@ -22,8 +22,6 @@ class Pair:
 
     Attributes
     ----------
-    wheels, lidar
-        Names of the sensors.
     rows
         (N, 4) readings of the wheels.
     stretches

@@ -51,8 +51,6 @@ def registrations_of(
     log
         Read from its start, once or twice, until every camera has enough pairs, at most 40 seconds; only the
         needed images are read if the log supports that.
-    cameras
-        Names of the cameras.
     """
     if not cameras or config.rgbd.registration == "given":
         return {}
@@ -150,7 +148,7 @@ class _Collector:
 def _pair(before: Seen, after: Seen, config: RgbdOdometryConfig) -> tuple[FramePair | None, float]:
     """The matched pair, None if the motion is too small or too large; and the motion."""
     (frame_a, known), (frame_b, features) = before, after
-    matches = match_features(known.descriptors, features.descriptors, config.match_ratio, config.match_bits)
+    matches = match_features(known.descriptors, features.descriptors, config.match_ratio)
     if len(matches) < 3 * FEWEST:  # a third of them must agree on a motion
         return None, np.inf
     a, b = known.pixels[matches.first], features.pixels[matches.second]

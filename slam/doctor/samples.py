@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from array import array
 from collections.abc import Iterable
 from dataclasses import dataclass, field
@@ -13,6 +14,7 @@ from slam.datasets.corrections import Unwound
 from slam.datasets.dataset import Thinned
 from slam.doctor.camera_samples import CameraSamples
 from slam.doctor.cloud_samples import CloudSamples
+from slam.doctor.finding import Finding
 from slam.doctor.floor import LEVER_M
 from slam.doctor.imu import ImuSamples, rising
 from slam.doctor.stretches import Repeats
@@ -60,21 +62,22 @@ class LidarSamples:
     ----------
     stretches
         Lists of scans of a few seconds each.
-    count, repeats, undated
-        Numbers of scans, of bit-identical repeats, and of other scans whose stamp is not later.
-    interval_s
-        Interval between scans.
+    count, repeats, undated, alternating
+        Numbers of scans, of bit-identical repeats, of other scans whose stamp is not later, and of those
+        among the first that resemble the last but one, not the last.
     """
 
     stretches: list[list[LaserScan]] = field(default_factory=list)
     count: int = 0
     repeats: Repeats = field(default_factory=Repeats)
     undated: int = 0
+    alternating: int = 0
     interval_s: Thinned = field(default_factory=Thinned)
     _open: list[LaserScan] = field(default_factory=list)
     _stride: int = 1
     _begun: int = 0
     _newest: LaserScan | None = None
+    _before: LaserScan | None = None
 
     def add(self, scan: LaserScan) -> None:
         """Add the next scan."""
@@ -86,7 +89,10 @@ class LidarSamples:
         if self._newest is not None:
             self.interval_s.add(scan.stamp_s - self._newest.stamp_s)
             self.undated += scan.stamp_s <= self._newest.stamp_s
-        self._newest = scan
+        if self._before is not None and self.count <= _STRETCHES:
+            last_m, before_m = _apart_m(scan, self._newest), _apart_m(scan, self._before)
+            self.alternating += 2.0 * before_m < last_m
+        self._before, self._newest = self._newest, scan
         if self._open:
             since_s = scan.stamp_s - self._open[-1].stamp_s
             if 0.0 <= since_s < SPACING_S:
@@ -104,6 +110,22 @@ class LidarSamples:
         if len(self.stretches) > _STRETCHES:
             del self.stretches[1::2]
             self._stride *= 2
+
+    def mixed(self, name: str) -> list[Finding]:
+        """Report it if two scanners take turns under one name."""
+        if self.alternating < FEWEST:
+            return []
+        text = "two scanners share its name: every second scan resembles the last but one, not the last"
+        effect = "the map mixes their views; write each with a name and a mounting of its own"
+        return [Finding(name, "two scanners", text, effect)]
+
+
+def _apart_m(scan: LaserScan, other: LaserScan | None) -> float:
+    """Median difference of the ranges that two scans have; infinite if they differ in their beams."""
+    if other is None or scan.ranges_m.size != other.ranges_m.size:
+        return math.inf
+    both = np.isfinite(scan.ranges_m) & np.isfinite(other.ranges_m)
+    return float(np.median(np.abs(scan.ranges_m[both] - other.ranges_m[both]))) if both.any() else math.inf
 
 
 @dataclass(frozen=True, slots=True)

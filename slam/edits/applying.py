@@ -34,14 +34,10 @@ class Known:
 
     Attributes
     ----------
-    file
-        File that contains it.
     contents
         The map with the edits so far, as the user sees it.
     base, before
         The map without edits, and its settings.
-    sessions
-        Logs of the map.
     """
 
     file: MapFile

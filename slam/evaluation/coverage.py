@@ -30,8 +30,6 @@ class Coverage:
 
     Attributes
     ----------
-    count
-        Number of poses compared.
     held_at_s
         Stamp of the pose at which the trajectory is aligned with the ground truth.
     nees

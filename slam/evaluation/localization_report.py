@@ -34,8 +34,6 @@ def write_localization_report(
 
     Parameters
     ----------
-    title
-        The log and the map.
     layers
         Of the map; None of a map without a lidar.
     notes

@@ -94,10 +94,6 @@ class ReportData:
 
     Attributes
     ----------
-    reading
-        Report of the reader.
-    beside
-        Additional data to show.
     sessions, digest
         Sessions and digest of the saved map, see `slam.Map`.
     """

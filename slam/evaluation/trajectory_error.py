@@ -29,8 +29,6 @@ class AbsoluteError:
 
     Attributes
     ----------
-    count
-        Pairs of poses compared.
     T_reference_map
         (4, 4) transform that the alignment applied to the trajectory.
     translation_m, rotation_rad
@@ -59,10 +57,6 @@ class RelativeError:
 
     Attributes
     ----------
-    count
-        Number of motions compared.
-    delta, unit
-        Length of the motions.
     translation_m, rotation_rad
         Errors of a whole motion (not divided by its length).
     """
@@ -215,8 +209,6 @@ class TruthComparison:
 
     Attributes
     ----------
-    error
-        Absolute trajectory error.
     stamps_s
         (N,) of the associated poses.
     positions_m, true_positions_m

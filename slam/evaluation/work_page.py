@@ -31,8 +31,6 @@ class WorkPage:
 
     Attributes
     ----------
-    title, legend
-        Of the picture.
     blob
         The data, see `packed`.
     picture

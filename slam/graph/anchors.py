@@ -36,8 +36,6 @@ class Anchor:
 
     Attributes
     ----------
-    node
-        Its number.
     place_m, covariance_m2
         (3,) and (3, 3) in east, north, up.
     arm_m

@@ -23,8 +23,6 @@ class Closing:
     ----------
     place, keyframe
         End nodes of the first of the loops.
-    loops
-        Number of loops.
     path_m
         Path length from the place to the keyframe.
     before_m

@@ -33,8 +33,6 @@ class ClaimSets:
         (n, 3) keyframe poses by the first optimisation, projected onto the plane.
     travelled_m
         (n,) path length from the start to each.
-    chain
-        Relative uncertainty of the poses.
     reach_m
         Claims farther apart along the path do not support each other: the chain between may be bent.
     """

@@ -48,10 +48,6 @@ class CorridorClaims:
         ----------
         poses
             (n, 3) keyframe poses by the current estimate.
-        known
-            Relative uncertainty of the poses.
-        loops
-            All candidates so far.
         """
         claims = self._sets.empty()
         for number in self._stretches.untied(loops, bare=True):

@@ -25,8 +25,6 @@ class KeyframeGraph:
 
     Attributes
     ----------
-    graph
-        Nodes and edges.
     uncertainty
         Relative uncertainty of keyframes, projected onto the ground plane.
     loops

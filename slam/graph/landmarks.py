@@ -31,8 +31,6 @@ class Sighting:
 
     Attributes
     ----------
-    node
-        Its number.
     T_node_landmark
         Pose2 or Pose3, as the nodes are.
     covariance

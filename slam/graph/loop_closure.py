@@ -73,8 +73,6 @@ class LoopCloser:
         ----------
         poses, uncertainty
             Poses and uncertainty of all keyframes, as for `close`.
-        loops
-            Candidates tried before.
         """
         travelled_m = self.submaps.travelled_m
         closed = np.sort([travelled_m(loop.keyframe) for loop in loops if loop.accepted])
@@ -214,8 +212,6 @@ def search_place(
     ----------
     candidate
         Candidate with the window.
-    submap
-        The place.
     scan
         Scan that may have been taken there, base frame.
     guess

@@ -92,8 +92,6 @@ class PlaceSearch:
             (n,) of them.
         edges, kept
             Of the graph, and which of them the optimisation has kept.
-        loops
-            All candidates so far.
         """
         if not self._config.enabled or len(poses) < 2:
             return []

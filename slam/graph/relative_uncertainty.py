@@ -123,8 +123,6 @@ class UncertaintyGraph:
 
         Parameters
         ----------
-        start
-            The start node.
         targets
             (m,) the target nodes.
         poses

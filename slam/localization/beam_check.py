@@ -37,8 +37,6 @@ class KnownSpace(NamedTuple):
         (columns, rows) whether a cell is free, and far from any wall.
     frame
         (3,) x, y, yaw of the lower-left corner of cell (0, 0) in the map.
-    cell_m
-        Side of a cell.
     """
 
     cells: NDArray[np.uint8]
@@ -110,10 +108,8 @@ def check_beams(
 
     Parameters
     ----------
-    space
-        The map.
     surfels
-        Its walls around the pose.
+        Walls of the map around the pose.
     pose
         (3,) x, y, yaw of the base in the map.
     laser

@@ -35,8 +35,8 @@ class CameraSensor:
         self._locator = locator
         self._odometry = RgbdTracker(FrameMatcher(config), config)
         self._new_parallax = 0.5 * config.rgbd_odometry.keyframe_parallax
-        guessed = config.prediction.velocity_floor_m, config.prediction.velocity_floor_rad
-        self._guess = Measured(locator.origin, diagonal(locator.origin, *guessed))
+        guessed = config.prediction.velocity_floor
+        self._guess = Measured(locator.origin, diagonal(locator.origin, guessed, guessed))
         self._matched_nats = config.localization.lost_nats / self.least_keyframes
         self._last: CameraPose | None = None
         self._pose: Pose | None = None

@@ -37,8 +37,6 @@ class CloudPlaces:
         Likelihood field of the plan; None if the map has none.
     known
         A map of a 3D lidar.
-    voxel_m
-        Side of their voxels.
     """
 
     def __init__(

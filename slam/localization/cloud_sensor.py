@@ -111,7 +111,8 @@ class CloudSensor:
     def align(self, view: CloudView, guess: Pose) -> MotionEstimate | None:
         """See `Sensor`."""
         aligned, agreement = self._aligned(view, guess)
-        if aligned is None or agreement < self._settings.least_agreement:
+        # At least half as much of it is on known planes as of the map's own clouds.
+        if aligned is None or agreement < 0.5:
             return None
         # If only a part is known, it is seen at its edges.
         doubt = 1.0 / min(agreement, 1.0) ** 2

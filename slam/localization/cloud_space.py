@@ -30,8 +30,6 @@ class CloudSpace(NamedTuple):
         (x, y, z) 0 unknown, 1 free, 2 in a surface or beside one, 3 wall.
     corner
         (3,) of cell (0, 0, 0), map frame.
-    cell_m
-        Side of a cell.
     """
 
     cells: NDArray[np.uint8]
@@ -68,10 +66,6 @@ def cloud_space(
         (K, 3) origins of the beams of each cloud, map frame.
     clouds
         K arrays (N, 3) of end points.
-    planes
-        Planes of all clouds.
-    cell_m
-        Side of a cell.
     reach_m
         Extent of the grid from the centre of the lidars.
     """

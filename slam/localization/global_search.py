@@ -84,15 +84,11 @@ def search_map(
 
     Parameters
     ----------
-    field
-        The map.
     points
         (M, 2) points as seen from the base, of which a sample is used.
     settings
         The mean likelihood below which poses are not searched, and the share of the best score above which
         others are reported too.
-    most
-        Largest number of places.
     window
         Search window; None searches everywhere.
     """

@@ -209,8 +209,7 @@ class CloudOdometry:
         """Return the motion between two clouds, both matched to the same recent clouds; or a guess."""
         step = last.pose.between(tracked.pose)
         if tracked.motion is None:
-            sigmas = self._guess.velocity_floor_m, self._guess.velocity_floor_rad
-            return Measured(step, diagonal(step, *sigmas))
+            return Measured(step, diagonal(step, self._guess.velocity_floor, self._guess.velocity_floor))
         before = np.zeros((6, 6))
         if last.motion is not None:
             adjoint = step.inverse().AdjointMap()

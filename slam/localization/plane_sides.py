@@ -39,8 +39,6 @@ class SidedPlanes:
 
     Parameters
     ----------
-    planes
-        Of the clouds.
     lidars
         (K, 3) origins of the beams of each cloud, map frame.
     clouds

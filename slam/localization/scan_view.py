@@ -22,8 +22,6 @@ class ScanView:
 
     Attributes
     ----------
-    stamp_s
-        Time of the scan.
     points
         All returns, base frame.
     oriented

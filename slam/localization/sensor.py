@@ -21,8 +21,6 @@ class Observation(Generic[V]):
 
     Attributes
     ----------
-    stamp_s
-        Time of the reading.
     view
         The reading, prepared once.
     pose

@@ -43,8 +43,6 @@ class WholeMapField(NamedTuple):
         Value beyond the map.
     origin_x, origin_y
         Lower-left corner of pixel (0, 0) of level 0, metres.
-    cell_m
-        Edge of a pixel.
     """
 
     levels: Sequence[Picture]
@@ -66,8 +64,6 @@ def build_whole_map_field(
         (M, 2) points on the map's walls, M > 0.
     grid
         Tells free from unseen; None takes everything as unseen.
-    cell_m
-        Edge of a pixel.
     """
     level, origin_x, origin_y = blurred(points_map, cell_m, BLUR * cell_m)
     unknown = round(255.0 * _UNKNOWN)

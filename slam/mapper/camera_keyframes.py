@@ -48,8 +48,6 @@ class CameraKeyframes:
 
     Parameters
     ----------
-    cameras
-        The cameras.
     registrations
         Poses of colour cameras that are not registered to depth, by name.
     """

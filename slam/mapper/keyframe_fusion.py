@@ -26,8 +26,6 @@ class FusionPair:
 
     Attributes
     ----------
-    stamp_s
-        Stamp of the scan.
     u, grade
         Best offset along the lidar curve, and the reliability of the pair.
     repaired
@@ -192,11 +190,12 @@ def _note(pairs: Sequence[FusionPair], estimate: fusion.RigEstimate) -> str:
     """Return a note on what was found and repaired."""
     counts = np.sum([pair.repaired for pair in pairs if pair.repaired is not None], axis=0)
     high = sum(pair.grade == fusion.Grade.HIGH for pair in pairs)
-    height = f", lidar {-estimate.height_m:.2f} m below the camera"
+    yaw = f"{np.degrees(estimate.yaw_rad):.1f} degrees"
     filled = counts[fusion.Provenance.FILLED] if np.ndim(counts) else 0
     interpolated = counts[fusion.Provenance.INTERPOLATED] if np.ndim(counts) else 0
-    drift = f"; the last pairs differ by {estimate.drift} samples" if estimate.drift else ""
+    drift = "; the last pairs differ: a sensor may have moved" if estimate.drift else ""
     return (
-        f"fusion of {len(pairs)} keyframes ({high} of high grade): u = {estimate.u}{height}; "
+        f"fusion of {len(pairs)} keyframes ({high} of high grade): lidar {-estimate.height_m:.2f} m below "
+        f"the camera, yaw between them {yaw}; "
         f"{filled:,} beams filled, {interpolated:,} interpolated{drift}"
     )

@@ -35,8 +35,6 @@ class MapResult:
 
     Attributes
     ----------
-    map
-        The map.
     scans
         Scores and timings of every scan, or of every frame where a camera alone made the map.
     stage_seconds

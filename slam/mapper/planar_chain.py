@@ -60,8 +60,6 @@ class PlanarChain:
 
         Parameters
         ----------
-        camera_poses
-            Pose of every camera.
         blind
             Whether its lidar saw too little for other scans to be matched to it.
 

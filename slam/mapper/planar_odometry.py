@@ -101,8 +101,6 @@ class PlanarOdometry:
     ----------
     readings
         Readings of the log so far, with their poses in the odometry frame.
-    cameras
-        Cameras of the robot.
     """
 
     def __init__(

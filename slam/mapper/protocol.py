@@ -26,8 +26,6 @@ class Tracked:
 
     Attributes
     ----------
-    stamp_s
-        Stamp in the log.
     motion
         The match that gave the pose; None if nothing matched, and for the first.
     new_keyframe

@@ -48,10 +48,6 @@ class TagFinder:
         The installed tags; None if they are not given.
     registrations
         Poses of colour cameras that are not registered to depth, by name.
-    seen
-        All tags so far.
-    images
-        Number of images searched.
     clocks
         Clock offsets of the cameras against the robot's clock, by name; none for a leading camera.
     """
@@ -88,11 +84,6 @@ class TagFinder:
 
 class PlaceAnchors:
     """Position constraints of a map from tags and surveyed places.
-
-    Parameters
-    ----------
-    places
-        Places given by the user.
 
     Attributes
     ----------

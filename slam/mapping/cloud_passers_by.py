@@ -45,8 +45,6 @@ class PassedBy:
     ----------
     keys
         (V,) sorted.
-    voxel_m
-        Their side.
     """
 
     keys: IntArray

@@ -36,8 +36,6 @@ class DepthModel:
         Heights at which an object is an obstacle.
     depth_max_m, depth_min_m
         Readings outside mark nothing; farther ones free cells up to the limit.
-    noise
-        Noise of a depth reading.
     p_hit, p_miss
         Probability that a cell is occupied if a keyframe saw points in it, or saw it free at all heights.
     margin_sigmas

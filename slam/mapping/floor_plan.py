@@ -145,8 +145,6 @@ class Door:
     ----------
     begin_m, end_m
         (2,) sides of the opening.
-    rooms
-        Numbers of the two rooms.
     driven
         Whether the robot drove through it; otherwise it was seen open.
     """

@@ -44,8 +44,6 @@ class LayerSettings:
     ----------
     resolution_m
         Side of a cell; Yang2021's R.
-    lidar, depth
-        The inverse sensor models.
     p_min, p_max
         Bounds of each sensor's finished grid, so that the other one has an effect in Li2020 Eq. (10).
     robot_radius_m

@@ -52,8 +52,6 @@ class LayeredMap:
     ----------
     lidar, depth
         Grid of the sensor, or None if it has no data; at least one is given.
-    rule
-        Decision rule for the layers.
     """
 
     lidar: OccupancyGrid | None

@@ -52,8 +52,6 @@ def lidar_board(scan: LaserScan, T_grid_base: gtsam.Pose2, model: LidarModel, ce
     ----------
     T_grid_base
         Pose of the robot on the lattice.
-    cell_m
-        Side of a cell.
     """
     laser = T_grid_base.compose(scan.T_base_laser)
     x_cells, y_cells = laser.x() / cell_m, laser.y() / cell_m

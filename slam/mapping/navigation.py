@@ -36,8 +36,6 @@ class FreeSpace:
     price
         (rows, cols) what a step into a cell counts: 1, and up to twice that the more the robot's disc (at
         least a cell wide to either side) reaches into the unknown. Outside the map all is unknown.
-    resolution_m
-        Side of a cell.
     T_map_grid
         The lower-left corner of cell (0, 0).
     """
@@ -84,13 +82,6 @@ def clearance_m(states: StateArray, resolution_m: float, state: int = OCCUPIED) 
     """(rows, cols) distance from each cell's middle to the nearest edge of a cell of a state.
 
     Cells are squares: half a cell less than from middle to middle. Where no cell is such, infinity.
-
-    Examples
-    --------
-    >>> import numpy as np
-    >>> from slam.mapping.navigation import clearance_m
-    >>> clearance_m(np.array([[100, 0, 0, 0]], np.int8), resolution_m=0.5).tolist()  # to its near side
-    [[0.0, 0.25, 0.75, 1.25]]
     """
     such = states == state
     if not such.any():

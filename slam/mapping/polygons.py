@@ -9,16 +9,7 @@ from slam.measurements import BoolArray, FloatArray
 
 
 def inside(points: FloatArray, polygon: FloatArray) -> BoolArray:
-    """Return (N,) whether points (N, 2) are in a closed polygon of (M, 2) corners.
-
-    Examples
-    --------
-    >>> import numpy as np
-    >>> from slam.mapping.polygons import inside
-    >>> triangle = np.array([[0.0, 0.0], [4.0, 0.0], [0.0, 4.0]])
-    >>> inside(np.array([[1.0, 1.0], [3.0, 3.0]]), triangle).tolist()
-    [True, False]
-    """
+    """Return (N,) whether points (N, 2) are in a closed polygon of (M, 2) corners."""
     is_inside = np.zeros(len(points), np.bool_)
     low, high = polygon.min(axis=0), polygon.max(axis=0)
     (in_box,) = np.nonzero(((points >= low) & (points <= high)).all(axis=1))

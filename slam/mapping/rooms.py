@@ -34,8 +34,6 @@ class RoomMap:
     ----------
     labels
         (rows, cols) number of the room, from 1; 0 elsewhere.
-    resolution_m, T_map_grid
-        Of the cells.
     """
 
     labels: Labels

@@ -36,8 +36,6 @@ def view_box(
         (4, 4) of the optical frame in the lattice's axes, z up from the floor.
     reach_m
         Farther depths are cut to this.
-    cell_m
-        Side of a cell.
     """
     low_x = high_x = T_grid_camera[0, 3]
     low_y = high_y = T_grid_camera[1, 3]

@@ -29,11 +29,6 @@ MOST_WEIGHT = float(np.iinfo(np.uint16).max)
 class VoxelBlocks:
     """The blocks that were touched so far.
 
-    Parameters
-    ----------
-    voxel_m
-        Side of a voxel.
-
     Attributes
     ----------
     keys

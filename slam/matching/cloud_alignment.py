@@ -49,8 +49,6 @@ class CloudAlignment:
         Their mean weight.
     residual_m
         Root mean square distance of those that agree.
-    converged
-        Whether the iteration converged.
     agreement
         Share of all points that lie on a plane, by a measure that is the same for every pose of a scan.
     roughness
@@ -115,8 +113,6 @@ def align_cloud(
     ----------
     points
         (N, 3) base frame.
-    planes
-        Of the map.
     guess
         ``T_map_base``.
     kernel_m

@@ -29,8 +29,6 @@ class LikelihoodField(NamedTuple):
         level 0 over rows r..r+w-1 and columns c..c+w-1, with w = 2^k. 255 stands for likelihood 1.
     origin_x, origin_y
         Lower-left corner of pixel (0, 0) of level 0, metres.
-    cell_m
-        Edge of a pixel.
     """
 
     levels: NDArray[np.uint8]
@@ -110,8 +108,6 @@ def search_window(
 
     Parameters
     ----------
-    field
-        The map's likelihood field.
     points
         (M, 2) scan points, base frame, M > 0.
     guess

@@ -52,15 +52,7 @@ class Aligned:
 
 
 class LocalCloud:
-    """Map for matching.
-
-    Parameters
-    ----------
-    planes
-        Planes of its clouds.
-    voxel_m
-        Side of a voxel.
-    """
+    """Map for matching."""
 
     def __init__(self, planes: PlaneVoxels, voxel_m: float, config: Config) -> None:
         self.planes = planes

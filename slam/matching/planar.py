@@ -10,15 +10,7 @@ from slam.measurements import AnyFloatArray, FloatArray
 
 
 def compose(a: FloatArray, b: FloatArray) -> FloatArray:
-    """Return T_a * T_b for two rows (3,).
-
-    Examples
-    --------
-    >>> import numpy as np
-    >>> from slam.matching.planar import compose
-    >>> compose(np.array([1.0, 0.0, np.pi / 2]), np.array([2.0, 0.0, 0.0])).round(3).tolist()
-    [1.0, 2.0, 1.571]
-    """
+    """Return T_a * T_b for two rows (3,)."""
     x, y, yaw = a.tolist()
     bx, by, b_yaw = b.tolist()
     cos, sin = math.cos(yaw), math.sin(yaw)
@@ -26,15 +18,7 @@ def compose(a: FloatArray, b: FloatArray) -> FloatArray:
 
 
 def between(a: FloatArray, b: FloatArray) -> FloatArray:
-    """Return inverse(T_a) * T_b for two rows (3,).
-
-    Examples
-    --------
-    >>> import numpy as np
-    >>> from slam.matching.planar import between
-    >>> between(np.array([1.0, 0.0, np.pi / 2]), np.array([1.0, 2.0, np.pi / 2])).round(3).tolist()
-    [2.0, 0.0, 0.0]
-    """
+    """Return inverse(T_a) * T_b for two rows (3,)."""
     x, y, yaw = a.tolist()
     bx, by, b_yaw = b.tolist()
     cos, sin = math.cos(yaw), math.sin(yaw)
@@ -43,28 +27,12 @@ def between(a: FloatArray, b: FloatArray) -> FloatArray:
 
 
 def wrap(angle_rad: float) -> float:
-    """Return the same angle in [-pi, pi).
-
-    Examples
-    --------
-    >>> import math
-    >>> from slam.matching.planar import wrap
-    >>> round(wrap(3 * math.pi / 2), 3)
-    -1.571
-    """
+    """Return the same angle in [-pi, pi)."""
     return angle_rad - math.tau * math.floor((angle_rad + math.pi) / math.tau)
 
 
 def transform_points(points: AnyFloatArray, pose: FloatArray) -> FloatArray:
-    """Return (M, 2) points transformed by a pose row (3,), float64.
-
-    Examples
-    --------
-    >>> import numpy as np
-    >>> from slam.matching.planar import transform_points
-    >>> transform_points(np.array([[1.0, 0.0]]), np.array([0.0, 5.0, np.pi / 2])).round(3).tolist()
-    [[0.0, 6.0]]
-    """
+    """Return (M, 2) points transformed by a pose row (3,), float64."""
     tx, ty, yaw = np.asarray(pose, np.float64).tolist()
     cos, sin = math.cos(yaw), math.sin(yaw)
     x, y = np.asarray(points, np.float64).T

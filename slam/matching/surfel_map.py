@@ -30,8 +30,6 @@ class SurfelMap(NamedTuple):
         (K, 6) x, y, normal x, normal y in the map's frame, number of points, side.
     origin_x, origin_y
         Lower-left corner of cell (0, 0), metres.
-    cell_m
-        Edge of a cell.
     """
 
     cells: NDArray[np.int32]

@@ -31,16 +31,7 @@ class Gravity:
 
 
 def upright_of(down: FloatArray) -> gtsam.Rot3:
-    """The smallest rotation that makes a unit vector (3,) point down.
-
-    Examples
-    --------
-    >>> import numpy as np
-    >>> from slam.matching.upright import upright_of
-    >>> down = np.array([0.0, 1.0, 0.0])  # of a camera that looks ahead: y of the image
-    >>> (upright_of(down).matrix() @ down).round(6).tolist()
-    [0.0, 0.0, -1.0]
-    """
+    """The smallest rotation that makes a unit vector (3,) point down."""
     axis = np.cross(down, [0.0, 0.0, -1.0])
     sine, cosine = float(np.linalg.norm(axis)), -float(down[2])
     if sine < TINY:

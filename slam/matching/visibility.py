@@ -55,8 +55,6 @@ class RangeImages(NamedTuple):
         (I, 4) x, y, cosine and sine of the yaw of each.
     first
         (I + 1,) where the bearings of each begin, and the end.
-    nearest_m
-        Of all.
     """
 
     views: FloatArray

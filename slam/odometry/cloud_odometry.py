@@ -29,11 +29,6 @@ _KNOWN_KEYFRAMES, _LEAST_KNOWN = 10, 0.7
 class CloudOdometry:
     """Matches scans against the newest keyframes.
 
-    Parameters
-    ----------
-    voxel_m
-        Side of a voxel.
-
     Attributes
     ----------
     settles

@@ -38,7 +38,7 @@ def repeated(
     """
     ends_s = max(GAP_S, measured_s) if alone else step_s
     step = step * stretch(min(step_s, ends_s), measured_s)
-    sigma_m = config.velocity_floor_m + config.velocity_share * math.hypot(step[0], step[1])
-    sigma_rad = config.velocity_floor_rad + config.velocity_share * abs(float(step[2]))
+    sigma_m = config.velocity_floor + config.velocity_share * math.hypot(step[0], step[1])
+    sigma_rad = config.velocity_floor + config.velocity_share * abs(float(step[2]))
     covariance = np.diag([sigma_m**2, sigma_m**2, sigma_rad**2])
     return Motion(step, covariance * max(step_s / steady_s, 1.0) ** 4)

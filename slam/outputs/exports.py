@@ -63,10 +63,6 @@ class Exports:
 
     Attributes
     ----------
-    contents
-        The map.
-    config
-        Its settings.
     known_ground
         As `ground`, if it is known already.
     """

@@ -86,11 +86,6 @@ def connect(known: Map, session: Map) -> Connection:
 def _find_loops(known: Map, session: Map, placing: Placing, way: Side, config: Config) -> list[LoopCandidate]:
     """Try to match keyframes along a session to places of the map near where they are expected.
 
-    Parameters
-    ----------
-    way
-        Path of the session.
-
     Returns
     -------
     Every candidate, its ``place`` a keyframe of the map, its ``keyframe`` numbered after those of the map.

@@ -114,8 +114,6 @@ def write_sessions(
     ----------
     identity
         Settings and versions; the logs are those of the sessions.
-    remarks
-        Notes and warnings.
     copied
         Function that copies frames and clouds into the file, and returns the rest.
     """

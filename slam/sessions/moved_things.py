@@ -56,15 +56,7 @@ class ChangedThing:
 
 
 def changed_things(changes: Sequence[Change], cell_m: float) -> list[ChangedThing]:
-    """Return changed objects, the most likely first; two changes of the same shape are one moved object.
-
-    Parameters
-    ----------
-    changes
-        Changes that are accepted.
-    cell_m
-        Side of a cell.
-    """
+    """Return changed objects, the most likely first; two changes of the same shape are one moved object."""
     went = [change for change in changes if not change.appeared]
     came = [change for change in changes if change.appeared]
     likeness = np.array([[_likeness(old.cells_m, new.cells_m, cell_m) for new in came] for old in went])

@@ -172,14 +172,10 @@ class Sighting:
 
     Attributes
     ----------
-    keyframe
-        Its number in the session.
     pose
         Pose of its base in the map.
     T_map_session
         The transform of the session that follows from it.
-    nats
-        Evidence for it.
     """
 
     keyframe: int

@@ -71,8 +71,6 @@ class MapContents:
     measured_scans, keyframe_scans
         The sweep of each node as measured, and after the repair by the camera; None for a node without a
         sweep, and empty if there are no sweeps at all.
-    grids
-        Grids by name.
     cameras
         What the run learned about each camera, by name.
     frames, clouds

@@ -288,13 +288,7 @@ def copy_rows(source: MapFile, file: MapFile, table: Table) -> None:
 
 
 def append_edits(file: MapFile, source: MapFile, entries: Sequence[AppliedEdits]) -> None:
-    """Write edits, and the original rows that they changed, into a map that is complete except its seal.
-
-    Parameters
-    ----------
-    source
-        The unedited map.
-    """
+    """Write edits, and the original rows that they changed, into a map that is complete except its seal."""
     for number, entry in enumerate(entries):
         file.append(EDITS, EDITS.name, number, pack_small(_values(entry)))
     for table in _KEPT:

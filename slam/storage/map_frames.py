@@ -28,8 +28,6 @@ class FrameHead:
 
     Attributes
     ----------
-    node
-        Its node in the graph.
     T_base_camera
         Pose of the camera at the frame relative to the base at the node; in 3D the mounting, and None if the
         camera is its own base.

@@ -58,8 +58,6 @@ class KeptScans(Sequence[LaserScan | None]):
 
     Parameters
     ----------
-    count
-        Number of scans.
     read
         Reads the scan of an index.
     """

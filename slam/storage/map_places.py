@@ -59,8 +59,6 @@ class MapPlaces:
 
     Attributes
     ----------
-    family
-        Family of its tags.
     tags
         By number.
     T_survey_map

@@ -38,8 +38,6 @@ class Nav2Map:
     values
         (rows, cols), row 0 at the lowest y: 100 occupied, 0 free, -1 unknown; in the modes ``scale`` and
         ``raw`` also values between 0 and 100.
-    resolution_m
-        Side of a cell.
     T_map_grid
         The lower-left corner of cell (0, 0).
     what

@@ -31,8 +31,6 @@ class ColorRegistration:
 
     Attributes
     ----------
-    intrinsics_color, intrinsics_depth
-        Intrinsics of the two cameras.
     T_depth_color
         Pose of the colour camera in the depth camera's frame: a shift across the optical axis.
     accepted

@@ -56,8 +56,6 @@ def estimate_registration(
     pairs
         In log order; 20 to 30 with some motion between (a decimetre, ten degrees) and a hundred or more
         matches suffice. Both images of a frame have one size.
-    intrinsics_depth
-        Of the depth camera.
     seed
         Seed of the selection of matches.
     """

@@ -97,7 +97,7 @@ def turn_from_features(
     """
     import scipy
 
-    pairs = match_features(before.descriptors, after.descriptors, config.match_ratio, config.match_bits)
+    pairs = match_features(before.descriptors, after.descriptors, config.match_ratio)
     if len(pairs) < config.least_inliers:
         return gtsam.Rot3()
     first = _rays(before, intrinsics)[pairs.first]

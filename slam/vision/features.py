@@ -95,8 +95,6 @@ def extract_features(
         (H, W) brightness.
     depth_m
         (H, W) registered to it, 0 where invalid.
-    count
-        Largest number of keypoints.
     again
         Whether the image will be used again: its keypoints are cached until then.
     """
@@ -161,7 +159,9 @@ def _depth_at(depth_m, pixels, around, depths_m):  # type: ignore[no-untyped-def
             depths_m[i] = (upper + lower + around[8]) / count
 
 
-def match_features(first: Descriptors, second: Descriptors, ratio: float, greatest_distance: int) -> Matches:
+def match_features(
+    first: Descriptors, second: Descriptors, ratio: float, greatest_distance: int = 64
+) -> Matches:
     """Match features that are mutual nearest neighbours and pass Lowe's ratio test.
 
     Parameters

@@ -122,12 +122,12 @@ class FrameMatcher:
         config = self._config
         now = frame.features
         if guess is None:
-            return match_features(known.descriptors, now.descriptors, config.match_ratio, config.match_bits)
+            return match_features(known.descriptors, now.descriptors, config.match_ratio)
         k = frame.frame.intrinsics
         expected = project(points_odom, guess.inverse(), k)
         expected[known.depth_m <= 0.0] = np.nan
         radius_px = config.guided_radius * k.width
-        return match_near(known, expected, now, radius_px, config.match_ratio, config.match_bits)
+        return match_near(known, expected, now, radius_px, config.match_ratio)
 
     def _align(
         self,

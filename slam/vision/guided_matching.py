@@ -20,7 +20,7 @@ def match_near(
     current: Features,
     radius_px: float,
     ratio: float,
-    greatest_distance: int,
+    greatest_distance: int = 64,
 ) -> Matches:
     """Match features that are mutual nearest neighbours near their expected position.
 
@@ -28,8 +28,6 @@ def match_near(
     ----------
     known, expected_px
         Features and their expected pixels, (N, 2); NaN for one that is not visible.
-    current
-        Features of the image.
     radius_px
         Largest distance from the expected position.
     ratio

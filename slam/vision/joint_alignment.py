@@ -54,8 +54,6 @@ class JointAlignment:
         Share of the points that meet a keyframe's surface.
     point_pairs, feature_pairs
         Points with a partner surface, and matched features.
-    point_count, feature_count
-        Number of their inliers.
     residual_m
         Robust sigma of point to plane of the inliers.
     residual_px

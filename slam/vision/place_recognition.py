@@ -57,8 +57,6 @@ class PlaceIndex:
 
     Parameters
     ----------
-    seed
-        Seed of the training.
     training_keyframes
         The vocabulary is trained at this number, and again at each factor of eight; before, all descriptors
         are compared.
@@ -98,8 +96,6 @@ class PlaceIndex:
             (N, 32) of a keyframe that is not yet added, so that the last key is its neighbour.
         exclude_from
             Keys from here on are too recent to be a loop.
-        best
-            Largest number of places.
         """
         own = _spread(descriptors, self._queried)
         eligible = min(max(exclude_from, 0), len(self))

@@ -50,8 +50,6 @@ def planar_motion(
         Pose of the camera after the motion in its frame before it.
     covariance
         (6, 6) of it, GTSAM's order, in the frame after the motion.
-    T_base_camera
-        Mounting.
     T_base_camera_before
         Mounting before the motion, if different.
     """

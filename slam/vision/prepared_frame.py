@@ -19,8 +19,6 @@ class PreparedFrame:
 
     Parameters
     ----------
-    frame
-        The images.
     config
         Numbers of features and points, and the resolution.
     registration

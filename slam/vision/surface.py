@@ -24,8 +24,6 @@ class Surface:
     planes
         (H, W, 4) smoothed inverse depth, 1/m, and unit normal towards the camera, camera frame; zero without
         a surface. The values of a pixel are adjacent.
-    intrinsics
-        Of this image.
     """
 
     planes: Float32Array

@@ -27,10 +27,8 @@ class TagView:
 
     Attributes
     ----------
-    number
-        Number in its family.
     T_camera_tag
-        Its centre: x to the right seen from the front, y up, z out of it.
+        Centre of the tag: x to the right seen from the front, y up, z out of it.
     information
         (6, 6) for corner errors of 1 px, GTSAM's tangent of the tag.
     misfit_px2
@@ -92,8 +90,6 @@ def find_tags(color: ColorImage, intrinsics: CameraIntrinsics, places: KnownPlac
     ----------
     color
         (H, W, 3) RGB.
-    intrinsics
-        Of the image.
     """
     import cv2
 

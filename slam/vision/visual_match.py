@@ -35,8 +35,6 @@ class VisualMatch:
         ``T_odom_camera`` with its covariance, camera frame, GTSAM's order.
     overlap
         Share of the image seen by the keyframes, 0..1.
-    feature_count
-        Number of feature inliers.
     residual_px
         Robust sigma of their reprojection.
     """

@@ -25,7 +25,7 @@ from slam.doctor.relation import relate
 from slam.doctor.wheel_steps import Reading, WheelSteps
 from slam.doctor.wheels_and_lidar import fits_as_read
 from slam.mapper.pipeline import settled
-from slam.measurements import LaserScan, WheelOdometry, pose2_from_row
+from slam.measurements import LaserScan, Measurement, WheelOdometry, pose2_from_row
 from slam.simulation.synthetic_log import write_synthetic_log
 from tools.sensor_mistakes import MISTAKES, Log, right_remedy
 
@@ -67,6 +67,19 @@ def test_of_two_lidars_the_one_that_the_wheels_contradict_has_the_wrong_clock(la
     assert kind == "lidars" and entries[late]["clock_offset_s"] == pytest.approx(0.4, abs=0.06)
     low, high = finding.interval or (0.0, 0.0)
     assert low < 0.4 < high
+
+
+@pytest.mark.parametrize("later_s", [0.0, 0.05])
+@pytest.mark.parametrize("other", [np.s_[::-1], np.s_[::2]], ids=["looks back", "fewer beams"])
+def test_two_scanners_of_one_name_are_reported(other: slice, later_s: float) -> None:
+    """Half of the scans were placed in a mirrored building, and nothing was reported."""
+    mixed = list[Measurement]()
+    for one in sound():
+        mixed.append(one)
+        if isinstance(one, LaserScan):
+            mixed.append(replace(one, stamp_s=one.stamp_s + later_s, ranges_m=one.ranges_m[other]))
+    found = [one for one in diagnose(mixed) if one.kind == "two scanners"]
+    assert len(found) == 1 and not found[0].sure and found[0].remedies == ()
 
 
 @pytest.mark.parametrize(("until_s", "kinds"), [(1025.0, ["repeated scans"]), (1020.3, [])])

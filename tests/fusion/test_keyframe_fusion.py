@@ -81,7 +81,7 @@ def test_clean_scans_stay_within_the_noise_of_the_sensors():
         assert np.abs(after.ranges_m - before.ranges_m).max() < 0.07
     assert summary.estimate is not None and len(summary.pairs) == len(scans)
     assert summary.estimate.height_m == pytest.approx(0.3 - CAMERA_M, abs=0.1)
-    assert f"fusion of {len(scans)} keyframes" in summary.note
+    assert f"fusion of {len(scans)} keyframes" in summary.note and "yaw between them" in summary.note
 
 
 @pytest.mark.parametrize("width", [1, 2, 5])

@@ -127,9 +127,9 @@ class TestNewKeyframe:
 
     @pytest.mark.parametrize("share", [1.0, 0.1])
     def test_what_nothing_measured_is_as_unsure_as_the_settings_say(self, share: float) -> None:
-        config = GraphConfig(lost_sigma_m=2.0, lost_sigma_rad=0.4)
+        config = GraphConfig(lost_sigma_m=2.0)
         np.testing.assert_allclose(
-            np.sqrt(np.diag(unmeasured(config, share, planar=True))), share * np.array([2.0, 2.0, 0.4])
+            np.sqrt(np.diag(unmeasured(config, share, planar=True))), share * np.array([2.0, 2.0, 1.0])
         )
 
     def test_one_that_nothing_holds_is_held_loosely(self) -> None:

@@ -42,8 +42,13 @@ def test_a_log_is_localised_in_a_saved_map(tmp_path: Path) -> None:
     short = tmp_path / "short.log"
     short.write_text("".join(driven.log_path.read_text().splitlines(keepends=True)[:20]))
     strict = ["--set", "localization.confident_probability=0.9999"]
-    lost = run(app, ["localize", str(folder), str(short), "-o", str(tmp_path / "lost"), *strict])
-    assert lost.exit_code == 0 and "the robot was not found in the map; a longer log" in lost.output
+    for given, remedy in (
+        ([], "its initial pose (--start)"),
+        (["--start", "90", "90", "0"], "another --start"),
+    ):
+        lost = run(app, ["localize", str(folder), str(short), "-o", str(tmp_path / "lost"), *strict, *given])
+        assert lost.exit_code == 0
+        assert f"the robot was not found in the map; a longer log or {remedy} may help" in lost.output
 
 
 def test_a_missing_map_is_named(tmp_path: Path) -> None:

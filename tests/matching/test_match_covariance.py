@@ -17,7 +17,7 @@ from slam.measurements import FloatArray, row_from_pose2
 
 CONFIG = MatchConfig()
 # The covariance as the theory gives it, without any of the caution that the configuration adds.
-BARE = CONFIG.model_copy(update={"floor_m": 1e-6, "floor_rad": 1e-6, "minimal_residual_m": 1e-4})
+BARE = CONFIG.model_copy(update={"floor_m": 1e-6, "minimal_residual_m": 1e-4})
 HOME = np.array([0.3, -0.2, 0.1])
 EXACT = 0  # instead of a number of noisy sweeps: the map is free of noise
 
@@ -120,7 +120,7 @@ def test_the_covariance_follows_the_noise() -> None:
 
 
 def test_no_match_is_surer_than_the_floors() -> None:
-    covariance = match(room(), HOME, BARE.model_copy(update={"floor_m": 0.2, "floor_rad": 0.1})).covariance
+    covariance = match(room(), HOME, BARE.model_copy(update={"floor_m": 0.2})).covariance
     np.testing.assert_allclose(np.sqrt(np.diag(covariance)), [0.2, 0.2, 0.1], rtol=1e-3)
 
 
@@ -128,7 +128,7 @@ def test_points_that_fit_nothing_are_a_doubt() -> None:
     local_map = map_of(room(), HOME, EXACT, 0.0, 0)
     confident = local_map.align(scan_at(room(), HOME), HOME)
     doubtful = confident._replace(inlier_share=0.5)
-    bare = BARE.model_copy(update={"floor_m": 1e-9, "floor_rad": 1e-9})
+    bare = BARE.model_copy(update={"floor_m": 1e-9})
     ratio = (
         motion_from_alignment(doubtful, bare).covariance / motion_from_alignment(confident, bare).covariance
     )

@@ -117,18 +117,18 @@ def test_a_pair_is_the_nearest_of_both_sides() -> None:
     """The first's nearest is taken by another, which is nearer to it but has a still nearer one itself."""
     first, second = rows(0, 20), rows(15, 20, 200)
     # 0 -> 15 (distance 15, next 20), but 15's nearest is 20 (distance 5), whose own nearest is 20.
-    assert pairs(match_features(first, second, 0.8, 64)) == [(1, 1)]
+    assert pairs(match_features(first, second, 0.8)) == [(1, 1)]
 
 
 @pytest.mark.parametrize(("first", "second"), [((), (1, 2)), ((1, 2), ()), ((1,), (1, 2)), ((1, 2), (1,))])
 def test_too_few_to_compare(first: tuple[int, ...], second: tuple[int, ...]) -> None:
-    assert len(match_features(rows(*first), rows(*second), 0.8, 64)) == 0
+    assert len(match_features(rows(*first), rows(*second), 0.8)) == 0
 
 
 def test_matched_features_see_the_same_point() -> None:
     one, other = looking(0, 0, 1.3, 0.3), looking(0.08, -0.05, 1.33, 0.36, 0.03)
     seen = [prepared(render(furnished(), pose, MIDDLE)).features for pose in (one, other)]
-    matches = match_features(seen[0].descriptors, seen[1].descriptors, 0.8, 64)
+    matches = match_features(seen[0].descriptors, seen[1].descriptors, 0.8)
     assert len(matches) > 150
     in_room = [
         in_world(features.points_camera(MIDDLE), pose)

@@ -30,21 +30,21 @@ def scene() -> tuple[Features, np.ndarray, Features, np.ndarray]:
 
 def test_every_feature_is_found_where_it_is_expected(scene) -> None:  # type: ignore[no-untyped-def]
     known, expected, seen, order = scene
-    pairs = match_near(known, expected, seen, 10.0, 0.8, 64)
+    pairs = match_near(known, expected, seen, 10.0, 0.8)
     assert len(pairs) == 60
     np.testing.assert_array_equal(order[pairs.second], pairs.first)
 
 
 def test_nothing_is_found_elsewhere(scene) -> None:  # type: ignore[no-untyped-def]
     known, expected, seen, _ = scene
-    pairs = match_near(known, expected + 2000.0, seen, 10.0, 0.8, 64)
+    pairs = match_near(known, expected + 2000.0, seen, 10.0, 0.8)
     assert len(pairs) == 0
 
 
 def test_unexpected_features_are_left_out(scene) -> None:  # type: ignore[no-untyped-def]
     known, expected, seen, _ = scene
     expected[:10] = np.nan
-    assert match_near(known, expected, seen, 10.0, 0.8, 64).first.min() == 10
+    assert match_near(known, expected, seen, 10.0, 0.8).first.min() == 10
 
 
 def test_descriptors_that_differ_too_much_do_not_match(scene) -> None:  # type: ignore[no-untyped-def]
@@ -59,7 +59,7 @@ def test_two_that_claim_one_feature_leave_it_to_the_nearer(scene) -> None:  # ty
     descriptors[1, 5] ^= 0b111
     twins = features(known.pixels, descriptors)
     expected[1] = expected[0]
-    pairs = match_near(twins, expected, seen, 3.0, 0.8, 64)
+    pairs = match_near(twins, expected, seen, 3.0, 0.8)
     claimed = int(np.flatnonzero(order == 0)[0])
     assert pairs.first[pairs.second == claimed].tolist() == [0]
 
@@ -67,7 +67,7 @@ def test_two_that_claim_one_feature_leave_it_to_the_nearer(scene) -> None:  # ty
 def test_an_empty_image_gives_no_pairs(scene) -> None:  # type: ignore[no-untyped-def]
     known, expected, _, _ = scene
     none = features(np.zeros((0, 2)), np.zeros((0, 32), np.uint8))
-    assert len(match_near(known, expected, none, 10.0, 0.8, 64)) == 0
+    assert len(match_near(known, expected, none, 10.0, 0.8)) == 0
 
 
 def test_the_pairs_are_those_of_looking_at_every_feature() -> None:

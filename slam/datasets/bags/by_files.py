@@ -21,8 +21,6 @@ class FileFacts:
 
     Attributes
     ----------
-    known
-        The contents of all files.
     notes
         What was used from which file, and where a file contradicts the bag.
     used

@@ -31,8 +31,6 @@ class BagCamera:
 
     Attributes
     ----------
-    sensor
-        Its name.
     depth_lens, color_lens
         None if the topic has no CameraInfo.
     T_depth_color

@@ -32,10 +32,6 @@ class CloudReader:
 
     Attributes
     ----------
-    topic
-        Name of the sensor.
-    T_base_lidar
-        Its pose on the robot.
     times
         Field and unit of the point times.
     """
@@ -69,13 +65,7 @@ class CloudReader:
 
 @dataclass(slots=True)
 class TurnReader:
-    """Assembles the clouds of a topic whose messages are parts of a revolution, such as packets.
-
-    Attributes
-    ----------
-    reader
-        Reads the parts.
-    """
+    """Assembles the clouds of a topic whose messages are parts of a revolution, such as packets."""
 
     reader: CloudReader
     _pieces: list[PointCloud] = field(default_factory=list)
@@ -128,8 +118,6 @@ class CloudView:
         Number of point rows; 1 if the points are not ordered like an image.
     along
         The axis, x, y or z, around which all points are in a camera's field of view; else empty.
-    points
-        Number of points.
     around
         Fraction of the directions about z that contain a point.
     timed, ends_s

@@ -50,8 +50,6 @@ def unpacked_chunk(packed: bytes, compression: str, size: int, budget: Budget, *
 
     Parameters
     ----------
-    size
-        Its expected size.
     cut
         The end is missing: return as much as can be decompressed.
 

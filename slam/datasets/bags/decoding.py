@@ -171,8 +171,6 @@ class _Types:
 
     Attributes
     ----------
-    kind
-        Its name.
     elements
         Number of list elements in the latest message.
     """

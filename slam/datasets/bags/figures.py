@@ -55,10 +55,6 @@ class BagFigures:
     ----------
     base
         The robot's frame, None if the bag has no tf.
-    robots
-        The robots in the bag.
-    frames
-        Frames of the sensor topics.
     """
 
     tree: FrameTree = field(default_factory=FrameTree)

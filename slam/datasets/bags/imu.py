@@ -59,12 +59,8 @@ class ImuReader:
 
     Attributes
     ----------
-    topic
-        Name of the sensor.
     T_base_imu
         Its pose on the robot; None if tf does not contain it.
-    unit
-        Unit of its accelerations.
     gyro_alone
         Whether it has no accelerations.
     """
@@ -107,8 +103,6 @@ class JoinedImu:
         Topic of the angular rates, which names the sensor, and topic of the accelerations.
     T_base_imu
         Pose of the gyroscope; None if tf does not contain it.
-    unit
-        Unit of its accelerations.
     """
 
     topic: str

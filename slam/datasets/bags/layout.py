@@ -62,16 +62,12 @@ class Layout:
         For each image topic, the index of its camera in ``cameras``, and whether it is depth.
     wheels_from
         Reads wheel odometry from a tf message, if there is no odometry topic.
-    notes
-        Conclusions for the report.
     shifts_s
         How far the stamps of topics are ahead of the common clock; infinite if they have no stamps.
     lenses
         Topics that contain a lens, a depth unit, or the pose of the colour camera in the depth camera.
     left_out
         Why a sensor topic is not read.
-    ousters
-        As in the survey.
     """
 
     base: str | None

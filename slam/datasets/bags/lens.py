@@ -26,8 +26,6 @@ class Lens:
 
     Attributes
     ----------
-    intrinsics
-        Intrinsics of the undistorted image.
     distortion
         (D,) coefficients in OpenCV's order; empty if there is none.
     fisheye

@@ -41,8 +41,6 @@ class Ouster:
 
     Attributes
     ----------
-    model
-        Its metadata.
     lacking, left_out
         Number of revolutions that lack columns, and of those that lack half of them or more.
     behind_s
@@ -177,8 +175,6 @@ class Ousters:
     ----------
     path
         The recording; metadata is searched for next to it.
-    models
-        Models that are already known.
     """
 
     def __init__(self, path: Path | None = None, models: Mapping[str, OusterModel] | None = None) -> None:

@@ -113,8 +113,6 @@ class ColorView:
     ----------
     depth, color
         The two pinhole models, each for its images.
-    T_depth_color
-        Pose of the colour camera.
     """
 
     def __init__(self, depth: CameraIntrinsics, color: CameraIntrinsics, T_depth_color: gtsam.Pose3) -> None:
