@@ -263,8 +263,7 @@ def _settled(pairs: Sequence[_Pair], fit: Turn, interval_s: float, config: Confi
     best = replace(chosen, turn_s=turn_s)
     agreed = _agreed(pairs, best.timed, config)
     for slices in (4, 2, 1):
-        step_rad = slices * math.tau / SLICES
-        aside = [replace(best, cut_rad=best.cut_rad + side * step_rad) for side in (-1, 1)]
+        aside = [replace(best, cut_rad=best.cut_rad + by * math.tau / SLICES) for by in (-slices, slices)]
         tried = [(best, agreed), *((turn, _agreed(pairs, turn.timed, config)) for turn in aside)]
         best, agreed = max(tried, key=lambda trial: sum(trial[1]))
     # Planes seen from a tilted lidar confirm any duration, but points do not fit better with a wrong one.
@@ -325,8 +324,8 @@ def _sums(
     ways = config.cloud_odometry
     known, seen = (base_points(now.timed(one.cloud), one.twist, ways) for one in (first, second))
     planes = PlaneVoxels.build(known, voxel_m, _THICKNESS * voxel_m)
-    seen, guess = seen[::4], first.pose.between(second.pose)
-    found = place_cloud(seen, planes, guess, ROUNDS, 0.5 * voxel_m)
+    seen = seen[::4]
+    found = place_cloud(seen, planes, first.pose.between(second.pose), ROUNDS, 0.5 * voxel_m)
     if found is None:
         return None
     turned = found.pose.rotation().matrix()
