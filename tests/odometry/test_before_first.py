@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import gtsam
 import numpy as np
+import pytest
 from cloud_world import SMALL, look_on_the_way
 from imu_world import readings, walk
 
@@ -84,7 +85,7 @@ def test_the_first_cloud_shows_how_it_turns() -> None:
         assert np.linalg.norm(found.pose.translation()) < 0.02
 
 
-def test_the_first_edge_has_the_doubt_of_the_first_pose() -> None:
+def test_the_first_edge_has_the_doubt_of_the_first_pose(monkeypatch: pytest.MonkeyPatch) -> None:
     made = slam.build_map(iter(CLOUDS), CONFIG)
     edges = [one.edge for one in made.factors if one.edge.kind is EdgeKind.LIDAR]
     sigmas = [np.sqrt(edge.covariance[2, 2]) for edge in edges]
@@ -92,3 +93,6 @@ def test_the_first_edge_has_the_doubt_of_the_first_pose() -> None:
     first, second = made.trajectory.poses()[:2]
     error = gtsam.Pose3.Logmap(way(2)[1].between(first.between(second)))
     assert abs(error[2]) < 3e-3 and np.linalg.norm(error[3:]) < 0.02
+    monkeypatch.setattr(BeforeFirst, "begin", lambda self, *_: setattr(self, "offset", -0.1 * TWIST))
+    moved = slam.build_map(iter(CLOUDS), CONFIG).trajectory.poses()[0]
+    np.testing.assert_allclose(gtsam.Pose3.Logmap(moved), -0.1 * TWIST, atol=5e-3)
