@@ -21,7 +21,7 @@ from slam.localization.whole_map_field import WholeMapField
 from slam.mapping.band_scan import band_scan, ground_of
 from slam.matching.scan_context import SECTORS, ContextBank, scan_context
 from slam.matching.scan_points import extract_points
-from slam.measurements import Float32Array, FloatArray, spatial
+from slam.measurements import FloatArray, spatial
 from slam.storage.map_contents import MapContents
 
 # Guesses in one tile with headings within this angle converge to the same alignment.
@@ -46,9 +46,11 @@ class CloudPlaces:
         self._field, self._config = field, config
         self._T_base_lidar = known.T_base_lidar
         self._poses = [spatial(pose) for pose in known.node_poses]
-        self._apart_m = 0.5 * TILE * voxel_m
+        self.apart_m = 0.5 * TILE * voxel_m
         self._voxel_m = voxel_m
-        self._bank = ContextBank([self._context(thin_to_voxels(points, voxel_m)) for points in known.clouds])
+        self._bank = ContextBank(
+            [scan_context(thin_to_voxels(points, voxel_m), voxel_m) for points in known.clouds]
+        )
         self._positions = np.array([pose.translation() for pose in self._poses])
         thickness_m = config.cloud_odometry.thickness_m
         ground = None if field is None else ground_of(known.clouds, known.T_base_lidar, voxel_m, thickness_m)
@@ -64,9 +66,11 @@ class CloudPlaces:
         A context depends on the viewpoint, and the robot may be beside the mapped path: so contexts beside
         the robot are compared, too.
         """
-        steps_m = np.array([-self._apart_m, 0.0, self._apart_m])
+        steps_m = np.array([-self.apart_m, 0.0, self.apart_m])
         beside_m = np.array([(x, y, 0.0) for x in steps_m for y in steps_m])
-        unlike = np.array([self._bank.dissimilarity(self._context(points - offset)) for offset in beside_m])
+        unlike = np.array(
+            [self._bank.dissimilarity(scan_context(points - offset, self._voxel_m)) for offset in beside_m]
+        )
         turns, least = unlike.argmin(axis=2), unlike.min(axis=2)
         chosen: list[gtsam.Pose3] = []
         for flat in np.argsort(least, axis=None, kind="stable").tolist():
@@ -86,13 +90,11 @@ class CloudPlaces:
             return []
         most = self._config.cloud_localization.places
         places = at_once(search_map(self._field, flat, self._config.localization, most))
-        return [self._lifted(place.pose) for place in places]
-
-    def _lifted(self, pose: FloatArray) -> gtsam.Pose3:
-        """Return a pose (3,) of the plan at the height of the nearest keyframe."""
-        nearest = int(np.hypot(*(self._positions[:, :2] - pose[:2]).T).argmin())
-        at = np.array([pose[0], pose[1], self._positions[nearest, 2]])
-        return gtsam.Pose3(gtsam.Rot3.Yaw(float(pose[2])), at)
+        lifted = []
+        for x, y, yaw in (place.pose.tolist() for place in places):
+            nearest = int(np.hypot(*(self._positions[:, :2] - [x, y]).T).argmin())
+            lifted.append(gtsam.Pose3(gtsam.Rot3.Yaw(yaw), np.array([x, y, self._positions[nearest, 2]])))
+        return lifted
 
     def _flat(self, points: FloatArray) -> FloatArray:
         """Return (M, 2) the virtual 2D scan of a cloud, one point per cell."""
@@ -107,17 +109,13 @@ class CloudPlaces:
         cell_m = self._config.localization.novel_cell_m
         return np.asarray(flat[first_in_cells(flat, cell_m)[0]], np.float64)
 
-    def _context(self, points: FloatArray) -> Float32Array:
-        """Return the scan context of a thinned cloud (N, 3)."""
-        return scan_context(points, self._voxel_m)
-
     def _apart(self, guesses: Sequence[gtsam.Pose3]) -> list[gtsam.Pose3]:
         """Return poses whose alignment does not converge to that of an earlier one."""
         kept: list[gtsam.Pose3] = []
         for guess in guesses:
             steps = [guess.between(other) for other in kept]
             if not any(
-                np.linalg.norm(step.translation()) < self._apart_m and abs(step.rotation().yaw()) < _SAME_RAD
+                np.linalg.norm(step.translation()) < self.apart_m and abs(step.rotation().yaw()) < _SAME_RAD
                 for step in steps
             ):
                 kept.append(guess)

@@ -81,7 +81,8 @@ class CloudSensor:
         self._config, self._general, self._settings = config, config.localization, config.cloud_localization
         self.voxel_m = self._tiles.voxel_m
         self._places = CloudPlaces(field, known, self.voxel_m, config)
-        self.search_every_m = self._general.search_every_m
+        # From a place as near as that, a search leads to the same candidates.
+        self.search_every_m = max(self._general.search_every_m, self._places.apart_m)
         self._stamp_s = -math.inf
 
     def observe(self, measurement: Any, known: Pose | None) -> Observation[CloudView] | None:

@@ -57,6 +57,7 @@ class RgbdTracker:
         self._step = gtsam.Pose3()
         self._step_s = 0.0
         self._lost = 0
+        self._noises: list[float] = []
 
     def track(self, frame: PreparedFrame) -> TrackedFrame:
         """Return the pose of the next frame; the first one is the origin of the odometry frame."""
@@ -79,7 +80,13 @@ class RgbdTracker:
         """Add a tracked frame to the local map; after a restart, it is the only one."""
         if tracked.restarted:
             self._local.clear()
-        self._local.append(VisualKeyframe(frame, tracked.pose))
+        if tracked.match is not None:
+            config = self._config.rgbd_odometry
+            sigma_m = config.depth_floor_m + config.depth_share * frame.median_depth_m**2
+            self._noises.append(tracked.match.motion.residual_m / sigma_m)
+            del self._noises[: -self._config.match.local_map_keyframes]
+        noise = float(np.median(self._noises)) if self._noises else 1.0
+        self._local.append(VisualKeyframe(frame, tracked.pose, noise))
         del self._local[: -self._config.match.local_map_keyframes]
 
     def _velocity_step(self, step_s: float) -> gtsam.Pose3:

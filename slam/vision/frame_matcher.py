@@ -12,7 +12,7 @@ from slam.measurements import CameraIntrinsics, FloatArray
 from slam.vision.feature_pose import pose_from_features
 from slam.vision.features import Features, Matches, match_features
 from slam.vision.guided_matching import match_near
-from slam.vision.joint_alignment import JointAlignment, Landmarks, View, align, align_features
+from slam.vision.joint_alignment import JointAlignment, Landmarks, View, align
 from slam.vision.prepared_frame import PreparedFrame
 from slam.vision.visual_match import VisualKeyframe, VisualMatch, covariance_of
 
@@ -51,8 +51,7 @@ class FrameMatcher:
         A person in front of the camera shifts the alignment of surfaces, but not of features: near theirs,
         only surfaces within one sigma count.
         """
-        config, k = self._config, frame.frame.intrinsics
-        alone = align_features(landmarks, k, best.pose, config, self._match.iterations)
+        config, alone = self._config, self._align(frame, [], landmarks, best.pose, 0).pose
         least = self._support(best.pose, landmarks, frame)
         least += gate(6) * config.correlated_features / (2 * config.kernel_sigmas**2)
         if self._support(alone, landmarks, frame) < least:
@@ -140,8 +139,10 @@ class FrameMatcher:
     ) -> JointAlignment:
         """Solve least squares from one guess; the first steps have a wide kernel."""
         views = [View(keyframe.frame.surface, keyframe.pose) for keyframe in local]
+        # A walker shifts surfaces by less than the noise of a bad camera, but not of a good one.
+        noise = min(1.0, float(np.median([keyframe.noise for keyframe in local] or 1.0)))
         rounds, k = (coarse, self._match.iterations - coarse), frame.frame.intrinsics
-        return align(frame.points, views, landmarks, k, guess, self._config, rounds, slack)
+        return align(frame.points, views, landmarks, k, guess, self._config, rounds, slack, noise)
 
     def _share(self, alignment: JointAlignment) -> float:
         """Return the share of inliers among readings with a partner."""

@@ -83,6 +83,7 @@ def align(
     config: RgbdOdometryConfig,
     rounds: tuple[int, int],
     slack: float = 1.0,
+    noise: float = 1.0,
 ) -> JointAlignment:
     """Find ``T_odom_camera`` of a frame near a guess.
 
@@ -100,26 +101,16 @@ def align(
         Largest number of Gauss-Newton steps, first with four times the tolerance, then with the final.
     slack
         Final tolerance as a share of the configured one.
+    noise
+        Sigma of depth as a share of the configured one.
     """
     # A few points give a rough pose; all are used for the last millimetres.
-    coarse = _Work(points.every(_THINNED), landmarks)
+    coarse = _Work(points.every(_THINNED), landmarks, noise)
     start, _ = _descend(coarse, views, intrinsics, guess, config, rounds[0], 10 * SETTLED, 4.0)
-    fine = _Work(points, landmarks)
+    fine = _Work(points, landmarks, noise)
     pose, step = _descend(fine, views, intrinsics, start, config, rounds[1], SETTLED, slack)
     fine.linearize(views, intrinsics, pose, config, 1.0, informed=True)
     return fine.conclude(pose, config, converged=step < 10 * SETTLED)
-
-
-def align_features(
-    landmarks: Landmarks,
-    intrinsics: CameraIntrinsics,
-    guess: gtsam.Pose3,
-    config: RgbdOdometryConfig,
-    rounds: int,
-) -> gtsam.Pose3:
-    """Find ``T_odom_camera`` from features alone, as `align` does."""
-    work = _Work(SurfacePoints(np.zeros((6, 0), np.float32)), landmarks)
-    return _descend(work, [], intrinsics, guess, config, rounds, SETTLED, 1.0)[0]
 
 
 def _descend(
@@ -153,8 +144,8 @@ def _descend(
 class _Work:
     """Residuals and information of both parts at one linearisation, stored to be judged after the last."""
 
-    def __init__(self, points: SurfacePoints, landmarks: Landmarks) -> None:
-        self.points, self.landmarks, self.room = points, landmarks, room_for_points()
+    def __init__(self, points: SurfacePoints, landmarks: Landmarks, noise: float) -> None:
+        self.points, self.landmarks, self.noise, self.room = points, landmarks, noise, room_for_points()
         self.point_residuals = np.full(len(points), np.inf, np.float32)
         self.seen = np.zeros(len(points), np.float32)
         self.feature_residuals = np.full(len(landmarks.points), np.inf)
@@ -178,7 +169,8 @@ class _Work:
         self.point_residuals[:] = np.inf
         sums = np.zeros((6, 7))
         gate_m, kernel = config.gate_m * slack, config.kernel_sigmas * slack
-        limits = np.array([gate_m, kernel, config.depth_floor_m, config.depth_share], np.float32)
+        sigma = self.noise * config.depth_floor_m, self.noise * config.depth_share
+        limits = np.array([gate_m, kernel, *sigma], np.float32)
         for surface, view_pose in views:
             c = surface.intrinsics
             surface_part(
@@ -231,7 +223,7 @@ class _Work:
             feature_pairs=int(self.feature_residuals.size),
             point_count=int(agreeing.size),
             feature_count=int(matched.size),
-            residual_m=float(point_scale * sigma_m),
+            residual_m=float(point_scale * self.noise * sigma_m),
             residual_px=float(feature_scale * np.median(self.landmarks.sigma_px)) if matched.size else 0.0,
             converged=converged,
         )

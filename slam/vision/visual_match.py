@@ -19,10 +19,11 @@ if TYPE_CHECKING:
 
 @dataclass(slots=True)
 class VisualKeyframe:
-    """A frame of the local map and the pose of its camera, ``T_odom_camera``."""
+    """A frame of the local map, its ``T_odom_camera``, and measured over configured noise of depth."""
 
     frame: PreparedFrame
     pose: gtsam.Pose3
+    noise: float = 1.0
 
 
 @dataclass(frozen=True, slots=True)

@@ -91,6 +91,19 @@ def test_every_search_finds_the_place(known_map: MapContents) -> None:
         )
 
 
+def test_no_search_before_its_candidates_can_differ(known_map: MapContents) -> None:
+    """In a town, a car passes many metres before it sees other candidates; nowhere less than configured."""
+    sensor = CloudSensor(known_map, None, CONFIG)
+    near, beside = (
+        gtsam.Pose3(gtsam.Rot3(), [share * sensor.search_every_m, 0.0, 0.0]) for share in (0.9, 1.1)
+    )
+    assert len(sensor._places._apart([gtsam.Pose3(), near])) == 1
+    assert len(sensor._places._apart([gtsam.Pose3(), beside])) == 2
+    assert sensor.search_every_m > CONFIG.localization.search_every_m
+    rarely = load_config(None, [*SETTINGS, "localization.search_every_m=7"])
+    assert CloudSensor(known_map, None, rarely).search_every_m == 7.0
+
+
 def test_another_building_leads_to_no_pose(known_map: MapContents) -> None:
     """The same rooms, but smaller, and the other way round."""
     small = np.array([0.8, -0.8, 1.0], np.float32)

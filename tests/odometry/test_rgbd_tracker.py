@@ -85,6 +85,20 @@ def test_the_first_frame_is_the_origin_and_a_keyframe(picture: PreparedFrame) ->
     assert run.guesses == []
 
 
+def test_keyframes_know_the_noise_of_the_camera(picture: PreparedFrame) -> None:
+    """The median of the newest matched keyframes, relative to the configured noise; 1 before the first."""
+    run = Run(picture)
+    run.at(0.0)
+    odometry = CONFIG.rgbd_odometry
+    sigma_m = odometry.depth_floor_m + odometry.depth_share * picture.median_depth_m**2
+    for n, noise in enumerate((0.2, 0.3, 2.0), 1):
+        match = match_at(gtsam.Pose3(gtsam.Rot3(), [float(n), 0.0, 0.0]))
+        shown = replace(match, motion=replace(match.motion, residual_m=noise * sigma_m))
+        run.answer = lambda guess, shown=shown: shown  # type: ignore[misc]
+        run.at(0.1 * n)
+    assert [keyframe.noise for keyframe in run.tracker._local] == pytest.approx([1.0, 0.2, 0.25, 0.3])
+
+
 @pytest.mark.parametrize(("gap_s", "steps"), [(0.1, 1.0), (0.2, 2.0), (5.0, 3.0), (0.0, 0.0), (-1.0, 0.0)])
 def test_the_velocity_is_carried_over_a_gap_but_not_for_ever(
     gap_s: float, steps: float, picture: PreparedFrame

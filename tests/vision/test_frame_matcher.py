@@ -141,17 +141,35 @@ def walker(aside_m: float) -> Room:
     )
 
 
+def while_somebody_walks(aside_m: float, moved_m: float, noise: tuple[float, float]) -> list[PreparedFrame]:
+    """A frame at the place and one a step later, with a plain walker before the camera."""
+    frames = []
+    for pose, at_m in ((PLACE, aside_m), (PLACE * STEP, aside_m + moved_m)):
+        image = render(walker(at_m), pose, MIDDLE, noise=noise, seed=len(frames))
+        plain = np.where(image.depth_m[..., None] < 1.25, np.uint8(90), image.color)
+        frames.append(prepared(replace(image, color=plain)))
+    return frames
+
+
 @pytest.mark.parametrize(("aside_m", "moved_m"), [(-0.1, 0.1), (0.2, 0.15)])
 def test_who_walks_before_the_camera_does_not_take_it_along(aside_m: float, moved_m: float) -> None:
     """Surfaces fit best between him and the room, 8 to 14 cm off; features are of the room."""
-    frames = []
-    for pose, at_m in ((PLACE, aside_m), (PLACE * STEP, aside_m + moved_m)):
-        image = render(walker(at_m), pose, MIDDLE, noise=NOISE, seed=len(frames))
-        plain = np.where(image.depth_m[..., None] < 1.25, np.uint8(90), image.color)
-        frames.append(prepared(replace(image, color=plain)))
+    frames = while_somebody_walks(aside_m, moved_m, NOISE)
     match = FrameMatcher(CONFIG).match(frames[1], [VisualKeyframe(frames[0], PLACE)], PLACE)
     assert match is not None
     assert np.abs(error_of(match.pose, PLACE * STEP)).max() < 0.01
+
+
+def test_a_good_camera_sees_who_walks_slowly() -> None:
+    """2 cm are within the configured noise of depth, and take the camera along, but not within its own."""
+    good = 0.2
+    frames = while_somebody_walks(0.2, 0.02, (good * NOISE[0], good * NOISE[1]))
+    errors = []
+    for noise in (1.0, good):
+        match = FrameMatcher(CONFIG).match(frames[1], [VisualKeyframe(frames[0], PLACE, noise)], PLACE)
+        assert match is not None
+        errors.append(np.abs(error_of(match.pose, PLACE * STEP)).max())
+    assert errors[0] > 0.02 and errors[1] < 0.002
 
 
 def test_features_contradict_surfaces_that_somebody_took_along(
