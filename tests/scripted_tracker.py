@@ -37,7 +37,9 @@ class ScriptedOdometry:
         self.objects = 20
         self.asked: list[list[Motion]] = []
 
-    def match(self, points: ScanPoints, guesses: list[Motion]) -> MotionEstimate | None:
+    def match(
+        self, points: ScanPoints, guesses: list[Motion], *, alone: bool = False
+    ) -> MotionEstimate | None:
         self.asked.append(guesses)
         motion = self.answer(guesses)
         self.match_fit = 0.0 if motion is None else motion.fit

@@ -59,7 +59,9 @@ class KissOdometry:
         self._images.append(cache(partial(RangeImage.of, points.points_base, pose, points.points_base)))
         self._local_map = LocalMap.build(list(self._keyframes), self._match, list(self._images))
 
-    def match(self, points: ScanPoints, guesses: list[Motion]) -> MotionEstimate | None:
+    def match(
+        self, points: ScanPoints, guesses: list[Motion], *, alone: bool = False
+    ) -> MotionEstimate | None:
         """Register from each guess until one is certain; surfels measure the quality of the fit."""
         scan = OrientedPoints.from_scan(points)
         if self._local_map is None or len(scan) < _LEAST_POINTS or self._map.empty():

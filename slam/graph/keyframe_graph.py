@@ -180,6 +180,23 @@ class LoneSteps(NamedTuple):
     share: float
 
 
+def guessed_steps(edges: Sequence[Edge], kept: BoolArray, nodes: int, lost_sigma_m: float) -> BoolArray:
+    """Return (n - 1,) from which keyframes no kept edge measures the step, at least in one direction.
+
+    Edges with a sigma of ``lost_sigma_m`` or more in any direction measure nothing.
+    """
+    guessed = np.ones(nodes - 1, np.bool_)
+    held = [
+        edge
+        for edge, keep in zip(edges, kept.tolist(), strict=True)
+        if keep and edge.kind not in (EdgeKind.ASSUMED, EdgeKind.IMU) and edge.target == edge.source + 1
+    ]
+    ends, _, covariances = combined(held)
+    certain = np.linalg.eigvalsh(covariances[:, :2, :2])[:, -1] < lost_sigma_m**2
+    guessed[ends[certain, 0]] = False
+    return guessed
+
+
 def lone_steps(edges: Sequence[Edge], kept: BoolArray, nodes: int, lost_sigma_m: float) -> LoneSteps:
     """Estimate how often wheels are wrong in steps that only they measured, from steps tested by loops.
 

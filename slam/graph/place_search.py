@@ -23,7 +23,7 @@ from slam.graph.corridor_claims import CorridorClaims
 from slam.graph.edge import GUESSES, Edge
 from slam.graph.faulty_steps import FaultySteps
 from slam.graph.followed_claims import FollowedClaims
-from slam.graph.keyframe_graph import graph_of
+from slam.graph.keyframe_graph import graph_of, guessed_steps
 from slam.graph.loop_candidate import LoopCandidate
 from slam.graph.loop_closure import LoopCloser, position_sigmas
 from slam.graph.relative_uncertainty import UncertaintyGraph
@@ -98,7 +98,10 @@ class PlaceSearch:
         faulty = FaultySteps(edges, kept, poses, stamps_s, self._graph, self._config, self._match)
         settings, sparse = (self._submaps, self._config, self._match), self._submaps.sparse
         if self._stretches is None or not sparse:
-            self._submaps.lay(poses, [key + 1 for key in np.flatnonzero(faulty.lone.unseen).tolist()])
+            guessed = faulty.lone.unseen[:-1] | guessed_steps(
+                edges, kept, len(poses), self._graph.lost_sigma_m
+            )
+            self._submaps.lay(poses, (1 + np.flatnonzero(guessed)).tolist())
         if (stretches := self._stretches) is None:
             give_back()
             self._stretches = stretches = Stretches(*settings)

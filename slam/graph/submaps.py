@@ -164,7 +164,7 @@ class SubmapStore:
 
         ``own`` leaves out points beyond unobserved motion, which may be misplaced.
         """
-        members = [k for k in self._around(key) if not own or not self.parted(key, k)]
+        members = [k for k in self._around(key) if not own or not self.parted(key, k)] or [key]
 
         def seen() -> LocalMap:
             images = []

@@ -9,6 +9,7 @@ import gtsam
 import numpy as np
 from numpy.typing import NDArray
 
+from fusion.estimation import TINY
 from fusion.time_alignment import GAP_S
 from slam.config import Config
 from slam.datasets.sensor_choice import SensorUse
@@ -173,22 +174,33 @@ def apart(pieces: NDArray[np.int64], stamps_s: FloatArray) -> list[str]:
 
 
 def unseen(
-    trajectory: Trajectory, placed: NDArray[np.int64], covariances: FloatArray, config: Config
+    trajectory: Trajectory,
+    placed: NDArray[np.int64],
+    fixed: NDArray[np.int64],
+    covariances: FloatArray,
+    config: Config,
 ) -> list[str]:
-    """Warn if no scan was matched for a while, and poses became more uncertain than a match corrects.
+    """Warn if no scan was matched in all directions for a while, and poses are too uncertain for a match.
 
     Parameters
     ----------
-    placed
-        (S,) numbers of the poses given by a scan match.
+    placed, fixed
+        (S,) numbers of the poses given by a scan match, and of those that leave no direction open. An open
+        direction counts once the robot, as fast as on average, has gone farther than a match finds.
     covariances
         (N, d, d) covariances of all poses.
     """
     # A point at this distance from the robot may be so uncertain.
     most_m, lever_m = config.match.search_half_width_m, config.loops.reach_m
+    way_m, stamps_s = np.diff(trajectory.positions_m, axis=0), trajectory.stamps_s
+    speed_m_s = float(np.linalg.norm(way_m, axis=1).sum()) / max(float(np.ptp(stamps_s)), GAP_S)
+    lost = {
+        (int(known[gap]), int(known[gap + 1]))
+        for known, longest_s in ((placed, GAP_S), (fixed, max(GAP_S, most_m / max(speed_m_s, TINY))))
+        for gap in np.flatnonzero(np.diff(stamps_s[known]) > longest_s)
+    }
     periods = []
-    for gap in np.flatnonzero(np.diff(trajectory.stamps_s[placed]) > GAP_S):
-        first, last = int(placed[gap]), int(placed[gap + 1])
+    for first, last in lost:
         grown = np.diagonal(grown_covariances(trajectory, covariances, first, last), axis1=1, axis2=2)
         variances = np.column_stack([grown[:, 0] + grown[:, 1], grown[:, -1]]).clip(0.0)
         off_m2 = variances @ [1.0, lever_m**2]
@@ -201,6 +213,7 @@ def unseen(
     from_s, to_s = trajectory.stamps_s[[first, last]] - trajectory.stamps_s[0]
     others = f" (the worst of {len(periods)} such periods)" if len(periods) > 1 else ""
     return [
-        f"No scan or image was matched from {from_s:.1f} to {to_s:.1f} s{others}: relative to before, "
-        f"poses are uncertain by up to {position_m:.2f} m and {np.degrees(turn_rad):.1f} degrees (one sigma)"
+        f"No scan or image was matched in all directions from {from_s:.1f} to {to_s:.1f} s{others}: relative "
+        f"to before, poses are uncertain by up to {position_m:.2f} m and {np.degrees(turn_rad):.1f} degrees "
+        "(one sigma)"
     ]

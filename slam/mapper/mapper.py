@@ -148,7 +148,8 @@ class Mapper:
         result.stage_seconds["full trajectory"] = time.perf_counter() - clock[2]
         self._add_notes(result)
         result.warnings += apart(pieces, track.stamps_s - result.scans.stamps_s[0])
-        result.warnings += unseen(result.map.trajectory, readings.placed(), covariances, self._config)
+        known = readings.placed(), readings.fixed(self._config.graph.lost_sigma_m)
+        result.warnings += unseen(result.map.trajectory, *known, covariances, self._config)
         return result
 
     def _optimised(self, graph: KeyframeGraph) -> BatchResult:

@@ -126,7 +126,7 @@ class PlanarOdometry:
         )
         self._chain = PlanarChain(config, self._tracker, self._wheels, self.cameras)
         self._camera_poses: CameraPoses = {}
-        self._scan_stamp_s = -np.inf
+        self._scan_stamp_s = self._matched_s = -np.inf
         self._newest: tuple[float, ScanPoints | None, TrackedScan] | None = None
         self._wheels_name = ""
         # Stamps of keyframes without a match although the wheels report hardly any motion.
@@ -253,6 +253,8 @@ class PlanarOdometry:
                 self._gyro.learn_clock(self.cameras.scan_turns)
         self._camera_poses = camera_poses
         self._newest = stamp_s, points, tracked
+        if tracked.motion is not None or points is None or tracked.wheels is not None or cameras:
+            self._matched_s = stamp_s
         self.readings.add_scan(
             stamp_s,
             pose2_from_row(tracked.pose),
@@ -262,4 +264,8 @@ class PlanarOdometry:
         )
         last, limits = self._chain.last, self._config.keyframes
         due = last is None or limits.due(*between(last.pose, tracked.pose).tolist())
+        # A robot that nothing has measured for so long has seen enough to begin anew where it is.
+        due |= stamp_s - self._matched_s > GAP_S
+        if due:
+            self._matched_s = stamp_s
         return Moment(stamp_s, scan, tracked.pose, tracked.motion, due)

@@ -105,13 +105,15 @@ class LocalMap:
         If a direction is undetermined (a corridor), the guess is kept there: otherwise the noise of the
         normals would decide (solution remapping, Zhang 2016).
         """
+        result = self.align_along(scan, guess, np.zeros(3))
+        weak = weak_direction(result, self.config.degenerate_share)
+        return result if weak is None else self.align_along(scan, guess, weak)
+
+    def align_along(self, scan: OrientedPoints, guess: FloatArray, held: FloatArray) -> Alignment:
+        """Align a scan that must stay near its guess in one direction, a unit tangent (3,), or in none."""
         # In points: far below any wall, enough to fix an undetermined direction.
         loose = np.eye(3)
-        result = self._align(scan, guess, loose)
-        weak = weak_direction(result, self.config.degenerate_share)
-        if weak is None:
-            return result
-        return self._align(scan, guess, loose + _HELD_POINTS * np.outer(weak, weak))
+        return self._align(scan, guess, loose + _HELD_POINTS * np.outer(held, held))
 
     def align_held(self, scan: OrientedPoints, guess: FloatArray) -> Alignment:
         """Align a scan that must stay near its guess in every direction."""

@@ -58,9 +58,7 @@ def weak_direction(alignment: Alignment, degenerate_share: float) -> FloatArray 
     """
     # Less than the information of one point determines nothing.
     least = degenerate_share * max(alignment.weight, 1.0)
-    (xx, xy, xt), (_, yy, yt), (_, _, tt) = alignment.hessian.tolist()
-    xx, yy, tt = xx + TINY, yy + TINY, tt + TINY
-    xx, xy, yy = xx - xt * xt / tt, xy - xt * yt / tt, yy - yt * yt / tt
+    (xx, xy), (_, yy) = schur(alignment.hessian)
     lower = 0.5 * (xx + yy) - math.hypot(0.5 * (xx - yy), xy)
     # Clearly determined, as nearly always, regardless of rounding.
     if lower - TINY * (xx + yy) > least:
@@ -69,6 +67,14 @@ def weak_direction(alignment: Alignment, degenerate_share: float) -> FloatArray 
     if eigenvalues[0] >= least:
         return None
     return np.array([eigenvectors[0, 0], eigenvectors[1, 0], 0.0])
+
+
+def schur(hessian: FloatArray) -> tuple[tuple[float, float], tuple[float, float]]:
+    """Return the rows of a Hessian (3, 3) of the translation when the yaw is free."""
+    (xx, xy, xt), (_, yy, yt), (_, _, tt) = hessian.tolist()
+    xx, yy, tt = xx + TINY, yy + TINY, tt + TINY
+    across = xy - xt * yt / tt
+    return (xx - xt * xt / tt, across), (across, yy - yt * yt / tt)
 
 
 def points_a_witness(alignment: Alignment) -> float:

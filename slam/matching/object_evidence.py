@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 
 import numpy as np
+from numpy.typing import NDArray
 
 from fusion.kernel import NONE, kernel
 from slam.measurements import AnyFloatArray, FloatArray
@@ -20,13 +21,18 @@ LONGEST_M = 1.0
 
 def object_evidence(points: AnyFloatArray, gain: FloatArray) -> FloatArray:
     """Return sums (K,) per object of the evidence (M,) of points (M, 2) in beam order."""
+    return np.asarray(np.bincount(objects_of(points, LONGEST_M), gain), np.float64)
+
+
+def objects_of(points: AnyFloatArray, longest_m: float) -> NDArray[np.int64]:
+    """Return the number of the object (M,) of points (M, 2) in beam order; none is longer than given."""
     objects = np.empty(points.shape[0], np.int64)
-    _number_objects(points, objects)
-    return np.asarray(np.bincount(objects, gain), np.float64)
+    _number_objects(points, longest_m, objects)
+    return objects
 
 
 @kernel
-def _number_objects(points, objects):  # type: ignore[no-untyped-def]
+def _number_objects(points, longest_m, objects):  # type: ignore[no-untyped-def]
     """Write the object number of each point: runs of neighbouring points."""
     number = NONE
     first_x = first_y = before_x = before_y = 0.0
@@ -35,7 +41,7 @@ def _number_objects(points, objects):  # type: ignore[no-untyped-def]
         y = points[i, 1]
         gap = math.hypot(x - before_x, y - before_y)
         reach = math.hypot(x - first_x, y - first_y)
-        if i == 0 or gap > GAP_M or reach > LONGEST_M:
+        if i == 0 or gap > GAP_M or reach > longest_m:
             number += 1
             first_x = x
             first_y = y

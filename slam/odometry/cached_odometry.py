@@ -20,10 +20,12 @@ class CachedOdometry:
         self._odometry = odometry
         self._result_cache = result_cache
 
-    def match(self, points: ScanPoints, guesses: list[Motion]) -> MotionEstimate | None:
+    def match(
+        self, points: ScanPoints, guesses: list[Motion], *, alone: bool = False
+    ) -> MotionEstimate | None:
         """Return the pose of the scan's base in the odometry frame, or None if nothing fits."""
         return self._result_cache.cached(
-            MATCH, float(guesses[0].pose[0]), lambda: self._odometry.match(points, guesses)
+            MATCH, float(guesses[0].pose[0]), lambda: self._odometry.match(points, guesses, alone=alone)
         )
 
     def match_near(self, points: ScanPoints, pose: FloatArray) -> MotionEstimate | None:

@@ -13,7 +13,9 @@ from slam.measurements import FloatArray
 class LidarOdometry(Protocol):
     """Scan to local map matching in an odometry frame that drifts slowly and never jumps back."""
 
-    def match(self, points: ScanPoints, guesses: list[Motion]) -> MotionEstimate | None:
+    def match(
+        self, points: ScanPoints, guesses: list[Motion], *, alone: bool = False
+    ) -> MotionEstimate | None:
         """Return the pose of the scan's base in the odometry frame, or None if nothing fits.
 
         Parameters
@@ -22,6 +24,8 @@ class LidarOdometry(Protocol):
             The scan, base frame.
         guesses
             The most trusted first; at least one.
+        alone
+            Whether no other sensor measured a guess, so that nothing would contradict a wrong match.
         """
         ...
 

@@ -25,7 +25,7 @@ from slam.matching.motion import Motion, log_likelihood
 from slam.matching.planar import between, compose, wrap
 from slam.matching.scan_points import ScanPoints
 from slam.measurements import FloatArray, row_from_pose2
-from slam.odometry.constant_velocity import repeated
+from slam.odometry.constant_velocity import Velocity, repeated
 from slam.odometry.gyro_yaw import GyroMoment, YawGyro
 from slam.odometry.lidar_odometry import LidarOdometry
 from slam.odometry.predictor import LEAST_SHARE, Predictor
@@ -59,14 +59,13 @@ class MotionTracker:
         self._config = config
         self._noise = match
         self._by_wheels = Predictor(config.memory_scans, LEAST_SHARE)
-        self._by_velocity = Predictor(config.memory_scans)
+        self._by_velocity = Predictor(config.memory_scans, LEAST_SHARE if wheels is None else 1.0)
         self._by_camera = Predictor(config.memory_scans)
         self._recent: deque[tuple[float, TrackedScan]] = deque()
         self._by_window: list[Motion] = []
         self._last: TrackedScan | None = None
         self._stamp_s = 0.0
-        self._velocity_step = np.zeros(3)
-        self._velocity_step_s = 0.0
+        self._velocity = Velocity()
         # Sums of squared distances, rotations and times, for its usual speed.
         self._squares = np.zeros(3)
         # Pose by the velocity if nothing else predicts it, and the time for which it was the only predictor.
@@ -122,7 +121,7 @@ class MotionTracker:
             tracked = TrackedScan(pose, motion, wheels, dispute, gyro)
             # Errors along a corridor are corrected at once at its end: this is no motion of the robot.
             if not (self._last.open and tracked.determined):
-                self._learn_velocity(between(self._last.pose, pose), step_s, measured=pose is not self._blind)
+                self._learn_velocity(self._last, tracked, step_s)
         self._last = tracked
         self._stamp_s = stamp_s
         self._recent.append((stamp_s, tracked))
@@ -155,7 +154,7 @@ class MotionTracker:
         if moved is not None:
             self._by_wheels.guesses = [Motion(compose(last.pose, moved.pose), moved.covariance)]
         alone = moved is None and not cameras
-        on = repeated(self._velocity_step, self._velocity_step_s, step_s, self._config, alone=alone)
+        on = repeated(self._velocity.step, self._velocity.step_s, step_s, self._config, alone=alone)
         onward = compose(last.pose, on.pose)
         # After a long gap, it has no information: it would be one of many places that look alike.
         if alone or on.covariance[0, 0] <= OPEN_M**2:
@@ -177,15 +176,19 @@ class MotionTracker:
         looking = guess.looking(begun.pose[2] + turn[0], turn[1] + float(begun.dispute[2, 2]))
         return looking.widened(np.diag([0.0, 0.0, _SENSOR_FLOOR[2, 2]]))
 
-    def _learn_velocity(self, step: FloatArray, step_s: float, *, measured: bool) -> None:
-        """Learn from a step (3,), except one that repeats the velocity, and the next, which corrects it."""
+    def _learn_velocity(self, last: TrackedScan, tracked: TrackedScan, step_s: float) -> None:
+        """Learn from a step, except one that repeats the velocity, and the next, which corrects it."""
+        step, measured = between(last.pose, tracked.pose), tracked.pose is not self._blind
         if measured and not self._blind_s and abs(step_s) > SHORTEST_STEP_S:
-            self._velocity_step, self._velocity_step_s = step, step_s
+            if self._blind is None or tracked.motion is None:
+                self._velocity.learn(step, step_s)
+            else:
+                self._velocity.follow(step, step_s, tracked.motion.weak_direction)
             if step_s <= GAP_S:
                 self._squares += step[0] ** 2 + step[1] ** 2, step[2] ** 2, step_s**2
         self._blind_s = 0.0 if measured else self._blind_s + abs(step_s)
         if self._blind_s >= GAP_S:
-            self._velocity_step = np.zeros(3)
+            self._velocity.stop()
 
     def _predict_by_window(
         self, stamp_s: float, wheels: WheelMoment | None, gyro: GyroMoment | None
@@ -206,7 +209,7 @@ class MotionTracker:
         self, points: ScanPoints, guesses: list[Motion], step_s: float, gyro: GyroMoment | None
     ) -> tuple[MotionEstimate | None, FloatArray]:
         """Match, decide contradictions, update the predictors; return the match and the dispute."""
-        motion = self._odometry.match(points, guesses)
+        motion = self._odometry.match(points, guesses, alone=self._blind is not None)
         if motion is None:
             return None, np.zeros((3, 3))
         if (offset := self._other_way_round(points, motion, guesses)) is not None:
@@ -216,7 +219,7 @@ class MotionTracker:
         if (unseen := self._out_of_sight(motion, step_s, gyro)) is not None:
             return motion, unseen
         rivals = [
-            *self._rivals(points, motion, [*self._by_camera.guesses, *self._by_wheels.guesses], guesses),
+            *self._rivals(points, motion, self._contesting(step_s), guesses),
             *self._rivals(points, motion, self._by_window, self._by_window),
         ]
         log_odds, local, prediction = max(rivals, key=lambda rival: rival[0], default=(0.0, None, guesses[0]))
@@ -295,15 +298,25 @@ class MotionTracker:
                 turn2 = 0.0
         return np.diag([way2, way2, min(turn2, math.pi**2)]) / 3.0
 
+    def _contesting(self, step_s: float) -> list[Motion]:
+        """Return the predictions that may contradict a match.
+
+        Constant velocity is no measurement. Only where nothing else measures may it contradict a match that
+        follows a determined one: the robot cannot have accelerated so much.
+        """
+        measured = [*self._by_camera.guesses, *self._by_wheels.guesses]
+        if measured or step_s > GAP_S or self._last is None or not self._last.determined:
+            return measured
+        return self._by_velocity.guesses[:1]
+
     def _rivals(
         self, points: ScanPoints, motion: MotionEstimate, contesting: list[Motion], asked: list[Motion]
     ) -> list[tuple[float, MotionEstimate | None, Motion]]:
         """Return log-odds against a match, and the scan fixed at it, for predictions it contradicts.
 
         Predictions are compared without the match's covariance: a wrong match may claim a small one. Only
-        those that start at the same pose are used. Constant velocity is no measurement, so it contradicts
-        nothing. A camera needs no scan: it also measures the rotation, and a person walking ahead turns with
-        the robot.
+        those that start at the same pose are used. A camera needs no scan: it also measures the rotation, and
+        a person walking ahead turns with the robot.
         """
         matched, rivals = row_from_pose2(motion.T_reference_base), []
         for prediction in contesting:

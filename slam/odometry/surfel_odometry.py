@@ -13,6 +13,7 @@ from slam.config import Config
 from slam.estimates import MotionEstimate
 from slam.matching.correlative import build_field, search_window
 from slam.matching.local_map import LocalMap, OrientedPoints
+from slam.matching.lone_object import confirmed
 from slam.matching.match_covariance import motion_from_alignment, weak_direction
 from slam.matching.motion import Motion
 from slam.matching.planar import between, compose
@@ -50,7 +51,9 @@ class SurfelOdometry:
         self._images.append(cache(partial(RangeImage.of, points.points_base, pose, points.points_base)))
         self._local_map = None
 
-    def match(self, points: ScanPoints, guesses: list[Motion]) -> MotionEstimate | None:
+    def match(
+        self, points: ScanPoints, guesses: list[Motion], *, alone: bool = False
+    ) -> MotionEstimate | None:
         """Align from the first guess; if that is uncertain, from the others and by search."""
         local_map = self._known()
         scan = OrientedPoints.from_scan(points)
@@ -69,6 +72,8 @@ class SurfelOdometry:
             # A guess other than the most certain one has converged along a corridor, where all looks alike.
             start = compose(best.pose, weak * (weak @ between(best.pose, guesses[0].pose)))
             best = local_map.align(scan, start)
+        if alone:
+            best = confirmed(local_map, scan, best, guesses[0].pose)
         share = best.inlier_share
         if share < self._match.least_inlier_share and not self._fits_what_is_known(local_map, scan, best):
             return None

@@ -135,6 +135,14 @@ class Readings:
         """Numbers of the readings with a pose from a scan; the path between is by wheels, or a guess."""
         return np.array(self._scan_readings, dtype=np.int64)[self._trusted()]
 
+    def fixed(self, open_sigma_m: float) -> NDArray[np.int64]:
+        """As `placed`, without wheels only those with a smaller sigma: scans that leave no direction open."""
+        placed = self.placed()
+        if self.wheels() is not None:
+            return placed
+        variances = np.array(self._scan_variances).reshape(-1, 6)[self._trusted(), :2].max(axis=1)
+        return placed[~(variances >= open_sigma_m**2)]
+
     def wheels(self) -> Poses | None:
         """The wheels' pose at every reading, odom frame; None without wheels."""
         rows = np.array(self._wheel_poses).reshape(-1, 3)

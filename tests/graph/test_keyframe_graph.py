@@ -14,7 +14,7 @@ import pytest
 from slam.config.stages import GraphConfig
 from slam.estimates import MotionEstimate
 from slam.graph.edge import Edge, EdgeKind
-from slam.graph.keyframe_graph import KeyframeGraph, lone_steps, unmeasured
+from slam.graph.keyframe_graph import KeyframeGraph, guessed_steps, lone_steps, unmeasured
 from slam.graph.loop_candidate import LoopCandidate
 from slam.mapper.planar_chain import edges_of
 from slam.matching.motion import Motion
@@ -361,3 +361,18 @@ class TestLoops:
             assert np.flatnonzero(lone.unseen).tolist() == [5, 15, 25]
             assert len(set(lone.pieces)) == (3 if closed else 4)
             assert (lone.share > 0.3) is closed
+
+
+def test_a_step_is_guessed_where_a_match_leaves_a_direction_open_and_nothing_else_measured_it() -> None:
+    along = CONFIDENT + np.diag([30.0, 0.0, 0.0]) ** 2
+    graph, config = empty(), GraphConfig()
+    for key, (match, wheels) in enumerate(
+        [(step(), None), (step(covariance=along), None), (step(covariance=along), step()), (None, None)], 1
+    ):
+        is_open = match is not None and match.covariance is along
+        edges = edges_of(key, AHEAD, match, wheels, [], config, match_open=is_open)
+        graph.add_keyframe(pose2_from_row(AHEAD), edges)
+    edges = graph.graph.edges
+    kept = np.ones(len(edges), np.bool_)
+    guessed = guessed_steps(edges, kept, len(graph), config.lost_sigma_m)
+    assert guessed.tolist() == [False, True, False, True]

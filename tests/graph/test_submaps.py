@@ -128,3 +128,11 @@ def test_what_is_seen_along_a_stretch_is_joined_where_it_is_asked_for(
         assert not stretches.between(50.0, 70.0)  # nothing but a line of points
     assert not stretches.candidates(len(everywhere) - 1, ~everywhere, np.zeros(len(everywhere)))
     assert joined == sorted(set(joined)) and min(joined) >= 50 and max(joined) <= 70
+
+
+def test_a_place_between_unmeasured_steps_has_its_own_scan() -> None:
+    """Of surroundings only every few scans are used; this one alone may not be among them."""
+    store = store_of(200, 0.05)
+    for key in range(50, 60):
+        store.lay([np.array([0.05 * n, 0.0, 0.0]) for n in range(200)], [key, key + 1])
+        assert len(store.surroundings(key, own=True).points) == 1

@@ -37,7 +37,9 @@ class Run:
         self.blind = False
         self.objects = 20
 
-    def match(self, points: ScanPoints, guesses: list[Motion]) -> MotionEstimate | None:
+    def match(
+        self, points: ScanPoints, guesses: list[Motion], *, alone: bool = False
+    ) -> MotionEstimate | None:
         self.asked.append(guesses)
         return None if self.blind else self._motion(compose(self.true_pose, self.lidar_offset), 0.95)
 
@@ -96,9 +98,18 @@ def test_the_camera_guesses_first() -> None:
         (True, 1, 2, True),
         (False, 1, 20, False),
         (False, 2, 20, False),
-        (False, 0, 1, False),
+        (False, 0, 1, True),
+        (False, 0, 20, False),
     ],
-    ids=["a person", "a few things", "wheels too", "a room", "a room and two cameras", "no camera"],
+    ids=[
+        "a person",
+        "a few things",
+        "wheels too",
+        "a room",
+        "a room and two cameras",
+        "no camera: against the robot's own velocity",
+        "no camera, a room",
+    ],
 )
 def test_cameras_beat_a_match_that_few_things_speak_for(
     wheels: bool, cameras: int, objects: int, believed: bool

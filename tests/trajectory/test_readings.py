@@ -221,3 +221,13 @@ def test_wheels_are_read_anew_when_their_clock_is_known() -> None:
     expected = np.array([where(one_s) for one_s in true_s])
     np.testing.assert_allclose(after[stated], expected[stated], atol=1e-6)
     assert np.abs(before - expected)[stated].max() > 0.1
+
+
+@pytest.mark.parametrize("wheels", [False, True])
+def test_without_wheels_a_scan_that_leaves_a_direction_open_fixes_nothing(wheels: bool) -> None:
+    readings = Readings()
+    for n, sigma_m in enumerate([0.01, 20.0, 0.01]):
+        covariance = np.diag([sigma_m, 0.01, 0.01]) ** 2
+        readings.add_scan(1.0 + n, gtsam.Pose2(), row(n) if wheels else None, covariance=covariance)
+    assert readings.placed().tolist() == [0, 1, 2]
+    assert readings.fixed(1.0).tolist() == ([0, 1, 2] if wheels else [0, 2])
