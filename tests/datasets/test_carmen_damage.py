@@ -157,7 +157,7 @@ def test_what_cannot_be_a_log_is_refused_in_one_line(tmp_path: Path) -> None:
     (tmp_path / "syslog.log").write_bytes(b"Jan 1 kernel: hello\n" * 9)
     remedies = dict.fromkeys(("empty.log", "cut.log.gz"), "copy it again") | {"absent.log": "did you mean"}
     for path in (tmp_path / "absent.log", tmp_path, *tmp_path.iterdir()):
-        with pytest.raises(DatasetError, match=remedies.get(path.name, r"CARMEN log \(\.log")) as caught:
+        with pytest.raises(DatasetError, match=remedies.get(path.name, "CARMEN logs")) as caught:
             open_dataset(path)
         assert "\n" not in str(caught.value)
 
