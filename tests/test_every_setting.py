@@ -31,7 +31,6 @@ RUN_OF_SECTION = {
     "cloud_localization": "in_room",
 }
 RUN_OF = {
-    "localization.search_every_m": "in_room",
     "match.lost_after": "spatial",
     "match.degenerate_sigma_m": "spatial",
     "loops.by_appearance": "spatial",
@@ -59,6 +58,7 @@ BESIDE: dict[str, tuple[str, ...]] = {
     "cloud_odometry.keyframe_voxels": ("keyframes.angle_rad=3",),
     "cloud_loops.greatest_residual_ratio": ("match.minimal_residual_m=0.001",),
     "localization.keyframe_rad": ("localization.keyframe_m=5",),
+    "localization.search_every_m": ("localization.confident_probability=0.999",),
     "localization.lost_after_s": ("localization.dead_reckoning_m=100", "localization.keyframe_m=0.05"),
     "graph.loose_share": ("match.confident_inlier_share=1.0",),
     "rgbd_odometry.keyframe_parallax": (

@@ -209,9 +209,9 @@ class _Work:
         is_seen = self.seen > 0.0
         agreeing = self.point_residuals[self.point_residuals < config.kernel_sigmas]
         matched = self.feature_residuals[self.feature_residuals < config.kernel_sigmas]
-        point_scale = _robust_scale(agreeing, 1)
+        point_scale = _robust_scale(self.noise * agreeing, 1)
         feature_scale = _robust_scale(matched, 2)
-        information = self.information[0] / (config.correlated_points * point_scale**2)
+        information = self.information[0] / (config.correlated_points * (point_scale / self.noise) ** 2)
         information += self.information[1] / (config.correlated_features * feature_scale**2)
         depth = np.median(self.points.points[:, 2]) if len(self.points) else 1.0
         sigma_m = config.depth_floor_m + config.depth_share * depth**2
@@ -223,7 +223,7 @@ class _Work:
             feature_pairs=int(self.feature_residuals.size),
             point_count=int(agreeing.size),
             feature_count=int(matched.size),
-            residual_m=float(point_scale * self.noise * sigma_m),
+            residual_m=float(point_scale * sigma_m),
             residual_px=float(feature_scale * np.median(self.landmarks.sigma_px)) if matched.size else 0.0,
             converged=converged,
         )
