@@ -233,4 +233,4 @@ def _robust_scale(residuals: AnyFloatArray, degrees: int) -> float:
     """Return the robust sigma of normalised residuals; 1 if there are too few."""
     if residuals.size < FEWEST:
         return 1.0
-    return max(float(median_to_sigma(degrees) * np.median(residuals)), 0.1)
+    return max(float(median_to_sigma(degrees) * np.median(residuals)), 0.05)
