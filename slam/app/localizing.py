@@ -25,7 +25,7 @@ from slam.evaluation.localization_report import write_localization_report
 from slam.localization.drive_log import DriveLog
 from slam.localization.localizer import Localizer
 from slam.localization.poses import Measured, diagonal
-from slam.mapper.pipeline import findings_of, settled
+from slam.mapper.pipeline import after_readings, findings_of, settled
 from slam.outputs.finished_map import Map
 from slam.outputs.grid_map import GridMap, opened
 from slam.storage.files import make_folder
@@ -129,7 +129,8 @@ def localize_log(
             viewer.grid("saved map", saved.grid.states(), saved.grid.resolution_m, saved.grid.T_map_grid)
         known = None if start is None else _known(start, start_sigma)
         localizer = Localizer(saved, config, registrations, known)
-        drive = _driven(localizer, log, config, viewer, on_progress or silent)
+        in_space = saved.contents.clouds is not None
+        drive = _driven(localizer, log, config, viewer, on_progress or silent, in_space=in_space)
     if not len(drive):
         needed = "clouds of a 3D lidar" if saved.contents.clouds else "planar scans"
         needed += "" if saved.contents.frames is None else ", or frames of its camera"
@@ -164,11 +165,19 @@ def _registrations(
 
 
 def _driven(
-    localizer: Localizer, log: Dataset, config: Config, viewer: Viewer | None, on_progress: OnProgress
+    localizer: Localizer,
+    log: Dataset,
+    config: Config,
+    viewer: Viewer | None,
+    on_progress: OnProgress,
+    *,
+    in_space: bool,
 ) -> DriveLog:
-    """Run the localiser on the whole log."""
-    drive = DriveLog()
-    for measurement in UsedMeasurements(log, config.sensors):
+    """Run the localiser on the whole log; in a map of clouds, readings of an IMU come before them."""
+    drive, measurements = DriveLog(), iter(UsedMeasurements(log, config.sensors))
+    if in_space and (choice := SensorChoice.of(log, config.sensors)).imu:
+        measurements = after_readings(choice.used(log))
+    for measurement in measurements:
         before = time.perf_counter()
         output = localizer.add(measurement)
         if output is not None:

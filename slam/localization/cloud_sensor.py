@@ -23,7 +23,7 @@ from slam.localization.sensor import Keyframe, Observation, moved_on
 from slam.localization.whole_map_field import WholeMapField
 from slam.matching.cloud_points import at_middle_of_turn
 from slam.matching.local_cloud import REACH, Aligned, LocalCloud, moved
-from slam.measurements import FloatArray, PointCloud, Pose, WheelOdometry, logarithm
+from slam.measurements import FloatArray, ImuReading, PointCloud, Pose, WheelOdometry, logarithm
 from slam.storage.map_contents import MapContents
 
 # Shares of explained, in-free and crossing beams at true poses, and at wrong ones that fit best: see
@@ -85,10 +85,17 @@ class CloudSensor:
         self.search_every_m = max(self._general.search_every_m, self._places.apart_m)
         self._stamp_s = -math.inf
 
+    @property
+    def unfit(self) -> str:
+        """See `CloudOdometry`."""
+        return self._odometry.unfit
+
     def observe(self, measurement: Any, known: Pose | None) -> Observation[CloudView] | None:
-        """See `Sensor`; takes clouds, whose time is the middle of their revolution, and wheel readings."""
+        """See `Sensor`; takes clouds, whose time is the middle of their revolution, wheels and IMU."""
         if isinstance(measurement, WheelOdometry):
             self._odometry.add_wheels(measurement)
+        if isinstance(measurement, ImuReading):
+            self._odometry.add_imu(measurement)
         if not isinstance(measurement, PointCloud):
             return None
         cloud = at_middle_of_turn(measurement, self._config.cloud_odometry)

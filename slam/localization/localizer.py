@@ -84,6 +84,7 @@ class Localizer:
         if start is not None and not isinstance(start, Measured):
             raise MapFileError(f"start is {type(start).__name__}; give Measured(gtsam.Pose2, covariance)")
         config = config_of(config)
+        self._clouds: CloudSensor | None = None
         self._lidar = self._lidar_of(known_map, config, start)
         self._locator: VisualLocator | None = None
         if config.sensors.rgbd and known_map.frames is not None and known_map.clouds is None:
@@ -132,7 +133,9 @@ class Localizer:
         return self._lidar.add(measurement)
 
     def warning(self) -> str | None:
-        """Return why all its poses are doubtful: places of the map look alike. None for most maps.
+        """Return why poses are doubtful: the map has look-alike places, or an IMU contradicts the lidar.
+
+        None for most maps.
 
         Examples
         --------
@@ -142,6 +145,8 @@ class Localizer:
         >>> slam.Localizer(slam.map_log(log)).warning() is None
         True
         """
+        if self._clouds is not None and self._clouds.unfit:
+            return self._clouds.unfit
         if self._lidar is None or not self._lidar.copied:
             return None
         return (
@@ -162,7 +167,7 @@ class Localizer:
                     "the map is of a 3D lidar, and sensors.lidar is off: nothing can be localised"
                 )
             field = Walls(known_map, config).field if has_walls(known_map) else None
-            sensor = CloudSensor(known_map, field, config)
+            sensor = self._clouds = CloudSensor(known_map, field, config)
         elif has_walls(known_map) and config.sensors.lidar:
             walls = Walls(known_map, config)
             sensor = planar = PlanarSensor(walls, config)

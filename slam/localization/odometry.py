@@ -1,7 +1,9 @@
-"""Motion of the robot during localisation, from its lidar and wheels only, and when this odometry breaks."""
+"""Motion of the robot during localisation, without its cameras, and when this odometry breaks."""
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from typing import NamedTuple
 
 import gtsam
@@ -15,6 +17,7 @@ from slam.localization.scan_view import ScanView
 from slam.matching.planar import between
 from slam.measurements import (
     FloatArray,
+    ImuReading,
     PointCloud,
     Pose,
     WheelOdometry,
@@ -25,6 +28,7 @@ from slam.measurements import (
 from slam.odometry.clock_learner import Turns
 from slam.odometry.cloud_tracker import CloudTracker, TrackedCloud
 from slam.odometry.constant_velocity import repeated, stretch
+from slam.odometry.imu_tracker import ImuTracker, UnfitImuError
 from slam.odometry.motion_tracker import MotionTracker
 from slam.odometry.surfel_odometry import SurfelOdometry
 from slam.odometry.tracked_scan import TrackedScan
@@ -175,12 +179,19 @@ class ScanOdometry:
 
 
 class CloudOdometry:
-    """Odometry by matching clouds to recent clouds."""
+    """Odometry by matching clouds to recent clouds, with wheels and an IMU if there are any.
+
+    Attributes
+    ----------
+    unfit
+        Why an IMU that contradicts the lidar is left out; empty without one.
+    """
 
     def __init__(self, config: Config) -> None:
         self._config, self._guess = config, config.prediction
         self._wheels = WheelTracker(config.wheels) if config.sensors.wheels else None
-        self._tracker = CloudTracker(self._config, self._wheels)
+        self.unfit = ""
+        self._begin()
         self._last: TrackedCloud | None = None
         self._unmatched = 0
         self._stamp_s = 0.0
@@ -188,26 +199,52 @@ class CloudOdometry:
     def add_wheels(self, reading: WheelOdometry) -> None:
         """Add a wheel reading."""
         if self._wheels is not None:
-            self._wheels.add(reading)
+            self._tracker.roll(reading.stamp_s, self._wheels.add(reading))
+
+    def add_imu(self, reading: ImuReading) -> None:
+        """Add a reading of the IMU, before the clouds whose revolution it covers."""
+        if self._imu is not None:
+            with self._imu_judged():
+                self._tracker.hear(reading)
 
     def add(self, cloud: PointCloud) -> tuple[FloatArray, OdometryStep]:
         """Process a cloud; return its usable points (N, 3), base frame, deskewed, and its pose."""
         last, elapsed_s = self._last, cloud.stamp_s - self._stamp_s
         self._stamp_s = cloud.stamp_s
         gap = last is not None and not 0.0 <= elapsed_s <= _LONG_GAP_S
-        tracked = None if gap else self._tracker.follow(cloud)
+        tracked = None
+        with self._imu_judged():
+            tracked = None if gap else self._tracker.follow(cloud)
         if tracked is not None:
             first = last is None or tracked.motion is not None
             self._unmatched = 0 if first else self._unmatched + 1
         if tracked is None or self._unmatched >= _LOST_READINGS:
-            self._tracker, self._unmatched, last = CloudTracker(self._config, self._wheels), 0, None
+            self._begin()
+            self._unmatched, last = 0, None
             tracked = self._tracker.follow(cloud)
         self._last = tracked
         return tracked.points, OdometryStep(tracked.pose, None if last is None else self._step(last, tracked))
 
+    def _begin(self) -> None:
+        """Start a new odometry frame."""
+        self._imu = ImuTracker() if self._config.sensors.imu and not self.unfit else None
+        self._tracker = CloudTracker(self._config, self._wheels, imu=self._imu)
+
+    @contextmanager
+    def _imu_judged(self) -> Iterator[None]:
+        """Go on without an IMU that contradicts the lidar, in a new odometry frame."""
+        try:
+            yield
+        except UnfitImuError as unfit:
+            self.unfit = f"{unfit.args[0]} is left out: {unfit.args[1]}"
+            self._last = None
+            self._begin()
+
     def _step(self, last: TrackedCloud, tracked: TrackedCloud) -> Measured:
         """Return the motion between two clouds, both matched to the same recent clouds; or a guess."""
         step = last.pose.between(tracked.pose)
+        if tracked.motion is None and self._imu is not None and (spread := self._imu.spread()) is not None:
+            return Measured(step, spread)
         if tracked.motion is None:
             return Measured(step, diagonal(step, self._guess.velocity_floor, self._guess.velocity_floor))
         before = np.zeros((6, 6))
