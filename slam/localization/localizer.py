@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Callable, Mapping
 from functools import partial
 from pathlib import Path
@@ -23,6 +24,7 @@ from slam.localization.scan_view import first_in_cells
 from slam.localization.visual_locator import VisualLocator
 from slam.mapper.protocol import SENSORS
 from slam.measurements import Measurement, RgbdFrame, pose2_from_row
+from slam.odometry.cloud_velocity import LONGEST_STEP_S
 from slam.outputs.finished_map import Map
 from slam.outputs.grid_map import GridMap, opened
 from slam.storage.map_contents import MapContents
@@ -85,9 +87,10 @@ class Localizer:
             raise MapFileError(f"start is {type(start).__name__}; give Measured(gtsam.Pose2, covariance)")
         config = config_of(config)
         self._clouds: CloudSensor | None = None
+        self._frames: deque[PreparedFrame] = deque()
         self._lidar = self._lidar_of(known_map, config, start)
         self._locator: VisualLocator | None = None
-        if config.sensors.rgbd and known_map.frames is not None and known_map.clouds is None:
+        if config.sensors.rgbd and known_map.frames is not None:
             self._locator = VisualLocator(known_map, config, registrations)
         self._camera: StateMachine[Any, Any] | None = None
         if self._lidar is None and self._locator is not None:
@@ -128,9 +131,15 @@ class Localizer:
             return self._camera.add(measurement)
         if self._locator is not None and isinstance(measurement, RgbdFrame | PreparedFrame):
             frame = self._locator.view(measurement)
-            if frame is not None and self._lidar.wants_help():
-                self._help(self._lidar, self._locator, frame)
-        return self._lidar.add(measurement)
+            if frame is not None:
+                self._frames.append(frame)
+                while frame.frame.stamp_s - self._frames[0].frame.stamp_s > LONGEST_STEP_S:
+                    self._frames.popleft()
+            return None
+        output = self._lidar.add(measurement)
+        if output is not None and self._locator is not None:
+            self._help(self._lidar, self._locator, output.stamp_s)
+        return output
 
     def warning(self) -> str | None:
         """Return why poses are doubtful: the map has look-alike places, or an IMU contradicts the lidar.
@@ -181,9 +190,16 @@ class Localizer:
             return None
         return StateMachine(sensor, settings, start, alike)
 
-    @staticmethod
-    def _help(lidar: StateMachine[Any, Any], locator: VisualLocator, frame: PreparedFrame) -> None:
-        """Use a frame as support: it proposes places during a search, and stabilises a tracked pose."""
+    def _help(self, lidar: StateMachine[Any, Any], locator: VisualLocator, stamp_s: float) -> None:
+        """Use the newest frame of the time of a lidar reading as support, however early frames arrive.
+
+        It proposes places during a search, and stabilises a tracked pose.
+        """
+        frame = None
+        while self._frames and self._frames[0].frame.stamp_s <= stamp_s:
+            frame = self._frames.popleft()
+        if frame is None or not lidar.wants_help():
+            return
         if lidar.tracked is None:
             for place in locator.anywhere(frame):
                 lidar.propose(place.T_reference_base)
