@@ -9,7 +9,7 @@ from tools.count_numbers import bare_floats, constant_names, count_fields, count
 MOST_CONSTANTS = 322
 MOST_BARE_FLOATS = 111
 MOST_FIELDS = 141
-MOST_LINES = 70_743
+MOST_LINES = 70_744
 
 
 def test_constants_of_the_logic_do_not_grow() -> None:

@@ -10,7 +10,7 @@ from slam.config.files import StrictModel
 class LocalizationConfig(StrictModel):
     """Localisation in a saved map: global search, hypotheses, tracking, loss and recovery."""
 
-    search_every_m: float = Field(default=1.0, gt=0, description="travel between two global searches")
+    search_every_m: float = Field(default=1.0, gt=0, description="least travel between two global searches")
     search_least_score: float = Field(default=0.45, gt=0, lt=1, description="lowest accepted mean likelihood")
     search_keep_share: float = Field(
         default=0.85, gt=0, le=1, description="poses with this share of the best score are kept too"

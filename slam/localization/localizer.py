@@ -133,7 +133,8 @@ class Localizer:
             frame = self._locator.view(measurement)
             if frame is not None:
                 self._frames.append(frame)
-                while frame.frame.stamp_s - self._frames[0].frame.stamp_s > LONGEST_STEP_S:
+                # Also of a clock that was set back, whose frames would wait for ever.
+                while abs(frame.frame.stamp_s - self._frames[0].frame.stamp_s) > LONGEST_STEP_S:
                     self._frames.popleft()
             return None
         output = self._lidar.add(measurement)

@@ -49,11 +49,26 @@ class _Lidar:
         return True
 
 
-@pytest.mark.parametrize("ahead_s", [0.0, 0.5])
-def test_a_frame_is_used_at_the_reading_of_its_time(ahead_s: float) -> None:
-    localizer, locator = object.__new__(Localizer), _Locator()
+def localizer_of(locator: _Locator) -> Localizer:
+    localizer = object.__new__(Localizer)
     for name, value in {"_lidar": _Lidar(), "_locator": locator, "_frames": deque(), "_clouds": None}.items():
         setattr(localizer, name, value)
+    return localizer
+
+
+def test_a_clock_that_is_set_back_leaves_no_frame_waiting() -> None:
+    locator = _Locator()
+    localizer = localizer_of(locator)
+    for stamp_s in (100.0, 1.0, 1.1, 1.2):
+        localizer.add(frame_at(stamp_s))
+    localizer.add(PointCloud(1.15, np.zeros((1, 3), np.float32)))
+    assert locator.asked == [(1.1, 1.15)]
+
+
+@pytest.mark.parametrize("ahead_s", [0.0, 0.5])
+def test_a_frame_is_used_at_the_reading_of_its_time(ahead_s: float) -> None:
+    locator = _Locator()
+    localizer = localizer_of(locator)
     frames = [frame_at(0.03 * n) for n in range(100)]
     clouds = [PointCloud(0.1 * n, np.zeros((1, 3), np.float32)) for n in range(30)]
     log = [(one.frame.stamp_s - ahead_s, one) for one in frames] + [(one.stamp_s, one) for one in clouds]
